@@ -1,0 +1,457 @@
+"""Second-order Taylor models: a quantity over a whole box of designs, as a polynomial with a proven remainder.
+
+A quantity q over the box, whose coordinates d_1 ... d_n run from -1 to 1, is
+
+    q(d) = c + sum g_i d_i + sum_{i <= j} h_ij d_i d_j + r,    |r| <= remainder,
+
+for every d in the box. The formulas of `linkage` pass Taylor models on as they pass on jets: one evaluation gives the value, the
+first and the second derivatives at the centre, and bounds over the box whose error is of third order in its size. Rounding errors
+of every operation are part of the remainder, so the bounds are rigorous.
+
+References
+----------
+M. Berz and K. Makino, Verified integration of ODEs and flows using differential algebraic methods on high-order Taylor models,
+Reliable Computing 4 (1998) 361-369. S. M. Rump, Verification methods: rigorous results using floating-point arithmetic, Acta
+Numerica 19 (2010) 287-449, section 9 (error of a floating-point sum).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+UNIT = 2.0**-53  # largest relative error of a rounded operation
+ROUNDING = 64.0 * UNIT  # bounds the rounding errors of all coefficients of one operation, relative to the sum of their sizes
+LIBRARY = (
+    2.0**-48
+)  # bounds the error of sin, cos, arctan (absolute) and exp, log, power (relative): 16 to 32 units in the last place
+UPWARD = 1.0 + 2.0**-44  # makes up for the rounding of a remainder, a sum and product of fewer than 100 positive numbers
+TINY = 1e-290  # makes up for underflow
+INTEGER_POWERS = 16  # largest integer exponent that is expanded into products
+
+
+@cache
+def pairs(count: int) -> tuple[tuple[int, int], ...]:
+    """Return the indices (i, j), i <= j, of the second-order coefficients in the order of storage."""
+    return tuple((i, j) for i in range(count) for j in range(i, count))
+
+
+class TaylorModel(NDArrayOperatorsMixin):
+    """A quantity over boxes of `count` unknowns. Where it is undefined, or cannot be bounded, the remainder is infinite.
+
+    Parameters
+    ----------
+    coefficients : array (1 + n + n (n + 1) / 2, ...), or (1, ...) for a quantity that is the same in the whole box
+        Value at the centre, first-order coefficients, second-order coefficients in the order of `pairs`.
+    remainder : array (...), not negative
+        Largest deviation from the polynomial.
+    count : int
+        Number n of unknowns.
+    """
+
+    __slots__ = ("_sizes", "coefficients", "count", "remainder")
+
+    def __init__(self, coefficients: Array, remainder: ArrayLike, count: int) -> None:
+        self.coefficients, self.count = coefficients, count
+        self.remainder = np.asarray(remainder, dtype=float)
+        self._sizes: tuple[Array, Array] | None = None
+
+    def __repr__(self) -> str:
+        return f"TaylorModel({self.count} unknowns, shape {self.remainder.shape})"
+
+    # --- construction ----------------------------------------------------------------------------------------------
+
+    @staticmethod
+    def constant(value: ArrayLike, count: int) -> TaylorModel:
+        """Return a quantity that is the same in every box.
+
+        Parameters
+        ----------
+        value : array
+        count : int
+            Number of unknowns.
+        """
+        value = np.asarray(value, dtype=float)
+        return TaylorModel(value[None], np.zeros(value.shape), count)
+
+    @staticmethod
+    def unknowns(low: Array, high: Array) -> list[TaylorModel]:
+        """Return the n unknowns over boxes, each of shape (boxes, 1).
+
+        Parameters
+        ----------
+        low, high : array (boxes, n)
+            Corners of the boxes.
+        """
+        boxes, count = low.shape
+        found = []
+        for k in range(count):
+            coefficients = np.zeros((1 + count + len(pairs(count)), boxes, 1))
+            centre = 0.5 * (low[:, k] + high[:, k])
+            radius = 0.5 * (high[:, k] - low[:, k])
+            coefficients[0, :, 0], coefficients[1 + k, :, 0] = centre, radius
+            slack = 4.0 * UNIT * (np.abs(low[:, k]) + np.abs(high[:, k])) + TINY
+            found.append(TaylorModel(coefficients, slack[:, None], count))
+        return found
+
+    # --- bounds ----------------------------------------------------------------------------------------------------
+
+    @property
+    def value(self) -> Array:
+        """Value at the centre of every box, not rigorous."""
+        return self.coefficients[0]
+
+    @property
+    def linear(self) -> Array:
+        """First-order coefficients (n, ...)."""
+        if len(self.coefficients) == 1:
+            return np.zeros((self.count, *self.remainder.shape))
+        return self.coefficients[1 : 1 + self.count]
+
+    @property
+    def quadratic(self) -> Array:
+        """Second-order coefficients (n (n + 1) / 2, ...), in the order of `pairs`."""
+        if len(self.coefficients) == 1:
+            return np.zeros((len(pairs(self.count)), *self.remainder.shape))
+        return self.coefficients[1 + self.count :]
+
+    @property
+    def sizes(self) -> tuple[Array, Array]:
+        """Largest absolute value of the first-order and of the second-order part."""
+        if self._sizes is None:
+            if len(self.coefficients) == 1:
+                zero = np.zeros(self.remainder.shape)
+                self._sizes = zero, zero
+            else:
+                both = np.abs(self.coefficients[1:])
+                self._sizes = both[: self.count].sum(axis=0), both[self.count :].sum(axis=0)
+        return self._sizes
+
+    @property
+    def radius(self) -> Array:
+        """Largest deviation from the value at the centre, rigorous."""
+        first, second = self.sizes
+        return (first + second + self.remainder) * UPWARD + TINY
+
+    @property
+    def low(self) -> Array:
+        """Lower bound over every box, rigorous; -inf where there is none."""
+        return _bound(self.value, -self.radius)
+
+    @property
+    def high(self) -> Array:
+        """Upper bound over every box, rigorous; inf where there is none."""
+        return _bound(self.value, self.radius)
+
+    # --- arithmetic ------------------------------------------------------------------------------------------------
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
+        if method != "__call__" or kwargs:
+            return NotImplemented
+        rule = _RULES.get(ufunc)
+        if rule is None:
+            return NotImplemented
+        with np.errstate(all="ignore"):
+            return rule(*inputs)  # what overflows or is undefined gets an infinite remainder
+
+    def __neg__(self) -> TaylorModel:
+        return TaylorModel(-self.coefficients, self.remainder, self.count)
+
+    def __getitem__(self, index: Any) -> TaylorModel:
+        index = index if isinstance(index, tuple) else (index,)
+        return TaylorModel(self.coefficients[(slice(None), *index)], self.remainder[index], self.count)
+
+    def sum(self, axis: int = -1) -> TaylorModel:
+        """Return the sum along an axis (negative: counted from the last)."""
+        size = np.sum(np.abs(self.coefficients), axis=(0, axis))
+        terms = self.remainder.shape[axis]
+        remainder = (np.sum(self.remainder, axis=axis) + terms * UNIT * 4.0 * size) * (UPWARD + 4.0 * UNIT * terms) + TINY
+        return TaylorModel(np.sum(self.coefficients, axis=axis), remainder, self.count)
+
+
+def _bound(value: Array, radius: Array) -> Array:
+    with np.errstate(invalid="ignore"):
+        found = value + radius
+    found = found + np.sign(radius) * 4.0 * UNIT * np.abs(found)
+    return np.where(np.isnan(found), np.sign(radius) * np.inf, found)
+
+
+def _model(x: Any, like: TaylorModel) -> TaylorModel:
+    return x if isinstance(x, TaylorModel) else TaylorModel.constant(x, like.count)
+
+
+def _two(a: Any, b: Any) -> tuple[TaylorModel, TaylorModel]:
+    like = a if isinstance(a, TaylorModel) else b
+    return _model(a, like), _model(b, like)
+
+
+def _aligned(coefficients: Array, rank: int) -> Array:
+    """Insert axes after the first, so that the other axes broadcast from the right."""
+    missing = rank - (coefficients.ndim - 1)
+    return coefficients.reshape(coefficients.shape[0], *([1] * missing), *coefficients.shape[1:]) if missing > 0 else coefficients
+
+
+def _add(a: Any, b: Any) -> TaylorModel:
+    a, b = _two(a, b)
+    x, y = a.coefficients, b.coefficients
+    rank = max(x.ndim, y.ndim) - 1
+    x, y = _aligned(x, rank), _aligned(y, rank)
+    if len(x) == len(y):
+        out = x + y
+    else:
+        longer, shorter = (x, y) if len(x) > len(y) else (y, x)
+        out = np.empty((len(longer), *np.broadcast_shapes(longer.shape[1:], shorter.shape[1:])))
+        out[:] = longer
+        out[0] += shorter[0]
+    rounding = ROUNDING * (np.abs(out[0]) + sum(size for model in (a, b) for size in model.sizes))
+    return TaylorModel(out, (a.remainder + b.remainder + rounding) * UPWARD + TINY, a.count)
+
+
+def _subtract(a: Any, b: Any) -> TaylorModel:
+    return _add(a, -b)
+
+
+def _multiply(a: Any, b: Any) -> TaylorModel:
+    square = a is b
+    a, b = _two(a, b)
+    x, y, n = a.coefficients, b.coefficients, a.count
+    rank = max(x.ndim, y.ndim) - 1
+    x, y = _aligned(x, rank), _aligned(y, rank)
+    (ga, qa), (gb, qb) = a.sizes, b.sizes
+    ca, cb = np.abs(x[0]), np.abs(y[0])
+    size_a, size_b = ca + ga + qa, cb + gb + qb
+    if len(x) == 1 or len(y) == 1:
+        out = x * y
+        third: Any = 0.0
+    else:
+        out = y * x[:1]
+        out[1:] += x[1:] * y[:1]
+        for k, (i, j) in enumerate(pairs(n)):
+            if i == j:
+                out[1 + n + k] += x[1 + i] * y[1 + i]
+            elif square:
+                out[1 + n + k] += 2.0 * (x[1 + i] * y[1 + j])
+            else:
+                out[1 + n + k] += x[1 + i] * y[1 + j] + x[1 + j] * y[1 + i]
+        third = ga * qb + qa * (gb + qb)
+    remainder = third + a.remainder * (size_b + b.remainder) + size_a * b.remainder + ROUNDING * (size_a * size_b)
+    return TaylorModel(out, remainder * UPWARD + TINY, n)
+
+
+Derivatives = tuple[Array, Array, Array, Array]
+"""Value, first and second derivative at the centre, and a bound of the size of the third over the range."""
+
+
+def _compose(x: TaylorModel, rule: Callable[[Array, Array, Array], Derivatives], error: float = 0.0) -> TaylorModel:
+    """Return f(x) from f, f', f'' at the centre and a bound of f''' over the range of x.
+
+    Parameters
+    ----------
+    x : TaylorModel
+    rule : function of (centre, low, high)
+        Returns the three derivatives and the bound; NaN where f is undefined somewhere between low and high.
+    error : float
+        Absolute error of f at the centre, on top of a relative one of `LIBRARY`.
+    """
+    a, n = x.coefficients, x.count
+    linear, quadratic = x.sizes
+    deviation = x.radius
+    f, first, second, third = rule(a[0], x.low, x.high)
+    beyond = quadratic + x.remainder  # second order and remainder of x
+    if len(a) == 1:
+        out = f[None].copy()
+    else:
+        out = a * first
+        out[0] = f
+        half = 0.5 * second
+        for k, (i, j) in enumerate(pairs(n)):
+            product = a[1 + i] * a[1 + j]
+            out[1 + n + k] += half * product if i == j else second * product
+    first, second = np.abs(first), np.abs(second)
+    cubic = deviation * deviation * deviation
+    remainder = first * x.remainder + 0.5 * second * beyond * (2.0 * linear + beyond) + third * (cubic / 6.0)
+    size = first * (linear + quadratic) + 0.5 * second * (linear * linear)
+    remainder = remainder + (ROUNDING + LIBRARY) * size + LIBRARY * np.abs(f) + error
+    bad = ~np.isfinite(remainder) | ~np.isfinite(f)
+    if np.any(bad):
+        remainder = np.where(bad, np.inf, remainder)
+        out = np.where(np.isfinite(out) & ~bad, out, 0.0)
+    return TaylorModel(out, remainder * UPWARD + TINY, n)
+
+
+def _sqrt(x: Array, low: Array, high: Array) -> Derivatives:
+    low = np.where(low > 0.0, low, np.nan)
+    root = np.sqrt(x)
+    return root, 0.5 / root, -0.25 / (root * x), 0.375 * UPWARD / (low * low * np.sqrt(low))
+
+
+def _reciprocal(x: Array, low: Array, high: Array) -> Derivatives:
+    inverse = 1.0 / x
+    least = np.where(low > 0.0, low, np.where(high < 0.0, -high, np.nan))
+    square = least * least
+    return inverse, -inverse * inverse, 2.0 * inverse * inverse * inverse, 6.0 * UPWARD / (square * square)
+
+
+def _sin(x: Array, low: Array, high: Array) -> Derivatives:
+    s, c = np.sin(x), np.cos(x)
+    return s, c, -s, np.ones_like(x)
+
+
+def _cos(x: Array, low: Array, high: Array) -> Derivatives:
+    s, c = np.sin(x), np.cos(x)
+    return c, -s, -c, np.ones_like(x)
+
+
+def _arctan(x: Array, low: Array, high: Array) -> Derivatives:
+    w = 1.0 / (1.0 + x * x)
+    return np.arctan(x), w, -2.0 * x * w * w, np.full_like(x, 2.0)
+
+
+def _exp(x: Array, low: Array, high: Array) -> Derivatives:
+    e = np.exp(x)
+    return e, e, e, np.exp(high) * (1.0 + LIBRARY) * UPWARD
+
+
+def _log(x: Array, low: Array, high: Array) -> Derivatives:
+    low, inverse = np.where(low > 0.0, low, np.nan), 1.0 / x
+    return np.log(x), inverse, -inverse * inverse, 2.0 * UPWARD / (low * low * low)
+
+
+def _power_rule(p: float) -> Callable[[Array, Array, Array], Derivatives]:
+    def rule(x: Array, low: Array, high: Array) -> Derivatives:
+        f, low = np.power(x, p), np.where(low > 0.0, low, np.nan)
+        third = abs(p * (p - 1.0) * (p - 2.0)) * np.maximum(np.power(low, p - 3.0), np.power(high, p - 3.0))
+        slope = p * f / x
+        return f, slope, (p - 1.0) * slope / x, third * (1.0 + LIBRARY) * UPWARD
+
+    return rule
+
+
+def _divide(a: Any, b: Any) -> TaylorModel:
+    if not isinstance(b, TaylorModel):
+        return _multiply(a, 1.0 / TaylorModel.constant(b, a.count))
+    inverse = _compose(b, _reciprocal)
+    return inverse if isinstance(a, float | int) and a == 1.0 else _multiply(a, inverse)
+
+
+def _power(base: Any, exponent: Any) -> TaylorModel:
+    if isinstance(exponent, TaylorModel):
+        base = _model(base, exponent)
+        return np.exp(exponent * np.log(base))  # type: ignore[no-any-return]
+    n = float(exponent)
+    if n != int(n) or abs(n) > INTEGER_POWERS:
+        return _compose(base, _power_rule(n))
+    found = base if n else TaylorModel.constant(1.0, base.count)
+    for _ in range(abs(int(n)) - 1):
+        found = found * base
+    return 1.0 / found if n < 0 else found
+
+
+def _arctan2(y: Any, x: Any) -> TaylorModel:
+    """Angle of the direction (x, y), continuous over the box; beyond -pi ... pi where the box crosses the negative x axis."""
+    y, x = _two(y, x)
+    centre = np.arctan2(y.value, x.value)
+    c, s = np.cos(centre), np.sin(centre)
+    along, across = x * c + y * s, y * c - x * s
+    slope = across * _compose(along, _reciprocal)
+    valid = along.low > 0.0
+    found = _compose(slope, _arctan, LIBRARY)
+    remainder = np.where(valid, found.remainder + 4.0 * LIBRARY, np.inf)
+    out = found.coefficients.copy()
+    out[0] += centre
+    return TaylorModel(out, remainder, x.count)
+
+
+def _hull(x: TaylorModel, low: Array, high: Array) -> TaylorModel:
+    """Return a quantity of which only bounds are known."""
+    middle = 0.5 * (low + high)
+    spread = (0.5 * (high - low) + 4.0 * UNIT * (np.abs(low) + np.abs(high))) * UPWARD + TINY
+    bad = ~np.isfinite(spread)
+    return TaylorModel(np.where(bad, 0.0, middle)[None], np.where(bad, np.inf, spread), x.count)
+
+
+def _select(x: TaylorModel, y: TaylorModel, first: Array, other: TaylorModel, second: Array) -> TaylorModel:
+    """Return x where `first`, y where `second`, and `other` elsewhere."""
+    full = 1 + x.count + len(pairs(x.count))
+    shape = np.broadcast_shapes(x.remainder.shape, y.remainder.shape, other.remainder.shape)
+
+    def whole(model: TaylorModel) -> Array:
+        out = np.zeros((full, *shape))
+        out[: len(model.coefficients)] = _aligned(model.coefficients, len(shape))
+        return out
+
+    coefficients = np.where(first, whole(x), np.where(second, whole(y), whole(other)))
+    return TaylorModel(coefficients, np.where(first, x.remainder, np.where(second, y.remainder, other.remainder)), x.count)
+
+
+def _absolute(x: TaylorModel) -> TaylorModel:
+    low, high = x.low, x.high
+    return _select(x, -x, low >= 0.0, _hull(x, np.zeros_like(low), np.maximum(-low, high)), high <= 0.0)
+
+
+def _sign(x: TaylorModel) -> TaylorModel:
+    low, high = x.low, x.high
+    return _hull(x, np.where(low > 0.0, 1.0, -1.0), np.where(high < 0.0, -1.0, 1.0))
+
+
+def _minimum(a: Any, b: Any) -> TaylorModel:
+    a, b = _two(a, b)
+    both = _hull(a, np.minimum(a.low, b.low), np.minimum(a.high, b.high))
+    return _select(a, b, a.high <= b.low, both, b.high <= a.low)
+
+
+def _maximum(a: Any, b: Any) -> TaylorModel:
+    return -_minimum(-a, -b)
+
+
+def _tan(x: TaylorModel) -> TaylorModel:
+    return np.sin(x) / np.cos(x)  # type: ignore[no-any-return]
+
+
+def _arcsin(x: TaylorModel) -> TaylorModel:
+    return _arctan2(x, np.sqrt(1.0 - x * x))
+
+
+def _arccos(x: TaylorModel) -> TaylorModel:
+    return _arctan2(np.sqrt(1.0 - x * x), x)
+
+
+def _tanh(x: TaylorModel) -> TaylorModel:
+    return 1.0 - 2.0 / (np.exp(2.0 * x) + 1.0)
+
+
+_RULES: dict[np.ufunc, Callable[..., TaylorModel]] = {
+    np.add: _add,
+    np.subtract: _subtract,
+    np.multiply: _multiply,
+    np.divide: _divide,
+    np.power: _power,
+    np.negative: lambda x: -x,
+    np.positive: lambda x: x,
+    np.square: lambda x: _multiply(x, x),
+    np.sqrt: lambda x: _compose(x, _sqrt),
+    np.sin: lambda x: _compose(x, _sin, LIBRARY),
+    np.cos: lambda x: _compose(x, _cos, LIBRARY),
+    np.tan: _tan,
+    np.arcsin: _arcsin,
+    np.arccos: _arccos,
+    np.arctan: lambda x: _compose(x, _arctan, LIBRARY),
+    np.arctan2: _arctan2,
+    np.exp: lambda x: _compose(x, _exp),
+    np.log: lambda x: _compose(x, _log, LIBRARY),
+    np.log10: lambda x: _compose(x, _log, LIBRARY) * (1.0 / np.log(10.0)),
+    np.sinh: lambda x: 0.5 * (np.exp(x) - np.exp(-x)),
+    np.cosh: lambda x: 0.5 * (np.exp(x) + np.exp(-x)),
+    np.tanh: _tanh,
+    np.absolute: _absolute,
+    np.sign: _sign,
+    np.minimum: _minimum,
+    np.maximum: _maximum,
+}

@@ -1,0 +1,245 @@
+"""Objective and limits of a problem over boxes of designs: the formulas of the NLP, evaluated with Taylor models.
+
+Limits that cannot be evaluated over a box are left out, and limits at every crank angle apply at some. So every feasible design is
+feasible here too, and a lower bound of the objective here holds there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.errors import Fault, InputError
+from optlink.linkage.fourbar import lengths_of, transmission_cosine
+from optlink.linkage.taylor_model import TaylorModel, pairs
+from optlink.linkage.vector2d import unit
+from optlink.optimization.constraints import FOUR_BAR, GENERAL, ConstraintRow, position_rows
+from optlink.optimization.objectives import output_error
+from optlink.problem.file import ProblemFile
+from optlink.problem.function import DesignProblem, StartPosition
+from optlink.problem.limits import Reach
+from optlink.problem.mechanism import FourBarSection
+from optlink.problem.path import START, TURN, PathProblem
+
+Array = NDArray[np.float64]
+
+GRID = 36  # crank angles at which limits of single positions apply
+TRIALS = np.random.default_rng(7).uniform(-3.0, 3.0, (2, 16))  # start positions at which the period of a law is tested
+
+
+@dataclass(frozen=True)
+class BoxModels:
+    """Objective and limits over a batch of boxes.
+
+    Parameters
+    ----------
+    residuals : TaylorModel (boxes, positions, components)
+    slacks : TaylorModel (boxes, limits)
+        Not negative for a feasible design.
+    periodic : bool
+        Whether residuals are angles [rad] of which the nearest multiple of a full turn is subtracted.
+    """
+
+    residuals: TaylorModel
+    slacks: TaylorModel
+    periodic: bool = False
+
+
+@dataclass
+class DesignBoxes:
+    """A motion law, function, timed path or transmission problem over boxes of its design variables [SI].
+
+    Parameters
+    ----------
+    problem : DesignProblem or PathProblem
+        See `box_problem`.
+
+    Attributes
+    ----------
+    low, high : array (n,)
+        Bounds of the design variables, in the order of `problem.free`.
+    limits : tuple of str
+        Limit of every slack, once evaluated.
+    """
+
+    problem: DesignProblem | PathProblem
+    low: Array = field(init=False)
+    high: Array = field(init=False)
+    limits: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        bounds = [self.problem.quantities[name].bounds for name in self.problem.free]
+        self.low, self.high = np.array(bounds, dtype=float).reshape(-1, 2).T.copy()
+
+    @property
+    def measure(self) -> str:
+        """Measure of the residuals: "sum of squares", "rms" or "max"."""
+        return self.problem.requirement.measure if isinstance(self.problem, DesignProblem) else self.problem.measure
+
+    def over(self, low: Array, high: Array) -> BoxModels:
+        """Return the models over boxes.
+
+        Parameters
+        ----------
+        low, high : array (boxes, n)
+            Corners [SI].
+        """
+        values: dict[str, Any] = {name: quantity.value for name, quantity in self.problem.quantities.items()}
+        values |= dict(zip(self.problem.free, TaylorModel.unknowns(low, high), strict=True))
+        with np.errstate(all="ignore"):
+            if isinstance(self.problem, DesignProblem):
+                residuals, rows = _function(self.problem, values, low.shape[1])
+            else:
+                residuals, rows = _timed(self.problem, values, low.shape[1])
+        sides: list[TaylorModel] = []
+        limits: list[str] = []
+        for row in rows:
+            for bound, sign in ((row.low, 1.0), (row.high, -1.0)):
+                if np.isfinite(bound):
+                    sides.append(sign * (row.value - bound))
+                    limits.append(row.limit)
+        shape, count = (len(low),), low.shape[1]
+        slacks = _joined([column for side in sides for column in _columns(side, shape, count)], shape, count)
+        widths = [1 if side.remainder.ndim < 2 else side.remainder.shape[-1] for side in sides]
+        self.limits = tuple(limit for limit, width in zip(limits, widths, strict=True) for _ in range(width))
+        return BoxModels(residuals, slacks, periodic=getattr(self.problem, "unit", "rad") == "rad")
+
+
+def box_problem(problem: ProblemFile) -> DesignBoxes:
+    """Return a problem in the form in which it can be bounded over boxes.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        With definite assembly modes.
+
+    Raises
+    ------
+    InputError
+        If no lower bound is available for this kind of problem.
+    """
+    model, reason = problem.model, ""
+    if not isinstance(model, DesignProblem | PathProblem):
+        reason = "only motion laws, functions, timed paths and transmission problems have one"
+    elif isinstance(model, DesignProblem) and model.requirement.robust is not None:
+        reason = "the objective of a robust design has none"
+    elif isinstance(model, PathProblem) and model.data.offsets is None:
+        reason = "the crank angles at the points are unknowns too"
+    elif isinstance(model, PathProblem) and model.requirement.kind == "transmission" and not _four_bar(model):
+        reason = "of transmission problems only those of four-bars have one"
+    if reason:
+        raise InputError(Fault(f"no certificate of the global optimum: {reason}", "Leave --certify out", problem.file, "--certify"))
+    assert isinstance(model, DesignProblem | PathProblem)
+    return DesignBoxes(model)
+
+
+def _four_bar(problem: PathProblem) -> bool:
+    return isinstance(problem.mechanism, FourBarSection)
+
+
+Evaluated = tuple[TaylorModel, list[ConstraintRow]]
+
+
+def _function(problem: DesignProblem, values: dict[str, Any], count: int) -> Evaluated:
+    """Return the residuals (boxes, positions, 1) and the limits of a function synthesis problem."""
+    start, law = problem.start_position(values), problem.law
+    residuals = output_error(problem, values, start, TaylorModel.constant(law.offsets, count), TaylorModel.constant(law.tabulated, count))
+    if not _has_period(problem):
+        residuals = _where_principal(residuals, start)
+    return residuals[..., None], _limits(problem, values, Reach(start.phi0, problem.span, problem.sense))
+
+
+def _has_period(problem: DesignProblem) -> bool:
+    """Return whether start angles that differ by a full turn prescribe the same law; the models of angles are continuous."""
+    phi0, psi0 = TRIALS[:, :, None]
+    law = problem.law
+    with np.errstate(all="ignore"):
+        shifts = [law.target(law.offsets, law.tabulated, phi0 + a, psi0 + b) for a, b in ((0.0, 0.0), (TURN, 0.0), (0.0, TURN))]
+        gaps = [np.abs(np.exp(1j * shifted) - np.exp(1j * shifts[0])) for shifted in shifts[1:]]
+    free = "phi0" in problem.quantities, "psi0" in problem.quantities
+    return all(known or bool(np.nanmax(gap, initial=0.0) < 1e-9) for known, gap in zip(free, gaps, strict=True))
+
+
+def _where_principal(residuals: TaylorModel, start: StartPosition) -> TaylorModel:
+    """Return the residuals, unknown in boxes in which an angle of the start position passes half a turn."""
+    unknown = np.zeros(residuals.remainder.shape, dtype=bool)
+    for angle in (start.phi0, start.psi0):
+        if isinstance(angle, TaylorModel):
+            unknown |= (angle.high > np.pi) | (angle.low < -np.pi)
+    return TaylorModel(residuals.coefficients, np.where(unknown, np.inf, residuals.remainder), residuals.count)
+
+
+def _timed(problem: PathProblem, values: dict[str, Any], count: int) -> Evaluated:
+    """Return the residuals (boxes, positions, components) and the limits of a problem with prescribed crank angles."""
+    data = problem.data
+    assert data.offsets is not None
+    start = values[START] if problem.timing == "from start" else TaylorModel.constant(0.0, count)
+    pose = problem.linkage.pose(values, unit(start + TaylorModel.constant(data.offsets, count)))
+    if problem.requirement.kind == "transmission":  # rational in the lengths, so known where the linkage cannot be assembled too
+        found = [transmission_cosine(*lengths_of(values), TaylorModel.constant(np.cos(data.offsets), count))]
+    else:
+        found = problem.deviation(pose, values, tuple(TaylorModel.constant(column, count) for column in data.columns.T))
+    shape = next(iter(values[name] for name in problem.free)).remainder.shape[0], len(data.offsets)
+    residuals = _joined(found, shape, count) * data.roots[:, None]
+    span, sense = float(data.offsets[-1] - data.offsets[0]), 1 if data.offsets[-1] >= data.offsets[0] else -1
+    rows = _limits(problem, values, Reach(start + float(data.offsets[0]), span, sense))
+    if not _four_bar(problem):
+        turns = problem.limits.crank != "span"
+        over_span = position_rows(problem, pose)
+        whole = over_span
+        if turns:
+            angles = TaylorModel.constant(np.linspace(0.0, TURN, GRID, endpoint=False), count)
+            whole = position_rows(problem, problem.linkage.pose(values, unit(angles)))
+        rows += [own if own.over_span else row for row, own in zip(whole, over_span, strict=True)]
+    if np.any(np.isfinite(data.tolerances)):
+        distance = (residuals[..., :2] * residuals[..., :2]).sum()
+        held = np.isfinite(data.tolerances)
+        most = np.where(held, data.tolerances, 0.0) * data.roots
+        slack = (TaylorModel.constant(most * most, count) - distance)[:, held]
+        rows.append(ConstraintRow("requirement.points", "tolerance", slack, 0.0, np.inf, None))  # type: ignore[arg-type]
+    return residuals, rows
+
+
+def _limits(problem: DesignProblem | PathProblem, values: dict[str, Any], reach: Reach) -> list[ConstraintRow]:
+    """Return the limits that can be evaluated with Taylor models and depend on the design."""
+    rows: list[ConstraintRow] = []
+    for term in (*FOUR_BAR, *GENERAL) if isinstance(problem.mechanism, FourBarSection) else GENERAL:
+        found: Iterator[ConstraintRow] = iter(term(problem, values, reach, 1.0))
+        while True:
+            try:
+                row = next(found, None)
+            except TypeError:  # an operation without a rule: the remaining limits of this term are left out
+                break
+            if row is None:
+                break
+            rows.append(row)
+    return [row for row in rows if isinstance(row.value, TaylorModel)]
+
+
+def _columns(model: TaylorModel, shape: tuple[int, ...], count: int) -> list[TaylorModel]:
+    """Return a quantity over boxes of the given shape as models (boxes,), one for each of its positions."""
+    if model.remainder.ndim < 2:
+        return [model]
+    return [model[..., k] for k in range(model.remainder.shape[-1])]
+
+
+def _joined(models: list[TaylorModel], shape: tuple[int, ...], count: int) -> TaylorModel:
+    """Return models that broadcast to a shape as one, along a new last axis.
+
+    Parameters
+    ----------
+    models : list of TaylorModel
+    shape : tuple of int
+    count : int
+        Number of unknowns.
+    """
+    coefficients = np.zeros((1 + count + len(pairs(count)), *shape, len(models)))
+    remainder = np.zeros((*shape, len(models)))
+    for k, model in enumerate(models):
+        coefficients[: len(model.coefficients), ..., k] = np.broadcast_to(model.coefficients, (len(model.coefficients), *shape))
+        remainder[..., k] = model.remainder
+    return TaylorModel(coefficients, remainder, count)

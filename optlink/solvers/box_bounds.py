@@ -1,0 +1,468 @@
+"""Bounds of a minimisation problem over boxes of designs, by Taylor models (`optlink.linkage.taylor_model`).
+
+A box is discarded if
+
+- a limit, or a combination of limits with multipliers that are not negative, is violated everywhere in it ("limits");
+- the objective is at least the threshold everywhere in it ("objective");
+- the Lagrangian, objective minus multipliers times slacks of the limits, is ("Lagrangian"): where no slack is negative it is a
+  lower bound of the objective.
+
+What is left of a box is made smaller where that is possible: parts in which a limit is violated or one deviation alone makes the
+objective too large are cut off ("cut").
+
+Any multipliers that are not negative give a bound that holds; a few cheap steps choose good ones. The objective is a sum of
+squares with weights. For the largest of several deviations, any weights with the sum 1 give a lower bound of its square, and the
+best weights give the largest one (Lawson); they too are chosen for every box.
+
+References
+----------
+A. Neumaier, Complete search in continuous global optimization and constraint satisfaction, Acta Numerica 13 (2004) 271-369,
+sections 11-16. C. L. Lawson, Contributions to the theory of linear least maximum approximation, thesis, UCLA 1961: weights of
+a least-squares fit that make it the minimax fit.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.linkage.taylor_model import ROUNDING, TINY, UNIT, UPWARD, TaylorModel, pairs
+from optlink.optimization.box_models import BoxModels
+
+Array = NDArray[np.float64]
+
+DESCENT = 8  # rounds of coordinate descent towards the minimum of a convex quadratic form
+ROUNDS = 3  # multipliers that are raised for a box, one after the other
+LAWSON = 6  # steps of the weights
+TESTS = ("limits", "objective", "Lagrangian", "cut")
+WORTH = 0.15  # share of the width of a box that must be cut off
+OPEN = -1  # in place of the index of a test: the box is not discarded
+
+
+class BoxProblem(Protocol):
+    """A problem that can be evaluated over boxes of its unknowns, `low` to `high` (n,).
+
+    `measure` of the residuals: "sum of squares", "rms" or "max".
+    """
+
+    low: Array
+    high: Array
+    measure: str
+
+    def over(self, low: Array, high: Array) -> BoxModels:
+        """Return the models over boxes with corners `low` and `high` (boxes, n)."""
+        ...
+
+
+@dataclass(frozen=True)
+class BoxRecord:
+    """Bounds of a batch of boxes.
+
+    Parameters
+    ----------
+    bound : array (boxes,)
+        Lower bound of the objective.
+    test : array of int (boxes,)
+        Index in `TESTS` of the test that discards a box, or `OPEN`.
+    multipliers : array (boxes, limits)
+    split : array of int (boxes,)
+        Unknown along which a box that is not discarded should be halved.
+    centre : array (boxes,)
+        Objective at the centre, infinite where it is undefined or a limit is violated there; not rigorous.
+    low, high : array (boxes, n)
+        Corners of what is left of a box that is not discarded.
+    """
+
+    bound: Array
+    test: NDArray[np.int8]
+    multipliers: Array
+    split: NDArray[np.intp]
+    centre: Array
+    low: Array
+    high: Array
+
+
+@dataclass(frozen=True)
+class Guess:
+    """What is known at the best design: multipliers (limits,) and weights (positions,) that are good near it."""
+
+    multipliers: Array
+    weights: Array
+
+
+@dataclass
+class LagrangianBounds:
+    """Lower bounds of a `BoxProblem` in terms of the squared size of its residuals (`squared`)."""
+
+    problem: BoxProblem
+    guess: Guess | None = field(default=None)
+
+    @property
+    def low(self) -> Array:
+        """Lower bounds (n,) of the unknowns."""
+        return self.problem.low
+
+    @property
+    def high(self) -> Array:
+        """Upper bounds (n,) of the unknowns."""
+        return self.problem.high
+
+    def bounded(self, low: Array, high: Array, threshold: float) -> BoxRecord:
+        """Bound a batch of boxes.
+
+        Parameters
+        ----------
+        low, high : array (boxes, n)
+            Corners.
+        threshold : float
+            Boxes whose lower bound is not below it are discarded.
+        """
+        models = self.problem.over(low, high)
+        batch = _Batch(models, self.problem.measure, threshold)
+        batch.violated_limits()
+        for weights in self._weights(models):
+            batch.weighted(weights, self.guess)
+        batch.empty()
+        inner = batch.cut(low, high)
+        return batch.record((high - low) / (self.problem.high - self.problem.low), *inner)
+
+    def _weights(self, models: BoxModels) -> list[Array]:
+        positions = models.residuals.remainder.shape[1]
+        if self.problem.measure != "max":
+            return [np.full(positions, 1.0 / positions if self.problem.measure == "rms" else 1.0)]
+        known = [] if self.guess is None else [self.guess.weights]
+        return [*known, lawson_weights(models)]
+
+
+class _Batch:
+    """The tests of a batch of boxes, one after the other; each is applied to the boxes that are still open."""
+
+    def __init__(self, models: BoxModels, measure: str, threshold: float) -> None:
+        self.models, self.measure, self.threshold = models, measure, threshold
+        boxes, limits = models.slacks.remainder.shape
+        self.bound = np.zeros(boxes)
+        self.test = np.full(boxes, OPEN, dtype=np.int8)
+        self.multipliers = np.zeros((boxes, limits))
+        self.objective: TaylorModel | None = None
+        residuals = models.residuals
+        self.least = least_size(residuals, periodic=models.periodic)
+        usable = np.isfinite(residuals.remainder)
+        if models.periodic:
+            usable &= (residuals.high < math.pi) & (residuals.low > -math.pi)
+        self.usable, self.whole = usable, np.all(usable, axis=(1, 2))
+        if not np.all(usable):
+            coefficients = np.where(usable, residuals.coefficients, 0.0)
+            coefficients[0] = np.where(usable, residuals.value, self.least)
+            residuals = TaylorModel(coefficients, np.where(usable, residuals.remainder, 0.0), residuals.count)
+        self.squares = (residuals * residuals).sum()  # (boxes, positions)
+
+    def violated_limits(self) -> None:
+        """Discard boxes in which one limit is violated everywhere."""
+        high = self.models.slacks.high
+        violated = np.any(high < 0.0, axis=1)
+        self.test[violated] = 0
+        self.multipliers[violated, np.argmin(high[violated], axis=1)] = 1.0
+
+    def weighted(self, weights: Array, guess: Guess | None) -> None:
+        """Bound the sum of squares with weights (positions,) or (boxes, positions), alone and with multipliers."""
+        objective = (self.squares * weights).sum()
+        own = np.sum(self.least * self.least, axis=2)
+        own = np.max(own, axis=1) if self.measure == "max" else np.sum(weights * own, axis=1)
+        self._raise(own * (1.0 - 8.0 * UNIT * (8 + weights.shape[-1])), 1)
+        self._raise(lagrangian_bound(objective, self.models.slacks, np.zeros_like(self.multipliers)), 1)
+        self.objective = objective
+        left = np.flatnonzero(self.test == OPEN)
+        if not left.size or not self.multipliers.shape[1]:
+            return
+        goal, slacks = objective[left], self.models.slacks[left]
+        first = goal.value, goal.linear.T, goal.radius - goal.sizes[0]
+        tried = [raised_multipliers(first, _linear_parts(slacks))]
+        if guess is not None:
+            tried.append(np.tile(guess.multipliers, (left.size, 1)))
+        for multipliers in tried:
+            self._raise(lagrangian_bound(goal, slacks, multipliers), 2, left, multipliers)
+
+    def empty(self) -> None:
+        """Discard boxes in which a combination of limits is violated everywhere."""
+        left = np.flatnonzero(self.test == OPEN)
+        if not left.size or self.multipliers.shape[1] < 2:
+            return
+        slacks = self.models.slacks[left]
+        value, linear, spread = _linear_parts(slacks)
+        rows, worst = np.arange(left.size), np.argmin(np.where(np.isfinite(slacks.remainder), value, np.inf), axis=1)
+        multipliers = raised_multipliers(
+            (-value[rows, worst], -linear[rows, worst], spread[rows, worst]), (value, linear, spread)
+        )
+        multipliers[rows, worst] += 1.0
+        empty = lagrangian_bound(None, slacks, multipliers) > 0.0
+        self.test[left[empty]] = 0
+        self.multipliers[left[empty]] = multipliers[empty]
+
+    def cut(self, low: Array, high: Array) -> tuple[Array, Array]:
+        """Return the corners (boxes, n) of the parts of the boxes that can hold a design below the threshold.
+
+        From the linear parts: a feasible design d in -1 ... 1 satisfies a . d <= most for every row (a, most) below.
+
+        Parameters
+        ----------
+        low, high : array (boxes, n)
+            Corners of the boxes.
+        """
+        left = np.flatnonzero(self.test == OPEN)
+        if not left.size:
+            return low, high
+        positions = self.models.residuals.remainder.shape[1]
+        largest = math.sqrt(self.threshold * (positions if self.measure == "rms" else 1.0)) * (1.0 + 16.0 * UNIT)
+        rows, most = [], []
+        if self.measure and math.isfinite(largest):
+            usable = self.usable[left].reshape(left.size, -1)
+            residuals = self.models.residuals[left]
+            flat = TaylorModel(residuals.coefficients.reshape(len(residuals.coefficients), left.size, -1), residuals.remainder.reshape(left.size, -1), residuals.count)
+            value, linear, rest = _linear_parts(flat)
+            for sign in (1.0, -1.0):
+                rows.append(np.where(usable[..., None], sign * linear, 0.0))
+                most.append(np.where(usable, largest - sign * value + rest, np.inf))
+        value, linear, rest = _linear_parts(self.models.slacks[left])
+        known = np.isfinite(self.models.slacks.remainder[left])
+        rows.append(-linear)
+        most.append(np.where(known, value + rest, np.inf))
+        inner_low, inner_high = cut_box(np.concatenate(rows, axis=1), np.concatenate(most, axis=1))
+        centre, radius = 0.5 * (low[left] + high[left]), 0.5 * (high[left] - low[left])
+        slack = 8.0 * UNIT * (np.abs(low[left]) + np.abs(high[left]))
+        new_low, new_high = low.copy(), high.copy()
+        new_low[left] = np.where(inner_low > -1.0, np.maximum(low[left], centre + inner_low * radius - slack), low[left])
+        new_high[left] = np.where(inner_high < 1.0, np.minimum(high[left], centre + inner_high * radius + slack), high[left])
+        empty = left[np.any(new_low[left] > new_high[left], axis=1)]
+        self.test[empty] = 3
+        self.bound[empty] = np.maximum(self.bound[empty], self.threshold if math.isfinite(self.threshold) else 0.0)
+        return new_low, new_high
+
+    def _raise(self, bound: Array, test: int, left: NDArray[np.intp] | None = None, multipliers: Array | None = None) -> None:
+        """Take a bound of the boxes `left` (default: all) where it is higher than that known."""
+        left = np.arange(len(self.bound)) if left is None else left
+        better = bound > self.bound[left]
+        self.bound[left[better]] = bound[better]
+        if multipliers is not None:
+            self.multipliers[left[better]] = multipliers[better]
+        self.test[left[(self.bound[left] >= self.threshold) & (self.test[left] == OPEN)]] = test
+
+    def record(self, width: Array, low: Array, high: Array) -> BoxRecord:
+        """Return the bounds, and for every box the unknown that changes the objective most; the widest if it is undefined.
+
+        Parameters
+        ----------
+        width : array (boxes, n)
+            Of the boxes, as shares of the bounds.
+        low, high : array (boxes, n)
+            Corners of what is left of them.
+        """
+        assert self.objective is not None
+        objective, n = self.objective, width.shape[1]
+        change = np.abs(objective.linear).T.copy()
+        for k, (i, j) in enumerate(pairs(n)):
+            change[:, i] += np.abs(objective.quadratic[k])
+            change[:, j] += np.abs(objective.quadratic[k])
+        clear = self.whole & np.all(np.isfinite(change), axis=1)
+        split = np.where(clear, np.argmax(np.where(clear[:, None], change, 0.0), axis=1), np.argmax(width, axis=1))
+        squares = self.squares.value
+        centre = np.max(squares, axis=1) if self.measure == "max" else objective.value
+        feasible = np.all(self.models.slacks.value >= 0.0, axis=1)
+        return BoxRecord(self.bound, self.test, self.multipliers, split, np.where(self.whole & feasible, centre, np.inf), low, high)
+
+
+def least_size(residuals: TaylorModel, *, periodic: bool) -> Array:
+    """Return a lower bound of the size of every residual over every box, zero where there is none.
+
+    Parameters
+    ----------
+    residuals : TaylorModel
+    periodic : bool
+        See `BoxModels`.
+    """
+    low, high = residuals.low, residuals.high
+    size = np.maximum(0.0, np.maximum(low, -high))
+    if periodic:
+        farthest = np.maximum(high, -low)
+        beyond = np.maximum(0.0, 2.0 * math.pi * (1.0 - 8.0 * UNIT) - farthest)
+        size = np.where(farthest > math.pi, np.minimum(size, beyond), size)
+    return size
+
+
+def quadratic_bound(constant: Array, linear: Array, quadratic: Array, remainder: Array) -> Array:
+    """Return a lower bound, over -1 <= d <= 1, of polynomials of second order minus a remainder; -inf where there is none.
+
+    The better of two: each unknown by itself, with the mixed terms at their worst; and the tangent plane, at about its minimum,
+    of the polynomial made convex by a multiple of d^2 - 1.
+
+    Parameters
+    ----------
+    constant, remainder : array (boxes,)
+    linear : array (boxes, n)
+    quadratic : array (boxes, n (n + 1) / 2)
+        In the order of `pairs`.
+    """
+    boxes, n = linear.shape
+    hessian, mixed = np.zeros((boxes, n, n)), np.zeros(boxes)
+    for k, (i, j) in enumerate(pairs(n)):
+        hessian[:, i, j] += quadratic[:, k]
+        hessian[:, j, i] += quadratic[:, k]
+        mixed += np.abs(quadratic[:, k]) if i != j else 0.0
+    size = np.abs(constant) + np.abs(linear).sum(axis=1) + np.abs(quadratic).sum(axis=1)
+    with np.errstate(all="ignore"):
+        curvature = np.einsum("bii->bi", hessian)
+        inside = np.abs(linear) < curvature
+        separate = np.where(inside, -0.5 * linear * linear / np.where(inside, curvature, 1.0), 0.5 * curvature - np.abs(linear))
+        simple = constant + separate.sum(axis=1) - mixed
+        scale = np.abs(hessian).sum(axis=(1, 2))
+        clean = np.isfinite(scale)
+        least = np.linalg.eigvalsh(np.where(clean[:, None, None], hessian, 0.0))[:, 0]
+        shift = np.maximum(0.0, 1e-12 * scale - least)  # far beyond the error of a computed eigenvalue, so the sum is convex
+        convex = hessian + shift[:, None, None] * np.eye(n)
+        point = box_minimum(linear, convex)
+        slope = linear + np.einsum("bij,bj->bi", convex, point)
+        value = constant + 0.5 * np.sum((linear + slope) * point, axis=1)
+        tangent = value - np.sum(np.abs(slope) + slope * point, axis=1) - 0.5 * n * shift
+        rounding = 16.0 * n * n * ROUNDING * (size + n * shift)
+        found = (
+            np.maximum(simple, np.where(clean & np.isfinite(tangent), tangent, -np.inf)) - rounding - remainder * UPWARD - TINY
+        )
+    return np.where(np.isfinite(found), found, -np.inf)
+
+
+def box_minimum(linear: Array, convex: Array) -> Array:
+    """Return about the minimum (boxes, n) of linear . d + d' convex d / 2 over -1 <= d <= 1, by coordinate descent.
+
+    Parameters
+    ----------
+    linear : array (boxes, n)
+    convex : array (boxes, n, n)
+        Symmetric, positive semidefinite.
+    """
+    n = linear.shape[1]
+    point, slope = np.zeros_like(linear), linear.copy()
+    with np.errstate(all="ignore"):
+        for step in range(DESCENT * n):
+            i = step % n
+            curvature = convex[:, i, i]
+            target = np.where(curvature > 0.0, point[:, i] - slope[:, i] / curvature, -np.sign(slope[:, i]))
+            move = np.clip(np.where(np.isfinite(target), target, 0.0), -1.0, 1.0) - point[:, i]
+            point[:, i] += move
+            slope += convex[:, :, i] * move[:, None]
+    return point
+
+
+def lagrangian_bound(objective: TaylorModel | None, slacks: TaylorModel, multipliers: Array) -> Array:
+    """Return the lower bound (boxes,) of objective - multipliers . slacks; without an objective, of the second part alone.
+
+    Slacks that cannot be bounded are left out: their multiplier becomes zero in place.
+
+    Parameters
+    ----------
+    objective : TaylorModel (boxes,), optional
+    slacks : TaylorModel (boxes, limits)
+    multipliers : array (boxes, limits), not negative
+    """
+    multipliers[~np.isfinite(slacks.remainder)] = 0.0
+    weighted = slacks.coefficients * multipliers
+    remainder = np.where(multipliers > 0.0, slacks.remainder, 0.0) * multipliers
+    rounding = (4.0 + multipliers.shape[1]) * ROUNDING * np.abs(weighted).sum(axis=(0, 2))
+    coefficients, spread = -weighted.sum(axis=2), remainder.sum(axis=1) * UPWARD + rounding
+    if objective is not None:
+        rounding = ROUNDING * (np.abs(coefficients).sum(axis=0) + np.abs(objective.coefficients).sum(axis=0))
+        coefficients, spread = coefficients + objective.coefficients, spread + objective.remainder + rounding
+    n = slacks.count
+    return quadratic_bound(coefficients[0], coefficients[1 : 1 + n].T, coefficients[1 + n :].T, spread)
+
+
+Parts = tuple[Array, Array, Array]
+"""Value at the centre, first-order coefficients (last axis), and a bound of the rest."""
+
+
+def _linear_parts(slacks: TaylorModel) -> Parts:
+    known = np.isfinite(slacks.remainder)
+    linear = np.where(known[..., None], np.moveaxis(slacks.linear, 0, -1), 0.0)
+    rest = np.where(known, slacks.radius - slacks.sizes[0], 0.0)
+    return np.where(known, slacks.value, 0.0), linear, rest
+
+
+def cut_box(rows: Array, most: Array) -> tuple[Array, Array]:
+    """Return bounds (boxes, n) within -1 ... 1 of the points d with rows . d <= most, rigorous; -1 and 1 where little is gained.
+
+    Parameters
+    ----------
+    rows : array (boxes, m, n)
+    most : array (boxes, m)
+    """
+    size = np.abs(rows)
+    total = size.sum(axis=2, keepdims=True)
+    with np.errstate(all="ignore"):
+        room = most[..., None] + (total - size)  # the other unknowns at their best
+        rounding = 64.0 * UNIT * (np.abs(most)[..., None] + 2.0 * total) / size
+        end = room / rows
+        high = np.min(np.where(rows > 0.0, end + rounding, np.inf), axis=1, initial=np.inf)
+        low = np.max(np.where(rows < 0.0, end - rounding, -np.inf), axis=1, initial=-np.inf)
+    low = np.where(low > -1.0 + 2.0 * WORTH, low, -1.0)
+    return low, np.where(high < 1.0 - 2.0 * WORTH, high, 1.0)
+
+
+def raised_multipliers(first: Parts, slack: Parts) -> Array:
+    """Return multipliers (boxes, limits) that raise the bound of the linear part of the Lagrangian.
+
+    In every round, each multiplier is tried at the values where a slope of the Lagrangian vanishes (its bound is concave and
+    piecewise linear in one multiplier, with its maximum at one of them), and the best step of all is taken.
+
+    Parameters
+    ----------
+    first : Parts
+        Of the objective: (boxes,), (boxes, n), (boxes,).
+    slack : Parts
+        Of the slacks: (boxes, limits), (boxes, limits, n), (boxes, limits).
+    """
+    constant, linear, spread = first
+    value, slope, rest = slack
+    boxes, limits, n = slope.shape
+    rows, multipliers = np.arange(boxes), np.zeros((boxes, limits))
+    for _ in range(ROUNDS):
+        now = constant - spread - np.sum(multipliers * (value + rest), axis=1)
+        gradient = linear - np.einsum("bm,bmn->bn", multipliers, slope)
+        with np.errstate(all="ignore"):
+            step = gradient[:, None, :] / slope
+        step = np.maximum(np.where(np.isfinite(step), step, 0.0), -multipliers[:, :, None])
+        turned = gradient[:, None, None, :] - step[..., None] * slope[:, :, None, :]
+        bound = now[:, None, None] - step * (value + rest)[:, :, None] - np.abs(turned).sum(axis=-1)
+        flat = bound.reshape(boxes, -1)
+        best = np.argmax(flat, axis=1)
+        better = flat[rows, best] > now - np.abs(gradient).sum(axis=1)
+        if not np.any(better):
+            break
+        multipliers[rows[better], (best // n)[better]] += step.reshape(boxes, -1)[rows, best][better]
+    return np.maximum(multipliers, 0.0)
+
+
+def lawson_weights(models: BoxModels) -> Array:
+    """Return weights (boxes, positions) with the sum 1 (at most) that raise the least weighted sum of squares of every box.
+
+    Each step multiplies the weight of a position by its deviation at the minimum of the sum, for the linear parts.
+
+    Parameters
+    ----------
+    models : BoxModels
+    """
+    residuals = models.residuals
+    usable = np.isfinite(residuals.remainder)
+    value = np.where(usable, residuals.value, 0.0)
+    slope = np.where(usable, residuals.linear, 0.0)  # (n, boxes, positions, components)
+    boxes, positions, _ = value.shape
+    weights = np.full((boxes, positions), 1.0 / positions)
+    for _ in range(LAWSON):
+        scaled = slope * weights[..., None]
+        convex = 2.0 * np.einsum("ibpc,jbpc->bij", scaled, slope)
+        point = box_minimum(2.0 * np.einsum("ibpc,bpc->bi", scaled, value), convex)
+        size = np.sqrt(np.sum((value + np.einsum("ibpc,bi->bpc", slope, point)) ** 2, axis=2))
+        total = np.sum(weights * size, axis=1, keepdims=True)
+        weights = np.where(total > 0.0, weights * size / np.where(total > 0.0, total, 1.0), weights)
+    return weights * (1.0 - 8.0 * UNIT * positions) / np.maximum(weights.sum(axis=1, keepdims=True), TINY)

@@ -1,0 +1,241 @@
+"""Branch and bound: a lower bound of the objective over all designs, or the proof that no design is feasible.
+
+The box of all designs is divided until every part is discarded: because a limit is violated in it, or because the objective is at
+least the threshold, the best known value less the permitted gap. What a search returns holds at whatever point it is stopped:
+no design within the bounds is better than `lower`.
+
+References
+----------
+R. Horst and H. Tuy, Global Optimization, 3rd ed., Springer 1996, chapter IV.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.solvers.box_bounds import OPEN, BoxRecord
+
+Array = NDArray[np.float64]
+
+BATCH = 256  # boxes that are bounded together
+FEW = 64  # open boxes below which each is divided twice, so that batches are not small
+SMALLEST = 1e-12  # width of a box, relative to the bounds, below which it is not divided
+MOST_OPEN = 1_000_000  # open boxes beyond which those with the highest bounds are taken first, so that memory is limited
+MOST_LEAVES = 200_000  # discarded boxes that are kept for the certificate
+
+
+class Bounder(Protocol):
+    """Lower bounds over boxes of unknowns between `low` and `high` (n,)."""
+
+    @property
+    def low(self) -> Array:
+        """Lower bounds of the unknowns."""
+        ...
+
+    @property
+    def high(self) -> Array:
+        """Upper bounds of the unknowns."""
+        ...
+
+    def bounded(self, low: Array, high: Array, threshold: float) -> BoxRecord:
+        """Bound a batch of boxes (boxes, n); those whose lower bound is not below the threshold are discarded."""
+        ...
+
+
+@dataclass
+class Boxes:
+    """Boxes with a lower bound of the objective each: `low`, `high` (boxes, n), `bound` (boxes,)."""
+
+    low: Array
+    high: Array
+    bound: Array
+
+    def __len__(self) -> int:
+        return len(self.bound)
+
+    def __getitem__(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> Boxes:
+        return Boxes(self.low[index], self.high[index], self.bound[index])
+
+    @staticmethod
+    def joined(parts: list[Boxes]) -> Boxes:
+        """Return all boxes of several sets."""
+        return Boxes(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("low", "high", "bound")))
+
+    def without(self, inner: Boxes) -> Boxes:
+        """Return the parts of every box outside a smaller one within it, one for each face that moved.
+
+        Parameters
+        ----------
+        inner : Boxes
+        """
+        low, high, parts = self.low.copy(), self.high.copy(), [self[np.zeros(len(self), dtype=bool)]]
+        for k in range(low.shape[1]):
+            for moved, side, other in ((inner.low[:, k] > low[:, k], low, high), (inner.high[:, k] < high[:, k], high, low)):
+                part_low, part_high = low[moved], high[moved]
+                cut = (inner.low if side is low else inner.high)[moved, k]
+                (part_high if side is low else part_low)[:, k] = cut
+                parts.append(Boxes(part_low, part_high, self.bound[moved]))
+                side[moved, k] = cut
+        return Boxes.joined(parts)
+
+    def halves(self, direction: NDArray[np.intp]) -> Boxes:
+        """Return both halves of every box, divided along one unknown each (boxes,)."""
+        rows = np.arange(len(self))
+        middle = 0.5 * (self.low[rows, direction] + self.high[rows, direction])
+        low, high = self.low.copy(), self.high.copy()
+        low[rows, direction] = middle
+        high[rows, direction] = middle
+        return Boxes.joined([Boxes(self.low, high, self.bound), Boxes(low, self.high, self.bound)])
+
+
+@dataclass
+class Leaves:
+    """Discarded boxes: corners (boxes, n), index of the test in `TESTS`, multipliers (boxes, limits); empty if too many."""
+
+    low: list[Array] = field(default_factory=list)
+    high: list[Array] = field(default_factory=list)
+    test: list[NDArray[np.int8]] = field(default_factory=list)
+    multipliers: list[Array] = field(default_factory=list)
+    count: int = 0
+
+    def add(self, boxes: Boxes, record: BoxRecord, gone: NDArray[np.bool_]) -> None:
+        """Add the boxes of a batch that are discarded.
+
+        Parameters
+        ----------
+        boxes : Boxes
+        record : BoxRecord
+        gone : array of bool (boxes,)
+        """
+        self.count += int(gone.sum())
+        parts = (self.low, self.high, self.test, self.multipliers)
+        if self.count > MOST_LEAVES:
+            for part in parts:
+                part.clear()
+            return
+        for part, values in zip(parts, (boxes.low, boxes.high, record.test, record.multipliers), strict=True):
+            part.append(values[gone])  # type: ignore[arg-type]
+
+
+@dataclass
+class BranchAndBound:
+    """A search that can be stopped and continued at any batch.
+
+    Parameters
+    ----------
+    bounder : Bounder
+    best : float
+        Objective of the best known design, infinite if none is known.
+    gap : float
+        Share of `best` by which a design may be better without being found.
+    improve : function of a point (n,), optional
+        Returns the objective of a valid design found from there, or infinity. Called where the centre of a box is better than
+        the best known design.
+
+    Attributes
+    ----------
+    boxes : int
+        Boxes bounded so far.
+    history : list of (seconds, boxes, lower, best)
+    """
+
+    bounder: Bounder
+    best: float
+    gap: float
+    improve: Callable[[Array], float] | None = None
+    boxes: int = 0
+    seconds: float = 0.0
+    discarded: float = math.inf  # least bound of the boxes that were discarded for their objective
+    open: Boxes = field(init=False)
+    tiny: Boxes = field(init=False)
+    leaves: Leaves = field(default_factory=Leaves)
+    history: list[tuple[float, int, float, float]] = field(default_factory=list)
+    attempts: int = 0
+
+    def __post_init__(self) -> None:
+        low, high = self.bounder.low, self.bounder.high
+        self.open = Boxes(low[None], high[None], np.zeros(1))
+        self.tiny = self.open[np.zeros(1, dtype=bool)]
+
+    @property
+    def threshold(self) -> float:
+        """Objective from which a box is discarded."""
+        return self.best * (1.0 - self.gap) if math.isfinite(self.best) else math.inf
+
+    @property
+    def lower(self) -> float:
+        """Lower bound of the objective over all feasible designs; infinite if there are none."""
+        remaining = (float(np.min(part.bound, initial=math.inf)) for part in (self.open, self.tiny))
+        return min(self.best, self.discarded, *remaining)
+
+    @property
+    def closed(self) -> bool:
+        """Whether every box is discarded."""
+        return not len(self.open) and not len(self.tiny)
+
+    def run(self, seconds: float = math.inf, report: Callable[[BranchAndBound], bool] | None = None) -> None:
+        """Search until every box is discarded or the time is over.
+
+        Parameters
+        ----------
+        seconds : float
+        report : function of this search, optional
+            Called after every batch; the search stops where it returns True.
+        """
+        begin, before = time.perf_counter(), self.seconds
+        while len(self.open) and self.seconds - before < seconds:
+            self.step()
+            self.seconds = before + time.perf_counter() - begin
+            if not self.history or self.boxes >= 1.2 * self.history[-1][1] or not len(self.open):
+                self.history.append((self.seconds, self.boxes, self.lower, self.best))
+            if report is not None and report(self):
+                break
+
+    def step(self) -> None:
+        """Bound the next batch: the open boxes with the lowest bounds, and divide what is not discarded."""
+        batch = self._next()
+        record = self.bounder.bounded(batch.low, batch.high, self.threshold)
+        self.boxes += len(batch)
+        batch = Boxes(batch.low, batch.high, np.maximum(batch.bound, record.bound))
+        gone = record.test != OPEN
+        by_objective = gone & (record.test > 0)
+        self.discarded = min(self.discarded, float(np.min(batch.bound[by_objective], initial=math.inf)))
+        self.leaves.add(batch, record, gone)
+        self._better(batch, record)
+        left, direction = Boxes(record.low[~gone], record.high[~gone], batch.bound[~gone]), record.split[~gone]
+        cut = batch[~gone].without(left)
+        if len(cut):
+            self.discarded = min(self.discarded, self.threshold)
+        width = (left.high - left.low) / (self.bounder.high - self.bounder.low)
+        small = np.max(width, axis=1) < SMALLEST
+        rows = np.arange(len(left))
+        direction = np.where(width[rows, direction] < SMALLEST, np.argmax(width, axis=1), direction)
+        self.tiny = Boxes.joined([self.tiny, left[small]])
+        halves = left[~small].halves(direction[~small])
+        if 0 < len(self.open) + len(halves) < FEW:
+            halves = halves.halves(np.argmax((halves.high - halves.low) / (self.bounder.high - self.bounder.low), axis=1))
+        self.open = Boxes.joined([self.open, halves])
+
+    def _next(self) -> Boxes:
+        count = min(BATCH, len(self.open))
+        key = self.open.bound if len(self.open) <= MOST_OPEN else -self.open.bound
+        order = np.argpartition(key, count - 1)[:count]
+        chosen = np.zeros(len(self.open), dtype=bool)
+        chosen[order] = True
+        batch, self.open = self.open[chosen], self.open[~chosen]
+        return batch
+
+    def _better(self, batch: Boxes, record: BoxRecord) -> None:
+        """Search for a better design from the best centre of the batch, if it is better than the best known design."""
+        k = int(np.argmin(record.centre))
+        if self.improve is None or not record.centre[k] < self.threshold:
+            return
+        self.attempts += 1
+        self.best = min(self.best, self.improve(0.5 * (batch.low[k] + batch.high[k])))
