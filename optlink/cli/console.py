@@ -140,36 +140,37 @@ def working(what: str) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def share(what: str) -> Iterator[Callable[[float], None] | None]:
+def share(what: str) -> Iterator[Callable[..., None] | None]:
     """Yield a progress function for a bar with the remaining time on standard error; None if that is no terminal.
 
-    The bar appears with the first fraction below 1: work of a single step shows none.
+    The bar appears with the first fraction below 1: work of a single step shows none. The function takes the completed fraction,
+    and optionally a text that follows `what`.
     """
     if quiet or not sys.stderr.isatty():
         yield None
         return
     with contextlib.ExitStack() as stack:
-        shown: list[Callable[[float], None]] = []
+        shown: list[Callable[[float, str], None]] = []
 
-        def advance(done: float) -> None:
+        def advance(done: float, text: str = "") -> None:
             if not shown and done < 1.0:
                 shown.append(stack.enter_context(_bar(what)))
             for update in shown:
-                update(done)
+                update(done, text)
 
         yield advance
 
 
 @contextlib.contextmanager
-def _bar(what: str) -> Iterator[Callable[[float], None]]:
+def _bar(what: str) -> Iterator[Callable[[float, str], None]]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     from optlink.report import terminal
 
-    columns = (TextColumn(what), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn())
     with Progress(*columns, console=terminal.console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=1.0)
-        yield lambda done: bar.update(task, completed=done)
+        yield lambda done, text: bar.update(task, completed=done, description=what + text)
 
 
 # --- input -------------------------------------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -37,6 +38,21 @@ def solve(
         int | None,
         typer.Option(parser=whole_number, metavar="N", help="Path and motion problems: number of distinct designs. Default: 3."),
     ] = None,
+    certify: Annotated[
+        bool | None,
+        typer.Option(
+            "--certify/--no-certify",
+            help="Prove that no better design exists within the bounds, or find it. Default: motion laws of at most two design "
+            "variables.",
+        ),
+    ] = None,
+    gap: Annotated[
+        float, typer.Option("--gap", metavar="SHARE", help="--certify: share by which a better design may be missed.")
+    ] = 1e-6,
+    time_limit: Annotated[
+        str | None,
+        typer.Option("--time-limit", metavar="TIME", help='--certify: time for the proof, such as "5 min". Default: none.'),
+    ] = None,
     changes: Set = None,
     design: Design = None,
     as_json: Json = False,
@@ -49,11 +65,25 @@ def solve(
         if design:
             _validate(problem, design, changes, as_json, out)
             return
+        from optlink.tasks.results.certificate import share_text
         from optlink.tasks.run import solve as search
 
         file = console.load(problem, changes)
-        with console.share("searching") as progress:
-            result = search(file, backend, starts, seed, progress, designs=designs, track=out is not None)
+        seconds = console.quantity(time_limit, "time", "--time-limit")
+        with console.share("searching") as progress, console.share("proving") as proving:
+            result = search(
+                file,
+                backend,
+                starts,
+                seed,
+                progress,
+                designs=designs,
+                track=out is not None,
+                certify=certify,
+                gap=gap,
+                time_limit=math.inf if seconds is None else seconds,
+                proving=proving and (lambda share, gap: proving(share, f", gap {share_text(gap)}")),
+            )
         if result.interrupted:
             of = "" if starts is None else f"of {starts} "
             print(f"Interrupted: the result is that of the first {result.starts} {of}starts.", file=sys.stderr)

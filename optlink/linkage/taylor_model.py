@@ -106,7 +106,8 @@ class TaylorModel(NDArrayOperatorsMixin):
     @property
     def value(self) -> Array:
         """Value at the centre of every box, not rigorous."""
-        return self.coefficients[0]
+        value: Array = self.coefficients[0]
+        return value
 
     @property
     def linear(self) -> Array:
@@ -138,7 +139,8 @@ class TaylorModel(NDArrayOperatorsMixin):
     def radius(self) -> Array:
         """Largest deviation from the value at the centre, rigorous."""
         first, second = self.sizes
-        return (first + second + self.remainder) * UPWARD + TINY
+        radius: Array = (first + second + self.remainder) * UPWARD + TINY
+        return radius
 
     @property
     def low(self) -> Array:
@@ -377,7 +379,9 @@ def _hull(x: TaylorModel, low: Array, high: Array) -> TaylorModel:
     return TaylorModel(np.where(bad, 0.0, middle)[None], np.where(bad, np.inf, spread), x.count)
 
 
-def _select(x: TaylorModel, y: TaylorModel, first: Array, other: TaylorModel, second: Array) -> TaylorModel:
+def _select(
+    x: TaylorModel, y: TaylorModel, first: NDArray[np.bool_], other: TaylorModel, second: NDArray[np.bool_]
+) -> TaylorModel:
     """Return x where `first`, y where `second`, and `other` elsewhere."""
     full = 1 + x.count + len(pairs(x.count))
     shape = np.broadcast_shapes(x.remainder.shape, y.remainder.shape, other.remainder.shape)
@@ -411,22 +415,6 @@ def _maximum(a: Any, b: Any) -> TaylorModel:
     return -_minimum(-a, -b)
 
 
-def _tan(x: TaylorModel) -> TaylorModel:
-    return np.sin(x) / np.cos(x)  # type: ignore[no-any-return]
-
-
-def _arcsin(x: TaylorModel) -> TaylorModel:
-    return _arctan2(x, np.sqrt(1.0 - x * x))
-
-
-def _arccos(x: TaylorModel) -> TaylorModel:
-    return _arctan2(np.sqrt(1.0 - x * x), x)
-
-
-def _tanh(x: TaylorModel) -> TaylorModel:
-    return 1.0 - 2.0 / (np.exp(2.0 * x) + 1.0)
-
-
 _RULES: dict[np.ufunc, Callable[..., TaylorModel]] = {
     np.add: _add,
     np.subtract: _subtract,
@@ -439,9 +427,9 @@ _RULES: dict[np.ufunc, Callable[..., TaylorModel]] = {
     np.sqrt: lambda x: _compose(x, _sqrt),
     np.sin: lambda x: _compose(x, _sin, LIBRARY),
     np.cos: lambda x: _compose(x, _cos, LIBRARY),
-    np.tan: _tan,
-    np.arcsin: _arcsin,
-    np.arccos: _arccos,
+    np.tan: lambda x: np.sin(x) / np.cos(x),
+    np.arcsin: lambda x: _arctan2(x, np.sqrt(1.0 - x * x)),
+    np.arccos: lambda x: _arctan2(np.sqrt(1.0 - x * x), x),
     np.arctan: lambda x: _compose(x, _arctan, LIBRARY),
     np.arctan2: _arctan2,
     np.exp: lambda x: _compose(x, _exp),
@@ -449,7 +437,7 @@ _RULES: dict[np.ufunc, Callable[..., TaylorModel]] = {
     np.log10: lambda x: _compose(x, _log, LIBRARY) * (1.0 / np.log(10.0)),
     np.sinh: lambda x: 0.5 * (np.exp(x) - np.exp(-x)),
     np.cosh: lambda x: 0.5 * (np.exp(x) + np.exp(-x)),
-    np.tanh: _tanh,
+    np.tanh: lambda x: 1.0 - 2.0 / (np.exp(2.0 * x) + 1.0),
     np.absolute: _absolute,
     np.sign: _sign,
     np.minimum: _minimum,

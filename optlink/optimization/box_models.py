@@ -1,7 +1,7 @@
 """Objective and limits of a problem over boxes of designs: the formulas of the NLP, evaluated with Taylor models.
 
-Limits that cannot be evaluated over a box are left out, and limits at every crank angle apply at some. So every feasible design is
-feasible here too, and a lower bound of the objective here holds there.
+Limits that cannot be evaluated over a box are left out, and limits at every crank angle apply at some of them only. So every
+feasible design is feasible here too, and a lower bound of the objective here holds there.
 """
 
 from __future__ import annotations
@@ -132,7 +132,9 @@ def box_problem(problem: ProblemFile) -> DesignBoxes:
     elif isinstance(model, PathProblem) and model.requirement.kind == "transmission" and not _four_bar(model):
         reason = "of transmission problems only those of four-bars have one"
     if reason:
-        raise InputError(Fault(f"no certificate of the global optimum: {reason}", "Leave --certify out", problem.file, "--certify"))
+        raise InputError(
+            Fault(f"no certificate of the global optimum: {reason}", "Leave --certify out", problem.file, "--certify")
+        )
     assert isinstance(model, DesignProblem | PathProblem)
     return DesignBoxes(model)
 
@@ -147,7 +149,9 @@ Evaluated = tuple[TaylorModel, list[ConstraintRow]]
 def _function(problem: DesignProblem, values: dict[str, Any], count: int) -> Evaluated:
     """Return the residuals (boxes, positions, 1) and the limits of a function synthesis problem."""
     start, law = problem.start_position(values), problem.law
-    residuals = output_error(problem, values, start, TaylorModel.constant(law.offsets, count), TaylorModel.constant(law.tabulated, count))
+    residuals = output_error(
+        problem, values, start, TaylorModel.constant(law.offsets, count), TaylorModel.constant(law.tabulated, count)
+    )
     if not _has_period(problem):
         residuals = _where_principal(residuals, start)
     return residuals[..., None], _limits(problem, values, Reach(start.phi0, problem.span, problem.sense))

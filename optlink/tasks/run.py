@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
 
 Progress = Callable[[float], None]
 """Receives the share of the work that is done, from 0 to 1."""
+
+Proving = Callable[[float, float], None]
+"""Receives the settled share of the bounds and the present gap."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +48,9 @@ class Task:
     validate: Callable[[ProblemFile, Mapping[str, float]], Any]
 
 
+CERTIFIED = ("function", "path")
+"""Kinds of problems whose global optimum can be certified."""
+
 TASKS: Registry[Task] = Registry()
 """Tasks by the kind of problem (`ProblemFile.task`)."""
 
@@ -57,6 +64,10 @@ def solve(
     *,
     designs: int | None = None,
     track: bool = False,
+    certify: bool | None = None,
+    gap: float = 1e-6,
+    time_limit: float = math.inf,
+    proving: Proving | None = None,
 ) -> FunctionResult | PathResult | CycleResult | Balance:
     """Find the best design for a problem and validate it.
 
@@ -76,6 +87,16 @@ def solve(
         Number of distinct designs of a path, motion or transmission problem (default 3).
     track : bool
         Keep the iterates of the first search (laws and functions).
+    certify : bool, optional
+        Prove that no better design exists within the bounds, or find it: `result.certificate` has a lower bound of the objective.
+        For motion laws, functions, timed paths and transmission problems. Default: motion laws of at most two design variables,
+        within one second.
+    gap : float
+        Share of the objective by which a design may be better without being found.
+    time_limit : float [s]
+        Time of the proof; the bound that is reached then holds.
+    proving : function of (settled share of the bounds, present gap), optional
+        Progress of the proof.
 
     Returns
     -------
@@ -91,9 +112,19 @@ def solve(
     if problem.task != "path" and designs is not None:
         remedy = "Leave it out; --starts N lists the distinct optima of a law"
         raise InputError(Fault("only points and poses have several designs", remedy, problem.file, "--designs", designs))
+    if certify and problem.task not in CERTIFIED:
+        message, remedy = "no certificate of the global optimum for this kind of problem", "Leave it out"
+        raise InputError(Fault(message, remedy, problem.file, "--certify"))
     found: FunctionResult | PathResult | CycleResult | Balance
     found = TASKS[problem.task].solve(problem, Search(backend, starts, seed, progress, designs, track))
-    return found
+    if problem.task not in CERTIFIED or certify is False or found.interrupted:
+        return found
+    from optlink.tasks import certify as proof
+
+    if certify is None and not proof.automatic(problem):
+        return found
+    limit = min(time_limit, proof.BUDGET) if certify is None else time_limit
+    return proof.certify(found, gap, limit, proving, seed)  # type: ignore[type-var]
 
 
 def validate(problem: ProblemFile, design: Mapping[str, float]) -> FunctionResult | PathResult | CycleResult:

@@ -27,6 +27,7 @@ from optlink.problem.path import START, TURN, PathProblem
 from optlink.solvers.solution import LimitState, Relaxation, Solution
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.analysis import stroke_document
+from optlink.tasks.results.certificate import Certificate, CertificateRecord
 from optlink.tasks.results.common import SearchRecord, proven
 from optlink.tasks.results.fit import Fit, FitRecord, path_fit, transmission_fit
 from optlink.tasks.search import Evidence
@@ -304,6 +305,7 @@ class PathRecord(SearchRecord):
     designs: tuple[PathDesignRecord, ...]
     conflict: tuple[Relaxation, ...] | None = absent()
     relax_together: tuple[Relaxation, ...] | None = absent()
+    certificate: CertificateRecord | None = absent()
     nearest_miss: PathDesignRecord | None
 
     @classmethod
@@ -345,6 +347,7 @@ class PathResult(Recorded):
     notes: tuple[str, ...] = field(default=())
     conflict: tuple[Relaxation, ...] = ()
     together: tuple[Relaxation, ...] = ()
+    certificate: Certificate | None = None
 
     @property
     def hits(self) -> int:

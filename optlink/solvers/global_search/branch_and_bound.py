@@ -20,7 +20,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.solvers.box_bounds import OPEN, BoxRecord
+from optlink.solvers.global_search.lagrangian import CUT, OPEN, BoxRecord
 
 Array = NDArray[np.float64]
 
@@ -77,12 +77,12 @@ class Boxes:
         """
         low, high, parts = self.low.copy(), self.high.copy(), [self[np.zeros(len(self), dtype=bool)]]
         for k in range(low.shape[1]):
-            for moved, side, other in ((inner.low[:, k] > low[:, k], low, high), (inner.high[:, k] < high[:, k], high, low)):
-                part_low, part_high = low[moved], high[moved]
-                cut = (inner.low if side is low else inner.high)[moved, k]
-                (part_high if side is low else part_low)[:, k] = cut
-                parts.append(Boxes(part_low, part_high, self.bound[moved]))
-                side[moved, k] = cut
+            moved = inner.low[:, k] > low[:, k]
+            parts.append(Boxes(low[moved], _with(high[moved], k, inner.low[moved, k]), self.bound[moved]))
+            low[moved, k] = inner.low[moved, k]
+            moved = inner.high[:, k] < high[:, k]
+            parts.append(Boxes(_with(low[moved], k, inner.high[moved, k]), high[moved], self.bound[moved]))
+            high[moved, k] = inner.high[moved, k]
         return Boxes.joined(parts)
 
     def halves(self, direction: NDArray[np.intp]) -> Boxes:
@@ -95,6 +95,12 @@ class Boxes:
         return Boxes.joined([Boxes(self.low, high, self.bound), Boxes(low, self.high, self.bound)])
 
 
+def _with(corners: Array, k: int, values: Array) -> Array:
+    found = corners.copy()
+    found[:, k] = values
+    return found
+
+
 @dataclass
 class Leaves:
     """Discarded boxes: corners (boxes, n), index of the test in `TESTS`, multipliers (boxes, limits); empty if too many."""
@@ -105,23 +111,25 @@ class Leaves:
     multipliers: list[Array] = field(default_factory=list)
     count: int = 0
 
-    def add(self, boxes: Boxes, record: BoxRecord, gone: NDArray[np.bool_]) -> None:
-        """Add the boxes of a batch that are discarded.
+    def add(self, boxes: Boxes, gone: NDArray[np.bool_], test: NDArray[np.int8], multipliers: Array) -> None:
+        """Add boxes that are discarded.
 
         Parameters
         ----------
         boxes : Boxes
-        record : BoxRecord
         gone : array of bool (boxes,)
+            Those of a batch that are discarded.
+        test : array of int (boxes,)
+        multipliers : array (boxes, limits)
         """
         self.count += int(gone.sum())
-        parts = (self.low, self.high, self.test, self.multipliers)
+        self.low.append(boxes.low[gone])
+        self.high.append(boxes.high[gone])
+        self.test.append(test[gone])
+        self.multipliers.append(multipliers[gone])
         if self.count > MOST_LEAVES:
-            for part in parts:
+            for part in (self.low, self.high, self.test, self.multipliers):
                 part.clear()
-            return
-        for part, values in zip(parts, (boxes.low, boxes.high, record.test, record.multipliers), strict=True):
-            part.append(values[gone])  # type: ignore[arg-type]
 
 
 @dataclass
@@ -207,12 +215,14 @@ class BranchAndBound:
         gone = record.test != OPEN
         by_objective = gone & (record.test > 0)
         self.discarded = min(self.discarded, float(np.min(batch.bound[by_objective], initial=math.inf)))
-        self.leaves.add(batch, record, gone)
+        self.leaves.add(batch, gone, record.test, record.multipliers)
         self._better(batch, record)
         left, direction = Boxes(record.low[~gone], record.high[~gone], batch.bound[~gone]), record.split[~gone]
         cut = batch[~gone].without(left)
         if len(cut):
             self.discarded = min(self.discarded, self.threshold)
+            every = np.ones(len(cut), dtype=bool)
+            self.leaves.add(cut, every, np.full(len(cut), CUT, dtype=np.int8), np.zeros((len(cut), record.multipliers.shape[1])))
         width = (left.high - left.low) / (self.bounder.high - self.bounder.low)
         small = np.max(width, axis=1) < SMALLEST
         rows = np.arange(len(left))

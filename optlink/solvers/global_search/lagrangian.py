@@ -32,14 +32,14 @@ from numpy.typing import NDArray
 
 from optlink.linkage.taylor_model import ROUNDING, TINY, UNIT, UPWARD, TaylorModel, pairs
 from optlink.optimization.box_models import BoxModels
+from optlink.solvers.global_search.quadratic import box_minimum, cut_box, quadratic_bound
 
 Array = NDArray[np.float64]
 
-DESCENT = 8  # rounds of coordinate descent towards the minimum of a convex quadratic form
 ROUNDS = 3  # multipliers that are raised for a box, one after the other
 LAWSON = 6  # steps of the weights
 TESTS = ("limits", "objective", "Lagrangian", "cut")
-WORTH = 0.15  # share of the width of a box that must be cut off
+CUT = TESTS.index("cut")
 OPEN = -1  # in place of the index of a test: the box is not discarded
 
 
@@ -49,9 +49,25 @@ class BoxProblem(Protocol):
     `measure` of the residuals: "sum of squares", "rms" or "max".
     """
 
-    low: Array
-    high: Array
-    measure: str
+    @property
+    def low(self) -> Array:
+        """Lower bounds of the unknowns."""
+        ...
+
+    @property
+    def high(self) -> Array:
+        """Upper bounds of the unknowns."""
+        ...
+
+    @property
+    def measure(self) -> str:
+        """Measure of the residuals."""
+        ...
+
+    @property
+    def limits(self) -> tuple[str, ...]:
+        """Limit of every slack."""
+        ...
 
     def over(self, low: Array, high: Array) -> BoxModels:
         """Return the models over boxes with corners `low` and `high` (boxes, n)."""
@@ -221,7 +237,11 @@ class _Batch:
         if self.measure and math.isfinite(largest):
             usable = self.usable[left].reshape(left.size, -1)
             residuals = self.models.residuals[left]
-            flat = TaylorModel(residuals.coefficients.reshape(len(residuals.coefficients), left.size, -1), residuals.remainder.reshape(left.size, -1), residuals.count)
+            flat = TaylorModel(
+                residuals.coefficients.reshape(len(residuals.coefficients), left.size, -1),
+                residuals.remainder.reshape(left.size, -1),
+                residuals.count,
+            )
             value, linear, rest = _linear_parts(flat)
             for sign in (1.0, -1.0):
                 rows.append(np.where(usable[..., None], sign * linear, 0.0))
@@ -237,7 +257,7 @@ class _Batch:
         new_low[left] = np.where(inner_low > -1.0, np.maximum(low[left], centre + inner_low * radius - slack), low[left])
         new_high[left] = np.where(inner_high < 1.0, np.minimum(high[left], centre + inner_high * radius + slack), high[left])
         empty = left[np.any(new_low[left] > new_high[left], axis=1)]
-        self.test[empty] = 3
+        self.test[empty] = CUT
         self.bound[empty] = np.maximum(self.bound[empty], self.threshold if math.isfinite(self.threshold) else 0.0)
         return new_low, new_high
 
@@ -271,7 +291,9 @@ class _Batch:
         squares = self.squares.value
         centre = np.max(squares, axis=1) if self.measure == "max" else objective.value
         feasible = np.all(self.models.slacks.value >= 0.0, axis=1)
-        return BoxRecord(self.bound, self.test, self.multipliers, split, np.where(self.whole & feasible, centre, np.inf), low, high)
+        return BoxRecord(
+            self.bound, self.test, self.multipliers, split, np.where(self.whole & feasible, centre, np.inf), low, high
+        )
 
 
 def least_size(residuals: TaylorModel, *, periodic: bool) -> Array:
@@ -290,69 +312,6 @@ def least_size(residuals: TaylorModel, *, periodic: bool) -> Array:
         beyond = np.maximum(0.0, 2.0 * math.pi * (1.0 - 8.0 * UNIT) - farthest)
         size = np.where(farthest > math.pi, np.minimum(size, beyond), size)
     return size
-
-
-def quadratic_bound(constant: Array, linear: Array, quadratic: Array, remainder: Array) -> Array:
-    """Return a lower bound, over -1 <= d <= 1, of polynomials of second order minus a remainder; -inf where there is none.
-
-    The better of two: each unknown by itself, with the mixed terms at their worst; and the tangent plane, at about its minimum,
-    of the polynomial made convex by a multiple of d^2 - 1.
-
-    Parameters
-    ----------
-    constant, remainder : array (boxes,)
-    linear : array (boxes, n)
-    quadratic : array (boxes, n (n + 1) / 2)
-        In the order of `pairs`.
-    """
-    boxes, n = linear.shape
-    hessian, mixed = np.zeros((boxes, n, n)), np.zeros(boxes)
-    for k, (i, j) in enumerate(pairs(n)):
-        hessian[:, i, j] += quadratic[:, k]
-        hessian[:, j, i] += quadratic[:, k]
-        mixed += np.abs(quadratic[:, k]) if i != j else 0.0
-    size = np.abs(constant) + np.abs(linear).sum(axis=1) + np.abs(quadratic).sum(axis=1)
-    with np.errstate(all="ignore"):
-        curvature = np.einsum("bii->bi", hessian)
-        inside = np.abs(linear) < curvature
-        separate = np.where(inside, -0.5 * linear * linear / np.where(inside, curvature, 1.0), 0.5 * curvature - np.abs(linear))
-        simple = constant + separate.sum(axis=1) - mixed
-        scale = np.abs(hessian).sum(axis=(1, 2))
-        clean = np.isfinite(scale)
-        least = np.linalg.eigvalsh(np.where(clean[:, None, None], hessian, 0.0))[:, 0]
-        shift = np.maximum(0.0, 1e-12 * scale - least)  # far beyond the error of a computed eigenvalue, so the sum is convex
-        convex = hessian + shift[:, None, None] * np.eye(n)
-        point = box_minimum(linear, convex)
-        slope = linear + np.einsum("bij,bj->bi", convex, point)
-        value = constant + 0.5 * np.sum((linear + slope) * point, axis=1)
-        tangent = value - np.sum(np.abs(slope) + slope * point, axis=1) - 0.5 * n * shift
-        rounding = 16.0 * n * n * ROUNDING * (size + n * shift)
-        found = (
-            np.maximum(simple, np.where(clean & np.isfinite(tangent), tangent, -np.inf)) - rounding - remainder * UPWARD - TINY
-        )
-    return np.where(np.isfinite(found), found, -np.inf)
-
-
-def box_minimum(linear: Array, convex: Array) -> Array:
-    """Return about the minimum (boxes, n) of linear . d + d' convex d / 2 over -1 <= d <= 1, by coordinate descent.
-
-    Parameters
-    ----------
-    linear : array (boxes, n)
-    convex : array (boxes, n, n)
-        Symmetric, positive semidefinite.
-    """
-    n = linear.shape[1]
-    point, slope = np.zeros_like(linear), linear.copy()
-    with np.errstate(all="ignore"):
-        for step in range(DESCENT * n):
-            i = step % n
-            curvature = convex[:, i, i]
-            target = np.where(curvature > 0.0, point[:, i] - slope[:, i] / curvature, -np.sign(slope[:, i]))
-            move = np.clip(np.where(np.isfinite(target), target, 0.0), -1.0, 1.0) - point[:, i]
-            point[:, i] += move
-            slope += convex[:, :, i] * move[:, None]
-    return point
 
 
 def lagrangian_bound(objective: TaylorModel | None, slacks: TaylorModel, multipliers: Array) -> Array:
@@ -387,26 +346,6 @@ def _linear_parts(slacks: TaylorModel) -> Parts:
     linear = np.where(known[..., None], np.moveaxis(slacks.linear, 0, -1), 0.0)
     rest = np.where(known, slacks.radius - slacks.sizes[0], 0.0)
     return np.where(known, slacks.value, 0.0), linear, rest
-
-
-def cut_box(rows: Array, most: Array) -> tuple[Array, Array]:
-    """Return bounds (boxes, n) within -1 ... 1 of the points d with rows . d <= most, rigorous; -1 and 1 where little is gained.
-
-    Parameters
-    ----------
-    rows : array (boxes, m, n)
-    most : array (boxes, m)
-    """
-    size = np.abs(rows)
-    total = size.sum(axis=2, keepdims=True)
-    with np.errstate(all="ignore"):
-        room = most[..., None] + (total - size)  # the other unknowns at their best
-        rounding = 64.0 * UNIT * (np.abs(most)[..., None] + 2.0 * total) / size
-        end = room / rows
-        high = np.min(np.where(rows > 0.0, end + rounding, np.inf), axis=1, initial=np.inf)
-        low = np.max(np.where(rows < 0.0, end - rounding, -np.inf), axis=1, initial=-np.inf)
-    low = np.where(low > -1.0 + 2.0 * WORTH, low, -1.0)
-    return low, np.where(high < 1.0 - 2.0 * WORTH, high, 1.0)
 
 
 def raised_multipliers(first: Parts, slack: Parts) -> Array:
@@ -465,4 +404,6 @@ def lawson_weights(models: BoxModels) -> Array:
         size = np.sqrt(np.sum((value + np.einsum("ibpc,bi->bpc", slope, point)) ** 2, axis=2))
         total = np.sum(weights * size, axis=1, keepdims=True)
         weights = np.where(total > 0.0, weights * size / np.where(total > 0.0, total, 1.0), weights)
-    return weights * (1.0 - 8.0 * UNIT * positions) / np.maximum(weights.sum(axis=1, keepdims=True), TINY)
+    total = np.maximum(weights.sum(axis=1, keepdims=True), TINY)
+    found: Array = weights * (1.0 - 8.0 * UNIT * positions) / total
+    return found

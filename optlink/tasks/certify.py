@@ -1,0 +1,277 @@
+"""certify(result) -> result: prove that no better design exists within the bounds, or find it."""
+
+from __future__ import annotations
+
+import functools
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.errors import Fault, InputError
+from optlink.optimization.box_models import DesignBoxes, box_problem
+from optlink.problem.file import ProblemFile
+from optlink.problem.function import DesignProblem
+from optlink.solvers.global_search.branch_and_bound import BranchAndBound
+from optlink.solvers.global_search.lagrangian import Guess, LagrangianBounds
+from optlink.tasks.function import FunctionResult
+from optlink.tasks.results.certificate import GLOBAL, INFEASIBLE, NOT_CLOSED, STRICT, WITHIN_GAP, Certificate, Cover
+from optlink.tasks.results.path import PathResult
+
+Array = NDArray[np.float64]
+Certified = TypeVar("Certified", FunctionResult, PathResult)
+Progress = Callable[[float, float], None]
+"""Receives the share of the bounds that is settled, and the present gap (NaN without a design)."""
+
+ACTIVE = 1e-6  # slack of a limit, and share of the bounds from one, below which it counts as active at the best design
+TOP = 1e-3  # share below the largest deviation within which others are as large
+NEAR = 1e-8  # half width of the box about the best design in which derivatives are taken, as a share of the bounds
+INSIDE = 0.999  # share of the gap that the search uses, so that rounding does not decide whether it is kept
+EXACT = 1e-9  # rms deviation [rad], or share of the curve, below which a design is exact: none can be better
+AUTOMATIC = 2  # design variables of a motion law up to which the certificate is made without being asked for ...
+BUDGET = 1.0  # ... within this time [s]
+
+
+def automatic(problem: ProblemFile) -> bool:
+    """Return whether a problem is certified without being asked for: a motion law of few design variables."""
+    model = problem.model
+    return isinstance(model, DesignProblem) and model.requirement.robust is None and 0 < len(model.free) <= AUTOMATIC
+
+
+def certify(
+    result: Certified, gap: float = STRICT, time_limit: float = math.inf, progress: Progress | None = None, seed: int = 0
+) -> Certified:
+    """Bound the objective over all designs from below by branch and bound; a better design that is found becomes the answer.
+
+    Parameters
+    ----------
+    result : FunctionResult or PathResult
+        Of `optlink.solve`, whether it has a design or not.
+    gap : float
+        Share of the objective by which a design may be better without being found.
+    time_limit : float [s]
+    progress : function of (share, gap), optional
+    seed : int
+        Seed of searches for a better design.
+
+    Returns
+    -------
+    FunctionResult or PathResult, with its `certificate`
+
+    Raises
+    ------
+    InputError
+        If `gap` or `time_limit` is out of range, or no lower bound is available for this kind of problem.
+    """
+    if not 1e-12 <= gap < 1.0:
+        raise InputError(Fault("out of range", "Give a gap from 1e-12 to less than 1, such as 1e-6", key="gap", value=gap))
+    if not time_limit > 0.0:
+        raise InputError(Fault("out of range", 'Give a time such as "5 min"', key="time_limit", value=time_limit))
+    found: Certified = _Search(result, gap, seed).run(time_limit, progress)
+    return found
+
+
+@dataclass
+class _Search:
+    """Branch and bound over every assembly mode, with the best design of all."""
+
+    result: Any
+    gap: float
+    seed: int
+    improved: bool = False
+
+    def run(self, seconds: float, progress: Progress | None) -> Any:
+        """Search every assembly mode, each with the best design found so far."""
+        begin = time.perf_counter()
+        share = INSIDE * self.gap
+        share = share * (2.0 - share) if self._square else share
+        variants = self.result.problem.variants()
+        problems = [box_problem(variant) for variant in variants]
+        searches: list[BranchAndBound] = []
+        interrupted = False
+        history: list[tuple[float, int, float, float]] = []
+        for k, (variant, problem) in enumerate(zip(variants, problems, strict=True)):
+            bounds = LagrangianBounds(problem, self._guess(problem))
+            search = BranchAndBound(bounds, self._squared, share, functools.partial(self._improve, variant, problem))
+            searches.append(search)
+            if self._exact:  # nothing is smaller than zero
+                continue
+            left = seconds - (time.perf_counter() - begin)
+            try:
+                search.run(left, None if progress is None else functools.partial(self._report, progress, k, len(variants)))
+            except KeyboardInterrupt:
+                interrupted = True
+                searches += [BranchAndBound(LagrangianBounds(p), self._squared, share) for p in problems[k + 1 :]]
+                break
+        for search in searches:
+            history += search.history
+        certificate = self._certificate(searches, variants, time.perf_counter() - begin, history)
+        return replace(self.result, certificate=certificate, interrupted=self.result.interrupted or interrupted)
+
+    # --- the best known design -------------------------------------------------------------------------------------
+
+    @property
+    def _known(self) -> float:
+        """Objective of the best valid design, infinite if there is none."""
+        return float(self.result.objective) if self.result.valid else math.inf
+
+    @property
+    def _square(self) -> bool:
+        return bool(self._measure != "sum of squares")
+
+    @property
+    def _measure(self) -> str:
+        model = self.result.problem.model
+        return str(model.requirement.measure if isinstance(model, DesignProblem) else model.measure)
+
+    @property
+    def _squared(self) -> float:
+        """The objective in terms of squared deviations, in which the search bounds it."""
+        return self._known**2 if self._square else self._known
+
+    @property
+    def _exact(self) -> bool:
+        model = self.result.problem.model
+        scale = 1.0 if isinstance(model, DesignProblem) else model.whole
+        error = self._known if self._square else math.sqrt(max(self._known, 0.0))
+        return error <= EXACT * scale
+
+    def _improve(self, variant: ProblemFile, boxes: DesignBoxes, x: Array) -> float:
+        """Search from a point for a better design; return the objective (squared) of the best known one."""
+        start = dict(zip(boxes.problem.free, (float(value) for value in x), strict=True))
+        found = _local(self.result, variant, start, self.seed)
+        if found is not None and found.valid and not found.objective >= self._known:
+            self.result, self.improved = found, True
+        return self._squared
+
+    def _guess(self, problem: DesignBoxes) -> Guess | None:
+        """Return multipliers and weights from the conditions of optimality at the best design; None without one."""
+        if not self.result.valid or self._exact:
+            return None
+        known = self.result.definite.model.quantities
+        x = np.array([self.result.design.get(name, quantity.value) for name, quantity in known.items() if quantity.free])
+        width = problem.high - problem.low
+        models = problem.over((x - NEAR * width)[None], (x + NEAR * width)[None])
+        inside = np.minimum(x - problem.low, problem.high - x) > ACTIVE * width
+        slopes, slacks = models.slacks.linear[:, 0], models.slacks.value[0]
+        squares = (models.residuals * models.residuals).sum()
+        active = np.flatnonzero((np.abs(slacks) < ACTIVE) & np.isfinite(models.slacks.remainder[0]))
+        multipliers, weights = np.zeros(len(slacks)), np.ones(squares.remainder.shape[1])
+        if problem.measure != "max":
+            weights /= len(weights) if problem.measure == "rms" else 1.0
+            gradient = (squares * weights).sum().linear[:, 0]
+            multipliers[active] = _least_squares(slopes[:, active][inside], gradient[inside])
+            return Guess(multipliers, weights)
+        sizes = squares.value[0]
+        top = np.flatnonzero(sizes >= (1.0 - TOP) * np.max(sizes))
+        rows = np.hstack([squares.linear[:, 0][:, top], -slopes[:, active]])[inside]
+        scale = 1e3 * max(float(np.max(np.abs(rows), initial=0.0)), 1e-300)
+        total = np.concatenate([np.full(len(top), scale), np.zeros(len(active))])
+        found = _least_squares(np.vstack([rows, total]), np.append(np.zeros(len(rows)), scale))
+        weights[:] = 0.0
+        weights[top] = found[: len(top)] / max(float(found[: len(top)].sum()), 1e-300) * (1.0 - 1e-14 * len(weights))
+        multipliers[active] = found[len(top) :]
+        return Guess(multipliers, weights)
+
+    # --- the finding -----------------------------------------------------------------------------------------------
+
+    def _report(self, progress: Progress, k: int, count: int, search: BranchAndBound) -> bool:
+        whole = float(np.prod(search.bounder.high - search.bounder.low))
+        left = float(np.sum(np.prod(search.open.high - search.open.low, axis=1))) / whole if whole > 0.0 else 0.0
+        lower = self._value(search.lower)
+        progress((k + 1.0 - left) / count, (self._known - lower) / self._known if math.isfinite(self._known) else math.nan)
+        return False
+
+    def _value(self, squared: float) -> float:
+        """Return the objective for its value in terms of squared deviations."""
+        return math.sqrt(max(squared, 0.0)) * (1.0 - 1e-15) if self._square else squared
+
+    def _certificate(
+        self,
+        searches: list[BranchAndBound],
+        variants: list[ProblemFile],
+        seconds: float,
+        history: list[tuple[float, int, float, float]],
+    ) -> Certificate:
+        lower = 0.0 if self._exact else min(self._value(search.lower) for search in searches)
+        known, closed = self._known, self._exact or all(search.closed for search in searches)
+        share = (known - lower) / known if known > 0.0 and math.isfinite(known) else 0.0
+        if not closed:
+            status = NOT_CLOSED
+        elif not math.isfinite(known):
+            status = INFEASIBLE
+        else:
+            status = GLOBAL if self._exact or share <= STRICT * (1.0 + 1e-9) else WITHIN_GAP
+        kept = all(search.leaves.test for search in searches)
+        rows = [(s, b, self._value(low), self._value(best)) for s, b, low, best in history]
+        return Certificate(
+            status=status,
+            objective=known,
+            lower_bound=lower,
+            asked=self.gap,
+            boxes=sum(search.boxes for search in searches),
+            open_boxes=0 if self._exact else sum(len(search.open) + len(search.tiny) for search in searches),
+            seconds=seconds,
+            unknowns=tuple(self.result.problem.model.free),
+            improved=self.improved,
+            history=np.array(rows, dtype=float).reshape(-1, 4),
+            covers=tuple(_cover(one, file) for one, file in zip(searches, variants, strict=True)) if kept and closed else (),
+        )
+
+
+def _cover(search: BranchAndBound, variant: ProblemFile) -> Cover:
+    leaves, bounds = search.leaves, search.bounder
+    assert isinstance(bounds, LagrangianBounds)
+    return Cover(
+        variant.raw["mechanism"].get("assembly", "left"),
+        np.concatenate(leaves.low),
+        np.concatenate(leaves.high),
+        np.concatenate(leaves.test),
+        np.concatenate(leaves.multipliers),
+        bounds.problem.limits,
+    )
+
+
+def _least_squares(matrix: Array, vector: Array) -> Array:
+    """Return x >= 0 with about the least |matrix x - vector|, by leaving out what becomes negative."""
+    used = np.arange(matrix.shape[1])
+    found = np.zeros(matrix.shape[1])
+    while used.size:
+        x = np.linalg.lstsq(matrix[:, used], vector, rcond=None)[0]
+        if np.all(x >= 0.0):
+            found[used] = x
+            break
+        used = used[x > np.min(x)]
+    return found
+
+
+def _local(result: FunctionResult | PathResult, variant: ProblemFile, start: dict[str, float], seed: int) -> Any:
+    """Return the result with the local optimum near a point as its design; None if it is not valid."""
+    if isinstance(result, FunctionResult):
+        from optlink.tasks import function
+
+        backend = result.backend if result.backend != "none" else "ipopt"
+        found = function.solve(variant, backend, seed=seed, begin=start)
+        kept = {
+            name: getattr(result, name)
+            for name in ("starts", "optima", "counts", "notes")
+            if name in FunctionResult.__dataclass_fields__
+        }
+        return replace(found, **kept)
+    from optlink.solvers import multistart
+    from optlink.solvers.contract import BACKENDS
+    from optlink.solvers.path_exchange import solve_semi_infinite
+    from optlink.tasks.path_search import Polisher, path_model, validated_design
+
+    polisher = Polisher([variant], result.backend if result.backend in BACKENDS else "ipopt")
+    nlp = polisher.programme(0, 1)
+    x = nlp.x_of(start)
+    begun = multistart.solution_at(nlp, x, "found by branch and bound")
+    design = validated_design(variant, nlp, solve_semi_infinite(path_model(variant), begun, polisher.backend))
+    if not design.valid:
+        return None
+    return replace(result, designs=(design, *result.designs)[: max(1, len(result.designs))])
