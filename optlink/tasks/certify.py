@@ -33,7 +33,7 @@ NEAR = 1e-8  # half width of the box about the best design in which derivatives 
 INSIDE = 0.999  # share of the gap that the search uses, so that rounding does not decide whether it is kept
 EXACT = 1e-9  # rms deviation [rad], or share of the curve, below which a design is exact: none can be better
 AUTOMATIC = 2  # design variables of a motion law up to which the certificate is made without being asked for ...
-BUDGET = 1.0  # ... within this time [s]
+BUDGET = 2_000  # ... with at most this many boxes, which take about a second
 
 
 def automatic(problem: ProblemFile) -> bool:
@@ -43,7 +43,12 @@ def automatic(problem: ProblemFile) -> bool:
 
 
 def certify(
-    result: Certified, gap: float = STRICT, time_limit: float = math.inf, progress: Progress | None = None, seed: int = 0
+    result: Certified,
+    gap: float = STRICT,
+    time_limit: float = math.inf,
+    progress: Progress | None = None,
+    seed: int = 0,
+    boxes: float = math.inf,
 ) -> Certified:
     """Bound the objective over all designs from below by branch and bound; a better design that is found becomes the answer.
 
@@ -57,6 +62,8 @@ def certify(
     progress : function of (share, gap), optional
     seed : int
         Seed of searches for a better design.
+    boxes : float
+        Most boxes that are bounded.
 
     Returns
     -------
@@ -71,7 +78,7 @@ def certify(
         raise InputError(Fault("out of range", "Give a gap from 1e-12 to less than 1, such as 1e-6", key="gap", value=gap))
     if not time_limit > 0.0:
         raise InputError(Fault("out of range", 'Give a time such as "5 min"', key="time_limit", value=time_limit))
-    found: Certified = _Search(result, gap, seed).run(time_limit, progress)
+    found: Certified = _Search(result, gap, seed).run(time_limit, boxes, progress)
     return found
 
 
@@ -84,7 +91,7 @@ class _Search:
     seed: int
     improved: bool = False
 
-    def run(self, seconds: float, progress: Progress | None) -> Any:
+    def run(self, seconds: float, boxes: float, progress: Progress | None) -> Any:
         """Search every assembly mode, each with the best design found so far."""
         begin = time.perf_counter()
         share = INSIDE * self.gap
@@ -93,7 +100,7 @@ class _Search:
         problems = [box_problem(variant) for variant in variants]
         searches: list[BranchAndBound] = []
         interrupted = False
-        history: list[tuple[float, int, float, float]] = []
+        history: list[tuple[int, float, float]] = []
         for k, (variant, problem) in enumerate(zip(variants, problems, strict=True)):
             bounds = LagrangianBounds(problem, self._guess(problem))
             search = BranchAndBound(bounds, self._squared, share, functools.partial(self._improve, variant, problem))
@@ -102,15 +109,20 @@ class _Search:
                 continue
             left = seconds - (time.perf_counter() - begin)
             try:
-                search.run(left, None if progress is None else functools.partial(self._report, progress, k, len(variants)))
+                search.run(
+                    left,
+                    boxes - sum(one.boxes for one in searches),
+                    None if progress is None else functools.partial(self._report, progress, k, len(variants)),
+                )
             except KeyboardInterrupt:
                 interrupted = True
                 searches += [BranchAndBound(LagrangianBounds(p), self._squared, share) for p in problems[k + 1 :]]
                 break
         for search in searches:
             history += search.history
-        certificate = self._certificate(searches, variants, time.perf_counter() - begin, history)
-        return replace(self.result, certificate=certificate, interrupted=self.result.interrupted or interrupted)
+        certificate = self._certificate(searches, variants, history)
+        taken = self.result.seconds | {"certify": time.perf_counter() - begin}
+        return replace(self.result, certificate=certificate, seconds=taken, interrupted=self.result.interrupted or interrupted)
 
     # --- the best known design -------------------------------------------------------------------------------------
 
@@ -179,12 +191,11 @@ class _Search:
 
     # --- the finding -----------------------------------------------------------------------------------------------
 
-    def _report(self, progress: Progress, k: int, count: int, search: BranchAndBound) -> bool:
+    def _report(self, progress: Progress, k: int, count: int, search: BranchAndBound) -> None:
         whole = float(np.prod(search.bounder.high - search.bounder.low))
         left = float(np.sum(np.prod(search.open.high - search.open.low, axis=1))) / whole if whole > 0.0 else 0.0
         lower = self._value(search.lower)
         progress((k + 1.0 - left) / count, (self._known - lower) / self._known if math.isfinite(self._known) else math.nan)
-        return False
 
     def _value(self, squared: float) -> float:
         """Return the objective for its value in terms of squared deviations."""
@@ -195,7 +206,7 @@ class _Search:
         searches: list[BranchAndBound],
         variants: list[ProblemFile],
         seconds: float,
-        history: list[tuple[float, int, float, float]],
+        history: list[tuple[int, float, float]],
     ) -> Certificate:
         lower = 0.0 if self._exact else min(self._value(search.lower) for search in searches)
         known, closed = self._known, self._exact or all(search.closed for search in searches)
@@ -207,7 +218,7 @@ class _Search:
         else:
             status = GLOBAL if self._exact or share <= STRICT * (1.0 + 1e-9) else WITHIN_GAP
         kept = all(search.leaves.test for search in searches)
-        rows = [(s, b, self._value(low), self._value(best)) for s, b, low, best in history]
+        rows = [(boxes, self._value(low), self._value(best)) for boxes, low, best in history]
         return Certificate(
             status=status,
             objective=known,
@@ -215,10 +226,9 @@ class _Search:
             asked=self.gap,
             boxes=sum(search.boxes for search in searches),
             open_boxes=0 if self._exact else sum(len(search.open) + len(search.tiny) for search in searches),
-            seconds=seconds,
             unknowns=tuple(self.result.problem.model.free),
             improved=self.improved,
-            history=np.array(rows, dtype=float).reshape(-1, 4),
+            history=np.array(rows, dtype=float).reshape(-1, 3),
             covers=tuple(_cover(one, file) for one, file in zip(searches, variants, strict=True)) if kept and closed else (),
         )
 

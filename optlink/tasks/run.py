@@ -90,7 +90,7 @@ def solve(
     certify : bool, optional
         Prove that no better design exists within the bounds, or find it: `result.certificate` has a lower bound of the objective.
         For motion laws, functions, timed paths and transmission problems. Default: motion laws of at most two design variables,
-        within one second.
+        with at most 2000 boxes (about a second).
     gap : float
         Share of the objective by which a design may be better without being found.
     time_limit : float [s]
@@ -123,8 +123,8 @@ def solve(
 
     if certify is None and not proof.automatic(problem):
         return found
-    limit = min(time_limit, proof.BUDGET) if certify is None else time_limit
-    return proof.certify(found, gap, limit, proving, seed)  # type: ignore[type-var]
+    boxes = proof.BUDGET if certify is None else math.inf
+    return proof.certify(found, gap, time_limit, proving, seed, boxes)  # type: ignore[type-var]
 
 
 def validate(problem: ProblemFile, design: Mapping[str, float]) -> FunctionResult | PathResult | CycleResult:

@@ -45,7 +45,15 @@ class Bounder(Protocol):
         ...
 
     def bounded(self, low: Array, high: Array, threshold: float) -> BoxRecord:
-        """Bound a batch of boxes (boxes, n); those whose lower bound is not below the threshold are discarded."""
+        """Bound a batch of boxes.
+
+        Parameters
+        ----------
+        low, high : array (boxes, n)
+            Corners.
+        threshold : float
+            Boxes whose lower bound is not below it are discarded.
+        """
         ...
 
 
@@ -151,7 +159,7 @@ class BranchAndBound:
     ----------
     boxes : int
         Boxes bounded so far.
-    history : list of (seconds, boxes, lower, best)
+    history : list of (boxes, lower, best)
     """
 
     bounder: Bounder
@@ -159,12 +167,11 @@ class BranchAndBound:
     gap: float
     improve: Callable[[Array], float] | None = None
     boxes: int = 0
-    seconds: float = 0.0
     discarded: float = math.inf  # least bound of the boxes that were discarded for their objective
     open: Boxes = field(init=False)
     tiny: Boxes = field(init=False)
     leaves: Leaves = field(default_factory=Leaves)
-    history: list[tuple[float, int, float, float]] = field(default_factory=list)
+    history: list[tuple[int, float, float]] = field(default_factory=list)
     attempts: int = 0
 
     def __post_init__(self) -> None:
@@ -188,23 +195,26 @@ class BranchAndBound:
         """Whether every box is discarded."""
         return not len(self.open) and not len(self.tiny)
 
-    def run(self, seconds: float = math.inf, report: Callable[[BranchAndBound], bool] | None = None) -> None:
-        """Search until every box is discarded or the time is over.
+    def run(
+        self, seconds: float = math.inf, boxes: float = math.inf, report: Callable[[BranchAndBound], None] | None = None
+    ) -> None:
+        """Search until every box is discarded, or the time or number of boxes is reached.
 
         Parameters
         ----------
         seconds : float
+        boxes : float
+            Most boxes that are bounded in all.
         report : function of this search, optional
-            Called after every batch; the search stops where it returns True.
+            Called after every batch.
         """
-        begin, before = time.perf_counter(), self.seconds
-        while len(self.open) and self.seconds - before < seconds:
+        begin = time.perf_counter()
+        while len(self.open) and self.boxes < boxes and time.perf_counter() - begin < seconds:
             self.step()
-            self.seconds = before + time.perf_counter() - begin
-            if not self.history or self.boxes >= 1.2 * self.history[-1][1] or not len(self.open):
-                self.history.append((self.seconds, self.boxes, self.lower, self.best))
-            if report is not None and report(self):
-                break
+            if not self.history or self.boxes >= 1.2 * self.history[-1][0] or not len(self.open):
+                self.history.append((self.boxes, self.lower, self.best))
+            if report is not None:
+                report(self)
 
     def step(self) -> None:
         """Bound the next batch: the open boxes with the lowest bounds, and divide what is not discarded."""

@@ -70,7 +70,13 @@ class BoxProblem(Protocol):
         ...
 
     def over(self, low: Array, high: Array) -> BoxModels:
-        """Return the models over boxes with corners `low` and `high` (boxes, n)."""
+        """Return the models over boxes.
+
+        Parameters
+        ----------
+        low, high : array (boxes, n)
+            Corners.
+        """
         ...
 
 

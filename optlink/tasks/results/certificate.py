@@ -65,12 +65,11 @@ class Certificate:
         Relative gap that was asked for.
     boxes, open_boxes : int
         Boxes bounded, and boxes left.
-    seconds : float
     unknowns : tuple of str
     improved : bool
         Whether the search found a better design than it was given.
-    history : array (k, 4)
-        Seconds, boxes, lower bound, objective of the best known design.
+    history : array (k, 3)
+        Boxes bounded, lower bound, objective of the best known design.
     covers : tuple of Cover
         Empty if there are too many boxes, or if it was read from a result document.
     """
@@ -81,10 +80,9 @@ class Certificate:
     asked: float
     boxes: int
     open_boxes: int
-    seconds: float
     unknowns: tuple[str, ...]
     improved: bool = False
-    history: Array = field(default_factory=lambda: np.zeros((0, 4)), repr=False)
+    history: Array = field(default_factory=lambda: np.zeros((0, 3)), repr=False)
     covers: tuple[Cover, ...] = field(default=(), repr=False)
 
     @property
@@ -146,7 +144,6 @@ class CertificateRecord(Record):
     rigorous: bool
     boxes: int
     open_boxes: int
-    seconds: float
     improved: bool
     unknowns: tuple[str, ...]
     history: Rows
