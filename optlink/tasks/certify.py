@@ -205,7 +205,6 @@ class _Search:
         self,
         searches: list[BranchAndBound],
         variants: list[ProblemFile],
-        seconds: float,
         history: list[tuple[int, float, float]],
     ) -> Certificate:
         lower = 0.0 if self._exact else min(self._value(search.lower) for search in searches)
