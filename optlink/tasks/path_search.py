@@ -185,7 +185,7 @@ class DesignCollection:
         if not self.designs or has_several_dyads(self.designs[0].task):
             return False
         fit = self.designs[0].fit
-        return fit is not None and fit.grade == "poor"
+        return fit is not None and fit.at_points == "poor"
 
     def _follow(self, candidates: list[Candidate], tries: int, vain: int, dear: int = 0) -> None:
         """Refine candidates in order: `tries` at most, `vain` of them without a valid design, `dear` beyond the largest cost."""

@@ -105,6 +105,8 @@ def _function(outcome: FunctionResult) -> str:
 
 
 def _path(best: PathDesign) -> str:
+    from optlink.tasks.results.fit import PathFit
+
     task, measured = best.task, best.measured
     unit = task.unit or ""
     least = math.degrees(best.least_transmission)
@@ -121,6 +123,8 @@ def _path(best: PathDesign) -> str:
         text = f"The output follows the prescribed function within {si(most, unit)}"
     if measured.turned is not None and not best.exact:
         text += f" and {si(float(np.max(np.abs(measured.turned))), 'rad')}"
+    if isinstance(best.fit, PathFit) and best.fit.grade != best.fit.at_points:
+        text += f", but deviates by {si(best.fit.excursion, 'm')} between {best.fit.segment}"
     return f"{text}; {grip}." if grip else f"{text}."
 
 

@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from optlink.linkage.cognates import Cognate, CouplerLinkage
 from optlink.problem.path import TURN, PathProblem
 from optlink.report.format import fixed, number, precise, significant, times
@@ -98,6 +100,8 @@ def _objective(design: PathDesign) -> TableSpec:
     rms, largest = math.sqrt(float((measured.distances**2).mean())), float(measured.distances.max())
     what = {"m": "distance", "rad": "error", "": "cosine"}[task.unit]
     remark = f"{what}: rms {number(factor * rms, 4)}, largest {number(factor * largest, 4)} {unit}".rstrip()
+    if design.between is not None and np.any(np.isfinite(design.between)):
+        remark += f"; between the points up to {number(1e3 * float(np.nanmax(design.between)), 3)} mm"
     if measured.turned is not None:
         remark += f"; angle: largest {number(math.degrees(float(abs(measured.turned).max())), 4)} deg"
     objective = strong(precise(displayed_objective(design), 8))
@@ -137,17 +141,25 @@ def _points(design: PathDesign) -> TableSpec:
     measured, wanted = design.measured, design.task.data.columns
     step = max(1, math.ceil(len(wanted) / SHOWN))
     digits = decimals(1e3 * float(abs(wanted[:, :2]).max()))
-    rows = []
+    rows, between = [], design.between
     for i in range(0, len(wanted), step):
         places = (*wanted[i, :2], *measured.generated[i])
         row = [str(i + 1), *(fixed(1e3 * place, digits) for place in places), number(1e3 * measured.distances[i], 3)]
         row.append(fixed(math.degrees(design.crank_angles[i]), 2))
+        if between is not None:
+            after = between[i : i + step]
+            row.append(number(1e3 * float(np.nanmax(after)), 3) if np.any(np.isfinite(after)) else "")
         if measured.turned is not None:
             row.append(number(math.degrees(measured.turned[i]), 3))
         rows.append(row)
     columns = [">", ">target", ">", ">generated", ">", ">error", ">crank angle"]
+    columns += [">between"] if between is not None else []
     columns += [">turned by"] if measured.turned is not None else []
     notes = [quiet(f"one in {step} of {len(wanted)} points; all of them with --out or --json")] if step > 1 else []
+    if between is not None:
+        notes.append(
+            quiet("between: distance of the curve from the line to the next point, beyond the arc that the points suggest")
+        )
     return table("Points [mm, deg]", columns, rows, notes=notes, unbroken=True)
 
 

@@ -45,6 +45,7 @@ NEAR = 0.5  # fraction of the error below which the distance of the curve makes 
 PRICED = 1e-2  # least share of a limit in the sum of multiplier times bound that counts as a reason
 GRADED = ("transmission_", "pressure_angle", "transmission angle", "pressure angle")  # limits of the transmission angle
 ALONG = 721  # positions along a motion
+GRADES = ("exact", "good", "fair", "poor")
 MOST = 2  # largest number of active limits given as reasons
 
 
@@ -70,6 +71,11 @@ class Fit:
     reasons: tuple[PoorFitReason, ...] = ()
 
     @property
+    def at_points(self) -> str:
+        """Grade of the prescribed positions alone."""
+        return self.grade
+
+    @property
     def share(self) -> float:
         """Error relative to the size."""
         return self.error / self.size
@@ -88,6 +94,43 @@ class Fit:
         if self.grade == "exact":
             return "exact fit"
         return f"{self.grade} fit: rms error is {100.0 * self.share:.2g} % of {self.of}"
+
+
+@dataclass(frozen=True)
+class PathFit(Fit):
+    """Error of a path at its points and, where that is worse, between them.
+
+    `excursion` [m]: the largest one of the curve between two points, the first of which has the index `after`.
+    """
+
+    excursion: float = 0.0
+    after: int = 0
+    count: int = 0
+
+    @property
+    def at_points(self) -> str:
+        """Grade of the points alone."""
+        return super().grade
+
+    @property
+    def grade(self) -> str:
+        """The worse grade of the points and of the curve between them, whose excursions count as little up to 1 %."""
+        between = Fit(self.excursion, self.size, self.unit, self.of).grade
+        worst = max(self.at_points, between, key=GRADES.index)
+        return worst if between in ("fair", "poor") else self.at_points
+
+    @property
+    def segment(self) -> str:
+        """Names of the two points between which the excursion is largest."""
+        return f"points {self.after + 1} and {(self.after + 1) % self.count + 1}"
+
+    @property
+    def text(self) -> str:
+        """The grade with the figure that determines it."""
+        if self.grade == self.at_points:
+            return super().text
+        share = f"{100.0 * self.excursion / self.size:.2g} % of {self.of}"
+        return f"{self.grade} fit: between {self.segment} the curve deviates by {_length(self.excursion)}, {share}"
 
 
 class FitRecord(Record):
@@ -159,6 +202,7 @@ def path_fit(
     values: Mapping[str, float],
     crank_angles: Array,
     measured: MeasuredDeviations,
+    between: Array | None = None,
     limits: Sequence[LimitState] = (),
 ) -> Fit | None:
     """Grade a path, motion or function design; return None for transmission (see `transmission_fit`) or a task of size zero.
@@ -171,6 +215,8 @@ def path_fit(
     crank_angles : array (points,) [rad]
     measured : MeasuredDeviations
         Deviations of the design at these crank angles.
+    between : array (segments,) [m], optional
+        Excursions of the curve between the points.
     limits : sequence of LimitState
         Limits of the optimum with their multipliers; empty for a given design.
     """
@@ -189,6 +235,13 @@ def path_fit(
     if not found:
         return None
     worst = max(found, key=lambda fit: fit.share)
+    if between is not None and np.any(np.isfinite(between)):
+        after = int(np.nanargmax(between))
+        path = PathFit(worst.error, worst.size, worst.unit, worst.of, (), float(between[after]), after, len(wanted))
+        if path.grade != path.at_points:
+            reason = f"the {len(wanted)} points are met within {_length(float(np.max(distances)))}, the curve between them is not"
+            advice = f"prescribe further points between {path.segment}, or more weight beside them"
+            return replace(path, reasons=(PoorFitReason(f"{reason} prescribed", advice),))
     if worst.grade != "poor":
         return worst
     reasons = [

@@ -32,6 +32,7 @@ from optlink.tasks.results.common import SearchRecord, proven
 from optlink.tasks.results.fit import Fit, FitRecord, path_fit, transmission_fit
 from optlink.tasks.search import Evidence
 from optlink.units import KINDS, factor
+from optlink.validation.between import excursions
 from optlink.validation.check import Check, Validation
 from optlink.validation.path import MeasuredDeviations, deviations, transmission_angles
 
@@ -78,7 +79,12 @@ class PathDesign(Summary):
         """Error relative to the size of the task, or least transmission angle; None if neither is defined."""
         if self.task.requirement.kind == "transmission":
             return transmission_fit(self.least_transmission, self.task.mechanism.quantities, self.values, self.limits)
-        return path_fit(self.task, self.values, self.crank_angles, self.measured, self.limits)
+        return path_fit(self.task, self.values, self.crank_angles, self.measured, self.between, self.limits)
+
+    @cached_property
+    def between(self) -> Array | None:
+        """Excursion [m] of the traced curve between each point and the next; None for other tasks than paths."""
+        return excursions(self.task, self.values, self.crank_angles)
 
     @property
     def exact(self) -> bool:
@@ -283,6 +289,10 @@ class PathDesignRecord(Record):
             f"rms_{unit}".rstrip("_"): size * math.sqrt(float(np.mean(measured.distances**2))),
             f"largest_{unit}".rstrip("_"): size * float(np.max(measured.distances)),
         }
+        if result.between is not None:
+            largest = float(np.nanmax(result.between, initial=0.0))
+            points["between_mm"] = 1e3 * np.append(result.between, np.full(len(measured.distances) - len(result.between), np.nan))
+            objective["largest_between_mm"] = 1e3 * largest
         if measured.turned is not None:
             points["turned_deg"] = np.degrees(measured.turned)
             objective["largest_turned_deg"] = math.degrees(float(np.max(np.abs(measured.turned))))
