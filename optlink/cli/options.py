@@ -49,6 +49,21 @@ def whole_number(text: object) -> int:
         raise typer.BadParameter(f'"{str(text)[:40]}" is not a whole number. Give for example 20') from None
 
 
+def share_number(text: object) -> float:
+    """Read a share, a number or a percentage.
+
+    Raises
+    ------
+    typer.BadParameter
+        If it is none; the command line then ends with exit code 2.
+    """
+    words = str(text).strip()
+    try:
+        return float(words.removesuffix("%")) / (100.0 if words.endswith("%") else 1.0)
+    except ValueError:
+        raise typer.BadParameter(f'"{words[:40]}" is not a number. Give for example 1e-6 or 0.01%') from None
+
+
 PROBLEM_HELP = "A shipped problem (see `list`) or the path of a TOML file."
 Problem = Annotated[str, typer.Argument(metavar="PROBLEM", help=PROBLEM_HELP, autocompletion=problem_names)]
 Set = Annotated[

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from optlink.cli import console
-from optlink.cli.options import Design, Format, Json, Out, Problem, Quiet, Searcher, Seed, Set, Starts, whole_number
+from optlink.cli.options import Design, Format, Json, Out, Problem, Quiet, Searcher, Seed, Set, Starts, share_number, whole_number
 from optlink.errors import Status
 
 if TYPE_CHECKING:
@@ -47,8 +47,14 @@ def solve(
         ),
     ] = None,
     gap: Annotated[
-        float, typer.Option("--gap", metavar="SHARE", help="--certify: share by which a better design may be missed.")
-    ] = 1e-6,
+        float | None,
+        typer.Option(
+            "--gap",
+            parser=share_number,
+            metavar="SHARE",
+            help="--certify: share of the objective by which a better design may be missed. Default: 1e-6.",
+        ),
+    ] = None,
     time_limit: Annotated[
         str | None,
         typer.Option("--time-limit", metavar="TIME", help='--certify: time for the proof, such as "5 min". Default: none.'),
@@ -62,13 +68,21 @@ def solve(
 ) -> None:
     """Optimise a design, verify it independently, and report the shadow prices of the active constraints."""
     with console.reported(as_json), console.result_folder(out, "solve", problem):
+        limits: dict[str, object] = {"--gap": gap, "--time-limit": time_limit}
         if design:
+            console.refuse({"--certify": certify} | limits, "a given design is validated, not optimised", "Leave it out")
             _validate(problem, design, changes, as_json, out)
             return
-        from optlink.tasks.results.certificate import share_text
+        from optlink.tasks.certify import automatic
+        from optlink.tasks.results.certificate import STRICT, share_text
+        from optlink.tasks.run import CERTIFIED
         from optlink.tasks.run import solve as search
 
         file = console.load(problem, changes)
+        if not (automatic(file) if certify is None else certify):
+            possible = certify is None and file.task in CERTIFIED
+            remedy = "Add --certify, or leave it out" if possible else "Leave it out"
+            console.refuse(limits, "there is no proof of a global optimum that it applies to", remedy, file.file)
         seconds = console.quantity(time_limit, "time", "--time-limit")
         with console.share("searching") as progress, console.share("proving") as proving:
             result = search(
@@ -80,13 +94,12 @@ def solve(
                 designs=designs,
                 track=out is not None,
                 certify=certify,
-                gap=gap,
+                gap=STRICT if gap is None else gap,
                 time_limit=math.inf if seconds is None else seconds,
                 proving=proving and (lambda share, gap: proving(share, f", gap {share_text(gap)}")),
             )
         if result.interrupted:
-            of = "" if starts is None else f"of {starts} "
-            print(f"Interrupted: the result is that of the first {result.starts} {of}starts.", file=sys.stderr)
+            print(f"Interrupted: {_interrupted(result, starts)}.", file=sys.stderr)
         _show(result, as_json, out)
 
 
@@ -127,6 +140,16 @@ def _contradictions(design: list[str], file: ProblemFile, found: FunctionResult 
         elif len(design) == 1:
             failed += contradictions(document, found.to_dict())
     return tuple(failed)
+
+
+def _interrupted(result: FunctionResult | PathResult | CycleResult | Balance, starts: int | None) -> str:
+    """Describe what an interrupted search or proof has reached."""
+    certificate = getattr(result, "certificate", None)
+    if certificate is not None:
+        return f"the design is complete, the proof that it is the global optimum is {certificate.text}"
+    if "certify" in result.seconds:
+        return "the design is complete, the proof that it is the global optimum had not begun"
+    return f"the result is that of the first {result.starts} {'' if starts is None else f'of {starts} '}starts"
 
 
 def _show(result: FunctionResult | PathResult | CycleResult | Balance, as_json: bool, out: Path | None) -> None:

@@ -42,6 +42,26 @@ def automatic(problem: ProblemFile) -> bool:
     return isinstance(model, DesignProblem) and model.requirement.robust is None and 0 < len(model.free) <= AUTOMATIC
 
 
+def check_options(gap: float, time_limit: float) -> None:
+    """Raise if an option of the proof is out of range.
+
+    Parameters
+    ----------
+    gap : float
+    time_limit : float [s]
+
+    Raises
+    ------
+    InputError
+        If the gap is not from 1e-12 to less than 1, or the time limit is not above zero.
+    """
+    if not 1e-12 <= gap < 1.0:
+        raise InputError(Fault("out of range", "Give a share from 1e-12 to less than 1, such as 1e-6", key="--gap", value=gap))
+    if not time_limit > 0.0:
+        remedy = 'Give a time above zero, such as "5 min"'
+        raise InputError(Fault("out of range", remedy, key="--time-limit", value=f"{time_limit:g} s"))
+
+
 def certify(
     result: Certified,
     gap: float = STRICT,
@@ -74,10 +94,7 @@ def certify(
     InputError
         If `gap` or `time_limit` is out of range, or no lower bound is available for this kind of problem.
     """
-    if not 1e-12 <= gap < 1.0:
-        raise InputError(Fault("out of range", "Give a gap from 1e-12 to less than 1, such as 1e-6", key="gap", value=gap))
-    if not time_limit > 0.0:
-        raise InputError(Fault("out of range", 'Give a time such as "5 min"', key="time_limit", value=time_limit))
+    check_options(gap, time_limit)
     found: Certified = _Search(result, gap, seed).run(time_limit, boxes, progress)
     return found
 
@@ -97,30 +114,24 @@ class _Search:
         share = INSIDE * self.gap
         share = share * (2.0 - share) if self._square else share
         variants = self.result.problem.variants()
-        problems = [box_problem(variant) for variant in variants]
         searches: list[BranchAndBound] = []
         interrupted = False
-        history: list[tuple[int, float, float]] = []
-        for k, (variant, problem) in enumerate(zip(variants, problems, strict=True)):
-            bounds = LagrangianBounds(problem, self._guess(problem))
-            search = BranchAndBound(bounds, self._squared, share, functools.partial(self._improve, variant, problem))
-            searches.append(search)
-            if self._exact:  # nothing is smaller than zero
-                continue
-            left = seconds - (time.perf_counter() - begin)
-            try:
-                search.run(
-                    left,
-                    boxes - sum(one.boxes for one in searches),
-                    None if progress is None else functools.partial(self._report, progress, k, len(variants)),
-                )
-            except KeyboardInterrupt:
-                interrupted = True
-                searches += [BranchAndBound(LagrangianBounds(p), self._squared, share) for p in problems[k + 1 :]]
-                break
-        for search in searches:
-            history += search.history
-        certificate = self._certificate(searches, variants, history)
+        try:
+            problems = [box_problem(variant) for variant in variants]
+            for variant, problem in zip(variants, problems, strict=True):
+                better = functools.partial(self._improve, variant, problem)
+                searches.append(BranchAndBound(LagrangianBounds(problem), math.inf, share, better))
+            for k, search in enumerate(searches):
+                if self._exact:  # nothing is smaller than zero
+                    break
+                search.bounder = LagrangianBounds(problems[k], self._guess(problems[k]))
+                search.best = self._squared
+                left = seconds - (time.perf_counter() - begin)
+                report = None if progress is None else functools.partial(self._report, progress, k, len(variants))
+                search.run(left, boxes - sum(one.boxes for one in searches), report)
+        except KeyboardInterrupt:
+            interrupted = True
+        certificate = self._certificate(searches, variants) if len(searches) == len(variants) else None
         taken = self.result.seconds | {"certify": time.perf_counter() - begin}
         return replace(self.result, certificate=certificate, seconds=taken, interrupted=self.result.interrupted or interrupted)
 
@@ -205,7 +216,6 @@ class _Search:
         self,
         searches: list[BranchAndBound],
         variants: list[ProblemFile],
-        history: list[tuple[int, float, float]],
     ) -> Certificate:
         lower = 0.0 if self._exact else min(self._value(search.lower) for search in searches)
         known, closed = self._known, self._exact or all(search.closed for search in searches)
@@ -217,7 +227,7 @@ class _Search:
         else:
             status = GLOBAL if self._exact or share <= STRICT * (1.0 + 1e-9) else WITHIN_GAP
         kept = all(search.leaves.test for search in searches)
-        rows = [(boxes, self._value(low), self._value(best)) for boxes, low, best in history]
+        rows = [(boxes, self._value(low), self._value(best)) for boxes, low, best in _history(searches)]
         return Certificate(
             status=status,
             objective=known,
@@ -230,6 +240,19 @@ class _Search:
             history=np.array(rows, dtype=float).reshape(-1, 3),
             covers=tuple(_cover(one, file) for one, file in zip(searches, variants, strict=True)) if kept and closed else (),
         )
+
+
+def _history(searches: list[BranchAndBound]) -> list[tuple[int, float, float]]:
+    """Return boxes, lower bound and best known objective over all searches, in the order in which they ran.
+
+    Before a search has begun, its lower bound is zero.
+    """
+    rows, done, least = [], 0, math.inf
+    for k, search in enumerate(searches):
+        later = 0.0 if k + 1 < len(searches) else math.inf
+        rows += [(done + boxes, min(least, low, later), best) for boxes, low, best in search.history]
+        done, least = done + search.boxes, min(least, search.lower)
+    return rows
 
 
 def _cover(search: BranchAndBound, variant: ProblemFile) -> Cover:

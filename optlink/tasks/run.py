@@ -115,12 +115,13 @@ def solve(
     if certify and problem.task not in CERTIFIED:
         message, remedy = "no certificate of the global optimum for this kind of problem", "Leave it out"
         raise InputError(Fault(message, remedy, problem.file, "--certify"))
+    from optlink.tasks import certify as proof
+
+    proof.check_options(gap, time_limit)
     found: FunctionResult | PathResult | CycleResult | Balance
     found = TASKS[problem.task].solve(problem, Search(backend, starts, seed, progress, designs, track))
     if problem.task not in CERTIFIED or certify is False or found.interrupted:
         return found
-    from optlink.tasks import certify as proof
-
     if certify is None and not proof.automatic(problem):
         return found
     boxes = proof.BUDGET if certify is None else math.inf

@@ -207,10 +207,20 @@ class BranchAndBound:
             Most boxes that are bounded in all.
         report : function of this search, optional
             Called after every batch.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If the search is interrupted: what it has bounded until then holds.
         """
         begin = time.perf_counter()
         while len(self.open) and self.boxes < boxes and time.perf_counter() - begin < seconds:
-            self.step()
+            whole = self.open, self.tiny
+            try:
+                self.step()
+            except BaseException:  # a box that was taken but not bounded is still open: the bound holds after an interrupt
+                self.open, self.tiny = whole
+                raise
             if not self.history or self.boxes >= 1.2 * self.history[-1][0] or not len(self.open):
                 self.history.append((self.boxes, self.lower, self.best))
             if report is not None:
