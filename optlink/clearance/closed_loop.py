@@ -136,6 +136,13 @@ class ClosedLoop:
             blame = int(np.argmax(np.abs(free @ ways[:, 0])))
             raise Weightless(equations.tree.coordinates[equations.free[blame]].body)
 
+    def compile(self) -> None:
+        """Integrate by the compiled engine from now on; the first use compiles it, which takes some seconds."""
+        from optlink.clearance.compiled.integration import CompiledIntegration
+
+        course = self.integration
+        self.integration = CompiledIntegration(course.equations, course.state, course.step, course.tolerance, course.slow)
+
     @property
     def time(self) -> float:
         """Current time [s]."""

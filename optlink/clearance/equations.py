@@ -119,6 +119,7 @@ class Equations:
         self.span, self.tau = casadi.SX.sym("span"), casadi.SX.sym("tau")
         self.entered, self.modes = casadi.SX.sym("entered", k), casadi.SX.sym("modes", k)
         self.begin, self.further = casadi.SX.sym("begin"), casadi.SX.sym("further")  # time; turn beyond the command
+        self.command = casadi.SX.sym("command", 3)  # angle, speed and acceleration of the servo reference
         q, v = casadi.vertsplit(x)[:n], casadi.vertsplit(x)[n:]
         still = [casadi.SX(0.0)] * n
         loose = self.state(q, v, casadi.vertsplit(a))
@@ -170,22 +171,23 @@ class Equations:
             torque = rest[crank] + mass[crank, free] @ solved[: len(free)] + (grip[:, crank].T @ pull if m else 0.0)
         powers = [torque * v[crank], *(known.power(several) for several in loads.values())]
         powers += [power for contact in touches for power in (contact.loss, contact.rubbing)]
-        self.ode, self.powers = casadi.cse([casadi.vertcat(x[n:], whole), casadi.vertcat(*powers)])
+        ode = casadi.vertcat(x[n:], whole)
         depth = casadi.vertcat(*[contact.penetration for contact in touches])
         rate = casadi.vertcat(*[contact.rate for contact in touches])
-        curve = casadi.jtimes(rate, x, self.ode)
+        curve = casadi.jtimes(rate, x, ode)
         normal = casadi.vertcat(*[contact.normal for contact in touches])
         torque = casadi.SX(torque)
         bare = [touch(gap, known.play(gap), v).normal for gap, v in zip(self.gaps, casadi.vertsplit(self.entered), strict=True)]
         # the torque is linear in the modes, which scale the contact forces: derivative with respect to each contact force
         lever = casadi.jacobian(torque, self.modes).T / (casadi.vertcat(*bare) + LEAST_FORCE)
-        over = [casadi.jtimes(part, x, self.ode) + casadi.jtimes(part, self.begin, 1.0) for part in (normal, torque)]
-        self._watched = casadi.cse([depth, rate, curve, normal, over[0], lever, torque, over[1]])
-        self._outcome = casadi.cse([whole, torque, pull])
+        ahead = casadi.vertcat(self.command[1:], 0.0)
+        over = [casadi.jtimes(part, x, ode) + casadi.jtimes(part, self.command, ahead) for part in (normal, torque)]
+        self.rates = [ode, casadi.vertcat(*powers)]
+        self.watched = [depth, rate, curve, normal, over[0], lever, torque, over[1]]
+        self._outcome = [whole, torque, pull]
         self.free, self.symbolic = free, known
         self.masses = CompiledFunction([x], [mass[free, free], held])
-        self.closing, self._closure = m, [x[:n], closure, grip]
-        self._nudge = self._short_step()
+        self.closing, self.closed = m, [x[:n], closure, grip]
 
     def _driven(self, known: ClearanceState) -> tuple[Any, Any]:
         """Acceleration of the crank (or None), and torque on it (or None where it follows from the motion)."""
@@ -194,12 +196,25 @@ class Equations:
         if self.drive.servo is None or self.drive.reference is None:
             return casadi.SX(0.0), None
         servo, crank = self.drive.servo, known.crank
-        angle, speed = self.drive.reference.at(self.begin + self.span * self.tau)
-        lag, slow = angle + self.further - crank.value, speed - crank.rate
+        lag, slow = self.command[0] + self.further - crank.value, self.command[1] - crank.rate
         return servo.bandwidth * servo.bandwidth * lag + 2.0 * servo.damping * servo.bandwidth * slow, None
 
+    def _in_time(self, parts: list[Any]) -> list[Any]:
+        """Return expressions with the servo reference at the time `begin + span tau`."""
+        if self.drive.reference is not None:
+            with symbols_in_numpy():
+                angle, speed = self.drive.reference.at(self.begin + self.span * self.tau)
+            signal = casadi.densify(casadi.vertcat(angle, speed, casadi.jacobian(casadi.SX(speed), self.begin)))
+            parts = casadi.substitute(parts, [self.command], [signal])
+        return list(casadi.cse(parts))
+
+    @cached_property
+    def _flow(self) -> list[Any]:
+        return self._in_time(self.rates)
+
+    @cached_property
     def _short_step(self) -> CompiledFunction:
-        flow = casadi.Function("flow", [self.x, self.parameters, self.tau], [self.ode, self.powers])
+        flow = casadi.Function("flow", [self.x, self.parameters, self.tau], self._flow)
         time, now = casadi.SX.sym("time"), casadi.vertcat(0.0, self.parameters[1:])  # span 0: tau has no effect
 
         def at(slopes: Any, share: float) -> Any:
@@ -224,7 +239,8 @@ class Equations:
         It evaluates `copies` points at a time.
         """
         if copies not in self._watches:
-            self._watches[copies] = CompiledFunction([self.x, self.parameters, self.tau], self._watched, copies)
+            watched = self._in_time(self.watched)
+            self._watches[copies] = CompiledFunction([self.x, self.parameters, self.tau], watched, copies)
         return self._watches[copies]
 
     def dynamics(self, copies: int) -> CompiledFunction:
@@ -233,14 +249,15 @@ class Equations:
         It evaluates `copies` points at a time.
         """
         if copies not in self._outcomes:
-            self._outcomes[copies] = CompiledFunction([self.x, self.parameters, self.tau], self._outcome, copies)
+            outcome = self._in_time(self._outcome)
+            self._outcomes[copies] = CompiledFunction([self.x, self.parameters, self.tau], outcome, copies)
         return self._outcomes[copies]
 
     def closure(self, states: Array) -> tuple[Array, Array]:
         """Return the residuals of the closing joints (m, rows), and their Jacobian over the coordinates (m, rows, n)."""
         count = len(states)
         if count not in self._closures:
-            self._closures[count] = CompiledFunction(self._closure[:1], self._closure[1:], count)
+            self._closures[count] = CompiledFunction(self.closed[:1], self.closed[1:], count)
         opened, grip = self._closures[count](states[:, : self.size].ravel())
         return opened.reshape(count, -1), grip.reshape(count, self.size, -1).transpose(0, 2, 1)
 
@@ -256,7 +273,7 @@ class Equations:
         time : float [s]
             Time step, may be negative.
         """
-        moved, works = self._nudge(state, parameters, np.array([time]))
+        moved, works = self._short_step(state, parameters, np.array([time]))
         return moved, works
 
     def integrator(self, steps: int, tolerance: float, *, stiff: bool = False) -> BufferedFunction:
@@ -280,8 +297,8 @@ class Equations:
             "x": self.x,
             "p": self.parameters,
             "t": self.tau,
-            "ode": self.span * self.ode,
-            "quad": self.span * self.powers,
+            "ode": self.span * self._flow[0],
+            "quad": self.span * self._flow[1],
         }
         # Adams: between the switches the motion is smooth; measured a quarter faster than BDF, in contact as well as apart.
         # In a contact that lasts for many of its vibrations these have decayed: then only BDF takes steps of the motion's scale.

@@ -111,6 +111,13 @@ def simulate(
             metavar="X", help="With clearance: relative tolerance of the integrator. Default: 1e-10; to compare or tune 1e-8."
         ),
     ] = None,
+    integrator: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="With clearance, integrator: cvodes, compiled (needs numba); auto (default): compiled for long work.",
+        ),
+    ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="With clearance: resume the interrupted run in --out DIR.")] = False,
     ideal: Annotated[bool, typer.Option("--ideal", help="Ignore joint clearance.")] = False,
     changes: Set = None,
@@ -133,6 +140,7 @@ def simulate(
                 "--revolutions": revolutions,
                 "--control": control,
                 "--tolerance": tolerance,
+                "--integrator": integrator,
                 "--resume": resume,
             }
             of_gaps["--tune"] = tune
@@ -168,7 +176,9 @@ def simulate(
         if not loose:
             _ideal(asked)
         elif comparing:
-            _compared(asked, revolutions, resume, starts=starts, seed=seed, workers=workers, tolerance=tolerance)
+            _compared(
+                asked, revolutions, resume, starts=starts, seed=seed, workers=workers, tolerance=tolerance, integrator=integrator
+            )
         elif tune:
             given_options = {
                 "evaluations": evaluations,
@@ -176,10 +186,11 @@ def simulate(
                 "seed": seed,
                 "workers": workers,
                 "tolerance": tolerance,
+                "integrator": integrator,
             }
             _tuned(asked, revolutions, control or "inverse+pid", tune, resume, **given_options)
         else:
-            _loose(asked, revolutions, control or "none", tolerance, resume)
+            _loose(asked, revolutions, control or "none", resume, tolerance=tolerance, integrator=integrator)
 
 
 def _ideal(asked: Run) -> None:
@@ -201,7 +212,7 @@ def _ideal(asked: Run) -> None:
         raise typer.Exit(3 if result.run.ending.value == "stalled" else 1)
 
 
-def _loose(asked: Run, revolutions: int | None, control: str, tolerance: float | None, resume: bool) -> None:
+def _loose(asked: Run, revolutions: int | None, control: str, resume: bool, **options: Any) -> None:
     """Simulate a machine with joint clearance."""
     from optlink.report.files import checkpoint, write_json
     from optlink.tasks.clearance import simulate_clearance
@@ -221,7 +232,8 @@ def _loose(asked: Run, revolutions: int | None, control: str, tolerance: float |
             stream=stream,
             checkpoint=None if asked.out is None else functools.partial(write_json, asked.out / "checkpoint.json"),
             resume=begun,
-            **_said(points=asked.points, tolerance=tolerance),
+            compiling=_compiling,
+            **_said(points=asked.points, **options),
         )
     console.deliver(found, "clearance", None, asked.as_json, asked.out)
     if not found.finished:
@@ -261,6 +273,11 @@ def _tuned(asked: Run, revolutions: int | None, control: str, names: list[str], 
     _shown(asked, found, "tuning")
 
 
+def _compiling() -> contextlib.AbstractContextManager[None]:
+    """Show that the equations are being compiled."""
+    return console.working("Compiling the equations of motion (cached for the next time)")
+
+
 def _many(options: dict[str, Any]) -> dict[str, Any]:
     """Return the options of many runs: as many processes as cores by default."""
     from optlink.tasks.parallel_runs import cores
@@ -298,6 +315,7 @@ def _kept(asked: Run, resume: bool, parts: str, what: str) -> Iterator[dict[str,
                 "speed": asked.speed,
                 "design": asked.design,
                 "progress": progress,
+                "compiling": _compiling,
                 "checkpoint": keep,
                 "resume": begun,
                 **_said(points=asked.points),

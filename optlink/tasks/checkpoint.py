@@ -31,6 +31,7 @@ class ClearanceCheckpoint(Checkpoint):
     start_rad: float
     control: str
     skipped: int
+    integrator: str = "cvodes"
     flywheel_kg_m2: float
     revolutions: int
     closed_loop: dict[str, Any]
@@ -45,6 +46,7 @@ class ManyRuns(Checkpoint):
     revolutions: int
     starts: int
     seed: int
+    integrator: str = "cvodes"
     complete: int
     total: int
 
@@ -93,6 +95,7 @@ def read_checkpoint(kind: type[C], document: Mapping[str, Any], options: Mapping
         If the checkpoint is that of other options or of another version, or damaged.
     """
     [schema] = get_args(kind.model_fields["format"].annotation)
+    document = {"integrator": "cvodes", **document}  # that of versions without another one
     for name, value in {"schema": schema, **options}.items():
         if document.get(name) != value:
             whose = "has another format" if name == "schema" else "is that of another command"

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.clearance.closed_loop import ClosedLoop
+from optlink.clearance.compiled.choice import IntegratorKind, chosen
 from optlink.clearance.controller import PID, Control, Controller, Gains
 from optlink.clearance.equations import Drive, Servo, Weightless
 from optlink.clearance.integration import Stalled
@@ -23,7 +24,7 @@ from optlink.clearance.inverse_model import Inverse, leverage
 from optlink.clearance.joint import Gap
 from optlink.clearance.output import Output, default_output, outputs
 from optlink.clearance.reference_signal import constant_speed
-from optlink.clearance.statistics import PredictabilityCheck, Statistics, table
+from optlink.clearance.statistics import WATCHED, PredictabilityCheck, Statistics, table
 from optlink.dynamics.ending import Ending
 from optlink.dynamics.machine import Machine
 from optlink.errors import Fault, InputError
@@ -123,10 +124,12 @@ def simulate_clearance(
     flywheel: float = 0.0,
     tolerance: float = 1e-10,
     twin: bool = True,
+    integrator: str = "auto",
     progress: Callable[[float], None] | None = None,
     stream: Callable[[Mapping[str, Array]], None] | None = None,
     checkpoint: Callable[[dict[str, Any]], None] | None = None,
     resume: Mapping[str, Any] | None = None,
+    compiling: Callable[[], contextlib.AbstractContextManager[None]] = contextlib.nullcontext,
 ) -> ClearanceSimulation:
     """Simulate a machine with joint clearance; the initial state is that of the machine without clearance.
 
@@ -152,6 +155,9 @@ def simulate_clearance(
         Relative tolerance of the integrator; the absolute one is a thousandth of it (SI).
     twin : bool
         Whether a second run at a coarser tolerance determines how long the motion is predictable.
+    integrator : str
+        Integrator: "cvodes", "compiled" (needs numba), or "auto": compiled for long work, if numba is installed; a run that
+        resumes keeps its integrator.
     progress : function of the completed fraction, optional
     stream : function of the rows of a revolution, optional
         Called after every revolution; memory does not grow with the number of revolutions.
@@ -160,6 +166,8 @@ def simulate_clearance(
     resume : mapping, optional
         Document of a checkpoint: the run continues from there, with results identical to those of an uninterrupted run. The
         document does not contain earlier rows.
+    compiling : function to a context manager, optional
+        Its context is open while the equations are compiled.
 
     Returns
     -------
@@ -175,9 +183,16 @@ def simulate_clearance(
     setting = _setting(problem, points, speed, control, start, design, flywheel)
     _check(revolutions, points, tolerance)
     plant = setting.plant(tolerance)
-    account, pair = Statistics(plant), None
-    if twin:
-        pair = PredictabilityCheck(setting.plant(tolerance * COARSER))
+    if resume is not None and integrator == IntegratorKind.AUTO:
+        integrator = str(resume.get("integrator", IntegratorKind.CVODES))
+    integrator = chosen(integrator, plant, revolutions + min(revolutions, WATCHED) * twin)
+    pair = PredictabilityCheck(setting.plant(tolerance * COARSER)) if twin else None
+    plants = [plant] if pair is None else [plant, pair.closed_loop]
+    if integrator is IntegratorKind.COMPILED:
+        with compiling():
+            for one in plants:
+                one.compile()
+    account = Statistics(plant)
     skipped = revolutions - revolutions_counted(revolutions)
     options = {
         "problem_hash": problem.hash,
@@ -187,6 +202,7 @@ def simulate_clearance(
         "points": points,
         "tolerance": tolerance,
         "skipped": skipped,
+        "integrator": str(integrator),
         "design": None if design is None else dict(design),
         "flywheel_kg_m2": flywheel,
     }
@@ -213,7 +229,6 @@ def simulate_clearance(
 
     kept_at, saved = time.monotonic(), save()
     ending, message, notes = Ending.FINISHED, f"{revolutions} revolutions were simulated", list(_told(setting, plant))
-    plants = [plant] if pair is None else [plant, pair.closed_loop]
     try:
         with _interruptible(plants):
             for k in range(account.count, revolutions):
@@ -273,6 +288,7 @@ def simulate_clearance(
         message,
         tuple(notes),
         tolerance,
+        str(integrator),
     )
 
 
@@ -281,7 +297,7 @@ def revolutions_counted(revolutions: int) -> int:
     return revolutions - SETTLED if revolutions > 2 * SETTLED else revolutions
 
 
-def checked_output(
+def checked(
     problem: ProblemFile,
     control: str,
     *,
@@ -290,13 +306,20 @@ def checked_output(
     tolerance: float,
     speed: float | None = None,
     design: Mapping[str, float] | None = None,
-) -> Output:
-    """Check the options of a simulation, and return the output whose deviation it measures.
+    integrator: str = "auto",
+    runs: int = 1,
+    compiling: Callable[[], contextlib.AbstractContextManager[None]] = contextlib.nullcontext,
+) -> tuple[Output, str]:
+    """Check the options of a number of simulations; return the output whose deviation they measure, and their integrator.
+
+    Equations for the compiled integrator are compiled and cached on the disk.
 
     Parameters
     ----------
-    problem, control, revolutions, points, tolerance, speed, design
+    problem, control, revolutions, points, tolerance, speed, design, integrator, compiling
         As in `simulate_clearance`.
+    runs : int
+        Number of simulations.
 
     Raises
     ------
@@ -305,8 +328,12 @@ def checked_output(
     """
     setting = _setting(problem, points, speed, control, None, design, 0.0)
     _check(revolutions, points, tolerance)
-    setting.plant(tolerance)
-    return setting.output
+    plant = setting.plant(tolerance)
+    integrator = chosen(integrator, plant, revolutions * runs)
+    if integrator is IntegratorKind.COMPILED:
+        with compiling():
+            plant.compile()
+    return setting.output, str(integrator)
 
 
 @contextlib.contextmanager

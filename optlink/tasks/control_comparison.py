@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.clearance.compiled.choice import IntegratorKind
 from optlink.clearance.controller import Control
 from optlink.clearance.output import Output
 from optlink.errors import Fault, InputError
 from optlink.problem.base_model import SPELLINGS
 from optlink.problem.file import ProblemFile
 from optlink.tasks.checkpoint import ComparisonCheckpoint, RunRecord, TuningCheckpoint, damaged, read_checkpoint
-from optlink.tasks.clearance import checked_output
+from optlink.tasks.clearance import checked
 from optlink.tasks.machine import machine_of
 from optlink.tasks.parallel_runs import RunResult, job_of, run_jobs
 from optlink.tasks.results.control_comparison import Comparison, Trials, Tuning
@@ -66,9 +68,11 @@ def compare(
     tolerance: float = 1e-8,
     design: Mapping[str, float] | None = None,
     workers: int | None = None,
+    integrator: str = "auto",
     progress: Callable[[float], None] | None = None,
     checkpoint: Callable[[dict[str, Any]], None] | None = None,
     resume: Mapping[str, Any] | None = None,
+    compiling: Callable[[], contextlib.AbstractContextManager[None]] = contextlib.nullcontext,
 ) -> Comparison:
     """Compare kinds of clearance control by simulations from several random initial crank angles.
 
@@ -95,11 +99,15 @@ def compare(
     workers : int, optional
         Number of processes. Default: the calling process only. The results do not depend on it. A script that starts processes
         must guard its code by `if __name__ == "__main__":`.
+    integrator : str
+        As in `simulate_clearance`; "auto" counts all runs.
     progress : function of the completed fraction, optional
     checkpoint : function of a document, optional
         Called after every run with a JSON-compatible document of all completed runs.
     resume : mapping, optional
         Document of a checkpoint; its runs are not repeated.
+    compiling : function to a context manager, optional
+        As in `simulate_clearance`.
 
     Returns
     -------
@@ -118,8 +126,13 @@ def compare(
     label = {**common, "problem_hash": problem.hash, "kinds": list(kinds), "starts": starts, "seed": seed}
     label["design"] = None if design is None else dict(design)
     common["design"] = design
-    for kind in kinds:  # refuse options that no run accepts, before any process starts
-        checked_output(problem, control=kind, **common)
+    if resume is not None and integrator == IntegratorKind.AUTO:
+        integrator = str(resume.get("integrator", IntegratorKind.CVODES))
+    for kind in kinds:  # refuse options that no run accepts, before any process starts; and compile, once for all
+        _, integrator = checked(
+            problem, control=kind, integrator=integrator, runs=starts * len(kinds), compiling=compiling, **common
+        )
+    label["integrator"] = common["integrator"] = integrator
     kept = {} if resume is None else _runs(read_checkpoint(ComparisonCheckpoint, resume, label))
     # ordered by start, so that the progress predicts the remaining time; figures need the whole first run of each kind
     order = [(kind, k) for k in range(starts) for kind in kinds]
@@ -180,9 +193,11 @@ def tune(
     tolerance: float = 1e-8,
     design: Mapping[str, float] | None = None,
     workers: int | None = None,
+    integrator: str = "auto",
     progress: Callable[[float], None] | None = None,
     checkpoint: Callable[[dict[str, Any]], None] | None = None,
     resume: Mapping[str, Any] | None = None,
+    compiling: Callable[[], contextlib.AbstractContextManager[None]] = contextlib.nullcontext,
 ) -> Tuning:
     """Tune controller parameters: minimise the mean error over several initial crank angles.
 
@@ -209,7 +224,7 @@ def tune(
         Revolutions per run.
     speed, points, tolerance, design
         As in `compare`.
-    workers, progress
+    workers, integrator, progress, compiling
         As in `compare`.
     checkpoint : function of a document, optional
         Called after every evaluation with a JSON-compatible document of all completed evaluations.
@@ -243,7 +258,11 @@ def tune(
     sobol = qmc.Sobol(len(names), seed=seed).random(1 << int(np.ceil(np.log2(max(2, evaluations // 2)))))
     common: dict[str, Any] = {"revolutions": revolutions, "points": points, "tolerance": tolerance, "speed": speed}
     common["design"] = design
-    output = checked_output(problem, control=control, **common)
+    if resume is not None and integrator == IntegratorKind.AUTO:
+        integrator = str(resume.get("integrator", IntegratorKind.CVODES))
+    runs = starts * (evaluations + 1)
+    output, integrator = checked(problem, control=control, integrator=integrator, runs=runs, compiling=compiling, **common)
+    common["integrator"] = integrator
     label = {**common, "problem_hash": problem.hash, "control": control, "names": list(names)}
     label |= {"evaluations": evaluations, "starts": starts, "seed": seed, "design": None if design is None else dict(design)}
     kept = [] if resume is None else read_checkpoint(TuningCheckpoint, resume, label).costs

@@ -51,6 +51,8 @@ class RunJob:
     tolerance : float
     speed : float [rad/s], optional
     design : mapping of str to float [SI], optional
+    integrator : str
+        "cvodes" or "compiled".
     limit : float [m, rad]
         Rms error above which the run stops.
     whole : bool
@@ -68,6 +70,7 @@ class RunJob:
     tolerance: float
     speed: float | None = None
     design: Mapping[str, float] | None = None
+    integrator: str = "cvodes"
     limit: float = math.inf
     whole: bool = False
 
@@ -130,6 +133,7 @@ def run_job(job: RunJob) -> RunResult:
                 raise ErrorLimitExceeded
 
     options: dict[str, Any] = {"start": job.start, "design": job.design, "tolerance": job.tolerance, "twin": False}
+    options["integrator"] = job.integrator
     try:
         run = simulate_clearance(
             problem,

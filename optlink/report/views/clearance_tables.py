@@ -21,7 +21,7 @@ def simulation(outcome: ClearanceSimulation) -> Summary:
     title = outcome.problem.model.title
     if not outcome.revolutions:
         return summary(title, _status(outcome))
-    remark = f"Tolerance {outcome.tolerance:g}"
+    remark = f"Tolerance {outcome.tolerance:g}{', compiled integrator' if outcome.integrator == 'compiled' else ''}"
     if outcome.sample_time is not None:
         remark += f", controller sampled every {outcome.sample_time * 1e3:.6g} ms"
     parts = _error(outcome), _contacts(outcome), _account(outcome), Paragraph(quiet(remark), appendix=True)

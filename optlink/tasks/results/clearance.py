@@ -60,6 +60,7 @@ class ClearanceRecord(ResultRecord):
     start_rad: Annotated[float, "start"]
     sample_time_s: Annotated[float | None, "sample_time"]
     tolerance: float
+    integrator: str = "cvodes"
     gaps: tuple[Gap, ...]
     notes: tuple[str, ...]
     figures: dict[str, Number]
@@ -116,6 +117,7 @@ class ClearanceSimulation(Recorded):
     message: str
     notes: tuple[str, ...]
     tolerance: float
+    integrator: str = "cvodes"
 
     def __getitem__(self, name: str) -> Array:
         return self.columns[name]

@@ -1,0 +1,80 @@
+"""Choice of the integrator of a machine with joint clearance: by the work that is requested, never by what is cached."""
+
+from __future__ import annotations
+
+import enum
+
+from optlink.clearance.closed_loop import ClosedLoop
+from optlink.errors import Fault, InputError
+
+
+class IntegratorKind(enum.StrEnum):
+    """Integrator of machines with joint clearance."""
+
+    AUTO = "auto"
+    CVODES = "cvodes"
+    COMPILED = "compiled"
+
+
+WORTH = 6.0
+"""Seconds of work of CVODES from which on the compiled integrator is faster even if everything must be compiled first."""
+
+REVOLUTION, ROW = 0.02, 2.5e-5
+"""Seconds of CVODES for a revolution and for each of its rows, per joint with clearance (measured on the shipped machines)."""
+
+INSTALL = 'Install it: pip install "optlink[fast]", or leave the integrator to optlink'
+
+
+def installed() -> bool:
+    """Return whether numba, which the compiled integrator needs, is installed, and supports the installed numpy."""
+    try:
+        import numba  # noqa: F401
+    except ImportError:
+        return False
+    return True
+
+
+def chosen(integrator: str, plant: ClosedLoop, revolutions: float) -> IntegratorKind:
+    """Return the integrator for some work: the requested one, or the faster one.
+
+    The choice depends on the request alone, not on the state of the cache, so that repeated commands give identical results.
+
+    Parameters
+    ----------
+    integrator : str
+        "auto", "cvodes" or "compiled".
+    plant : ClosedLoop
+        A machine of the work.
+    revolutions : float
+        Revolutions of all runs.
+
+    Raises
+    ------
+    InputError
+        The integrator is unknown or not installed, or cannot compile this machine.
+    """
+    if integrator not in list(IntegratorKind):
+        raise InputError(
+            Fault("no such integrator", f"Take one of {', '.join(IntegratorKind)}", key="integrator", value=integrator)
+        )
+    wanted = IntegratorKind(integrator)
+    seconds = revolutions * len(plant.equations.gaps) * (REVOLUTION + ROW * plant.rows)
+    if wanted is IntegratorKind.CVODES or (wanted is IntegratorKind.AUTO and (plant.integration.slow or seconds < WORTH)):
+        return IntegratorKind.CVODES
+    if not installed():
+        if wanted is IntegratorKind.AUTO:
+            return IntegratorKind.CVODES
+        raise InputError(
+            Fault("numba is not installed, or does not support the installed numpy", INSTALL, key="integrator", value=integrator)
+        )
+    from optlink.clearance.compiled.machine import code_of
+    from optlink.clearance.compiled.source import Unsupported
+
+    try:
+        code_of(plant.equations)
+    except Unsupported as error:
+        if wanted is IntegratorKind.AUTO:
+            return IntegratorKind.CVODES
+        message = f"a formula of the machine cannot be compiled: {error}"
+        raise InputError(Fault(message, "Take the integrator cvodes", key="integrator", value=integrator)) from None
+    return IntegratorKind.COMPILED

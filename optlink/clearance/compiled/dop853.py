@@ -1,0 +1,309 @@
+"""One step of an explicit Runge-Kutta method of order 8, with error estimate and dense output of order 7, compiled by numba.
+
+The equations of a machine come as `model`: the addresses of its compiled functions (x, p, c, o), see `machine.py`, their
+constants c, and the servo reference. `p` has the feedback correction, then angle, speed and acceleration of the reference.
+
+References
+----------
+E. Hairer, S. P. Norsett, G. Wanner: Solving Ordinary Differential Equations I, 2nd ed. 1993, sections II.5 (error estimate of
+orders 5 and 3 combined) and II.6 (dense output). The coefficients are those of their code DOP853, as published by SciPy.
+"""
+
+from __future__ import annotations
+
+from math import cos, sin, sqrt
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import njit, types
+from numba.extending import intrinsic
+from scipy.integrate import DOP853
+
+A: Any = np.ascontiguousarray(np.vstack([np.pad(DOP853.A, ((0, 0), (0, 4))), np.pad(DOP853.B, (0, 4))[None], DOP853.A_EXTRA]))
+"""(16, 16): stages 0 to 11; the new state, which is stage 12; stages 13 to 15 of the dense output."""
+
+C: Any = np.concatenate([DOP853.C, [1.0], DOP853.C_EXTRA])
+E3, E5, D = (np.ascontiguousarray(part) for part in (DOP853.E3, DOP853.E5, DOP853.D))
+STAGES = 12
+POWERS = 7  # of the dense output
+SAFETY, LEAST, MOST = 0.9, 0.2, 10.0  # of the change of the step size
+ABSOLUTE = 1e-3
+"""Absolute tolerance as a share of the relative one [SI]."""
+
+RHS, GAPS, WATCH, PROJECT, CONSTANTS, REFERENCE, HARMONICS = range(7)
+"""Places in `model`."""
+
+ENTRY: Any = {"error_model": "numpy", "_nrt": False}
+"""Options of a function that Python calls: no function allocates, so none counts references."""
+
+HELPER: Any = {**ENTRY, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+"""Options of functions that are called by compiled functions only."""
+
+
+def _generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    pointer = ir.DoubleType().as_pointer()
+    kind = ir.FunctionType(ir.VoidType(), [pointer] * 4)
+    arrays = zip(signature.args[1:], values[1:], strict=True)
+    data = [context.make_array(each)(context, builder, value).data for each, value in arrays]
+    builder.call(builder.inttoptr(values[0], kind.as_pointer()), data)
+    return context.get_dummy_value()
+
+
+@intrinsic  # type: ignore[untyped-decorator, unused-ignore]
+def _call(typing: Any, address: Any, x: Any, p: Any, c: Any, o: Any) -> Any:
+    """Call the compiled function at an address with the data of four arrays."""
+    return types.void(address, x, p, c, o), _generate
+
+
+call: Any = _call
+
+
+@njit(**HELPER)
+def copy(source, target):
+    """Copy one array to another.
+
+    Parameters
+    ----------
+    source : array
+    target : array
+    """
+    for i in range(source.shape[0]):
+        target[i] = source[i]
+
+
+@njit(**HELPER)
+def command(time, model, p):
+    """Write angle, speed and acceleration of the servo reference to p, as `ReferenceSignal.at` defines them.
+
+    Parameters
+    ----------
+    time : float [s]
+        Time at the begin of the step.
+    model : tuple
+        See above.
+    p : array
+        See above.
+    """
+    harmonics = model[HARMONICS]
+    start, speed = model[REFERENCE][0], model[REFERENCE][1]
+    angle, rate, twice = start + speed * time, speed, 0.0
+    base = abs(speed)
+    one_c, one_s = cos(base * time), sin(base * time)
+    c, s = 1.0, 0.0
+    for k in range(harmonics.shape[0]):
+        w, re, im = k * base, harmonics[k, 0], harmonics[k, 1]
+        along, across = re * c - im * s, re * s + im * c
+        angle += along
+        rate -= w * across
+        twice -= w * w * along
+        c, s = c * one_c - s * one_s, s * one_c + c * one_s
+    p[1], p[2], p[3] = angle, rate, twice
+
+
+@njit(**HELPER)
+def evaluate(time, x, model, p, slopes):
+    """Evaluate the rates of the state and the powers at a time.
+
+    Parameters
+    ----------
+    time : float [s]
+        Time at the begin of the step.
+    x : array
+        State; written where it is an intermediate array.
+    model : tuple
+        See above.
+    p : array
+        See above.
+    slopes : array (m,)
+        Result.
+    """
+    command(time, model, p)
+    call(model[RHS], x, p, model[CONSTANTS], slopes)
+
+
+@njit(**HELPER)
+def combine(row, y, h, k, n, out):
+    """Add h times the slopes k, weighted by a row of coefficients, to the first n of a state.
+
+    Parameters
+    ----------
+    row : int
+        Row of A.
+    y : array (m,)
+        State and works at the begin of the step.
+    h : float [s]
+        Step size.
+    k : array (16, m)
+        Slopes of the stages.
+    n : int
+        Length of the state without the works.
+    out : array
+        Result.
+    """
+    for i in range(n):
+        out[i] = y[i]
+    for j in range(row):
+        a = A[row, j]
+        if a != 0.0:
+            a *= h
+            for i in range(n):
+                out[i] += a * k[j, i]
+
+
+@njit(**HELPER)
+def attempt(time, h, y, new, k, between, n, model, p):
+    """Take one step from y to new: stages 1 to 12 in k, of which stage 0 is known.
+
+    Parameters
+    ----------
+    time : float [s]
+        Time at the begin of the step.
+    h : float [s]
+        Step size.
+    y : array (m,)
+        State and works at the begin of the step.
+    new : array (m,)
+        State and works at its end.
+    k : array (16, m)
+        Slopes of the stages.
+    between : array (m,)
+        Intermediate state.
+    n : int
+        Length of the state without the works.
+    model : tuple
+        See above.
+    p : array
+        See above.
+    """
+    for s in range(1, STAGES + 1):
+        at = new if s == STAGES else between
+        combine(s, y, h, k, y.shape[0] if s == STAGES else n, at)
+        evaluate(time + C[s] * h, at, model, p, k[s])
+
+
+@njit(**HELPER)
+def error_of(y, new, k, h, tolerance):
+    """Return the estimated error of a step as a share of the tolerance (Hairer et al., II.5, equation 10.17).
+
+    Parameters
+    ----------
+    y : array (m,)
+        State and works at the begin of the step.
+    new : array (m,)
+        State and works at its end.
+    k : array (16, m)
+        Slopes of the stages.
+    h : float [s]
+        Step size.
+    tolerance : float
+        Relative tolerance.
+    """
+    fifth, third = 0.0, 0.0
+    for i in range(y.shape[0]):
+        e5, e3 = 0.0, 0.0
+        for j in range(STAGES + 1):
+            e5 += k[j, i] * E5[j]
+            e3 += k[j, i] * E3[j]
+        scale = tolerance * (ABSOLUTE + max(abs(y[i]), abs(new[i])))
+        fifth += (e5 / scale) ** 2
+        third += (e3 / scale) ** 2
+    if fifth == 0.0 and third == 0.0:
+        return 0.0
+    return abs(h) * fifth / sqrt((fifth + 0.01 * third) * y.shape[0])
+
+
+@njit(**HELPER)
+def change_of(error):
+    """Return the factor of the next step size."""
+    if not error < 1e300:
+        return 0.1
+    return MOST if error == 0.0 else min(MOST, max(LEAST, SAFETY * error ** (-0.125)))
+
+
+@njit(**HELPER)
+def interpolant(time, h, y, new, k, between, n, model, p, f):
+    """Compute the coefficients f (7, m) of the dense output of a step.
+
+    Parameters
+    ----------
+    time : float [s]
+        Time at the begin of the step.
+    h : float [s]
+        Step size.
+    y : array (m,)
+        State and works at the begin of the step.
+    new : array (m,)
+        State and works at its end.
+    k : array (16, m)
+        Slopes of the stages.
+    between : array (m,)
+        Intermediate state.
+    n : int
+        Length of the state without the works.
+    model : tuple
+        See above.
+    p : array
+        See above.
+    f : array (7, m)
+        Coefficients of the dense output.
+    """
+    m = y.shape[0]
+    for s in range(STAGES + 1, STAGES + 4):
+        combine(s, y, h, k, n, between)
+        evaluate(time + C[s] * h, between, model, p, k[s])
+    for i in range(m):
+        over = new[i] - y[i]
+        f[0, i] = over
+        f[1, i] = h * k[0, i] - over
+        f[2, i] = 2.0 * over - h * (k[STAGES, i] + k[0, i])
+        for r in range(POWERS - 3):
+            total = 0.0
+            for j in range(STAGES + 4):
+                total += D[r, j] * k[j, i]
+            f[3 + r, i] = h * total
+
+
+@njit(**HELPER)
+def inside(share, f, y, n, out):
+    """Evaluate the first n of the state at a share of the step.
+
+    Parameters
+    ----------
+    share : float
+        Place within the step, 0 to 1.
+    f : array (7, m)
+        Coefficients of the dense output.
+    y : array (m,)
+        State and works at the begin of the step.
+    n : int
+        Length of the state without the works.
+    out : array
+        Result.
+    """
+    rest = 1.0 - share
+    for i in range(n):
+        value = f[POWERS - 1, i] * share
+        for r in range(POWERS - 2, -1, -1):
+            value = (value + f[r, i]) * (rest if (POWERS - 1 - r) % 2 else share)
+        out[i] = y[i] + value
+
+
+@njit(**HELPER)
+def cubic_summit(y0, y1, a, b):
+    """Return the maximum of the cubic with these values and slopes (per interval) at its ends.
+
+    Parameters
+    ----------
+    y0, y1 : float
+        Values at both ends.
+    a, b : float
+        Slopes there, per interval.
+    """
+    p, q = a + b - 2.0 * (y1 - y0), 3.0 * (y1 - y0) - 2.0 * a - b
+    below = sqrt(max(q * q - 3.0 * p * a, 0.0)) - q
+    best = max(y0, y1)
+    if below > 0.0:
+        u = min(max(a / below, 0.0), 1.0)
+        best = max(best, y0 + u * (a + u * (q + u * p)))
+    return best

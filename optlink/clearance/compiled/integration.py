@@ -1,0 +1,131 @@
+"""Integration of a machine with joint clearance by the compiled engine, with the interface of `Integration`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.clearance.compiled import motion
+from optlink.clearance.compiled.machine import code_of, engine
+from optlink.clearance.contact_laws import SLOWEST
+from optlink.clearance.integration import BUSY, DEEPEST, Block, Impact, Integration, Stalled
+
+Array = NDArray[np.float64]
+ROWS = 4096
+"""Most rows of a call."""
+
+STEPS = 10_000
+"""Most steps of a call, after which a keyboard interrupt is noticed: about a tenth of a second."""
+
+EVENTS = 512
+"""Most switches of a call."""
+
+
+@dataclass
+class CompiledIntegration(Integration):
+    """A motion during its integration by the compiled engine; parameters as those of `Integration`."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        equations, gaps = self.equations, len(self.equations.gaps)
+        code = code_of(equations)
+        self._advance = engine().advance
+        reference = equations.drive.reference if equations.drive.servo is not None else None
+        speeds = np.zeros(2) if reference is None else np.array([reference.start, reference.speed])
+        harmonics = np.zeros(0, dtype=complex) if reference is None else reference.harmonics
+        series = np.ascontiguousarray(np.column_stack([harmonics.real, harmonics.imag]), dtype=float)
+        self._model = (*code.addresses, code.constants, speeds, series)
+        self._limits = np.array([DEEPEST * gap.radius for gap in equations.gaps])
+        self._clock, self._contact = np.zeros(5), np.zeros(gaps)
+        self._peaks = np.zeros(2 * gaps + 1)
+        self._gained = np.zeros(len(equations.losses))  # works since the last restart: the error of works is relative to them
+        self._before = self.works.copy()
+        self._space = motion.workspace(2 * equations.size, 2 * equations.size + len(equations.losses), gaps)
+        self._call(0)  # compiles the engine, the first time
+
+    def restart(self) -> None:
+        """Forget the step size, so that the continuation depends on the state alone."""
+        self._clock[motion.TRIAL] = 0.0
+        self._before, self._gained = self.works.copy(), np.zeros_like(self._gained)
+        self._contact[:] = 0.0
+        for gap, impact in self.open.items():
+            self._contact[gap] = impact.penetration
+
+    def advance(self, rows: int) -> Iterator[Block]:
+        """Integrate a number of rows; yields them in blocks.
+
+        Raises
+        ------
+        Stalled
+            The integration cannot continue.
+        """
+        while rows:
+            block, status = self._call(min(rows, ROWS))
+            rows -= len(block.time)
+            if len(block.time):
+                yield block
+            if self.stop():
+                raise KeyboardInterrupt
+            self._refuse(status)
+
+    def _call(self, rows: int) -> tuple[Block, int]:
+        n, k = 2 * self.equations.size, len(self.equations.gaps)
+        y = np.concatenate([self.state, self._gained])
+        modes, entered = self.modes.copy(), self.entered.copy()
+        states, works = np.empty((rows, n)), np.empty((rows, len(self._gained)))
+        every, approach, events = np.empty((rows, k)), np.empty((rows, k)), np.empty((EVENTS, 6))
+        self._clock[motion.AHEAD] = self.ahead
+        self.calls += 1
+        status, done, written = self._advance(
+            self._model, self.equations.closing, self.row, rows, self.step, self.tolerance, float(self.further),
+            self.equations.tree.driven, self._limits, STEPS, BUSY, SLOWEST,
+            y, self._before, self._clock, modes, entered, self._contact, self._peaks,
+            self._space, states, works, every, approach, events,
+        )  # fmt: skip
+        times = (self.row + np.arange(1.0, done + 1.0)) * self.step
+        block = Block(times, states[:done], every[:done], approach[:done], works[:done])
+        self.row, self.ahead = self.row + done, float(self._clock[motion.AHEAD])
+        self.state, self._gained = y[:n].copy(), y[n:].copy()
+        self.works = self._before + self._gained
+        self.modes, self.entered = modes, entered
+        for event in events[:written]:
+            self._record(event)
+        return block, int(status)
+
+    def _record(self, event: Array) -> None:
+        """Record the begin or end of a contact."""
+        gap, time, rate = int(event[motion.GAP]), float(event[motion.TIME]), float(event[motion.RATE])
+        self.switches += 1
+        if event[motion.BEGINS]:
+            self.open[gap] = Impact(gap, time, float(event[motion.ANGLE]), rate, 0.0, np.nan, np.nan)
+        else:
+            deepest = float(event[motion.DEPTH])
+            self.finished.append(self.open.pop(gap)._replace(penetration=deepest, end=time, departure=-rate))
+
+    def _refuse(self, status: int) -> None:
+        """Raise for a call that ended because the integration cannot continue."""
+        if status == motion.DEEP:
+            self._check()
+        reasons = {
+            motion.STUCK: "the integrator cannot continue",
+            motion.INFINITE: "the motion has no finite value any more",
+            motion.DEEP: "the journal is too deep in its bearing",
+            motion.BUSY: f"more than {BUSY} contacts begin and end within {self.step:.3g} s",
+        }
+        if status in reasons:
+            raise Stalled(reasons[status])
+
+    def take_peaks(self) -> tuple[float, ...]:
+        """Return the maxima since the last call: penetrations [m] and normal forces [N] of all gaps, torque [N m]."""
+        self.open = {impact.gap: impact for impact in self.lasting}
+        found = tuple(self._peaks.tolist())
+        self._peaks[:] = 0.0
+        return found
+
+    @property
+    def lasting(self) -> tuple[Impact, ...]:
+        """The contacts that have not ended."""
+        return tuple(one._replace(penetration=max(one.penetration, float(self._contact[gap]))) for gap, one in self.open.items())

@@ -1,0 +1,163 @@
+"""Equations of one machine as machine code, kept on the disk: source, cache folder, and the functions that numba compiled."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import importlib.util
+import os
+import sys
+import tempfile
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.clearance.compiled.source import written
+from optlink.clearance.equations import Equations
+
+Array = NDArray[np.float64]
+FOLDER = "OPTLINK_CACHE"
+"""Environment variable with the cache folder; default: that of the user."""
+
+STAMP = 1_000_000_000
+"""Modification time of every source file: numba's cache compares it, and processes may write the same file."""
+
+
+def cache_folder() -> Path:
+    """Return the folder of the sources and of what numba compiled from them; it may be deleted at any time."""
+    if os.environ.get(FOLDER):
+        return Path(os.environ[FOLDER])
+    if sys.platform == "win32":
+        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
+    elif sys.platform == "darwin":
+        base = Path.home() / "Library" / "Caches"
+    else:
+        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "optlink" / "compiled"
+
+
+@dataclass(frozen=True)
+class MachineCode:
+    """Equations of a machine for the compiled engine.
+
+    Parameters
+    ----------
+    text : str
+        Source of the functions `rhs`, `gaps`, `watch`, `project`.
+    constants : array
+        Their argument `c`.
+    """
+
+    text: str
+    constants: Array
+
+    @cached_property
+    def addresses(self) -> tuple[int, int, int, int]:
+        """Addresses of the compiled functions; the first use compiles them or reads the cache."""
+        module = _module(self.text, _key(self.text))
+        return module.rhs.address, module.gaps.address, module.watch.address, module.project.address
+
+
+def code_of(equations: Equations) -> MachineCode:
+    """Return the equations as source and constants.
+
+    Raises
+    ------
+    Unsupported
+        An operation has no counterpart in the compiled engine.
+    """
+    x, p = equations.x, casadi.vertcat(equations.further, equations.command, equations.entered, equations.modes)
+    depth, rate, _, normal, normal_rate, _, torque, torque_rate = equations.watched
+    functions = {
+        "rhs": ([x, p], equations.rates),
+        "gaps": ([x, p], [depth, rate]),
+        "watch": ([x, p], [normal, normal_rate, torque, torque_rate]),
+        "project": ([x, p], [_projection(equations)]),
+    }
+    return MachineCode(*written(functions))
+
+
+def engine() -> Any:
+    """Return the module `motion`, imported from the cache folder: numba's cache then knows all that it is compiled from."""
+    here = Path(__file__).parent
+    parts = [(here / f"{name}.py").read_text(encoding="utf-8") for name in ("motion", "maxima", "switches", "dop853")]
+    return _module(parts[0], _key("".join(parts)))
+
+
+def _key(text: str) -> str:
+    """Hash of a source, and of the versions of Python, SciPy and numba."""
+    import numba
+    import scipy
+
+    said = f"{text}\n{sys.version}\n{scipy.__version__}\n{numba.__version__}"
+    return hashlib.sha256(said.encode()).hexdigest()[:24]
+
+
+def _projection(equations: Equations) -> Any:
+    """The state on the closing joints nearest to a state, as in `Integration`: the crank stays, least changes otherwise."""
+    if not equations.closing:
+        return equations.x
+    n, crank = equations.size, equations.tree.driven
+    _, residual, grip = equations.closed
+    joints = casadi.Function("joints", equations.closed[:1], [residual, grip])
+    q, v = equations.x[:n], equations.x[n:]
+
+    def least(matrix: Any, right: Any) -> Any:
+        free = casadi.SX(casadi.densify(matrix))
+        free[:, crank] = 0.0
+        return free.T @ casadi.solve(free @ free.T, right)
+
+    for _ in range(2):
+        opened, matrix = joints(q)
+        q = q - least(matrix, opened)
+    matrix = joints(q)[1]
+    return casadi.vertcat(q, v - least(matrix, matrix @ v))
+
+
+@lru_cache(maxsize=64)
+def _module(text: str, key: str) -> ModuleType:
+    """Import the source from the cache folder, where numba keeps the machine code beside it."""
+    name = f"optlink_{key}"
+    path = _stored(text, f"{name}.py")
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def _stored(text: str, name: str) -> Path:
+    """Write a source file unless it is there; other processes may do the same at the same time."""
+    for folder in (cache_folder(), Path(tempfile.gettempdir()) / f"optlink-{_user()}"):
+        path = folder / name
+        with contextlib.suppress(OSError):
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if not path.exists() or path.read_text(encoding="utf-8") != text:
+                _replace(path, text)
+            return path
+    raise OSError(f"neither {cache_folder()} nor the temporary folder can be written")
+
+
+def _replace(path: Path, text: str) -> None:
+    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+        os.utime(temporary, (STAMP, STAMP))
+        os.replace(temporary, path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            os.unlink(temporary)
+        raise
+
+
+def _user() -> str:
+    return str(os.getuid()) if hasattr(os, "getuid") else os.environ.get("USERNAME", "user")

@@ -1,0 +1,133 @@
+"""Translate scalar casadi expressions to Python source that numba compiles.
+
+casadi differentiates, eliminates common subexpressions and orders the operations; here each of them becomes one assignment.
+Numbers of the machine (lengths, masses, stiffnesses) become entries of an argument `c`, so all designs of a machine share one
+source and one compilation; only small numbers that belong to the formulas (0, 1, 2, 1/2) and exponents are literals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+LITERALS = (0.0, 0.5, 1.0, 2.0)
+"""Magnitudes of constants that stay literals: casadi creates them itself when it differentiates and simplifies."""
+
+OPERATIONS: dict[int, str] = {
+    casadi.OP_ASSIGN: "{0}",
+    casadi.OP_ADD: "{0} + {1}",
+    casadi.OP_SUB: "{0} - {1}",
+    casadi.OP_MUL: "{0} * {1}",
+    casadi.OP_DIV: "{0} / {1}",
+    casadi.OP_NEG: "-{0}",
+    casadi.OP_EXP: "exp({0})",
+    casadi.OP_LOG: "log({0})",
+    casadi.OP_POW: "{0} ** {1}",
+    casadi.OP_SQRT: "sqrt({0})",
+    casadi.OP_SQ: "{0} * {0}",
+    casadi.OP_TWICE: "2.0 * {0}",
+    casadi.OP_INV: "1.0 / {0}",
+    casadi.OP_SIN: "sin({0})",
+    casadi.OP_COS: "cos({0})",
+    casadi.OP_TAN: "tan({0})",
+    casadi.OP_ASIN: "asin({0})",
+    casadi.OP_ACOS: "acos({0})",
+    casadi.OP_ATAN: "atan({0})",
+    casadi.OP_ATAN2: "atan2({0}, {1})",
+    casadi.OP_SINH: "sinh({0})",
+    casadi.OP_COSH: "cosh({0})",
+    casadi.OP_TANH: "tanh({0})",
+    casadi.OP_HYPOT: "hypot({0}, {1})",
+    casadi.OP_FABS: "abs({0})",
+    casadi.OP_SIGN: "1.0 if {0} > 0.0 else -1.0 if {0} < 0.0 else 0.0",
+    casadi.OP_FLOOR: "floor({0})",
+    casadi.OP_CEIL: "ceil({0})",
+    casadi.OP_FMOD: "fmod({0}, {1})",
+    casadi.OP_FMIN: "{0} if {0} < {1} else {1}",
+    casadi.OP_FMAX: "{0} if {0} > {1} else {1}",
+    casadi.OP_LT: "1.0 if {0} < {1} else 0.0",
+    casadi.OP_LE: "1.0 if {0} <= {1} else 0.0",
+    casadi.OP_EQ: "1.0 if {0} == {1} else 0.0",
+    casadi.OP_NE: "1.0 if {0} != {1} else 0.0",
+    casadi.OP_NOT: "1.0 if {0} == 0.0 else 0.0",
+    casadi.OP_AND: "1.0 if {0} != 0.0 and {1} != 0.0 else 0.0",
+    casadi.OP_OR: "1.0 if {0} != 0.0 or {1} != 0.0 else 0.0",
+    casadi.OP_IF_ELSE_ZERO: "{1} if {0} != 0.0 else 0.0",
+}
+"""casadi operation -> Python expression of its operands."""
+
+HEADER = '''"""Equations of a machine with joint clearance, written by optlink for its compiled engine; safe to delete."""
+
+from math import acos, asin, atan, atan2, ceil, cos, cosh, exp, floor, fmod, hypot, log, sin, sinh, sqrt, tan, tanh
+
+from numba import cfunc, types
+
+_P = types.CPointer(types.float64)
+_SIGNATURE = types.void(_P, _P, _P, _P)
+_OPTIONS = {"cache": True, "error_model": "numpy"}
+'''
+
+
+class Unsupported(ValueError):
+    """Error: an operation of casadi that has no counterpart in the compiled engine."""
+
+
+def written(functions: Mapping[str, tuple[Sequence[Any], Sequence[Any]]]) -> tuple[str, Array]:
+    """Return the source of a module, and the constants `c` of its functions.
+
+    Parameters
+    ----------
+    functions : mapping of name to (inputs, outputs)
+        At most two vectors of symbols, x and p, and the expressions. The function `name(x, p, c, o)` writes the values of the
+        expressions to `o`, one after another.
+
+    Raises
+    ------
+    Unsupported
+        An expression contains an operation without a counterpart.
+    """
+    constants: list[float] = []
+    parts = [HEADER]
+    for name, (inputs, outputs) in functions.items():
+        lines = "\n".join(f"    {line}" for line in _lines(inputs, outputs, constants))
+        parts.append(f"@cfunc(_SIGNATURE, **_OPTIONS)\ndef {name}(x, p, c, o):\n{lines}\n")
+    return "\n\n".join(parts), np.array([*constants, 0.0])
+
+
+def _lines(inputs: Sequence[Any], outputs: Sequence[Any], constants: list[float]) -> list[str]:
+    """Return one assignment for each instruction; appends to the constants."""
+    vector = casadi.densify(casadi.vertcat(*[casadi.vec(casadi.densify(output)) for output in outputs]))
+    function = casadi.Function("f", list(inputs), [vector], {"cse": True})
+    lines, values = [], {}
+    for k in range(function.n_instructions()):
+        code, to, sources = function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
+        if code == casadi.OP_INPUT:
+            lines.append(f"w{to[0]} = {'xp'[sources[0]]}[{sources[1]}]")
+        elif code == casadi.OP_OUTPUT:
+            lines.append(f"o[{to[1]}] = w{sources[0]}")
+        elif code == casadi.OP_CONST:
+            value = float(function.instruction_constant(k))
+            values[to[0]] = value
+            lines.append(f"w{to[0]} = {_constant(value, constants)}")
+        elif code == casadi.OP_CONSTPOW:
+            power = values[sources[1]]
+            base = f"w{sources[0]}"
+            lines.append(f"w{to[0]} = {f'{base} * sqrt({base})' if power == 1.5 else f'{base} ** {power!r}'}")
+        elif code in OPERATIONS:
+            lines.append(f"w{to[0]} = {OPERATIONS[code].format(*(f'w{source}' for source in sources))}")
+        else:
+            names = [name for name in vars(casadi) if name.startswith("OP_") and getattr(casadi, name) == code]
+            raise Unsupported(f"{' or '.join(names)} of casadi")
+    return lines
+
+
+def _constant(value: float, constants: list[float]) -> str:
+    if abs(value) in LITERALS:
+        return repr(value)
+    constants.append(value)
+    return f"c[{len(constants) - 1}]"
