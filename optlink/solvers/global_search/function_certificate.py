@@ -1,0 +1,271 @@
+"""Certify the least largest error of a four-bar function generator: a lower bound over all linkages within bounds and limits."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.linkage.fourbar import LENGTHS
+from optlink.problem.function import FULL_TURN, DesignProblem
+from optlink.problem.targets.function import Function
+from optlink.solvers.global_search.branch_and_bound import Boxes, BranchAndBound
+from optlink.solvers.global_search.function_bounds import FunctionBounds, followed
+from optlink.solvers.global_search.function_rows import LinkageSet
+
+Array = NDArray[np.float64]
+Improve = Callable[[dict[str, float], int], float]
+"""Receives a design [m, rad] that seems better than the best known one, and its assembly mode (+1 or -1); returns the objective
+of the valid design found from there."""
+
+LEVELS = (0.3, 0.05)  # gaps that are proven before the requested one, so that a search that is stopped has a bound
+POSITIONS = 25  # of the rows before those at the peaks of the error
+DENSE, FINE = 401, 20_001  # positions at which candidates are judged, and better designs
+WIDEN = 1e-9  # relative or absolute [rad] enlargement of bounds, which leaves no box without width
+CLOSED, STOPPED = "closed", "stopped"
+
+
+@dataclass(frozen=True)
+class FunctionBound:
+    """Lower bound of the largest output error over all linkages within the bounds and limits of a problem.
+
+    Parameters
+    ----------
+    lower : float [rad]
+        No linkage has a smaller largest error.
+    best : float [rad]
+        Largest error of the best known design.
+    gap : float
+        Share of `best` by which a better linkage may exist.
+    boxes : int
+        Boxes that were bounded.
+    seconds : float
+    status : str
+        "closed" if the requested gap is proven, "stopped" otherwise.
+    open : array (boxes, 2, 4)
+        Corners of the boxes that are left: phi0, psi0 [rad], frame over crank, frame over rocker.
+    better : list of (dict [m, rad], int)
+        Designs better than all known before and their assembly modes, in the order of their discovery.
+    history : list of (boxes, lower, best)
+    """
+
+    lower: float
+    best: float
+    gap: float
+    boxes: int
+    seconds: float
+    status: str
+    open: Array
+    better: list[tuple[dict[str, float], int]]
+    history: list[tuple[int, float, float]]
+
+
+def is_bounded(problem: DesignProblem) -> bool:
+    """Return whether `certify_function` is available: the largest error of a function, without tolerances."""
+    return isinstance(problem.requirement.law, Function) and problem.everywhere and problem.requirement.robust is None
+
+
+def certify_function(
+    problem: DesignProblem,
+    best: float,
+    design: Mapping[str, float] | None = None,
+    gap: float = 1e-3,
+    seconds: float = math.inf,
+    boxes: float = math.inf,
+    progress: Callable[[float, float], None] | None = None,
+    improve: Improve | None = None,
+) -> FunctionBound:
+    """Bound the largest error of all linkages from below, both assembly modes where the problem leaves them open.
+
+    Parameters
+    ----------
+    problem : DesignProblem
+        Of a function, measure "max".
+    best : float [rad]
+        Largest error of the best known design.
+    design : mapping of str to float [m, rad], optional
+        That design; the proof is shorter with the positions of its largest errors.
+    gap : float
+        Share of `best` to be proven.
+    seconds : float
+        Time limit; the bound reached by then holds. Ctrl-C stops as well.
+    boxes : float
+        Most boxes that are bounded.
+    progress : function of (share, gap), optional
+        Receives the settled share of the start angles at the present level, and the gap that is proven.
+    improve : function, optional
+        Receives a better design [m, rad] and returns the objective of the valid one found from it. Default: its own error.
+
+    Raises
+    ------
+    ValueError
+        If the problem is of another kind, or `best` or `gap` is not positive.
+    """
+    if not is_bounded(problem):
+        raise ValueError("only the largest error of a function, without tolerances, is bounded")
+    if not (0.0 < best < 0.25 * math.pi and 0.0 < gap < 1.0):
+        raise ValueError(f"best lies between 0 and pi/4 rad, and gap between 0 and 1, not {best} and {gap}")
+    search = _Search(problem, best, None if design is None else dict(design), improve)
+    search.run([level for level in LEVELS if level > gap] + [gap], seconds, boxes, progress)
+    return search.finding()
+
+
+def linkage_sets(problem: DesignProblem, error: float) -> list[LinkageSet]:
+    """Return the linkages that a problem admits, those that come nearer to a dead position than an error [rad] apart.
+
+    Parameters
+    ----------
+    problem : DesignProblem
+    error : float [rad]
+    """
+    ratios = [_ratio(problem, name) for name in LENGTHS[:3]]
+    low, high = (np.zeros(4) for _ in range(2))
+    for k, name in enumerate(("phi0", "psi0")):
+        start, end = problem.quantities[name].bounds
+        low[k], high[k] = start - WIDEN, min(end, start + FULL_TURN) + WIDEN
+    for k, (least, most) in ((2, ratios[0]), (3, ratios[2])):
+        low[k], high[k] = (1.0 - WIDEN) / most, (1.0 + WIDEN) / least
+    if problem.limits.crank == "full rotation":  # the crank is the shortest link
+        low[2] = max(low[2], 1.0)
+    if problem.limits.crank == "double-crank":  # the frame is
+        high[2:] = np.minimum(high[2:], 1.0)
+    high[2:] = np.maximum(high[2:], low[2:] * (1.0 + WIDEN))
+    limit, least = problem.limits.transmission_at(), problem.limits.alignment.value
+    ends = (None, None) if limit is None else (limit.low, limit.high)
+    angles = max(ends[0] or 0.0, least) - WIDEN, min(math.pi if ends[1] is None else ends[1], math.pi - least) + WIDEN
+    coupler = ratios[1][0] * (1.0 - WIDEN), ratios[1][1] * (1.0 + WIDEN)
+    sides = (1, -1) if problem.mechanism.assembly == "either" else (problem.side,)
+    every = [LinkageSet(side, low, high, coupler, angles) for side in sides]
+    return every + [part for one in every if (part := one.dead_part(error)) is not None]
+
+
+def _ratio(problem: DesignProblem, name: str) -> tuple[float, float]:
+    """Return the least and largest length over that of the frame."""
+    (low, high), (frame_low, frame_high) = problem.quantities[name].bounds, problem.quantities["frame"].bounds
+    limit = problem.limits.link_ratio
+    least, most = (0.0, math.inf) if limit is None else limit.bounds
+    return max(low / frame_high, least), min(high / frame_low, most)
+
+
+@dataclass
+class _Search:
+    problem: DesignProblem
+    best: float
+    design: dict[str, float] | None
+    improve: Improve | None
+    lower: float = 0.0
+    boxes: int = 0
+    seconds: float = 0.0
+    closed: bool = False
+    better: list[tuple[dict[str, float], int]] = field(default_factory=list)
+    history: list[tuple[int, float, float]] = field(default_factory=list)
+    searches: list[BranchAndBound] = field(default_factory=list)
+
+    def run(self, levels: list[float], seconds: float, boxes: float, progress: Callable[[float, float], None] | None) -> None:
+        """Prove one gap after the other."""
+        begin = time.perf_counter()
+        try:
+            for level in levels:
+                self.searches = self._searches(level)
+                for k, search in enumerate(self.searches):
+                    search.best = self.best
+                    search.improve = lambda _, search=search: self._better(search)
+                    report = None if progress is None else lambda one, k=k: self._report(one, k, progress)
+                    before = search.boxes
+                    search.run(seconds - (time.perf_counter() - begin), boxes - self.boxes, report)
+                    self.boxes += search.boxes - before
+                    self.best = min(self.best, search.best)
+                self.seconds = time.perf_counter() - begin
+                if not all(search.closed for search in self.searches):
+                    return
+                self.lower = max(self.lower, min(search.lower for search in self.searches))
+                self.history.append((self.boxes, self.lower, self.best))
+            self.closed = True
+        except KeyboardInterrupt:
+            self.seconds = time.perf_counter() - begin
+
+    def _searches(self, level: float) -> list[BranchAndBound]:
+        """Return a search of every set of linkages; each begins with the boxes that the one before has discarded."""
+        sets = linkage_sets(self.problem, self.best)
+        found = [BranchAndBound(self._bounds(one), self.best, level) for one in sets]
+        for search, known in zip(found, self.searches, strict=False):
+            bounder, before = search.bounder, known.bounder
+            if np.array_equal([bounder.low, bounder.high], [before.low, before.high]) and known.leaves.low:
+                low, high = np.concatenate(known.leaves.low), np.concatenate(known.leaves.high)
+                search.open = Boxes(low, high, np.zeros(len(low)))
+        return found
+
+    def finding(self) -> FunctionBound:
+        """Return what was proven so far."""
+        lower = min(self.lower, self.best)
+        left = [np.stack([part.low, part.high], axis=1) for search in self.searches for part in (search.open, search.tiny)]
+        return FunctionBound(
+            lower=lower,
+            best=self.best,
+            gap=1.0 - lower / self.best,
+            boxes=self.boxes,
+            seconds=self.seconds,
+            status=CLOSED if self.closed else STOPPED,
+            open=np.concatenate(left) if left else np.zeros((0, 2, 4)),
+            better=self.better,
+            history=self.history,
+        )
+
+    def _report(self, search: BranchAndBound, k: int, progress: Callable[[float, float], None]) -> None:
+        whole = float(np.prod(search.bounder.high - search.bounder.low))
+        left = float(np.sum(np.prod(search.open.high - search.open.low, axis=1))) / whole
+        progress((k + 1.0 - left) / len(self.searches), 1.0 - min(self.lower, self.best) / self.best)
+
+    def _bounds(self, linkages: LinkageSet) -> FunctionBounds:
+        law = self.problem.requirement.law
+        assert isinstance(law, Function)
+        x = self.problem.span * 0.5 * (1.0 - np.cos(np.linspace(0.0, math.pi, POSITIONS)))
+        if self.design is not None:
+            fine, error = self._errors(self.design)
+            around = np.pad(error, 1, constant_values=-1.0)
+            x = np.append(x, fine[(error >= around[:-2]) & (error >= around[2:])])
+        dense = self.problem.span * np.linspace(0.0, 1.0, DENSE)
+        return FunctionBounds(linkages, lambda at: np.asarray(law.rise(at) + 0.0 * at, dtype=float), np.unique(x), dense)
+
+    def _errors(self, design: Mapping[str, float]) -> tuple[Array, Array]:
+        """Return fine positions and the absolute errors [rad] of a design there, in its better assembly mode."""
+        x = self.problem.span * np.linspace(0.0, 1.0, FINE)
+        frame = design["frame"]
+        a, b, c = (design[name] / frame for name in LENGTHS[:3])
+        k3 = (a * a - b * b + c * c + 1.0) / (2.0 * a * c)
+        point = np.array([[design["phi0"], design["psi0"], 1.0 / a, 1.0 / c, k3]])
+        law = self.problem.requirement.law
+        found = [np.abs(followed(point, side, x, np.asarray(law.rise(x)))[0][0]) for side in (1, -1)]
+        return x, min(found, key=lambda error: float(np.max(np.where(np.isfinite(error), error, np.inf))))
+
+    def _better(self, search: BranchAndBound) -> float:
+        """Return the best objective known after the candidate of a batch."""
+        bounder = search.bounder
+        assert isinstance(bounder, FunctionBounds)
+        phi0, psi0, k1, k2, k3 = (float(value) for value in bounder.candidate)
+        frame = self.problem.quantities["frame"].value
+        coupler = math.sqrt(1.0 / (k1 * k1) + 1.0 / (k2 * k2) + 1.0 - 2.0 * k3 / (k1 * k2))
+        design = {
+            "crank": frame / k1,
+            "coupler": frame * coupler,
+            "rocker": frame / k2,
+            "frame": frame,
+            "phi0": phi0,
+            "psi0": psi0,
+        }
+        error = float(np.max(self._errors(design)[1]))
+        if error < self.best:
+            value = (error if self._within(design) else math.inf) if self.improve is None else self.improve(design, bounder.linkages.side)
+            if value < self.best:
+                self.best, self.design = value, design
+                self.better.append((design, bounder.linkages.side))
+        return self.best
+
+    def _within(self, design: Mapping[str, float]) -> bool:
+        """Return whether a candidate is within the bounds of its lengths, and has no limits that a candidate may violate."""
+        bounds = ((design[name], *self.problem.quantities[name].bounds) for name in LENGTHS)
+        return self.problem.limits.crank == "span" and all(low <= value <= high for value, low, high in bounds)
