@@ -218,7 +218,7 @@ class _Search:
     def _report(self, search: BranchAndBound, k: int, progress: Callable[[float, float], None]) -> None:
         whole = float(np.prod(search.bounder.high - search.bounder.low))
         left = float(np.sum(np.prod(search.open.high - search.open.low, axis=1))) / whole
-        progress((k + 1.0 - left) / len(self.searches), 1.0 - min(self.lower, self.best) / self.best)
+        progress((k + 1.0 - min(left, 1.0)) / len(self.searches), 1.0 - min(self.lower, self.best) / self.best)
 
     def _bounds(self, linkages: LinkageSet) -> FunctionBounds:
         law = self.problem.requirement.law
