@@ -259,7 +259,9 @@ class _Search:
         }
         error = float(np.max(self._errors(design)[1]))
         if error < self.best:
-            value = (error if self._within(design) else math.inf) if self.improve is None else self.improve(design, bounder.linkages.side)
+            value = error if self._within(design) else math.inf
+            if self.improve is not None:
+                value = self.improve(design, bounder.linkages.side)
             if value < self.best:
                 self.best, self.design = value, design
                 self.better.append((design, bounder.linkages.side))
