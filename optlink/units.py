@@ -401,4 +401,4 @@ def show(value: float, kind: str, unit: str | None = None, digits: int = 6) -> s
         Significant digits.
     """
     unit = unit or KINDS[kind].display
-    return f"{value / factor(unit, kind):.{digits}g} {unit}"
+    return f"{value / factor(unit, kind):z.{digits}g} {unit}"

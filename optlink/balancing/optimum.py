@@ -357,7 +357,7 @@ def curve(programme: BalancingProgramme, first: BalanceMeasure, second: BalanceM
         found = solved(cp, problem)
         seconds.append(time.perf_counter() - begin)
         if found.status != "optimal":
-            raise SolverError(f"the trade-off stopped at {share:.0%} of its length: {found.status}")
+            raise SolverError(f"the trade-off stopped at {share:z.0%} of its length: {found.status}")
         x = np.array(programme.x.value, dtype=float)
         one, other = (float(np.max(row.dual_value)) for row in rows)
         values = programme.evaluate(first, x), programme.evaluate(second, x)

@@ -431,6 +431,6 @@ def _points(what: str) -> Iterator[Callable[[int, int], None]]:
 
         def advance(done: int, total: int) -> None:
             speed = bar.tasks[0].speed
-            bar.update(task, completed=done, total=total, rate=f"{speed:,.0f} a second" if speed else "")
+            bar.update(task, completed=done, total=total, rate=f"{speed:z,.0f} a second" if speed else "")
 
         yield advance

@@ -401,7 +401,7 @@ class CycleTerms:
         index : int
             Index of that variable in x.
         """
-        label = f"{goal.words}, above"
+        label = f"{goal.words} at another crank angle"
         for _, parts in self.components(goal):
             if len(parts) > 1 and not goal.nature.general:
                 square = level * level - sum(part * part for part in parts) / size**2

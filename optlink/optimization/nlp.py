@@ -313,8 +313,8 @@ def build(problem: DesignProblem) -> NLP:
             labels += [f"error at its peak {i + 1}" for i in range(many)]
             # scaled by the objective: otherwise all rows of a small error would count as active
             for label, column in zip(labels, columns, strict=True):
-                rows.append(ConstraintRow(EPIGRAPH, f"{label}, above", (x[-1] - column[0]) / p[0], 0.0, math.inf, DEGREES))
-                rows.append(ConstraintRow(EPIGRAPH, f"{label}, below", (x[-1] + column[-1]) / p[0], 0.0, math.inf, DEGREES))
+                rows.append(ConstraintRow(EPIGRAPH, f"positive {label}", (x[-1] - column[0]) / p[0], 0.0, math.inf, DEGREES))
+                rows.append(ConstraintRow(EPIGRAPH, f"negative {label}", (x[-1] + column[-1]) / p[0], 0.0, math.inf, DEGREES))
         vector = casadi.vertcat(*columns)
         f = x[-1] if minimax else casadi.sumsqr(vector) / (len(columns) if measure.name == "rms" else 1)
         g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)

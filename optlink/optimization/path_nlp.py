@@ -141,7 +141,7 @@ def build_path_nlp(problem: PathProblem, direction: int = 1) -> NLP:
             if has_sampled_objective(problem):
                 further.append(residual(casadi.vertcat(*names, TURN * p[1 + len(fixed) + k], 0.0)))
                 largest = (x[-1] * x[-1] - casadi.sumsqr(further[-1])) / (p[0] * p[0])
-                rows.append(ConstraintRow(EPIGRAPH, "largest cosine", largest, 0.0, math.inf, PLAIN))
+                rows.append(ConstraintRow(EPIGRAPH, "transmission angle at another crank angle", largest, 0.0, math.inf, PLAIN))
         if own:
             steps = [(b - a) * direction for a, b in itertools.pairwise(angles)]
             rows += [

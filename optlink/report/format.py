@@ -47,7 +47,7 @@ def fixed(value: float, decimals: int = 3) -> str:
     value : float
     decimals : int, optional
     """
-    return f"{round(value, decimals) + 0.0:.{decimals}f}" if math.isfinite(value) else "-"  # + 0.0: no negative zero
+    return f"{value:z.{decimals}f}" if math.isfinite(value) else "-"
 
 
 def significant(value: float) -> str:
@@ -68,7 +68,7 @@ def signed(value: float) -> str:
 
 def percent(share: float) -> str:
     """Format a share in per cent with three decimals; a dash if it is not finite."""
-    return f"{100.0 * share:.3f} %" if math.isfinite(share) else "-"
+    return f"{100.0 * share:z.3f} %" if math.isfinite(share) else "-"
 
 
 def change(share: float) -> str:
@@ -76,7 +76,7 @@ def change(share: float) -> str:
     if not math.isfinite(share):
         return "-"
     shown = round(100.0 * share, 2)
-    return f"{shown:+.2f} %".replace("-", "−") if shown else "0.00 %"
+    return f"{shown:+z.2f} %".replace("-", "−") if shown else "0.00 %"
 
 
 def points(count: int) -> str:
@@ -93,7 +93,7 @@ def times(seconds: Mapping[str, float], decimals: int = 0) -> str:
         Wall time per stage [s].
     decimals : int, optional
     """
-    return ", ".join(f"{name} {1e3 * value:.{decimals}f} ms" for name, value in seconds.items() if value > 0.0)
+    return ", ".join(f"{name} {1e3 * value:z.{decimals}f} ms" for name, value in seconds.items() if value > 0.0)
 
 
 class Scale(NamedTuple):
@@ -107,8 +107,8 @@ class Scale(NamedTuple):
         """Format a value [SI] with its unit."""
         size = abs(value * self.factor)
         decimals = min(self.decimals, max(0, 4 - math.floor(math.log10(size)))) if size >= 1.0 else self.decimals
-        shown = f"{value * self.factor:.{decimals}f}" if size < 1e7 else f"{value * self.factor:.3e}"
-        shown = shown.lstrip("-") if float(shown) == 0.0 else shown.replace("-", "−")
+        shown = f"{value * self.factor:z.{decimals}f}" if size < 1e7 else f"{value * self.factor:.3e}"
+        shown = shown.replace("-", "−")
         return f"{shown}{'°' if self.unit == 'deg' else ' ' + self.unit}"
 
 

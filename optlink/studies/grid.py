@@ -238,7 +238,7 @@ def read_grid(problem: ProblemFile, vary: Sequence[str]) -> Grid:
         raise InputError(
             Fault(
                 f"{shape} = {grid.count:,} points are more than a sweep takes, {MAX_POINTS:,}: "
-                f"about {days:,.0f} days on one core and {size:,.0f} GB",
+                f"about {days:z,.0f} days on one core and {size:z,.0f} GB",
                 "Give fewer points, or vary fewer parameters at a time",
                 problem.file,
                 "--vary",

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.optimization.nlp import NLP
+from optlink.problem.function import EPIGRAPH
 from optlink.solvers.solution import STATIONARY, Solution, stationarity
 from optlink.studies.parameters import Parameter
 from optlink.symbolic import CompiledFunction
@@ -30,6 +31,9 @@ STRONG = 1e-8  # relative to the scale of the objective; smaller multipliers cou
 STILL = 1e-11  # scaled units; slower changes are rounding errors
 CURVED = 1e-10  # relative to the largest second derivative; smaller ones are rounding errors
 SAME = 1e-6  # relative difference of the slopes of duplicate rows
+LIMIT_EVENTS = "is no longer active", "is reached"
+PEAK_EVENTS = "no longer determines the objective", "determines the objective"
+"""Ends of the validity at a limit, and at one of the values of which the objective is the largest."""
 
 
 @dataclass(frozen=True)
@@ -198,25 +202,30 @@ class KKTSystem:
         held = set(self.active.tolist())
         for entry in range(len(rates)):
             events = []
+            leaves, arrives = PEAK_EVENTS if self._is_peak(entry) else LIMIT_EVENTS
             if entry in held:
                 change = answer.multipliers[entry]
                 if not self.equal[entry] and abs(change) > STILL * abs(self.multipliers[entry]):
-                    events.append((-self.multipliers[entry] / change, "is no longer active"))
+                    events.append((-self.multipliers[entry] / change, leaves))
             else:
                 for room, change in (
                     (self.nlp.upper[entry] - self.values[entry], push.upper[entry] - rates[entry]),
                     (self.values[entry] - self.nlp.lower[entry], rates[entry] - push.lower[entry]),
                 ):
                     if math.isfinite(room) and abs(change) > STILL:
-                        events.append((-max(room, 0.0) / change, "is reached"))
+                        events.append((-max(room, 0.0) / change, arrives))
             for at, what in events:
-                if at == 0.0 and what == "is reached":  # a limit at its bound with a zero multiplier is not counted as an end
+                if at == 0.0 and what == arrives:  # a limit at its bound with a zero multiplier is not counted as an end
                     continue
                 if 0.0 <= at < most[0]:
                     most = (at, f"{self._name(entry)} {what}")
                 if least[0] < at <= 0.0:
                     least = (at, f"{self._name(entry)} {what}")
         return ValidityEnd(float(parameter.value + least[0]), least[1]), ValidityEnd(float(parameter.value + most[0]), most[1])
+
+    def _is_peak(self, entry: int) -> bool:
+        """Return whether a row belongs to an objective that is the largest of several values, not to a limit."""
+        return entry >= self.free and self.nlp.rows[entry - self.free].limit == EPIGRAPH
 
     def _name(self, entry: int) -> str:
         if entry < self.free:

@@ -412,7 +412,7 @@ def _notes(
         end = (
             "the optimum lies on it, so no discs are better"
             if status == "optimal"
-            else f"discs come within {slack:.2%} of the bound"
+            else f"discs come within {slack:z.2%} of the bound"
         )
         notes.append(f"{told}: {end}")
     idle = [weight.body for weight in task.counterweights if weight.body not in [one.body for one in added]]
@@ -440,5 +440,5 @@ def _between(task: _Task, goal: Sequence[tuple[BalanceMeasure, float]], heavier:
     for measure, one, other in zip(largest, coarse, dense, strict=True):
         at, between = measure.value(one[measure.rows(task.angles)]), measure.value(other[measure.rows(fine)])
         if between > at * (1.0 + 1e-4):
-            notes.append(f"between the positions the {measure} is up to {between / at - 1.0:.2%} higher: take more of them")
+            notes.append(f"between the positions the {measure} is up to {between / at - 1.0:z.2%} higher: take more of them")
     return notes

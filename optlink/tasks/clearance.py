@@ -263,7 +263,7 @@ def simulate_clearance(
     prediction = pair.prediction if pair is not None and account.count else None
     if prediction is not None and prediction.chaotic:
         notes.append(
-            f"The motion is sensitive: runs at two tolerances diverge after {prediction.parted:.2f} revolutions. From there on "
+            f"The motion is sensitive: runs at two tolerances diverge after {prediction.parted:z.2f} revolutions. From there on "
             "single values of the trajectory mean nothing; root mean squares and other statistics still do"
         )
     kept = {} if not account.rows else {name: np.concatenate([rows[name] for rows in account.rows]) for name in account.meanings}

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import io
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,11 +13,13 @@ from rich.console import Console
 
 import optlink
 from optlink.report import terminal
-from optlink.report.format import change, significant
+from optlink.report.format import change, fixed, significant
 from optlink.report.registry import table_of
 from optlink.report.table_spec import Part, Summary
+from optlink.report.views.conclusions import figure
 from optlink.report.views.function import function_values
-from optlink.report.views.function_tables import active, conflict
+from optlink.report.views.function_tables import active
+from optlink.report.views.relaxations import conflict
 from optlink.solvers.solution import LimitState, Relaxation
 from optlink.tasks.function import validate
 from optlink.tasks.results.common import Optimum
@@ -72,6 +76,21 @@ def test_dimensions_below_the_resolution_are_zero(value: float, text: str) -> No
 @pytest.mark.parametrize(("share", "text"), [(-1e-6, "0.00 %"), (0.0, "0.00 %"), (-0.01648, "−1.65 %"), (0.0308, "+3.08 %")])
 def test_no_change_has_no_sign(share: float, text: str) -> None:
     assert change(share) == text
+
+
+def signed_zeros(source: str) -> list[str]:
+    """Format specifications with fixed decimals that print a negative zero: those without the option z."""
+    fields = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FormattedValue)]
+    specs = [ast.unparse(node.format_spec)[2:-1] for node in fields if isinstance(node.format_spec, ast.JoinedStr)]
+    return [spec for spec in specs if spec.endswith(("f", "%")) and "z" not in spec]
+
+
+def test_no_number_with_fixed_decimals_is_a_negative_zero() -> None:
+    assert signed_zeros('f"{x:+.1%} {x:.{n}f} {x:+z.1f} {x:.3g}"') == ["+.1%", ".{n}f"]
+    package = Path(optlink.__file__).parent
+    found = {str(path): specs for path in package.rglob("*.py") if (specs := signed_zeros(path.read_text(encoding="utf-8")))}
+    assert found == {}
+    assert (fixed(-4e-4, 3), fixed(-6e-4, 3), figure(-0.0, "mm")) == ("0.000", "-0.001", "0 mm")
 
 
 def test_a_relaxed_limit_without_a_unit_has_one_space_before_its_difference() -> None:

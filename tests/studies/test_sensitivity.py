@@ -141,6 +141,18 @@ def test_the_range_ends_where_another_limit_is_reached():
     assert reached[0] == pytest.approx(found[0] - 0.05, abs=1e-3)
 
 
+def test_the_largest_error_moves_to_another_position_in_plain_words():
+    """Of a minimax objective the range ends where another error becomes the largest, or one of the largest no longer is."""
+    file = optlink.load("crank-rocker", {"requirement.measure": "max"})
+    events = {end.event for row in sensitivities(file).rows for end in (row.below, row.above)}
+    moved = [event for event in events if event.startswith(("positive error", "negative error"))]
+    assert moved
+    assert all(
+        event.endswith(("from the start determines the objective", "no longer determines the objective")) for event in moved
+    )
+    assert not any(", above" in event or ", below" in event for event in events)
+
+
 def test_rows_are_sorted_by_effect(crank_rocker):
     effects = [abs(row.effect) for row in crank_rocker.rows]
     assert effects == sorted(effects, reverse=True)

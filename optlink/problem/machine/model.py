@@ -287,7 +287,7 @@ class Revolution:
             if play >= least:
                 at = float(np.degrees(self.moving.motion.crank_angle[assembled][int(np.argmin(spare))]))
                 message = (
-                    f"the clearance lets the mechanism come apart: at a crank angle of {at:.0f} deg the group of {group.joint} "
+                    f"the clearance lets the mechanism come apart: at a crank angle of {at:z.0f} deg the group of {group.joint} "
                     f"closes with {least * 1e3:.4g} mm to spare, and its joints have {play * 1e3:.4g} mm of play"
                 )
                 raise Unusable(message, "Give a smaller clearance, or other lengths", f"joints.{loose[0].point}.clearance")

@@ -5,7 +5,11 @@ for (const place of document.querySelectorAll(".optlink-motion:not([data-ready])
   const pose = optlinkPose(place, motion);
   const slider = place.querySelector("input");
   const [angle, ...figures] = place.querySelectorAll("output");
-  const text = (value, decimals) => (value === null ? "–" : value.toFixed(decimals).replace("-", "−"));
+  const text = (value, decimals) => {
+    if (value === null) return "–";
+    const shown = value.toFixed(decimals);
+    return Number(shown) === 0 ? shown.replace("-", "") : shown.replace("-", "−");
+  };
   slider.addEventListener("input", () => {
     const at = Number(slider.value);
     pose(at);

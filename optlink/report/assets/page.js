@@ -193,14 +193,19 @@
     }
   };
 
+  function fixed(value, decimals) {
+    const text = value.toFixed(decimals);
+    return Number(text) === 0 ? text.replace("-", "") : text.replace("-", "−");
+  }
+
   function show(index) {
     at = index;
     pose(at);
     figures.forEach((node, k) => {
       const value = motion.readouts[k].values[at];
-      node.textContent = value === null ? "–" : value.toFixed(motion.readouts[k].decimals).replace("-", "−");
+      node.textContent = value === null ? "–" : fixed(value, motion.readouts[k].decimals);
     });
-    angle.textContent = stops.values[at].toFixed(stops.decimals).replace("-", "−") + stops.unit;
+    angle.textContent = fixed(stops.values[at], stops.decimals) + stops.unit;
     slider.value = String(at);
     slider.setAttribute("aria-valuetext", angle.textContent);
     follow();

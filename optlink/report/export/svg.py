@@ -67,7 +67,7 @@ def svg(scene: Scene, title: str, over: Scene | None = None, k: int = 0, *, trac
 
 
 def _number(value: float, scene: Scene) -> str:
-    return f"{round(float(value), scene.decimals) + 0.0:.{scene.decimals}f}".rstrip("0").rstrip(".") or "0"
+    return f"{float(value):z.{scene.decimals}f}".rstrip("0").rstrip(".") or "0"
 
 
 def _wide(points: float, scene: Scene) -> str:

@@ -44,7 +44,7 @@ class Readout:
     def text(self, k: int = 0) -> str:
         """Format value `k`."""
         value = self.values[k]
-        return "–" if value is None else f"{value:.{self.decimals}f}".replace("-", "−")
+        return "–" if value is None else f"{value:z.{self.decimals}f}".replace("-", "−")
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ class Stops:
 
     def text(self, k: int = 0) -> str:
         """Format position `k`."""
-        return f"{self.values[k]:.{self.decimals}f}{self.unit}".replace("-", "−")
+        return f"{self.values[k]:z.{self.decimals}f}{self.unit}".replace("-", "−")
 
 
 def crank_stops(scene: Scene) -> Stops:

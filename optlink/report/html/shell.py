@@ -140,7 +140,7 @@ def four(text: str) -> str:
         if len(digits.replace(".", "").lstrip("0")) <= DIGITS:
             return found[0]
         value = float(digits)
-        shown = f"{value:.0f}" if value >= 10**DIGITS else f"{value:#.{DIGITS}g}".rstrip(".")
+        shown = f"{value:z.0f}" if value >= 10**DIGITS else f"{value:#.{DIGITS}g}".rstrip(".")
         return shown + power
 
     return _DECIMAL.sub(rounded, text)

@@ -298,7 +298,7 @@ def _strokes(course: CycleCurves, travel: Travel | None) -> tuple[list[Line], li
     between = [(centres[0], centres[1])]
     around = [(math.degrees(course.start), centres[0]), (centres[1], math.degrees(course.end))]
     quick = between if one < 180.0 else around
-    words = f"quick {min(one, 360.0 - one):.2f}°, slow {max(one, 360.0 - one):.2f}°"
+    words = f"quick {min(one, 360.0 - one):z.2f}°, slow {max(one, 360.0 - one):z.2f}°"
     return lines, [Span(min(ends), max(ends), "" if k else words, gid="shade") for k, ends in enumerate(quick)]
 
 
@@ -321,7 +321,7 @@ def _travelled(course: CycleCurves, out: Output) -> str:
     span = scale(out.travel.span, "m" if out.slides else "deg").text(out.travel.span)
     parts = [f"{out.name}: {'stroke' if out.slides else 'swing'} {span}"]
     if math.isfinite(out.travel.time_ratio):
-        parts.append(f"time ratio {out.travel.time_ratio:.4f}")
+        parts.append(f"time ratio {out.travel.time_ratio:z.4f}")
     if out.travel.dead_centres:
         some = [degrees(at) for at in course.in_order(out.travel.dead_centres)]
         parts.append(f"dead centre{'s' if len(some) > 1 else ''} at {', '.join([*some[:8], '...'] if len(some) > 8 else some)}")

@@ -171,7 +171,9 @@ def hodograph(
         if np.all(np.isfinite(at)):
             away = (at - middle) / max(float(np.linalg.norm(at - middle)), 1e-30)
             prefer = (float(away[0]), float(away[1]))
-            marks.append(Mark(float(at[0]), float(at[1]), f"{turned % 360.0:.0f}°", FOUND, size=4.0, prefer=prefer, written=True))
+            marks.append(
+                Mark(float(at[0]), float(at[1]), f"{turned % 360.0:z.0f}°", FOUND, size=4.0, prefer=prefer, written=True)
+            )
     marks += _sense(xs, ys, [(mark.x, mark.y) for mark in marks])
     across, up = _window(course, xs[known], ys[known])
     shown = Panel(Axis(f"force in y [{unit.unit}]", up), traces, marks=marks)

@@ -112,7 +112,7 @@ def _travels(outcome: Analysis) -> Iterator[Part | None]:
     rows = []
     for name, travel in (outputs | others).items():
         factor, unit = (1e3, "mm") if name.endswith(" slides") else (math.degrees(1.0), "deg")
-        centres = "\n".join(f"{math.degrees(at) + 0.0:.3f}" for at in travel.dead_centres)
+        centres = "\n".join(f"{math.degrees(at):z.3f}" for at in travel.dead_centres)
         ends = (fixed(value * factor) for value in (travel.low, travel.high, travel.span))
         rows.append((strong(name) if name in outputs else name, *ends, unit, centres, fixed(travel.time_ratio, 5)))
     columns = ["", ">from", ">to", ">span", "", ">reverses deg", ">time ratio"]
@@ -151,7 +151,7 @@ def stroke_table(named: Mapping[str, Travel], speed: float, acting: tuple[Stroke
         working, loads = working_stroke(travel, speed, acting)
         for stroke in travel.strokes(speed):
             use = use_of(stroke, working) + (f": {', '.join(loads)}" if loads and stroke.name == working else "")
-            begin, end, rotation = (f"{math.degrees(angle):.3f}" for angle in (stroke.begin, stroke.end, stroke.rotation))
+            begin, end, rotation = (f"{math.degrees(angle):z.3f}" for angle in (stroke.begin, stroke.end, stroke.rotation))
             rows.append((name, stroke.name, f"{begin} to {end}", rotation, stroke.pace, use))
     first = Column(unbroken=all(len(name) <= LONGEST for name in named))
     columns: list[str | Column] = [first, "stroke", ">crank range deg", ">turns deg", "pace", "use"]
@@ -231,7 +231,7 @@ def _work(outcome: Analysis) -> TableSpec:
         extreme = outcome.extremes["input.work_J"]
         for word, amount, at in (("least", *extreme[:2]), ("largest", *extreme[2:])):
             last = abs(amount - outcome.work) <= ROUNDING * scale < abs(amount)  # the end shares its crank angle with the start
-            where = "the end" if last else f"{math.degrees(at):.4f} deg"
+            where = "the end" if last else f"{math.degrees(at):z.4f} deg"
             rows.append((f"{word} since the start", number(amount, 9), f"J at {where}"))
     wheel = outcome.flywheel
     if wheel:
@@ -265,12 +265,12 @@ def simulation_parts(figures: Mapping[str, float], columns: Mapping[str, Array],
     speed, turns = figures["end.speed_rad_s"], figures["end.crank_angle_rad"] / (2.0 * math.pi)
     end = [
         ("time", number(figures["end.time_s"], 9), "s"),
-        ("crank angle", number(figures["end.crank_angle_rad"], 10), f"rad ({turns:.4f} turns)"),
+        ("crank angle", number(figures["end.crank_angle_rad"], 10), f"rad ({turns:z.4f} turns)"),
         ("crank speed", number(speed, 10), f"rad/s ({speed * 30.0 / math.pi:.6g} rpm)"),
     ]
     if "last_turn.mean_speed_rad_s" in figures:
         mean, share = figures["last_turn.mean_speed_rad_s"], figures["last_turn.fluctuation"]
-        end.append(("last turn: mean speed", number(mean), f"rad/s, mean over time; fluctuation {share:.4%}"))
+        end.append(("last turn: mean speed", number(mean), f"rad/s, mean over time; fluctuation {share:z.4%}"))
     works = {name.removesuffix(".work_J"): work for name, work in figures.items() if name.endswith(".work_J")}
     account = [
         ("work of the drive" if name == "input" else f"work of {name}", number(work, 9), "J") for name, work in works.items()

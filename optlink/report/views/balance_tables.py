@@ -79,7 +79,7 @@ def _measures(outcome: Balance) -> TableSpec:
         cells, largest = [], max(rms.before, rms.after)
         unit = scale(largest, rms.measure.unit)
         for row in (rms, most):
-            less = f"{100.0 * row.change:+.1f}".replace("-", "−") if math.isfinite(row.change) else "-"
+            less = f"{100.0 * row.change:+z.1f}".replace("-", "−") if math.isfinite(row.change) else "-"
             cells += [f"{value * unit.factor:.4g}" for value in (row.before, _tiny(row.after, row.before))] + [less]
         rows.append((rms.measure.quantity.removeprefix("reaction "), *cells, quiet(unit.unit)))
     columns = ["", ">rms", ">after", ">%", ">largest", ">after", ">%", ""]
@@ -121,7 +121,7 @@ def _trade(trade: TradeOff) -> TableSpec:
     one, other = trade.first, trade.second
     title = f"Trade-off, {len(trade.points)} points"
     if math.isfinite(trade.ratio):
-        title += f"; a further point costs {trade.ratio:.1%} of the first"
+        title += f"; a further point costs {trade.ratio:z.1%} of the first"
     if len(trade.points) == 1:
         title = "No trade-off: one machine has the least of both"
     step, rows = max(1, math.ceil(len(trade.points) / SHOWN)), []

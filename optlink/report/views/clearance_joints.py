@@ -130,7 +130,7 @@ def journal_orbit(turns: RevolutionCurves) -> list[ChartSpec]:
             curves.append(Curve(xs, ys, word, colour, width, legend=bool(len(xs)), gid=word))
         if begins.size:
             curves.append(ring(x[begins], y[begins], "impact", WANTED, size=4.0 if len(begins) < 60 else 2.5, gid="impact"))
-        told = f"clearance {rough(gap.clearance, 'm')}, in contact {float(np.mean(contact)):.0%}"
+        told = f"clearance {rough(gap.clearance, 'm')}, in contact {float(np.mean(contact)):z.0%}"
         if deepest > 0.0:
             told += f", deepest {rough(deepest, 'm')}" + (f", beyond the circle {factor:g}-fold" if factor > 1.0 else "")
         heading = turns.title("journals in their bearings", turns.span(WINDOW))
@@ -183,7 +183,7 @@ def force(turns: RevolutionCurves) -> list[ChartSpec]:
                 ],
                 turns.crank_axis,
                 turns.title("contact forces", turns.overlaid),
-                f"in contact {share:.0%}, at most {rough(strongest, 'N')}",
+                f"in contact {share:z.0%}, at most {rough(strongest, 'N')}",
                 spans=turns.bands(
                     result[f"{gap.point}.contact"], last, "in contact" + (", last revolution" if turns.shown > 1 else "")
                 ),

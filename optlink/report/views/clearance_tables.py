@@ -66,7 +66,7 @@ def _contacts(outcome: ClearanceSimulation) -> TableSpec:
             gap.bearing,
             number(gap.clearance * 1e3),
             str(sum(impact.gap == k for impact in outcome.impacts)),
-            f"{float(np.mean(outcome.per_revolution[f'{gap.point}.contact_share'])):.1%}",
+            f"{float(np.mean(outcome.per_revolution[f'{gap.point}.contact_share'])):z.1%}",
             number(found[f"{gap.point}.normal_max_N"], 5),
             fixed(found[f"{gap.point}.penetration_max_m"] * 1e6, 2),
         )
@@ -105,7 +105,7 @@ def comparison(outcome: Comparison) -> Summary:
     status = f"{outcome.revolutions} revolutions from each of {starts} (seed {outcome.seed})"
     rows: list[Row] = []
     for kind, trials in outcome.trials.items():
-        gain = "" if kind == "none" or "none" not in outcome.trials else f"{outcome.gain(kind):.1%}"
+        gain = "" if kind == "none" or "none" not in outcome.trials else f"{outcome.gain(kind):z.1%}"
         effort, torque = math.degrees(float(np.mean(trials.correction))), float(np.mean(trials.torque))
         sizes = [fixed(value * factor, 4) for value in (trials.mean, trials.scatter, float(np.max(trials.peak)))]
         row = [kind, *sizes, gain, fixed(effort, 3), fixed(torque, 3)]

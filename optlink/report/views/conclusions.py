@@ -44,7 +44,7 @@ def figure(value: float, unit: str = "") -> str:
     if not math.isfinite(value):
         return "unlimited"
     size = abs(value)
-    shown = f"{value:.4g}" if 1e-4 <= size < 1e4 or value == 0.0 else f"{value:,.0f}" if 1e4 <= size < 1e9 else f"{value:.3e}"
+    shown = f"{value:z.4g}" if 1e-4 <= size < 1e4 or value == 0.0 else f"{value:z,.0f}" if 1e4 <= size < 1e9 else f"{value:.3e}"
     return shown.replace("-", "−") + ("°" if unit == "deg" else f" {pretty(unit)}" if unit else "")
 
 
@@ -135,7 +135,7 @@ def _cycle(outcome: CycleResult) -> str:
     for one in goals:
         compared = one.initial and math.isfinite(one.initial) and (not stroke or outcome.initial.valid)
         change = one.result / one.initial - 1.0 if compared else math.nan
-        before = f" instead of {figure(one.initial, one.unit)} ({100.0 * change:+.1f} %)" if math.isfinite(change) else ""
+        before = f" instead of {figure(one.initial, one.unit)} ({100.0 * change:+z.1f} %)" if math.isfinite(change) else ""
         words.append(f"{one.words} {figure(one.result, one.unit)}{before.replace('-', '−')}")
     words += [f"{one.words} {figure(one.result, one.unit)}" for one in outcome.figures if stroke and one.name in REQUIRED]
     text = listed(words)
@@ -176,7 +176,7 @@ def sensitivities(found: Sensitivities) -> str:
         return "No prescribed value has an effect on this optimum, to first order."
     first, base = found.moving[0], found.solution.objective
     step = study_tables.step(first).replace(" deg", "°")
-    change = f"{100.0 * first.effect / base:+.2f} %" if base else figure(first.effect, found.unit)
+    change = f"{100.0 * first.effect / base:+z.2f} %" if base else figure(first.effect, found.unit)
     return f"The optimum reacts most to {first.parameter.name}: {step} more changes the objective by {change.replace('-', '−')}."
 
 
@@ -224,7 +224,7 @@ def simulation(figures: Mapping[str, float], finished: bool, message: str) -> st
         f"After {figure(time, 's')} the crank turns at {figure(speed, 'rpm')}, {figure(turns)} revolutions from its zero position"
     )
     if "last_turn.fluctuation" in figures:
-        text += f"; its speed fluctuates by {100.0 * figures['last_turn.fluctuation']:.2f} % in the last revolution"
+        text += f"; its speed fluctuates by {100.0 * figures['last_turn.fluctuation']:z.2f} % in the last revolution"
     if "input.work_J" in figures:
         text += f"; the drive has done {si(figures['input.work_J'], 'J')} of work"
     return f"{text}." if finished else f"Not finished: {message}. {text}."
@@ -251,7 +251,7 @@ def comparison(found: Comparison) -> str:
     best = min(done, key=lambda name: done[name].mean)
     if best == "none":
         return f"No control is best: root mean square deviation {si(done[best].mean, found.unit)}; every controller increases it."
-    less = f", {100.0 * (1.0 - done[best].mean / done['none'].mean):.1f} % less than without control" if "none" in done else ""
+    less = f", {100.0 * (1.0 - done[best].mean / done['none'].mean):z.1f} % less than without control" if "none" in done else ""
     rms, peak = (si(value, found.unit) for value in (done[best].mean, float(np.max(done[best].peak))))
     tail = "" if len(done) == len(found.trials) else " Not every run was finished."
     return f"The best control is {best}: root mean square deviation {rms}{less}; peak {peak}.{tail}"

@@ -66,7 +66,7 @@ def compensation(results: Mapping[str, ClearanceSimulation]) -> list[ChartSpec]:
     deviations: list[Curve | Band] = []
     corrections: list[Curve | Band] = []
     for name, turns in every.items():
-        gain = "" if name == "none" or not before else f" ({(turns.rms / before - 1.0) * 100.0:+.0f} %)".replace("-", "−")
+        gain = "" if name == "none" or not before else f" ({(turns.rms / before - 1.0) * 100.0:+z.0f} %)".replace("-", "−")
         label = f"{_kind(name)}: RMS {turns.rms * shown.factor:.4g} {shown.unit}{gain}"
         deviations += _scatter(means[name], shown.factor, label, colours[name], f"mean {name}")
         if turns.result.figures["correction_max_rad"] > 0.0:

@@ -147,7 +147,7 @@ def mechanisms(result: CycleResult) -> Figure | None:
     main.show(axes, sweep(found.machine.mechanism, found.machine.sizes, at))
     grey = {} if given is None else {"initial_machine": Line2D([], [], color=GIVEN, linewidth=3.0)}
     main.add_legend(drawn, 5, **grey)
-    drawn.suptitle(heading(f"{result.task.title}: at crank angle {math.degrees(float(at[0])):.1f}°", width))
+    drawn.suptitle(heading(f"{result.task.title}: at crank angle {math.degrees(float(at[0])):z.1f}°", width))
     return drawn
 
 

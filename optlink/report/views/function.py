@@ -102,8 +102,8 @@ def mechanism(result: FunctionResult) -> Figure | None:
         letters += sketch.show(axes, here)
         gamma = float(_transmission(here)[0])
         psi = math.degrees(float(here.body_angle("rocker").value[0]))
-        axes.set_title(f"{name}\nφ {math.degrees(phi) % 360.0:.2f}°   ψ {psi:.2f}°   γ {gamma:.2f}°", fontsize=9.5)
-    lengths = "   ".join(f"{name} {value * sketch.scale.factor:.3f}" for name, value in result.sizes.items())
+        axes.set_title(f"{name}\nφ {math.degrees(phi) % 360.0:z.2f}°   ψ {psi:z.2f}°   γ {gamma:z.2f}°", fontsize=9.5)
+    lengths = "   ".join(f"{name} {value * sketch.scale.factor:z.3f}" for name, value in result.sizes.items())
     title = heading(result.problem.spec.title, 3.9 * columns)
     drawn.suptitle(f"{title}\n{heading(f'{lengths} {sketch.scale.unit}', 3.9 * columns)}", fontsize=11)
     place_labels(drawn, letters)
@@ -164,7 +164,7 @@ def law(result: FunctionResult) -> list[ChartSpec]:
     ]
     robust, worst = problem.requirement.robust, int(np.nanargmax(np.abs(error)))
     below: list[Trace] = []
-    top, words = float(error[worst]), f"largest {error[worst]:+.3f}°"
+    top, words = float(error[worst]), f"largest {error[worst]:+z.3f}°"
     if robust is not None:
         built = np.degrees(ErrorResiduals(problem).band(design, offsets))
         below.append(Band(crank, built[0], built[1], f"built, {robust.band}", LIMIT))
@@ -203,7 +203,7 @@ def transmission(result: FunctionResult) -> list[ChartSpec]:
         else:
             traces.append(Curve(np.sort([start, start + span]), np.full(2, bound), name, LIMIT, 1.3, "dash"))
     marks = [
-        Mark(float(crank[k]), float(gamma[k]), f"{word} {gamma[k]:.2f}°", FOUND, prefer=(0.0, way))
+        Mark(float(crank[k]), float(gamma[k]), f"{word} {gamma[k]:z.2f}°", FOUND, prefer=(0.0, way))
         for k, word, way in ((int(np.argmin(gamma)), "least", -1.0), (int(np.argmax(gamma)), "largest", 1.0))
     ]
     x = crank_angle(clockwise=_clockwise(result), limits=(float(crank[0]), float(crank[-1])))

@@ -84,7 +84,7 @@ def objective_map(result: FunctionResult) -> Figure | None:
     ticks = [t for t in range(math.floor(np.log10(low)), math.ceil(np.log10(high)) + 1) if np.log10(low) <= t <= np.log10(high)]
     bar.set_ticks(ticks, labels=[f"10{str(t).translate(RAISED)}" for t in ticks])
     bar.set_label(f"{result.measure} [{unit_of(result)}]")
-    axes.set_title(heading(f"{problem.title}: {result.objective:.6g} at {at[0]:.3f}, {at[1]:.3f}", 6.8, 10.5), fontsize=10.5)
+    axes.set_title(heading(f"{problem.title}: {result.objective:.6g} at {at[0]:z.3f}, {at[1]:z.3f}", 6.8, 10.5), fontsize=10.5)
     return figure
 
 

@@ -197,7 +197,7 @@ def active(limits: Iterable[LimitState], objective: float, unit: str) -> Part:
     rows, raised = [], False
     for limit in (limit for limit in limits if limit.active):
         gain = abs(limit.multiplier)
-        share = f" ({gain / objective:.2%})" if 5e-5 * objective <= gain < 100.0 * objective else ""  # otherwise not informative
+        share = f" ({gain / objective:z.2%})" if 5e-5 * objective <= gain < 100.0 * objective else ""  # otherwise not informative
         price = f"{limit.multiplier:+.4g}" if limit.sense == "=" else f"{gain:.4g}"
         buys = f"{price} {unit} per {limit.unit or 'unit'}{share}" if gain > 0 else "no effect"
         raised |= limit.sense == "=" and gain > 0

@@ -18,9 +18,9 @@ def pareto_front(result: Pareto) -> Summary:
     title = result.problem.model.title
     if not result.points:
         return summary(title, _status(result))
-    rate = f"; {1e3 * result.cpu / result.done:.0f} ms of processor time each" if result.done else ""
+    rate = f"; {1e3 * result.cpu / result.done:z.0f} ms of processor time each" if result.done else ""
     knee = "knee by the distance from the chord of the ends (Das 1999)"
-    effort = Paragraph(quiet(f"{points(result.done)} done in {result.seconds:.1f} s{rate}; {knee}"), appendix=True)
+    effort = Paragraph(quiet(f"{points(result.done)} done in {result.seconds:z.1f} s{rate}; {knee}"), appendix=True)
     return summary(title, _status(result), _points(result), _designs(result), effort)
 
 

@@ -70,7 +70,7 @@ def _digits(value: float, count: int) -> str:
     if not math.isfinite(value):
         return "–"
     size = math.floor(math.log10(abs(value))) if value else 0
-    shown = f"{value:.{min(max(count - 1 - size, 0), 9)}f}" if -5 <= size < 7 else f"{value:.{count}g}"
+    shown = f"{value:z.{min(max(count - 1 - size, 0), 9)}f}" if -5 <= size < 7 else f"{value:.{count}g}"
     if "." in shown and "e" not in shown:
         shown = shown.rstrip("0").rstrip(".")
     return shown.replace("-", "−") if "e" not in shown else shown
@@ -107,7 +107,7 @@ def assembly(design: PathDesign) -> list[str]:
 def transmission(design: PathDesign) -> str:
     """Format the worst transmission angle; empty if there is none."""
     least = design.least_transmission
-    return f"least transmission angle {math.degrees(least):.1f}°" if math.isfinite(least) else ""
+    return f"least transmission angle {math.degrees(least):z.1f}°" if math.isfinite(least) else ""
 
 
 def figures(track: PathView) -> list[str]:

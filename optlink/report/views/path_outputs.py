@@ -106,7 +106,7 @@ def _outputs(shown: Output) -> Panel:
         told = name
         if shown.target is None:
             least, largest = float(np.nanmin(shown.generated[:, k])), float(np.nanmax(shown.generated[:, k]))
-            told = f"at {name}: {least:.2f}° to {largest:.2f}°"
+            told = f"at {name}: {least:z.2f}° to {largest:z.2f}°"
         traces.append(Curve(shown.crank, shown.generated[:, k], told, BODIES[k % len(BODIES)], 1.9, gid=f"generated {name}"))
     return Panel(Axis(shown.name), traces, 1.6)
 

@@ -103,7 +103,7 @@ def _percent(share: float) -> str:
     if not math.isfinite(share):
         return "-"
     tiny = 0.0 < abs(share) < TINY
-    return f"{100.0 * share:+.1e} %" if tiny else f"{share:+.3%}".replace("%", " %")
+    return f"{100.0 * share:+.1e} %" if tiny else f"{share:+z.3%}".replace("%", " %")
 
 
 def outputs(found: OutputSensitivity) -> TableSpec:
@@ -140,8 +140,8 @@ def sweep(result: Sweep) -> Summary:
         parts.append(_changes(result))
     parts += _rows(result) if result.evaluated else []
     rate = result.done / result.seconds if result.seconds else 0.0
-    line = f"{points(result.done)} done in {result.seconds:.1f} s ({rate:,.0f} a second"
-    line += f"; {1e3 * result.cpu / result.done:.2f} ms of processor time each)" if result.done else ")"
+    line = f"{points(result.done)} done in {result.seconds:z.1f} s ({rate:z,.0f} a second"
+    line += f"; {1e3 * result.cpu / result.done:z.2f} ms of processor time each)" if result.done else ")"
     if not result.evaluated:
         line += f"; {result.searched:,} needed a search, the others followed a neighbour"
     return summary(result.problem.model.title, status, *parts, Paragraph(quiet(line), appendix=True))

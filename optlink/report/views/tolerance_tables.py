@@ -76,7 +76,7 @@ def _distribution(part: DeviationRecord) -> str:
 
 def _between(sampled: MonteCarloRecord) -> str:
     low, high = sampled.interval
-    return f"{100.0 * low:.3f} ... {percent(high)} ({SURE})"
+    return f"{100.0 * low:z.3f} ... {percent(high)} ({SURE})"
 
 
 def _redesigned(file: ProblemFile, record: ToleranceRecord, robust: RobustRecord) -> TableSpec:
@@ -109,8 +109,8 @@ def _contributions(file: ProblemFile, record: ToleranceRecord) -> TableSpec:
     units = {_unit(file, part)[1] for part in record.tolerances}
     for part in sorted(record.tolerances, key=lambda part: -part.contribution_percent[at]):
         unit, shares = _unit(file, part), part.contribution_percent
-        per = f"{record.scale * part.per_deviation[at] / unit[0]:+.5f}"
-        cells = quiet(_distribution(part)), per, strong(f"{shares[at]:.1f} %"), f"{float(np.mean(shares)):.1f} %"
+        per = f"{record.scale * part.per_deviation[at] / unit[0]:+z.5f}"
+        cells = quiet(_distribution(part)), per, strong(f"{shares[at]:z.1f} %"), f"{float(np.mean(shares)):z.1f} %"
         rows.append((part.name, _symmetric(part.tolerance_SI, unit), *cells))
     change = f">change [{record.display_unit}\nper {' or '.join(sorted(units, reverse=True))}]"
     columns = ["", ">tolerance", "distribution", change, ">share of the\nvariance", ">over all\nangles"]
@@ -142,7 +142,7 @@ def _sampled(record: ToleranceRecord, sampled: MonteCarloRecord) -> TableSpec:
         limit = f"yield, within {number(scale * record.limit)} {unit}"
         rows.append((limit, strong(percent(sampled.share)), quiet(_between(sampled))))
         rows.append(("yield by the linear model", percent(sampled.yield_by_the_linear_model), ""))
-    rows.append((quiet("time"), quiet(f"{sampled.seconds:.2f} s"), ""))
+    rows.append((quiet("time"), quiet(f"{sampled.seconds:z.2f} s"), ""))
     title = f"{sampled.samples:,} linkages with deviations drawn (Sobol, seed {sampled.seed}), moved exactly"
     return table(title, "<><", rows)
 

@@ -129,7 +129,7 @@ def share_text(share: float) -> str:
     if not share > 0.0:
         return "rounding errors"
     digits = max(0, 1 - math.floor(math.log10(100.0 * share)))
-    shown = f"{math.ceil(100.0 * share * 10**digits - 1e-9) / 10**digits:.{digits}f}"
+    shown = f"{math.ceil(100.0 * share * 10**digits - 1e-9) / 10**digits:z.{digits}f}"
     return (shown.rstrip("0").rstrip(".") if digits else shown) + " %"
 
 

@@ -182,7 +182,7 @@ class CycleResult(Recorded):
         if isinstance(self.task, StrokeProblem) and not first.valid:  # the middle of the bounds is not a design of anybody
             return f"objective {found:.5g} {unit}".rstrip()
         ours, theirs = (f"{value:.5g} {unit}".rstrip() for value in (found, given))
-        change = f"{found / given - 1.0:+.1%}" if given else ""
+        change = f"{found / given - 1.0:+z.1%}" if given else ""
         if not first.valid:
             return f"objective {ours} ({change}; the initial design, {theirs}, does not meet the limits)".replace("(; ", "(")
         return f"objective {ours}, initial design {theirs}" + (f" ({change})" if change else "")

@@ -163,7 +163,7 @@ class TransmissionFit(Fit):
     @property
     def text(self) -> str:
         """The grade with its figure."""
-        advised = f", below {math.degrees(FAIR_ANGLE):.0f} deg" if self.grade == "poor" else ""
+        advised = f", below {math.degrees(FAIR_ANGLE):z.0f} deg" if self.grade == "poor" else ""
         return f"{self.grade} transmission: least transmission angle is {_degrees(self.angle)}{advised}"
 
 
