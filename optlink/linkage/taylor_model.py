@@ -4,9 +4,9 @@ A quantity q over the box, whose coordinates d_1 ... d_n run from -1 to 1, is
 
     q(d) = c + sum g_i d_i + sum_{i <= j} h_ij d_i d_j + r,    |r| <= remainder,
 
-for every d in the box. The formulas of `linkage` pass Taylor models on as they pass on jets: one evaluation gives the value, the
-first and the second derivatives at the centre, and bounds over the box whose error is of third order in its size. Rounding errors
-of every operation are part of the remainder, so the bounds are rigorous.
+for every d in the box where q is defined. The formulas of `linkage` pass Taylor models on as they pass on jets: one evaluation
+gives the value, the first and the second derivatives at the centre, and bounds over the box whose error is of third order in its
+size. Rounding errors of every operation are part of the remainder, so the bounds are rigorous.
 
 References
 ----------
@@ -94,9 +94,8 @@ class TaylorModel(NDArrayOperatorsMixin):
         found = []
         for k in range(count):
             coefficients = np.zeros((1 + count + len(pairs(count)), boxes, 1))
-            centre = 0.5 * (low[:, k] + high[:, k])
-            radius = 0.5 * (high[:, k] - low[:, k])
-            coefficients[0, :, 0], coefficients[1 + k, :, 0] = centre, radius
+            coefficients[0, :, 0] = 0.5 * (low[:, k] + high[:, k])
+            coefficients[1 + k, :, 0] = 0.5 * (high[:, k] - low[:, k])
             slack = 4.0 * UNIT * (np.abs(low[:, k]) + np.abs(high[:, k])) + TINY
             found.append(TaylorModel(coefficients, slack[:, None], count))
         return found
@@ -155,13 +154,16 @@ class TaylorModel(NDArrayOperatorsMixin):
     # --- arithmetic ------------------------------------------------------------------------------------------------
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
-        if method != "__call__" or kwargs:
-            return NotImplemented
         rule = _RULES.get(ufunc)
-        if rule is None:
+        if rule is None or method != "__call__" or kwargs:
             return NotImplemented
         with np.errstate(all="ignore"):
             return rule(*inputs)  # what overflows or is undefined gets an infinite remainder
+
+    def __add__(self, other: Any) -> TaylorModel:  # bypasses numpy's dispatch, most of the cost of a small batch
+        return _add(self, other)
+
+    __radd__ = __add__
 
     def __neg__(self) -> TaylorModel:
         return TaylorModel(-self.coefficients, self.remainder, self.count)
@@ -415,6 +417,16 @@ def _maximum(a: Any, b: Any) -> TaylorModel:
     return -_minimum(-a, -b)
 
 
+def _root(x: TaylorModel) -> TaylorModel:
+    """Square root; where x is negative in a part of the box, the range of the root in the other part."""
+    found, low, high = _compose(x, _sqrt), x.low, x.high
+    partly = (low <= 0.0) & (high > 0.0) & np.isfinite(high)
+    if not np.any(partly):
+        return found
+    whole = _hull(x, np.zeros_like(high), np.sqrt(np.maximum(high, 0.0)))
+    return _select(whole, found, partly, found, ~partly)
+
+
 _RULES: dict[np.ufunc, Callable[..., TaylorModel]] = {
     np.add: _add,
     np.subtract: _subtract,
@@ -424,7 +436,7 @@ _RULES: dict[np.ufunc, Callable[..., TaylorModel]] = {
     np.negative: lambda x: -x,
     np.positive: lambda x: x,
     np.square: lambda x: _multiply(x, x),
-    np.sqrt: lambda x: _compose(x, _sqrt),
+    np.sqrt: _root,
     np.sin: lambda x: _compose(x, _sin, LIBRARY),
     np.cos: lambda x: _compose(x, _cos, LIBRARY),
     np.tan: lambda x: np.sin(x) / np.cos(x),

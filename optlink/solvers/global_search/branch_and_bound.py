@@ -25,7 +25,7 @@ from optlink.solvers.global_search.lagrangian import CUT, OPEN, BoxRecord
 Array = NDArray[np.float64]
 
 BATCH = 256  # boxes that are bounded together
-FEW = 64  # open boxes below which each is divided twice, so that batches are not small
+FEW = 64  # open boxes below which they are divided once more: small batches take as long as larger ones
 SMALLEST = 1e-12  # width of a box, relative to the bounds, below which it is not divided
 MOST_OPEN = 1_000_000  # open boxes beyond which those with the highest bounds are taken first, so that memory is limited
 MOST_LEAVES = 200_000  # discarded boxes that are kept for the certificate
@@ -249,7 +249,7 @@ class BranchAndBound:
         direction = np.where(width[rows, direction] < SMALLEST, np.argmax(width, axis=1), direction)
         self.tiny = Boxes.joined([self.tiny, left[small]])
         halves = left[~small].halves(direction[~small])
-        if 0 < len(self.open) + len(halves) < FEW:
+        while 0 < len(self.open) + len(halves) < FEW and len(halves):
             halves = halves.halves(np.argmax((halves.high - halves.low) / (self.bounder.high - self.bounder.low), axis=1))
         self.open = Boxes.joined([self.open, halves])
 

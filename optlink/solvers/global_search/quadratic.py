@@ -55,7 +55,9 @@ def quadratic_bound(constant: Array, linear: Array, quadratic: Array, remainder:
 
 
 def box_minimum(linear: Array, convex: Array) -> Array:
-    """Return about the minimum (boxes, n) of linear . d + d' convex d / 2 over -1 <= d <= 1, by coordinate descent.
+    """Return about the minimum (boxes, n) of linear . d + d' convex d / 2 over -1 <= d <= 1.
+
+    It starts from the minimum without bounds, which is the answer if it lies within, and goes on by coordinate descent.
 
     Parameters
     ----------
@@ -64,8 +66,15 @@ def box_minimum(linear: Array, convex: Array) -> Array:
         Symmetric, positive semidefinite.
     """
     n = linear.shape[1]
-    point, slope = np.zeros_like(linear), linear.copy()
+    clean = np.all(np.isfinite(convex), axis=(1, 2)) & np.all(np.isfinite(linear), axis=1)
+    matrix = np.where(clean[:, None, None], convex, 0.0)
+    firm = 1e-14 * np.trace(matrix, axis1=1, axis2=2) + TINY  # no matrix is singular
     with np.errstate(all="ignore"):
+        point = -np.linalg.solve(matrix + firm[:, None, None] * np.eye(n), np.where(clean[:, None], linear, 0.0)[..., None])[
+            ..., 0
+        ]
+        point = np.clip(np.where(np.isfinite(point), point, 0.0), -1.0, 1.0)
+        slope = linear + np.einsum("bij,bj->bi", convex, point)
         for step in range(DESCENT * n):
             i = step % n
             curvature = convex[:, i, i]
