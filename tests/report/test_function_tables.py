@@ -16,12 +16,14 @@ from optlink.report import terminal
 from optlink.report.format import change, fixed, significant
 from optlink.report.registry import table_of
 from optlink.report.table_spec import Part, Summary
+from optlink.report.views import path as path_view
 from optlink.report.views.conclusions import figure
 from optlink.report.views.function import function_values
 from optlink.report.views.function_tables import active
 from optlink.report.views.relaxations import conflict
 from optlink.solvers.solution import LimitState, Relaxation
 from optlink.tasks.function import validate
+from optlink.tasks.path import validate as validate_path
 from optlink.tasks.results.common import Optimum
 
 
@@ -124,6 +126,38 @@ def test_the_generated_function_is_that_of_the_linkage() -> None:
     np.testing.assert_allclose(generated.y, low + (psi - 97.168) / 60.0 * (1.0 - low), atol=1e-9)
     np.testing.assert_allclose(target.y, np.sqrt(target.x), atol=1e-12)
     np.testing.assert_allclose(error.y, target.y - generated.y, atol=1e-12)
+
+
+def test_a_function_of_a_slider_has_the_chart_too() -> None:
+    """y of the chart by the law of cosines; the same slider as a law of the crank angle has no such chart."""
+    crank, rod, offset = 30.0, 120.0, -20.0
+    law = {"function": "x^2", "x": [1.0, 3.0], "input": "50 deg", "output": "30 mm"}
+    raw = {
+        "title": "square",
+        "mechanism": {
+            "type": "dyads",
+            "ground": {"A": ["0 mm", "0 mm"]},
+            "links": {
+                "crank": {"joints": ["A", "B"], "length": f"{crank} mm"},
+                "rod": {"joints": ["B", "C"], "length": f"{rod} mm"},
+                "ram": {"joints": ["C"]},
+            },
+            "guides": {"G": {"slider": "ram", "through": "A", "direction": "0 deg", "offset": f"{offset} mm"}},
+            "assembly": {"C": "forward"},
+        },
+        "requirement": {"kind": "function", "output": "G", "start": "-120 deg", "zero": "95 mm", "law": law},
+    }
+    result = validate_path(optlink.read(raw), {})
+    _, chart = path_view.charts(result)
+    (target, generated), (error,) = chart.panels[0].traces, chart.panels[1].traces
+    phi = np.radians(-120.0 + 50.0 * (generated.x - 1.0) / 2.0)
+    place = crank * np.cos(phi) + np.sqrt(rod**2 - (offset - crank * np.sin(phi)) ** 2)
+    np.testing.assert_allclose(generated.y, 1.0 + (place - 95.0) / 30.0 * 8.0, atol=1e-9)
+    np.testing.assert_allclose(target.y, target.x**2, atol=1e-12)
+    np.testing.assert_allclose(error.y, target.y - generated.y, atol=1e-12)
+    turned = {"slide": "s0 + 40*(1 - cos(phi - phi0))", "unit": "mm"}
+    other = optlink.read({**raw, "requirement": {**raw["requirement"], "law": turned, "span": "50 deg"}})
+    assert len(path_view.charts(validate_path(other, {}))) == 1
 
 
 def test_a_law_of_the_crank_angle_has_no_chart_in_x_and_y(solved: optlink.FunctionResult) -> None:

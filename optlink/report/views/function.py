@@ -27,6 +27,7 @@ from optlink.report.labels import place_labels
 from optlink.report.report_model import resulting_machine
 from optlink.report.style import FOUND, LIMIT, QUIET, ROCKER, WANTED, figure, heading, panels, styled
 from optlink.report.view import View
+from optlink.report.views.function_chart import function_chart
 from optlink.report.views.function_landscape import objective_map, unit_of
 from optlink.report.views.path_captions import failed
 from optlink.tasks.function import FunctionResult
@@ -128,19 +129,7 @@ def function_values(result: FunctionResult) -> list[ChartSpec]:
     error = result.error(offsets)
     if not np.any(np.isfinite(error)):
         return []
-    least, largest = function.ends
-    x = function.low + (function.high - function.low) * offsets / function.input
-    wanted = np.asarray(function.expression({"x": x}) + 0.0 * x, dtype=float)
-    away = error * (largest - least) / function.output
-    worst = int(np.nanargmax(np.abs(away)))
-    above = [
-        Curve(x, wanted, "target", WANTED, 1.4, "dash", gid="target y"),
-        Curve(x, wanted - away, "generated", FOUND, 1.8, gid="generated y"),
-    ]
-    mark = Mark(float(x[worst]), float(away[worst]), f"largest {away[worst]:+.3g}", size=1.0, prefer=(0.0, np.sign(away[worst])))
-    below = Panel(Axis("target minus generated"), [Curve(x, away, "", LIMIT, 1.5, gid="error in y")], marks=[mark])
-    title = heading(f"{problem.title}: {function.text}", 7.6)
-    return [ChartSpec("function", "Function y(x)", [Panel(Axis("y"), above, 1.7), below], Axis("x"), title, cursor=False)]
+    return [function_chart(function, offsets, error, heading(f"{problem.title}: {function.text}", 7.6))]
 
 
 def law(result: FunctionResult) -> list[ChartSpec]:

@@ -30,7 +30,7 @@ from optlink.report.views.path_alternatives import designs
 from optlink.report.views.path_captions import LINE, SMALL, assembly, entitle, failed, headed, wrapped
 from optlink.report.views.path_closeup import Close, dots, points_on, small_frames
 from optlink.report.views.path_initial_pose import BESIDE, HIGH, initial_pose, trim
-from optlink.report.views.path_outputs import curve, mechanism, output_film
+from optlink.report.views.path_outputs import curve, function_values, mechanism, output_film
 from optlink.report.views.path_residuals import errors
 from optlink.report.views.path_view import PathView, best
 from optlink.tasks.results.path import PathDesign, PathResult
@@ -41,11 +41,11 @@ LIT = "#ffc20a"
 
 
 def charts(result: PathResult) -> list[ChartSpec]:
-    """Return the curve and the deviations at every point, or the output of a function or the transmission angles."""
+    """Return curve and deviations at every point, or the output of a law and y(x) of a function, or the transmission angles."""
     track = best(result)
     if track is None:
         return []
-    return [Close(track).chart(), errors(track)] if track.task.pointed else [curve(track)]
+    return [Close(track).chart(), errors(track)] if track.task.pointed else [curve(track), *function_values(track)]
 
 
 def columns(design: PathDesign) -> dict[str, Array]:

@@ -12,11 +12,13 @@ from PIL import Image
 
 from optlink.linkage.dyad_types import transmitting
 from optlink.problem.path import TURN, PathProblem
+from optlink.problem.targets.function import Function
 from optlink.report.animation import film, there_and_back
 from optlink.report.chart_mpl import into
 from optlink.report.chart_spec import Axis, ChartSpec, Curve, Panel, crank_angle
 from optlink.report.labels import place_labels
 from optlink.report.style import BODIES, LIMIT, WANTED, degrees, figure, scale, styled
+from optlink.report.views.function_chart import function_chart
 from optlink.report.views.path_captions import LINE, SMALL, assembly, entitle, figures, headed, title_of, wrapped
 from optlink.report.views.path_initial_pose import BESIDE, HIGH, initial_pose, trim
 from optlink.report.views.path_view import PathView, best
@@ -28,13 +30,17 @@ FINEST = 360  # number of positions of the output curve
 
 
 class Output(NamedTuple):
-    """Output over crank angles (n,) [deg]: `generated` (n, curves) in the unit of `name`, `target` (n,) if prescribed."""
+    """Output over crank angles (n,) [deg]: `generated` (n, curves) in the unit of `name`, `target` (n,) if prescribed.
+
+    `factor`: from SI to that unit.
+    """
 
     crank: Array
     generated: Array
     target: Array | None
     name: str
     curves: list[str]
+    factor: float = 1.0
 
 
 def output(track: PathView) -> Output:
@@ -53,7 +59,7 @@ def output(track: PathView) -> Output:
     if not task.slides:
         travel = travel - TURN * np.round((travel - wanted) / TURN)
     name = f"{'place along' if task.slides else 'angle of'} {task.requirement.output} [{unit.unit}]"
-    return Output(np.degrees(angles), travel[:, None] * unit.factor, wanted * unit.factor, name, ["generated"])
+    return Output(np.degrees(angles), travel[:, None] * unit.factor, wanted * unit.factor, name, ["generated"], unit.factor)
 
 
 @styled
@@ -90,6 +96,20 @@ def curve(track: PathView) -> ChartSpec:
     heading = title_of(track, 7.0, track.task.title, wrapped(figures(track), 7.0, "; "))
     title = "Transmission angle" if shown.target is None else "Output over the range"
     return ChartSpec("curve", title, panels, _crank(track, shown), heading, warning=not track.design.valid)
+
+
+def function_values(track: PathView) -> list[ChartSpec]:
+    """Return the prescribed and the generated y(x) of a function; nothing for a law of the crank angle or a transmission."""
+    function = track.task.requirement.law
+    if track.task.requirement.kind != "function" or not isinstance(function, Function):
+        return []
+    shown = output(track)
+    assert shown.target is not None
+    offsets, error = np.radians(shown.crank - shown.crank[0]), (shown.target - shown.generated[:, 0]) / shown.factor
+    if not np.any(np.isfinite(error)):
+        return []
+    title = title_of(track, 7.6, f"{track.task.title}: {function.text}")
+    return [function_chart(function, offsets, error, title, warning=not track.design.valid)]
 
 
 def _crank(track: PathView, shown: Output) -> Axis:
