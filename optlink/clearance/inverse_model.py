@@ -122,8 +122,8 @@ class Inverse:
             turned = basis @ shares
             value, slope = self.close(self.angles + turned)
             missing = -self.output.difference(value, self.target)
-            rows = np.vstack([slope[:, None] * basis, regularisation * basis])
-            step = np.linalg.lstsq(rows, np.concatenate([missing, -regularisation * turned]), rcond=None)[0]
+            normal = basis.T @ ((slope**2 + regularisation**2)[:, None] * basis)  # well conditioned: waves are orthogonal
+            step = np.linalg.lstsq(normal, basis.T @ (slope * missing - regularisation**2 * turned), rcond=None)[0]
             shares = shares + step
             if np.max(np.abs(step)) < 1e-11:
                 break

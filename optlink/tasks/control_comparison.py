@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from optlink.problem.file import ProblemFile
 from optlink.tasks.checkpoint import ComparisonCheckpoint, RunRecord, TuningCheckpoint, damaged, read_checkpoint
 from optlink.tasks.clearance import checked
 from optlink.tasks.machine import machine_of
-from optlink.tasks.parallel_runs import RunResult, job_of, run_jobs
+from optlink.tasks.parallel_runs import RunResult, job_of, processes, run_jobs
 from optlink.tasks.results.control_comparison import Comparison, Trials, Tuning
 
 Array = NDArray[np.float64]
@@ -141,13 +142,14 @@ def compare(
     jobs = [job_of(problem, control=kind, start=float(angles[k]), whole=k == 0, **common) for kind, k in todo]
     if progress is not None:
         progress(len(runs) / len(order))
-    for index, ran in run_jobs(jobs, workers):
-        runs[todo[index]] = kept[todo[index]] = ran
-        if checkpoint is not None:
-            finished = [_run(key, kept[key]) for key in order if key in kept]
-            checkpoint(ComparisonCheckpoint(**label, complete=len(kept), total=len(order), runs=finished).document())
-        if progress is not None:
-            progress(len(runs) / len(order))
+    with processes(workers, len(jobs)) as pool:
+        for index, ran in run_jobs(jobs, pool):
+            runs[todo[index]] = kept[todo[index]] = ran
+            if checkpoint is not None:
+                finished = [_run(key, kept[key]) for key in order if key in kept]
+                checkpoint(ComparisonCheckpoint(**label, complete=len(kept), total=len(order), runs=finished).document())
+            if progress is not None:
+                progress(len(runs) / len(order))
     every = {kind: _trials([runs[kind, k] for k in range(starts)]) for kind in kinds}
     examples = {kind: runs[kind, 0].simulation(problem, design) for kind in kinds}
     return Comparison(problem, every, angles, seed, revolutions, examples, runs[kinds[0], 0].unit)
@@ -268,13 +270,13 @@ def tune(
     kept = [] if resume is None else read_checkpoint(TuningCheckpoint, resume, label).costs
     done: list[tuple[float, float]] = []  # cost and scatter: of the parameters of the problem, then of every evaluation
 
-    def cost(changed: ProblemFile) -> float:
+    def cost(changed: ProblemFile, pool: ProcessPoolExecutor | None) -> float:
         if len(done) < len(kept):
             done.append(kept[len(done)])
         else:
             limit = starts * min((one for one, _ in done), default=np.inf)
             jobs = [job_of(changed, control=control, start=float(start), limit=limit, **common) for start in angles]
-            runs = dict(run_jobs(jobs, workers))
+            runs = dict(run_jobs(jobs, pool))
             useless = any(run.hopeless or not run.finished for run in runs.values())
             found = None if useless else _trials([runs[k] for k in range(starts)])
             done.append((np.inf, np.nan) if found is None else (found.mean, found.scatter))
@@ -284,17 +286,19 @@ def tune(
             progress(len(done) / (evaluations + 1))
         return done[-1][0]
 
-    before, size = cost(problem), _sizes(problem, output, design)
+    size = _sizes(problem, output, design)
     tried: list[Array] = []
     costs: list[float] = []
-    for k in range(evaluations):
-        if k < evaluations // 2:
-            share = sobol[k]
-        else:
-            width = 0.3 * 0.5 ** (4.0 * (k - evaluations // 2) / max(1, evaluations - evaluations // 2))
-            share = np.clip(tried[int(np.argmin(costs))] + width * generator.standard_normal(len(names)), 0.0, 1.0)
-        tried.append(share)
-        costs.append(cost(problem.override(_values(names, np.exp(low + share * (high - low)), size, output.unit))))
+    with processes(workers, starts) as pool:
+        before = cost(problem, pool)
+        for k in range(evaluations):
+            if k < evaluations // 2:
+                share = sobol[k]
+            else:
+                width = 0.3 * 0.5 ** (4.0 * (k - evaluations // 2) / max(1, evaluations - evaluations // 2))
+                share = np.clip(tried[int(np.argmin(costs))] + width * generator.standard_normal(len(names)), 0.0, 1.0)
+            tried.append(share)
+            costs.append(cost(problem.override(_values(names, np.exp(low + share * (high - low)), size, output.unit)), pool))
     values = np.exp(low + np.array(tried) * (high - low)) * np.array([size.get(name, 1.0) for name in names])
     best = int(np.argmin(costs))
     better = costs[best] < before

@@ -152,43 +152,64 @@ def run_job(job: RunJob) -> RunResult:
     return RunResult(dict(run.figures), run.output.unit, run.finished, parts=parts if job.whole else None)
 
 
-def run_jobs(jobs: Sequence[RunJob], workers: int | None = None) -> Iterator[tuple[int, RunResult]]:
-    """Perform runs, and yield each with its index on completion.
+@contextlib.contextmanager
+def processes(workers: int | None, jobs: int) -> Iterator[ProcessPoolExecutor | None]:
+    """Provide processes for runs; they end with the context.
 
     Parameters
     ----------
-    jobs : sequence of RunJob
     workers : int, optional
         Number of processes. Default: the present process only. A script that starts processes must guard its code by
         `if __name__ == "__main__":`.
+    jobs : int
+        Largest number of runs at a time.
 
     Raises
     ------
-    InputError, SolverError, KeyboardInterrupt
+    InputError, SolverError
     """
     if workers is not None and not 1 <= workers <= MOST:
         raise InputError(Fault("out of range", f"Give 1 to {MOST} processes", key="workers", value=workers))
     if workers is None or not jobs:
-        for index, job in enumerate(jobs):
-            yield index, run_job(job)
+        yield None
         return
     before = set(multiprocessing.active_children())
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(min(workers, len(jobs)), context, initializer=_quiet)
+    pool = ProcessPoolExecutor(min(workers, jobs), context, initializer=_quiet)
     try:
-        with shielded():
-            futures = {pool.submit(run_job, job): index for index, job in enumerate(jobs)}
-        todo = set(futures)
-        while todo:
-            done, todo = wait(todo, WAIT, FIRST_COMPLETED)
-            for future in sorted(done, key=futures.__getitem__):
-                yield futures[future], future.result()
+        yield pool
     except BrokenProcessPool:
         raise SolverError("a process of the simulation ended unexpectedly; is there enough memory?") from None
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
         for child in set(multiprocessing.active_children()) - before:
             child.kill()
+
+
+def run_jobs(jobs: Sequence[RunJob], pool: ProcessPoolExecutor | None = None) -> Iterator[tuple[int, RunResult]]:
+    """Perform runs, and yield each with its index on completion.
+
+    Parameters
+    ----------
+    jobs : sequence of RunJob
+    pool : ProcessPoolExecutor, optional
+        From `processes`. Default: the present process only.
+
+    Raises
+    ------
+    InputError, BrokenProcessPool, KeyboardInterrupt
+    """
+    if pool is None:
+        for index, job in enumerate(jobs):
+            yield index, run_job(job)
+        return
+    with shielded():
+        futures = {pool.submit(run_job, job): index for index, job in enumerate(jobs)}
+    todo = set(futures)
+    while todo:
+        done, todo = wait(todo, WAIT, FIRST_COMPLETED)
+        for future in sorted(done, key=futures.__getitem__):
+            yield futures[future], future.result()
 
 
 def cores() -> int:

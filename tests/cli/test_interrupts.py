@@ -139,8 +139,8 @@ def test_processes_are_begun_without_ctrl_c(monkeypatch):
             pass
 
     monkeypatch.setattr(parallel_runs, "ProcessPoolExecutor", Pool)
-    with pytest.raises(KeyboardInterrupt):
-        list(parallel_runs.run_jobs([None], 1))
+    with pytest.raises(KeyboardInterrupt), parallel_runs.processes(1, 1) as pool:
+        list(parallel_runs.run_jobs([None], pool))
     assert masked == [True]
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
