@@ -257,7 +257,7 @@ def head(schema: str, problem: Any, status: str, seed: int | None = None) -> dic
 
 
 class Summary:
-    """Base class of results, with a one-line `repr`: problem, status, validity and objective."""
+    """Base class of results, with a one-line `repr`: problem, status, validity, objective and certificate of the optimum."""
 
     def __repr__(self) -> str:
         status = getattr(self, "status", "")
@@ -266,6 +266,8 @@ class Summary:
             words.append("valid" if valid else "not valid")
         if isinstance(objective := getattr(self, "objective", None), float):
             words.append(f"objective {objective:.6g}")
+        if (certificate := getattr(self, "certificate", None)) is not None:
+            words.append(certificate.brief)
         problem = getattr(self, "problem", None)
         name = f" {problem.name!r}" if problem is not None else ""
         told = ", ".join(filter(None, words))

@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFormatter
 
-from optlink.report.chart_spec import INK, Axis, Band, Bars, ChartSpec, Curve, HeatMap, Line, Mark, Panel, Trace, cells
+from optlink.report.chart_spec import INK, Axis, Band, Bars, Boxes, ChartSpec, Curve, HeatMap, Line, Mark, Panel, Trace, cells
 from optlink.report.labels import Label, place_labels
 from optlink.report.style import HALO, LIMIT, QUIET, figure, heading, styled
 
@@ -198,6 +200,17 @@ def _trace(axes: Axes, trace: Trace, chart: ChartSpec, panel: Panel) -> None:
     elif isinstance(trace, Band):
         named = {"label": trace.name if trace.legend and trace.name else None, "gid": trace.gid or None}
         axes.fill_between(trace.x, trace.low, trace.high, color=trace.colour, alpha=trace.opacity, linewidth=0.0, **named)  # type: ignore[arg-type]
+    elif isinstance(trace, Boxes):
+        fill, edge = to_rgba(trace.colour, trace.opacity), to_rgba(trace.colour, min(1.0, 2.0 * trace.opacity))
+        look: dict[str, Any] = {
+            "facecolors": fill,
+            "edgecolors": edge,
+            "linewidths": 0.5,
+            "label": trace.name or None,
+            "gid": trace.gid or None,
+        }
+        axes.grid(visible=False)
+        axes.add_collection(PolyCollection(list(trace.corners), zorder=1.5, **look))
     elif isinstance(trace, HeatMap):
         low, high = trace.limits or (None, None)
         edges = [cells(at, log=axis.scale == "log") for at, axis in ((trace.x, chart.x), (trace.y, panel.y))]

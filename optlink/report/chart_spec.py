@@ -1,7 +1,8 @@
 """Charts described once: plain data that `chart_mpl` draws as a picture and `html.chart_plotly` as a chart of the page.
 
-A chart is a stack of panels over one x axis. A panel holds traces (`Curve`, `Bars`, `Band`, `HeatMap`), horizontal lines and
-labelled points. The renderers choose fonts, grids, legends, limits and ticks, so that a view states only what it shows::
+A chart is a stack of panels over one x axis. A panel holds traces (`Curve`, `Bars`, `Band`, `Boxes`, `HeatMap`), horizontal
+lines and labelled points. The renderers choose fonts, grids, legends, limits and ticks, so that a view states only what it
+shows::
 
     def charts(result):
         unit = scale(peak, "N m")
@@ -140,6 +141,23 @@ class Band:
 
 
 @dataclass(frozen=True, eq=False)
+class Boxes:
+    """Filled rectangles from `x` (n, 2) and `y` (n, 2), their two sides, with an outline."""
+
+    x: Array
+    y: Array
+    name: str = ""
+    colour: str = INK
+    opacity: float = 0.35
+    gid: str = ""
+
+    @property
+    def corners(self) -> Array:
+        """Corners (n, 4, 2) in order."""
+        return np.stack([self.x[:, [0, 1, 1, 0]], self.y[:, [0, 0, 1, 1]]], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
 class HeatMap:
     """Values (m, n) over a grid of places `x` (n,) and `y` (m,), with a colour bar if it has a name; NaN is left grey.
 
@@ -198,7 +216,7 @@ class Mark:
     gid: str = ""
 
 
-Trace = Curve | Bars | Band | HeatMap
+Trace = Curve | Bars | Band | Boxes | HeatMap
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,6 +303,8 @@ def _extremes(trace: Trace, default: str) -> str:
         value, at = max(sizes, key=lambda one: abs(one[0]), default=(0.0, 0))
         where = f" ({_plain(trace.text[at])})" if trace.text else ""
         return f"{_plain(trace.name)}: largest {value:.4g}{where}" if trace.name and sizes else ""
+    if isinstance(trace, Boxes):
+        return f"{_plain(trace.name)}: {len(trace.x)} boxes" if trace.name else ""
     heights = trace.z if isinstance(trace, HeatMap) else np.stack([trace.low, trace.high]) if isinstance(trace, Band) else trace.y
     known = np.asarray(heights, dtype=float)
     known = known[np.isfinite(known)]

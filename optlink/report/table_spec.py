@@ -87,6 +87,8 @@ class TableSpec:
         Columns repeated where a table that is too wide for a terminal is split; 0: the cells are wrapped instead.
     appendix : bool
         Whether a page shows the table in its appendix: checks and details of the solver.
+    exact : bool
+        Whether a page shows all digits: of bounds, which must not be rounded up.
     """
 
     title: str
@@ -96,6 +98,7 @@ class TableSpec:
     sections: tuple[int, ...] = ()
     leading: int = 0
     appendix: bool = False
+    exact: bool = False
 
     @property
     def verdict(self) -> Paragraph:
@@ -147,6 +150,7 @@ def table(
     leading: int = 0,
     unbroken: bool = False,
     appendix: bool = False,
+    exact: bool = False,
 ) -> TableSpec:
     """Return a table.
 
@@ -168,12 +172,16 @@ def table(
         Never break a right-aligned cell into lines.
     appendix : bool, optional
         Show the table in the appendix of a page.
+    exact : bool, optional
+        Show all digits on a page.
     """
     made = tuple(
         column if isinstance(column, Column) else Column(column.lstrip("<>"), column[:1] == ">", unbroken and column[:1] == ">")
         for column in columns
     )
-    return TableSpec(title, made, tuple(_spans(row) for row in rows), _spans(tuple(notes)), tuple(sections), leading, appendix)
+    return TableSpec(
+        title, made, tuple(_spans(row) for row in rows), _spans(tuple(notes)), tuple(sections), leading, appendix, exact
+    )
 
 
 def _spans(line: Line) -> tuple[Span, ...]:

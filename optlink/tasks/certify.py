@@ -42,6 +42,27 @@ def automatic(problem: ProblemFile) -> bool:
     return isinstance(model, DesignProblem) and model.requirement.robust is None and 0 < len(model.free) <= AUTOMATIC
 
 
+def exact(problem: ProblemFile, objective: float) -> bool:
+    """Return whether an objective is zero to rounding, so that no design can be better.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        A function or path problem.
+    objective : float
+        Infinite without a design.
+    """
+    model: Any = problem.model
+    scale = 1.0 if isinstance(model, DesignProblem) else model.whole
+    error = objective if _measure(problem) != "sum of squares" else math.sqrt(max(objective, 0.0))
+    return bool(error <= EXACT * scale)
+
+
+def _measure(problem: ProblemFile) -> str:
+    model: Any = problem.model
+    return str(model.requirement.measure if isinstance(model, DesignProblem) else model.measure)
+
+
 def check_options(gap: float, time_limit: float) -> None:
     """Raise if an option of the proof is out of range.
 
@@ -144,12 +165,7 @@ class _Search:
 
     @property
     def _square(self) -> bool:
-        return bool(self._measure != "sum of squares")
-
-    @property
-    def _measure(self) -> str:
-        model = self.result.problem.model
-        return str(model.requirement.measure if isinstance(model, DesignProblem) else model.measure)
+        return _measure(self.result.problem) != "sum of squares"
 
     @property
     def _squared(self) -> float:
@@ -158,10 +174,7 @@ class _Search:
 
     @property
     def _exact(self) -> bool:
-        model = self.result.problem.model
-        scale = 1.0 if isinstance(model, DesignProblem) else model.whole
-        error = self._known if self._square else math.sqrt(max(self._known, 0.0))
-        return error <= EXACT * scale
+        return exact(self.result.problem, self._known)
 
     def _improve(self, variant: ProblemFile, boxes: DesignBoxes, x: Array) -> float:
         """Search from a point for a better design; return the objective (squared) of the best known one."""

@@ -26,7 +26,7 @@ from optlink.solvers.function_exchange import ALONG, error_at, error_function
 from optlink.solvers.solution import Relaxation, Solution
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.analysis import stroke_document
-from optlink.tasks.results.certificate import Certificate, CertificateRecord
+from optlink.tasks.results.certificate import Certificate, CertificateRecord, message
 from optlink.tasks.results.common import Optimum, SingleRecord, proven, shortest_link
 from optlink.tasks.results.fit import Fit, law_fit
 from optlink.tasks.search import Evidence, Timer, agreement, back_ends, evidence, part
@@ -104,6 +104,7 @@ class FunctionRecord(SingleRecord):
     starts_that_reached_each_value: tuple[int, ...] | None = absent()
     first_step: dict[str, Any] | None = absent()
     certificate: CertificateRecord | None = absent()
+    message: str
 
     @classmethod
     def of(cls, result: FunctionResult, **values: Any) -> Self:
@@ -151,6 +152,11 @@ class FunctionResult(Recorded):
     interrupted: bool = False
     certificate: Certificate | None = None
     counts: tuple[int, ...] = ()  # random starts that reached each value of the objective, that of the design first
+
+    @property
+    def message(self) -> str:
+        """Description of how the search ended."""
+        return message(self.status, self.certificate)
 
     @property
     def valid(self) -> bool:

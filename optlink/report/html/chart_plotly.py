@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.io import finite
-from optlink.report.chart_spec import Axis, Band, Bars, ChartSpec, Curve, HeatMap, Mark, Panel, Picks
+from optlink.report.chart_spec import Axis, Band, Bars, Boxes, ChartSpec, Curve, HeatMap, Mark, Panel, Picks
 from optlink.report.export.dimensions import Drawing
 from optlink.report.format import pretty
 from optlink.report.html.theme import readable
@@ -97,7 +97,7 @@ def chart(spec: ChartSpec) -> Chart:
     kinds = {type(trace) for panel in spec.panels for trace in panel.traces}
     total = sum(panel.height for panel in spec.panels)
     unit = (1.0 - GAP * (len(spec.panels) - 1)) / total
-    layout: dict[str, Any] = LAYOUT | {"height": 480 if spec.equal or HeatMap in kinds else int(110 + 200 * total)}
+    layout: dict[str, Any] = LAYOUT | {"height": 480 if spec.equal or kinds & {HeatMap, Boxes} else int(110 + 200 * total)}
     if spec.equal or spec.picks is not None or not _lined(spec):
         layout["hovermode"] = "closest"
     if HeatMap in kinds:
@@ -221,6 +221,8 @@ def _traces(spec: ChartSpec, panel: Panel) -> list[Trace]:
             found.append(_curve(trace))
         elif isinstance(trace, Band):
             found += _band(trace)
+        elif isinstance(trace, Boxes):
+            found.append(_boxes(trace))
         elif isinstance(trace, HeatMap):
             found.append(_heat_map(spec, panel, trace))
         else:
@@ -279,6 +281,20 @@ def _band(trace: Band) -> list[Trace]:
         upper |= {"hoverinfo": "skip"}
     lower = edge | {"y": short(trace.low), "showlegend": False}
     return [lower | ({"hoverinfo": "skip"} if trace.values is not None or not trace.name else {}), upper]
+
+
+def _boxes(trace: Boxes) -> Trace:
+    """Return rectangles as one filled line with gaps."""
+    around = np.concatenate([trace.corners, trace.corners[:, :1], np.full((len(trace.x), 1, 2), np.nan)], axis=1).reshape(-1, 2)
+    look: Trace = {
+        "type": "scatter",
+        "mode": "lines",
+        "name": escape(trace.name),
+        "x": short(around[:, 0]),
+        "y": short(around[:, 1]),
+    }
+    look |= {"fill": "toself", "fillcolor": f"{trace.colour}{round(255 * trace.opacity):02x}", "hoverinfo": "skip"}
+    return look | {"line": {"width": 0.7, "color": trace.colour}, "showlegend": bool(trace.name)}
 
 
 def _heat_map(spec: ChartSpec, panel: Panel, trace: HeatMap) -> Trace:

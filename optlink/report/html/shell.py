@@ -126,8 +126,8 @@ def _appended(part: object) -> bool:
 
 
 def _brief(part: Any) -> Any:
-    """Return a table with numbers of four digits; anything else as it is."""
-    if not isinstance(part, TableSpec):
+    """Return a table with numbers of four digits, unless it needs all; anything else as it is."""
+    if not isinstance(part, TableSpec) or part.exact:
         return part
     return replace(part, rows=tuple(tuple(replace(cell, text=four(cell.text)) for cell in row) for row in part.rows))
 

@@ -6,6 +6,7 @@ A result file contains only the name and hash of its problem, which is searched 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -23,8 +24,9 @@ from optlink.report.stored.stored_study import named_si
 from optlink.solvers.solution import LimitState
 from optlink.studies.sensitivity import SensitivitiesRecord
 from optlink.tasks.analyze import analyze
+from optlink.tasks.certify import exact
 from optlink.tasks.cycle import validate as validate_cycle
-from optlink.tasks.function import FunctionResult, read_design, validate
+from optlink.tasks.function import FunctionRecord, FunctionResult, read_design, validate
 from optlink.tasks.results.analysis import AnalysisRecord
 from optlink.tasks.results.common import SingleRecord
 from optlink.tasks.results.cycle import CycleRecord, CycleResult
@@ -58,10 +60,27 @@ def read_report_model(record: ResultRecord, file: ProblemFile, path: Path) -> Re
     notes = [f"read from {path.name}; kinematics and checks are computed anew from the design in it"]
     if record.optlink != VERSION:
         notes.append(f"that file was written by optlink {record.optlink}, this page by {VERSION}")
+    if getattr(record, "certificate", None) is not None:
+        notes.append("the certificate of the global optimum is that of the file; it is not computed anew")
     if isinstance(record, SensitivitiesRecord):
         return _sensitive(record, file, tuple(notes))
-    outcome = _solved(_outcome(record, path, file))
+    outcome = _solved(_certified(_outcome(record, path, file), record))
     return report_model_of(file, outcome, _limits(record) if _optimal(outcome) else (), tuple(notes))
+
+
+def _certified(outcome: Outcome, record: ResultRecord) -> Outcome:
+    """Return an outcome with the certificate of its file, which must fit it."""
+    if not isinstance(outcome, FunctionResult | PathResult) or not isinstance(record, FunctionRecord | PathRecord):
+        return outcome
+    if record.certificate is None:
+        return outcome
+    objective = outcome.objective if outcome.valid else math.inf
+    unknowns = tuple(outcome.problem.model.free)
+    try:
+        found = record.certificate.certificate(unknowns, objective, exact=exact(outcome.problem, objective))
+    except Contradiction as error:
+        raise Contradiction(f"certificate.{error.key}", str(error), error.value) from None
+    return replace(outcome, certificate=found)
 
 
 def _solved(outcome: Outcome) -> Outcome:
@@ -151,7 +170,13 @@ def _path(record: PathRecord, file: ProblemFile) -> PathResult:
     nearest = None if record.nearest_miss is None else _path_design(record.nearest_miss, "nearest_miss", file)
     valid = tuple(design for design in found if design.valid)
     return record.build(
-        PathResult, problem=file, designs=valid, nearest=nearest or next(iter(found), None), seconds={}, conflict=()
+        PathResult,
+        problem=file,
+        designs=valid,
+        nearest=nearest or next(iter(found), None),
+        seconds={},
+        conflict=(),
+        certificate=None,
     )
 
 

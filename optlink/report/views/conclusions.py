@@ -12,6 +12,7 @@ from optlink.errors import Status
 from optlink.optimization.objectives import MEASURES
 from optlink.problem.cycle import REQUIRED, StrokeProblem
 from optlink.report.format import pretty, scale
+from optlink.report.views.certificate_view import clause
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -84,9 +85,11 @@ def design(outcome: FunctionResult | PathResult | CycleResult, limits: Iterable[
 
     best = outcome.best if isinstance(outcome, PathResult) else outcome
     if best is None:
-        return contradiction(outcome.conflict, outcome.together) or "No design was found."
+        found = contradiction(outcome.conflict, outcome.together) or "No design was found."
+        return found if isinstance(outcome, CycleResult) else _joined(found, clause(outcome.certificate))
+    proof = "" if isinstance(outcome, CycleResult) else clause(outcome.certificate)
     if outcome.conflict:
-        return contradiction(outcome.conflict, outcome.together)
+        return _joined(contradiction(outcome.conflict, outcome.together), proof)
     if isinstance(best, CycleResult):
         achieved = _cycle(best)
     elif isinstance(outcome, PathResult):
@@ -94,9 +97,12 @@ def design(outcome: FunctionResult | PathResult | CycleResult, limits: Iterable[
     else:
         achieved = _function(outcome)  # type: ignore[arg-type]
     if outcome.valid:
-        held = _limiting(limits)
-        return achieved + (f" {held}" if held else "")
+        return _joined(achieved, proof, _limiting(limits))
     return f"{_failed(best.validation.checks) or _stopped(best.status)} {achieved}"
+
+
+def _joined(*sentences: str) -> str:
+    return " ".join(filter(None, sentences))
 
 
 def _function(outcome: FunctionResult) -> str:

@@ -27,10 +27,11 @@ from optlink.report.labels import place_labels
 from optlink.report.report_model import resulting_machine
 from optlink.report.style import FOUND, LIMIT, QUIET, ROCKER, WANTED, figure, heading, panels, styled
 from optlink.report.view import View
+from optlink.report.views.certificate_view import certificate_charts
 from optlink.report.views.function_chart import function_chart
 from optlink.report.views.function_landscape import objective_map, unit_of
 from optlink.report.views.path_captions import failed
-from optlink.tasks.function import FunctionResult
+from optlink.tasks.function import FunctionResult, display_value
 
 Array = NDArray[np.float64]
 
@@ -115,8 +116,22 @@ def mechanism(result: FunctionResult) -> Figure | None:
 
 
 def charts(result: FunctionResult) -> list[ChartSpec]:
-    """Return the law over the span with its error, y(x) of a function, and the transmission angle over the whole motion."""
-    return [*law(result), *function_values(result), *transmission(result)]
+    """Return the law over the span, y(x) of a function, the transmission angle over the motion, and the global search."""
+    return [*law(result), *function_values(result), *transmission(result), *certified(result)]
+
+
+def certified(result: FunctionResult) -> list[ChartSpec]:
+    """Return the charts of the certificate of the global optimum."""
+    scales = {name: display_value(name, 1.0) for name in result.problem.spec.free}
+    return certificate_charts(
+        result.certificate,
+        result.problem.spec.title,
+        1.0,
+        unit_of(result),
+        {} if result.conflict else result.design,
+        result.assembly,
+        scales.__getitem__,
+    )
 
 
 def function_values(result: FunctionResult) -> list[ChartSpec]:

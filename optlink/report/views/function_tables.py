@@ -32,11 +32,13 @@ from optlink.report.table_spec import (
     summary,
     table,
 )
+from optlink.report.views.certificate_view import certificate_table, certified
 from optlink.report.views.relaxations import conflict
 from optlink.solvers.solution import LimitState
 from optlink.synthesis.function_starts import WIDER
 from optlink.tasks.function import FunctionResult, display_value
 from optlink.tasks.machine import turning_machine
+from optlink.tasks.results.certificate import Certificate, message
 from optlink.tasks.results.fit import Fit
 from optlink.validation import Check
 
@@ -57,6 +59,10 @@ def result(outcome: FunctionResult) -> Summary:
         if outcome.solution:
             parts.append(active(outcome.solution.limits, outcome.objective, outcome.unit))
         parts.append(checks(outcome.validation.checks))
+    if outcome.certificate is not None:
+        parts.insert(
+            len(parts) - (not outcome.conflict), certificate_table(outcome.certificate, 1.0, outcome.unit, outcome.seconds)
+        )
     if outcome.optima and (len(outcome.optima) > 1 or outcome.starts > 1):
         parts += _optima(outcome)
     if outcome.backends:
@@ -76,20 +82,21 @@ def _status(outcome: FunctionResult) -> Iterator[Line]:
     line = search_verdict(outcome.status, ended, word, outcome.valid)
     yield from graded(line, outcome.fit if outcome.valid else None)
     yield from noted(outcome.notes)
-    yield ending(outcome.status, outcome.starts)
+    yield ending(outcome.status, outcome.starts, outcome.certificate)
 
 
-def ending(status: Status, starts: int) -> Line:
-    """Describe how a search ended; an optimum of a single starting point with the option that searches from several.
+def ending(status: Status, starts: int, certificate: Certificate | None = None) -> Line:
+    """Describe how a search ended; an uncertified optimum of one starting point with the option that searches from several.
 
     Parameters
     ----------
     status : Status
     starts : int
         Starting points of the search.
+    certificate : Certificate, optional
     """
-    more = " (use --starts N for a multistart search)" if status is Status.OPTIMAL and starts == 1 else ""
-    return quiet(status.text + more)
+    text = message(status, certificate)
+    return quiet(text + " (use --starts N for a multistart search)" * (text == Status.OPTIMAL.text and starts == 1))
 
 
 def verdict(word: str, positive: bool) -> Inline:
@@ -233,7 +240,7 @@ def _optima(outcome: FunctionResult) -> Iterator[Part]:
     free = outcome.problem.spec.free
     modes = len({optimum.assembly for optimum in outcome.optima}) > 1
     found = outcome.evidence
-    if found is not None:
+    if found is not None and not certified(outcome.certificate):
         different = f"{found.optima} distinct value{'s' * (found.optima > 1)}"
         hits = f"{found.hits} of {found.starts} random starts reached the best value, {different}"
         yield Paragraph(strong("Multistart search"), f"{hits}; {found.chance}", appendix=True)

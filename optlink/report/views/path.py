@@ -6,6 +6,8 @@ mechanism, output or transmission angles, alternative designs.
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -26,14 +28,16 @@ from optlink.report.labels import place_labels
 from optlink.report.report_model import resulting_machine
 from optlink.report.style import CRANK, WANTED, degrees, figure, heading, styled
 from optlink.report.view import View
+from optlink.report.views.certificate_view import certificate_charts
 from optlink.report.views.path_alternatives import designs
 from optlink.report.views.path_captions import LINE, SMALL, assembly, entitle, failed, headed, wrapped
 from optlink.report.views.path_closeup import Close, dots, points_on, small_frames
 from optlink.report.views.path_initial_pose import BESIDE, HIGH, initial_pose, trim
 from optlink.report.views.path_outputs import curve, function_values, mechanism, output_film
 from optlink.report.views.path_residuals import errors
+from optlink.report.views.path_tables import objective_scale
 from optlink.report.views.path_view import PathView, best
-from optlink.tasks.results.path import PathDesign, PathResult
+from optlink.tasks.results.path import PathDesign, PathResult, display_unit
 
 Array = NDArray[np.float64]
 FRAMES = 90
@@ -41,11 +45,21 @@ LIT = "#ffc20a"
 
 
 def charts(result: PathResult) -> list[ChartSpec]:
-    """Return curve and deviations at every point, or the output of a law and y(x) of a function, or the transmission angles."""
+    """Return curve and deviations at every point, or the output of a law and y(x), or transmission angles; the global search."""
     track = best(result)
     if track is None:
         return []
-    return [Close(track).chart(), errors(track)] if track.task.pointed else [curve(track), *function_values(track)]
+    own = [Close(track).chart(), errors(track)] if track.task.pointed else [curve(track), *function_values(track)]
+    task, design = track.task, track.design
+    proof = certificate_charts(
+        result.certificate,
+        task.title,
+        *objective_scale(task),
+        design.values if design.valid else {},
+        design.assembly,
+        functools.partial(display_unit, task),
+    )
+    return own + proof
 
 
 def columns(design: PathDesign) -> dict[str, Array]:

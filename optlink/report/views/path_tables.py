@@ -24,6 +24,7 @@ from optlink.report.table_spec import (
     summary,
     table,
 )
+from optlink.report.views.certificate_view import certificate_lines, certificate_table, certified
 from optlink.report.views.function_tables import active, checks, graded, noted, search_verdict
 from optlink.report.views.relaxations import conflict
 from optlink.tasks.machine import turning_machine
@@ -42,7 +43,9 @@ def path_result(outcome: PathResult) -> Summary:
     impossible = conflict(outcome.conflict, outcome.together) if outcome.conflict else None
     if best is None:
         remark = "no start could be assembled at all points within the bounds; widen them, or give more starts"
-        return summary(title, [bad("no linkage found"), quiet(remark)], impossible, _times(outcome))
+        proof = certificate_lines(outcome.certificate)
+        status = [bad("no linkage found"), *(proof if certified(outcome.certificate) else [quiet(remark), *proof])]
+        return summary(title, status, impossible, _certificate(outcome), _times(outcome))
     machine = turning_machine(best.problem, best.values)
     strokes = None if machine is None else machine_strokes(machine, float(best.crank_angles[-1] - best.crank_angles[0]))
     bounds = [check for check in best.validation.checks if check.passed and check.name.endswith(BOUNDED)]
@@ -55,6 +58,7 @@ def path_result(outcome: PathResult) -> Summary:
         impossible,
         _points(best) if best.task.pointed else None,
         _active(best) if best.solution is not None else None,
+        _certificate(outcome),
         checks(best.validation.checks, bounds if len(bounds) > 1 else ()),
         _alternatives(outcome) if len(outcome.designs) > 1 else None,
         _cognates(outcome, best) if best.cognates else None,
@@ -69,6 +73,7 @@ def _status(outcome: PathResult, best: PathDesign) -> Iterator[Line]:
     line = search_verdict(best.status, ended, "valid" if best.valid else "not valid", best.valid)
     yield from graded(line, best.fit, "" if outcome.starts == 0 else many)
     yield from noted(outcome.notes)
+    yield from certificate_lines(outcome.certificate)
 
 
 def _sizes(design: PathDesign, chosen: bool) -> TableSpec:
@@ -118,16 +123,27 @@ def measure(task: PathProblem) -> str:
     return task.measure + (", weighted" if task.target_points.weights is not None else "")
 
 
+def objective_scale(task: PathProblem) -> tuple[float, str]:
+    """Return the factor of the objective from SI to its display unit, and that unit."""
+    factor, unit = OUTPUT[task.unit]
+    return (factor**2, f"{unit}^2" if unit else unit) if task.measure == "sum of squares" else (factor, unit)
+
+
 def displayed_objective_unit(design: PathDesign) -> str:
     """Return the display unit of the objective."""
-    unit = OUTPUT[design.task.unit][1]
-    return f"{unit}^2" if design.task.measure == "sum of squares" and unit else unit
+    return objective_scale(design.task)[1]
 
 
 def displayed_objective(design: PathDesign) -> float:
     """Return the objective in its display unit."""
-    factor = OUTPUT[design.task.unit][0]
-    return design.objective * (factor**2 if design.task.measure == "sum of squares" else factor)
+    return design.objective * objective_scale(design.task)[0]
+
+
+def _certificate(outcome: PathResult) -> TableSpec | None:
+    task = outcome.problem.model
+    assert isinstance(task, PathProblem)
+    found = outcome.certificate
+    return None if found is None else certificate_table(found, *objective_scale(task), outcome.seconds)
 
 
 def _active(design: PathDesign) -> Part:
@@ -216,7 +232,8 @@ def _times(outcome: PathResult) -> Paragraph:
     shown, found = times(outcome.seconds), outcome.evidence
     if not outcome.starts:
         return Paragraph(quiet(shown), appendix=True)
-    reached = f"{found.hits} of {outcome.starts} starts reached the best value; {found.chance}; " if outcome.designs else ""
+    told = outcome.designs and not certified(outcome.certificate)
+    reached = f"{found.hits} of {outcome.starts} starts reached the best value; {found.chance}; " if told else ""
     return Paragraph(quiet(f"{reached}batch of least squares, then {outcome.backend}; {shown}"), appendix=True)
 
 

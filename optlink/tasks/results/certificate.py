@@ -10,7 +10,8 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.problem.base_model import Number, Record, Rows, absent
+from optlink.errors import Status
+from optlink.problem.base_model import Contradiction, Never, Number, Record, Rows, absent
 from optlink.solvers.global_search.lagrangian import TESTS
 from optlink.version import VERSION
 
@@ -19,6 +20,7 @@ Array = NDArray[np.float64]
 GLOBAL, WITHIN_GAP, NOT_CLOSED, INFEASIBLE = "global", "within gap", "not closed", "infeasible"
 STRICT = 1e-6  # largest relative gap of a design that is called globally optimal
 SHOWN = 3_000  # discarded boxes up to which the result document has them
+SAME = 1e-6  # relative difference of the same objective, once computed and once read
 SCHEMA = "optlink/certificate/1"
 
 
@@ -101,6 +103,11 @@ class Certificate:
         return self.status in (GLOBAL, WITHIN_GAP)
 
     @property
+    def exact(self) -> bool:
+        """Whether the objective is zero to rounding, so that no design can be better."""
+        return self.status == GLOBAL and (self.objective == 0.0 or self.gap > STRICT * (1.0 + 1e-6))
+
+    @property
     def gap(self) -> float:
         """Share of the objective by which a design could be better; 0 for an objective of 0, NaN without a design."""
         if not math.isfinite(self.objective):
@@ -114,18 +121,44 @@ class Certificate:
             return "proven: no design within the bounds meets all limits"
         if not math.isfinite(self.objective):
             return f"not closed: no feasible design is known, {self.open_boxes:,} boxes are left"
+        if self.exact:
+            return "globally optimal: the design is exact to rounding, and no design can be better"
         share = share_text(self.gap)
         if self.proven:
             return f"globally optimal within the bounds: no design is better by more than {share}"
         return f"not closed: a design could still be better by up to {share}"
+
+    @property
+    def brief(self) -> str:
+        """The finding in a few words."""
+        if self.status == INFEASIBLE:
+            return "proven"
+        if self.exact:
+            return "globally optimal"
+        return f"{'globally optimal within' if self.proven else 'gap'} {share_text(self.gap)}"
 
     def of(self, **values: Any) -> Certificate:
         """Return the certificate with other values."""
         return Certificate(**(vars(self) | values))
 
 
+def message(status: Status, certificate: Certificate | None) -> str:
+    """Describe how a search ended: by its certificate where that proves more than the status of the local search.
+
+    Parameters
+    ----------
+    status : Status
+    certificate : Certificate or None
+    """
+    if certificate is None or not certificate.closed:
+        return status.text
+    return certificate.text + ("" if certificate.proven else "; relax one of the limits named in the conflict")
+
+
 def share_text(share: float) -> str:
     """Format a share in percent, rounded up."""
+    if math.isnan(share):
+        return "unknown"
     if not share > 0.0:
         return "rounding errors"
     digits = max(0, 1 - math.floor(math.log10(100.0 * share)))
@@ -133,22 +166,52 @@ def share_text(share: float) -> str:
     return (shown.rstrip("0").rstrip(".") if digits else shown) + " %"
 
 
+class CoverRecord(Record):
+    """The discarded boxes of one assembly mode: corners [SI], and the test that discards each."""
+
+    assembly: Any
+    low: Rows
+    high: Rows
+    test: tuple[Literal["limits", "objective", "Lagrangian", "cut"], ...]
+
+    def cover(self, unknowns: int) -> Cover:
+        """Return the cover.
+
+        Parameters
+        ----------
+        unknowns : int
+            Number of design variables.
+
+        Raises
+        ------
+        Contradiction
+            If its boxes have another number of corners or coordinates.
+        """
+        for name, corners in (("low", self.low), ("high", self.high)):
+            if corners.shape != (len(self.test), unknowns):
+                raise Contradiction(f"discarded.{name}", f"{len(self.test)} rows of {unknowns} numbers belong there")
+        if not np.all(self.low <= self.high):
+            raise Contradiction("discarded.high", "a box ends before it begins")
+        tests = np.array([TESTS.index(name) for name in self.test], dtype=np.int8)
+        return Cover(self.assembly, self.low, self.high, tests, np.zeros((len(tests), 0)), ())
+
+
 class CertificateRecord(Record):
     """A certificate in the document of a result: objectives [SI], boxes of the design variables [SI] if they are few."""
 
     status: Literal["global", "within gap", "not closed", "infeasible"]
     text: str
-    objective: Number
-    lower_bound: Number
+    objective: Never
+    lower_bound: Never
     gap: Number
     asked: float
-    rigorous: bool
+    rigorous: Literal[True]
     boxes: int
     open_boxes: int
     improved: bool
     unknowns: tuple[str, ...]
     history: Rows
-    discarded: tuple[dict[str, Any], ...] | None = absent()
+    discarded: tuple[CoverRecord, ...] | None = absent()
 
     @classmethod
     def of(cls, result: Certificate, **values: Any) -> Self:
@@ -161,8 +224,54 @@ class CertificateRecord(Record):
             Values of fields, in place of those of the certificate.
         """
         few = 0 < sum(len(cover.test) for cover in result.covers) <= SHOWN
-        covers = tuple(cover_document(cover, witnesses=False) for cover in result.covers) if few else None
-        return super().of(result, history=result.history.tolist(), discarded=covers, **values)
+        covers = (
+            tuple(CoverRecord.of(cover, test=tuple(TESTS[k] for k in cover.test)) for cover in result.covers) if few else None
+        )
+        return super().of(result, discarded=covers, **values)
+
+    def certificate(self, unknowns: tuple[str, ...], objective: float, *, exact: bool) -> Certificate:
+        """Return the certificate, after a check that it fits the result.
+
+        Parameters
+        ----------
+        unknowns : tuple of str
+            Design variables of the problem.
+        objective : float
+            Recomputed objective of the design [SI]; infinite if it is not valid.
+        exact : bool
+            Whether that objective is zero to rounding.
+
+        Raises
+        ------
+        Contradiction
+            If it does not fit the design, the problem or itself.
+        """
+        covers = tuple(one.cover(len(unknowns)) for one in self.discarded or ())
+        history = np.where(np.isnan(self.history), math.inf, self.history) if self.history.size else np.zeros((0, 3))
+        found = self.build(Certificate, covers=covers, history=history)
+        if self.unknowns != unknowns:
+            raise Contradiction("unknowns", f"the design variables of the problem are {', '.join(unknowns)}")
+        if found.history.shape != (len(found.history), 3):
+            raise Contradiction("history", "its rows are not boxes, lower bound and objective")
+        if min(self.boxes, self.open_boxes) < 0 or found.closed != (self.open_boxes == 0):
+            raise Contradiction("open_boxes", "it does not fit the status of the proof", self.open_boxes)
+        if not 1e-12 <= self.asked < 1.0:
+            raise Contradiction("asked", "this is not a share", self.asked)
+        if found.status == INFEASIBLE:
+            if math.isfinite(min(self.objective, self.lower_bound, objective)):
+                raise Contradiction("status", "there is a design that meets all limits", self.status)
+            return found
+        if not 0.0 <= self.lower_bound <= self.objective:
+            raise Contradiction("lower_bound", "this is not between zero and the objective", self.lower_bound)
+        apart = abs(self.objective - objective) if math.isfinite(max(self.objective, objective)) else math.inf
+        if self.objective != objective and apart > SAME * objective and not exact:
+            raise Contradiction("objective", "this is not the objective of the design", self.objective)
+        share = {GLOBAL: STRICT, WITHIN_GAP: self.asked}.get(found.status, 1.0)
+        if not math.isfinite(objective) and found.proven:
+            raise Contradiction("status", "there is no valid design that it certifies", self.status)
+        if math.isfinite(objective) and not found.gap <= share * (1.0 + 1e-6) and not exact:
+            raise Contradiction("lower_bound", "the gap is too large for the status of the proof", self.lower_bound)
+        return found
 
 
 def cover_document(cover: Cover, *, witnesses: bool) -> dict[str, Any]:

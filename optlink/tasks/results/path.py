@@ -27,7 +27,7 @@ from optlink.problem.path import START, TURN, PathProblem
 from optlink.solvers.solution import LimitState, Relaxation, Solution
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.analysis import stroke_document
-from optlink.tasks.results.certificate import Certificate, CertificateRecord
+from optlink.tasks.results.certificate import Certificate, CertificateRecord, message
 from optlink.tasks.results.common import SearchRecord, proven
 from optlink.tasks.results.fit import Fit, FitRecord, path_fit, transmission_fit
 from optlink.tasks.search import Evidence
@@ -316,6 +316,7 @@ class PathRecord(SearchRecord):
     conflict: tuple[Relaxation, ...] | None = absent()
     relax_together: tuple[Relaxation, ...] | None = absent()
     certificate: CertificateRecord | None = absent()
+    message: str
     nearest_miss: PathDesignRecord | None
 
     @classmethod
@@ -363,6 +364,11 @@ class PathResult(Recorded):
     def hits(self) -> int:
         """Number of starts that reached the best design."""
         return self.evidence.hits
+
+    @property
+    def message(self) -> str:
+        """Description of how the search ended."""
+        return message(self.status, self.certificate)
 
     @property
     def valid(self) -> bool:

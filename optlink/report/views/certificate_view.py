@@ -1,0 +1,196 @@
+"""What is shown of the certificate of a global optimum, the same for every kind of result: table, clause, charts."""
+
+from __future__ import annotations
+
+import decimal
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from optlink.report.chart_spec import Axis, Boxes, ChartSpec, Curve, Mark, Panel
+from optlink.report.table_spec import Line, Row, TableSpec, quiet, strong, table
+from optlink.tasks.results.certificate import SHOWN, Certificate, Cover, share_text
+
+INCLUDED = "no design within the bounds has a smaller one; rounding errors are included"
+CONTINUE = "to continue the proof: --certify with a longer --time-limit or a larger --gap"
+
+
+def certificate_table(certificate: Certificate, factor: float, unit: str, seconds: Mapping[str, float]) -> TableSpec:
+    """Tabulate a certificate: best design and lower bound, gap, effort, finding, and how to continue a proof that is not closed.
+
+    Parameters
+    ----------
+    certificate : Certificate
+    factor : float
+        Of the objective from SI to its display unit.
+    unit : str
+        Display unit of the objective.
+    seconds : mapping of str to float [s]
+        Wall time per stage.
+    """
+    rows: list[Row] = []
+    known, bound = certificate.objective, certificate.lower_bound
+    digits = 6
+    if math.isfinite(known):
+        digits = min(14, max(6, 2 - math.floor(math.log10(certificate.gap)))) if 0.0 < certificate.gap < 1.0 else 6
+        rows.append(("best design", strong(f"{known * factor:.{digits}g}"), unit, ""))
+    if math.isfinite(bound):
+        rows.append(("lower bound", strong(rounded_down(bound * factor, digits)), unit, quiet(INCLUDED)))
+    if math.isfinite(known) and not certificate.exact:
+        rows.append(
+            (
+                "gap",
+                share_text(certificate.gap),
+                "",
+                quiet(f"largest share by which a design could be better{_asked(certificate)}"),
+            )
+        )
+    left = f", {certificate.open_boxes:,} of them left" if certificate.open_boxes else ""
+    if certificate.boxes:
+        rows.append(("boxes", f"{certificate.boxes:,}", "", quiet(f"parts of the bounds that were examined{left}")))
+    if "certify" in seconds:
+        rows.append(("time", f"{seconds['certify']:.3g}", "s", ""))
+    notes = [certificate.text]
+    if certificate.improved:
+        notes.append("the design is better than that of the local search: the proof found it")
+    if not certificate.closed:
+        notes.append(CONTINUE)
+    return table("Global optimum", "<><<", rows, notes=[quiet(note) for note in notes], exact=True)
+
+
+def _asked(certificate: Certificate) -> str:
+    return "" if certificate.proven else f", {share_text(certificate.asked)} was required"
+
+
+def rounded_down(value: float, digits: int) -> str:
+    """Format a lower bound with significant digits that do not exceed it.
+
+    Parameters
+    ----------
+    value : float
+    digits : int
+    """
+    context = decimal.Context(prec=digits, rounding=decimal.ROUND_FLOOR)
+    return f"{float(context.create_decimal(decimal.Decimal(value))):.{digits}g}"
+
+
+def certified(certificate: Certificate | None) -> bool:
+    """Return whether a certificate takes the place of statistical evidence: its search came to an end."""
+    return certificate is not None and certificate.closed
+
+
+def certificate_lines(certificate: Certificate | None) -> list[Line]:
+    """Return the line of a status; none without a certificate."""
+    return [] if certificate is None else [quiet(certificate.text)]
+
+
+def clause(certificate: Certificate | None) -> str:
+    """Return the sentence of a conclusion; an empty text if nothing is proven."""
+    if certificate is None or not certificate.closed:
+        return ""
+    if not certificate.proven:
+        return "It is proven that no design within the bounds meets all limits."
+    if certificate.exact:
+        return "No design can be better."
+    return f"It is proven that no design within the bounds is better by more than {share_text(certificate.gap)}."
+
+
+# --- charts ------------------------------------------------------------------------------------------------------------------
+
+FEW = 256  # boxes up to which the bounds are not drawn: about one batch of the search
+SCHEME = {
+    "limits": ("limit violated", "#c0392b"),
+    "objective": ("objective too large", "#2c6fbb"),
+    "Lagrangian": ("Lagrangian too large", "#2e8b57"),
+    "cut": ("cut off", "#d07d00"),
+}
+"""Name and colour of the boxes that each test discards."""
+
+
+def certificate_charts(
+    certificate: Certificate | None,
+    title: str,
+    factor: float,
+    unit: str,
+    design: Mapping[str, float],
+    assembly: Any,
+    display: Callable[[str], tuple[float, str]],
+) -> list[ChartSpec]:
+    """Return the boxes of two design variables, and the bounds of the objective against the number of boxes.
+
+    Parameters
+    ----------
+    certificate : Certificate or None
+    title : str
+        Of the problem.
+    factor : float
+        Of the objective from SI to its display unit.
+    unit : str
+        Display unit of the objective.
+    design : mapping of str to float [SI]
+        Of the best design; empty if there is none.
+    assembly : object
+        Its assembly mode, in the words of the problem file.
+    display : function of a name
+        Returns factor and display unit of a design variable.
+    """
+    if certificate is None:
+        return []
+    found = []
+    if len(certificate.unknowns) == 2 and 0 < sum(len(cover.test) for cover in certificate.covers) <= SHOWN:
+        for k, cover in enumerate(certificate.covers):
+            at = design if certificate.proven and str(cover.assembly) == str(assembly) else {}
+            mode = f", assembly {cover.assembly}" if len(certificate.covers) > 1 else ""
+            found.append(_boxes(certificate, cover, title, mode, at, display, k))
+    if certificate.boxes > FEW and np.isfinite(certificate.history[-1:, 2]).any():
+        found.append(_bounds(certificate, title, factor, unit))
+    return found
+
+
+def _boxes(
+    certificate: Certificate,
+    cover: Cover,
+    about: str,
+    mode: str,
+    design: Mapping[str, float],
+    display: Callable[[str], tuple[float, str]],
+    row: int,
+) -> ChartSpec:
+    """Return the boxes of one assembly mode, coloured by the tests that discarded them."""
+    scales = [display(name) for name in certificate.unknowns]
+    factors = np.array([factor for factor, _ in scales])
+    low, high = cover.low * factors, cover.high * factors
+    x, y = (np.stack([low[:, k], high[:, k]], axis=1) for k in range(2))
+    traces = []
+    for k, (key, (name, colour)) in enumerate(SCHEME.items()):
+        own = cover.test == k
+        if own.any():
+            traces.append(Boxes(x[own], y[own], f"{name} ({int(own.sum())})", colour, gid=f"boxes {key}"))
+    marks = []
+    if design:
+        at_x, at_y = (design[name] * factor for name, factor in zip(certificate.unknowns, factors, strict=True))
+        marks.append(Mark(at_x, at_y, "design", "#111111", "star", 11.0, prefer=(1.0, 1.0), gid="design"))
+    axes = [
+        Axis(f"{name} [{unit}]", (float(ends.min()), float(ends.max())))
+        for name, (_, unit), ends in zip(certificate.unknowns, scales, (x, y), strict=True)
+    ]
+    panel = Panel(axes[1], traces, 2.1, marks=marks)
+    title = f"Global search: boxes of designs and the test that discarded each{mode}"
+    heading = f"{about}: boxes of the global search"
+    return ChartSpec("boxes", title, [panel], axes[0], heading, certificate.text, cursor=False, row=row)
+
+
+def _bounds(certificate: Certificate, title: str, factor: float, unit: str) -> ChartSpec:
+    """Return the lower bound and the best known objective as steps over the number of boxes."""
+    boxes, lower, best = certificate.history.T
+    steps = np.repeat(boxes, 2)[1:]
+    curves = [
+        Curve(steps, np.repeat(values * factor, 2)[:-1], name, colour, 1.8, gid=name)
+        for values, name, colour in ((best, "best known design", "#2e8b57"), (lower, "lower bound", "#2c6fbb"))
+    ]
+    axis = Axis(f"objective [{unit}]" if unit else "objective")
+    x = Axis("boxes examined", (float(boxes[0]), float(boxes[-1])), "log")
+    name, heading = "Global search: bounds of the objective", f"{title}: bounds of the objective"
+    return ChartSpec("bounds", name, [Panel(axis, curves, 1.4)], x, heading, certificate.text, cursor=False)
