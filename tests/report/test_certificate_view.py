@@ -192,7 +192,7 @@ def test_a_stored_infeasible_certificate_is_restored(opposed, tmp_path):
 
 DAMAGED = {
     "status": ("fine", "certificate.status"),
-    "objective": (0.5, "certificate.objective = 0.5: the result is damaged: this is not the objective of the design"),
+    "objective": (0.5, "the gap is too large for the status of the proof"),
     "lower_bound": (0.001, "certificate.lower_bound = 0.001: the result is damaged: the gap is too large for the status"),
     "asked": (7.0, "certificate.asked = 7.0: the result is damaged: this is not a share"),
     "boxes": (-1, "certificate.open_boxes"),
@@ -233,6 +233,18 @@ def test_boxes_with_unknown_tests_or_reversed_corners_are_refused(solved, tmp_pa
 
 def test_a_certificate_of_another_verdict_is_refused(solved, tmp_path):
     document = copy.deepcopy(solved.to_dict())
-    document["certificate"] |= {"status": "infeasible", "objective": None, "lower_bound": None}
-    with pytest.raises(optlink.InputError, match="there is a design that meets all limits"):
+    document["certificate"]["status"] = "infeasible"
+    with pytest.raises(optlink.InputError, match="there is an objective or a bound of it"):
         stored(document, tmp_path)
+
+
+def test_a_certificate_of_another_design_is_not_shown(solved, tmp_path):
+    """A design without a certificate, or a proof that there is none, must not borrow one."""
+    other = {"objective": 2.0 * solved.objective, "lower_bound": 2.0 * solved.objective}
+    none = {"status": "infeasible", "objective": None, "lower_bound": None}
+    for change in (other, none):
+        document = copy.deepcopy(solved.to_dict())
+        document["certificate"] |= change
+        model = stored(document, tmp_path)
+        assert model.result.certificate is None
+        assert any("not that of this design" in note for note in model.notes)

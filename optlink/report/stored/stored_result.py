@@ -38,6 +38,9 @@ from optlink.validation.path import validate_path
 from optlink.version import VERSION
 
 
+RESTORED = "the certificate of the global optimum is that of the file; it is not computed anew"
+
+
 def read_report_model(record: ResultRecord, file: ProblemFile, path: Path) -> ReportModel:
     """Return the report model of a stored result.
 
@@ -60,16 +63,17 @@ def read_report_model(record: ResultRecord, file: ProblemFile, path: Path) -> Re
     notes = [f"read from {path.name}; kinematics and checks are computed anew from the design in it"]
     if record.optlink != VERSION:
         notes.append(f"that file was written by optlink {record.optlink}, this page by {VERSION}")
-    if getattr(record, "certificate", None) is not None:
-        notes.append("the certificate of the global optimum is that of the file; it is not computed anew")
     if isinstance(record, SensitivitiesRecord):
         return _sensitive(record, file, tuple(notes))
     outcome = _solved(_certified(_outcome(record, path, file), record))
+    if getattr(record, "certificate", None) is not None:
+        kept = isinstance(outcome, FunctionResult | PathResult) and outcome.certificate is not None
+        notes.append(RESTORED if kept else "the certificate of the global optimum in the file is not that of this design")
     return report_model_of(file, outcome, _limits(record) if _optimal(outcome) else (), tuple(notes))
 
 
 def _certified(outcome: Outcome, record: ResultRecord) -> Outcome:
-    """Return an outcome with the certificate of its file, which must fit it."""
+    """Return an outcome with the certificate of its file, if it is that of its design."""
     if not isinstance(outcome, FunctionResult | PathResult) or not isinstance(record, FunctionRecord | PathRecord):
         return outcome
     if record.certificate is None:
@@ -77,10 +81,10 @@ def _certified(outcome: Outcome, record: ResultRecord) -> Outcome:
     objective = outcome.objective if outcome.valid else math.inf
     unknowns = tuple(outcome.problem.model.free)
     try:
-        found = record.certificate.certificate(unknowns, objective, exact=exact(outcome.problem, objective))
+        found = record.certificate.certificate(unknowns, exact=exact(outcome.problem, objective))
     except Contradiction as error:
         raise Contradiction(f"certificate.{error.key}", str(error), error.value) from None
-    return replace(outcome, certificate=found)
+    return replace(outcome, certificate=found if found.belongs_to(objective) else None)
 
 
 def _solved(outcome: Outcome) -> Outcome:

@@ -97,7 +97,7 @@ def design(outcome: FunctionResult | PathResult | CycleResult, limits: Iterable[
     else:
         achieved = _function(outcome)  # type: ignore[arg-type]
     if outcome.valid:
-        return _joined(achieved, proof, _limiting(limits))
+        return _joined(achieved, _limiting(limits), proof)
     return f"{_failed(best.validation.checks) or _stopped(best.status)} {achieved}"
 
 

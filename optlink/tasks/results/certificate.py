@@ -21,6 +21,7 @@ GLOBAL, WITHIN_GAP, NOT_CLOSED, INFEASIBLE = "global", "within gap", "not closed
 STRICT = 1e-6  # largest relative gap of a design that is called globally optimal
 SHOWN = 3_000  # discarded boxes up to which the result document has them
 SAME = 1e-6  # relative difference of the same objective, once computed and once read
+TINY = 1e-16  # objective [SI] below which the difference of two values is rounding
 SCHEMA = "optlink/certificate/1"
 
 
@@ -137,6 +138,10 @@ class Certificate:
             return "globally optimal"
         return f"{'globally optimal within' if self.proven else 'gap'} {share_text(self.gap)}"
 
+    def belongs_to(self, objective: float) -> bool:
+        """Return whether it is the certificate of a design with this objective (infinite without a valid design)."""
+        return self.objective == objective or abs(self.objective - objective) <= SAME * max(abs(objective), TINY)
+
     def of(self, **values: Any) -> Certificate:
         """Return the certificate with other values."""
         return Certificate(**(vars(self) | values))
@@ -229,22 +234,20 @@ class CertificateRecord(Record):
         )
         return super().of(result, discarded=covers, **values)
 
-    def certificate(self, unknowns: tuple[str, ...], objective: float, *, exact: bool) -> Certificate:
-        """Return the certificate, after a check that it fits the result.
+    def certificate(self, unknowns: tuple[str, ...], *, exact: bool) -> Certificate:
+        """Return the certificate, after a check that it fits the problem and itself.
 
         Parameters
         ----------
         unknowns : tuple of str
             Design variables of the problem.
-        objective : float
-            Recomputed objective of the design [SI]; infinite if it is not valid.
         exact : bool
-            Whether that objective is zero to rounding.
+            Whether the objective of the design is zero to rounding.
 
         Raises
         ------
         Contradiction
-            If it does not fit the design, the problem or itself.
+            If it does not fit the problem or itself.
         """
         covers = tuple(one.cover(len(unknowns)) for one in self.discarded or ())
         history = np.where(np.isnan(self.history), math.inf, self.history) if self.history.size else np.zeros((0, 3))
@@ -258,18 +261,12 @@ class CertificateRecord(Record):
         if not 1e-12 <= self.asked < 1.0:
             raise Contradiction("asked", "this is not a share", self.asked)
         if found.status == INFEASIBLE:
-            if math.isfinite(min(self.objective, self.lower_bound, objective)):
-                raise Contradiction("status", "there is a design that meets all limits", self.status)
-            return found
-        if not 0.0 <= self.lower_bound <= self.objective:
+            if math.isfinite(min(self.objective, self.lower_bound)):
+                raise Contradiction("status", "there is an objective or a bound of it", self.status)
+        elif not 0.0 <= self.lower_bound <= self.objective or (found.proven and not math.isfinite(self.objective)):
             raise Contradiction("lower_bound", "this is not between zero and the objective", self.lower_bound)
-        apart = abs(self.objective - objective) if math.isfinite(max(self.objective, objective)) else math.inf
-        if self.objective != objective and apart > SAME * objective and not exact:
-            raise Contradiction("objective", "this is not the objective of the design", self.objective)
         share = {GLOBAL: STRICT, WITHIN_GAP: self.asked}.get(found.status, 1.0)
-        if not math.isfinite(objective) and found.proven:
-            raise Contradiction("status", "there is no valid design that it certifies", self.status)
-        if math.isfinite(objective) and not found.gap <= share * (1.0 + 1e-6) and not exact:
+        if found.proven and not found.gap <= share * (1.0 + 1e-6) and not exact:
             raise Contradiction("lower_bound", "the gap is too large for the status of the proof", self.lower_bound)
         return found
 
