@@ -37,7 +37,6 @@ from optlink.validation.check import Validation
 from optlink.validation.path import validate_path
 from optlink.version import VERSION
 
-
 RESTORED = "the certificate of the global optimum is that of the file; it is not computed anew"
 
 
