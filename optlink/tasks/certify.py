@@ -17,6 +17,7 @@ from optlink.optimization.box_models import DesignBoxes, box_problem
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.solvers.global_search.branch_and_bound import BranchAndBound
+from optlink.solvers.global_search.function_certificate import CLOSED, INTERRUPTED, certify_function, is_bounded
 from optlink.solvers.global_search.lagrangian import Guess, LagrangianBounds
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.certificate import GLOBAL, INFEASIBLE, NOT_CLOSED, STRICT, WITHIN_GAP, Certificate, Cover
@@ -90,6 +91,7 @@ def certify(
     progress: Progress | None = None,
     seed: int = 0,
     boxes: float = math.inf,
+    stated: ProblemFile | None = None,
 ) -> Certified:
     """Bound the objective over all designs from below by branch and bound; a better design that is found becomes the answer.
 
@@ -105,6 +107,8 @@ def certify(
         Seed of searches for a better design.
     boxes : float
         Most boxes that are bounded.
+    stated : ProblemFile, optional
+        The problem with assembly modes that are left open, of which `result` has the best. Default: that of `result`.
 
     Returns
     -------
@@ -116,7 +120,9 @@ def certify(
         If `gap` or `time_limit` is out of range, or no lower bound is available for this kind of problem.
     """
     check_options(gap, time_limit)
-    found: Certified = _Search(result, gap, seed).run(time_limit, boxes, progress)
+    model, problem = result.problem.model, stated or result.problem
+    of_function = isinstance(model, DesignProblem) and is_bounded(model) and result.valid and result.objective > EXACT
+    found: Certified = (_ErrorSearch if of_function else _Search)(result, problem, gap, seed).run(time_limit, boxes, progress)
     return found
 
 
@@ -125,6 +131,7 @@ class _Search:
     """Branch and bound over every assembly mode, with the best design of all."""
 
     result: Any
+    stated: ProblemFile
     gap: float
     seed: int
     improved: bool = False
@@ -134,7 +141,7 @@ class _Search:
         begin = time.perf_counter()
         share = INSIDE * self.gap
         share = share * (2.0 - share) if self._square else share
-        variants = self.result.problem.variants()
+        variants = self.stated.variants()
         searches: list[BranchAndBound] = []
         interrupted = False
         try:
@@ -225,25 +232,27 @@ class _Search:
         """Return the objective for its value in terms of squared deviations."""
         return math.sqrt(max(squared, 0.0)) * (1.0 - 1e-15) if self._square else squared
 
+    def _status(self, closed: bool, lower: float) -> str:
+        known = self._known
+        if not closed:
+            return NOT_CLOSED
+        if not math.isfinite(known):
+            return INFEASIBLE
+        share = (known - lower) / known if known > 0.0 else 0.0
+        return GLOBAL if self._exact or share <= STRICT * (1.0 + 1e-9) else WITHIN_GAP
+
     def _certificate(
         self,
         searches: list[BranchAndBound],
         variants: list[ProblemFile],
     ) -> Certificate:
         lower = 0.0 if self._exact else min(self._value(search.lower) for search in searches)
-        known, closed = self._known, self._exact or all(search.closed for search in searches)
-        share = (known - lower) / known if known > 0.0 and math.isfinite(known) else 0.0
-        if not closed:
-            status = NOT_CLOSED
-        elif not math.isfinite(known):
-            status = INFEASIBLE
-        else:
-            status = GLOBAL if self._exact or share <= STRICT * (1.0 + 1e-9) else WITHIN_GAP
+        closed = self._exact or all(search.closed for search in searches)
         kept = all(search.leaves.test for search in searches)
         rows = [(boxes, self._value(low), self._value(best)) for boxes, low, best in _history(searches)]
         return Certificate(
-            status=status,
-            objective=known,
+            status=self._status(closed, lower),
+            objective=self._known,
             lower_bound=lower,
             asked=self.gap,
             boxes=sum(search.boxes for search in searches),
@@ -253,6 +262,39 @@ class _Search:
             history=np.array(rows, dtype=float).reshape(-1, 3),
             covers=tuple(_cover(one, file) for one, file in zip(searches, variants, strict=True)) if kept and closed else (),
         )
+
+
+class _ErrorSearch(_Search):
+    """The search of a function whose largest error is minimised: over start angles, with all link lengths at once."""
+
+    def run(self, seconds: float, boxes: float, progress: Progress | None) -> Any:
+        """Search all assembly modes."""
+        begin = time.perf_counter()
+        model, share = self.stated.model, INSIDE * self.gap
+        assert isinstance(model, DesignProblem)
+        found = certify_function(model, self._known, self.result.design, share, seconds, boxes, progress, self._from_candidate)
+        certificate = Certificate(
+            status=self._status(found.status == CLOSED, found.lower),
+            objective=self._known,
+            lower_bound=found.lower,
+            asked=self.gap,
+            boxes=found.boxes,
+            open_boxes=len(found.open),
+            unknowns=tuple(model.free),
+            improved=self.improved,
+            history=np.array(found.history, dtype=float).reshape(-1, 3),
+        )
+        taken = self.result.seconds | {"certify": time.perf_counter() - begin}
+        interrupted = self.result.interrupted or found.status == INTERRUPTED
+        return replace(self.result, certificate=certificate, seconds=taken, interrupted=interrupted)
+
+    def _from_candidate(self, design: dict[str, float], side: int) -> float:
+        """Search from a candidate [m, rad] of an assembly mode; return the objective of the best known design."""
+        variant = next(one for one in self.stated.variants() if one.spec.side == side)
+        found = _local(self.result, variant, {name: design[name] for name in self.stated.model.free}, self.seed)
+        if found is not None and found.valid and found.objective < self._known:
+            self.result, self.improved = found, True
+        return self._known
 
 
 def _history(searches: list[BranchAndBound]) -> list[tuple[int, float, float]]:

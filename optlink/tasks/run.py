@@ -125,7 +125,7 @@ def solve(
     if certify is None and not proof.automatic(problem):
         return found
     boxes = proof.BUDGET if certify is None else math.inf
-    return proof.certify(found, gap, time_limit, proving, seed, boxes)  # type: ignore[type-var]
+    return proof.certify(found, gap, time_limit, proving, seed, boxes, problem)  # type: ignore[type-var]
 
 
 def validate(problem: ProblemFile, design: Mapping[str, float]) -> FunctionResult | PathResult | CycleResult:

@@ -26,7 +26,7 @@ LEVELS = (0.3, 0.05)  # gaps that are proven before the requested one, so that a
 POSITIONS = 25  # of the rows before those at the peaks of the error
 DENSE, FINE = 401, 20_001  # positions at which candidates are judged, and better designs
 WIDEN = 1e-9  # relative or absolute [rad] enlargement of bounds, which leaves no box without width
-CLOSED, STOPPED = "closed", "stopped"
+CLOSED, STOPPED, INTERRUPTED = "closed", "stopped", "interrupted"
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class FunctionBound:
         Boxes that were bounded.
     seconds : float
     status : str
-        "closed" if the requested gap is proven, "stopped" otherwise.
+        "closed" if the requested gap is proven; "stopped" at the limit of time or boxes; "interrupted" by Ctrl-C.
     open : array (boxes, 2, 4)
         Corners of the boxes that are left: phi0, psi0 [rad], frame over crank, frame over rocker.
     better : list of (dict [m, rad], int)
@@ -160,7 +160,7 @@ class _Search:
     lower: float = 0.0
     boxes: int = 0
     seconds: float = 0.0
-    closed: bool = False
+    status: str = STOPPED
     better: list[tuple[dict[str, float], int]] = field(default_factory=list)
     history: list[tuple[int, float, float]] = field(default_factory=list)
     searches: list[BranchAndBound] = field(default_factory=list)
@@ -184,9 +184,9 @@ class _Search:
                     return
                 self.lower = max(self.lower, min(search.lower for search in self.searches))
                 self.history.append((self.boxes, self.lower, self.best))
-            self.closed = True
+            self.status = CLOSED
         except KeyboardInterrupt:
-            self.seconds = time.perf_counter() - begin
+            self.status, self.seconds = INTERRUPTED, time.perf_counter() - begin
 
     def _searches(self, level: float) -> list[BranchAndBound]:
         """Return a search of every set of linkages; each begins with the boxes that the one before has discarded."""
@@ -209,7 +209,7 @@ class _Search:
             gap=1.0 - lower / self.best,
             boxes=self.boxes,
             seconds=self.seconds,
-            status=CLOSED if self.closed else STOPPED,
+            status=self.status,
             open=np.concatenate(left) if left else np.zeros((0, 2, 4)),
             better=self.better,
             history=self.history,
