@@ -31,6 +31,7 @@ Progress = Callable[[float, float], None]
 ACTIVE = 1e-6  # slack of a limit, and share of the bounds from one, below which it counts as active at the best design
 TOP = 1e-3  # share below the largest deviation within which others are as large
 NEAR = 1e-8  # half width of the box about the best design in which derivatives are taken, as a share of the bounds
+SAME = 1e-7  # share of the objective by which a design must be smaller to be better
 INSIDE = 0.999  # share of the gap that the search uses, so that rounding does not decide whether it is kept
 EXACT = 1e-9  # rms deviation [rad], or share of the curve, below which a design is exact: none can be better
 AUTOMATIC = 2  # design variables of a motion law up to which the certificate is made without being asked for ...
@@ -292,7 +293,7 @@ class _ErrorSearch(_Search):
         """Search from a candidate [m, rad] of an assembly mode; return the objective of the best known design."""
         variant = next(one for one in self.stated.variants() if one.spec.side == side)
         found = _local(self.result, variant, {name: design[name] for name in self.stated.model.free}, self.seed)
-        if found is not None and found.valid and found.objective < self._known:
+        if found is not None and found.valid and found.objective < (1.0 - SAME) * self._known:
             self.result, self.improved = found, True
         return self._known
 

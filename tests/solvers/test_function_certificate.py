@@ -59,7 +59,8 @@ def test_rows_hold_for_every_linkage_within_the_error():
         near = rng.uniform(0.0, 0.1, 4) * [1.0, 1.0, point[2], point[3]]
         low, high = (point - rng.uniform(0.0, 1.0, 4) * near)[None], (point + rng.uniform(0.0, 1.0, 4) * near)[None]
         limits = float(np.min(gamma)), float(np.max(gamma))
-        one = LinkageSet(side, low[0], high[0], (coupler, coupler), limits, near_dead=dead)
+        nearest = float(np.min(coupler / np.sqrt(crank**2 + 1.0 - 2.0 * crank * np.cos(phi0 + X)))) * (1.0 + 1e-12)
+        one = LinkageSet(side, low[0], high[0], (coupler, coupler), limits, near_dead=dead, share=nearest)
         rows = Rows.joined([loop_rows(one, X, y, t), *coupler_rows(one, X, y, t, low, high)], 1)
         values = values_at(rows, point, k3)
         assert np.min(values) > -1e-9 * (1.0 + crank + 1.0 / crank + 1.0 / rocker + rocker / crank)
@@ -162,7 +163,7 @@ def test_a_search_that_is_stopped_claims_nothing_beyond_its_last_level():
     def interrupt(share, gap):
         raise KeyboardInterrupt
 
-    assert certify_function(problem, problem.expected.objective, progress=interrupt).status == "stopped"
+    assert certify_function(problem, problem.expected.objective, progress=interrupt).status == "interrupted"
 
 
 @pytest.mark.parametrize(("best", "gap"), [(0.0, 0.1), (1.0, 0.1), (1e-3, 0.0), (1e-3, 1.0), (math.nan, 0.1)])

@@ -25,6 +25,7 @@ of the valid design found from there."""
 LEVELS = (0.3, 0.05)  # gaps that are proven before the requested one, so that a search that is stopped has a bound
 POSITIONS = 25  # of the rows before those at the peaks of the error
 DENSE, FINE = 401, 20_001  # positions at which candidates are judged, and better designs
+NEAR = 0.05  # rad, and of the logarithms of K1 and K2: a candidate so near to one that was tried is not tried again
 WIDEN = 1e-9  # relative or absolute [rad] enlargement of bounds, which leaves no box without width
 CLOSED, STOPPED, INTERRUPTED = "closed", "stopped", "interrupted"
 
@@ -163,6 +164,7 @@ class _Search:
     status: str = STOPPED
     better: list[tuple[dict[str, float], int]] = field(default_factory=list)
     history: list[tuple[int, float, float]] = field(default_factory=list)
+    tried: list[Array] = field(default_factory=list)
     searches: list[BranchAndBound] = field(default_factory=list)
 
     def run(self, levels: list[float], seconds: float, boxes: float, progress: Callable[[float, float], None] | None) -> None:
@@ -247,6 +249,10 @@ class _Search:
         bounder = search.bounder
         assert isinstance(bounder, FunctionBounds)
         phi0, psi0, k1, k2, k3 = (float(value) for value in bounder.candidate)
+        place = np.array([phi0, psi0, math.log(k1), math.log(k2)])
+        if self.improve is not None and any(np.max(np.abs(place - other)) < NEAR for other in self.tried):
+            return self.best
+        self.tried.append(place)
         frame = self.problem.quantities["frame"].value
         coupler = math.sqrt(1.0 / (k1 * k1) + 1.0 / (k2 * k2) + 1.0 - 2.0 * k3 / (k1 * k2))
         design = {

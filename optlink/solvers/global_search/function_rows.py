@@ -13,7 +13,7 @@ rocker pivot, R = K1 times their distance, and psi = theta + s alpha the output.
 s R (cos(alpha - s (e + t)) - cos alpha), 0 <= e + t <= 2 t: not negative if t <= alpha <= pi - t; likewise the right side. Nearer
 to a dead position, s F falls short by at most 2 R sin(t)^2 <= 2 (1 + K1) sin(t)^2. As sin(alpha) = coupler sin(gamma) / distance
 and distance <= coupler + rocker, 1 + crank, only long cranks and rockers come so near: they are searched apart, with the rows
-relaxed by that much (`near_dead`).
+relaxed by that much (`near_dead`); their coupler is at most (1 + crank) sin(t) / sin(least gamma).
 
 The length b and the transmission angle gamma of the coupler are, in any position of the linkage and for every angle omega,
 
@@ -72,6 +72,8 @@ class LinkageSet:
         Least and largest transmission angle over the span.
     near_dead : bool
         Whether linkages may come nearer to a dead position than the error.
+    share : float
+        Largest coupler over the sum of frame and crank of those that do.
     """
 
     side: int
@@ -80,6 +82,7 @@ class LinkageSet:
     coupler: tuple[float, float]
     transmission: tuple[float, float]
     near_dead: bool = False
+    share: float = math.inf
 
     @property
     def least_sine(self) -> float:
@@ -100,7 +103,8 @@ class LinkageSet:
         crank, rocker = distance - 1.0, distance * (1.0 - share)
         most = [1.0 / size if size > 0.0 else math.inf for size in (crank, rocker)]
         high = np.minimum(self.high, [math.inf, math.inf, most[0] * (1.0 + 1e-9), most[1] * (1.0 + 1e-9)])
-        return replace(self, high=high, near_dead=True) if np.all(high >= self.low) else None
+        found = replace(self, high=high, near_dead=True, share=share * (1.0 + 1e-12))
+        return found if np.all(high >= self.low) else None
 
 
 @dataclass(frozen=True)
@@ -171,7 +175,11 @@ def coupler_rows(linkages: LinkageSet, x: Array, y: Array, t: float, low: Array,
     found = [row(x, y, -1.0, right, least * linkages.least_sine)]
     for omega in (ends[0] - right, ends[1] + right):
         found += [row(x, y, 1.0, omega, 0.0, shift) for shift in (-t, 0.0, t)]
-    return found + [row(x[two], y[two], 1.0, float(omega), -most) for omega in np.linspace(*ends, ANGLES)]
+    for omega in np.linspace(*ends, ANGLES):
+        found.append(row(x[two], y[two], 1.0, float(omega), -most))
+        if math.isfinite(linkages.share):
+            found.append(row(x, y, 1.0, float(omega), -linkages.share, constant=linkages.share))
+    return found
 
 
 @dataclass(frozen=True)
@@ -181,11 +189,13 @@ class _CouplerRow:
     low: Array
     high: Array
 
-    def __call__(self, x: Array, y: Array, sign: float, omega: float, share: float, shift: float = 0.0) -> Rows:
-        """Return the rows -(sign V + kappa F + share K1) + relaxation >= 0 at outputs that are `shift` off the prescribed ones.
+    def __call__(
+        self, x: Array, y: Array, sign: float, omega: float, share: float, shift: float = 0.0, constant: float = 0.0
+    ) -> Rows:
+        """Return the rows constant - (sign V + kappa F + share K1) + relaxation >= 0 at outputs `shift` off the prescribed ones.
 
-        F = 0 and sign V + share K1 <= 0 at the actual output, which is at most d = t + |shift| away. So the relaxation is d times
-        the largest slope of sign V + kappa F, plus d^2 / 2 times its largest curvature downwards.
+        F = 0 and sign V + share K1 <= constant at the actual output, which is at most d = t + |shift| away. So the relaxation is
+        d times the largest slope of sign V + kappa F, plus d^2 / 2 times its largest curvature downwards.
         """
         x, y, turn, away = x[None], y[None] + shift, self.side * omega, self.t + abs(shift)
         centre, radius = 0.5 * (self.low + self.high)[:, :, None], 0.5 * (self.high - self.low)[:, :, None]
@@ -204,7 +214,7 @@ class _CouplerRow:
         steepest = np.abs(slope(output, both)) + np.abs(np.imag(output * psi)) * radius[:, 2] + turned
         curved = k1 * np.real(output * psi) + np.real(both * across) + np.abs(np.real(output * psi)) * radius[:, 2] + turned
         curved = np.maximum(0.0, curved + (most * np.abs(output) + np.abs(both)) * away)
-        room = (away * steepest + 0.5 * away * away * curved) * (1.0 + 1e-12)
+        room = constant + (away * steepest + 0.5 * away * away * curved) * (1.0 + 1e-12)
         zero = np.zeros(kappa.shape)
         return Rows(-output, kappa * unit_vector(x), -both, room, zero - share, -kappa, zero - sign * math.cos(omega))
 
