@@ -106,13 +106,24 @@ def solve(
 def validate(
     problem: Problem,
     design: Design = None,
+    certificate: Annotated[
+        Path | None,
+        typer.Option(
+            "--certificate",
+            metavar="FILE",
+            help="Check the proof of the global optimum that solve --certify --out wrote: certificate.json, or its folder.",
+        ),
+    ] = None,
     changes: Set = None,
     as_json: Json = False,
     quiet: Quiet = False,
     picture: Format = "png",
     out: Out = None,
 ) -> None:
-    """Check a design against all requirements and limits."""
+    """Check a design against all requirements and limits, or a certificate of the global optimum."""
+    if certificate is not None:
+        _validate_certificate(problem, certificate, design, changes, as_json, out)
+        return
     with console.reported(as_json), console.result_folder(out, "validate", problem):
         _validate(problem, design or [], changes, as_json, out)
 
@@ -125,6 +136,26 @@ def _validate(problem: str, design: list[str], changes: list[str] | None, as_jso
     found = check(file, read_design(file, design))
     failed = _contradictions(design, file, found)
     _show(found.with_checks(failed) if failed else found, as_json, out)
+
+
+def _validate_certificate(
+    problem: str, path: Path, design: list[str] | None, changes: list[str] | None, as_json: bool, out: Path | None
+) -> None:
+    """Check a stored certificate, and exit with 1 if it does not hold."""
+    with console.reported(as_json):
+        unused: dict[str, object] = {"--design": design or None, "--out": out}
+        console.refuse(unused, "a certificate has its own design, and its check writes no files", "Leave it out")
+        from optlink.report.views.certificate_check import certificate_check
+        from optlink.validation.certificate import check_certificate
+
+        with console.share("checking the boxes") as progress:
+            found = check_certificate(console.load(problem, changes), path, progress)
+        if as_json:
+            console.print_json(found.to_dict())
+        else:
+            console.show(certificate_check(found))
+        if not found.valid:
+            raise typer.Exit(1)
 
 
 def _contradictions(design: list[str], file: ProblemFile, found: FunctionResult | PathResult | CycleResult) -> tuple[Check, ...]:

@@ -78,7 +78,7 @@ class View:
     stored: Callable[[dict[str, Any], ProblemFile], Any] = _no_result
 
     def write(self, result: Any, folder: Path, pictures: str = "png") -> list[Path]:
-        """Write result.json, the tables, the design, the pictures and the animation of a result; return the paths.
+        """Write result.json, the certificate, the tables, the design, the pictures and the animation; return the paths.
 
         Parameters
         ----------
@@ -98,6 +98,12 @@ class View:
 
         written = [folder / "result.json"]
         write_json(written[0], result.to_dict())
+        certificate = getattr(result, "certificate", None)
+        if certificate is not None and certificate.covers:
+            from optlink.tasks.results.certificate import certificate_document
+
+            written.append(folder / "certificate.json")
+            write_json(written[-1], certificate_document(certificate, result))
         for name, columns in self.tables(result).items():
             written.append(folder / f"{name}.csv")
             write_csv(written[-1], columns)

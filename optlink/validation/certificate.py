@@ -91,12 +91,12 @@ class CertificateCheck:
 
     Parameters
     ----------
+    problem : ProblemFile
     checks : tuple of Check
     objective, lower_bound : float
         Objective of the design as recomputed, NaN without a design; lower bound that is claimed, infinite if infeasible.
     boxes, pieces : int
         Boxes of the certificate, and parts of them that were bounded.
-    seconds : float
     """
 
     problem: ProblemFile = field(repr=False)
@@ -173,7 +173,7 @@ def _check_shapes(found: CertificateFile, problem: ProblemFile) -> None:
         value = getattr(found, key)
         if infeasible == (value is not None and value == value):  # NaN stands for null
             what = "there is none in a certificate that no design is feasible" if infeasible else "this is missing"
-            raise Contradiction(key, what, value)
+            raise Contradiction(key, what, value if infeasible else None)
     free = list(problem.model.free)
     if list(found.unknowns) != free:
         raise Contradiction("unknowns", f"the design variables of the problem are {', '.join(free)}", ", ".join(found.unknowns))
@@ -239,7 +239,7 @@ def _modes(found: CertificateFile, variants: Mapping[str, ProblemFile]) -> Itera
     missing = variants.keys() - {str(cover.assembly) for cover in found.covers}
     unknown = {str(cover.assembly) for cover in found.covers} - variants.keys()
     wrong = sorted(missing | unknown)
-    what = f"every assembly mode is covered: {', '.join(wrong)}" if wrong else "every assembly mode is covered"
+    what = f"assembly modes: {', '.join(wrong)}" if wrong else "assembly modes"
     yield Check(what, not wrong, float(len(found.covers)), f"= {len(variants)}", "")
 
 
@@ -251,7 +251,7 @@ def _covered(found: CertificateFile, provers: Mapping[str, Prover]) -> Iterator[
             continue
         low, high = provers[mode].problem.bounds.T
         gap = uncovered(cover.low, cover.high, (low, high))
-        name = f"the boxes cover the bounds ({mode})"
+        name = f"bounds covered ({mode})"
         if gap is not None:
             sides = ", ".join(f"{key} {a:.6g} ... {b:.6g}" for key, a, b in zip(found.unknowns, *gap, strict=True))
             name += f"; uncovered: a part of {sides} (SI)"
@@ -271,11 +271,11 @@ def _design(found: CertificateFile, design: Mapping[str, float], provers: Sequen
         share = abs(objective - found.objective) / max(abs(found.objective), 1e-300)
         worst = max(0.0, -least)
         checks = [
-            Check("design within bounds, fixed values and start angles kept", differs <= AGREES, differs, f"<= {AGREES:g}", ""),
-            Check("limits of the design", worst <= AGREES, worst, f"<= {AGREES:g}", "violation"),
-            Check("objective of the design", agrees, share, f"<= {AGREES:g}", "relative"),
+            Check("design within bounds", differs <= AGREES, differs, f"<= {AGREES:g}", ""),
+            Check("limits met by the design", worst <= AGREES, worst, f"<= {AGREES:g}", ""),
+            Check("objective of the design", agrees, share, f"<= {AGREES:g}", ""),
             Check(
-                "the lower bound is at most the objective",
+                "lower bound, at most the objective",
                 found.lower_bound <= found.objective,
                 found.lower_bound,
                 f"<= {found.objective:.9g}",
@@ -305,7 +305,7 @@ def _boxes(found: CertificateFile, provers: Mapping[str, Prover], progress: Prog
                 named.append(f"box {k} ({mode}; {sides} SI): {reason}")
                 if failed >= FAILURES:
                     break
-        yield Check(f"boxes that are proven ({mode})", proven == len(cover.test), float(proven), f"= {len(cover.test)}", "boxes")
+        yield Check(f"boxes proven ({mode})", proven == len(cover.test), float(proven), f"= {len(cover.test)}", "boxes")
         yield from (Check(name, False, math.nan, "proven", "") for name in named)
         if failed >= FAILURES:
             return
