@@ -16,9 +16,11 @@ from optlink.errors import Fault, InputError
 from optlink.optimization.box_models import DesignBoxes, box_problem
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
+from optlink.problem.path import PathProblem
 from optlink.solvers.global_search.branch_and_bound import BranchAndBound
 from optlink.solvers.global_search.function_certificate import CLOSED, INTERRUPTED, certify_function, is_bounded
 from optlink.solvers.global_search.lagrangian import Guess, LagrangianBounds
+from optlink.solvers.global_search.timed_path import TimedPathBounds, unsuitable
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.certificate import GLOBAL, INFEASIBLE, NOT_CLOSED, STRICT, WITHIN_GAP, Certificate, Cover
 from optlink.tasks.results.path import PathResult
@@ -34,6 +36,8 @@ NEAR = 1e-8  # half width of the box about the best design in which derivatives 
 SAME = 1e-7  # share of the objective by which a design must be smaller to be better
 INSIDE = 0.999  # share of the gap that the search uses, so that rounding does not decide whether it is kept
 EXACT = 1e-9  # rms deviation [rad], or share of the curve, below which a design is exact: none can be better
+LARGE = 1024  # boxes of a timed path that are bounded together
+FAILURES = 20  # searches for a better timed path that may fail
 AUTOMATIC = 2  # design variables of a motion law up to which the certificate is made without being asked for ...
 BUDGET = 2_000  # ... with at most this many boxes, which take about a second
 
@@ -123,7 +127,9 @@ def certify(
     check_options(gap, time_limit)
     model, problem = result.problem.model, stated or result.problem
     of_function = isinstance(model, DesignProblem) and is_bounded(model) and result.valid and result.objective > EXACT
-    found: Certified = (_ErrorSearch if of_function else _Search)(result, problem, gap, seed).run(time_limit, boxes, progress)
+    of_path = isinstance(model, PathProblem) and not unsuitable(model)
+    kind = _ErrorSearch if of_function else _PathSearch if of_path else _Search
+    found: Certified = kind(result, problem, gap, seed).run(time_limit, boxes, progress)
     return found
 
 
@@ -249,7 +255,7 @@ class _Search:
     ) -> Certificate:
         lower = 0.0 if self._exact else min(self._value(search.lower) for search in searches)
         closed = self._exact or all(search.closed for search in searches)
-        kept = all(search.leaves.test for search in searches)
+        kept = all(search.leaves.test and isinstance(search.bounder, LagrangianBounds) for search in searches)
         rows = [(boxes, self._value(low), self._value(best)) for boxes, low, best in _history(searches)]
         return Certificate(
             status=self._status(closed, lower),
@@ -296,6 +302,51 @@ class _ErrorSearch(_Search):
         if found is not None and found.valid and found.objective < (1.0 - SAME) * self._known:
             self.result, self.improved = found, True
         return self._known
+
+
+class _PathSearch(_Search):
+    """The search of a timed path of a four-bar: over its proportions, all assembly modes at once."""
+
+    failed = 0
+
+    def run(self, seconds: float, boxes: float, progress: Progress | None) -> Any:
+        """Search all assembly modes."""
+        begin, interrupted = time.perf_counter(), False
+        share = INSIDE * self.gap
+        assert isinstance(self.stated.model, PathProblem)
+        bounds = TimedPathBounds(self.stated.model)
+        search = BranchAndBound(
+            bounds,
+            self._squared,
+            share * (2.0 - share) if self._square else share,
+            functools.partial(self._from_box, bounds),
+            batch=LARGE,
+        )
+        try:
+            if not self._exact:  # else nothing is smaller
+                search.run(seconds, boxes, None if progress is None else functools.partial(self._report, progress, 0, 1))
+        except KeyboardInterrupt:
+            interrupted = True
+        taken = self.result.seconds | {"certify": time.perf_counter() - begin}
+        interrupted = self.result.interrupted or interrupted
+        certificate = self._certificate([search], [self.stated])
+        return replace(self.result, certificate=certificate, seconds=taken, interrupted=interrupted)
+
+    def _from_box(self, bounds: TimedPathBounds, x: Array) -> float:
+        """Search from the four-bar at a point, if it is within the bounds and searches for better ones have not failed often."""
+        values, free = bounds.design(x), bounds.problem.free
+        quantities = bounds.problem.quantities
+        inside = all(quantities[name].bounds[0] <= values[name] <= quantities[name].bounds[1] for name in free)
+        if inside and self.failed < FAILURES:
+            variants, left = self.stated.variants(), bounds.left(x)
+            sides = [isinstance(one.model, PathProblem) and one.model.side > 0 for one in variants]
+            variant = variants[sides.index(left) if left in sides else 0]
+            found = _local(self.result, variant, {name: values[name] for name in free}, self.seed)
+            if found is not None and found.valid and found.objective < (1.0 - SAME) * self._known:
+                self.result, self.improved = found, True
+            else:
+                self.failed += 1
+        return self._squared
 
 
 def _history(searches: list[BranchAndBound]) -> list[tuple[int, float, float]]:

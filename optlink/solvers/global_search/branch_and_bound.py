@@ -154,6 +154,8 @@ class BranchAndBound:
     improve : function of a point (n,), optional
         Returns the objective of a valid design found from there, or infinity. Called where the centre of a box is better than
         the best known design.
+    batch : int
+        Boxes that are bounded together.
 
     Attributes
     ----------
@@ -166,6 +168,7 @@ class BranchAndBound:
     best: float
     gap: float
     improve: Callable[[Array], float] | None = None
+    batch: int = BATCH
     boxes: int = 0
     discarded: float = math.inf  # least bound of the boxes that were discarded for their objective
     open: Boxes = field(init=False)
@@ -254,7 +257,7 @@ class BranchAndBound:
         self.open = Boxes.joined([self.open, halves])
 
     def _next(self) -> Boxes:
-        count = min(BATCH, len(self.open))
+        count = min(self.batch, len(self.open))
         key = self.open.bound if len(self.open) <= MOST_OPEN else -self.open.bound
         order = np.argpartition(key, count - 1)[:count]
         chosen = np.zeros(len(self.open), dtype=bool)

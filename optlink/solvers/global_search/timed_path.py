@@ -156,6 +156,10 @@ class TimedPathBounds:
         low, high = np.array(ranges).T
         return low.copy(), high.copy()
 
+    def left(self, point: Array) -> bool:
+        """Return whether the four-bar at a point has the left assembly mode."""
+        return self.problem.mechanism.assembly == "left" if self.reduced else math.cos(point[OMEGA]) < 0.0
+
     def design(self, point: Array) -> dict[str, float]:
         """Return the four-bar at a point with the best linear variables: every quantity [m, rad], not within its bounds.
 
@@ -168,7 +172,7 @@ class TimedPathBounds:
         a, d = math.cos(point[0]), math.sin(point[0])
         nu, total = (a - d) * math.sin(point[1]), (a + d) / max(math.cos(point[2]), 1e-6)
         start = float(point[3]) if len(point) > 3 else self.start
-        left = self.problem.mechanism.assembly == "left" if self.reduced else math.cos(point[1]) < 0.0
+        left = self.left(point)
         nu = -nu if self.reduced and left else nu
         b, c = 0.5 * (total - nu), 0.5 * (total + nu)
         q = a * np.exp(1j * (self.t + start)) - d
