@@ -12,7 +12,7 @@ from optlink.dynamics.ending import Ending
 from optlink.errors import InputError
 from optlink.problem.file import ProblemFile
 from optlink.studies.sweep_task import FiguresTask
-from optlink.tasks.clearance import simulate_clearance
+from optlink.tasks.clearance import checked, simulate_clearance
 from optlink.tasks.simulate import simulate
 
 Figures = Mapping[str, float]
@@ -66,6 +66,26 @@ class SimulationTask(FiguresTask):
 def has_clearance(problem: ProblemFile) -> bool:
     """Return whether the problem has joint clearance."""
     return bool(problem.model.has_clearance)
+
+
+def with_integrator(
+    problem: ProblemFile, options: Mapping[str, Any], design: Mapping[str, float] | None, runs: int
+) -> dict[str, Any]:
+    """Return the options of many simulations with joint clearance, with the integrator that is fastest for all of them.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        One of the problems.
+    options : mapping
+        See `SimulationTask`.
+    design : mapping of str to float [SI], optional
+    runs : int
+        Number of simulations.
+    """
+    known = {"control": "none", "revolutions": 20, "points": 360, "tolerance": 1e-10, **options}
+    _, integrator = checked(problem, design=design, runs=runs, **known)
+    return {**options, "integrator": integrator} if integrator != "cvodes" else dict(options)
 
 
 def simulate_machine(

@@ -29,7 +29,7 @@ from optlink.studies.execution.runner import run
 from optlink.studies.execution.store import Progress, Store
 from optlink.studies.grid import AxisRecord, Grid, read_grid
 from optlink.studies.reoptimise_task import CHUNK, SEARCHED, SLOW_CHUNK, ReoptimiseTask, check_backend, one_programme_suffices
-from optlink.studies.simulation_task import SimulationTask, has_clearance, simulate_machine
+from optlink.studies.simulation_task import SimulationTask, has_clearance, simulate_machine, with_integrator
 from optlink.studies.sweep_task import SweepTask
 
 CHANGED = "active_set_changed"
@@ -246,7 +246,8 @@ def sweep(
     design : mapping of str to float [SI], optional
         Values of design variables that are not varied, for an analysis or simulation. Default: their starting values.
     simulate : mapping, optional
-        Options of a simulation at every point, instead of an optimisation: revolutions, points, control, tolerance or duration.
+        Options of a simulation at every point, instead of an optimisation: revolutions, points, control, tolerance, integrator
+        or duration.
     backend : "slsqp" or "ipopt"
         Local solver.
     engine, workers, scheduler
@@ -348,6 +349,8 @@ def _simulating(
     first = problem.override(grid.changes(0))
     short = {**options, "revolutions": 1} if has_clearance(first) else options
     figures, _, _ = simulate_machine(first, short, design, loose=has_clearance(first))
+    if has_clearance(first):
+        options = with_integrator(first, options, design, grid.count)
     own = tuple((design or {}).items())
     return SimulationTask(
         **SweepTask.problem_fields(problem),
