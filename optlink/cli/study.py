@@ -128,7 +128,9 @@ def _output(file: ProblemFile, output: str, angles: str, design: list[str] | Non
     """Print the derivatives of an output by every dimension."""
     import numpy as np
 
-    from optlink.studies.motion_sensitivity import OutputSensitivityRecord, output_sensitivity
+    from optlink.errors import Fault, InputError
+    from optlink.problem.quantity import nearest
+    from optlink.studies.motion_sensitivity import OutputSensitivityRecord, output_names, output_sensitivity
     from optlink.tasks.function import read_design, solve
 
     crank = _crank_angles(angles)
@@ -137,6 +139,9 @@ def _output(file: ProblemFile, output: str, angles: str, design: list[str] | Non
         sizes |= {key: value for key, value in read_design(file, design).items() if key in sizes}
     elif file.model.free and file.task != "path" and file.task != "cycle":
         sizes |= {key: value for key, value in solve(file).design.items() if key in sizes}
+    known = output_names(file.model.linkage)
+    if output not in known:
+        raise InputError(Fault("unknown output", nearest(output, known), file.file, "--quantity", output))
     found = output_sensitivity(file.model.linkage, sizes, crank, output)
     about = {"problem": file.name, "title": file.model.title, "problem_hash": file.hash, "status": "done"}
     document = OutputSensitivityRecord.of(found, **about, sizes_SI=sizes, crank_angles_deg=np.degrees(crank)).document()
@@ -350,7 +355,7 @@ def pareto(
             metavar="A,B[,C]",
             help='"peak torque, guide force in F=1300..1600 N" of a machine; "error, limits.transmission_angle.max" of a law.',
         ),
-    ],
+    ] = "",
     points: Annotated[
         int | None,
         typer.Option(

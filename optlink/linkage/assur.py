@@ -316,9 +316,12 @@ class Assembly:
                 return self._one_body(first, second, both)
         free = self.mobility()
         if free > 1:
+            ends = (point for body in left for point in (self.links[body].start, self.links[body].end))
+            loose = [point for point in ends if point and len(self.members[point]) == 1]
+            check = f"; check the names of {_list(loose)}, joints of one body alone" if len(loose) > 1 else ""
             return StructureError(
                 f"{_list(left)} cannot be placed: the mechanism has {free} degrees of freedom and one driver",
-                "Join them to the frame or to another body, or take them out",
+                f"Join them to the frame or to another body, or take them out{check}",
                 f"links.{left[-1]}",
             )
         if free < 1:

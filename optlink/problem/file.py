@@ -20,7 +20,7 @@ from optlink.errors import Fault, InputError, shown
 from optlink.io import data_files, load_extensions
 from optlink.problem.base_model import SPELLED, SPELLINGS, with_ranges, with_spellings
 from optlink.problem.cycle import CycleProblem, StrokeProblem, cross_check_cycle
-from optlink.problem.file_errors import SECTIONS, faults, known_keys, of_dyads
+from optlink.problem.file_errors import SECTIONS, faults, known_keys, of_dyads, toml_fault
 from optlink.problem.function import DesignProblem, cross_check_design
 from optlink.problem.limits import MARGINS, Alignment
 from optlink.problem.machine.model import Problem, cross_check
@@ -359,7 +359,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
     except RecursionError:
         raise InputError(Fault("brackets are nested too deep", "Simplify the file", file)) from None
     except ValueError as error:  # TOMLDecodeError, and integers of thousands of digits
-        raise InputError(Fault(f"not valid TOML: {error}", "Correct that line; text needs quotes", file)) from None
+        raise InputError(toml_fault(str(error), file)) from None
 
 
 def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:

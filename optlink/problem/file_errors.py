@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -16,6 +17,8 @@ from optlink.problem.machine.model import Problem
 from optlink.problem.path import PathProblem
 from optlink.problem.path_checks import inapplicable_keys
 from optlink.problem.quantity import Unusable, nearest
+
+UNKNOWN, MISSING = "unknown key", "this key is missing"
 
 SECTIONS: Registry[type[Problem]] = Registry()
 """Models of further kinds of problems by the section that marks them; their property `task` is the name of the kind."""
@@ -66,7 +69,7 @@ def _fitting(path: tuple[str | int, ...], model: type[Problem], raw: Mapping[str
 
 
 def faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[str, Any], file: str) -> Iterator[Fault]:
-    """Yield one fault per error of a model.
+    """Yield one fault per error of a model; a key that is missing because it is misspelt is no fault of its own.
 
     Parameters
     ----------
@@ -78,6 +81,21 @@ def faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[s
     file : str
         Name of the file.
     """
+    found = list(_faults(error, model, raw, file))
+    misspelt = {
+        (str(fault.key).rpartition(".")[0], guess)
+        for fault in found
+        if fault.message == UNKNOWN
+        for guess in re.findall('"(\\w+)"', fault.remedy.partition("?")[0])
+    }
+    for fault in found:
+        section, _, key = str(fault.key).rpartition(".")
+        # kind and type decide which keys their section needs
+        if fault.message != MISSING or not misspelt & {(section, key), (section, "kind"), (section, "type")}:
+            yield fault
+
+
+def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[str, Any], file: str) -> Iterator[Fault]:
     for item in error.errors(include_url=False):
         path = [step for step in item["loc"] if step not in ("str", "Quantity", "function-before[<lambda>(), Quantity]")]
         path = [step for step in path if step != "[key]"]
@@ -90,20 +108,54 @@ def faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[s
             below = f".{problem.key}" if problem.key and not problem.key.startswith("[") else problem.key
             yield Fault(problem.message, problem.remedy, file, key + below, problem.value if problem.key else _plain(value))
         elif kind == "extra_forbidden":
-            yield Fault("unknown key", nearest(str(path[-1]), _fitting(tuple(path[:-1]), model, raw)), file, key)
+            yield Fault(UNKNOWN, nearest(str(path[-1]), _fitting(tuple(path[:-1]), model, raw)), file, key)
         elif kind == "union_tag_invalid":
             given = raw["mechanism"].get("type")
             yield Fault("not a type of linkage", nearest(str(given), ("four-bar", "dyads")), file, f"{key}.type", _plain(given))
         elif kind == "missing":
-            yield Fault("this key is missing", _example(key), file, key)
+            yield Fault(MISSING, _example(key), file, key)
         elif kind == "literal_error":
-            options = str(context.get("expected", "")).replace("'", '"').replace(" or ", ", ").split(", ")
-            yield Fault("not one of the choices", nearest(str(value), [o.strip('"') for o in options]), file, key, _plain(value))
+            options = re.findall("'([^']*)'", str(context.get("expected", "")))
+            yield Fault("not one of the choices", nearest(str(value), options), file, key, _plain(value))
         elif kind in ("model_type", "model_attributes_type"):
             yield Fault("expected a table", f"Begin it with [{key}]" if key else "Write the sections", file, key, _plain(value))
         else:
             message = item["msg"][0].lower() + item["msg"][1:]
             yield Fault(message, _example(key), file, key, _plain(value))
+
+
+TOML_FAULTS = (
+    (r"Illegal character '\\n'", "a quote is not closed", "Close it in that line"),
+    (r"Cannot declare \((.*?),?\) twice", "the section [{0}] occurs twice", "Put its keys into one of them"),
+    ("Cannot overwrite a value", "a key occurs twice in its section", "Keep one of them"),
+    ("Unclosed array", "a bracket [ is not closed", "Close it with ]"),
+    (
+        "Expected newline or end of document|Invalid value",
+        "a value is no number and has no quotes",
+        'Write text and values with a unit in quotes: "250 mm"',
+    ),
+    ("Expected '=' after a key", "no = after a key", "Write key = value"),
+)
+"""Messages of the TOML parser (a pattern), each in plain words with its remedy."""
+
+
+def toml_fault(message: str, file: str) -> Fault:
+    """Return the fault of a file that is not valid TOML.
+
+    Parameters
+    ----------
+    message : str
+        That of the parser, with line and column in brackets at its end.
+    file : str
+        Name of the file.
+    """
+    for pattern, words, remedy in TOML_FAULTS:
+        found = re.match(pattern, message)
+        if found is not None:
+            names = [group.replace("'", "").replace(", ", ".") for group in found.groups()]
+            place = f" {message[message.rindex('(at') :]}" if "(at" in message else ""
+            return Fault(f"not valid TOML: {words.format(*names)}{place}", remedy, file)
+    return Fault(f"not valid TOML: {message}", "Correct that line; text needs quotes", file)
 
 
 def _plain(value: object) -> object:

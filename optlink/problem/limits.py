@@ -182,8 +182,10 @@ def _check_range(name: str, whole: Interval | None, possible: tuple[float, float
     for key, interval in () if whole is None else ((name, whole), *named):
         for bound in (interval.low, interval.high):
             if bound is not None and not possible[0] <= bound <= possible[1]:
-                message = f"{interval.to_display(bound)} is out of the range that it can have"
-                raise Unusable(message, remedy, f"limits.{key}", str(interval))
+                low, high = map(interval.to_display, possible)
+                can = f"from {low} to {high}" if math.isfinite(possible[1]) else f"at least {low}"
+                message = f"{interval.to_display(bound)} is out of the range that it can have, {can}"
+                raise Unusable(message, remedy, f"limits.{key}", str(interval).removeprefix("exactly "))
 
 
 def check_transmission(angle: JointRanges | None, pressure: JointRanges | None, joints: Sequence[str]) -> None:

@@ -74,11 +74,11 @@ def nearest(key: str, known: Iterable[str]) -> str:
         The unknown name.
     known : iterable of str
     """
-    names = list(known)
+    names, quoted = list(known), '"{}"'.format
     inside = sorted((name for name in names if len(key) > 2 and key in name), key=len)
     close = inside or difflib.get_close_matches(key, names, n=1, cutoff=0.5)
-    guess = " or ".join(f'"{name}"' for name in close[:3])
-    return (f"Did you mean {guess}? " if close else "") + f"Known: {', '.join(names)}"
+    guess = f"Did you mean {' or '.join(map(quoted, close[:3]))}? " if close else ""
+    return f"{guess}Known: {', '.join(quoted(name) if ',' in name else name for name in names)}"
 
 
 @dataclass(frozen=True)

@@ -124,6 +124,57 @@ def test_bad_value_is_named_with_key_and_remedy(crank_rocker, name):
     assert caught.value.exit_code == 2
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('title = "a\n', "a quote is not closed (at line 1"),
+        ("[limits]\n[limits]\n", "the section [limits] occurs twice (at line 2"),
+        ("[a.b]\n[a.b]\n", "the section [a.b] occurs twice"),
+        ("a = 1\na = 2\n", "a key occurs twice in its section (at line 2"),
+        ("frame = 250 mm\n", "a value is no number and has no quotes (at line 1"),
+        ("title = Wiper\n", "a value is no number and has no quotes (at line 1"),
+        ('a = ["1 mm"\nb = 2\n', "a bracket [ is not closed (at line 2"),
+        ('rocker "30 mm"\n', "no = after a key (at line 1"),
+    ],
+)
+def test_a_slip_of_toml_is_named_in_plain_words(tmp_path, text, words):
+    (tmp_path / "a.toml").write_text(text)
+    with pytest.raises(InputError) as caught:
+        optlink.load(tmp_path / "a.toml")
+    (fault,) = caught.value.faults
+    assert fault.message.startswith(f"not valid TOML: {words}")
+    assert fault.remedy
+
+
+@pytest.mark.parametrize(
+    ("wrong", "right", "section"),
+    [("coupelr", "coupler", "mechanism"), ("knd", "kind", "requirement"), ("lw", "law", "requirement")],
+)
+def test_a_misspelt_key_is_one_fault(crank_rocker, wrong, right, section):
+    """The key that is missing for that reason, or that another kind would need, is not named beside it."""
+    raw = copy.deepcopy(dict(crank_rocker.raw))
+    if right == "kind":
+        raw["requirement"] = {"kind": "transmission"}
+    raw[section][wrong] = raw[section].pop(right)
+    with pytest.raises(InputError) as caught:
+        optlink.read(raw)
+    (fault,) = caught.value.faults
+    assert (fault.message, fault.key) == ("unknown key", f"{section}.{wrong}")
+    assert f'"{right}"' in fault.remedy
+
+
+def test_names_with_a_comma_are_quoted_in_a_list(crank_rocker):
+    with pytest.raises(InputError, match='left, right, either, continue, "left, continue", "right, continue", parallelogram'):
+        crank_rocker.override({"mechanism.assembly": "rigth"})
+
+
+def test_a_value_out_of_range_names_the_range(crank_rocker):
+    with pytest.raises(
+        InputError, match='swing_angle = "400 deg": 400 deg is out of the range that it can have, from 0 deg to 180 deg'
+    ):
+        crank_rocker.override({"limits.swing_angle": "400 deg"})
+
+
 def test_several_faults_are_all_named(crank_rocker):
     with pytest.raises(InputError) as caught:
         crank_rocker.override({"mechanism.crank": "1 kg", "requirement.points": 0, "limits.crank": "half"})

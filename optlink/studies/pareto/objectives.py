@@ -8,6 +8,7 @@ any movable side of a limit or of a design variable: `limits.transmission_angle.
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 from optlink.errors import Fault, InputError
 from optlink.problem.file import ProblemFile
@@ -43,6 +44,8 @@ def read_objectives(problem: ProblemFile, objectives: str) -> tuple[ParetoObject
     InputError
         For unknown objectives, fewer than two or more than three, or objectives without a trade-off.
     """
+    if not objectives.strip():
+        raise InputError(Fault("two or three objectives are missing", EXAMPLES, problem.file, OPTION))
     parts = [part.strip() for part in objectives.split(",")]
     if not all(parts):
         raise InputError(Fault("an objective is empty", EXAMPLES, problem.file, OPTION, objectives))
@@ -67,7 +70,8 @@ def _no_front(problem: ProblemFile) -> InputError:
     """Return the error that a problem has no Pareto front, with an alternative."""
     whose = "Fronts are those of machines with an [objective] over their cycle, and of four-bars for a law"
     if isinstance(problem.model, PathProblem):
-        instead = f"what a limit costs here: optlink study sweep {problem.name} --vary KEY=LOW..HIGH:N"
+        named = problem.file if Path(problem.file).is_file() else problem.name  # of a shipped one the name
+        instead = f"what a limit costs here: optlink study sweep {named} --vary KEY=LOW..HIGH:N"
         wanted = PRESCRIBED[problem.model.requirement.kind]
         return InputError(Fault(f"{wanted} prescribed here", f"{whose}; {instead}", problem.file))
     if getattr(problem.model, "balance", None) is not None:
