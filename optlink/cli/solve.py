@@ -12,7 +12,7 @@ import typer
 
 from optlink.cli import console
 from optlink.cli.options import Design, Format, Json, Out, Problem, Quiet, Searcher, Seed, Set, Starts, share_number, whole_number
-from optlink.errors import Status
+from optlink.errors import Fault, InputError, Status
 
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
@@ -59,6 +59,7 @@ def solve(
         str | None,
         typer.Option("--time-limit", metavar="TIME", help='--certify: time for the proof, such as "5 min". Default: none.'),
     ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="--certify: continue the proof interrupted in --out DIR.")] = False,
     changes: Set = None,
     design: Design = None,
     as_json: Json = False,
@@ -68,7 +69,7 @@ def solve(
 ) -> None:
     """Optimise a design, verify it independently, and report the shadow prices of the active constraints."""
     with console.reported(as_json), console.result_folder(out, "solve", problem):
-        limits: dict[str, object] = {"--gap": gap, "--time-limit": time_limit}
+        limits: dict[str, object] = {"--gap": gap, "--time-limit": time_limit, "--resume": resume}
         if design:
             console.refuse({"--certify": certify} | limits, "a given design is validated, not optimised", "Leave it out")
             _validate(problem, design, changes, as_json, out)
@@ -83,6 +84,10 @@ def solve(
             possible = certify is None and file.task in CERTIFIED
             remedy = "Add --certify, or leave it out" if possible else "Leave it out"
             console.refuse(limits, "there is no proof of a global optimum that it applies to", remedy, file.file)
+        if resume and (out is None or not certify):
+            raise InputError(
+                Fault("there is no proof to resume", "Add --certify and --out DIR of the interrupted run", key="--resume")
+            )
         seconds = console.quantity(time_limit, "time", "--time-limit")
         with console.share("searching") as progress, console.share("proving") as proving:
             result = search(
@@ -96,6 +101,8 @@ def solve(
                 certify=certify,
                 gap=STRICT if gap is None else gap,
                 time_limit=math.inf if seconds is None else seconds,
+                folder=out if certify else None,
+                resume=resume,
                 proving=proving and (lambda share, gap: proving(share, f", gap {share_text(gap)}")),
             )
         if result.interrupted:

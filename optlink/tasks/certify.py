@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -18,12 +19,14 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.problem.path import PathProblem
 from optlink.solvers.global_search.branch_and_bound import BranchAndBound
+from optlink.solvers.global_search.checkpoint import FILE, Checkpoint
 from optlink.solvers.global_search.function_certificate import CLOSED, INTERRUPTED, certify_function, is_bounded
 from optlink.solvers.global_search.lagrangian import Guess, LagrangianBounds
 from optlink.solvers.global_search.timed_path import TimedPathBounds, unsuitable
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.certificate import GLOBAL, INFEASIBLE, NOT_CLOSED, STRICT, WITHIN_GAP, Certificate, Cover
 from optlink.tasks.results.path import PathResult
+from optlink.version import VERSION
 
 Array = NDArray[np.float64]
 Certified = TypeVar("Certified", FunctionResult, PathResult)
@@ -97,6 +100,9 @@ def certify(
     seed: int = 0,
     boxes: float = math.inf,
     stated: ProblemFile | None = None,
+    folder: Path | None = None,
+    *,
+    resume: bool = False,
 ) -> Certified:
     """Bound the objective over all designs from below by branch and bound; a better design that is found becomes the answer.
 
@@ -114,6 +120,10 @@ def certify(
         Most boxes that are bounded.
     stated : ProblemFile, optional
         The problem with assembly modes that are left open, of which `result` has the best. Default: that of `result`.
+    folder : Path, optional
+        Where the state of a long search is kept, so that an interrupted one can continue.
+    resume : bool
+        Continue the search that was interrupted there, with the bound that it would have had.
 
     Returns
     -------
@@ -122,14 +132,19 @@ def certify(
     Raises
     ------
     InputError
-        If `gap` or `time_limit` is out of range, or no lower bound is available for this kind of problem.
+        If `gap` or `time_limit` is out of range, no lower bound is available for this kind of problem, or there is nothing that
+        can be resumed.
     """
     check_options(gap, time_limit)
     model, problem = result.problem.model, stated or result.problem
     of_function = isinstance(model, DesignProblem) and is_bounded(model) and result.valid and result.objective > EXACT
     of_path = isinstance(model, PathProblem) and not unsuitable(model)
     kind = _ErrorSearch if of_function else _PathSearch if of_path else _Search
-    found: Certified = kind(result, problem, gap, seed).run(time_limit, boxes, progress)
+    if resume and of_function:
+        raise InputError(Fault("the proof of the largest error of a function cannot be resumed", "Leave it out", key="--resume"))
+    about = {"optlink": VERSION, "problem_hash": problem.hash, "gap": gap}
+    checkpoint = None if folder is None or of_function else Checkpoint(folder / FILE, about)
+    found: Certified = kind(result, problem, gap, seed, checkpoint, resume).run(time_limit, boxes, progress)
     return found
 
 
@@ -141,6 +156,8 @@ class _Search:
     stated: ProblemFile
     gap: float
     seed: int
+    checkpoint: Checkpoint | None = None
+    resume: bool = False
     improved: bool = False
 
     def run(self, seconds: float, boxes: float, progress: Progress | None) -> Any:
@@ -156,16 +173,19 @@ class _Search:
             for variant, problem in zip(variants, problems, strict=True):
                 better = functools.partial(self._improve, variant, problem)
                 searches.append(BranchAndBound(LagrangianBounds(problem), math.inf, share, better))
+            if self.resume and self.checkpoint is not None:
+                self._continue(self.checkpoint.read(searches))
             for k, search in enumerate(searches):
-                if self._exact:  # nothing is smaller than zero
-                    break
+                if self._exact or search.closed:  # nothing is smaller than zero
+                    continue
                 search.bounder = LagrangianBounds(problems[k], self._guess(problems[k]))
-                search.best = self._squared
+                search.best = min(search.best, self._squared)
                 left = seconds - (time.perf_counter() - begin)
-                report = None if progress is None else functools.partial(self._report, progress, k, len(variants))
+                report = functools.partial(self._report, progress, searches, k)
                 search.run(left, boxes - sum(one.boxes for one in searches), report)
         except KeyboardInterrupt:
             interrupted = True
+        self._keep(searches)
         certificate = self._certificate(searches, variants) if len(searches) == len(variants) else None
         taken = self.result.seconds | {"certify": time.perf_counter() - begin}
         return replace(self.result, certificate=certificate, seconds=taken, interrupted=self.result.interrupted or interrupted)
@@ -190,12 +210,32 @@ class _Search:
     def _exact(self) -> bool:
         return exact(self.result.problem, self._known)
 
+    def _keep(self, searches: list[BranchAndBound]) -> None:
+        """Write the state of searches that are not closed where it is kept, remove it where they are."""
+        if self.checkpoint is None or not searches:
+            return
+        if self._exact or all(search.closed for search in searches):
+            self.checkpoint.path.unlink(missing_ok=True)
+        else:
+            self.checkpoint.write(searches, self.result.design)
+
+    def _continue(self, design: dict[str, float]) -> None:
+        """Take the better design that the interrupted search had found."""
+        for variant in self.stated.variants():
+            if all(name in design for name in variant.model.free):
+                self._try(variant, {name: design[name] for name in variant.model.free})
+
+    def _try(self, variant: ProblemFile, start: dict[str, float]) -> bool:
+        """Search locally from a design [SI]; return whether the answer is a better one now."""
+        found = _local(self.result, variant, start, self.seed)
+        if found is None or not found.valid or not found.objective < (1.0 - SAME) * self._known:
+            return False
+        self.result, self.improved = found, True
+        return True
+
     def _improve(self, variant: ProblemFile, boxes: DesignBoxes, x: Array) -> float:
         """Search from a point for a better design; return the objective (squared) of the best known one."""
-        start = dict(zip(boxes.problem.free, (float(value) for value in x), strict=True))
-        found = _local(self.result, variant, start, self.seed)
-        if found is not None and found.valid and not found.objective >= self._known:
-            self.result, self.improved = found, True
+        self._try(variant, dict(zip(boxes.problem.free, (float(value) for value in x), strict=True)))
         return self._squared
 
     def _guess(self, problem: DesignBoxes) -> Guess | None:
@@ -229,11 +269,15 @@ class _Search:
 
     # --- the finding -----------------------------------------------------------------------------------------------
 
-    def _report(self, progress: Progress, k: int, count: int, search: BranchAndBound) -> None:
+    def _report(self, progress: Progress | None, searches: list[BranchAndBound], k: int, search: BranchAndBound) -> None:
+        if self.checkpoint is not None and self.checkpoint.due():
+            self.checkpoint.write(searches, self.result.design)
+        if progress is None:
+            return
         whole = float(np.prod(search.bounder.high - search.bounder.low))
         left = float(np.sum(np.prod(search.open.high - search.open.low, axis=1))) / whole if whole > 0.0 else 0.0
-        lower = self._value(search.lower)
-        progress((k + 1.0 - left) / count, (self._known - lower) / self._known if math.isfinite(self._known) else math.nan)
+        gap = (self._known - self._value(search.lower)) / self._known if math.isfinite(self._known) else math.nan
+        progress((k + 1.0 - left) / len(searches), gap)
 
     def _value(self, squared: float) -> float:
         """Return the objective for its value in terms of squared deviations."""
@@ -298,9 +342,7 @@ class _ErrorSearch(_Search):
     def _from_candidate(self, design: dict[str, float], side: int) -> float:
         """Search from a candidate [m, rad] of an assembly mode; return the objective of the best known design."""
         variant = next(one for one in self.stated.variants() if one.spec.side == side)
-        found = _local(self.result, variant, {name: design[name] for name in self.stated.model.free}, self.seed)
-        if found is not None and found.valid and found.objective < (1.0 - SAME) * self._known:
-            self.result, self.improved = found, True
+        self._try(variant, {name: design[name] for name in self.stated.model.free})
         return self._known
 
 
@@ -323,10 +365,13 @@ class _PathSearch(_Search):
             batch=LARGE,
         )
         try:
+            if self.resume and self.checkpoint is not None:
+                self._continue(self.checkpoint.read([search]))
             if not self._exact:  # else nothing is smaller
-                search.run(seconds, boxes, None if progress is None else functools.partial(self._report, progress, 0, 1))
+                search.run(seconds, boxes, functools.partial(self._report, progress, [search], 0))
         except KeyboardInterrupt:
             interrupted = True
+        self._keep([search])
         taken = self.result.seconds | {"certify": time.perf_counter() - begin}
         interrupted = self.result.interrupted or interrupted
         certificate = self._certificate([search], [self.stated])
@@ -341,11 +386,7 @@ class _PathSearch(_Search):
             variants, left = self.stated.variants(), bounds.left(x)
             sides = [isinstance(one.model, PathProblem) and one.model.side > 0 for one in variants]
             variant = variants[sides.index(left) if left in sides else 0]
-            found = _local(self.result, variant, {name: values[name] for name in free}, self.seed)
-            if found is not None and found.valid and found.objective < (1.0 - SAME) * self._known:
-                self.result, self.improved = found, True
-            else:
-                self.failed += 1
+            self.failed += not self._try(variant, {name: values[name] for name in free})
         return self._squared
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from optlink.errors import Fault, InputError
@@ -68,6 +69,8 @@ def solve(
     gap: float = 1e-6,
     time_limit: float = math.inf,
     proving: Proving | None = None,
+    folder: Path | None = None,
+    resume: bool = False,
 ) -> FunctionResult | PathResult | CycleResult | Balance:
     """Find the best design for a problem and validate it.
 
@@ -97,6 +100,10 @@ def solve(
         Time of the proof; the bound that is reached then holds.
     proving : function of (settled share of the bounds, present gap), optional
         Progress of the proof.
+    folder : Path, optional
+        Where the state of a long proof is kept, so that an interrupted one can continue.
+    resume : bool
+        Continue the proof that was interrupted in `folder`.
 
     Returns
     -------
@@ -125,7 +132,9 @@ def solve(
     if certify is None and not proof.automatic(problem):
         return found
     boxes = proof.BUDGET if certify is None else math.inf
-    return proof.certify(found, gap, time_limit, proving, seed, boxes, problem)  # type: ignore[type-var]
+    return proof.certify(  # type: ignore[type-var]
+        found, gap, time_limit, proving, seed, boxes, problem, folder, resume=resume
+    )
 
 
 def validate(problem: ProblemFile, design: Mapping[str, float]) -> FunctionResult | PathResult | CycleResult:

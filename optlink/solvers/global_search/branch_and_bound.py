@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 
 BATCH = 256  # boxes that are bounded together
 FEW = 64  # open boxes below which they are divided once more: small batches take as long as larger ones
+RARELY = 1.3  # factor of the number of boxes after a search for a better design in vain until the next one
 SMALLEST = 1e-12  # width of a box, relative to the bounds, below which it is not divided
 MOST_OPEN = 1_000_000  # open boxes beyond which those with the highest bounds are taken first, so that memory is limited
 MOST_LEAVES = 200_000  # discarded boxes that are kept for the certificate
@@ -175,7 +176,7 @@ class BranchAndBound:
     tiny: Boxes = field(init=False)
     leaves: Leaves = field(default_factory=Leaves)
     history: list[tuple[int, float, float]] = field(default_factory=list)
-    attempts: int = 0
+    next_attempt: int = 0  # number of boxes before which `improve` is not called again
 
     def __post_init__(self) -> None:
         low, high = self.bounder.low, self.bounder.high
@@ -270,5 +271,8 @@ class BranchAndBound:
         k = int(np.argmin(record.centre))
         if self.improve is None or not record.centre[k] < self.threshold:
             return
-        self.attempts += 1
-        self.best = min(self.best, self.improve(0.5 * (batch.low[k] + batch.high[k])))
+        if self.boxes < self.next_attempt:
+            return
+        before, self.best = self.best, min(self.best, self.improve(0.5 * (batch.low[k] + batch.high[k])))
+        if not self.best < before:
+            self.next_attempt = math.ceil(RARELY * self.boxes)
