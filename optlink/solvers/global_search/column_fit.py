@@ -77,7 +77,12 @@ class ColumnFit:
         self._forms: tuple[float, Array, Array] = (math.nan, self.square, self.matrix)
 
     def proven(self, bound: Array, error: Array) -> Array:
-        """Return the sum of squares that a bound of the projected one proves, in spite of the errors of the projection."""
+        """Return the sum of squares that a bound of the projected one proves, in spite of the errors of the projection.
+
+        Parameters
+        ----------
+        bound, error : array (boxes,)
+        """
         size = np.maximum(0.0, np.sqrt(np.maximum(bound, 0.0)) * (1.0 - SLACK) - error)
         return size * size * (1.0 - SLACK)
 
