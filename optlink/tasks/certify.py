@@ -18,10 +18,11 @@ from optlink.optimization.box_models import DesignBoxes, box_problem
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.problem.path import PathProblem
-from optlink.solvers.global_search.branch_and_bound import BranchAndBound
+from optlink.solvers.global_search.branch_and_bound import BranchAndBound, joint_history
 from optlink.solvers.global_search.checkpoint import FILE, Checkpoint
 from optlink.solvers.global_search.function_certificate import CLOSED, INTERRUPTED, certify_function, is_bounded
 from optlink.solvers.global_search.lagrangian import Guess, LagrangianBounds
+from optlink.solvers.global_search.quadratic import least_squares
 from optlink.solvers.global_search.timed_path import TimedPathBounds, unsuitable
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.certificate import GLOBAL, INFEASIBLE, NOT_CLOSED, STRICT, WITHIN_GAP, Certificate, Cover
@@ -254,14 +255,14 @@ class _Search:
         if problem.measure != "max":
             weights /= len(weights) if problem.measure == "rms" else 1.0
             gradient = (squares * weights).sum().linear[:, 0]
-            multipliers[active] = _least_squares(slopes[:, active][inside], gradient[inside])
+            multipliers[active] = least_squares(slopes[:, active][inside], gradient[inside])
             return Guess(multipliers, weights)
         sizes = squares.value[0]
         top = np.flatnonzero(sizes >= (1.0 - TOP) * np.max(sizes))
         rows = np.hstack([squares.linear[:, 0][:, top], -slopes[:, active]])[inside]
         scale = 1e3 * max(float(np.max(np.abs(rows), initial=0.0)), 1e-300)
         total = np.concatenate([np.full(len(top), scale), np.zeros(len(active))])
-        found = _least_squares(np.vstack([rows, total]), np.append(np.zeros(len(rows)), scale))
+        found = least_squares(np.vstack([rows, total]), np.append(np.zeros(len(rows)), scale))
         weights[:] = 0.0
         weights[top] = found[: len(top)] / max(float(found[: len(top)].sum()), 1e-300) * (1.0 - 1e-14 * len(weights))
         multipliers[active] = found[len(top) :]
@@ -300,7 +301,7 @@ class _Search:
         lower = 0.0 if self._exact else min(self._value(search.lower) for search in searches)
         closed = self._exact or all(search.closed for search in searches)
         kept = all(search.leaves.test and isinstance(search.bounder, LagrangianBounds) for search in searches)
-        rows = [(boxes, self._value(low), self._value(best)) for boxes, low, best in _history(searches)]
+        rows = [(boxes, self._value(low), self._value(best)) for boxes, low, best in joint_history(searches)]
         return Certificate(
             status=self._status(closed, lower),
             objective=self._known,
@@ -390,19 +391,6 @@ class _PathSearch(_Search):
         return self._squared
 
 
-def _history(searches: list[BranchAndBound]) -> list[tuple[int, float, float]]:
-    """Return boxes, lower bound and best known objective over all searches, in the order in which they ran.
-
-    Before a search has begun, its lower bound is zero.
-    """
-    rows, done, least = [], 0, math.inf
-    for k, search in enumerate(searches):
-        later = 0.0 if k + 1 < len(searches) else math.inf
-        rows += [(done + boxes, min(least, low, later), best) for boxes, low, best in search.history]
-        done, least = done + search.boxes, min(least, search.lower)
-    return rows
-
-
 def _cover(search: BranchAndBound, variant: ProblemFile) -> Cover:
     leaves, bounds = search.leaves, search.bounder
     assert isinstance(bounds, LagrangianBounds)
@@ -414,19 +402,6 @@ def _cover(search: BranchAndBound, variant: ProblemFile) -> Cover:
         np.concatenate(leaves.multipliers),
         bounds.problem.limits,
     )
-
-
-def _least_squares(matrix: Array, vector: Array) -> Array:
-    """Return x >= 0 with about the least |matrix x - vector|, by leaving out what becomes negative."""
-    used = np.arange(matrix.shape[1])
-    found = np.zeros(matrix.shape[1])
-    while used.size:
-        x = np.linalg.lstsq(matrix[:, used], vector, rcond=None)[0]
-        if np.all(x >= 0.0):
-            found[used] = x
-            break
-        used = used[x > np.min(x)]
-    return found
 
 
 def _local(result: FunctionResult | PathResult, variant: ProblemFile, start: dict[str, float], seed: int) -> Any:

@@ -276,3 +276,20 @@ class BranchAndBound:
         before, self.best = self.best, min(self.best, self.improve(0.5 * (batch.low[k] + batch.high[k])))
         if not self.best < before:
             self.next_attempt = math.ceil(RARELY * self.boxes)
+
+
+def joint_history(searches: list[BranchAndBound]) -> list[tuple[int, float, float]]:
+    """Return boxes, lower bound and best known objective over all searches, in the order in which they ran.
+
+    Before a search has begun, its lower bound is zero.
+
+    Parameters
+    ----------
+    searches : list of BranchAndBound
+    """
+    rows, done, least = [], 0, math.inf
+    for k, search in enumerate(searches):
+        later = 0.0 if k + 1 < len(searches) else math.inf
+        rows += [(done + boxes, min(least, low, later), best) for boxes, low, best in search.history]
+        done, least = done + search.boxes, min(least, search.lower)
+    return rows

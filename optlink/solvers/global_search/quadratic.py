@@ -103,3 +103,22 @@ def cut_box(rows: Array, most: Array) -> tuple[Array, Array]:
         low = np.max(np.where(rows < 0.0, end - rounding, -np.inf), axis=1, initial=-np.inf)
     low = np.where(low > -1.0 + 2.0 * WORTH, low, -1.0)
     return low, np.where(high < 1.0 - 2.0 * WORTH, high, 1.0)
+
+
+def least_squares(matrix: Array, vector: Array) -> Array:
+    """Return x (n,) >= 0 with about the least |matrix x - vector|, by leaving out what becomes negative.
+
+    Parameters
+    ----------
+    matrix : array (m, n)
+    vector : array (m,)
+    """
+    used = np.arange(matrix.shape[1])
+    found = np.zeros(matrix.shape[1])
+    while used.size:
+        x = np.linalg.lstsq(matrix[:, used], vector, rcond=None)[0]
+        if np.all(x >= 0.0):
+            found[used] = x
+            break
+        used = used[x > np.min(x)]
+    return found
