@@ -7,10 +7,18 @@ import pytest
 from scipy.optimize import linprog
 
 import optlink
-from optlink.linkage.fourbar import LENGTHS, four_bar
+from optlink.linkage.fourbar import LENGTHS, crank_rocker_conditions, double_crank_conditions, four_bar
 from optlink.linkage.vector2d import unit
 from optlink.solvers.global_search.function_certificate import certify_function, linkage_sets
-from optlink.solvers.global_search.function_rows import LinkageSet, Rows, coupler_rows, largest, loop_rows, unit_vector
+from optlink.solvers.global_search.function_rows import (
+    LinkageSet,
+    Rows,
+    coupler_rows,
+    grashof_rows,
+    largest,
+    loop_rows,
+    unit_vector,
+)
 from optlink.solvers.global_search.interior_point import least_violation
 from optlink.synthesis.freudenstein import first_steps
 
@@ -37,7 +45,7 @@ def values_at(rows, point, k3):
     phi0, psi0, k1, k2 = point
     return (
         k1 * (np.real(rows.output * unit_vector(psi0)) + rows.k1)
-        + k2 * np.real(rows.crank * unit_vector(phi0))
+        + k2 * (np.real(rows.crank * unit_vector(phi0)) + rows.k2)
         + k3 * rows.k3
         + k1 / k2 * rows.ratio
         + np.real(rows.both * unit_vector(phi0 - psi0))
@@ -102,7 +110,7 @@ def test_the_bound_of_one_row_exceeds_a_dense_sample(ratio, widths):
         low, high = (centre - size * np.array(widths))[None], (centre + size * np.array(widths))[None]
         parts = rng.normal(size=(3, 1, 1)) + 1j * rng.normal(size=(3, 1, 1))
         k0, k1, zero = rng.normal(size=(1, 1)), rng.normal(size=(1, 1)), np.zeros((1, 1))
-        row = Rows(*parts, k0, k1, zero, zero + 4.0 * ratio)
+        row = Rows(*parts, k0, k1, zero, zero, zero + 4.0 * ratio)
         ends = [np.linspace(low[0, k], high[0, k], 13 if widths[k] else 1) for k in range(4)]
         points = np.stack(np.meshgrid(*ends), axis=-1).reshape(-1, 4)
         assert largest(row, np.ones((1, 1)), low, high)[0] >= np.max(values_at(row, points.T, 0.0))
@@ -116,6 +124,23 @@ def test_the_relaxation_near_a_dead_position_is_exact_at_one():
     one = LinkageSet(side, point, point, (coupler, coupler), (1e-9, math.pi - 1e-9), near_dead=True)
     values = values_at(loop_rows(one, np.zeros(1), np.array([-t]), t), point, k3)
     assert np.min(values) == pytest.approx(0.0, abs=1e-14)
+
+
+def test_the_rows_of_grashof_hold_exactly_for_linkages_that_satisfy_them():
+    rng = np.random.default_rng(5)
+    kinds = {"full rotation": crank_rocker_conditions, "double-crank": double_crank_conditions}
+    seen = {(kind, holds): 0 for kind in kinds for holds in (True, False)}
+    for crank, coupler, rocker in np.exp(rng.uniform(-1.5, 1.5, (3000, 3))):
+        k1, k2, k3 = 1.0 / crank, 1.0 / rocker, (crank**2 - coupler**2 + rocker**2 + 1.0) / (2.0 * crank * rocker)
+        point = np.array([0.0, 0.0, k1, k2])
+        for kind, conditions in kinds.items():
+            rows = grashof_rows(LinkageSet(1, point, point, (coupler, coupler), (0.1, 3.0), kind))
+            holds = min(conditions(crank, coupler, rocker, 1.0).values()) >= 0.0
+            least = float(np.min(values_at(rows, point, k3)))
+            seen[kind, holds] += least >= -1e-12
+            assert least >= -1e-12 or not holds
+    assert seen["full rotation", True] > 50 < seen["double-crank", True]
+    assert seen["full rotation", False] + seen["double-crank", False] < 3000  # the rows exclude linkages
 
 
 def test_programmes_equal_an_independent_solver():

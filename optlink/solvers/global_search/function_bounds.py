@@ -12,7 +12,16 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.solvers.global_search.function_rows import LinkageSet, Rows, coupler_rows, largest, loop_rows, most_k3, unit_vector
+from optlink.solvers.global_search.function_rows import (
+    LinkageSet,
+    Rows,
+    coupler_rows,
+    grashof_rows,
+    largest,
+    loop_rows,
+    most_k3,
+    unit_vector,
+)
 from optlink.solvers.global_search.interior_point import least_violation
 from optlink.solvers.global_search.lagrangian import OPEN, BoxRecord
 
@@ -78,7 +87,7 @@ class FunctionBounds:
         threshold : float [rad]
         """
         t = threshold + LAW_ROUNDING
-        rows = Rows.joined([loop_rows(self.linkages, self.x, self.y, t)], len(low))
+        rows = Rows.joined([loop_rows(self.linkages, self.x, self.y, t), grashof_rows(self.linkages)], len(low))
         z, weights, split = _solved(rows, low, high)
         gone = largest(rows, weights, low, high) < 0.0
         left = np.flatnonzero(~gone)
@@ -94,7 +103,7 @@ class FunctionBounds:
     def _tested(self, low: Array, high: Array, t: float) -> tuple[Array, NDArray[np.intp], NDArray[np.bool_]]:
         """Return the solutions of the programmes with all rows, the unknowns to halve, and which boxes are discarded."""
         coupler = coupler_rows(self.linkages, self.places, self.rise(self.places), t, low, high)
-        rows = Rows.joined([loop_rows(self.linkages, self.x, self.y, t), *coupler], len(low))
+        rows = Rows.joined([loop_rows(self.linkages, self.x, self.y, t), grashof_rows(self.linkages), *coupler], len(low))
         z, weights, split = _solved(rows, low, high)
         return z, split, largest(rows, weights, low, high) < 0.0
 
@@ -188,7 +197,7 @@ def _solved(rows: Rows, low: Array, high: Array) -> tuple[Array, Array, NDArray[
     output, crank, both = rows.output * psi, rows.crank * phi, rows.both * across
     columns = (
         output.real + rows.k1,
-        crank.real,
+        crank.real + rows.k2,
         rows.k3,
         -output.imag * radius[:, 1, None],  # K1 (psi0 - centre) / radius
         -crank.imag * radius[:, 0, None],

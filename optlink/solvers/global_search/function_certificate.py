@@ -134,13 +134,15 @@ def linkage_sets(problem: DesignProblem, error: float) -> list[LinkageSet]:
         low[2] = max(low[2], 1.0)
     if problem.limits.crank == "double-crank":  # the frame is
         high[2:] = np.minimum(high[2:], 1.0)
+    shortest = {"full rotation": (1.0 - WIDEN) / high[2], "double-crank": 1.0 - WIDEN}.get(problem.limits.crank, 0.0)
     high[2:] = np.maximum(high[2:], low[2:] * (1.0 + WIDEN))
     limit, least = problem.limits.transmission_at(), problem.limits.alignment.value
     ends = (None, None) if limit is None else (limit.low, limit.high)
     angles = max(ends[0] or 0.0, least) - WIDEN, min(math.pi if ends[1] is None else ends[1], math.pi - least) + WIDEN
+    ratios[1] = max(ratios[1][0], shortest), ratios[1][1]
     coupler = ratios[1][0] * (1.0 - WIDEN), ratios[1][1] * (1.0 + WIDEN)
     sides = (1, -1) if problem.mechanism.assembly == "either" else (problem.side,)
-    every = [LinkageSet(side, low, high, coupler, angles) for side in sides]
+    every = [LinkageSet(side, low, high, coupler, angles, problem.limits.crank) for side in sides]
     return every + [part for one in every if (part := one.dead_part(error)) is not None]
 
 

@@ -53,7 +53,14 @@ Complex = NDArray[np.complex128]
 STEEPEST = 5.0  # largest |kappa|
 ANGLES = 4  # angles omega of the rows of the longest coupler
 UNIT = 2.0**-53
-FIELDS = ("output", "crank", "both", "k0", "k1", "k3", "ratio")
+FIELDS = ("output", "crank", "both", "k0", "k1", "k2", "k3", "ratio")
+GRASHOF = {
+    "span": (),
+    "full rotation": ((1.0, 1.0, -1.0, -1.0), (-1.0, 1.0, 1.0, -1.0), (-1.0, 1.0, -1.0, 1.0), (0.0, 1.0, -1.0, 0.0)),
+    "double-crank": ((1.0, 1.0, -1.0, -1.0), (1.0, -1.0, 1.0, -1.0), (1.0, -1.0, -1.0, 1.0)),
+}
+"""Rows (1, K1, K2, K3) of Grashof's conditions, not negative: each compares the squared coupler with the square of the sum or
+difference of the three other lengths, both divided by 2 * crank * rocker; the last one of a crank-rocker is crank <= rocker."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +77,8 @@ class LinkageSet:
         Least and largest coupler over the frame.
     transmission : tuple of float [rad]
         Least and largest transmission angle over the span.
+    grashof : str
+        Key of `GRASHOF`.
     near_dead : bool
         Whether linkages may come nearer to a dead position than the error.
     share : float
@@ -81,6 +90,7 @@ class LinkageSet:
     high: Array
     coupler: tuple[float, float]
     transmission: tuple[float, float]
+    grashof: str = "span"
     near_dead: bool = False
     share: float = math.inf
 
@@ -111,7 +121,8 @@ class LinkageSet:
 class Rows:
     """Rows that no wanted linkage makes negative, each array (boxes or 1, rows).
 
-    Row = K1 (Re(output e^(i psi0)) + k1) + K2 Re(crank e^(i phi0)) + K3 k3 + (K1 / K2) ratio + Re(both e^(i (phi0 - psi0))) + k0.
+    Row = K1 (Re(output e^(i psi0)) + k1) + K2 (Re(crank e^(i phi0)) + k2) + K3 k3 + (K1 / K2) ratio
+    + Re(both e^(i (phi0 - psi0))) + k0.
     """
 
     output: Complex
@@ -119,6 +130,7 @@ class Rows:
     both: Complex
     k0: Array
     k1: Array
+    k2: Array
     k3: Array
     ratio: Array
 
@@ -154,7 +166,21 @@ def loop_rows(linkages: LinkageSet, x: Array, y: Array, t: float) -> Rows:
     x, y = np.tile(x, 2)[None], np.concatenate([y - t, y + t])[None]
     short = np.full(x.shape, 2.0 * math.sin(t) ** 2 if linkages.near_dead else 0.0)
     zero = np.zeros(x.shape)
-    return Rows(signs * unit_vector(y), -signs * unit_vector(x), -signs * unit_vector(x - y), short, short, signs + zero, zero)
+    return Rows(
+        signs * unit_vector(y), -signs * unit_vector(x), -signs * unit_vector(x - y), short, short, zero, signs + zero, zero
+    )
+
+
+def grashof_rows(linkages: LinkageSet) -> Rows:
+    """Return the rows of Grashof's conditions.
+
+    Parameters
+    ----------
+    linkages : LinkageSet
+    """
+    k0, k1, k2, k3 = np.array(GRASHOF[linkages.grashof], dtype=float).reshape(-1, 4).T[:, None]
+    zero = np.zeros(k0.shape)
+    return Rows(zero + 0.0j, zero + 0.0j, zero + 0.0j, k0, k1, k2, k3, zero)
 
 
 def coupler_rows(linkages: LinkageSet, x: Array, y: Array, t: float, low: Array, high: Array) -> list[Rows]:
@@ -216,7 +242,7 @@ class _CouplerRow:
         curved = np.maximum(0.0, curved + (most * np.abs(output) + np.abs(both)) * away)
         room = constant + (away * steepest + 0.5 * away * away * curved) * (1.0 + 1e-12)
         zero = np.zeros(kappa.shape)
-        return Rows(-output, kappa * unit_vector(x), -both, room, zero - share, -kappa, zero - sign * math.cos(omega))
+        return Rows(-output, kappa * unit_vector(x), -both, room, zero - share, zero, -kappa, zero - sign * math.cos(omega))
 
 
 def unit_vector(angle: Array) -> Complex:
@@ -242,7 +268,7 @@ def largest(rows: Rows, weights: Array, low: Array, high: Array) -> Array:
     """
     weights = np.maximum(weights, 0.0)
     centre, radius = 0.5 * (low + high), 0.5 * (high - low)
-    output, crank, both, k0, k1, k3, ratio = (np.sum(weights * getattr(rows, name), axis=1) for name in FIELDS)
+    output, crank, both, k0, k1, k2, k3, ratio = (np.sum(weights * getattr(rows, name), axis=1) for name in FIELDS)
     f, p, k1_high, k2_high, k3_high = radius[:, 0], radius[:, 1], high[:, 2], high[:, 3], most_k3(high)
     output, crank = output * unit_vector(centre[:, 1]), crank * unit_vector(centre[:, 0])
     both = both * unit_vector(centre[:, 0] - centre[:, 1])
@@ -252,14 +278,14 @@ def largest(rows: Rows, weights: Array, low: Array, high: Array) -> Array:
         for second in (low[:, 3], high[:, 3]):
             tangent = first * (2.0 * middle - second) / (middle * middle)  # below K1 / K2, a convex function of K2
             quotient = np.where(ratio >= 0.0, first / second, tangent)
-            value = first * (output.real + k1) + second * crank.real + both.real + k0 + ratio * quotient
+            value = first * (output.real + k1) + second * (crank.real + k2) + both.real + k0 + ratio * quotient
             linear = np.stack([-(second * crank.imag + both.imag) * f, -(first * output.imag - both.imag) * p], axis=1)
             curved = (second * crank.real + both.real) * f * f, both.real * f * p, (first * output.real + both.real) * p * p
             quadratic = np.stack([0.5 * curved[0], -curved[1], 0.5 * curved[2]], axis=1)
             most = np.maximum(most, -quadratic_bound(-value, -linear, quadratic, np.zeros(len(low))))
             steepest = np.maximum(steepest, np.abs(quotient))
     third = (k1_high * np.abs(output) * p**3 + k2_high * np.abs(crank) * f**3 + np.abs(both) * (f + p) ** 3) / 6.0
-    factors = k1_high, k2_high, 1.0, 1.0, k1_high, k3_high, steepest
+    factors = k1_high, k2_high, 1.0, 1.0, k1_high, k2_high, k3_high, steepest
     total = (1.0 + STEEPEST) * np.sum(weights, axis=1) * (1.0 + k1_high + k2_high + k3_high)  # of the sums within a coefficient
     for name, factor in zip(FIELDS, factors, strict=True):
         total = total + factor * np.sum(weights * np.abs(getattr(rows, name)), axis=1)
