@@ -29,9 +29,7 @@ Array = NDArray[np.float64]
 
 UNIT = 2.0**-53  # largest relative error of a rounded operation
 ROUNDING = 64.0 * UNIT  # bounds the rounding errors of all coefficients of one operation, relative to the sum of their sizes
-LIBRARY = (
-    2.0**-48
-)  # bounds the error of sin, cos, arctan (absolute) and exp, log, power (relative): 16 to 32 units in the last place
+LIBRARY = 2.0**-48  # bounds the error of sin, cos, arctan (absolute) and exp, log, power (relative): at least 16 ulp
 UPWARD = 1.0 + 2.0**-44  # makes up for the rounding of a remainder, a sum and product of fewer than 100 positive numbers
 TINY = 1e-290  # makes up for underflow
 INTEGER_POWERS = 16  # largest integer exponent that is expanded into products
@@ -144,12 +142,12 @@ class TaylorModel(NDArrayOperatorsMixin):
     @property
     def low(self) -> Array:
         """Lower bound over every box, rigorous; -inf where there is none."""
-        return _bound(self.value, -self.radius)
+        return _bound(self.value, self.radius, -1.0)
 
     @property
     def high(self) -> Array:
         """Upper bound over every box, rigorous; inf where there is none."""
-        return _bound(self.value, self.radius)
+        return _bound(self.value, self.radius, 1.0)
 
     # --- arithmetic ------------------------------------------------------------------------------------------------
 
@@ -180,11 +178,11 @@ class TaylorModel(NDArrayOperatorsMixin):
         return TaylorModel(np.sum(self.coefficients, axis=axis), remainder, self.count)
 
 
-def _bound(value: Array, radius: Array) -> Array:
+def _bound(value: Array, radius: Array, side: float) -> Array:
     with np.errstate(invalid="ignore"):
-        found = value + radius
-    found = found + np.sign(radius) * 4.0 * UNIT * np.abs(found)
-    return np.where(np.isnan(found), np.sign(radius) * np.inf, found)
+        found = value + side * radius
+    found = found + side * 4.0 * UNIT * np.abs(found)
+    return np.where(np.isnan(found), side * np.inf, found)
 
 
 def _model(x: Any, like: TaylorModel) -> TaylorModel:
@@ -216,10 +214,6 @@ def _add(a: Any, b: Any) -> TaylorModel:
         out[0] += shorter[0]
     rounding = ROUNDING * (np.abs(out[0]) + sum(size for model in (a, b) for size in model.sizes))
     return TaylorModel(out, (a.remainder + b.remainder + rounding) * UPWARD + TINY, a.count)
-
-
-def _subtract(a: Any, b: Any) -> TaylorModel:
-    return _add(a, -b)
 
 
 def _multiply(a: Any, b: Any) -> TaylorModel:
@@ -413,10 +407,6 @@ def _minimum(a: Any, b: Any) -> TaylorModel:
     return _select(a, b, a.high <= b.low, both, b.high <= a.low)
 
 
-def _maximum(a: Any, b: Any) -> TaylorModel:
-    return -_minimum(-a, -b)
-
-
 def _root(x: TaylorModel) -> TaylorModel:
     """Square root; where x is negative in a part of the box, the range of the root in the other part."""
     found, low, high = _compose(x, _sqrt), x.low, x.high
@@ -429,7 +419,7 @@ def _root(x: TaylorModel) -> TaylorModel:
 
 _RULES: dict[np.ufunc, Callable[..., TaylorModel]] = {
     np.add: _add,
-    np.subtract: _subtract,
+    np.subtract: lambda a, b: _add(a, -b),
     np.multiply: _multiply,
     np.divide: _divide,
     np.power: _power,
@@ -453,5 +443,5 @@ _RULES: dict[np.ufunc, Callable[..., TaylorModel]] = {
     np.absolute: _absolute,
     np.sign: _sign,
     np.minimum: _minimum,
-    np.maximum: _maximum,
+    np.maximum: lambda a, b: -_minimum(-a, -b),
 }
