@@ -109,6 +109,7 @@ def document(rows: list[Row]) -> dict[str, Any]:
 def measurements() -> dict[str, Callable[[], list[Row]]]:
     """The parts by name; each measures and gives its rows."""
     import batch
+    import certificates
     import clearance
     import dynamics
     import solves
@@ -122,6 +123,7 @@ def measurements() -> dict[str, Callable[[], list[Row]]]:
         "clearance": clearance.rows,
         "synthesis": partial(synthesis.rows, **SYNTHESIS),
         "studies": studies.rows,
+        "certificates": certificates.rows,
         "processes": process_rows,
     }
 

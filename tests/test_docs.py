@@ -45,6 +45,7 @@ def hook(name: str) -> ModuleType:
 
 
 DRAWN = {DOCS / hook("sketches").FOLDER / f"{name}.svg" for name in hook("sketches").SKETCHES}
+DRAWN |= {DOCS / hook("certificates").PICTURE}
 """Pictures that are drawn when the site is built."""
 
 
