@@ -1,6 +1,7 @@
 """Table and picture of the page on certificates of global optima.
 
-The table comes from the record that `benchmarks/certificates.py --json` writes, the picture from a proof of the crank-rocker. MkDocs calls `on_files` and `on_page_markdown`; as a script, the module writes the picture into the folder that it is given.
+The table comes from the record that `benchmarks/certificates.py --json` writes, the picture from a proof of the crank-rocker.
+MkDocs calls `on_files` and `on_page_markdown`; as a script, the module writes the picture into the folder that it is given.
 """
 
 from __future__ import annotations
