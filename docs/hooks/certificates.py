@@ -46,7 +46,9 @@ def page() -> str:
 @functools.cache
 def picture() -> bytes:
     """Return the picture of the boxes of the crank-rocker as PNG."""
-    drawn = pictures(certified(optlink.solve(optlink.load("crank-rocker"))))["boxes"]
+    found = optlink.solve(optlink.load("crank-rocker"))
+    assert isinstance(found, optlink.FunctionResult)
+    drawn = pictures(certified(found))["boxes"]
     with house(), io.BytesIO() as stream:
         drawn.savefig(stream, dpi=130)
         return stream.getvalue()
