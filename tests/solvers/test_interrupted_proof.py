@@ -6,9 +6,9 @@ import pytest
 
 import optlink
 from optlink.optimization.box_models import box_problem
-from optlink.solvers.global_search.branch_and_bound import BranchAndBound
+from optlink.solvers.global_search.branch_and_bound import BranchAndBound, joint_history
 from optlink.solvers.global_search.lagrangian import LagrangianBounds
-from optlink.tasks.certify import _history, certify
+from optlink.tasks.certify import certify
 
 
 class Interrupted(LagrangianBounds):
@@ -80,5 +80,5 @@ def test_the_history_of_several_assembly_modes_is_that_of_one_search():
     """Boxes add up, and the bound is that over all modes: zero until the last one has begun."""
     first = SimpleNamespace(history=[(1, 0.0, 9.0), (5, 8.0, 9.0)], boxes=6, lower=8.0)
     second = SimpleNamespace(history=[(1, 2.0, 9.0), (7, 7.0, 7.0)], boxes=7, lower=7.0)
-    assert _history([first, second]) == [(1, 0.0, 9.0), (5, 0.0, 9.0), (7, 2.0, 9.0), (13, 7.0, 7.0)]
-    assert _history([first]) == first.history
+    assert joint_history([first, second]) == [(1, 0.0, 9.0), (5, 0.0, 9.0), (7, 2.0, 9.0), (13, 7.0, 7.0)]
+    assert joint_history([first]) == first.history
