@@ -177,6 +177,12 @@ def _where_principal(residuals: TaylorModel, start: StartPosition) -> TaylorMode
     return TaylorModel(residuals.coefficients, np.where(unknown, np.inf, residuals.remainder), residuals.count)
 
 
+def _known_within(model: TaylorModel, most: float) -> TaylorModel:
+    """Return a model that is unknown in boxes in which its size may exceed `most`."""
+    beyond = ~((model.high < most) & (model.low > -most))
+    return TaylorModel(model.coefficients, np.where(beyond, np.inf, model.remainder), model.count)
+
+
 def _timed(problem: PathProblem, values: dict[str, Any], count: int) -> Evaluated:
     """Return the residuals (boxes, positions, components) and the limits of a problem with prescribed crank angles."""
     data = problem.data
@@ -187,6 +193,8 @@ def _timed(problem: PathProblem, values: dict[str, Any], count: int) -> Evaluate
         found = [transmission_cosine(*lengths_of(values), TaylorModel.constant(np.cos(data.offsets), count))]
     else:
         found = problem.deviation(pose, values, tuple(TaylorModel.constant(column, count) for column in data.columns.T))
+        if problem.requirement.kind == "motion":  # the models of angles are continuous, and may pass half a turn
+            found[2] = _known_within(found[2], problem.radian * np.pi)
     shape = next(iter(values[name] for name in problem.free)).remainder.shape[0], len(data.offsets)
     residuals = _joined(found, shape, count) * data.roots[:, None]
     span, sense = float(data.offsets[-1] - data.offsets[0]), 1 if data.offsets[-1] >= data.offsets[0] else -1

@@ -266,3 +266,14 @@ def test_planted_defects_are_found(
     assert _outside(cases, 1000, 3)[1] == 0
     defect(monkeypatch)
     assert _outside(cases, 1000, 3)[1] > 0
+
+
+def test_an_angle_of_a_pose_beyond_half_a_turn_is_unknown() -> None:
+    """The angle of a pose lies within -pi ... pi; its model is continuous, so beyond it would be wrong by a turn."""
+    from optlink.optimization.box_models import _known_within
+
+    [x] = TaylorModel.unknowns(np.array([[-0.1], [-0.5]]), np.array([[0.1], [-0.3]]))
+    angle = np.arctan2(x, TaylorModel.constant(-1.0, 1))
+    assert angle.high[0, 0] > math.pi > angle.low[0, 0]
+    assert np.isinf(_known_within(0.2 * angle, 0.2 * math.pi).remainder[0, 0])
+    assert np.isfinite(_known_within(0.2 * angle, 0.2 * math.pi).remainder[1, 0])

@@ -15,10 +15,12 @@ import pytest
 
 import optlink
 from optlink.errors import InputError
+from optlink.optimization.box_models import box_problem
 from optlink.problem.function import DesignProblem
 from optlink.tasks.results.certificate import certificate_document
+from optlink.validation.ball_formulas import BallProblem
 from optlink.validation.balls import Ball, box_minimum, lower_bound, positive_definite, tangent_bound
-from optlink.validation.certificate import CertificateCheck, check_certificate
+from optlink.validation.certificate import CertificateCheck, _model, check_certificate
 from optlink.validation.function import validate
 from optlink.validation.partition import uncovered
 from tests.cli.test_cli import run
@@ -346,3 +348,29 @@ def test_crank_rocker(tmp_path: Path) -> None:
     found = _checked(problem, _certificate(problem), tmp_path)
     assert found.valid, found.checks
     assert found.boxes > 200
+
+
+@pytest.mark.parametrize(
+    "name", ["crank-rocker", "function-log10", "law-six-bar", "law-slider-crank", "path-closed18", "transmission-optimal"]
+)
+def test_deviations_and_limits_are_those_of_the_search(name: str) -> None:
+    """The formulas of the check, written separately, have the values of those of the search, row for row."""
+    file = optlink.load(name).variants()[0]
+    boxes = box_problem(file)
+    known = [file.model.quantities[key].value for key in file.model.free]
+    x = np.clip(np.array(known), boxes.low, boxes.high)
+    models = boxes.over(x[None], x[None])
+    with flint.ctx.workprec(100):
+        problem = BallProblem(_model(file))
+        values = problem.values([float(one) for one in x], [flint.arb(0)] * len(x))
+        slacks, start = problem.slacks(values), problem.starts(values)[0]
+        assert tuple(key for key, _ in slacks) == boxes.limits
+        for (_, slack), value, remainder in zip(slacks, models.slacks.value[0], models.slacks.remainder[0], strict=True):
+            assert not np.isfinite(remainder) or float(slack.centre) == pytest.approx(value, rel=1e-9, abs=1e-12)
+        compared = 0
+        for position, found in enumerate(problem.deviations(values, start)):
+            for k, one in enumerate(found):
+                if one.model is not None:
+                    compared += 1
+                    assert float(one.model.centre) == pytest.approx(models.residuals.value[0, position, k], rel=1e-9, abs=1e-12)
+        assert compared or not np.any(np.isfinite(models.residuals.remainder))
