@@ -1,5 +1,6 @@
 """Ctrl-C, closed pipes, full devices and files without end: one sentence, the right exit code, nothing half written."""
 
+import contextlib
 import json
 import os
 import signal
@@ -66,12 +67,22 @@ def run(*arguments, **options):
     return subprocess.run([*COMMAND, *map(str, arguments)], check=False, **options)
 
 
+def processor_time(process):
+    """Processor time [s] of a process and its workers; nothing where the system does not say."""
+    used = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):  # the process has ended meanwhile
+            fields = stat.read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
+            used += [int(fields[11]) + int(fields[12])] * (process in (int(stat.parent.name), int(fields[1])))
+    return sum(used) / os.sysconf("SC_CLK_TCK") if used else None
+
+
 def at_work(process, seconds):
-    """Wait until a process has used so many seconds of a processor, where the system says so; else twice as long."""
-    begin, stat = time.monotonic(), Path(f"/proc/{process.pid}/stat")
+    """Wait until a process and its workers have used so many seconds of a processor, where the system says so; else twice."""
+    begin = time.monotonic()
     while time.monotonic() - begin < 60.0 and process.poll() is None:
-        used = stat.read_text(encoding="utf-8").rpartition(")")[2].split()[11:13] if stat.exists() else ()
-        if sum(map(int, used)) / os.sysconf("SC_CLK_TCK") > seconds if used else time.monotonic() - begin > 2.0 * seconds:
+        used = processor_time(process.pid)
+        if used > seconds if used is not None else time.monotonic() - begin > 2.0 * seconds:
             return
         time.sleep(0.05)
     raise AssertionError(f"too quick: {process.communicate()}")

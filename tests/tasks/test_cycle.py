@@ -89,7 +89,7 @@ def test_no_neighbour_that_meets_the_limits_is_better():
     mend = np.linalg.pinv(slopes)
     rng = np.random.default_rng(5)
     tried = 0
-    for _ in range(40):
+    for _ in range(16):
         step = rng.normal(size=len(at))
         step -= mend @ (slopes @ step)
         x = at + np.where((at >= high - 1e-9) | (at <= low + 1e-9), 0.0, 1e-3 * step / np.linalg.norm(step))

@@ -13,6 +13,7 @@ import pytest
 
 import optlink
 from tests.function_oracle import Function, largest, oracle
+from tests.solved import once
 
 KNOWN = Path(__file__).parents[1] / "data" / "function_optima.json"  # found by `oracle` with 40 starts, seed 0
 FUNCTIONS = {
@@ -78,6 +79,12 @@ def known() -> list[float]:
     return [float(value) for value in json.loads(KNOWN.read_text(encoding="utf-8"))]
 
 
+def default_answer(number: int) -> optlink.FunctionResult:
+    """The answer with default options, computed once for all tests of a run."""
+    found: optlink.FunctionResult = once(f"function problem {number}", lambda: optlink.solve(optlink.read(case(number).raw)))
+    return found
+
+
 def measured(result: optlink.FunctionResult, task: Function) -> tuple[float, float]:
     """Largest error and missed limit of an answer, by the oracle's formulas."""
     sizes = [math.log(result.design[name] / result.design["frame"]) for name in ("crank", "coupler", "rocker")]
@@ -89,7 +96,7 @@ def measured(result: optlink.FunctionResult, task: Function) -> tuple[float, flo
 @pytest.mark.parametrize("number", range(PROBLEMS))
 def test_the_default_answer_is_none_worse_than_the_oracle_and_never_claims_what_it_refutes(number: int) -> None:
     made = case(number)
-    result = optlink.solve(optlink.read(made.raw))
+    result = default_answer(number)
     error, missed = measured(result, made.task)
     assert result.valid
     assert missed <= 1e-6
@@ -113,4 +120,4 @@ def test_more_starts_are_never_worse(number: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [3, 12])
 def test_the_oracle_finds_its_recorded_optima_from_other_starts(number: int) -> None:
-    assert oracle(case(number).task, 25, 7) == pytest.approx(known()[number], rel=2e-3)
+    assert oracle(case(number).task, 16, 7) == pytest.approx(known()[number], rel=2e-3)
