@@ -2,7 +2,8 @@
 
 Without options every quoted figure is printed with its place and the command that computes it. `--check` computes the quick ones
 and compares all with the text; the slow ones are compared with `readme_record.json`, which has the date of their last run.
-`--slow` computes those too, `--commands` runs every command of the pages, `--write` writes the record.
+`--slow` computes those too. `--commands` runs every command of the pages; with `--long` only those that tests/test_readme.py does
+not run, because they take long. `--write` writes the record: with `--slow` of figures, with `--commands` of the long commands.
 """
 
 from __future__ import annotations
@@ -12,10 +13,8 @@ import contextlib
 import datetime
 import functools
 import json
-import os
 import re
 import shlex
-import subprocess
 import sys
 import tempfile
 import time
@@ -138,17 +137,26 @@ def recorded() -> dict[str, Any]:
     return found
 
 
-def measured_record(record: dict[str, Any]) -> dict[str, Any]:
-    """The record with slow figures and blocks computed now."""
+def write(record: dict[str, Any]) -> None:
+    """Write the record."""
+    RECORD.write_text(json.dumps(record, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def stamp() -> dict[str, str]:
+    """Date and version of a record."""
     import optlink
 
-    stamp = {"date": datetime.datetime.now(datetime.UTC).date().isoformat(), "optlink": optlink.__version__}
+    return {"date": datetime.datetime.now(datetime.UTC).date().isoformat(), "optlink": optlink.__version__}
+
+
+def measured_record(record: dict[str, Any]) -> dict[str, Any]:
+    """The record with slow figures and blocks computed now."""
     for figure in FIGURES:
         if figure.command in LONG:
-            record["figures"][f"{figure.page}: {figure.text}"] = {"value": computed(figure), **stamp}
+            record["figures"][f"{figure.page}: {figure.text}"] = {"value": computed(figure), **stamp()}
     for block in BLOCKS:
         if block.command in LONG and not missing(block, output(block.command, as_json=False)):
-            record["blocks"][f"{block.page}: {block.words}"] = {"lines": block_lines(block), **stamp}
+            record["blocks"][f"{block.page}: {block.words}"] = {"lines": block_lines(block), **stamp()}
     return record
 
 
@@ -166,17 +174,50 @@ def calls(name: str) -> list[str]:
     return [line.strip() for line in found if line.strip() not in PLACEHOLDERS]
 
 
-def run_page(name: str, *, long: bool) -> Iterator[tuple[str, int, float, str]]:
-    """Run the commands of a page in an empty folder; yield each with its exit code, seconds and messages."""
-    with tempfile.TemporaryDirectory() as folder:
-        environment = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "80"}
+def run_page(name: str, *, long: bool | None = None) -> Iterator[tuple[str, int, float, str]]:
+    """Run the commands of a page in an empty folder; yield each with its exit code, seconds and messages.
+
+    Parameters
+    ----------
+    name : str
+        Of the page.
+    long : bool, optional
+        Run only those that take long, or only the others. Default: all.
+    """
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
         for line in [*PREPARED.get(name, ()), *calls(name)]:
-            if " ".join(line.removeprefix("optlink ").split()) in LONG and not long:
+            if long is not None and is_long(line) is not long:
                 continue
             begin = time.perf_counter()
-            shell = line.replace("optlink", f"{shlex.quote(sys.executable)} -m optlink", 1)
-            done = subprocess.run(shell, shell=True, cwd=folder, env=environment, capture_output=True, text=True, check=False)
-            yield line, done.returncode, time.perf_counter() - begin, done.stderr[-300:]
+            code, errors = ran(line)
+            yield line, code, time.perf_counter() - begin, errors[-300:]
+
+
+def is_long(line: str) -> bool:
+    """Whether a shell line is among the commands that take long."""
+    return " ".join(line.removeprefix("optlink ").split()) in LONG
+
+
+def ran(line: str) -> tuple[int, str]:
+    """Run a shell line with optlink in this process; its exit code, 70 after a traceback, and its messages."""
+    from typer.testing import CliRunner
+
+    from optlink.cli.app import app, rejoined
+
+    words = shlex.split(line)[1:]
+    words, target = (words[:-2], words[-1]) if words[-2:-1] == [">"] else (words, None)
+    done = CliRunner().invoke(app, rejoined(words), env={"COLUMNS": "80"})
+    if target is not None:
+        with open(target, "w", encoding="utf-8") as file:
+            file.write(done.stdout)
+    if done.exception is not None and not isinstance(done.exception, SystemExit):
+        return 70, repr(done.exception)
+    return done.exit_code, done.stderr
+
+
+def long_commands() -> set[str]:
+    """The commands of the pages that take long."""
+    return {line for name in pages() for line in calls(name) if is_long(line)}
 
 
 def pages() -> list[str]:
@@ -191,6 +232,7 @@ def main() -> None:
     parser.add_argument("--check", action="store_true", help="compare the figures with the pages")
     parser.add_argument("--slow", action="store_true", help="compute the slow figures too")
     parser.add_argument("--commands", action="store_true", help="run every command of the pages")
+    parser.add_argument("--long", action="store_true", help="of the commands, only those that take long")
     parser.add_argument("--write", action="store_true", help="write the record of what is slow")
     options = parser.parse_args()
     record = recorded()
@@ -199,16 +241,19 @@ def main() -> None:
     wrong = list(failures(slow=options.slow and not options.write, record=record)) if options.check else []
     if options.commands:
         for name in pages():
-            for line, code, seconds, errors in run_page(name, long=options.slow):
+            for line, code, seconds, errors in run_page(name, long=True if options.long else None):
                 print(f"{name}: {line}: exit code {code}, {seconds:.1f} s", flush=True)
                 if code not in (0, 1):
                     wrong.append(f"{name}: {line}: {errors}")
+                elif options.write and is_long(line):
+                    record["commands"][line] = {"exit code": code, "seconds": round(seconds, 1), **stamp()}
+                    write(record)
     if not options.check and not options.commands:
         for figure in FIGURES:
             value = quoted(figure)[0]
             print(f"{figure.page}: {value:g}: optlink {figure.command} --json, {figure.path}")
     if options.write:
-        RECORD.write_text(json.dumps(record, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        write(record)
     for line in wrong:
         print(line, file=sys.stderr)
     with contextlib.suppress(BrokenPipeError):

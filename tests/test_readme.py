@@ -60,6 +60,15 @@ def test_a_line_that_is_not_printed_is_seen():
     assert readme.missing(block, printed.replace("412.865", "412.866")) == ["coupler 412.865 mm free, 100 ... 900"]
 
 
+def test_a_command_that_is_not_run_here_is_in_the_record():
+    """With the exit code of its last run; and no command is called long that no page and no figure has."""
+    recorded = readme.recorded()["commands"]
+    assert recorded.keys() == readme.long_commands()
+    assert {one["exit code"] for one in recorded.values()} <= {0, 1}
+    quoted = {one.command for one in (*readme.FIGURES, *readme.BLOCKS)}
+    assert set(readme.LONG) - quoted <= {" ".join(line.removeprefix("optlink ").split()) for line in recorded}
+
+
 @pytest.mark.slow
 def test_all_figures_are_those_of_the_commands_or_of_the_record():
     assert list(readme.failures(slow=False, record=readme.recorded())) == []
@@ -68,6 +77,6 @@ def test_all_figures_are_those_of_the_commands_or_of_the_record():
 @pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES)
 def test_commands_of_a_page_run(page):
-    """In their order, in an empty folder; those of minutes are run by `benchmarks/readme.py --commands --slow`."""
+    """In their order, in an empty folder; those that take long are run by `benchmarks/readme.py --commands --long --write`."""
     for line, code, _, errors in readme.run_page(page, long=False):
         assert code in (0, 1), f"{line}: {errors}"
