@@ -415,7 +415,7 @@ def test_figures_agree(group):
     rows = list(getattr(hook("validation"), group)())
     assert len(rows) > 1
     assert [row.what for row in rows if not row.holds] == []
-    assert max(row.near / abs(row.wanted) for row in rows if abs(row.wanted) > 1e-3) < 0.01
+    assert max(row.near / abs(row.target) for row in rows if abs(row.target) > 1e-3) < 0.01
 
 
 def test_a_figure_that_is_wrong_stops_the_site(monkeypatch):

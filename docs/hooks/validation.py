@@ -39,20 +39,20 @@ class Row:
 
     what: str
     unit: str
-    wanted: float
-    found: float
+    target: float
+    actual: float
     near: float
     test: str
 
     @property
     def off(self) -> float:
         """Difference from the reference: relative, or absolute if the reference is zero."""
-        return self.found - self.wanted if self.wanted == 0.0 else self.found / self.wanted - 1.0
+        return self.actual - self.target if self.target == 0.0 else self.actual / self.target - 1.0
 
     @property
     def holds(self) -> bool:
         """Whether the difference is within the tolerance."""
-        return abs(self.found - self.wanted) <= self.near
+        return abs(self.actual - self.target) <= self.near
 
 
 @dataclass(frozen=True)
@@ -117,12 +117,12 @@ def output_angles(problem: optlink.ProblemFile) -> Iterator[Row]:
     """Yield the rocker angle and its derivatives with respect to the four lengths at four crank angles."""
     sizes = {"crank": 1.0, "coupler": 4.12865417, "rocker": 2.3224617, "frame": 5.0}
     table = np.array(literal(CRANK_ROCKER, "SENSITIVITIES"))
-    found = output_sensitivity(problem.model.linkage, sizes, np.radians(table[:, 0]), "rocker")
+    actual = output_sensitivity(problem.model.linkage, sizes, np.radians(table[:, 0]), "rocker")
     test = f"{CRANK_ROCKER}::test_output_angle_and_its_sensitivities"
     for k, (phi, psi, *slopes) in enumerate(table):
-        yield Row(f"psi at {phi:.0f} deg", "deg", psi, math.degrees(found.value[k]), 1e-6, test)
+        yield Row(f"psi at {phi:.0f} deg", "deg", psi, math.degrees(actual.value[k]), 1e-6, test)
         for name, slope in zip(sizes, slopes, strict=True):
-            yield Row(f"d psi / d {name} at {phi:.0f} deg", "rad per length", slope, found.by[name][k], 1.5e-6, test)
+            yield Row(f"d psi / d {name} at {phi:.0f} deg", "rad per length", slope, actual.by[name][k], 1.5e-6, test)
 
 
 # --- six-bar and shaper ----------------------------------------------------------------------------------------------------
@@ -134,17 +134,17 @@ def cycle(name: str, speed: float | None = None) -> optlink.Analysis:
     return optlink.analyze(optlink.load(name), step=math.radians(15.0), speed=speed)
 
 
-def table_rows(found: optlink.Analysis, file: str, names: dict[str, tuple[int, str]], test: str) -> Iterator[Row]:
+def table_rows(actual: optlink.Analysis, file: str, names: dict[str, tuple[int, str]], test: str) -> Iterator[Row]:
     """Yield a row per column of a table: the position with the largest difference."""
-    for name, wanted in columns(file).items():
+    for name, target in columns(file).items():
         sign, ours = names[name]
-        values = sign * found[ours]
-        scale = float(np.max(np.abs(wanted))) or 1.0
-        worst = int(np.argmax(np.abs(values - wanted)))
+        values = sign * actual[ours]
+        scale = float(np.max(np.abs(target))) or 1.0
+        worst = int(np.argmax(np.abs(values - target)))
         row = Row(
-            f"{name}: `{ours}`, {len(wanted)} rows, position of the largest difference",
+            f"{name}: `{ours}`, {len(target)} rows, position of the largest difference",
             _unit(ours),
-            wanted[worst],
+            target[worst],
             values[worst],
             1e-9 * scale,
             test,
@@ -201,26 +201,28 @@ SIX_BAR_FIGURES = {
 
 def six_bar() -> Iterator[Row]:
     """Yield all columns at 62 degrees, extremes, work, and every column of the table."""
-    found = cycle("six-bar")
-    for name, wanted in AT_62.items():
-        near = 1e-9 * max(1.0, float(np.max(np.abs(found[name]))))
-        yield Row(f"`{name}` at 62 deg", _unit(name), wanted, float(found[name][0]), near, f"{SIX_BAR}::test_every_column_agrees")
-    for name, wanted in SIX_BAR_FIGURES.items():
+    actual = cycle("six-bar")
+    for name, target in AT_62.items():
+        near = 1e-9 * max(1.0, float(np.max(np.abs(actual[name]))))
+        yield Row(
+            f"`{name}` at 62 deg", _unit(name), target, float(actual[name][0]), near, f"{SIX_BAR}::test_every_column_agrees"
+        )
+    for name, target in SIX_BAR_FIGURES.items():
         unit = _unit(name.removesuffix(".min").removesuffix(".max"))
-        yield Row(f"`{name}`", unit, wanted, found.figures[name], 1e-6 * abs(wanted), f"{SIX_BAR}::test_extremes_and_stroke")
+        yield Row(f"`{name}`", unit, target, actual.figures[name], 1e-6 * abs(target), f"{SIX_BAR}::test_extremes_and_stroke")
     test = f"{SIX_BAR}::test_where_the_extremes_are_met"
-    torque, work = found.extremes["input.torque_Nm"], found.extremes["input.work_J"]
-    for what, wanted, at in (
+    torque, work = actual.extremes["input.torque_Nm"], actual.extremes["input.work_J"]
+    for what, target, at in (
         ("crank angle of the largest torque", 67.0206, torque.largest_at),
         ("crank angle of the least torque", 356.3080, torque.least_at),
         ("crank angle of the largest work", 156.2980, work.largest_at),
         ("crank angle of the least work", 28.849, work.least_at),
     ):
-        yield Row(what, "deg", wanted, math.degrees(at) % 360.0, 1e-3, test)
+        yield Row(what, "deg", target, math.degrees(at) % 360.0, 1e-3, test)
     test = f"{SIX_BAR}::test_least_work_against_the_sampled_one"
     yield Row("least work since the start (reference: least of the samples)", "J", -101.926927, work.least, 2.6e-4, test)
     yield Row(
-        "work per revolution", "J", 0.0, found.work, 1e-10, f"{SIX_BAR}::test_a_constant_force_does_no_work_in_a_revolution"
+        "work per revolution", "J", 0.0, actual.work, 1e-10, f"{SIX_BAR}::test_a_constant_force_does_no_work_in_a_revolution"
     )
     second = optlink.analyze(optlink.load("six-bar"), step=10.0 - 2.0 * math.pi)
     yield Row("work after 1 s", "J", 225.033, float(second["input.work_J"][1]), 1e-3, f"{SIX_BAR}::test_work_after_one_second")
@@ -228,7 +230,7 @@ def six_bar() -> Iterator[Row]:
     test = f"{SIX_BAR}::test_an_opposing_force_does"
     yield Row("work per revolution against an opposing load", "J", 747.808316959, opposing.work, 1e-6, test)
     names = {name: (1, ours) for name, ours in literal(SIX_BAR, "COLUMNS").items()}
-    yield from table_rows(found, "six_bar_15deg.csv", names, f"{SIX_BAR}::test_every_column_agrees")
+    yield from table_rows(actual, "six_bar_15deg.csv", names, f"{SIX_BAR}::test_every_column_agrees")
 
 
 AT_0 = {
@@ -249,8 +251,8 @@ AT_0 = {
 def shaper() -> Iterator[Row]:
     """Yield limit positions, stroke, all columns at 0 degrees, extremes, work, and every column of both tables."""
     speeds = {"1 rad/s": (1.0, "shaper_1rad_15deg.csv"), "64 rpm": (64.0 * RPM, "shaper_64rpm_15deg.csv")}
-    found = {name: cycle("shaper", speed) for name, (speed, _) in speeds.items()}
-    slow = found["1 rad/s"]
+    actual = {name: cycle("shaper", speed) for name, (speed, _) in speeds.items()}
+    slow = actual["1 rad/s"]
     ram, rocker = slow.strokes["ram"], slow.swings["rocker"]
     test = f"{SHAPER}::test_limits_by_hand"
     yield Row("limit position of the ram", "mm", 128.316712718, ram.high * 1e3, 1e-8, test)
@@ -263,26 +265,26 @@ def shaper() -> Iterator[Row]:
     yield Row("stroke, printed (ADAMS)", "mm", 545.4, ram.span * 1e3, 0.1, test)
     yield Row("limit position of the ram, printed (ADAMS)", "mm", 128.1, ram.high * 1e3, 0.25, test)
     yield Row("limit position of the ram, printed (ADAMS)", "mm", -417.3, ram.low * 1e3, 0.25, test)
-    for name, wanted in AT_0.items():
-        near = 1e-8 * max(1.0, abs(wanted))
+    for name, target in AT_0.items():
+        near = 1e-8 * max(1.0, abs(target))
         yield Row(
-            f"`{name}` at 0 deg, 1 rad/s", _unit(name), wanted, float(slow[name][0]), near, f"{SHAPER}::test_every_column_agrees"
+            f"`{name}` at 0 deg, 1 rad/s", _unit(name), target, float(slow[name][0]), near, f"{SHAPER}::test_every_column_agrees"
         )
     for case, figures in literal(SHAPER, "EXTREMES").items():
-        for name, wanted in figures.items():
+        for name, target in figures.items():
             unit = _unit(name.removesuffix(".min").removesuffix(".max"))
-            ours = found[case].figures[name]
-            yield Row(f"`{name}`, {case}", unit, wanted, ours, 1e-6 * abs(wanted), f"{SHAPER}::test_extremes")
+            ours = actual[case].figures[name]
+            yield Row(f"`{name}`, {case}", unit, target, ours, 1e-6 * abs(target), f"{SHAPER}::test_extremes")
     torque = slow.extremes["input.torque_Nm"]
     test = f"{SHAPER}::test_where_the_torque_is_extreme"
     yield Row("crank angle of the largest torque, 1 rad/s", "deg", 96.8944, math.degrees(torque.largest_at), 1e-3, test)
     yield Row("crank angle of the least torque, 1 rad/s", "deg", 288.463, math.degrees(torque.least_at), 1e-3, test)
-    for case, analysis in found.items():
+    for case, analysis in actual.items():
         test = f"{SHAPER}::test_work_per_revolution_is_that_of_the_cut"
         yield Row(f"work per revolution, {case}", "J", 3207.27272727, analysis.work, 1e-7, test)
     for case, (_, file) in speeds.items():
-        for row in table_rows(found[case], file, literal(SHAPER, "COLUMNS"), f"{SHAPER}::test_every_column_agrees"):
-            yield Row(f"{row.what}, {case}", row.unit, row.wanted, row.found, row.near, row.test)
+        for row in table_rows(actual[case], file, literal(SHAPER, "COLUMNS"), f"{SHAPER}::test_every_column_agrees"):
+            yield Row(f"{row.what}, {case}", row.unit, row.target, row.actual, row.near, row.test)
 
 
 # --- slider-cranks -----------------------------------------------------------------------------------------------------
@@ -290,23 +292,23 @@ def shaper() -> Iterator[Row]:
 
 def under_a_torque() -> Iterator[Row]:
     """Yield angle and speed of the slider-crank that a constant torque drives from rest."""
-    found = optlink.simulate(optlink.load("slider-crank"), rows=2)
+    actual = optlink.simulate(optlink.load("slider-crank"), rows=2)
     test = "tests/dynamics/test_forward.py::test_slider_crank_under_a_torque_reaches_the_reference"
-    yield Row("crank angle after 2 s", "rad", 55.0724438, found.figures["end.crank_angle_rad"], 1e-7, test)
-    yield Row("crank speed after 2 s", "rad/s", 39.79557704, found.figures["end.speed_rad_s"], 1e-7, test)
+    yield Row("crank angle after 2 s", "rad", 55.0724438, actual.figures["end.crank_angle_rad"], 1e-7, test)
+    yield Row("crank speed after 2 s", "rad/s", 39.79557704, actual.figures["end.speed_rad_s"], 1e-7, test)
 
 
 def first_impacts() -> Iterator[Row]:
     """Yield the first contact after a start with centred journal, without friction, at four speeds."""
     test = f"{CLEARANCE}::test_first_impact_to_the_digits_that_were_noted"
     problem = optlink.load("slider-crank-clearance", {"joints.C.friction": 0.0})
-    for rpm, wanted in literal(CLEARANCE, "IMPACTS").items():
+    for rpm, target in literal(CLEARANCE, "IMPACTS").items():
         run = optlink.simulate_clearance(problem, 1, 72, rpm * RPM, tolerance=1e-12, twin=False)
         one = run.impacts[0]
-        found = (one.begin, math.degrees(one.crank_angle), one.approach, one.penetration, one.end, one.departure)
+        actual = (one.begin, math.degrees(one.crank_angle), one.approach, one.penetration, one.end, one.departure)
         names = ("start", "crank angle", "approach velocity", "largest penetration", "end", "separation velocity")
         units = ("s", "deg", "m/s", "m", "s", "m/s")
-        for what, unit, number, ours in zip(names, units, wanted, found, strict=True):
+        for what, unit, number, ours in zip(names, units, target, actual, strict=True):
             yield Row(f"first contact at {rpm} rpm: {what}", unit, number, ours, 3e-9 * number, test)
 
 
@@ -314,10 +316,10 @@ def deviations() -> Iterator[Row]:
     """Yield the rms deviation of the slider with friction over revolutions 6 to 25, and all columns of revolution 11."""
     problem = optlink.load("slider-crank-clearance", {"joints.C.friction": 0.1})
     names = literal(CLEARANCE, "COLUMNS")
-    for rpm, wanted in literal(CLEARANCE, "RMS").items():
+    for rpm, target in literal(CLEARANCE, "RMS").items():
         run = optlink.simulate_clearance(problem, 25, 72, rpm * RPM, tolerance=1e-11, twin=False)
         test = f"{CLEARANCE}::test_deviation_over_twenty_revolutions"
-        yield Row(f"rms deviation at {rpm} rpm", "mm", wanted * 1e3, run.figures["rms_m"] * 1e3, wanted, test)
+        yield Row(f"rms deviation at {rpm} rpm", "mm", target * 1e3, run.figures["rms_m"] * 1e3, target, test)
         table = columns(f"clearance_mu01_{rpm}rpm.csv")
         rows = 719 + np.arange(73)
         for name, (ours, near) in names.items():
@@ -383,8 +385,8 @@ def synthesis() -> Iterator[Row]:
         yield Row(f"`stroke-{name}`, worst angle", "deg", known, angle, 1e-8, test.format(name.replace("-", "_")))
     test = f"{PROBLEMS}::test_expected_design_is_reached"
     for name, known in (("log10", 0.003676), ("sin", 0.190337), ("exp", 0.025865)):
-        found = math.degrees(optlink.solve(optlink.load(f"function-{name}"), "ipopt").objective)
-        yield Row(f"`function-{name}`, largest error", "deg", known, found, 2e-3 * known, test)
+        actual = math.degrees(optlink.solve(optlink.load(f"function-{name}"), "ipopt").objective)
+        yield Row(f"`function-{name}`, largest error", "deg", known, actual, 2e-3 * known, test)
 
 
 def machines() -> Iterator[Row]:
@@ -396,9 +398,9 @@ def machines() -> Iterator[Row]:
         if expected is None or not expected.figures or name in ("six-bar", "shaper"):
             continue
         figures = cycle(name).figures
-        for figure, wanted in expected.figures.items():
-            near = max(expected.figure_tolerance * abs(wanted), 1e-9)
-            yield Row(f"`{name}`: `{figure}`", "SI", wanted, figures[figure], near, test)
+        for figure, target in expected.figures.items():
+            near = max(expected.figure_tolerance * abs(target), 1e-9)
+            yield Row(f"`{name}`: `{figure}`", "SI", target, figures[figure], near, test)
 
 
 GROUPS = (
@@ -484,7 +486,7 @@ def page() -> str:
         rows = list(group.rows())
         wrong = [row for row in rows if not row.holds]
         if wrong:
-            raise ValueError(f"{group.title}: {wrong[0].what} is {wrong[0].found!r}, the reference says {wrong[0].wanted!r}")
+            raise ValueError(f"{group.title}: {wrong[0].what} is {wrong[0].actual!r}, the reference says {wrong[0].target!r}")
         count += len(rows)
         parts.append(_section(group, rows))
     return f"This build compared {count} figures.\n\n" + "\n\n".join(parts)
@@ -494,9 +496,9 @@ def _section(group: Group, rows: list[Row]) -> str:
     lines = [f"## {group.title} {{ #{group.anchor} }}", "", group.source, ""]
     lines += ["| figure | reference | optlink | difference | test |", "|---|---|---|---|---|"]
     for row in rows:
-        wanted, found = _number(row.wanted), _number(row.found, _digits(row.wanted))
+        target, actual = _number(row.target), _number(row.actual, _digits(row.target))
         unit = f" {row.unit}" if row.unit and row.unit != "SI" else ""
-        lines.append(f"| {row.what} | {wanted}{unit} | {found}{unit} | {_off(row)} | {_link(row.test)} |")
+        lines.append(f"| {row.what} | {target}{unit} | {actual}{unit} | {_off(row)} | {_link(row.test)} |")
     return "\n".join(lines)
 
 
