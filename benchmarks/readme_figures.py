@@ -133,6 +133,19 @@ SYSTEMS = [
     Figure("docs/balancing.md", "{0.01102811} N.", "balance balance-four-bar", "before"),
 ]
 
+FRONT = 'study pareto crank-rocker --objectives "error, limits.transmission_angle.max" --points 25'
+ENDS = (
+    (0, "decreases from {178.5} deg", "largest_transmission_angle_deg"),
+    (19, "deg to {92.7} deg,", "largest_transmission_angle_deg"),
+    (0, "steadily from {0.00350} rad²", "error_rad2"),
+    (19, "rad² to {0.01461} rad²", "error_rad2"),
+    (24, "increases to {0.473} rad²", "error_rad2"),
+    (24, "at {70.1} deg", "largest_transmission_angle_deg"),
+    (20, "The knee is the point at {88.2} deg", "largest_transmission_angle_deg"),
+    (20, "deg, with {0.0248} rad²", "error_rad2"),
+)
+FRONTS = [Figure("docs/pareto.md", text, FRONT, f"front/{k}/objectives/{name}") for k, text, name in ENDS]
+
 RUNS = (("none", "1.308", 0.002), ("inverse", "0.914", 0.002), ("pid", "1.10", 0.02), ("inverse+pid", "0.77", 0.03))
 CONTROL = [
     *(
@@ -145,7 +158,7 @@ CONTROL = [
 ]
 """The motion with a PID is sensitive to rounding errors: its tolerance is that of runs on several machines."""
 
-FIGURES = [*CRANK_ROCKER, *SYSTEMS, *CASES, *CONTROL, *balancing()]
+FIGURES = [*CRANK_ROCKER, *SYSTEMS, *CASES, *FRONTS, *CONTROL, *balancing()]
 
 BLOCKS = [
     Block("README.md", "Crank-rocker that reproduces", LAW),

@@ -783,7 +783,12 @@ def test_the_command_prints_and_writes(tmp_path):
     [
         ("crank-rocker", [f"{FRAME}:5"], 2, ""),
         ("crank-rocker", [f"{LIMIT}=60..100 deg:5"], 2, "no design"),
-        ("crank-rocker", ["mechanism.frame=550 mm, 450 mm, 500 mm", f"{LIMIT}=85..135 deg:4"], 1, "other limits begin to hold"),
+        (
+            "crank-rocker",
+            ["mechanism.frame=550 mm, 450 mm, 500 mm", f"{LIMIT}=85..135 deg:4"],
+            1,
+            "other constraints become active",
+        ),
         (
             "crank-rocker",
             ["mechanism.crank=100..140 mm:3", "mechanism.frame=460 mm, 500 mm", f"{LIMIT}=85, 135 deg"],
@@ -802,7 +807,7 @@ def test_pictures_over_one_two_and_three_parameters(name, arguments, panels, leg
     assert len(axes) == panels
     entries = {text.get_text() for one in axes if one.get_legend() is not None for text in one.get_legend().get_texts()}
     assert not legend or legend in entries
-    assert bool(entries & {"no design", "no valid figures", "other limits begin to hold", "not proven"}) == bool(legend)
+    assert bool(entries & {"no design", "no valid figures", "other constraints become active", "not proven"}) == bool(legend)
     for one in axes:
         label = one.xaxis.get_label_text()
         assert not label or label.endswith(("[mm]", "[deg]", "[m]"))

@@ -188,6 +188,6 @@ def _names(scene: Scene, k: int) -> Iterator[str]:
         if math.isfinite(x) and math.isfinite(y):
             place = f'data-point="{escape(name)}" transform="translate({_number(x, scene)} {_number(y, scene)})"'
             look = f'fill="{GROUND}" stroke="#ffffff" stroke-width="{rim}" paint-order="stroke" stroke-linejoin="round"'
-            right, down = (0.8, 0.85) if name in scene.still else (0.5, -0.55)
+            right, down = (0.8, 1.3) if name in scene.still else (0.5, -0.55)
             at = f'x="{_number(right * scene.size, scene)}" y="{_number(down * scene.size, scene)}"'
             yield f"<g {place}><text {at} {look}>{escape(name)}</text></g>"

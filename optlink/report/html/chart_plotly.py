@@ -104,7 +104,7 @@ def chart(spec: ChartSpec) -> Chart:
         layout["plot_bgcolor"] = "#eceef1"
     if Bars in kinds:
         layout |= {"barmode": "overlay", "bargap": 0.0}
-    layout |= {"shapes": _across(spec), "annotations": []}
+    layout |= {"shapes": _across(spec)}
     data, top, key = [], 1.0, ""
     for number, panel in enumerate(spec.panels, 1):
         key = "" if number == 1 else str(number)
@@ -114,9 +114,6 @@ def chart(spec: ChartSpec) -> Chart:
             layout[f"yaxis{key}"] |= {"scaleanchor": "x", "constrain": "domain"}
         layout[f"legend{key}"] = LEGEND | {"y": top + 0.01} | ({"bgcolor": "#d5d9de"} if HeatMap in kinds else {})
         data += [trace | {"yaxis": f"y{key}", "legend": f"legend{key}"} for trace in _traces(spec, panel)]
-        if panel.note:
-            place = {"xref": "paper", "yref": f"y{key} domain", "x": 0.99, "y": 0.03, "xanchor": "right", "yanchor": "bottom"}
-            layout["annotations"].append(place | {"text": escape(panel.note), "showarrow": False})
         top = bottom - GAP
     layout["xaxis"] = _axis(spec.x, spec.reach) | {"anchor": f"y{key}", "hoverformat": ".2f"}
     if spec.equal:
@@ -125,7 +122,10 @@ def chart(spec: ChartSpec) -> Chart:
     if picks is not None:
         picks = replace(picks, x=np.round(picks.x, _decimals(picks.x)), y=np.round(picks.y, _decimals(picks.y)))
         data.append(_picked(picks, "#ffffff" if HeatMap in kinds else WANTED))
-    return Chart(spec.title, {"data": data, "layout": layout}, spec.cursor, picks, spec.remark, spec.words)
+    remark = "; ".join(
+        filter(None, [spec.remark, *(panel.note for panel in spec.panels)])
+    )  # in a narrow window, lines are broken
+    return Chart(spec.title, {"data": data, "layout": layout}, spec.cursor, picks, remark, spec.words)
 
 
 def _picked(picks: Picks, colour: str) -> Trace:
@@ -154,7 +154,7 @@ def _axis(one: Axis, reach: tuple[float, float] | None = None) -> dict[str, Any]
         found |= {
             "tickmode": "array",
             "tickvals": [at for at, _ in one.ticks],
-            "ticktext": [escape(text) for _, text in one.ticks],
+            "ticktext": [escape(text).replace("\n", "<br>") for _, text in one.ticks],
         }
     elif one.step and (reach := one.limits or reach) is not None and reach[1] - reach[0] >= 3.0 * one.step:
         found |= {"dtick": one.step}

@@ -144,6 +144,8 @@ def verdict(subject: ReportModel) -> str:
         fit = getattr(outcome, "fit", None)
         beside = f"; {outcome.comparison}" if isinstance(outcome, CycleResult) and outcome.comparison else ""
         return (f"Valid, {fit.text}" if fit is not None and fit.grade == "poor" else "Valid: every check passed") + beside
+    if subject.result.status is Status.INFEASIBLE:
+        return "No feasible design"
     failed = _failed(subject)
     return f"Not valid: {failed}" if failed else f"Not valid: {subject.result.status.value}"
 

@@ -25,7 +25,7 @@ def closing(file: ProblemFile, by: str) -> Iterable[PageSection]:
     by : str
         Method by which the result was found.
     """
-    about = (" ".join(piece.split()) for piece in file.model.about.split("\n\n") if piece.strip())
+    about = (" ".join(piece.replace("`", "").split()) for piece in file.model.about.split("\n\n") if piece.strip())
     yield PageSection("Problem", (Paragraph(*about), function_tables.problem(file).parts))
     yield PageSection("Sources", (dict(_sources(file, by)),))
 

@@ -146,7 +146,7 @@ def stroke_table(named: Mapping[str, Travel], speed: float, acting: tuple[Stroke
     acting : tuple of StrokeLoad
         Loads that act in one stroke only.
     """
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for name, travel in named.items():
         working, loads = working_stroke(travel, speed, acting)
         for stroke in travel.strokes(speed):
@@ -155,6 +155,8 @@ def stroke_table(named: Mapping[str, Travel], speed: float, acting: tuple[Stroke
             rows.append((name, stroke.name, f"{begin} to {end}", rotation, stroke.pace, use))
     first = Column(unbroken=all(len(name) <= LONGEST for name in named))
     columns: list[str | Column] = [first, "stroke", ">crank range deg", ">turns deg", "pace", "use"]
+    if not any(row[-1] for row in rows):
+        columns, rows = columns[:-1], [row[:-1] for row in rows]
     return table("Working and return strokes", columns, rows, unbroken=True) if rows else None
 
 

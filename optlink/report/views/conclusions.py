@@ -241,7 +241,7 @@ def clearance(found: ClearanceSimulation) -> str:
     if not found.revolutions:
         return f"No complete revolution was simulated: {found.message}."
     unit, figures = found.output.unit, found.figures
-    text = f"Joint clearance makes {found.output.name} deviate by {si(figures[f'rms_{unit}'], unit)} (root mean square), "
+    text = f"Joint clearance makes the {found.output.name} deviate by {si(figures[f'rms_{unit}'], unit)} (root mean square), "
     text += f"at most {si(figures[f'peak_{unit}'], unit)}"
     forces = {gap.point: figures[f"{gap.point}.normal_max_N"] for gap in found.gaps}
     point = max(forces, key=lambda one: forces[one])

@@ -16,6 +16,7 @@ from optlink.problem.function import DesignProblem
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import MARK, START, ZERO, PathProblem
 from optlink.problem.quantity import Interval, Quantity
+from optlink.problem.targets.target_points import TargetPoints
 from optlink.report.format import fixed, number, times
 from optlink.report.table_spec import (
     Inline,
@@ -42,6 +43,7 @@ from optlink.tasks.results.certificate import Certificate, message
 from optlink.tasks.results.fit import Fit
 from optlink.validation import Check
 
+MOST = 8  # largest number of points listed
 RELAXED = "; <=, >=: its improvement if the bound is relaxed by one unit"
 
 
@@ -349,13 +351,28 @@ def _plain(name: str, value: object) -> str:
     if isinstance(value, dict):
         told = ((key, ", ".join(map(str, item)) if isinstance(item, tuple) else item) for key, item in value.items())
         return "\n".join(f"{key}  {item}" for key, item in told) or "none"
+    if isinstance(value, tuple):
+        return ", ".join(map(str, value))
+    if isinstance(value, TargetPoints):
+        return _listed(value)
     text = getattr(value, "text", None)
     if text is not None:
         return str(text)
     phi, psi = getattr(value, "phi", ()), getattr(value, "psi", ())
     size, unit = (1e3, "mm") if getattr(value, "kind", "angle") == "coordinate" else (math.degrees(1.0), "deg")
     rows = (f"{np.degrees(a):g} deg -> {size * b:g} {unit}" for a, b in zip(phi, psi, strict=True))
-    return "table: " + ", ".join(list(rows)[:8]) + (f", ... ({len(phi)} rows)" if len(phi) > 8 else "")
+    return "table: " + ", ".join(list(rows)[:MOST]) + (f", ... ({len(phi)} rows)" if len(phi) > MOST else "")
+
+
+def _listed(targets: TargetPoints) -> str:
+    """List the first points or poses."""
+    angles = targets.angles or (None,) * len(targets.points)
+    told = (
+        f"({1e3 * x:.6g}, {1e3 * y:.6g})" + ("" if angle is None else f" at {math.degrees(angle):.6g} deg")
+        for (x, y), angle in zip(targets.points, angles, strict=True)
+    )
+    count, what = len(targets.points), "poses" if targets.angles else "points"
+    return f"{count} {what} [mm]: {', '.join(list(told)[:MOST])}{', ...' if count > MOST else ''}"
 
 
 def listing(files: Iterable[ProblemFile]) -> TableSpec:

@@ -240,7 +240,7 @@ def _picks(found: Pareto, x: Array, y: Array) -> Picks:
     told_words = (
         f"point (changes: against {OTHERS.get(found.reference_label, found.reference_label)})" if found.reference else "point"
     )
-    return Picks(told_words, (*names, "held by", "mark"), tuple(rows), x, y, _chosen(found) or 0, range(len(rows)))
+    return Picks(told_words, (*names, "active constraints", "mark"), tuple(rows), x, y, _chosen(found) or 0, range(len(rows)))
 
 
 VIEW = View(charts=charts, tables=lambda result: {"front": result.columns})

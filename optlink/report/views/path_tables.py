@@ -168,7 +168,7 @@ def _points(design: PathDesign) -> TableSpec:
         if measured.turned is not None:
             row.append(number(math.degrees(measured.turned[i]), 3))
         rows.append(row)
-    columns = [">", ">target", ">", ">generated", ">", ">error", ">crank angle"]
+    columns = [">", ">target x", ">y", ">generated x", ">y", ">error", ">crank angle"]
     columns += [">between"] if between is not None else []
     columns += [">turned by"] if measured.turned is not None else []
     notes = [quiet(f"one in {step} of {len(wanted)} points; all of them with --out or --json")] if step > 1 else []

@@ -40,9 +40,9 @@ def charts(result: Sensitivities) -> list[ChartSpec]:
         )
         for sign, words, width, opacity in ((1.0, "one step more", 0.34, 1.0), (-1.0, "one step less", 0.26, 0.45))
     ]
-    names = [f"{row.parameter.key}  ({value}, {step(row)})" for row, value in shown]
+    names = [f"{row.parameter.name}\n{value}, {step(row)}" for row, value in shown]
     y = Axis(ticks=[(float(place) - 0.15, name) for place, name in zip(places, names, strict=True)])
-    x = Axis(f"change of the objective [{unit}], to first order\nsolid: one step more, pale: one step less; left is better")
+    x = Axis(f"change of the objective [{unit}]")
     return [
         ChartSpec(
             "tornado",
@@ -53,6 +53,7 @@ def charts(result: Sensitivities) -> list[ChartSpec]:
             lines=[Line(0.0, colour=QUIET, width=1.0, dash="solid")],
             cursor=False,
             width=8.0,
+            remark="To first order; solid: one step more, pale: one step less; left is better",
         )
     ]
 

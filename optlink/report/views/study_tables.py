@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 
 import numpy as np
@@ -20,6 +21,7 @@ ACROSS = 5  # largest number of quantities side by side
 TINY = 5e-6  # relative change that vanishes with three decimals of a percentage
 FEW = 3  # largest number of design variables with their own columns
 MOVERS = 2  # number of design variables listed otherwise
+_UNIT = re.compile(r"(.+)_((?:rad|m)_s2?|(?:rad|mm|m|deg)2?|N|Nm|W|J)")
 
 
 def step(row: Sensitivity) -> str:
@@ -96,7 +98,7 @@ def _events(result: Sensitivities) -> TableSpec:
         for word, end in (("below", row.below), ("above", row.above))
         if math.isfinite(end.value)
     ]
-    return table("What ends the range in which this holds (to first order)", "<<<", rows)
+    return table("Range of validity, to first order", "<<<", rows)
 
 
 def _percent(share: float) -> str:
@@ -134,7 +136,10 @@ def sweep(result: Sweep) -> Summary:
     if result.best is not None:
         omitted = ("status", "valid", "failed", "method", "active_set_changed")
         best = {name: value for name, value in result.best.items() if name not in omitted}
-        rows = ((name, value if name == "active" else number(float(value), 8)) for name, value in best.items())
+        rows = (
+            ("active constraints", value or "none") if name == "active" else (column_label(name), number(float(value), 8))
+            for name, value in best.items()
+        )
         parts.append(table("Best", "<>", rows))
     if result.changes:
         parts.append(_changes(result))
@@ -191,6 +196,21 @@ def _values(result: Sweep, point: int) -> list[str]:
     return [f"{value:g}" for value in result.grid.values(point)]
 
 
+def named(column: str) -> tuple[str, str]:
+    """Return display name and unit of a column."""
+    match = _UNIT.fullmatch(column)
+    if match is None:
+        return column, ""
+    name, unit = match.groups()
+    return name, unit.replace("_", "/").replace("Nm", "N m").removesuffix("2") + ("²" if unit.endswith("2") else "")
+
+
+def column_label(column: str) -> str:
+    """Return the display name of a column with its unit."""
+    name, unit = named(column)
+    return f"{name} [{unit}]" if unit else name
+
+
 def _short(key: str, unit: str) -> str:
     """Abbreviate a key by the section of its mechanism, with its unit below."""
     name = key.removeprefix("mechanism.").removeprefix("links.")
@@ -207,5 +227,5 @@ def _changes(result: Sweep) -> TableSpec:
         (*(f"{value:g}" for value in change.at.values()), change.before or "none", change.after or "none")
         for change in result.changes[:SHOWN]
     ]
-    columns = [*(f">{axis.column}" for axis in result.grid.axes), "before", "from there on"]
-    return table(f"Where other limits begin to hold the design: {result.changed}", columns, rows)
+    columns = [*(f">{_short(axis.key, axis.unit)}" for axis in result.grid.axes), "before", "from there on"]
+    return table(f"Changes of the active constraints: {result.changed}", columns, rows)

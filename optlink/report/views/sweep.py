@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -33,9 +32,9 @@ PICKED = 1500  # largest number of selectable points
 SLICES = 6  # largest number of maps for three parameters
 PANELS = 4  # largest number of stacked panels
 LINES = 200  # largest number of active-set changes drawn
+ACTIVE, OTHER = "active constraints", "other constraints become active"
 EMPTY = "#e4e4e4"  # colour of points without a design
 WORDS = dict(zip(FIGURES, ("least", "largest", "rms"), strict=True))
-_UNIT = re.compile(r"(.+)_((?:rad|m)_s2?|(?:rad|mm|m|deg)2?|N|Nm|W|J)")
 
 
 @dataclass(frozen=True)
@@ -149,15 +148,6 @@ def _design(file: ProblemFile, table: Table, row: int) -> tuple[ProblemFile, dic
 # --- labels ----------------------------------------------------------------------------------------------------------------
 
 
-def named(column: str) -> tuple[str, str]:
-    """Return display name and unit of a column."""
-    match = _UNIT.fullmatch(column)
-    if match is None:
-        return column, ""
-    name, unit = match.groups()
-    return name, unit.replace("_", "/").replace("Nm", "N m").removesuffix("2") + ("²" if unit.endswith("2") else "")
-
-
 def _label(name: str, unit: str) -> str:
     return f"{name} [{unit}]" if unit else name
 
@@ -165,7 +155,7 @@ def _label(name: str, unit: str) -> str:
 def _words(column: str) -> str:
     """Return the display name of a column with its measure and unit."""
     stem, kind = _parted(column)
-    return " ".join(filter(None, [WORDS.get(kind, ""), _label(*named(stem))]))
+    return " ".join(filter(None, [WORDS.get(kind, ""), study_tables.column_label(stem)]))
 
 
 def _axis_of(axis: Axis, limits: tuple[float, float] | None = None) -> chart_spec.Axis:
@@ -228,13 +218,13 @@ def _picks(table: Table, rows: NDArray[np.intp], x: Array, y: Array) -> Picks:
     columns, result = table.result.columns, table.result
     names = [*(axis.column for axis in result.grid.axes), *table.shown, *table.designs]
     heads = [_label(axis.key, axis.unit) for axis in result.grid.axes] + [_words(name) for name in (*table.shown, *table.designs)]
-    words = {"status": "status", "reason": "reason"} if result.evaluated else {"held by": "active", "status": "status"}
+    words = {"status": "status", "reason": "reason"} if result.evaluated else {ACTIVE: "active", "status": "status"}
     blank = np.full(result.grid.count, "")
     texts = [columns.get(name, blank) for name in words.values()]
     told = [
         (
             *(number(float(columns[name][k]), 7) for name in names),
-            *(str(one[k]) or "nothing" * ("held by" in words) for one in texts),
+            *(str(one[k]) or "none" * (ACTIVE in words) for one in texts),
         )
         for k in rows
     ]
@@ -288,10 +278,7 @@ def _curves(table: Table) -> ChartSpec:
             x[missed & there], values[missed & there], "not proven", LIMIT, mode="markers", symbol="cross", gid="not proven"
         )
         panels[0] = replace(panels[0], traces=[*panels[0].traces, crosses])
-    lines = [
-        Line(at, "" if k else "other limits begin to hold", QUIET, 1.0, "dot")
-        for k, at in enumerate(x[there & changed][:LINES].tolist())
-    ]
+    lines = [Line(at, "" if k else OTHER, QUIET, 1.0, "dot") for k, at in enumerate(x[there & changed][:LINES].tolist())]
     edges = cells(x, log=_spread(axis) == "log")
     runs = np.flatnonzero(np.diff(np.concatenate([[False], ~there, [False]]).astype(int))).reshape(-1, 2)
     spans = [
@@ -316,7 +303,7 @@ def _design_panels(table: Table) -> Iterator[tuple[str, dict[str, Array]]]:
     yield _words(table.shown[0]), {"objective": table.column(table.shown[0])}
     by_unit: dict[str, dict[str, Array]] = {}
     for column in table.designs:
-        name, unit = named(column)
+        name, unit = study_tables.named(column)
         by_unit.setdefault(unit, {})[name] = table.column(column)
     for unit, curves in by_unit.items():
         yield _label("free sizes" if len(curves) > 1 else next(iter(curves)), unit), curves
@@ -324,7 +311,7 @@ def _design_panels(table: Table) -> Iterator[tuple[str, dict[str, Array]]]:
 
 def _analysis_panels(table: Table) -> Iterator[tuple[str, dict[str, Array]]]:
     for column, names in _analysed(table).items():
-        yield _label(*named(column)), {WORDS.get(_parted(name)[1], name): table.column(name) for name in names}
+        yield study_tables.column_label(column), {WORDS.get(_parted(name)[1], name): table.column(name) for name in names}
 
 
 # --- two and three parameters ------------------------------------------------------------------------------------------------
@@ -369,7 +356,7 @@ def _map(
     best = there & (rows == (-1 if table.best is None else table.best))
     traces: list[Any] = [HeatMap(np.array(side.values), np.array(up.values), values, words, limits, picks)]
     looks: tuple[tuple[Any, str, str, Any, Any], ...] = (
-        (changed, "other limits begin to hold", "#ffffff", "circle", 1.5 if max(values.shape) > 30 else 2.5),
+        (changed, OTHER, "#ffffff", "circle", 1.5 if max(values.shape) > 30 else 2.5),
         (missed, "not proven", LIMIT, "cross", 5.0),
         (best, "best", LIMIT, "star", 9.0),
     )

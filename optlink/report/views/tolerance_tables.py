@@ -40,7 +40,7 @@ def tolerance_result(record: ToleranceRecord, file: ProblemFile) -> Summary:
     Contradiction
         If a tolerance or a size of the problem is missing in its parts.
     """
-    status = f"what tolerances do to {record.output}, at {len(record.crank_angles_deg)} crank angles"
+    status = f"effect of the tolerances on {record.output}, at {len(record.crank_angles_deg)} crank angles"
     return summary(
         file.model.title,
         [status],
