@@ -144,21 +144,74 @@ ENDS = (
     (20, "The knee is the point at {88.2} deg", "largest_transmission_angle_deg"),
     (20, "deg, with {0.0248} rad²", "error_rad2"),
 )
-FRONTS = [Figure("docs/pareto.md", text, FRONT, f"front/{k}/objectives/{name}") for k, text, name in ENDS]
+SHAPER_FRONT = 'study pareto shaper-design --objectives "peak torque, guide force in F=1300..1620 N"'
+FRONTS = [
+    *(Figure("docs/pareto.md", text, FRONT, f"front/{k}/objectives/{name}") for k, text, name in ENDS),
+    Figure("docs/pareto.md", "increases from {985.9} N m", SHAPER_FRONT, "front/0/objectives/peak_torque_Nm"),
+    Figure("docs/pareto.md", "N m to {995.6} N m, almost linearly", SHAPER_FRONT, "front/14/objectives/peak_torque_Nm"),
+    Figure("docs/pareto.md", "The initial machine ({1015.4} N m", SHAPER_FRONT, "reference/peak_torque_Nm"),
+    Figure("docs/pareto.md", "N m, {1619} N) lies far", SHAPER_FRONT, "reference/peak_guide_force_in_F_N"),
+]
 
-RUNS = (("none", "1.308", 0.002), ("inverse", "0.914", 0.002), ("pid", "1.10", 0.02), ("inverse+pid", "0.77", 0.03))
+YIELD = "study tolerance {} --robust {}"
+PARTS = '--tolerance crank="0.2 mm" --tolerance coupler="0.2 mm" --limit "{}"'
+LAW_PARTS = (
+    '--tolerance crank="0.5 mm" --tolerance coupler="1 mm" --tolerance rocker="0.8 mm uniform" '
+    '--tolerance C.clearance="0.2 mm" --limit "1.8 deg"'
+)
+YIELDS = {
+    "`crank-rocker`, the tolerances above, 1.8 deg": ("crank-rocker " + LAW_PARTS, "0.0 %", "99.6 %", "99.6 %"),
+    "`function-sin`, ± 0.2 mm on crank and coupler, 0.3 deg": (
+        "function-sin " + PARTS.format("0.3 deg"),
+        "61.1 %",
+        "68.9 %",
+        "69.7 %",
+    ),
+    "`function-log10`, the same, 0.05 deg": ("function-log10 " + PARTS.format("0.05 deg"), "98.1 %", "97.5 %", "98.5 %"),
+}
+
+
+def yields() -> list[Figure]:
+    """Yields of the nominal and of two robust designs."""
+    nominal, share = "robust/monte_carlo_of_the_nominal_design/yield", "monte_carlo/yield"
+    found = []
+    for words, (command, *cells) in YIELDS.items():
+        margin, most = (YIELD.format(command, kind) for kind in ("margin", "yield"))
+        found += row("docs/tolerance.md", (words, *cells), margin, {1: (nominal, 100.0), 2: (share, 100.0)})
+        found += row("docs/tolerance.md", (words, *cells), most, {3: (share, 100.0)})
+    return found
+
+
+RUNS = (
+    ("none", "1.307", 0.002, "100", 0.0),
+    ("inverse", "0.914", 0.002, "69.9", 0.2),
+    ("pid", "1.10", 0.02, "84", 2.0),
+    ("inverse+pid", "0.77", 0.03, "59", 2.5),
+)
 CONTROL = [
     *(
         Figure("docs/clearance.md", f"| `{kind}` | {{{rms}}} |", COMPARE, f"trials/{kind}/mean", 1e3, near=near)
-        for kind, rms, near in RUNS
+        for kind, rms, near, *_ in RUNS
     ),
-    Figure("docs/slider-crank.md", "| none | {1.308} |", COMPARE, "trials/none/mean", 1e3, near=0.002),
+    *(
+        Figure(
+            "docs/clearance.md",
+            f"| `{kind}` | {rms} | {{{share}}} % |",
+            COMPARE,
+            f"trials/{kind}/mean",
+            100.0,
+            over="trials/none/mean",
+            near=near,
+        )
+        for kind, rms, _, share, near in RUNS
+    ),
+    Figure("docs/slider-crank.md", "| none | {1.307} |", COMPARE, "trials/none/mean", 1e3, near=0.002),
     Figure("docs/slider-crank.md", "| inverse model | {0.914} |", COMPARE, "trials/inverse/mean", 1e3, near=0.002),
     Figure("docs/slider-crank.md", "| PID | {1.10} |", COMPARE, "trials/pid/mean", 1e3, near=0.02),
 ]
 """The motion with a PID is sensitive to rounding errors: its tolerance is that of runs on several machines."""
 
-FIGURES = [*CRANK_ROCKER, *SYSTEMS, *CASES, *FRONTS, *CONTROL, *balancing()]
+FIGURES = [*CRANK_ROCKER, *SYSTEMS, *CASES, *FRONTS, *yields(), *CONTROL, *balancing()]
 
 BLOCKS = [
     Block("README.md", "Crank-rocker that reproduces", LAW),
@@ -179,10 +232,13 @@ BLOCKS = [
     ),
     Block("docs/tolerance.md", "max with 3 sigma", ROBUST),
     Block("docs/clearance.md", "Slider-crank with clearance at", "simulate slider-crank-clearance"),
+    Block("docs/clearance.md", "control rms deg scatter peak", "simulate crank-rocker-clearance --control compare --starts 3"),
 ]
 
 LONG = {
+    *(YIELD.format(command, kind) for command, *_ in YIELDS.values() for kind in ("margin", "yield")),
     COMPARE,
+    SHAPER_FRONT,
     DESIGN,
     "simulate slider-crank-clearance",
     "simulate crank-rocker-clearance --control compare --starts 3",

@@ -15,7 +15,6 @@ from nbformat import NotebookNode
 
 FOLDER = Path(__file__).resolve().parent.parent / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
-LONG = {path.stem for path in NOTEBOOKS} - {"six_bar"}  # five seconds of processor time and more
 LARGEST = 1_500_000  # bytes of a notebook in the repository
 FOREIGN = {
     "traceback": re.compile(r"Traceback \(most recent call last\)"),
@@ -66,9 +65,8 @@ def test_there_are_notebooks() -> None:
     assert NOTEBOOKS
 
 
-@pytest.mark.parametrize(
-    "path", [pytest.param(path, marks=[pytest.mark.slow] * (path.stem in LONG), id=path.stem) for path in NOTEBOOKS]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_runs_in_a_fresh_kernel(path: Path) -> None:
     assert list(faults(run(read(path)))) == []
 

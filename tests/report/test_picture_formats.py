@@ -31,11 +31,11 @@ def test_the_same_picture_is_the_same_file(tmp_path, kind):
 
 def test_a_command_writes_pictures_in_the_format_of_the_option(tmp_path):
     for kind in ("svg", "png"):  # the pictures of an earlier run are replaced
-        done = run("analyze", "slider-crank", "--points", "24", "--out", str(tmp_path / "out"), "--format", kind, "--json")
+        done = run("study", "sensitivity", "crank-rocker", "--out", str(tmp_path / "out"), "--format", kind, "--json")
         assert done.exit_code == 0, done.stderr
         suffixes = {path.suffix for path in (tmp_path / "out").iterdir()} - {".json", ".csv", ".toml", ".gif", ".lock", ""}
         assert suffixes == {f".{kind}"}
-    refused = run("analyze", "slider-crank", "--out", str(tmp_path / "new"), "--format", "bmp")
+    refused = run("study", "sensitivity", "crank-rocker", "--out", str(tmp_path / "new"), "--format", "bmp")
     assert refused.exit_code == 2
     assert "'png', 'svg', 'pdf'" in refused.stderr
     assert not (tmp_path / "new").exists()

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import base64
+import functools
 import json
 import math
 import os
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -306,24 +308,27 @@ def recorded(folder: Path, *command: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory) -> Path:
-    def fill(folder: Path) -> None:
-        commands = {name: ("solve", name) for name in ("crank-rocker", "motion-3-poses", "function-sin")}
-        for name, command in {**commands, "shaper": ("analyze", "shaper", "--speed", "64 rpm")}.items():
-            recorded(folder / name, *command)
+def results(tmp_path_factory) -> Callable[[str], Path]:
+    """The result.json of a problem, computed when it is first asked for."""
 
-    return folder_once("results of the page", tmp_path_factory.mktemp("results"), fill)
+    @functools.cache
+    def result(name: str) -> Path:
+        command = ("analyze", "shaper", "--speed", "64 rpm") if name == "shaper" else ("solve", name)
+        folder = folder_once(f"page of {name}", tmp_path_factory.mktemp("results"), lambda place: recorded(place, *command))
+        return folder / "result.json"
+
+    return result
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["crank-rocker", "motion-3-poses", "function-sin", "shaper"])
 def test_a_result_is_shown_as_the_problem_would_be(results, tmp_path, name):
     path = tmp_path / "a.html"
-    done = run("report", str(results / name / "result.json"), "-o", str(path), "--json")
+    done = run("report", str(results(name)), "-o", str(path), "--json")
     assert done.exit_code == 0
     assert json.loads(done.stdout)["valid"] is True
-    document = json.loads((results / name / "result.json").read_text())
-    about = load_stored(str(results / name / "result.json"))
+    document = json.loads(results(name).read_text())
+    about = load_stored(str(results(name)))
     if name == "shaper":
         assert about.cycle.speed == pytest.approx(64 * math.pi / 30)
     else:
@@ -336,7 +341,7 @@ def test_a_result_is_shown_as_the_problem_would_be(results, tmp_path, name):
 
 
 def test_results_that_cannot_be_shown(results, tmp_path):
-    good = json.loads((results / "crank-rocker" / "result.json").read_text())
+    good = json.loads(results("crank-rocker").read_text())
     bad = {
         "schema": ({**good, "schema": "optlink/list/1"}, "not a result that can be shown here"),
         "version": ({**good, "schema": "optlink/function/99"}, "of another version of its format"),
@@ -416,7 +421,7 @@ def test_the_hash_of_a_problem_is_the_same_in_every_process():
 
 def test_a_recorded_design_is_proven_anew(results, tmp_path):
     """A result file that claims more than is true is found out."""
-    document = json.loads((results / "crank-rocker" / "result.json").read_text())
+    document = json.loads(results("crank-rocker").read_text())
     document["design"]["rocker_mm"] = 220.0
     (tmp_path / "result.json").write_text(json.dumps(document))
     done = run("report", str(tmp_path / "result.json"), "-o", str(tmp_path / "a.html"))

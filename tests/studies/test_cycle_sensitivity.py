@@ -120,7 +120,7 @@ def test_a_shaper_on_another_place_is_the_same(shaper):
     assert shaper.notes == ()  # though peaks lie on positions that the programme knows anyway
 
 
-@pytest.mark.parametrize("name", ["pump", "shaper"])
+@pytest.mark.parametrize("name", ["pump", pytest.param("shaper", marks=pytest.mark.slow)])
 def test_forces_scale_together(name, request):
     """What is minimised is linear in loads and limits of forces, and in masses times gravity or the square of the speed."""
     found = request.getfixturevalue(name)
@@ -197,13 +197,14 @@ def test_some_of_them_searched_again(name, gap, every, request):
         assert check.gap < gap, row.parameter.key
 
 
-def test_every_key_can_be_set(pump, shaper):
+@pytest.mark.parametrize("name", ["pump", pytest.param("shaper", marks=pytest.mark.slow)])
+def test_every_key_can_be_set(name, request):
     """What is told can be tried: the value that stands there, under the key that stands there."""
-    for found in (pump, shaper):
-        for row in found.rows:
-            p = row.parameter
-            again = found.problem.override({p.key: f"{p.value!r} {p.unit}".strip() if p.unit else p.value})
-            assert again.model.free == found.problem.model.free
+    found = request.getfixturevalue(name)
+    for row in found.rows:
+        p = row.parameter
+        again = found.problem.override({p.key: f"{p.value!r} {p.unit}".strip() if p.unit else p.value})
+        assert again.model.free == found.problem.model.free
 
 
 def test_a_coordinate_has_a_key():

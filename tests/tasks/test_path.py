@@ -187,7 +187,7 @@ def test_an_unknown_key_is_answered_with_those_that_belong_there(base, section):
 
 def test_points_out_of_reach_are_a_nearest_miss():
     raw = path(VLINE, lengths=(1.0, 3.0), far=5.0)
-    result = solve(optlink.read(raw), starts=200)
+    result = solve(optlink.read(raw), starts=60)
     assert result.best is None or result.best.objective > 1e-6
 
 

@@ -13,8 +13,7 @@ from tests import synthesis_oracle as oracle
 from tests.random_linkages import RECOVERED, TIMINGS, VARIANTS, defects, four_bar_of, recover, round_trip
 
 COUNTS = (5, 9, 18, 60)
-FEW, MANY = 5, 10
-MISSES = {"from start": 0, "given": 0, "free, even": 1, "free, uneven": 1}  # permitted, of many linkages
+FEW, MANY = 3, 6  # linkages: with six every variant is among them
 
 
 @pytest.mark.parametrize("timing", TIMINGS)
@@ -26,28 +25,16 @@ def test_own_curve_is_recovered(timing: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("variant", [name for name in VARIANTS if name != "plain"])
-@pytest.mark.parametrize("timing", TIMINGS)
-def test_size_and_place_of_the_curve_do_not_matter(timing: str, variant: str) -> None:
-    for seed, count in enumerate((5, 18)):
-        found = recover(round_trip(2000 + seed, count, timing, **VARIANTS[variant]), designs=1)
-        assert not found.faults, (seed, found)
-        assert found.recovered, (seed, found)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("count", COUNTS)
 @pytest.mark.parametrize("timing", TIMINGS)
 def test_many_curves_are_recovered(timing: str, count: int) -> None:
-    """Plain, tiny, huge, turned and shifted ones in turn."""
+    """Plain, tiny, huge, turned and shifted ones in turn: size and place do not matter."""
     names = list(VARIANTS)
-    missed: dict[int, float] = {}
+    assert len(names) <= MANY
     for seed in range(MANY):
         found = recover(round_trip(seed, count, timing, **VARIANTS[names[seed % len(names)]]), designs=1)
         assert not found.faults, (seed, found)
-        if not found.recovered:
-            missed[seed] = found.miss
-    assert len(missed) <= MISSES[timing], missed
+        assert found.recovered, (seed, found)
 
 
 def test_a_variant_is_the_same_linkage_moved() -> None:
