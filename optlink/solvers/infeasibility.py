@@ -361,7 +361,13 @@ class _Search:
 
 
 def explain(
-    nlp: NLP, seed: int = 0, points: list[Array] | None = None, *, quick: bool = False, follow: Follow | None = None
+    nlp: NLP,
+    seed: int = 0,
+    points: list[Array] | None = None,
+    *,
+    quick: bool = False,
+    follow: Follow | None = None,
+    paired: bool = True,
 ) -> Explanation | Array:
     """Identify the conflicting limits of an infeasible NLP; return the x of a feasible design if one is found.
 
@@ -379,8 +385,11 @@ def explain(
         For large NLPs: use the interior-point method alone, and after the first verdict one search per question, two per amount.
     follow : function, optional
         Function of a point x (n,) that returns the parameters of the NLP with its exchange points at the peaks there.
+    paired : bool
+        Relax both sides of a range together; otherwise each side is a limit of its own.
     """
-    limits = limits_of(limit_sides(nlp))
+    sides = limit_sides(nlp)
+    limits = limits_of(sides) if paired else [Limit((side,)) for side in sides]
     k = len(limits)
     search = _Search(nlp, limits, _begin(nlp, seed) if points is None else points, ("ipopt",) if quick else BACKENDS, follow)
     free = np.full(k, FREE)

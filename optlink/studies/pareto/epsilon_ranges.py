@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 
 from optlink.errors import Fault, InputError, Status
+from optlink.optimization.nlp import build
 from optlink.problem.file import ProblemFile
+from optlink.solvers.infeasibility import Explanation, explain
 from optlink.studies.cycle_task import with_starting_values
 from optlink.studies.grid import Axis, Grid
 from optlink.studies.pareto.cycle_objectives import cycle_figures, epsilon_problem
@@ -182,8 +184,11 @@ class EpsilonRanges:
         found = solve(tight, self.backend)
         if found.solution is not None and found.solution.usable:  # feasible at the tightest bound that can be stated
             return {"limit": law_figure(tight.spec, aim, found.design)}
-        sense = "<=" if aim.sense > 0 else ">="
-        for item in found.conflict:
+        sense, conflict = "<=" if aim.sense > 0 else ">=", found.conflict
+        if any(item.both_sides for item in conflict):  # the other side of the range stays
+            alone = explain(build(tight.spec), paired=False)
+            conflict = alone.conflict if isinstance(alone, Explanation) else ()
+        for item in conflict:
             if item.key == aim.key.rpartition(".")[0] and item.sense == sense and math.isfinite(item.relaxed):
                 return {"limit": item.relaxed}
         raise self._no_end(aim, found.status.text)
