@@ -212,6 +212,18 @@ def test_ctrl_c_ends_long_work_with_one_sentence_and_no_pictures(case, files):
 
 
 @posix
+@pytest.mark.slow
+def test_ctrl_c_during_a_proof_keeps_the_design_and_the_bound(files):
+    """Seven seconds of work: the local search takes two of them, the proof would take minutes."""
+    code, out, err = press(("solve", "law-slider-crank", "--certify", "--gap", "1e-9"), 7.0, files)
+    assert code == 130, err
+    assert "Interrupted: the design is complete, the proof that it is the global optimum is not closed" in err
+    assert "Traceback" not in err
+    assert "optimal, valid" in out
+    assert "lower bound" in out
+
+
+@posix
 def test_a_second_ctrl_c_kills_at_once(files):
     script = "import time\nfrom optlink.solvers import interrupts\ninterrupts.listen()\n"
     script += "try:\n    print('ready', flush=True)\n    time.sleep(60)\nexcept KeyboardInterrupt:\n    time.sleep(60)\n"
