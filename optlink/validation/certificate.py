@@ -149,9 +149,11 @@ def read_certificate(problem: ProblemFile, path: Path) -> CertificateFile:
         If the file cannot be read, is damaged, or belongs to another problem.
     """
     path = path / "certificate.json" if path.is_dir() else path
+    remedy = "Give the certificate.json that optlink solve --certify --out wrote"
+    if not path.is_file():
+        raise InputError(Fault("there is no such file", remedy, str(path), "--certificate"))
     document = read_document(path)
     if document.get("schema") != SCHEMA:
-        remedy = "Give the certificate.json that optlink solve --certify --out wrote"
         raise InputError(Fault("this is no certificate", remedy, str(path), "schema", document.get("schema")))
     found = read_record(CertificateFile, document, path)
     if found.problem_hash != problem.hash:

@@ -234,6 +234,9 @@ def test_command(narrow: tuple[Any, Document], tmp_path: Path, monkeypatch: pyte
     done = run("validate", "crank-rocker", "--certificate", str(path))
     assert done.exit_code == 2
     assert "not a JSON document" in done.stderr
+    done = run("validate", "crank-rocker", "--certificate", str(tmp_path / "none.json"))
+    assert done.exit_code == 2
+    assert "there is no such file. Give the certificate.json that optlink solve --certify --out wrote" in done.stderr
     monkeypatch.setitem(sys.modules, "flint", None)
     with pytest.raises(InputError, match=r'Install it: pip install "optlink\[certificates\]"'):
         check_certificate(narrow[0], path)
