@@ -52,6 +52,20 @@ def automatic(problem: ProblemFile) -> bool:
     return isinstance(model, DesignProblem) and model.requirement.robust is None and 0 < len(model.free) <= AUTOMATIC
 
 
+def check_problem(problem: ProblemFile) -> None:
+    """Raise if no lower bound is available for a problem, before it is searched.
+
+    Raises
+    ------
+    InputError
+        If it has none.
+    """
+    model = problem.model
+    of_function = isinstance(model, DesignProblem) and is_bounded(model)
+    if not of_function and not (isinstance(model, PathProblem) and not unsuitable(model)):
+        box_problem(problem.variants()[0])
+
+
 def exact(problem: ProblemFile, objective: float) -> bool:
     """Return whether an objective is zero to rounding, so that no design can be better.
 

@@ -125,6 +125,8 @@ def solve(
     from optlink.tasks import certify as proof
 
     proof.check_options(gap, time_limit)
+    if certify:
+        proof.check_problem(problem)
     found: FunctionResult | PathResult | CycleResult | Balance
     found = TASKS[problem.task].solve(problem, Search(backend, starts, seed, progress, designs, track))
     if problem.task not in CERTIFIED or certify is False or found.interrupted:

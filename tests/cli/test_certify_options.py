@@ -20,6 +20,10 @@ REFUSED = {
         "there is no proof of a global optimum that it applies to. Leave it out",
     ),
     "a machine to certify": (("shaper-design", "--certify"), "no certificate of the global optimum for this kind of problem"),
+    "free crank angles": (
+        ("path-closed18-untimed", "--certify"),
+        "--certify: no certificate of the global optimum: the crank angles at the points are unknowns too.",
+    ),
     "a given design": (
         ("crank-rocker", "--design", "coupler=412 mm", "--design", "rocker=232 mm", "--certify"),
         "--certify: a given design is validated, not optimised. Leave it out",
