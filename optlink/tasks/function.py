@@ -209,8 +209,7 @@ class FunctionResult(Recorded):
         """Error at the design positions relative to the output range; None if there is no error to measure."""
         problem = self.problem.spec
         wanted = problem.law.curve(problem.law.offsets, self.design["phi0"], self.design["psi0"])
-        limits = self.solution.limits if self.solution else ()
-        return law_fit(problem, self.design, self.error(), wanted, limits)
+        return law_fit(problem, self.design, self.error(), wanted, self.solution.limits if self.solution else ())
 
     @property
     def alternations(self) -> int:
@@ -442,8 +441,7 @@ def read_design(problem: ProblemFile, assignments: list[str], varied: Collection
             remedy = f'Give one value, such as {name}="{show(quantities[name].value, quantities[name].kind)}"'
             raise InputError(Fault("a given design has no bounds", remedy, problem.file, f"--design {name}", value))
         with input_of(problem.file, f"--design {name}", value):
-            quantity: Quantity = read_quantity(value, quantities[name].kind)
-        given[name] = quantity.value
+            given[name] = float(read_quantity(value, quantities[name].kind).value)
     missing = [name for name in problem.model.free if name not in given and name not in varied]
     if missing:
         starts = ((name, show(quantities[name].value, quantities[name].kind)) for name in missing)

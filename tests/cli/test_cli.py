@@ -336,7 +336,7 @@ def test_a_comparison_takes_its_tolerance_and_its_points(monkeypatch):
     taken = []
 
     def compare(*arguments, **options):
-        own = ("progress", "checkpoint", "resume", "workers")  # of the command
+        own = ("progress", "checkpoint", "resume", "workers", "compiling")  # of the command
         taken.append((arguments[1:], {key: value for key, value in options.items() if key not in own}))
         raise optlink.InputError(Fault("enough", "Stop"))
 
