@@ -565,7 +565,7 @@ def test_a_page_prints(driver, tmp_path, crank_rocker_subject):
     printed = driver.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True})
     document = base64.b64decode(printed["data"])
     assert document.startswith(b"%PDF")
-    assert 3 <= len(re.findall(rb"/Type\s*/Page\b", document)) <= 8
+    assert 3 <= len(re.findall(rb"/Type\s*/Page\b", document)) <= 10
     driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
     assert not driver.find_element("id", "play").is_displayed()
     driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
