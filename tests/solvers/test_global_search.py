@@ -376,7 +376,7 @@ def contradicted(problem):
 def test_no_certificate_of_a_random_problem_is_contradicted():
     rng = np.random.default_rng(11)
     statuses = []
-    for _ in range(40):
+    for _ in range(25):
         try:
             problem = random_problem(rng)
         except InputError:  # a law or span that no file may have
@@ -385,4 +385,4 @@ def test_no_certificate_of_a_random_problem_is_contradicted():
         assert not wrongly
         statuses.append(found.status)
     assert statuses.count(NOT_CLOSED) <= 2
-    assert {GLOBAL, WITHIN_GAP, INFEASIBLE} & set(statuses) >= {WITHIN_GAP, INFEASIBLE}
+    assert statuses.count(WITHIN_GAP) >= 18
