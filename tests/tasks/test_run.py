@@ -93,4 +93,6 @@ def test_results_are_told_in_one_line() -> None:
     for result in made:
         assert len(repr(result)) < 120
         assert "\n" not in repr(result)
-    assert repr(made[0]) == "<FunctionResult 'crank-rocker': optimal, valid, objective 0.00759237>"
+    assert (
+        repr(made[0]) == "<FunctionResult 'crank-rocker': optimal, valid, objective 0.00759237, globally optimal within 0.0001 %>"
+    )
