@@ -81,6 +81,15 @@ def test_other_measures_prove_the_same(crank_rocker, measure):
     assert result.certificate.status == GLOBAL
 
 
+def test_one_unknown_on_which_no_limit_depends(crank_rocker, solved):
+    """The dimensions are fixed, and with them every limit; the start angle alone is free."""
+    fixed = {f"mechanism.{name}": f"{1e3 * solved.design[name]!r} mm" for name in ("coupler", "rocker")}
+    start = {"requirement.from": {"start": "20 deg", "bounds": ["0 deg", "360 deg"]}}
+    result = optlink.solve(crank_rocker.override(fixed | start | {"limits.transmission_angle": ["44 deg", "136 deg"]}))
+    assert result.valid
+    assert result.certificate.status == GLOBAL
+
+
 def test_a_longer_search_raises_the_bound(crank_rocker):
     problem = crank_rocker.override(FREE_FRAME)
     bounds = [certified(problem, 1e-4, boxes=boxes).certificate for boxes in (400, 1_600, math.inf)]

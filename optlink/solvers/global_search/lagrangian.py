@@ -185,6 +185,8 @@ class _Batch:
     def violated_limits(self) -> None:
         """Discard boxes in which one limit is violated everywhere."""
         high = self.models.slacks.high
+        if not high.size:
+            return
         violated = np.any(high < 0.0, axis=1)
         self.test[violated] = 0
         self.multipliers[violated, np.argmin(high[violated], axis=1)] = 1.0
