@@ -71,7 +71,7 @@ def _no_front(problem: ProblemFile) -> InputError:
     whose = "Fronts are those of machines with an [objective] over their cycle, and of four-bars for a law"
     if isinstance(problem.model, PathProblem):
         named = problem.file if Path(problem.file).is_file() else problem.name  # of a shipped one the name
-        instead = f"what a limit costs here: optlink study sweep {named} --vary KEY=LOW..HIGH:N"
+        instead = f"to see how a limit changes the optimum: optlink study sweep {named} --vary KEY=LOW..HIGH:N"
         wanted = PRESCRIBED[problem.model.requirement.kind]
         return InputError(Fault(f"{wanted} prescribed here", f"{whose}; {instead}", problem.file))
     if getattr(problem.model, "balance", None) is not None:
