@@ -49,13 +49,18 @@ def opened(driver: Any, path: Path) -> tuple[list[str], list[str]]:
 
 @contextmanager
 def colours(driver: Any, *, dark: bool) -> Iterator[None]:
-    """Prefer light or dark colours."""
-    wish = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
-    driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": [wish]})
+    """Prefer light or dark colours, and wait until the page was told so: listeners are called before a frame is drawn."""
+    drawn = "const told = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(told))"
+
+    def prefer(*features: dict[str, str]) -> None:
+        driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": features})
+        driver.execute_async_script(drawn)
+
+    prefer({"name": "prefers-color-scheme", "value": "dark" if dark else "light"})
     try:
         yield
     finally:
-        driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": []})
+        prefer()
 
 
 def faults(driver: Any) -> list[str]:
