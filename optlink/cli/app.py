@@ -16,7 +16,7 @@ from typing import Annotated, TextIO
 
 import typer
 
-from optlink.cli import analyze, console, new, report, show, simulate, solve, study
+from optlink.cli import analyze, new, report, show, simulate, solve, study
 from optlink.cli.command import App
 from optlink.cli.options import OVERVIEW
 from optlink.solvers import interrupts
@@ -69,8 +69,6 @@ def main() -> None:
                 raise BrokenPipeError(errno.EPIPE, "the pipe is closed")
             output.flush()
     except SystemExit as end:
-        if end.code == 2 and "--json" in sys.argv and not console.printed:
-            console.print_failure("the command line cannot be used; the reason is on standard error", [])
         if end.code == interrupts.EXIT_CODE:
             sys.stderr.flush()
             interrupts.leave()

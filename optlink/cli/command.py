@@ -1,4 +1,4 @@
-"""Commands and groups of the command line: further spellings of options and commands, which the help does not list."""
+"""Commands and groups of the command line: further spellings of options and commands, and one sentence for each mistake."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ from typing import Any, TypeVar
 
 import typer
 from typer.core import TyperCommand, TyperGroup
+
+from optlink.cli.console import reported
+from optlink.errors import Fault, InputError
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -40,7 +43,11 @@ class Command(TyperCommand):
         """
         known = {name for param in self.params for name in param.opts}
         end = args.index("--") if "--" in args else len(args)
-        return super().parse_args(ctx, [*(_present(word, known) for word in args[:end]), *args[end:]])
+        try:
+            return super().parse_args(ctx, [*(_present(word, known) for word in args[:end]), *args[end:]])
+        except UsageError as error:
+            error.ctx = error.ctx or ctx  # an option without its value does not say of which command
+            raise
 
 
 def _present(word: str, known: set[str]) -> str:
@@ -68,6 +75,47 @@ class Group(TyperGroup):
         cmd_name : str
         """
         return super().get_command(ctx, COMMANDS.get(cmd_name, cmd_name))
+
+    def main(self, *arguments: Any, **options: Any) -> Any:
+        """Run the command line; one that cannot be used is reported as other invalid input is.
+
+        Parameters
+        ----------
+        *arguments, **options
+            As for `typer.core.TyperGroup.main`.
+        """
+        words = next(iter(arguments), None) or options.get("args") or sys.argv[1:]
+        try:
+            with reported("--json" in words):
+                try:
+                    code = super().main(*arguments, **options | {"standalone_mode": False})
+                except UsageError as error:
+                    raise _failure(error) from None
+        except typer.Exit as end:
+            code = end.exit_code
+        sys.exit(code if isinstance(code, int) else 0)
+
+
+UsageError: type[Any] = typer.BadParameter.__bases__[0]  # of click, or of typer's own copy of it
+"""A command line that cannot be used."""
+
+
+def _failure(error: Any) -> BaseException:
+    """Return what is wrong with a command line, with the remedy."""
+    param, context = getattr(error, "param", None), error.ctx
+    if not error.message and param is None:
+        return typer.Exit(error.exit_code)  # the help was shown, since there were no arguments
+    command = context.command_path if context else "optlink"
+    remedy = f"`{command} --help` shows what it takes"
+    if param is not None:
+        key = (param.metavar or param.name.upper()) if param.param_type_name == "argument" else max(param.opts, key=len)
+        message, _, better = error.message.rstrip(".").partition(". ")
+        return InputError(Fault(message or "it is missing", better or remedy, command, key))
+    possible, option = getattr(error, "possibilities", None), getattr(error, "option_name", None)
+    message, _, better = error.message.rstrip(".").partition(". ")
+    message = message[:1].lower() + message[1:].removesuffix(f": {option}").replace(f" '{option}'", "")
+    better = f"Did you mean {' or '.join(sorted(possible))}?" if possible else better
+    return InputError(Fault(message, better or remedy, command, option))
 
 
 class App(typer.Typer):

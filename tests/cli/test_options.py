@@ -89,6 +89,34 @@ def test_other_spellings_are_the_same_option(old, new):
 
 
 @pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("solv", "crank-rocker"), "optlink: no such command 'solv'. Did you mean 'solve'?"),
+        (("study", "swep", "x"), "optlink study: no such command 'swep'. Did you mean 'sweep'?"),
+        (("solve", "x", "--seeds", "1"), "optlink solve: --seeds: no such option. Did you mean --seed or --set?"),
+        (("solve", "x", "--xyzzy"), "optlink solve: --xyzzy: no such option. `optlink solve --help` shows what it takes"),
+        (("solve", "x", "--starts=many"), 'optlink solve: --starts: "many" is not a whole number. Give for example 20'),
+        (
+            ("solve", "x", "--starts"),
+            "optlink solve: --starts: option requires an argument. `optlink solve --help` shows what it takes",
+        ),
+        (
+            ("solve", "x", "--json=3"),
+            "optlink solve: --json: option does not take a value. `optlink solve --help` shows what it takes",
+        ),
+        (("solve", "--quiet"), "optlink solve: PROBLEM: it is missing. `optlink solve --help` shows what it takes"),
+        (("solve", "x", "y"), "optlink solve: got unexpected extra argument(s) (y). `optlink solve --help` shows what it takes"),
+    ],
+)
+def test_a_command_line_that_cannot_be_used_is_invalid_input_like_any_other(arguments, message):
+    """One sentence with the place and the remedy on standard error, exit code 2, and the same as JSON on request."""
+    done = run(*arguments)
+    assert (done.exit_code, done.stdout, done.stderr) == (2, "", f"Error: {message}\n")
+    told = json.loads(run(*arguments[:-1], "--json", arguments[-1]).stdout)
+    assert (told["schema"], told["message"]) == ("optlink/error/1", message)
+
+
+@pytest.mark.parametrize(
     ("arguments", "present"),
     [
         (("study", "sensitivity", "crank-rocker", "--output", "nothing"), "--quantity"),
