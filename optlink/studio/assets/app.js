@@ -1,0 +1,522 @@
+// The studio: connects the page with the server, and the parts of the page with each other.
+import { Background } from "./background.js";
+import { Curve } from "./curve.js";
+import { $, download, el, icon, setText, svg, toast } from "./dom.js";
+import { Handles, inPanel } from "./handles.js";
+import { Linkage } from "./linkage.js";
+import { Live } from "./live.js";
+import { Motion } from "./motion.js";
+import { Panel, verdictOf } from "./panel.js";
+import { Start } from "./start.js";
+import { round125, View } from "./view.js";
+
+const EMPTY = [-120, -80, 320, 200]; // box of an empty canvas [mm]
+const SLOW = 300; // after which a change that takes longer shows that it is computed [ms]
+
+// --- colours -----------------------------------------------------------------------------------------------------------------
+
+const root = document.documentElement;
+const system = matchMedia("(prefers-color-scheme: dark)");
+function remembered(value) {
+  try {
+    return value ? localStorage.setItem("optlink-theme", value) : localStorage.getItem("optlink-theme");
+  } catch {
+    return null; // no storage for this page
+  }
+}
+function paint() {
+  const dark = (remembered() || (system.matches ? "dark" : "light")) === "dark";
+  root.dataset.theme = dark ? "dark" : "light";
+  $("theme").setAttribute("aria-label", `Use ${dark ? "light" : "dark"} colours`);
+}
+$("theme").addEventListener("click", () => {
+  remembered(root.dataset.theme === "dark" ? "light" : "dark");
+  paint();
+});
+system.addEventListener("change", paint);
+paint();
+
+// --- token: out of the address bar, kept for reconnecting ----------------------------------------------------------------------
+
+function keptToken() {
+  const given = new URLSearchParams(location.search).get("token");
+  try {
+    if (given) {
+      sessionStorage.setItem("optlink-token", given);
+      history.replaceState(null, "", location.pathname + location.hash);
+    }
+    return given || sessionStorage.getItem("optlink-token");
+  } catch {
+    return given;
+  }
+}
+
+// --- canvas ---------------------------------------------------------------------------------------------------------------------
+
+const canvas = $("canvas");
+const grid = svg("path", { class: "gridlines" });
+canvas.append(grid);
+let state = null;
+let handles = [];
+let stale = false; // something is to be drawn
+const references = new Map(); // positions at which handles lie on their joints
+const view = new View(canvas, () => redraw());
+const linkage = new Linkage(canvas, view);
+const overlay = svg("g", { id: "overlay" });
+
+function redraw() {
+  if (!stale) {
+    stale = true;
+    requestAnimationFrame(frame);
+  }
+}
+
+let fresh = null; // the newest state that is not drawn yet
+function frame() {
+  stale = false;
+  if (fresh) {
+    const shown = fresh;
+    fresh = null;
+    take(shown);
+    if (shown.timing) {
+      shown.timing.drawn = performance.now();
+    }
+    canvas.dataset.shown = String(shown.id);
+  }
+  lines();
+  linkage.place();
+  knobs.draw();
+  curve.draw();
+  background.draw();
+}
+
+function lines() {
+  const step = round125(90 / view.scale);
+  const [x0, y1] = view.mm(0, 0);
+  const [x1, y0] = view.mm(view.width, view.height);
+  let path = "";
+  for (let k = Math.ceil(x0 / step); k * step <= x1; k += 1) {
+    path += `M${view.px(k * step, 0)[0].toFixed(1)} 0v${view.height}`;
+  }
+  for (let k = Math.ceil(y0 / step); k * step <= y1; k += 1) {
+    path += `M0 ${view.px(0, k * step)[1].toFixed(1)}h${view.width}`;
+  }
+  grid.setAttribute("d", path);
+  const [text, bar] = $("scale").children;
+  setText(text, `${Number(step.toPrecision(3))} mm`);
+  bar.style.width = `${step * view.scale}px`;
+}
+
+const knobs = new Handles(canvas, view, {
+  blocked: () => tool !== "select",
+  grab: (handle) => {
+    motion.stop();
+    const at = reference(handle);
+    if (at !== null) {
+      motion.put(at);
+    }
+  },
+  away: (handle) => {
+    const at = reference(handle);
+    return at !== null && Math.abs(motion.at - at) > 0.02;
+  },
+  drag: (fields, stamp) => live.drag(fields, stamp),
+  changed: redraw,
+});
+canvas.append(overlay);
+const curve = new Curve(overlay, view, {
+  draw: (points, closed) => live.send("draw", { points, closed }),
+  choose: (candidate) => ((refit = true), live.send("choose", { candidate })),
+  preview: (scene) => preview(scene),
+  hint,
+});
+const background = new Background(linkage.layers.below, overlay, view, choose);
+const motion = new Motion((at, angle) => {
+  linkage.show(at);
+  knobs.fade();
+  panel.cursor(angle);
+});
+const panel = new Panel({
+  lock: (size, locked) => live.send("lock", { size, locked }),
+  set: (key, value) => live.send("set", { key, value }),
+  drag: (fields) => live.drag(fields, performance.now()),
+});
+
+// Position of the motion at which a joint lies where its handle is; null for a handle that does not move with it.
+function reference({ at, centre, id }) {
+  const { scene } = linkage;
+  if (!scene || !(at || centre)) {
+    return null;
+  }
+  if (references.scene !== scene) {
+    references.clear();
+    references.scene = scene;
+  }
+  if (!references.has(id)) {
+    references.set(id, nearest(scene, centre || at));
+  }
+  return references.get(id);
+}
+
+function nearest(scene, place) {
+  const near = 0.004 * Math.hypot(scene.box[2] - scene.box[0], scene.box[3] - scene.box[1]);
+  for (const path of Object.values(scene.points || {})) {
+    const away = path.map((at) => (at && at[0] !== null ? Math.hypot(at[0] - place[0], at[1] - place[1]) : Infinity));
+    const best = away.indexOf(Math.min(...away));
+    if (away[best] < near && Math.max(...away.filter(Number.isFinite)) > near) {
+      return away[0] < near ? 0 : best;
+    }
+  }
+  return null;
+}
+
+function preview(scene) {
+  linkage.canvas.classList.toggle("preview", Boolean(scene));
+  if (scene) {
+    linkage.take(scene, {});
+    motion.take(scene);
+    motion.play();
+  } else if (state?.scene) {
+    linkage.take(state.scene, state.targets);
+    motion.take(state.scene);
+  } else {
+    motion.stop();
+    linkage.clear();
+    $("transport").hidden = true;
+  }
+}
+
+// --- what the server says -------------------------------------------------------------------------------------------------------
+
+let refit = true; // the next state is another problem
+
+function take(next) {
+  const scene = next.scene ? { ...next.scene } : null;
+  handles = next.handles || handles;
+  state = { ...next, scene: scene || state?.scene || null };
+  if (scene) {
+    linkage.take(scene, next.targets);
+    state.scene = linkage.scene;
+    motion.take(scene);
+  } else if (refit) {
+    linkage.clear();
+    $("transport").hidden = true;
+  }
+  if (refit && scene) {
+    view.fit(scene.box);
+    motion.put(0);
+    if (!matchMedia("(prefers-reduced-motion: reduce)").matches) {
+      motion.play();
+    }
+  }
+  refit = false;
+  knobs.infeasible = next.status === "infeasible";
+  knobs.take(handles);
+  panel.take(state, inPanel(handles));
+  panel.cursor(motion.angle);
+  canvas.dataset.status = next.status.replaceAll(" ", "-");
+  const [sign, words, look] = verdictOf(next.status);
+  $("badge").hidden = look === "good";
+  $("badge").className = look;
+  setText($("badge"), `${sign} ${words}`);
+  const { title, changed, can_undo: undo, can_redo: redo } = next.document;
+  setText($("title"), title);
+  document.title = `${changed ? "• " : ""}${title} – optlink studio`;
+  $("title").classList.toggle("changed", Boolean(changed));
+  $("undo").disabled = !undo;
+  $("redo").disabled = !redo;
+  for (const name of ["save", "export", "share", "search"]) {
+    $(name).disabled = false;
+  }
+  root.dataset.open = "";
+}
+
+let computing = 0;
+const busy = (on) => {
+  clearTimeout(computing);
+  if (on) {
+    computing = setTimeout(() => root.setAttribute("data-busy", ""), SLOW);
+  } else {
+    root.removeAttribute("data-busy");
+  }
+};
+
+let link = "";
+const live = new Live(keptToken(), {
+  hello(message) {
+    start.take(message);
+    root.dataset.ready = "";
+    hint(null);
+    const fragment = location.hash.slice(1);
+    if (fragment && !message.opened) {
+      ask("open", { fragment });
+      history.replaceState(null, "", location.pathname);
+    } else if (message.opened) {
+      start.hide();
+      refit = true;
+    } else if (!state) {
+      start.show(false);
+    }
+  },
+  state(message) {
+    busy(false);
+    searching(null);
+    fresh = fresh && !message.handles ? { ...message, handles: fresh.handles, scene: merged(message.scene, fresh.scene) } : message;
+    redraw();
+  },
+  progress: ({ fraction, text }) => searching(fraction, text),
+  candidates: (message) => (busy(false), curve.candidates(message)),
+  file({ name, media, text, base64 }) {
+    busy(false);
+    download(name, media, text ?? Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0)));
+    toast(`${name} saved in your downloads.`);
+  },
+  link({ fragment }) {
+    busy(false);
+    link = `${location.origin}/#${fragment}`;
+    $("link-text").value = link;
+    $("link").showModal();
+    $("link-text").select();
+  },
+  fault({ message }) {
+    busy(false);
+    searching(null);
+    toast(message, true);
+    if (!state && !start.open && tool !== "draw") {
+      start.show(false);
+    }
+  },
+  closed() {
+    hint("The connection to the studio has ended. Start `optlink studio` again, or ", { text: "reconnect", run: () => live.connect() });
+  },
+});
+
+// A state that was overtaken before it was drawn may hold outlines that its follower leaves out.
+function merged(scene, before) {
+  for (const body of scene?.bodies || []) {
+    body.parts ??= before?.bodies?.find((one) => one.name === body.name)?.parts;
+  }
+  return scene || before;
+}
+
+function ask(type, fields) {
+  busy(true);
+  if (type === "open" || type === "new") {
+    refit = true;
+    curve.close();
+    motion.stop();
+  }
+  return live.send(type, fields);
+}
+
+function searching(fraction, text) {
+  const running = fraction !== null && fraction < 1;
+  root.toggleAttribute("data-searching", running);
+  setText($("search"), running ? "Stop" : "Search");
+  if (running) {
+    hint(text || "Searching …");
+  } else if (searching.running) {
+    hint(null);
+  }
+  searching.running = running;
+}
+
+function hint(text, action) {
+  const node = $("hint");
+  node.hidden = !text;
+  node.replaceChildren(text || "", ...(action ? [el("button", { text: action.text, class: "inline", onclick: action.run })] : []));
+}
+
+// --- tools ------------------------------------------------------------------------------------------------------------------------
+
+let tool = "select";
+const HINTS = { draw: "Draw a curve in one stroke: end at its start to close it.", back: "Drag to move the background. Set its scale by two clicks and a length." };
+function choose(name) {
+  tool = name;
+  for (const one of ["select", "draw", "back"]) {
+    $(`tool-${one}`).setAttribute("aria-pressed", String(one === name));
+  }
+  canvas.dataset.tool = name;
+  $("backing").hidden = name !== "back";
+  if (name !== "back") {
+    background.stop();
+  }
+  hint(HINTS[name] || null);
+}
+for (const name of ["select", "draw", "back"]) {
+  $(`tool-${name}`).addEventListener("click", () => choose(tool === name ? "select" : name));
+}
+view.follow((event) => tool === "draw" || (tool === "back" && (background.busy || background.node)) || event.target.closest?.(".handle"));
+canvas.addEventListener("pointerdown", (event) => {
+  if (tool === "draw") {
+    canvas.setPointerCapture(event.pointerId);
+    curve.begin(event);
+    const move = (moving) => moving.getCoalescedEvents().forEach((one) => curve.move(one)) || curve.move(moving);
+    canvas.addEventListener("pointermove", move);
+    canvas.addEventListener("pointerup", () => {
+      canvas.removeEventListener("pointermove", move);
+      if (curve.end()) {
+        choose("select");
+      }
+    }, { once: true });
+  } else if (tool === "back" && background.busy) {
+    background.click(view.of(event));
+    event.preventDefault();
+  } else if (tool === "back" && background.node) {
+    canvas.setPointerCapture(event.pointerId);
+    let last = view.of(event);
+    const move = (moving) => {
+      const at = view.of(moving);
+      background.move(at[0] - last[0], at[1] - last[1]);
+      last = at;
+    };
+    canvas.addEventListener("pointermove", move);
+    canvas.addEventListener("pointerup", () => canvas.removeEventListener("pointermove", move), { once: true });
+  }
+});
+
+const start = new Start({
+  draw: () => choose("draw"),
+  open: (fields) => ask("open", fields),
+  fresh: (template) => ask("new", { template }),
+});
+
+// --- commands -----------------------------------------------------------------------------------------------------------------------
+
+$("open").addEventListener("click", () => start.show(true));
+$("save").addEventListener("click", () => ask("save"));
+$("share").addEventListener("click", () => ask("link"));
+$("undo").addEventListener("click", () => ask("undo"));
+$("redo").addEventListener("click", () => ask("redo"));
+$("search").addEventListener("click", () => live.send(searching.running ? "stop" : "search"));
+$("zoom-in").addEventListener("click", () => view.zoom(1.4));
+$("zoom-out").addEventListener("click", () => view.zoom(1 / 1.4));
+const fitAll = () => view.fit(linkage.scene?.box || EMPTY);
+$("zoom-fit").addEventListener("click", fitAll);
+$("link-copy").addEventListener("click", async () => {
+  try {
+    await navigator.clipboard.writeText(link);
+  } catch {
+    $("link-text").select(); // no clipboard for this page: the text can be copied by hand
+    document.execCommand("copy");
+  }
+  toast("Link copied.");
+});
+
+function drop(button, menu) {
+  const set = (open) => {
+    menu.hidden = !open;
+    button.setAttribute("aria-expanded", String(open));
+  };
+  button.addEventListener("click", () => set(menu.hidden));
+  menu.addEventListener("keydown", (event) => {
+    const items = [...menu.children];
+    const way = { ArrowDown: 1, ArrowUp: -1 }[event.key];
+    if (way) {
+      event.preventDefault();
+      items.at((items.indexOf(document.activeElement) + way) % items.length).focus();
+    } else if (event.key === "Escape") {
+      set(false);
+      button.focus();
+    }
+  });
+  document.addEventListener("pointerdown", (event) => {
+    if (!menu.hidden && !menu.contains(event.target) && event.target !== button) {
+      set(false);
+    }
+  });
+  return set;
+}
+const formats = drop($("export"), $("formats"));
+for (const item of $("formats").children) {
+  item.addEventListener("click", () => {
+    formats(false);
+    ask("export", { format: item.dataset.format });
+  });
+}
+$("menu").addEventListener("click", () => {
+  const open = root.toggleAttribute("data-menu");
+  $("menu").setAttribute("aria-expanded", String(open));
+  $("menu").replaceChildren(icon(open ? "close" : "menu"));
+});
+$("commands").addEventListener("click", (event) => {
+  if (event.target.closest("button") && !event.target.closest("#export")) {
+    root.removeAttribute("data-menu");
+    $("menu").setAttribute("aria-expanded", "false");
+    $("menu").replaceChildren(icon("menu"));
+  }
+});
+
+// --- keys -----------------------------------------------------------------------------------------------------------------------------
+
+const KEYS = [
+  ["Tab", "next handle or control"],
+  ["Arrow keys", "move the handle that has the focus; with Shift a tenth of it"],
+  ["Space", "play or pause the motion"],
+  ["Ctrl+Z, Ctrl+Shift+Z", "undo, redo"],
+  ["Ctrl+S, Ctrl+O", "save, open"],
+  ["+, −, 0", "zoom in, out, fit"],
+  ["V, D, B", "select, draw a curve, background"],
+  ["Esc", "give up a drag, close"],
+  ["Wheel, two fingers", "zoom; drag the empty canvas to pan"],
+];
+$("keys-text").append(
+  el("dl", {}, ...KEYS.flatMap(([key, text]) => [el("dt", { text: key }), el("dd", { text })])),
+  el("p", { text: "Circles are handles: filled ones belong to the problem, those with two arrows move along a line, arcs are angles. A red bar shows where feasibility ends. A dashed linkage is not verified yet; it is checked on release." })
+);
+$("help").addEventListener("click", () => $("keys").showModal());
+
+const COMMANDS = { z: "undo", y: "redo", Z: "redo", s: "save", o: "open" };
+const SINGLE = { v: "tool-select", d: "tool-draw", b: "tool-back", "+": "zoom-in", "=": "zoom-in", "-": "zoom-out", 0: "zoom-fit", "?": "help", " ": "play" };
+document.addEventListener("keydown", (event) => {
+  if (event.target.closest("input[type=text], input[type=search], input[type=number]") || document.querySelector("dialog[open]")) {
+    return;
+  }
+  const command = event.ctrlKey || event.metaKey ? COMMANDS[event.key] : null;
+  if (command) {
+    event.preventDefault();
+    knobs.release();
+    $(command).click();
+  } else if (!start.open && !event.ctrlKey && !event.metaKey && !event.altKey && SINGLE[event.key]) {
+    if (event.key !== " " || !event.target.closest("button, summary")) {
+      event.preventDefault();
+      $(SINGLE[event.key]).click();
+    }
+  } else if (event.key === "Escape" && tool !== "select") {
+    choose("select");
+  }
+});
+
+// --- files dropped on the page ------------------------------------------------------------------------------------------------------------
+
+addEventListener("dragover", (event) => {
+  event.preventDefault();
+  root.setAttribute("data-dropping", "");
+});
+for (const kind of ["dragleave", "drop"]) {
+  addEventListener(kind, (event) => {
+    if (kind === "drop" || !event.relatedTarget) {
+      root.removeAttribute("data-dropping");
+    }
+  });
+}
+addEventListener("drop", (event) => {
+  event.preventDefault();
+  const [file] = event.dataTransfer.files;
+  if (file && /\.(dxf|png|jpe?g|webp|gif)$/i.test(file.name)) {
+    start.hide();
+    background.open(file);
+  } else if (file) {
+    start.file(file);
+  }
+});
+addEventListener("hashchange", () => {
+  if (location.hash.length > 1) {
+    ask("open", { fragment: location.hash.slice(1) });
+    history.replaceState(null, "", location.pathname);
+  }
+});
+addEventListener("beforeunload", (event) => state?.document.changed && event.preventDefault());
+
+view.fit(EMPTY);
+live.connect();

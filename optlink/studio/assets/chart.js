@@ -1,0 +1,136 @@
+// A light line chart: axes with a few round numbers, curves, limits as dashed lines, and a cursor at the crank angle.
+import { el, keyed, number, setText, svg, unitText } from "./dom.js";
+import { round125 } from "./view.js";
+
+const [WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM] = [340, 150, 44, 10, 8, 22];
+const FINE = 1e-9;
+const SLACK = 0.01; // of a crank angle, rounded [deg]
+
+function ticks(low, high, count) {
+  const raw = (high - low) / count;
+  const step = round125(raw) * (raw / round125(raw) > 1.5 ? 2 : 1);
+  const first = Math.ceil(low / step - FINE);
+  return Array.from({ length: Math.floor(high / step + FINE) - first + 1 }, (_, k) => Number(((first + k) * step).toPrecision(12)));
+}
+
+function angles(low, high) {
+  const span = high - low;
+  const step = [15, 30, 45, 90, 180, 360].find((one) => span / one <= 5) || 720;
+  const first = Math.ceil(low / step - FINE);
+  return Array.from({ length: Math.floor(high / step + FINE) - first + 1 }, (_, k) => (first + k) * step);
+}
+
+const finite = (values) => values.filter((value) => value !== null && Number.isFinite(value));
+
+function build() {
+  const plot = svg(
+    "svg",
+    { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img" },
+    svg("title"),
+    svg("g", { class: "grid" }),
+    svg("g", { class: "limits" }),
+    svg("g", { class: "series" }),
+    svg("line", { class: "cursor", y1: TOP, y2: HEIGHT - BOTTOM, visibility: "hidden" })
+  );
+  return el("figure", { class: "chart" }, el("figcaption", {}), plot, el("p", { class: "legend" }));
+}
+
+function update(node, chart) {
+  const [caption, plot, legend] = node.children;
+  const [title, grid, limits, series, cursor] = plot.children;
+  const unit = unitText(chart.series[0]?.unit || "");
+  setText(caption, chart.title + (unit ? ` [${unit}]` : ""));
+  const x = chart.x.values;
+  const marks = (chart.limits || []).filter((one) => Number.isFinite(one.value));
+  const every = finite([...chart.series.flatMap((one) => one.values), ...marks.map((one) => one.value)]);
+  const [low, high] = every.length ? [Math.min(...every), Math.max(...every)] : [0, 1];
+  const room = Math.max((high - low) * 0.06, Math.abs(high) * 1e-6, 1e-12);
+  const [y0, y1] = [low - room, high + room];
+  const [x0, x1] = x.length ? [Math.min(x[0], x.at(-1)), Math.max(x[0], x.at(-1))] : [0, 1];
+  const px = (value) => LEFT + ((value - x0) / (x1 - x0 || 1)) * (WIDTH - LEFT - RIGHT);
+  const py = (value) => HEIGHT - BOTTOM - ((value - y0) / (y1 - y0)) * (HEIGHT - TOP - BOTTOM);
+  const turning = /deg|°/.test(chart.x.unit || "");
+  const lines = [
+    ...ticks(y0, y1, 4).map((value) => ({ value, up: true })),
+    ...(turning ? angles(x0, x1) : ticks(x0, x1, 5)).map((value) => ({ value, up: false })),
+  ];
+  keyed(
+    grid,
+    lines,
+    (one) => `${one.up} ${one.value}`,
+    () => svg("g", {}, svg("line"), svg("text")),
+    ({ children: [line, text] }, { value, up }) => {
+      const at = up ? py(value) : px(value);
+      const ends = up ? { x1: LEFT, x2: WIDTH - RIGHT, y1: at, y2: at } : { x1: at, x2: at, y1: TOP, y2: HEIGHT - BOTTOM };
+      Object.entries(ends).forEach(([name, end]) => line.setAttribute(name, end.toFixed(1)));
+      text.setAttribute("x", up ? LEFT - 5 : at.toFixed(1));
+      text.setAttribute("y", up ? (at + 3.5).toFixed(1) : HEIGHT - 8);
+      text.setAttribute("text-anchor", up ? "end" : "middle");
+      setText(text, short(value) + (!up && turning ? "°" : ""));
+    }
+  );
+  keyed(
+    limits,
+    marks,
+    (one, k) => k,
+    () => svg("g", {}, svg("line"), svg("text")),
+    ({ children: [line, text] }, { value, label }) => {
+      const at = py(value);
+      Object.entries({ x1: LEFT, x2: WIDTH - RIGHT, y1: at, y2: at }).forEach(([name, end]) => line.setAttribute(name, end.toFixed(1)));
+      text.setAttribute("x", WIDTH - RIGHT - 3);
+      text.setAttribute("y", (at > TOP + 14 ? at - 4 : at + 11).toFixed(1));
+      text.setAttribute("text-anchor", "end");
+      setText(text, label || "limit");
+    }
+  );
+  keyed(
+    series,
+    chart.series,
+    (one, k) => k,
+    (one, k) => svg("path", { class: `s${k}` }),
+    (path, one) => {
+      let text = "";
+      let pen = "M";
+      one.values.forEach((value, k) => {
+        if (value === null || !Number.isFinite(value)) {
+          pen = "M";
+        } else {
+          text += `${pen}${px(x[k]).toFixed(1)} ${py(value).toFixed(1)}`;
+          pen = "L";
+        }
+      });
+      path.setAttribute("d", text);
+    }
+  );
+  legend.hidden = chart.series.length < 2;
+  keyed(
+    legend,
+    legend.hidden ? [] : chart.series,
+    (one, k) => k,
+    (one, k) => el("span", {}, el("i", { class: `s${k}` }), el("span")),
+    (span, one) => setText(span.lastChild, one.label)
+  );
+  setText(title, `${chart.title}: ${chart.series.map((one) => `${one.label} from ${number(Math.min(...finite(one.values)), 3)} to ${number(Math.max(...finite(one.values)), 3)} ${unitText(one.unit || "")}`).join("; ")}`);
+  node.cursor = (angle) => {
+    const inside = turning && angle !== null && x.length > 1;
+    const shown = inside ? x0 + ((((angle - x0 + SLACK) % 360) + 360) % 360) - SLACK : 0;
+    const seen = inside && shown <= x1 + SLACK;
+    cursor.setAttribute("visibility", seen ? "inherit" : "hidden");
+    if (seen) {
+      cursor.setAttribute("x1", px(shown).toFixed(1));
+      cursor.setAttribute("x2", px(shown).toFixed(1));
+    }
+  };
+}
+
+const short = (value) => (Math.abs(value) >= 1e5 || (value !== 0 && Math.abs(value) < 1e-3) ? value.toExponential(0) : String(Number(value.toPrecision(6)))).replace("-", "−");
+
+// Charts of a panel; returns a function that moves their cursors to a crank angle [deg].
+export function drawCharts(parent, charts) {
+  keyed(parent, charts, (one) => one.title, build, update);
+  return (angle) => {
+    for (const node of parent.children) {
+      node.cursor?.(angle);
+    }
+  };
+}

@@ -1,0 +1,155 @@
+// A curve drawn by hand, and the four-bars that were found for it.
+import { $, el, keyed, quantity, setText, svg } from "./dom.js";
+import { pathOf } from "./linkage.js";
+
+const CLOSE = 26; // distance of the ends up to which a curve is closed [px]
+const NEAR = 3; // least distance of neighbouring points [px]
+const MOST = 240; // points sent
+const SHORTEST = 60; // length of a curve [px]
+
+export class Curve {
+  // `actions`: draw(points, closed) -> id, choose(candidate), preview(scene or null), hint(text or null)
+  constructor(overlay, view, actions) {
+    Object.assign(this, { view, actions, stroke: [], id: null, points: [] });
+    this.line = svg("path", { class: "stroke" });
+    this.fitted = svg("path", { class: "fitted" });
+    overlay.append(this.line, this.fitted);
+    $("tray-close").addEventListener("click", () => this.close());
+  }
+
+  begin(event) {
+    this.close();
+    this.stroke = [this.view.of(event)];
+    this.draw();
+  }
+
+  move(event) {
+    const at = this.view.of(event);
+    const last = this.stroke.at(-1);
+    if (Math.hypot(at[0] - last[0], at[1] - last[1]) * this.view.scale >= NEAR) {
+      this.stroke.push(at);
+      this.draw();
+    }
+  }
+
+  end() {
+    const points = this.stroke;
+    const lengths = points.slice(1).map((at, k) => Math.hypot(at[0] - points[k][0], at[1] - points[k][1]));
+    const length = lengths.reduce((sum, one) => sum + one, 0) * this.view.scale;
+    if (points.length < 6 || length < SHORTEST) {
+      this.stroke = [];
+      this.draw();
+      this.actions.hint("Draw a longer curve in one stroke; end at its start to close it.");
+      return false;
+    }
+    const gap = Math.hypot(points[0][0] - points.at(-1)[0], points[0][1] - points.at(-1)[1]) * this.view.scale;
+    this.closed = gap < Math.max(CLOSE, 0.08 * length);
+    if (this.closed) {
+      this.joined();
+    }
+    const every = Math.max(1, Math.ceil(this.stroke.length / MOST));
+    this.points = this.stroke.filter((_, k) => k % every === 0);
+    this.draw();
+    this.id = this.actions.draw(this.points, this.closed);
+    this.waiting = true;
+    this.items = [];
+    this.show({ items: [], done: false });
+    return true;
+  }
+
+  // Spreads the gap of a closed curve over its points, so that it has no corner at the start.
+  joined() {
+    const [first, last] = [this.stroke[0], this.stroke.at(-1)];
+    const count = this.stroke.length;
+    this.stroke = this.stroke.map(([x, y], k) => [x + (first[0] - last[0]) * (k / count - 0.5), y + (first[1] - last[1]) * (k / count - 0.5)]);
+  }
+
+  draw() {
+    const line = this.stroke.map((at) => this.view.px(...at));
+    this.line.setAttribute("d", pathOf(line, this.closed && this.id !== null));
+    this.fitted.setAttribute("d", this.shown ? pathOf(this.shown.curve.map((at) => at && this.view.px(...at))) : "");
+  }
+
+  candidates(message) {
+    if (message.id === this.id) {
+      this.waiting = !message.done;
+      this.show(message);
+    }
+  }
+
+  show({ items, done, seconds }) {
+    this.items = items;
+    $("tray").hidden = false;
+    const time = Number.isFinite(seconds) ? `, ${seconds.toFixed(1)} s` : "";
+    const count = `${items.length} four-bar${items.length === 1 ? "" : "s"}${time}`;
+    setText($("tray-title"), !items.length ? (done ? "No four-bar found for this curve" : "Searching four-bars …") : done ? count : `${count}, searching for better ones …`);
+    $("tray").toggleAttribute("data-searching", !done);
+    keyed(
+      $("items"),
+      items,
+      (_, k) => k,
+      (_, k) => this.item(k),
+      (node, one, k) => this.fill(node, one, k)
+    );
+  }
+
+  item(k) {
+    const button = el(
+      "button",
+      { class: "candidate" },
+      svg("svg", { viewBox: "0 0 100 70", "aria-hidden": "true" }, svg("path", { class: "drawn" }), svg("path", { class: "fit" })),
+      el("b"),
+      el("small")
+    );
+    const node = el("div", { role: "listitem" }, button);
+    const look = () => this.look(this.items[k]);
+    button.addEventListener("pointerenter", look);
+    button.addEventListener("focus", look);
+    button.addEventListener("pointerleave", () => this.look(null));
+    button.addEventListener("blur", () => this.look(null));
+    button.addEventListener("click", () => this.choose(k));
+    return node;
+  }
+
+  fill(node, one, k) {
+    const button = node.firstChild;
+    const [plot, error, note] = button.children;
+    const place = fitting([...this.points, ...one.curve.filter(Boolean)]);
+    plot.children[0].setAttribute("d", pathOf(this.points.map(place), this.closed));
+    plot.children[1].setAttribute("d", pathOf(one.curve.map((at) => at && place(at))));
+    setText(error, quantity(one.error, one.unit, 3));
+    setText(note, one.valid ? "valid" : "not valid");
+    button.classList.toggle("bad", !one.valid);
+    button.setAttribute("aria-label", `Four-bar ${k + 1}: error ${quantity(one.error, one.unit, 3)}, ${one.valid ? "valid" : "not valid"}`);
+  }
+
+  look(item) {
+    this.shown = item || null;
+    this.draw();
+    this.actions.preview(item?.scene || null);
+  }
+
+  choose(k) {
+    const item = this.items[k];
+    this.look(null);
+    this.actions.choose(item?.id ?? k);
+    this.close();
+  }
+
+  close() {
+    this.stroke = [];
+    this.id = null;
+    this.closed = false;
+    this.shown = null;
+    $("tray").hidden = true;
+    this.draw();
+  }
+}
+
+// Maps millimetres to a thumbnail of 100 by 70.
+function fitting(points) {
+  const [xs, ys] = [points.map(([x]) => x), points.map(([, y]) => y)];
+  const [x0, x1, y0, y1] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
+  const scale = Math.min(88 / (x1 - x0 || 1), 58 / (y1 - y0 || 1));
+  return ([x, y]) => [(50 + scale * (x - (x0 + x1) / 2)).toFixed(1), (35 - scale * (y - (y0 + y1) / 2)).toFixed(1)];
+}

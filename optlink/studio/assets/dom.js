@@ -1,0 +1,98 @@
+// Small helpers: elements, numbers as text, colours that follow light and dark.
+const SVG = "http://www.w3.org/2000/svg";
+
+export const $ = (id) => document.getElementById(id);
+
+function filled(node, attributes, children) {
+  for (const [name, value] of Object.entries(attributes || {})) {
+    if (name === "text") {
+      node.textContent = value;
+    } else if (name.startsWith("on")) {
+      node.addEventListener(name.slice(2), value);
+    } else if (value === true) {
+      node.setAttribute(name, "");
+    } else if (value !== null && value !== undefined && value !== false) {
+      node.setAttribute(name, value);
+    }
+  }
+  node.append(...(children || []));
+  return node;
+}
+
+export const el = (tag, attributes, ...children) => filled(document.createElement(tag), attributes, children);
+export const svg = (tag, attributes, ...children) => filled(document.createElementNS(SVG, tag), attributes, children);
+export const icon = (name) => svg("svg", { "aria-hidden": "true" }, svg("use", { href: `#i-${name}` }));
+
+// A colour of a drawing: the style sheet holds its dark counterpart under --c and its digits.
+export const colour = (hex) => (/^#[0-9a-f]{6}$/i.test(hex || "") ? `var(--c${hex.slice(1).toLowerCase()}, ${hex})` : "currentColor");
+
+export function number(value, digits = 5) {
+  if (value === null || value === undefined || !Number.isFinite(value)) {
+    return "–";
+  }
+  const size = Math.abs(value);
+  if (size === 0) {
+    return "0";
+  }
+  if (size < 1e-4 || size >= 1e7) {
+    const [mantissa, power] = value.toExponential(digits - 2).split("e");
+    return `${mantissa.replace("-", "−")}e${String(Number(power)).replace("-", "−")}`;
+  }
+  const decimals = Math.max(0, Math.min(7, digits - 1 - Math.floor(Math.log10(size))));
+  const text = value.toFixed(decimals);
+  return Number(text) === 0 ? text.replace("-", "") : text.replace("-", "−");
+}
+
+const UNITS = { deg: "°", "": "", 1: "" };
+export const unitText = (unit) =>
+  UNITS[unit] ?? String(unit).replace(/\^2/g, "²").replace(/\^3/g, "³").replace(/\^(-?\d)/g, "^$1").replace(/ ?\* ?/g, " ");
+export function quantity(value, unit, digits) {
+  const shown = unitText(unit || "");
+  return number(value, digits) + (shown === "°" || shown === "" ? shown : " " + shown);
+}
+
+// Children of a node, one per item, kept from one call to the next: `make(item)` returns a node, `update(node, item)` writes it.
+export function keyed(parent, items, key, make, update) {
+  const old = parent.keyed || new Map();
+  const now = new Map();
+  items.forEach((item, k) => {
+    const name = key(item, k);
+    const node = old.get(name) || make(item, k);
+    now.set(name, node);
+    update(node, item, k);
+    if (parent.children[k] !== node) {
+      parent.insertBefore(node, parent.children[k] || null);
+    }
+  });
+  for (const [name, node] of old) {
+    if (now.get(name) !== node) {
+      node.remove();
+    }
+  }
+  parent.keyed = now;
+}
+
+export const setText = (node, text) => {
+  if (node.textContent !== text) {
+    node.textContent = text;
+  }
+};
+
+export function download(name, media, content) {
+  const address = URL.createObjectURL(new Blob([content], { type: media }));
+  const anchor = el("a", { href: address, download: name });
+  document.body.append(anchor);
+  anchor.click();
+  anchor.remove();
+  setTimeout(() => URL.revokeObjectURL(address), 10000);
+}
+
+let hiding = 0;
+export function toast(text, bad = false) {
+  const node = $("toast");
+  node.textContent = text;
+  node.classList.toggle("bad", bad);
+  node.hidden = false;
+  clearTimeout(hiding);
+  hiding = setTimeout(() => (node.hidden = true), bad ? 9000 : 4000);
+}

@@ -1,0 +1,278 @@
+// Draws a scene: ground, traces, bodies in motion, joints, targets. Bodies live in millimetres, joints and targets in pixels.
+import { colour, keyed, svg } from "./dom.js";
+
+const LAYERS = ["slot", "plate", "bar", "block", "crank"];
+const WIDTHS = { slot: 1.1, plate: 2.2, bar: 3.4, block: 1.5, crank: 4.2 };
+const POINT = 1 / 8; // line width of one point, as a share of the height of a ground pivot
+
+export function pathOf(line, closed = false) {
+  let text = "";
+  let pen = "M";
+  for (const at of line) {
+    if (at && at[0] !== null && at[1] !== null) {
+      text += `${pen}${at[0]} ${at[1]}`;
+      pen = "L";
+    } else {
+      pen = "M";
+    }
+  }
+  return text + (closed && text ? "Z" : "");
+}
+
+const put = (node, name, value) => {
+  if (node.getAttribute(name) !== value) {
+    node.setAttribute(name, value);
+  }
+};
+
+export class Linkage {
+  constructor(canvas, view) {
+    this.view = view;
+    this.canvas = canvas;
+    this.world = svg("g", { id: "world" });
+    this.layers = {};
+    for (const name of ["below", "ground", "traces", "curve", ...LAYERS, "springs"]) {
+      this.world.append((this.layers[name] = svg("g", { class: `layer ${name}` })));
+    }
+    this.world.insertBefore(this.layers.springs, this.layers.bar);
+    this.marks = svg("g", { class: "targets", "aria-hidden": "true" });
+    this.joints = svg("g", { class: "joints", "aria-hidden": "true" });
+    this.names = svg("g", { class: "names", "aria-hidden": "true" });
+    canvas.append(this.world, this.joints, this.marks, this.names);
+    this.scene = null;
+    this.at = 0; // position, fraction of the positions allowed
+    this.bodies = new Map();
+  }
+
+  // A new scene: outlines that were left out are those of the last one.
+  take(scene, targets) {
+    const old = this.scene;
+    for (const body of scene.bodies || []) {
+      body.parts ??= old?.bodies?.find((one) => one.name === body.name)?.parts ?? [];
+    }
+    this.scene = { ...old, ...scene };
+    this.targets = targets || {};
+    this.unit = null;
+    this.build();
+    this.place();
+  }
+
+  clear() {
+    this.scene = null;
+    this.bodies.clear();
+    for (const layer of [...Object.values(this.layers).slice(1), this.joints, this.names, this.marks]) {
+      keyed(layer, [], () => "", null, null);
+    }
+  }
+
+  get last() {
+    return this.scene ? this.scene.angles.length - 1 : 0;
+  }
+
+  get period() {
+    return Math.max(this.last, 1);
+  }
+
+  build() {
+    const scene = this.scene;
+    keyed(
+      this.layers.ground,
+      scene.ground || [],
+      (_, k) => k,
+      () => svg("path", {}),
+      (node, { line, width, filled }) => {
+        put(node, "d", pathOf(line));
+        put(node, "class", filled ? "filled" : "open");
+        node.style.setProperty("--w", width);
+      }
+    );
+    const free = new Set(scene.free || []);
+    const colours = new Map(scene.bodies.map((body) => [body.name, body.colour]));
+    const owner = scene.owner || {};
+    keyed(
+      this.layers.traces,
+      Object.entries(scene.traces || {}),
+      ([name]) => name,
+      ([name]) => svg("path", { "data-trace": name }),
+      (node, [name, line]) => {
+        put(node, "d", pathOf(line));
+        put(node, "class", free.has(name) ? "free" : "joint");
+        node.style.stroke = colour(colours.get(owner[name]) || scene.bodies.at(-1)?.colour);
+      }
+    );
+    const curve = this.targets.curve;
+    keyed(
+      this.layers.curve,
+      curve?.length ? [curve] : [],
+      () => "curve",
+      () => svg("path", {}),
+      (node, line) => put(node, "d", pathOf(line))
+    );
+    this.bodies.clear();
+    for (const layer of LAYERS) {
+      keyed(
+        this.layers[layer],
+        scene.bodies.filter((body, k) => body.parts.some((part) => layerOf(part, k) === layer)),
+        (body) => body.name,
+        (body) => svg("g", { "data-body": body.name }, svg("title", { text: body.name })),
+        (node, body) => {
+          const k = scene.bodies.indexOf(body);
+          const parts = body.parts.filter((part) => layerOf(part, k) === layer);
+          while (node.children.length - 1 > parts.length) {
+            node.lastChild.remove();
+          }
+          while (node.children.length - 1 < parts.length) {
+            node.append(svg("path", {}));
+          }
+          parts.forEach((part, n) => {
+            const path = node.children[n + 1];
+            put(path, "d", pathOf(part.outline, part.kind !== "bar"));
+            put(path, "class", part.kind);
+            path.style.setProperty("--w", WIDTHS[layer]);
+            path.style.setProperty("--own", colour(body.colour));
+          });
+          this.bodies.set(`${layer} ${body.name}`, [node, body]);
+        }
+      );
+    }
+    keyed(
+      this.layers.springs,
+      Object.keys(scene.springs || {}),
+      (name) => name,
+      () => svg("path", {}),
+      () => {}
+    );
+    const pins = new Set(scene.pins || []);
+    const shown = Object.keys(scene.points || {}).filter((name) => pins.has(name) || free.has(name));
+    keyed(
+      this.joints,
+      shown,
+      (name) => name,
+      (name) => svg("circle", { "data-point": name }),
+      (node, name) => {
+        put(node, "class", pins.has(name) ? "pin" : "dot");
+        put(node, "r", pins.has(name) ? "4" : "3.6");
+        if (!pins.has(name)) {
+          node.style.fill = colour(colours.get(owner[name]) || scene.bodies.at(-1)?.colour);
+        }
+      }
+    );
+    keyed(
+      this.names,
+      shown,
+      (name) => name,
+      (name) => svg("text", { text: name }),
+      () => {}
+    );
+    const { points = [], poses = [] } = this.targets;
+    keyed(
+      this.marks,
+      [...points.map((one) => ({ kind: "point", ...one })), ...poses.map((one) => ({ kind: "pose", ...one }))],
+      (one, k) => one.kind + k,
+      (one) => (one.kind === "point" ? svg("circle", { class: "point", r: 3.4 }) : svg("path", { class: "pose", d: "M0 -26V0H34M-4 0H0V4" })),
+      () => {}
+    );
+  }
+
+  // Everything that depends on the view, and the position of the motion.
+  place() {
+    const { view, scene } = this;
+    put(this.world, "transform", `matrix(${view.scale} 0 0 ${-view.scale} ${view.x} ${view.y})`);
+    if (!scene) {
+      return;
+    }
+    const wide = Math.min(Math.max((scene.size || 20) * POINT * view.scale, 0.55), 1.9);
+    if (this.unit !== wide) {
+      this.unit = wide;
+      this.world.style.setProperty("--u", `${wide}px`);
+    }
+    const { points = [], poses = [] } = this.targets;
+    [...points, ...poses].forEach((one, k) => {
+      const [x, y] = view.px(...one.at);
+      const turn = one.angle === undefined ? "" : ` rotate(${-one.angle})`;
+      put(this.marks.children[k], "transform", `translate(${x.toFixed(2)} ${y.toFixed(2)})${turn}`);
+    });
+    this.pose();
+  }
+
+  show(at) {
+    this.at = at;
+    if (this.scene) {
+      this.pose();
+    }
+  }
+
+  // Index below, index above and share between them of the present position.
+  between() {
+    const at = Math.min(Math.max(this.at, 0), this.last);
+    const low = Math.min(Math.floor(at), Math.max(this.last - 1, 0));
+    return [low, Math.min(low + 1, this.last), at - low];
+  }
+
+  mixed(a, b, share) {
+    if (!a || !b || a[0] === null || b[0] === null) {
+      return share < 0.5 ? a : b;
+    }
+    return [a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])];
+  }
+
+  // place of a named point at the present position [mm], or null
+  point(name) {
+    const [low, high, share] = this.between();
+    const path = this.scene?.points?.[name];
+    const at = path && this.mixed(path[low], path[high], share);
+    return at && at[0] !== null ? at : null;
+  }
+
+  pose() {
+    const { scene, view } = this;
+    const [low, high, share] = this.between();
+    for (const [node, body] of this.bodies.values()) {
+      const at = this.mixed(body.poses[low], body.poses[high], share);
+      if (!at || at[0] === null) {
+        node.setAttribute("visibility", "hidden");
+        continue;
+      }
+      const [a, b] = [body.poses[low][2], body.poses[high][2]];
+      const turn = a + share * (((((b - a) % 360) + 540) % 360) - 180);
+      node.setAttribute("transform", `translate(${at[0]} ${at[1]}) rotate(${turn})`);
+      node.setAttribute("visibility", "inherit");
+    }
+    for (const node of this.layers.springs.children) {
+      const name = Object.keys(scene.springs)[[...this.layers.springs.children].indexOf(node)];
+      const ends = scene.springs[name];
+      const line = this.mixed(ends[low].slice(0, 2), ends[high].slice(0, 2), share);
+      const tail = this.mixed(ends[low].slice(2), ends[high].slice(2), share);
+      node.setAttribute("d", spring(line, tail, scene.size || 10));
+    }
+    const names = [...this.names.children];
+    const still = new Set(scene.still || []);
+    [...this.joints.children].forEach((node, k) => {
+      const at = this.point(node.dataset.point);
+      node.setAttribute("visibility", at ? "inherit" : "hidden");
+      names[k].setAttribute("visibility", at ? "inherit" : "hidden");
+      if (at) {
+        const [x, y] = view.px(...at);
+        node.setAttribute("transform", `translate(${x.toFixed(2)} ${y.toFixed(2)})`);
+        const [dx, dy] = still.has(node.dataset.point) ? [9, 17] : [8, -8];
+        names[k].setAttribute("transform", `translate(${(x + dx).toFixed(2)} ${(y + dy).toFixed(2)})`);
+      }
+    });
+  }
+}
+
+function layerOf(part, k) {
+  return k === 0 && part.kind === "bar" ? "crank" : part.kind;
+}
+
+// The zigzag of the report's drawings: fourteen strokes between two straight ends.
+function spring([x, y], [u, v], size) {
+  const [dx, dy] = [u - x, v - y];
+  const length = Math.max(Math.hypot(dx, dy), 1e-30);
+  const line = [[0, 0], [0.18, 0]];
+  for (let k = 0; k < 12; k += 1) {
+    line.push([0.2 + (0.6 * k) / 11, (k % 2 ? -0.45 : 0.45) * size]);
+  }
+  line.push([0.82, 0], [1, 0]);
+  return pathOf(line.map(([share, side]) => [x + share * dx + (side * dy) / length, y + share * dy - (side * dx) / length]));
+}

@@ -1,0 +1,286 @@
+// The side panel: verdict, conclusion, design variables, limits, charts, checks.
+import { drawCharts } from "./chart.js";
+import { $, el, icon, keyed, quantity, number, setText, unitText } from "./dom.js";
+
+const VERDICTS = {
+  verified: ["✓", "Verified", "good"],
+  "not verified": ["○", "Not verified", "open"],
+  "not valid": ["✗", "Not valid", "bad"],
+  infeasible: ["✗", "No feasible design", "bad"],
+  failed: ["✗", "No solution", "bad"],
+};
+
+export const verdictOf = (status) => VERDICTS[status] || ["○", status, "open"];
+
+function table(parent, title, heads) {
+  if (!parent.firstChild) {
+    const head = el("tr", {}, ...heads.map((text) => el("th", { scope: "col", text })));
+    parent.append(el("h2", { text: title }), el("div", { class: "rows" }, el("table", {}, el("thead", {}, head), el("tbody"))));
+  }
+  return parent.querySelector("tbody");
+}
+
+export class Panel {
+  // `actions`: lock(name, locked), set(key, value), drag(fields)
+  constructor(actions) {
+    this.actions = actions;
+    this.cursor = () => {};
+    $("result").append(
+      el("p", { class: "verdict", id: "verdict" }, el("span", { class: "sign", "aria-hidden": "true" }), el("span")),
+      el("p", { class: "conclusion", id: "conclusion" }),
+      el("p", { class: "objective", id: "objective" }, el("span"), el("b"), el("small"))
+    );
+  }
+
+  take(state, sliders) {
+    this.verdict(state);
+    this.conflicts(state.conflicts || []);
+    this.variables(state.variables || [], sliders);
+    this.sliders(sliders.filter((one) => one.kind !== "range" || !one.size));
+    this.active(state.active || []);
+    this.checks(state);
+    $("charts").hidden = !state.charts?.length;
+    this.cursor = drawCharts($("charts"), state.charts || []);
+  }
+
+  verdict(state) {
+    const [sign, words, look] = verdictOf(state.status);
+    const node = $("verdict");
+    node.className = `verdict ${look}`;
+    setText(node.children[0], sign);
+    setText(node.children[1], words);
+    setText($("conclusion"), state.conclusion || "");
+    const [label, value, took] = $("objective").children;
+    $("objective").hidden = !state.objective;
+    if (state.objective) {
+      setText(label, state.objective.label);
+      setText(value, quantity(state.objective.value, state.objective.unit, 6));
+    }
+    const seconds = state.seconds?.solve;
+    setText(took, Number.isFinite(seconds) ? (seconds < 1 ? `${number(1e3 * seconds, 2)} ms` : `${number(seconds, 2)} s`) : "");
+  }
+
+  conflicts(sentences) {
+    const node = $("conflicts");
+    node.hidden = !sentences.length;
+    keyed(node, sentences, (_, k) => k, () => el("p"), (line, text) => setText(line, text));
+  }
+
+  variables(variables, sliders) {
+    const parent = $("variables");
+    parent.hidden = !variables.length;
+    if (!variables.length) {
+      return;
+    }
+    const body = table(parent, "Design variables", ["Name", "Value", "Bounds", "Lock"]);
+    const bounds = new Map(sliders.filter((one) => one.kind === "range" && one.size).map((one) => [one.size, one]));
+    keyed(body, variables, (one) => one.name, (one) => this.row(one), (node, one) => this.fill(node, one, bounds.get(one.name)));
+  }
+
+  row(variable) {
+    const name = variable.name;
+    const value = el("input", { type: "text", inputmode: "decimal", "aria-label": `Value of ${name}`, spellcheck: "false" });
+    const unit = el("span", { class: "unit" });
+    const track = el("div", { class: "track" }, el("i"), el("b"));
+    const lock = el("button", { class: "icon lock", "aria-pressed": "false" }, icon("unlock"));
+    const row = el("tr", { "data-variable": name }, el("th", { scope: "row", text: name }), el("td", { class: "num" }, value, unit), el("td", { class: "bounds" }, track, el("small")), el("td", {}, lock));
+    value.addEventListener("change", () => {
+      const text = value.value.trim().replace("−", "-");
+      if (text && row.variable.key) {
+        this.actions.set(row.variable.key, /^[-+.\deE]+$/.test(text) && row.variable.unit ? `${text} ${row.variable.unit}` : text);
+      }
+    });
+    value.addEventListener("keydown", (event) => event.key === "Escape" && ((value.value = number(row.variable.value, 6)), value.blur()));
+    lock.addEventListener("click", () => this.actions.lock(name, !row.variable.locked));
+    for (const part of [0, 1]) {
+      track.append(this.knob(row, part));
+    }
+    return row;
+  }
+
+  fill(row, variable, handle) {
+    row.variable = variable;
+    row.handle = row.holding === undefined ? handle : row.handle;
+    const [, cell, bounds, last] = row.children;
+    const [value, unit] = cell.children;
+    value.readOnly = !variable.key;
+    if (document.activeElement !== value || value.readOnly) {
+      const text = number(variable.value, 6);
+      if (value.value !== text) {
+        value.value = text;
+      }
+    }
+    setText(unit, unitText(variable.unit || ""));
+    const [low, high] = [variable.lower, variable.upper];
+    row.classList.toggle("locked", Boolean(variable.locked));
+    row.classList.toggle("bound", Boolean(variable.at_bound));
+    const limited = Number.isFinite(low) && Number.isFinite(high) && high > low && !variable.locked;
+    const [track, small] = bounds.children;
+    track.hidden = !limited;
+    setText(small, variable.locked ? "fixed" : limited ? `${number(low, 3)} … ${number(high, 3)}` : "free");
+    if (limited) {
+      const place = (at) => `${(100 * Math.min(Math.max((at - low) / (high - low), 0), 1)).toFixed(2)}%`;
+      const [, mark, ...knobs] = track.children;
+      mark.style.left = place(variable.value);
+      knobs.forEach((knob, part) => {
+        knob.hidden = !handle;
+        const edge = part ? high : low;
+        knob.setAttribute("aria-valuenow", String(edge));
+        knob.setAttribute("aria-valuetext", quantity(edge, variable.unit, 4));
+      });
+    }
+    const lock = last.firstChild;
+    const pressed = String(Boolean(variable.locked));
+    if (lock.getAttribute("aria-pressed") !== pressed || !lock.hasAttribute("aria-label")) {
+      lock.setAttribute("aria-pressed", pressed);
+      lock.setAttribute("aria-label", `${variable.locked ? "Free" : "Lock"} ${variable.name}`);
+      lock.title = variable.locked ? "Free this variable again" : "Lock at the present value";
+      lock.replaceChildren(icon(variable.locked ? "lock" : "unlock"));
+    }
+  }
+
+  // The end of the bounds of a variable: dragged along its track, or moved with the arrow keys.
+  knob(row, part) {
+    const name = part ? "upper" : "lower";
+    const node = el("span", { class: `end ${name}`, role: "slider", tabindex: "0", "aria-label": `${name} bound`, "aria-valuemin": "-1000000", "aria-valuemax": "1000000" });
+    const send = (value, moving) => {
+      const pair = [row.variable.lower, row.variable.upper];
+      pair[part] = part ? Math.max(value, pair[0]) : Math.min(value, pair[1]);
+      this.actions.drag({ handle: row.handle.id, value: pair, moving });
+    };
+    node.addEventListener("pointerdown", (event) => {
+      if (!row.handle) {
+        return;
+      }
+      event.preventDefault();
+      node.focus();
+      node.setPointerCapture(event.pointerId);
+      const { lower, upper } = row.variable;
+      const wide = node.parentElement.getBoundingClientRect().width;
+      const [from, edge] = [event.clientX, part ? upper : lower];
+      let value = edge;
+      row.holding = part;
+      const move = (moving) => {
+        value = edge + ((moving.clientX - from) / wide) * (upper - lower);
+        send(value, true);
+      };
+      const end = () => {
+        node.removeEventListener("pointermove", move);
+        row.holding = undefined;
+        send(value, false);
+      };
+      node.addEventListener("pointermove", move);
+      node.addEventListener("pointerup", end, { once: true });
+      node.addEventListener("pointercancel", end, { once: true });
+    });
+    let resting = 0;
+    node.addEventListener("keydown", (event) => {
+      const way = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1 }[event.key];
+      if (way && row.handle) {
+        event.preventDefault();
+        const { lower, upper } = row.variable;
+        const value = (part ? upper : lower) + way * (upper - lower) * (event.shiftKey ? 0.001 : 0.01);
+        send(value, true);
+        clearTimeout(resting);
+        resting = setTimeout(() => send(value, false), 450);
+      }
+    });
+    return node;
+  }
+
+  // Handles that have no place on the canvas.
+  sliders(handles) {
+    const parent = $("sliders");
+    parent.hidden = !handles.length;
+    if (!handles.length) {
+      return;
+    }
+    if (!parent.firstChild) {
+      parent.append(el("h2", { text: "Requirement and limits" }), el("div", { class: "list" }));
+    }
+    keyed(parent.lastChild, handles, (one) => `${one.id} ${one.kind}`, (one) => this.slider(one), (node, one) => this.fillSlider(node, one));
+  }
+
+  slider(first) {
+    const count = first.kind === "range" ? 2 : 1;
+    const inputs = Array.from({ length: count }, (_, k) => el("input", { type: "range", step: "any", "aria-label": first.label + (count > 1 ? (k ? ", upper" : ", lower") : "") }));
+    const node = el("div", { class: "slider", "data-handle": first.id }, el("p", {}, el("span"), el("output")), ...inputs);
+    const send = (moving) => {
+      const values = inputs.map((one) => Number(one.value));
+      this.actions.drag({ handle: node.handle.id, value: count > 1 ? [Math.min(...values), Math.max(...values)] : values[0], moving });
+    };
+    for (const input of inputs) {
+      input.addEventListener("input", () => ((node.holding = true), send(true)));
+      input.addEventListener("change", () => ((node.holding = false), send(false)));
+    }
+    return node;
+  }
+
+  fillSlider(node, handle) {
+    node.handle = handle;
+    const [head, ...inputs] = node.children;
+    const values = handle.kind === "range" ? handle.value : [handle.value];
+    const [low, high] = [handle.lower ?? Math.min(...values) - Math.abs(values[0] || 1), handle.upper ?? Math.max(...values) + Math.abs(values[0] || 1)];
+    setText(head.children[0], handle.label);
+    setText(head.children[1], values.map((one) => quantity(one, handle.unit, 4)).join(" … "));
+    inputs.forEach((input, k) => {
+      if (!node.holding) {
+        input.min = low;
+        input.max = high;
+        input.value = values[k];
+      }
+      input.setAttribute("aria-valuetext", quantity(values[k], handle.unit, 4));
+    });
+  }
+
+  active(limits) {
+    const parent = $("active");
+    parent.hidden = !limits.length;
+    if (!limits.length) {
+      return;
+    }
+    const body = table(parent, "Active limits", ["Limit", "Shadow price"]);
+    keyed(
+      body,
+      limits,
+      (one) => one.limit,
+      () => el("tr", {}, el("th", { scope: "row" }), el("td", { class: "num" })),
+      ({ children: [name, price] }, one) => {
+        setText(name, one.limit + (one.value === null || one.value === undefined ? "" : ` (${quantity(one.value, one.unit, 4)})`));
+        setText(price, one.price === null ? "–" : quantity(one.price, one.price_unit, 4));
+      }
+    );
+  }
+
+  checks(state) {
+    const parent = $("checks");
+    const checks = state.checks;
+    if (!parent.firstChild) {
+      parent.append(el("h2", { text: "Validation" }), el("p"), el("details", {}, el("summary", { text: "All checks" }), el("ul")));
+    }
+    const [, line, details] = parent.children;
+    details.hidden = !checks;
+    if (!checks) {
+      setText(line, state.moving ? "Checked when you release." : "No validated design.");
+      return;
+    }
+    const passed = checks.filter((one) => one.ok).length;
+    setText(line, `${passed} of ${checks.length} checks passed`);
+    keyed(
+      details.lastChild,
+      [...checks].sort((a, b) => Number(a.ok) - Number(b.ok)),
+      (one, k) => one.name + k,
+      () => el("li", {}, el("span", { class: "sign" }), el("span"), el("small")),
+      ({ children: [sign, name, measured], classList }, one) => {
+        classList.toggle("bad", !one.ok);
+        setText(sign, one.ok ? "✓" : "✗");
+        setText(name, one.name);
+        const limit = one.limit === null || one.limit === undefined ? "" : ` (limit ${typeof one.limit === "number" ? number(one.limit, 4) : one.limit})`;
+        setText(measured, typeof one.measured === "number" ? quantity(one.measured, one.unit, 4) + limit : String(one.measured ?? ""));
+      }
+    );
+    if (passed < checks.length) {
+      details.open = true;
+    }
+  }
+}

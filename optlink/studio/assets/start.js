@@ -1,0 +1,82 @@
+// The first screen, which also opens another problem: draw, example, file, templates, shipped problems, shared link.
+import { $, el, toast } from "./dom.js";
+
+const LARGEST = 900000; // characters of a problem file: a message has at most 1 MB
+
+export class Start {
+  // `actions`: draw(), open(fields), fresh(template)
+  constructor(actions) {
+    this.actions = actions;
+    $("start-draw").addEventListener("click", () => (this.hide(), actions.draw()));
+    $("start-example").addEventListener("click", () => this.pick(() => actions.open({ name: "crank-rocker" })));
+    $("start-file").addEventListener("click", () => $("file").click());
+    $("start-close").addEventListener("click", () => this.hide());
+    $("file").addEventListener("change", () => {
+      const [file] = $("file").files;
+      $("file").value = "";
+      if (file) {
+        this.file(file);
+      }
+    });
+    $("filter").addEventListener("input", () => this.filter($("filter").value));
+    $("paste").addEventListener("submit", (event) => {
+      event.preventDefault();
+      const text = $("pasted").value.trim();
+      this.pick(() => actions.open({ fragment: text.slice(text.indexOf("#") + 1) }));
+      $("pasted").value = "";
+    });
+    $("start").addEventListener("keydown", (event) => event.key === "Escape" && this.closable && this.hide());
+  }
+
+  take({ problems, templates }) {
+    $("templates").replaceChildren(
+      ...templates.map(({ name, title }) =>
+        el("button", { "data-template": name, onclick: () => this.pick(() => this.actions.fresh(name)) }, el("b", { text: name.replaceAll("-", " ") }), el("span", { text: title }))
+      )
+    );
+    $("problems").replaceChildren(
+      ...problems.map(({ name, title, kind }) =>
+        el("button", { "data-problem": name, onclick: () => this.pick(() => this.actions.open({ name })) }, el("b", { text: title }), el("small", { text: kind || name }))
+      )
+    );
+  }
+
+  filter(text) {
+    const words = text.toLowerCase().split(/\s+/).filter(Boolean);
+    for (const node of $("problems").children) {
+      const content = `${node.dataset.problem} ${node.textContent}`.toLowerCase();
+      node.hidden = !words.every((word) => content.includes(word));
+    }
+  }
+
+  pick(open) {
+    this.hide();
+    open();
+  }
+
+  show(closable) {
+    this.closable = closable;
+    $("start-close").hidden = !closable;
+    $("start").hidden = false;
+    $("main").inert = true;
+    $("start").querySelector("button:not([hidden])").focus({ preventScroll: true });
+  }
+
+  hide() {
+    $("start").hidden = true;
+    $("main").inert = false;
+  }
+
+  get open() {
+    return !$("start").hidden;
+  }
+
+  async file(file) {
+    const text = await file.text();
+    if (text.length > LARGEST) {
+      toast(`${file.name} is too large for a problem file (at most 900 kB).`, true);
+      return;
+    }
+    this.pick(() => this.actions.open({ text, title: file.name }));
+  }
+}
