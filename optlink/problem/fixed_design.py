@@ -44,7 +44,7 @@ def with_files_beside(file: ProblemFile) -> tuple[ProblemFile, dict[str, bytes]]
     """
     raw: dict[str, Any] = copy.deepcopy(dict(file.raw))
     files: dict[str, bytes] = {}
-    for table, key, suffix in [*_references(raw)]:
+    for table, key, suffix in [*references(raw)]:
         named = read_tolerance(table[key], file.folder).text if suffix == "" else table[key]
         suffix = suffix or "csv"
         data = read_file({suffix: named}, suffix, file.folder)[1]
@@ -57,18 +57,18 @@ def with_files_beside(file: ProblemFile) -> tuple[ProblemFile, dict[str, bytes]]
     return replace(file, raw=raw), files
 
 
-def _references(raw: Any, within: str = "") -> Iterator[tuple[dict[str, Any], str, str]]:
+def references(raw: Any, within: str = "") -> Iterator[tuple[dict[str, Any], str, str]]:
     """Yield tables and keys that name another file, with its suffix; "" for the value of a tolerance."""
     if isinstance(raw, list):
         for value in raw:
-            yield from _references(value, within)
+            yield from references(value, within)
     for key, value in raw.items() if isinstance(raw, dict) else ():
         if isinstance(value, str):
             measured = within == "tolerances" and read_tolerance(value, Path()).measured
             if measured or key in ("csv", "svg"):
                 yield raw, key, "" if measured else key
         else:
-            yield from _references(value, within or key)
+            yield from references(value, within or key)
 
 
 def write(mechanism: dict[str, Any], name: str, value: object) -> None:

@@ -1,14 +1,19 @@
-"""Read and write values at keys of a problem file."""
+"""Read and write values at keys of a problem file; the numbers of a file that can be changed by hand, with their ranges."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from optlink.problem.file import ProblemFile
-from optlink.units import is_unit, split
+from optlink.problem.fixed_design import file_key
+from optlink.problem.quantity import Quantity
+from optlink.units import KINDS, factor, is_unit, split
 
 Raw = str | float | int
+
+ANGLE = 45.0  # deg, half of the range of an angle that is no design variable
 
 
 def exact_text(value: float, unit: str) -> Raw:
@@ -48,3 +53,68 @@ def read_figure(raw: Any) -> tuple[float, str]:
         return float(raw), ""
     known = split(raw) if isinstance(raw, str) else None
     return known if known is not None and is_unit(known[1]) else (0.0, "")
+
+
+@dataclass(frozen=True)
+class Knob:
+    """A number of the problem file: its name, and its value and range in a unit.
+
+    `key`: of the file, empty for a design variable; `size`: the unit [SI].
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+    unit: str
+    key: str = ""
+    size: float = 1.0
+
+
+def knobs(problem: ProblemFile) -> tuple[Knob, ...]:
+    """Return the numbers of a problem that can be changed by hand: design variables, fixed dimensions and limits."""
+    return (*_variables(problem), *_dimensions(problem), *_limits(problem))
+
+
+def _variables(problem: ProblemFile) -> Iterator[Knob]:
+    """Yield the design variables within their bounds."""
+    for name in problem.model.free:
+        quantity = problem.model.quantities[name]
+        low, high = (bound / si_per_unit(quantity) for bound in quantity.bounds)
+        yield Knob(
+            name, quantity.value / si_per_unit(quantity), low, high, KINDS[quantity.kind].display, size=si_per_unit(quantity)
+        )
+
+
+def _dimensions(problem: ProblemFile) -> Iterator[Knob]:
+    """Yield the fixed dimensions, from half to one and a half times their values."""
+    largest = max((abs(q.value) for q in problem.model.mechanism.quantities.values() if q.kind != "angle"), default=1.0)
+    for name, quantity in problem.model.mechanism.quantities.items():
+        if quantity.free:
+            continue
+        value, unit = quantity.value / si_per_unit(quantity), KINDS[quantity.kind].display
+        room = (
+            ANGLE if quantity.kind == "angle" else 0.5 * (value if quantity.kind == "length" else largest / si_per_unit(quantity))
+        )
+        yield Knob(name, value, value - room, value + room, unit, file_key(problem.raw["mechanism"], name))
+
+
+def _limits(problem: ProblemFile) -> Iterator[Knob]:
+    """Yield the numbers of the limits of the file, from half to one and a half times their values."""
+    for name, raw in (problem.raw.get("limits") or {}).items():
+        pair = zip(("min", "max"), raw, strict=True) if isinstance(raw, list) else [("", raw)]
+        for side, text in raw.items() if isinstance(raw, dict) else pair:
+            value, unit = read_figure(text)
+            if side not in ("", "min", "max", "exactly") or not value:
+                continue
+            words = f"{name} {side}".rstrip().replace("_", " ")
+            low, high = sorted((0.5 * value, 1.5 * value))
+            if unit == "deg":
+                low, high = max(0.0, value - ANGLE), min(180.0, value + ANGLE)
+            yield Knob(words, value, low, high, unit, f"limits.{name}.{side}".rstrip("."))
+
+
+def si_per_unit(quantity: Quantity) -> float:
+    """Return the display unit of a quantity [SI]."""
+    unit = KINDS[quantity.kind].display
+    return factor(unit, quantity.kind) if unit else 1.0

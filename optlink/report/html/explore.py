@@ -5,14 +5,12 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from optlink.errors import Fault, InputError, OptlinkError
 from optlink.problem.file import ProblemFile, load
-from optlink.problem.fixed_design import file_key
-from optlink.problem.quantity import Quantity
 from optlink.report.export.svg import svg
 from optlink.report.html.moving_linkage import Moving
 from optlink.report.html.notebook import chart_svg, notebook_html
@@ -23,35 +21,17 @@ from optlink.report.report_model import report_model_of
 from optlink.report.table_spec import Part, TableSpec
 from optlink.report.views import analysis_forces, function_tables
 from optlink.report.views.analysis_curves import CycleCurves
-from optlink.studies.toml_keys import exact_text, read_figure
+from optlink.studies.toml_keys import Knob, exact_text, knobs
 from optlink.tasks.analyze import analyze
 from optlink.tasks.results.analysis import Analysis
 from optlink.tasks.run import solve, validate
-from optlink.units import KINDS, factor
 
 STEPS = 120  # positions per revolution
 PAUSE = 0.15  # s without a change of a slider before anything is computed
 NOTCHES = 20_000  # steps of a slider: its front end rounds to them, so that they are finer than what is shown
-ANGLE = 45.0  # deg, half of the range of an angle that is no design variable
 SHOWN = ("These limits", "Objective", "Working and return")  # tables of the current design
 QUICK = ("function",)  # kinds of problems that are optimised again in about a tenth of a second
 STYLE = "<style>.optlink-bad,.optlink-figures .bad{color:#b3261e}.optlink-figures .good{color:#1e7b34}</style>"
-
-
-@dataclass(frozen=True)
-class Knob:
-    """A number of the problem file: its name, and its value and range in a unit.
-
-    `key`: of the file, empty for a design variable; `size`: the unit [SI].
-    """
-
-    name: str
-    value: float
-    low: float
-    high: float
-    unit: str
-    key: str = ""
-    size: float = 1.0
 
 
 def explore(problem: ProblemFile | str | Path, design: Mapping[str, float] | None = None) -> Explorer:
@@ -102,7 +82,7 @@ class Explorer:
         self._rest: dict[str, float] = {}  # exact values of the sliders
         free = problem.model.quantities
         self._design = {name: free[name].value for name in problem.model.free} | dict(design or {})
-        self.knobs = {knob.key or knob.name: knob for knob in (*_variables(problem), *_dimensions(problem), *_limits(problem))}
+        self.knobs = {knob.key or knob.name: knob for knob in knobs(problem)}
         self.sliders = {key: self._slider(key, knob) for key, knob in self.knobs.items()}
         self._build()
         if self._designed and design is None and problem.task != "cycle":
@@ -282,49 +262,6 @@ class Explorer:
         self.drawing.value = f'<div style="width:560px;background:#fff;color:#222">{drawn}</div>'
         values = (f"{one.name} {one.text(k)} {one.shown_unit}" for one in moving.readouts)
         self.angle.value = _escaped(" · ".join((moving.stops.text(k), *values)))
-
-
-# --- the numbers that have a slider ------------------------------------------------------------------------------------------
-
-
-def _variables(problem: ProblemFile) -> Iterator[Knob]:
-    """Yield the design variables within their bounds."""
-    for name in problem.model.free:
-        quantity = problem.model.quantities[name]
-        low, high = (bound / _size(quantity) for bound in quantity.bounds)
-        yield Knob(name, quantity.value / _size(quantity), low, high, KINDS[quantity.kind].display, size=_size(quantity))
-
-
-def _dimensions(problem: ProblemFile) -> Iterator[Knob]:
-    """Yield the fixed dimensions, from half to one and a half times their values."""
-    largest = max((abs(q.value) for q in problem.model.mechanism.quantities.values() if q.kind != "angle"), default=1.0)
-    for name, quantity in problem.model.mechanism.quantities.items():
-        if quantity.free:
-            continue
-        value, unit = quantity.value / _size(quantity), KINDS[quantity.kind].display
-        room = ANGLE if quantity.kind == "angle" else 0.5 * (value if quantity.kind == "length" else largest / _size(quantity))
-        yield Knob(name, value, value - room, value + room, unit, file_key(problem.raw["mechanism"], name))
-
-
-def _limits(problem: ProblemFile) -> Iterator[Knob]:
-    """Yield the numbers of the limits of the file, from half to one and a half times their values."""
-    for name, raw in (problem.raw.get("limits") or {}).items():
-        pair = zip(("min", "max"), raw, strict=True) if isinstance(raw, list) else [("", raw)]
-        for side, text in raw.items() if isinstance(raw, dict) else pair:
-            value, unit = read_figure(text)
-            if side not in ("", "min", "max", "exactly") or not value:
-                continue
-            words = f"{name} {side}".rstrip().replace("_", " ")
-            low, high = sorted((0.5 * value, 1.5 * value))
-            if unit == "deg":
-                low, high = max(0.0, value - ANGLE), min(180.0, value + ANGLE)
-            yield Knob(words, value, low, high, unit, f"limits.{name}.{side}".rstrip("."))
-
-
-def _size(quantity: Quantity) -> float:
-    """Return the display unit of a quantity [SI]."""
-    unit = KINDS[quantity.kind].display
-    return factor(unit, quantity.kind) if unit else 1.0
 
 
 def _escaped(text: str) -> str:

@@ -1,0 +1,216 @@
+"""The design on the page: as the optimiser left it while a hand moves, or as the ordinary tasks find and validate it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.dynamics.machine import Machine
+from optlink.errors import Status
+from optlink.problem.cycle import CycleProblem
+from optlink.problem.file import ProblemFile
+from optlink.problem.function import DesignProblem
+from optlink.problem.path import PathProblem
+from optlink.problem.targets.function import Function
+from optlink.report.views import conclusions
+from optlink.report.views.relaxations import contradiction
+from optlink.solvers.solution import LimitState, Solution
+from optlink.tasks.machine import machine_of
+from optlink.tasks.results.analysis import Analysis
+from optlink.tasks.results.path import PathResult
+from optlink.validation.check import Check
+
+Array = NDArray[np.float64]
+
+UNVERIFIED = "not verified"
+MOVING = "Optimised from the last design; it is verified when the handle is released."
+
+
+@dataclass(frozen=True)
+class Design:
+    """A design of a problem.
+
+    `problem` has definite assembly modes; `values` are all quantities [SI]; `crank_angles` (points,) [rad] those of the target
+    points, None where they follow from the values. `status` is that of the page. `checks` are those of the ordinary validator,
+    None if it has not seen the design. `result` is the ordinary result, None while a hand moves.
+    """
+
+    problem: ProblemFile
+    values: Mapping[str, float]
+    status: str = UNVERIFIED
+    objective: float = math.nan
+    solution: Solution | None = None
+    crank_angles: Array | None = None
+    checks: tuple[Check, ...] | None = None
+    conclusion: str = MOVING
+    conflicts: tuple[str, ...] = ()
+    limits: tuple[LimitState, ...] = ()
+    result: Any = None
+
+    @property
+    def machine(self) -> Machine:
+        """The machine with these values."""
+        quantities = self.problem.model.mechanism.quantities
+        return machine_of(self.problem, {name: self.values[name] for name in quantities})
+
+    @property
+    def start(self) -> float:
+        """Crank angle [rad] of the first position that is drawn."""
+        model = self.problem.model
+        if isinstance(model, DesignProblem):
+            phi0 = float(model.start_position(self.values).phi0)
+            return phi0 if math.isfinite(phi0) else 0.0
+        if self.crank_angles is not None and len(self.crank_angles):
+            return float(self.crank_angles[0])
+        return float(model.drive.start.value)
+
+    @property
+    def speed(self) -> float:
+        """Crank speed [rad/s]; without a drive only its sign counts."""
+        model = self.problem.model
+        if isinstance(model, DesignProblem):
+            return float(model.sense)
+        if isinstance(model, PathProblem) and self.crank_angles is not None and len(self.crank_angles) > 1:
+            return math.copysign(1.0, float(self.crank_angles[-1] - self.crank_angles[0]))
+        return float(model.drive.speed.value) or 1.0
+
+
+def kind_of(problem: ProblemFile) -> str:
+    """Return the kind of a problem for the page: law, function, path, motion, transmission, machine or analysis."""
+    model = problem.model
+    if isinstance(model, DesignProblem):
+        return "function" if isinstance(model.requirement.law, Function) else "law"
+    if isinstance(model, PathProblem):
+        if model.requirement.kind != "function":
+            return str(model.requirement.kind)
+        return "function" if isinstance(model.requirement.law, Function) else "law"
+    return "machine" if isinstance(model, CycleProblem) else "analysis"
+
+
+def started(problem: ProblemFile) -> Design:
+    """Return the design of the starting values of a problem."""
+    model = problem.model
+    values = {name: quantity.value for name, quantity in model.quantities.items()}
+    return Design(problem, model.design(values) if isinstance(model, DesignProblem) else values)
+
+
+def from_solution(problem: ProblemFile, solution: Solution) -> Design:
+    """Return the design of a local optimum, which the validator has not seen.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        With definite assembly modes.
+    solution : Solution
+    """
+    model = problem.model
+    if isinstance(model, DesignProblem):
+        values, angles = model.design(solution.design), None
+    else:
+        values = {name: quantity.value for name, quantity in model.quantities.items()}
+        values |= {name: solution.design[name] for name in model.free}
+        angles = None
+        if isinstance(model, PathProblem):
+            free = len(model.free)
+            own = solution.x[free : free + len(model.data.columns)] if model.data.offsets is None else None
+            angles = model.crank_angles(values, own)
+    return Design(problem, values, UNVERIFIED, solution.objective, solution, angles, limits=solution.limits)
+
+
+def carried(problem: ProblemFile, last: Design) -> Design:
+    """Return the last design in a changed problem, without optimisation: fixed sizes have their new values.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        With definite assembly modes.
+    last : Design
+    """
+    quantities = problem.model.quantities
+    values = {name: last.values.get(name, q.value) if q.free else q.value for name, q in quantities.items()}
+    words = MOVING if problem.model.free else "The motion of the machine with these dimensions."
+    return Design(problem, values, UNVERIFIED, crank_angles=last.crank_angles, conclusion=words)
+
+
+def designed(result: Any) -> Design:
+    """Return the design of an ordinary result, with the verdict of its validation."""
+    if isinstance(result, Analysis):
+        values = {name: quantity.value for name, quantity in result.problem.model.mechanism.quantities.items()}
+        status = "verified" if result.sound else "not valid"
+        return Design(result.problem, values, status, conclusion=conclusions.analysis(result), checks=(), result=result)
+    best = result.best if isinstance(result, PathResult) else result
+    if best is None:
+        text = contradiction(result.conflict, result.together)
+        values = {name: quantity.value for name, quantity in result.problem.model.quantities.items()}
+        words = text or "No design was found."
+        return Design(result.problem, values, "infeasible", conclusion=words, conflicts=(words,), checks=(), result=result)
+    values = {name: quantity.value for name, quantity in best.problem.model.quantities.items()}
+    values |= dict(getattr(best, "values", None) or result.design)
+    if isinstance(best.problem.model, DesignProblem):
+        values = best.problem.model.design(values)
+    text = contradiction(result.conflict, result.together)
+    infeasible = bool(text) or result.status is Status.INFEASIBLE
+    status = "verified" if result.valid else "infeasible" if infeasible else "not valid"
+    if result.status is Status.NON_FINITE:
+        status = "failed"
+    limits = () if best.solution is None else best.solution.limits
+    return Design(
+        best.problem,
+        values,
+        status,
+        result.objective,
+        best.solution,
+        getattr(best, "crank_angles", None),
+        best.validation.checks,
+        conclusions.design(result, limits),
+        (text,) if text else (),
+        limits,
+        result,
+    )
+
+
+def solved(problem: ProblemFile, progress: Callable[[float], None] | None = None) -> Design:
+    """Return the design that the command line finds for a problem: the same search, the same validation.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    progress : function of the completed fraction, optional
+    """
+    if problem.task == "analysis" or (not problem.model.free and problem.task != "balance"):
+        from optlink.tasks.analyze import analyze
+        from optlink.tasks.run import validate
+
+        if problem.task == "analysis":
+            return designed(analyze(problem))
+        return designed(validate(problem, {}))
+    if problem.task == "balance":
+        return balanced(problem)
+    from optlink.tasks.run import solve
+
+    return designed(solve(problem, progress=progress))
+
+
+def balanced(problem: ProblemFile) -> Design:
+    """Return the machine of a balancing problem with the verdict of its balance."""
+    from optlink.tasks.balance import balance
+
+    found = balance(problem)
+    values = {name: quantity.value for name, quantity in problem.model.mechanism.quantities.items()}
+    status = "verified" if found.valid else "infeasible" if found.conflict else "not valid"
+    checks = getattr(getattr(found, "validation", None), "checks", ())
+    return Design(problem, values, status, conclusion=conclusions.balance(found), checks=tuple(checks), result=found)
+
+
+def checked(design: Design) -> Design:
+    """Return a local optimum with the verdict of the ordinary validator."""
+    from optlink.tasks.run import validate
+
+    model = design.problem.model
+    found = designed(validate(design.problem, {name: design.values[name] for name in model.free}))
+    return replace(found, solution=design.solution, limits=design.limits, objective=design.objective, conclusion=found.conclusion)

@@ -1,0 +1,290 @@
+"""The problem that is open on the page: its text with comments, changes of single values, undo and redo."""
+
+from __future__ import annotations
+
+import tempfile
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+
+from optlink.errors import Fault, InputError
+from optlink.problem.base_model import with_ranges, with_spellings
+from optlink.problem.file import MAX_BYTES, WORDS, ProblemFile, load, read, shipped
+from optlink.problem.fixed_design import references
+from optlink.studies.toml_keys import exact_text, si_per_unit, value_at
+from optlink.templates import template
+from optlink.units import KINDS
+
+MOST_STEPS = 200  # of the history
+ROOM = 0.5  # share of a size by which it may change where the file has no bounds for it
+
+
+@dataclass(frozen=True)
+class Document:
+    """A problem file: its text, and where files that it names lie.
+
+    `freed`: bounds, as written in the file, of the design variables that were locked.
+    """
+
+    name: str
+    text: str
+    folder: Path
+    freed: Mapping[str, Any] = field(default_factory=dict)
+
+    @cached_property
+    def problem(self) -> ProblemFile:
+        """The checked problem.
+
+        Raises
+        ------
+        InputError
+            If the text is not a usable problem.
+        """
+        return read(tables(self.text, self.file), self.name, self.file, self.folder)
+
+    @property
+    def file(self) -> str:
+        """Name of the file."""
+        return f"{self.name}.toml"
+
+    def with_changes(self, changes: Mapping[str, object]) -> Document:
+        """Return the document with other values at dotted keys; comments and layout are kept.
+
+        Parameters
+        ----------
+        changes : mapping of str to object
+            See `ProblemFile.override`.
+        """
+        if not changes:
+            return self
+        made = self.problem.override(changes)
+        return replace(self, text=rewritten(self.text, self.problem.raw, made.raw))
+
+    def locked(self, size: str, value: float) -> Document:
+        """Return the document with a design variable fixed.
+
+        Parameters
+        ----------
+        size : str
+            Name of the design variable.
+        value : float [SI]
+        """
+        quantity, key = self._quantity(size)
+        unit = KINDS[quantity.kind].display
+        made = self.with_changes({key: exact_text(value / si_per_unit(quantity), unit)})
+        return replace(made, freed={**self.freed, size: value_at(self.problem, key)})
+
+    def released(self, size: str) -> Document:
+        """Return the document with a fixed size as a design variable, within its former bounds.
+
+        Parameters
+        ----------
+        size : str
+            Name of the size.
+        """
+        quantity, key = self._quantity(size)
+        per, unit = si_per_unit(quantity), KINDS[quantity.kind].display
+        value = quantity.value / per
+        known = self.freed.get(size)
+        if not isinstance(known, Mapping):
+            room = ROOM * abs(value) or 100.0
+            known = {"bounds": [exact_text(value - room, unit), exact_text(value + room, unit)]}
+        return self.with_changes({key: {**known, "start": exact_text(value, unit)}})
+
+    def _quantity(self, size: str) -> Any:
+        from optlink.problem.fixed_design import file_key
+
+        quantities = self.problem.model.mechanism.quantities
+        if size not in quantities:
+            raise InputError(Fault("no such size", f"Sizes: {', '.join(quantities)}", self.file, "lock", size))
+        return quantities[size], file_key(self.problem.raw["mechanism"], size)
+
+
+class History:
+    """Documents in the order of their changes, and the present one."""
+
+    def __init__(self, document: Document) -> None:
+        self.steps, self.at = [document], 0
+
+    @property
+    def present(self) -> Document:
+        """The present document."""
+        return self.steps[self.at]
+
+    def add(self, document: Document) -> None:
+        """Add a step after the present one, and drop what was undone."""
+        if document.text != self.present.text:
+            self.steps[self.at + 1 :] = [document]
+            del self.steps[:-MOST_STEPS]
+            self.at = len(self.steps) - 1
+
+    def move(self, way: int) -> None:
+        """Undo (-1) or redo (+1) a step, if there is one."""
+        self.at = min(max(self.at + way, 0), len(self.steps) - 1)
+
+    @property
+    def ends(self) -> tuple[bool, bool]:
+        """Whether a step can be undone, and redone."""
+        return self.at > 0, self.at < len(self.steps) - 1
+
+
+# --- opening ----------------------------------------------------------------------------------------------------------------
+
+
+def named(name: str) -> Document:
+    """Open a shipped problem by name, or a file by path.
+
+    Raises
+    ------
+    InputError
+        If it does not exist or is not usable.
+    """
+    problem = load(name)
+    path = shipped()[name] if name in shipped() else Path(name)
+    return Document(problem.name, path.read_text(encoding="utf-8-sig"), problem.folder)
+
+
+def from_template(name: str) -> Document:
+    """Open a template as a new problem.
+
+    Raises
+    ------
+    InputError
+        If there is no such template.
+    """
+    return Document(name, template(name).text, _nowhere())
+
+
+def from_text(text: str, title: str) -> Document:
+    """Open a text of unknown origin: it must not name other files.
+
+    Parameters
+    ----------
+    text : str
+        A problem file.
+    title : str
+        Name of the document.
+
+    Raises
+    ------
+    InputError
+        If the text is too long, is not a usable problem, or names another file.
+    """
+    name = "".join(sign for sign in Path(title).stem if sign.isalnum() or sign in "-_")[:60] or "problem"
+    file = f"{name}.toml"
+    if len(text.encode(errors="replace")) > MAX_BYTES:
+        raise InputError(Fault(f"the text is longer than {MAX_BYTES:,} bytes", "Open a shorter file", file))
+    raw = tables(text, file)
+    named = next((table[key] for table, key, _ in references(raw)), None)
+    if named is not None:
+        remedy = f"Open it from its folder: optlink studio {file}"
+        raise InputError(Fault("a problem that is opened in the page cannot read other files", remedy, file, value=named))
+    made = Document(name, text, _nowhere())
+    _ = made.problem
+    return made
+
+
+def _nowhere() -> Path:
+    """Return a folder in which no file lies."""
+    return Path(tempfile.gettempdir()) / "optlink-studio-has-no-files"
+
+
+def tables(text: str, file: str) -> dict[str, Any]:
+    """Return the nested tables of a text in the standard spelling.
+
+    Parameters
+    ----------
+    text : str
+    file : str
+        Name of the file, for errors.
+
+    Raises
+    ------
+    InputError
+        If the text is not valid TOML.
+    """
+    try:
+        raw: dict[str, Any] = with_ranges(with_spellings(tomllib.loads(text)), skip=WORDS)
+    except (tomllib.TOMLDecodeError, ValueError, RecursionError) as error:
+        reason = "nested too deeply" if isinstance(error, RecursionError) else str(error)
+        raise InputError(Fault(f"the text is not valid TOML: {reason}", "Correct the text", file)) from None
+    return raw
+
+
+# --- writing ----------------------------------------------------------------------------------------------------------------
+
+
+def rewritten(text: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
+    """Return a text in which the values that differ are replaced, with its comments and its layout.
+
+    A section whose layout cannot be kept is written again.
+
+    Parameters
+    ----------
+    text : str
+    old, new : mapping
+        Nested tables of the text, and those that it shall have, in the standard spelling.
+    """
+    wanted = dict(new)
+    try:
+        page = tomlkit.parse(text)
+        _write(page, old, new)
+        made = page.as_string()
+        if _same(tables(made, ""), wanted):
+            return made
+    except (TOMLKitError, InputError, KeyError, IndexError, TypeError, ValueError):
+        pass
+    import tomli_w
+
+    page = tomlkit.parse(text)
+    for key in {*old, *new}:
+        if old.get(key) != new.get(key):
+            page.pop(key, None)
+            if key in new:
+                page.update(tomlkit.parse(tomli_w.dumps({key: new[key]})))
+    made = page.as_string()
+    return made if _same(tables(made, ""), wanted) else tomli_w.dumps(wanted)
+
+
+def _same(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Return whether two problems have the same tables; the type of a mechanism may be left out."""
+
+    def stripped(raw: Mapping[str, Any]) -> dict[str, Any]:
+        mechanism = raw.get("mechanism")
+        if not isinstance(mechanism, Mapping):
+            return dict(raw)
+        return {**raw, "mechanism": {key: value for key, value in mechanism.items() if key != "type"}}
+
+    return stripped(one) == stripped(other)
+
+
+def _write(place: Any, old: Any, new: Any) -> None:
+    """Write the differences of two tables or lists into the part of the text that holds the first one."""
+    if isinstance(new, Mapping):
+        for key in [key for key in old if key not in new]:
+            del place[key]
+        for key, value in new.items():
+            if key not in old:
+                place[key] = value
+            elif old[key] != value:
+                _put(place, key, old[key], value)
+    else:
+        for k, value in enumerate(new):
+            if old[k] != value:
+                _put(place, k, old[k], value)
+
+
+def _put(place: Any, key: Any, old: Any, new: Any) -> None:
+    here = place[key]
+    tables_both = isinstance(old, Mapping) and isinstance(new, Mapping) and isinstance(here, Mapping)
+    lists = isinstance(old, list) and isinstance(new, list) and isinstance(here, list) and len(old) == len(new) == len(here)
+    if tables_both or lists:
+        _write(here, old, new)
+    else:
+        place[key] = new

@@ -1,0 +1,334 @@
+"""The server of the studio: one page, its files, and one socket, on this machine alone.
+
+Nothing is answered without the token of the address; a socket must come from the page of this server, and the host must be this
+machine, so that no page of another origin can use it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import secrets
+import signal
+import socket
+import time
+from collections.abc import AsyncIterator, Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import FileResponse, PlainTextResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.types import ASGIApp, Receive, Scope
+from starlette.types import Send as AsgiSend
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from optlink.errors import Fault, InputError
+from optlink.problem.file import shipped
+from optlink.studio.link import Link, Worker
+from optlink.templates import template, templates
+from optlink.version import VERSION
+
+ASSETS = Path(__file__).parent / "assets"
+ADDRESS = "127.0.0.1"
+HOSTS = (ADDRESS, "localhost")
+LARGEST = 1_000_000  # bytes of a message
+RATE, BURST = 200.0, 400.0  # messages per second, and at once
+ABUSE = 2000  # refused messages after which a connection is closed
+PAGES = 8  # at a time
+POLICY = 1008  # code of a socket that is closed for breaking the rules
+KNOWN = (".html", ".css", ".js", ".mjs", ".svg", ".png", ".woff2", ".txt")
+TYPES = {".js": "text/javascript", ".mjs": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".html": "text/html"}
+REQUESTS = (
+    *("open", "new", "drag", "set", "lock", "search", "stop", "undo", "redo"),
+    *("draw", "choose", "save", "export", "link"),
+)
+QUOTA = "Too many requests. Send fewer than 200 a second"
+
+
+class Studio:
+    """Application, token and pages of one server.
+
+    Parameters
+    ----------
+    port : int
+        Port on which it listens.
+    opened : str, optional
+        Problem that a new page opens.
+    """
+
+    def __init__(self, port: int, opened: str | None = None) -> None:
+        self.port, self.opened, self.token = port, opened, secrets.token_urlsafe(32)
+        self.links: set[Link] = set()
+        self._spare: asyncio.Task[Worker] | None = None
+        routes = [
+            Route("/", self._page),
+            Route("/assets/{path:path}", self._asset),
+            WebSocketRoute("/live", self._live),
+        ]
+        self.app: ASGIApp = _Guard(Starlette(routes=routes, lifespan=self._lifespan), self)
+
+    @property
+    def url(self) -> str:
+        """Address of the page, with its token."""
+        return f"http://{ADDRESS}:{self.port}/?token={self.token}"
+
+    @property
+    def cookie(self) -> str:
+        """Name of the cookie of this server."""
+        return f"optlink-studio-{self.port}"
+
+    @property
+    def hosts(self) -> set[str]:
+        """Values of the header Host that mean this server."""
+        return {f"{host}:{self.port}" for host in HOSTS}
+
+    @property
+    def origins(self) -> set[str]:
+        """Origins of the page."""
+        return {f"http://{host}" for host in self.hosts}
+
+    def admits(self, token: str | None) -> bool:
+        """Return whether a token is that of this server."""
+        return token is not None and secrets.compare_digest(token.encode(), self.token.encode())
+
+    def headers(self) -> dict[str, str]:
+        """Return the headers of every answer: the page loads nothing from elsewhere, and no other page frames it."""
+        sockets = " ".join(f"ws://{host}" for host in sorted(self.hosts))
+        policy = (
+            f"default-src 'self'; connect-src 'self' {sockets}; img-src 'self' data: blob:; object-src 'none'; "
+            "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+        )
+        return {
+            "Content-Security-Policy": policy,
+            "X-Content-Type-Options": "nosniff",
+            "X-Frame-Options": "DENY",
+            "Referrer-Policy": "no-referrer",
+            "Cross-Origin-Resource-Policy": "same-origin",
+            "Cross-Origin-Opener-Policy": "same-origin",
+            "Cache-Control": "no-store",
+        }
+
+    @contextlib.asynccontextmanager
+    async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
+        self._spare = asyncio.create_task(Worker.start())
+        try:
+            yield
+        finally:
+            for link in list(self.links):
+                await link.close()
+            if self._spare is not None:
+                (await self._spare).kill()
+
+    # --- pages --------------------------------------------------------------------------------------------------------------
+
+    def _page(self, request: Request) -> Response:
+        answer = self._file("index.html")
+        answer.set_cookie(self.cookie, self.token, httponly=True, samesite="strict", path="/")
+        return answer
+
+    def _asset(self, request: Request) -> Response:
+        return self._file(request.path_params["path"])
+
+    def _file(self, name: str) -> Response:
+        path = (ASSETS / name).resolve()
+        if not path.is_relative_to(ASSETS.resolve()) or path.suffix not in KNOWN or not path.is_file():
+            return PlainTextResponse("No such file.", 404)
+        return FileResponse(path, media_type=TYPES.get(path.suffix))
+
+    # --- the socket ---------------------------------------------------------------------------------------------------------
+
+    async def _live(self, ws: WebSocket) -> None:
+        if len(self.links) >= PAGES:
+            await ws.close(POLICY, "too many pages are open")
+            return
+        await ws.accept()
+        assert self._spare is not None
+        spare, self._spare = self._spare, asyncio.create_task(Worker.start())
+        link = Link(await spare, ws.send_text)
+        self.links.add(link)
+        try:
+            await ws.send_text(json.dumps(self.hello()))
+            if self.opened is not None:
+                link.request({"type": "open", "id": 0, "name": self.opened})
+            await _listen(ws, link)
+        except WebSocketDisconnect:
+            pass
+        finally:
+            self.links.discard(link)
+            await link.close()
+
+    def hello(self) -> dict[str, Any]:
+        """Return the first message to a page."""
+        import tomllib
+
+        problems = []
+        for name, path in shipped().items():
+            raw = tomllib.loads(path.read_text(encoding="utf-8"))
+            kind = (raw.get("requirement") or {}).get("kind") or ("machine" if "objective" in raw else "analysis")
+            problems.append({"name": name, "title": raw.get("title", name), "kind": kind})
+        drafts = [{"name": name, "title": template(name).summary} for name in templates()]
+        return {"type": "hello", "version": VERSION, "problems": problems, "templates": drafts, "opened": self.opened}
+
+
+async def _listen(ws: WebSocket, link: Link) -> None:
+    """Take the requests of a page; refuse what is malformed or too much, and close the socket after much of it."""
+    left, last, refused = BURST, time.monotonic(), 0
+    while True:
+        event = await ws.receive()
+        if event["type"] == "websocket.disconnect":
+            raise WebSocketDisconnect(event.get("code") or 1000)
+        now = time.monotonic()
+        left, last = min(BURST, left + RATE * (now - last)) - 1.0, now
+        text = event.get("text")
+        request = parsed(text) if isinstance(text, str) else None
+        if request is not None and (left >= 0.0 or (request["type"] == "drag" and request.get("moving"))):
+            link.request(request)
+            continue
+        refused += 1
+        if refused > ABUSE:
+            await ws.close(POLICY, "too many malformed messages")
+            raise WebSocketDisconnect(POLICY)
+        if left >= 0.0 or refused % 100 == 1:
+            words = MALFORMED if request is None else QUOTA
+            await ws.send_text(json.dumps({"type": "fault", "id": None if request is None else request["id"], "message": words}))
+
+
+MALFORMED = "The message is not a request. Send a JSON object with a known type and an id (a whole number), of at most 1 MB"
+
+
+def parsed(text: str) -> dict[str, Any] | None:
+    """Return the request of a message; None if it is none."""
+    if len(text) > LARGEST:
+        return None
+    try:
+        request = json.loads(text, parse_constant=_refuse)
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(request, dict) or not isinstance(request.get("type"), str) or request["type"] not in REQUESTS:
+        return None
+    ident = request.get("id")
+    return request if isinstance(ident, int) and not isinstance(ident, bool) and 0 <= ident < 2**53 else None
+
+
+def _refuse(text: str) -> None:
+    raise ValueError(text)
+
+
+class _Guard:
+    """Refuses every request without the token, of another host or of another origin, before anything else sees it."""
+
+    def __init__(self, app: ASGIApp, studio: Studio) -> None:
+        self.app, self.studio = app, studio
+
+    async def __call__(self, scope: Scope, receive: Receive, send: AsgiSend) -> None:
+        """Answer a request, or refuse it."""
+        if scope["type"] == "lifespan":
+            await self.app(scope, receive, send)
+            return
+        studio, live = self.studio, scope["type"] == "websocket"
+        headers: dict[str, list[str]] = {}
+        for name, value in scope["headers"]:
+            headers.setdefault(name.decode("latin-1").lower(), []).append(value.decode("latin-1"))
+        origin = headers.get("origin", [])
+        good = len(headers.get("host", [])) == 1 and headers["host"][0] in studio.hosts
+        good = good and (set(origin) <= studio.origins if not live else len(origin) == 1 and origin[0] in studio.origins)
+        if not good or not self._known(scope, headers):
+            if live:
+                await receive()
+                await send({"type": "websocket.close", "code": POLICY})
+                return
+            words = "Forbidden: open the address that `optlink studio` printed, with its token."
+            await PlainTextResponse(words, 403, headers=studio.headers())(scope, receive, send)
+            return
+
+        async def sent(message: Any) -> None:
+            if message["type"] == "http.response.start":
+                extra = [(name.lower().encode(), value.encode()) for name, value in studio.headers().items()]
+                message["headers"] = [*message.get("headers", []), *extra]
+            await send(message)
+
+        await self.app(scope, receive, sent)
+
+    def _known(self, scope: Scope, headers: dict[str, list[str]]) -> bool:
+        from http.cookies import CookieError, SimpleCookie
+        from urllib.parse import parse_qs
+
+        query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
+        if self.studio.admits(query.get("token", [None])[0]):
+            return True
+        for line in headers.get("cookie", []):
+            with contextlib.suppress(CookieError):
+                held = SimpleCookie(line).get(self.studio.cookie)
+                if held is not None and self.studio.admits(held.value):
+                    return True
+        return False
+
+
+def serve(opened: str | None = None, port: int = 0, ready: Callable[[str], None] = print) -> None:
+    """Serve the studio on this machine until it is interrupted.
+
+    Parameters
+    ----------
+    opened : str, optional
+        Shipped problem or file that a new page opens.
+    port : int
+        Port; 0 for any free one.
+    ready : function of the address
+        Called when the server listens.
+
+    Raises
+    ------
+    InputError
+        If the port is in use.
+    """
+    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind((ADDRESS, port))
+    except OSError as error:
+        listening.close()
+        remedy = "Leave --port out, or give another one"
+        raise InputError(Fault(f"cannot listen on the port: {error.strerror}", remedy, key="--port", value=port)) from None
+    studio = Studio(listening.getsockname()[1], opened)
+    config = uvicorn.Config(
+        studio.app,
+        log_level="warning",
+        access_log=False,
+        ws="websockets-sansio",
+        ws_max_size=LARGEST,
+        ws_per_message_deflate=False,
+        lifespan="on",
+        server_header=False,
+        timeout_graceful_shutdown=1,
+        proxy_headers=False,
+    )
+    server = _Server(config, lambda: ready(studio.url))
+    server.run(sockets=[listening])
+
+
+class _Server(uvicorn.Server):
+    """A server that reports when it listens."""
+
+    def __init__(self, config: uvicorn.Config, ready: Callable[[], None]) -> None:
+        super().__init__(config)
+        self._ready = ready
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """End the server in order at Ctrl-C; uvicorn would raise the signal again afterwards."""
+        before = {number: signal.signal(number, self.handle_exit) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            yield
+        finally:
+            for number, known in before.items():
+                signal.signal(number, known)
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Start, then report."""
+        await super().startup(sockets)
+        if not self.should_exit:
+            self._ready()

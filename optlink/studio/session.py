@@ -1,0 +1,326 @@
+"""One open problem: the requests of its page, and the states that answer them. It runs in a process of its own."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import time
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from optlink.errors import Fault, InputError, OptlinkError
+from optlink.problem.file import MAX_BYTES, ProblemFile, parse_assignment
+from optlink.studio import state
+from optlink.studio.design import Design, carried, checked, from_solution, kind_of, solved, started
+from optlink.studio.document import Document, History, from_template, from_text, named
+from optlink.studio.follow import Follower, follower, structure
+from optlink.studio.handles import Handle, handles
+from optlink.studio.picture import Picture
+
+Send = Callable[[Mapping[str, Any]], None]
+
+BEGUN = "The search for the best design runs."
+FIRST = "Validated; the full search for a better design runs."
+
+
+class Session:
+    """The requests of one page.
+
+    Parameters
+    ----------
+    send : function of a message
+        Sends a message to the page.
+    interruptible : function of a function
+        Runs a function that the page may stop; raises KeyboardInterrupt then.
+    """
+
+    def __init__(self, send: Send, interruptible: Callable[[Callable[[], Any]], Any] = lambda work: work()) -> None:
+        self._send, self._interruptible = send, interruptible
+        self._history: History | None = None
+        self._origin = ""
+        self._design: Design | None = None  # the last usable one
+        self._follower: tuple[Any, Follower | None] = (None, None)
+        self._handles: dict[str, Handle] = {}
+        self._shown: dict[str, Any] = {}
+        self._begun = 0.0
+        self._id = 0
+
+    # --- requests -----------------------------------------------------------------------------------------------------------
+
+    def handle(self, request: Mapping[str, Any]) -> None:
+        """Answer a request; an error of the input is answered with a fault and changes nothing."""
+        self._begun, self._id = time.perf_counter(), request["id"]
+        try:
+            act = _ACTIONS.get(request["type"])
+            if act is None:
+                raise InputError(Fault("unknown request", f"One of: {', '.join(_ACTIONS)}", key="type", value=request["type"]))
+            if self._history is None and request["type"] not in OPENING:
+                raise InputError(Fault("no problem is open", "Open one, or draw a curve"))
+            act(self, request)
+        except OptlinkError as error:
+            self.fault(str(error))
+        except KeyboardInterrupt:
+            self._send({"type": "progress", "id": self._id, "fraction": 1.0, "text": "stopped"})
+        except RecursionError:
+            self.fault("The request is nested too deeply. Simplify it")
+
+    def fault(self, message: str) -> None:
+        """Answer the present request with a fault."""
+        self._send({"type": "fault", "id": self._id, "message": message})
+
+    @property
+    def _document(self) -> Document:
+        assert self._history is not None
+        return self._history.present
+
+    def _open(self, request: Mapping[str, Any]) -> None:
+        if "name" in request:
+            document = named(_text(request, "name"))
+        elif "fragment" in request:
+            document = from_text(inflated(_text(request, "fragment")), _text(request, "title", "shared"))
+        else:
+            document = from_text(_text(request, "text"), _text(request, "title", "problem"))
+        self._begin(document)
+
+    def _new(self, request: Mapping[str, Any]) -> None:
+        self._begin(from_template(_text(request, "template")))
+
+    def _begin(self, document: Document) -> None:
+        _ = document.problem  # refuses what is not usable before anything changes
+        self._history, self._origin = History(document), document.text
+        self._design, self._follower, self._shown = None, (None, None), {}
+        self._settle()
+
+    def _resume(self, request: Mapping[str, Any]) -> None:
+        """Open the text that an earlier process of this page had open."""
+        self._begin(Document(_text(request, "name"), _text(request, "text"), Path(_text(request, "folder"))))
+
+    def _drag(self, request: Mapping[str, Any]) -> None:
+        handle = self._handles.get(_text(request, "handle"))
+        if handle is None:
+            raise InputError(
+                Fault("no such handle", f"Handles: {', '.join(self._handles)}", key="handle", value=request["handle"])
+            )
+        base = self._document.problem
+        if request.get("moving"):
+            changes = handle.changes(base, request)
+            self._show_moving(base.override(changes))
+        else:
+            self._commit(self._document.with_changes(handle.changes(base, request)))
+
+    def _set(self, request: Mapping[str, Any]) -> None:
+        key, value = parse_assignment(f"{_text(request, 'key')}={_text(request, 'value')}", "set")
+        self._commit(self._document.with_changes({key: value}))
+
+    def _lock(self, request: Mapping[str, Any]) -> None:
+        size = _text(request, "size")
+        if not request.get("locked"):
+            self._commit(self._document.released(size))
+            return
+        value = None if self._design is None else self._design.values.get(size)
+        value = self._document.problem.model.quantities[size].value if value is None else value
+        self._commit(self._document.locked(size, value))
+
+    def _search(self, request: Mapping[str, Any]) -> None:
+        self._settle()
+
+    def _undo(self, request: Mapping[str, Any]) -> None:
+        assert self._history is not None
+        self._history.move(-1 if request["type"] == "undo" else 1)
+        self._settle()
+
+    def _save(self, request: Mapping[str, Any]) -> None:
+        document = self._document
+        self._send({"type": "file", "id": self._id, "name": document.file, "media": "application/toml", "text": document.text})
+
+    def _link(self, request: Mapping[str, Any]) -> None:
+        self._send({"type": "link", "id": self._id, "fragment": deflated(self._document.text)})
+
+    # --- designs ------------------------------------------------------------------------------------------------------------
+
+    def _definite(self, problem: ProblemFile) -> ProblemFile:
+        """Return a problem with the assembly modes of the last design."""
+        if self._design is None:
+            return problem.variants()[0] if problem.model.free else problem
+        modes = self._design.problem.raw["mechanism"].get("assembly")
+        if modes is None or problem.raw["mechanism"].get("assembly") == modes:
+            return problem
+        return problem.override({"mechanism.assembly": modes})
+
+    def _followed(self, problem: ProblemFile) -> Design:
+        """Return the optimum of a problem near the last design."""
+        last = self._design or started(problem)
+        known = structure(problem)
+        if self._follower[0] != known:
+            self._follower = (known, follower(problem))
+        one = self._follower[1]
+        if one is None:
+            return carried(problem, last)
+        found = one.follow(problem, last.solution)
+        if found.usable:
+            return from_solution(problem, found)
+        from optlink.studies.reoptimise_task import conflicting
+
+        missed, against = conflicting(found)
+        words = "; ".join((*missed, *against)) or "no design was found"
+        sentence = f"No design near the last one meets all limits: {words}."
+        return replace(carried(problem, last), status="infeasible", conclusion=sentence, conflicts=(sentence,))
+
+    def _show_moving(self, problem: ProblemFile) -> None:
+        definite = self._definite(problem)
+        design = self._followed(definite)
+        if design.status != "infeasible" or self._design is None:
+            self._show(design, definite, moving=True)
+            self._design = design
+        else:
+            self._show(replace(self._design, **_verdict(design)), definite, moving=True)
+
+    def _commit(self, document: Document) -> None:
+        _ = document.problem
+        assert self._history is not None
+        self._history.add(document)
+        self._settle()
+
+    def _settle(self) -> None:
+        """Show the optimum near the last design with its validation, then the result of the ordinary search."""
+        problem, ident, document = self._document.problem, self._id, self._document
+        kept = {"type": "resume", "name": document.name, "text": document.text, "folder": str(document.folder)}
+        self._send({"type": "kept", "request": kept})
+        if self._design is None:
+            self._show(replace(started(problem), conclusion=BEGUN), problem, moving=False)
+        if self._design is not None and self._design.solution is not None and problem.model.free:
+            definite = self._definite(problem)
+            near = self._followed(definite)
+            if near.solution is not None:
+                self._design = replace(checked(near), conclusion=FIRST)
+                self._show(self._design, problem, moving=False)
+
+        def progress(share: float) -> None:
+            self._send({"type": "progress", "id": ident, "fraction": share, "text": "searching"})
+
+        found: Design = self._interruptible(lambda: solved(problem, progress))
+        if getattr(found.result, "interrupted", False):
+            raise KeyboardInterrupt
+        if found.status != "infeasible" or self._design is None:
+            self._design = found
+            self._show(found, problem, moving=False)
+        else:
+            self._show(replace(self._design, **_verdict(found)), problem, moving=False)
+
+    # --- the state ----------------------------------------------------------------------------------------------------------
+
+    def _show(self, design: Design, problem: ProblemFile, *, moving: bool) -> None:
+        """Send the state of a design; parts of the last state that are the same are left out."""
+        assert self._history is not None
+        done = time.perf_counter()
+        try:
+            picture: Picture | None = Picture(design.machine, design.start, design.speed)
+        except (ArithmeticError, InputError, ValueError):
+            picture = None
+        self._handles = handles(problem, picture)
+        undo, redo = self._history.ends
+        document = self._document
+        title = str(problem.model.title or document.name)
+        message: dict[str, Any] = {
+            "type": "state",
+            "id": self._id,
+            "moving": moving,
+            "document": {
+                "name": document.name,
+                "title": title,
+                "changed": document.text != self._origin,
+                "can_undo": undo,
+                "can_redo": redo,
+            },
+            "kind": kind_of(problem),
+            "status": design.status,
+            "conclusion": design.conclusion,
+            "targets": state.targets(problem, design),
+            "handles": [handle.document() for handle in self._handles.values()],
+            "variables": state.variables(problem, design, document.freed),
+            "objective": state.objective(problem, design.objective),
+            "active": state.active(design),
+            "checks": state.checks(design),
+            "conflicts": list(design.conflicts),
+            "scene": None if picture is None else picture.document(),
+            "charts": [] if picture is None else state.charts(design, picture, moving=moving),
+        }
+        total = time.perf_counter()
+        message["seconds"] = {"solve": done - self._begun, "total": total - self._begun}
+        self._send(message)
+
+
+def warm() -> None:
+    """Import what the first request would otherwise wait for."""
+    from optlink.problem.file import load
+    from optlink.tasks import certify, cycle, function, path
+    from optlink.tasks.analyze import analyze
+
+    solved(load("crank-rocker"))
+    _ = certify, cycle, function, path, analyze
+
+
+def _verdict(design: Design) -> dict[str, Any]:
+    """Return the verdict of an infeasible design, for the last feasible one that stays drawn."""
+    return {
+        "status": design.status,
+        "conclusion": design.conclusion,
+        "conflicts": design.conflicts,
+        "checks": design.checks,
+        "result": None,
+    }
+
+
+OPENING = ("open", "new", "draw", "choose", "resume")
+
+_ACTIONS: dict[str, Callable[[Session, Mapping[str, Any]], None]] = {
+    "open": Session._open,
+    "new": Session._new,
+    "resume": Session._resume,
+    "drag": Session._drag,
+    "set": Session._set,
+    "lock": Session._lock,
+    "search": Session._search,
+    "undo": Session._undo,
+    "redo": Session._undo,
+    "save": Session._save,
+    "link": Session._link,
+}
+
+
+def _text(request: Mapping[str, Any], key: str, default: str | None = None) -> str:
+    """Return a text of a request."""
+    value = request.get(key, default)
+    if not isinstance(value, str):
+        raise InputError(Fault("expected a text", f"Send {key} as a text", key=key, value=value))
+    return value
+
+
+def deflated(text: str) -> str:
+    """Return a text, compressed, in the letters of a link."""
+    return base64.urlsafe_b64encode(zlib.compress(text.encode(), 9)).decode().rstrip("=")
+
+
+def inflated(fragment: str) -> str:
+    """Return the text of a link.
+
+    Raises
+    ------
+    InputError
+        If it is no compressed text, or too long.
+    """
+    try:
+        data = base64.urlsafe_b64decode(fragment + "=" * (-len(fragment) % 4))
+        unpacker = zlib.decompressobj()
+        text = unpacker.decompress(data, MAX_BYTES + 1)
+        if len(text) > MAX_BYTES:
+            raise InputError(Fault(f"the problem of the link is longer than {MAX_BYTES:,} bytes", "Open its file instead"))
+        return text.decode()
+    except (ValueError, binascii.Error, zlib.error):
+        raise InputError(Fault("the link holds no problem", "Copy the whole link")) from None
+
+
+__all__ = ["Session", "deflated", "inflated"]

@@ -1,0 +1,250 @@
+"""The state of the page: a design with its picture, handles, figures, checks and charts, as plain data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.dynamics.columns import MotionColumns
+from optlink.io import finite
+from optlink.linkage.dyad_types import transmitting
+from optlink.optimization.objectives import MEASURES
+from optlink.problem.cycle import CycleProblem
+from optlink.problem.file import ProblemFile
+from optlink.problem.function import DesignProblem
+from optlink.problem.limits import Limits
+from optlink.problem.path import PathProblem
+from optlink.report.style import scale
+from optlink.solvers.function_exchange import error_at
+from optlink.solvers.solution import key_of
+from optlink.studies.toml_keys import si_per_unit
+from optlink.studio.design import Design
+from optlink.studio.picture import Picture
+from optlink.units import KINDS
+from optlink.validation.path import deviations, transmission_angles
+
+Array = NDArray[np.float64]
+
+ALONG = 60  # positions of the error curve
+AT_BOUND = 1e-6  # share of the range of a variable
+DIGITS = 6
+
+
+def targets(problem: ProblemFile, design: Design) -> dict[str, Any]:
+    """Return the points, poses or curve that a design shall reach [mm, deg].
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    design : Design
+        Determines the deviations.
+    """
+    model = problem.model
+    if not isinstance(model, PathProblem) or not model.pointed:
+        return {"points": [], "poses": [], "curve": []}
+    wanted = model.target_points
+    places = 1e3 * np.asarray(wanted.points)
+    away = np.full(len(places), np.nan)
+    if design.crank_angles is not None and len(design.crank_angles) == len(places):
+        away = 1e3 * deviations(model, design.values, design.crank_angles).distances
+    points = [{"at": place, "deviation": d} for place, d in zip(_rounded(places), finite(_rounded(away)), strict=True)]
+    poses = []
+    if wanted.angles is not None:
+        poses = [{"at": p["at"], "angle": math.degrees(a)} for p, a in zip(points, wanted.angles, strict=True)]
+    curve = [*_rounded(places), *_rounded(places[:1])] if model.closed else _rounded(places)
+    return {"points": points, "poses": poses, "curve": curve}
+
+
+def variables(problem: ProblemFile, design: Design, lockable: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the design variables, and the sizes that are locked or fixed, in display units.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    design : Design
+    lockable : mapping
+        Sizes that were locked on the page.
+    """
+    found = []
+    for name, quantity in problem.model.quantities.items():
+        if not quantity.free and name not in lockable:
+            continue
+        size, unit = si_per_unit(quantity), KINDS[quantity.kind].display
+        low, high = (bound / size for bound in quantity.bounds)
+        value = design.values.get(name, quantity.value) / size
+        near = AT_BOUND * (high - low)
+        found.append(
+            {
+                "name": name,
+                "value": value,
+                "unit": unit,
+                "lower": low if quantity.free else None,
+                "upper": high if quantity.free else None,
+                "locked": not quantity.free,
+                "at_bound": quantity.free and (value <= low + near or value >= high - near),
+                "key": key_of(name),
+            }
+        )
+    return finite(found)  # type: ignore[no-any-return]
+
+
+def objective(problem: ProblemFile, value: float) -> dict[str, Any] | None:
+    """Return the objective with its label, in a display unit; None if the problem has none.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    value : float [SI]
+    """
+    factor, unit, label = objective_scale(problem)
+    return {"label": label, "value": finite(value * factor), "unit": unit} if label else None
+
+
+def objective_scale(problem: ProblemFile) -> tuple[float, str, str]:
+    """Return the factor from SI and the display unit of the objective, and its name; no name if there is none."""
+    model = problem.model
+    if isinstance(model, DesignProblem):
+        measure = model.requirement.measure
+        angular = MEASURES[measure].unit == "rad"
+        words = {"max": "largest error", "rms": "root mean square error"}.get(measure, "sum of squared errors")
+        return (math.degrees(1.0), "deg", words) if angular else (1.0, MEASURES[measure].unit.replace("^2", "²"), words)
+    if isinstance(model, PathProblem):
+        if model.requirement.kind == "transmission":
+            return 1.0, "", "worst cosine of the transmission angle"
+        length = model.unit == "m"
+        words = {"max": "largest deviation", "rms": "root mean square deviation"}.get(model.measure, "sum of squared deviations")
+        if model.measure != "sum of squares":
+            return (1e3, "mm", words) if length else (math.degrees(1.0), "deg", words)
+        return (1e6, "mm²", words) if length else (1.0, "rad²", words)
+    if isinstance(model, CycleProblem):
+        kind = model.unit_kind
+        words = model.goals[0].words if model.single else "objective"
+        if not kind:
+            return 1.0, "", words
+        unit = KINDS[kind].display
+        from optlink.units import factor
+
+        return 1.0 / factor(unit, kind), unit, words
+    return 1.0, "", ""
+
+
+def active(design: Design) -> list[dict[str, Any]]:
+    """Return the active limits of a design with their shadow prices, in display units."""
+    factor, unit, _ = objective_scale(design.problem)
+    found = []
+    for one in design.limits:
+        if one.active:
+            per = f"{unit or '1'} per {one.unit}" if one.unit else unit
+            row = {"limit": f"{one.name} {one.sense}", "value": one.bound, "unit": one.unit}
+            found.append(row | {"price": one.multiplier * factor, "price_unit": per})
+    return finite(found)  # type: ignore[no-any-return]
+
+
+def checks(design: Design) -> list[dict[str, Any]] | None:
+    """Return the checks of the validator; None if it has not seen the design."""
+    if design.checks is None:
+        return None
+    rows = [{"name": c.name, "ok": c.passed, "measured": c.value, "limit": c.limit, "unit": c.unit} for c in design.checks]
+    return finite(rows)  # type: ignore[no-any-return]
+
+
+# --- charts -----------------------------------------------------------------------------------------------------------------
+
+
+def charts(design: Design, picture: Picture, *, moving: bool) -> list[dict[str, Any]]:
+    """Return the curves of a design over the crank angle.
+
+    Parameters
+    ----------
+    design : Design
+    picture : Picture
+    moving : bool
+        Leave out what takes longer than a few milliseconds.
+    """
+    found = [*_error(design), *_transmission(design, picture)]
+    if design.problem.model.loads or design.problem.model.bodies:
+        found += _forces(design, picture)
+    elif isinstance(design.problem.model, CycleProblem) or not design.problem.model.free:
+        found += _motion(picture)
+    return found
+
+
+def _chart(
+    title: str, x: Array, series: Sequence[tuple[str, str, Array]], limits: Sequence[tuple[str, float]] = ()
+) -> dict[str, Any]:
+    shown = [{"label": label, "unit": unit, "values": finite(_rounded(values))} for label, unit, values in series]
+    axis = {"label": "crank angle", "unit": "deg", "values": np.round(np.degrees(x), 3).tolist()}
+    return {"title": title, "x": axis, "series": shown, "limits": [{"label": n, "value": v} for n, v in limits]}
+
+
+def _error(design: Design) -> Iterator[dict[str, Any]]:
+    model = design.problem.model
+    if isinstance(model, DesignProblem):
+        offsets = model.span * np.linspace(0.0, 1.0, ALONG + 1)
+        with np.errstate(all="ignore"):
+            error = np.degrees(error_at(model, design.values, offsets))
+        yield _chart("Output error", design.start + offsets, [("target minus generated", "deg", error)])
+    elif isinstance(model, PathProblem) and model.requirement.kind != "transmission" and design.crank_angles is not None:
+        found = deviations(model, design.values, design.crank_angles)
+        factor, unit = (1e3, "mm") if model.unit == "m" else (math.degrees(1.0), "deg")
+        yield _chart("Deviation at the points", design.crank_angles, [("deviation", unit, factor * found.distances)])
+
+
+def _transmission(design: Design, picture: Picture) -> Iterator[dict[str, Any]]:
+    groups = transmitting(picture.mechanism)
+    if not groups:
+        return
+    with np.errstate(all="ignore"):
+        angles = np.degrees(transmission_angles(picture.motion, picture.mechanism))
+    limits = []
+    allowed = getattr(design.problem.model, "limits", None)
+    if isinstance(allowed, Limits):
+        stated = allowed.transmission_at(groups[0].joint)
+        for word, bound in () if stated is None else (("least", stated.low), ("largest", stated.high)):
+            if bound is not None:
+                limits.append((word, math.degrees(bound)))
+    series = [(f"at {group.joint}", "deg", angles[:, k]) for k, group in enumerate(groups)]
+    yield _chart("Transmission angle", picture.angles, series, limits)
+
+
+def _motion(picture: Picture) -> Iterator[dict[str, Any]]:
+    mechanism, motion = picture.mechanism, picture.motion
+    for guide in mechanism.guides:
+        if guide.on == "frame":
+            slide = np.asarray(motion.slide(guide.name).value)
+            yield _chart(f"Slide of {guide.slider}", picture.angles, [(guide.slider, "mm", 1e3 * slide)])
+            return
+    body = mechanism.links[-1].body
+    yield _chart(f"Angle of {body}", picture.angles, [(body, "deg", np.degrees(np.asarray(motion.body_angle(body).value)))])
+
+
+def _forces(design: Design, picture: Picture) -> Iterator[dict[str, Any]]:
+    """Yield the driving torque and the joint reactions."""
+    yield from _motion(picture)
+    moving = picture.machine.moving(picture.angles, design.speed)
+    with np.errstate(all="ignore"):
+        record = MotionColumns(moving)
+        torque = np.asarray(record["input.torque_Nm"], dtype=float)
+        pins = {
+            name.partition(".")[0]: np.hypot(record[name], record[name.replace(".fx_N", ".fy_N")])
+            for name in record.columns
+            if name.endswith(".fx_N") and name.replace(".fx_N", ".fy_N") in record.columns
+        }
+    shown = scale(float(np.nanmax(np.abs(torque), initial=0.0)), "N m")
+    yield _chart("Driving torque", picture.angles, [("torque", shown.unit, torque * shown.factor)])
+    if pins:
+        most = scale(max(float(np.nanmax(force, initial=0.0)) for force in pins.values()), "N")
+        yield _chart("Joint reactions", picture.angles, [(pin, most.unit, force * most.factor) for pin, force in pins.items()])
+
+
+def _rounded(values: Array) -> Any:
+    """Return numbers as lists, with as many digits as a drawing can show."""
+    largest = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
+    return np.round(values, max(0, DIGITS - 1 - math.floor(math.log10(largest))) if largest > 0.0 else 0).tolist()
+
+
+__all__ = ["active", "charts", "checks", "objective", "objective_scale", "targets", "variables"]

@@ -1,0 +1,103 @@
+"""The process that computes for one page: requests come in as frames on its standard input, messages go out as frames.
+
+A frame is its length in four bytes, and JSON. The computing runs in the main thread; a second thread reads, so that a long search
+can be stopped, and ends the process when the server is gone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import queue
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from types import FrameType
+from typing import Any, BinaryIO
+
+MEMORY = 8 * 2**30  # bytes of address space
+STOP = "stop"
+DONE = "done"
+
+
+def frame(message: Mapping[str, Any]) -> bytes:
+    """Return a message as a frame."""
+    data = json.dumps(message, separators=(",", ":"), allow_nan=False).encode()
+    return len(data).to_bytes(4, "big") + data
+
+
+def frames(stream: BinaryIO) -> Iterator[dict[str, Any]]:
+    """Yield the messages of a stream until it ends."""
+    while len(head := stream.read(4)) == 4:
+        data = stream.read(int.from_bytes(head, "big"))
+        yield json.loads(data)
+
+
+class Interrupts:
+    """Stops a computation that allows it: the handler runs in the main thread, so that nothing else is interrupted."""
+
+    def __init__(self) -> None:
+        self._open = False
+        signal.signal(signal.SIGINT, self._press)
+
+    def _press(self, number: int, at: FrameType | None) -> None:
+        if self._open:
+            self._open = False
+            raise KeyboardInterrupt
+
+    def within(self, work: Callable[[], Any]) -> Any:
+        """Run a function that a stop interrupts."""
+        self._open = True
+        try:
+            return work()
+        finally:
+            self._open = False
+
+
+def main() -> None:
+    """Answer requests until the input ends."""
+    interrupts = Interrupts()
+    reading, writing = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what a library prints must not get between the frames
+    with contextlib.suppress(ImportError, ValueError, OSError):
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    requests: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+
+    def read() -> None:
+        for request in frames(reading):
+            if request["type"] == STOP:
+                signal.raise_signal(signal.SIGINT)
+            else:
+                requests.put(request)
+        os._exit(0)
+
+    threading.Thread(target=read, daemon=True).start()
+
+    def send(message: Mapping[str, Any]) -> None:
+        writing.write(frame(message))
+        writing.flush()
+
+    from optlink.studio.session import Session, warm
+
+    warm()
+    session = Session(send, interrupts.within)
+    while True:
+        request = requests.get()
+        try:
+            session.handle(request)
+        except MemoryError:
+            session.fault("The problem needs more memory than the studio allows. Make it smaller")
+        except Exception as error:  # noqa: BLE001
+            import traceback
+
+            traceback.print_exc(file=sys.stderr)
+            session.fault(f"This request failed ({type(error).__name__}). Undo the last change, or open the problem again")
+        send({"type": DONE, "id": request["id"]})
+
+
+if __name__ == "__main__":
+    main()
