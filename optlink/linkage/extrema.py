@@ -123,21 +123,50 @@ def _extremes(
         low, high = np.where((low < edge) & (edge < angle), edge, low), np.where((angle < edge) & (edge < high), edge, high)
     some = np.flatnonzero(np.isfinite(value) & ~zero[rows])  # extrema still to be refined
     nodes, samples = _beside(values, rows[some], grid, best[some], breaks)
-    samples = signs[some, None] * samples
+    angle, value = refined_minima(
+        lambda points, which: signs[which, None] * own(points, which),
+        (angle, value, low, high),
+        some,
+        nodes,
+        signs[some, None] * samples,
+    )
+    shape = (len(values), 2)
+    return np.where(np.isfinite(value), angle, np.nan).reshape(shape), (signs * value).reshape(shape)
+
+
+def refined_minima(
+    own: Callable[[Array, Index], Array], best: tuple[Array, Array, Array, Array], some: Index, nodes: Array, samples: Array
+) -> tuple[Array, Array]:
+    """Refine minima that are bracketed by samples, each on an interpolant of its samples, or on more samples.
+
+    Parameters
+    ----------
+    own : callable, crank angles (m, k) [rad] and numbers of minima (m,) -> values (m, k)
+    best : (angle, value, low, high), arrays (n,)
+        Lowest sample of each minimum, and its bracket [rad].
+    some : array (m,) of int
+        Numbers of the minima to be refined; the others are returned as they are.
+    nodes, samples : arrays (m, points)
+        Crank angles [rad] of samples about each of these, and the values there; NaN for none.
+
+    Returns
+    -------
+    angle, value : arrays (n,)
+    """
+    angle, value, low, high = (np.array(part) for part in best)
     for left in range(ROUNDS, -1, -1):
         polynomials, tolerance = _interpolants(nodes, samples)
         at, expected = _refined(polynomials, low[some], high[some], angle[some], value[some])
-        exact = signs[some] * own(at[:, None], some)[:, 0]
+        exact = own(at[:, None], some)[:, 0]
         angle[some], value[some] = _lower(angle[some], value[some], at, exact)
         some = some[~(np.abs(exact - expected) <= tolerance)]
         if not left or not some.size:
             break
         nodes = _points(low[some], high[some])
-        samples = signs[some, None] * own(nodes, some)
+        samples = own(nodes, some)
         at, lowest, low[some], high[some] = _lowest(nodes, samples)
         angle[some], value[some] = _lower(angle[some], value[some], at, lowest)
-    shape = (len(values), 2)
-    return np.where(np.isfinite(value), angle, np.nan).reshape(shape), (signs * value).reshape(shape)
+    return angle, value
 
 
 def _zero(values: Array, kinds: Sequence[Hashable] | None) -> NDArray[np.bool_]:
@@ -269,17 +298,26 @@ def zeros(function: Function, grid: Array, count: int = 60, *, still: bool = Fal
     def own(angles: Array, brackets: Index) -> Array:
         return in_portions(function, angles, which[brackets])
 
-    found = _roots(own, grid[where], grid[where + 1], left[crossing], right[crossing], count)
+    found = refined_roots(own, grid[where], grid[where + 1], left[crossing], right[crossing], count)
     return [found[which == k] for k in range(len(values))]
 
 
-def _roots(
+def refined_roots(
     function: Callable[[Array, Index], Array], low: Array, high: Array, at_low: Array, at_high: Array, count: int
 ) -> Array:
-    """Upper ends (n,) of the brackets of sign changes, refined to rounding (Chandrupatla 1997).
+    """Return the upper ends (n,) of the brackets of sign changes, refined to rounding (Chandrupatla 1997).
 
-    `function` takes angles and the brackets that they lie in. `new` and `old` bracket a zero, `last` is the end dropped before.
+    Parameters
+    ----------
+    function : callable, crank angles (m,) [rad] and numbers of the brackets that they lie in (m,) -> values (m,)
+    low, high : array (n,) [rad]
+        Ends of the brackets.
+    at_low, at_high : array (n,)
+        Values at these.
+    count : int
+        Maximum number of rounds.
     """
+    # `new` and `old` bracket a zero, `last` is the end dropped before
     found, active, sign = high.copy(), np.arange(len(low)), np.sign(at_low)
     new, old, last, f_new, f_old, f_last = high, low, low, at_high, at_low, at_low
     lower = np.zeros(len(low), dtype=bool)  # whether `new` is the lower end

@@ -35,6 +35,17 @@ class Motion:
         """Return the coordinates [m], shape (..., 2)."""
         return self._stack(point, lambda jet: jet.value)
 
+    def distance(self, p: str, q: str) -> Array:
+        """Return the distance between two points [m].
+
+        Parameters
+        ----------
+        p, q : str
+        """
+        (px, py), (qx, qy) = ([self._full(_jet(x).value) for x in self.pose.point(name)] for name in (p, q))
+        x, y = qx - px, qy - py
+        return np.asarray(np.sqrt(x * x + y * y))
+
     def velocity(self, point: str) -> Array:
         """Return the velocity [m/s], shape (..., 2)."""
         return self._stack(point, lambda jet: jet.rate)

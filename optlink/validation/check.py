@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from optlink.linkage.mechanism import Link
 from optlink.linkage.motion import Motion
 from optlink.problem.base_model import Number
 from optlink.problem.limits import Limits, Moved, TransmissionLimit, limits_in_file
 from optlink.problem.quantity import Interval, Quantity
+
+Array = NDArray[np.float64]
 
 POSITIONS = 1440  # per revolution: every quarter of a degree; dead centres and extremes are refined
 ANGLE_TOLERANCE = 1e-6  # deg; solvers satisfy limits to 1e-8 of a radian
@@ -32,6 +37,52 @@ class Check:
 
 
 @dataclass(frozen=True)
+class Checks:
+    """One check of many designs: arrays (designs,) of `passed` and `value`; texts may depend on the number of the design.
+
+    `applies` (designs,): whether the check applies to a design. Default: to all.
+    """
+
+    name: Text
+    passed: NDArray[np.bool_]
+    value: Array
+    limit: Text
+    unit: str
+    applies: NDArray[np.bool_] | None = None
+
+    def of(self, design: int = 0) -> Check:
+        """Return the check of one design."""
+        name, limit = (one if isinstance(one, str) else one(design) for one in (self.name, self.limit))
+        return Check(name, bool(each(self.passed, design)), float(each(self.value, design)), limit, self.unit)
+
+
+Text = str | Callable[[int], str]
+
+
+def each(values: ArrayLike, design: int) -> Any:
+    """Return the value of one design; a single value applies to all.
+
+    Parameters
+    ----------
+    values : float or array (designs,)
+    design : int
+    """
+    return np.ravel(values)[design if np.size(values) > 1 else 0]
+
+
+def text(form: str, *numbers: ArrayLike) -> Text:
+    """Return a text with the numbers of each design.
+
+    Parameters
+    ----------
+    form : str
+        Format string.
+    *numbers : float or array (designs,)
+    """
+    return lambda design: form.format(*(each(number, design) for number in numbers))
+
+
+@dataclass(frozen=True)
 class Validation:
     """All checks of a design, and its measured objective [SI]."""
 
@@ -44,12 +95,56 @@ class Validation:
         return all(check.passed for check in self.checks)
 
 
+@dataclass(frozen=True)
+class Validations:
+    """All checks of many designs, and their measured objectives (designs,) [SI]."""
+
+    checks: tuple[Checks, ...]
+    objective: Array
+
+    @cached_property
+    def valid(self) -> NDArray[np.bool_]:
+        """Whether every check of a design passed, (designs,)."""
+        found = np.ones(self.objective.shape, dtype=bool)
+        for check in self.checks:
+            found &= check.passed if check.applies is None else check.passed | ~check.applies
+        return found
+
+    def of(self, design: int = 0) -> Validation:
+        """Return the validation of one design."""
+        applies = (check.of(design) for check in self.checks if check.applies is None or each(check.applies, design))
+        return Validation(tuple(applies), float(self.objective[design]))
+
+
+def joined(checks: Mapping[int, Sequence[Check]], count: int) -> Iterator[Checks]:
+    """Yield the checks of single designs as checks of all designs.
+
+    Parameters
+    ----------
+    checks : mapping of int to sequence of Check
+        By the number of the design, in the same order for each; they do not apply to designs that are left out.
+    count : int
+        Number of designs.
+    """
+    numbers = np.array(list(checks), dtype=int)
+    applies = np.isin(np.arange(count), numbers)
+    for number, column in enumerate(zip(*checks.values(), strict=True)):
+        passed, value = np.zeros(count, dtype=bool), np.full(count, np.nan)
+        passed[numbers], value[numbers] = [check.passed for check in column], [check.value for check in column]
+        first = column[0]
+
+        def limit(design: int, number: int = number) -> str:
+            return checks[design][number].limit
+
+        yield Checks(first.name, passed, value, limit, first.unit, applies)
+
+
 def nan_last(value: float) -> float:
     """Return a sort key that places NaN last."""
     return math.inf if math.isnan(value) else value
 
 
-def bound(name: str, quantity: Quantity, value: float, size: float) -> Check:
+def bound(name: str, quantity: Quantity, value: ArrayLike, size: ArrayLike) -> Checks:
     """Check whether a quantity lies within its bounds, to 1e-8 of a reference length or of a radian.
 
     Parameters
@@ -57,37 +152,60 @@ def bound(name: str, quantity: Quantity, value: float, size: float) -> Check:
     name : str
         Name of the quantity.
     quantity : Quantity
-    value : float [m, rad]
-    size : float [m]
+    value : float or array (designs,) [m, rad]
+    size : float or array (designs,) [m]
         Reference length.
     """
-    low, high = quantity.bounds
+    value, (low, high) = np.asarray(value, dtype=float), quantity.bounds
     length = quantity.kind in ("length", "coordinate")
     factor, unit = (1e3, "mm") if length else (math.degrees(1.0), "deg")
-    tolerance = 1e-8 * (size if length else 1.0)
-    limit = f"{low * factor:.6g} ... {high * factor:.6g}" if quantity.free else f"= {low * factor:.6g}"
-    return Check(f"{name} within its bounds", bool(low - tolerance <= value <= high + tolerance), value * factor, limit, unit)
+    tolerance = 1e-8 * (np.asarray(size) if length else 1.0)
+    numbers = np.asarray(low) * factor, np.asarray(high) * factor
+    limit = text("{:.6g} ... {:.6g}", *numbers) if quantity.free else text("= {:.6g}", numbers[0])
+    inside = (low - tolerance <= value) & (value <= high + tolerance)
+    return Checks(f"{name} within its bounds", inside, value * factor, limit, unit)
 
 
-def link_lengths(motion: Motion, wanted: Callable[[Link], float], size: float) -> Check:
+def link_lengths(motion: Motion, wanted: Callable[[Link], ArrayLike], size: ArrayLike) -> Checks:
     """Check that all links keep their lengths in motion.
 
     Parameters
     ----------
     motion : Motion
+        Of one design, or of several.
     wanted : function of Link
-        Returns its length [m].
-    size : float [m]
+        Returns its length [m], of several designs (designs, 1).
+    size : float or array (designs,) [m]
         Reference length.
     """
-    worst = 0.0
-    for link in motion.mechanism.links:
-        if link.end:
-            measured = np.linalg.norm(motion.position(link.end) - motion.position(link.start), axis=-1)
-            miss = float(np.max(np.abs(measured - wanted(link)))) if np.all(np.isfinite(measured)) else math.nan
-            worst = max(worst, miss, key=nan_last)
-    limit = LENGTH_TOLERANCE * size * 1e3
-    return Check("link lengths re-measured in motion", bool(worst * 1e3 <= limit), worst * 1e3, f"<= {limit:.1e}", "mm")
+    lengths = {link: motion.distance(link.start, link.end) for link in motion.mechanism.links if link.end}
+    worst = [worst_miss(np.min(own, axis=-1), np.max(own, axis=-1), wanted(link)) for link, own in lengths.items()]
+    return length_check(np.max(worst, axis=0), size)
+
+
+def worst_miss(least: Array, largest: Array, wanted: ArrayLike) -> Array:
+    """Return the largest deviation of measured lengths from a length [m]; NaN if one of them is not finite.
+
+    Parameters
+    ----------
+    least, largest : array (designs,) [m]
+        Extremes of the measured lengths.
+    wanted : float or array (designs,) [m]
+    """
+    return np.asarray(np.maximum(largest - np.asarray(wanted), np.asarray(wanted) - least))
+
+
+def length_check(worst: ArrayLike, size: ArrayLike) -> Checks:
+    """Check the largest deviation of all link lengths.
+
+    Parameters
+    ----------
+    worst : float or array (designs,) [m]
+    size : float or array (designs,) [m]
+        Reference length.
+    """
+    worst, limit = np.asarray(worst) * 1e3, LENGTH_TOLERANCE * np.asarray(size) * 1e3
+    return Checks("link lengths re-measured in motion", worst <= limit, worst, text("<= {:.1e}", limit), "mm")
 
 
 def limit_checks(name: str, value: float, interval: Interval, tolerance: float, factor: float, unit: str) -> Iterator[Check]:
@@ -115,7 +233,7 @@ def limit_checks(name: str, value: float, interval: Interval, tolerance: float, 
         yield Check(f"{name}, largest", bool(value <= high + tolerance), value, f"<= {high:.6g}", unit)
 
 
-def registered_checks(moved: Moved, limits: Limits, size: float) -> Iterator[Check]:
+def registered_checks(moved: Moved, limits: Limits, size: float, design: int = 0) -> Iterator[Check]:
     """Yield the checks of the limits of `optlink.problem.limits` that a file states.
 
     Parameters
@@ -125,8 +243,12 @@ def registered_checks(moved: Moved, limits: Limits, size: float) -> Iterator[Che
     limits : Limits
     size : float [m]
         Reference length of tolerances.
+    design : int
+        Number of the design, if the limits differ between designs.
     """
-    for term, interval in limits_in_file(limits):
+    for term, common in limits_in_file(limits):
+        low, high = (None if end is None else each(end, design) for end in (common.low, common.high))
+        interval = replace(common, low=low, high=high)
         tolerance, factor, unit = {
             "angle": (ANGLE_TOLERANCE, math.degrees(1.0), "deg"),
             "length": (1e-8 * size * 1e3, 1e3, "mm"),
@@ -135,12 +257,14 @@ def registered_checks(moved: Moved, limits: Limits, size: float) -> Iterator[Che
             yield from limit_checks(name, value * factor, interval, tolerance, factor, unit)
 
 
-def transmission_checks(least: float, largest: float, limit: TransmissionLimit | None, where: str = "") -> Iterator[Check]:
+def transmission_checks(
+    least: ArrayLike, largest: ArrayLike, limit: TransmissionLimit | None, where: str = ""
+) -> Iterator[Checks]:
     """Yield the checks of the extreme transmission angles, or of the largest pressure angle if the file limits that.
 
     Parameters
     ----------
-    least, largest : float [deg]
+    least, largest : float or array (designs,) [deg]
     limit : TransmissionLimit or None
         Limit of the file.
     where : str
@@ -148,15 +272,16 @@ def transmission_checks(least: float, largest: float, limit: TransmissionLimit |
     """
     if limit is None:
         return
-    low, high = (None if bound is None else math.degrees(bound) for bound in (limit.low, limit.high))
+    least, largest = np.asarray(least, dtype=float), np.asarray(largest, dtype=float)
+    low, high = (None if bound is None else np.degrees(bound) for bound in (limit.low, limit.high))
     if limit.pressure and high is not None:
-        pressure, most = max(90.0 - least, largest - 90.0), high - 90.0
+        pressure, most = np.maximum(90.0 - least, largest - 90.0), high - 90.0
         name = f"largest pressure angle{where}"
-        yield Check(name, bool(pressure <= most + ANGLE_TOLERANCE), pressure, f"<= {most:.6g}", "deg")
+        yield Checks(name, pressure <= most + ANGLE_TOLERANCE, pressure, text("<= {:.6g}", most), "deg")
         return
     if low is not None:
-        yield Check(f"smallest transmission angle{where}", bool(least >= low - ANGLE_TOLERANCE), least, f">= {low:.6g}", "deg")
+        name = f"smallest transmission angle{where}"
+        yield Checks(name, least >= low - ANGLE_TOLERANCE, least, text(">= {:.6g}", low), "deg")
     if high is not None:
-        yield Check(
-            f"largest transmission angle{where}", bool(largest <= high + ANGLE_TOLERANCE), largest, f"<= {high:.6g}", "deg"
-        )
+        name = f"largest transmission angle{where}"
+        yield Checks(name, largest <= high + ANGLE_TOLERANCE, largest, text("<= {:.6g}", high), "deg")

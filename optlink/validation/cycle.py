@@ -278,12 +278,14 @@ def _sizes(tested: Cycle) -> Iterator[Check]:
     size = max(abs(value) for name, value in tested.design.items() if tested.problem.quantities[name].kind != "angle")
     for name, quantity in tested.problem.quantities.items():
         if quantity.free:
-            yield bound(name, quantity, tested.design[name], size)
+            yield bound(name, quantity, tested.design[name], size).of()
     fixed = [name for name, quantity in tested.problem.quantities.items() if not quantity.free]
     worst = max((abs(tested.design[name] - tested.problem.quantities[name].value) for name in fixed), default=0.0)
     yield Check("all other sizes as given", worst == 0.0, worst, "= 0", "")
     motion = sweep(tested.mechanism, tested.design, np.linspace(0.0, TURN, POSITIONS, endpoint=False))
-    yield link_lengths(motion, lambda link: tested.design[link.length] if isinstance(link.length, str) else link.length, size)
+    yield link_lengths(
+        motion, lambda link: tested.design[link.length] if isinstance(link.length, str) else link.length, size
+    ).of()
 
 
 def _motion(tested: Cycle) -> Iterator[Check]:

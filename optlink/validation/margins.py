@@ -10,14 +10,15 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from optlink.linkage.dyad_types import RPR, RRR
 from optlink.linkage.extrema import extremes
 from optlink.linkage.fourbar import LENGTHS, Inversion, grashof
+from optlink.linkage.mechanism import Group
 from optlink.linkage.motion import Motion
 from optlink.problem.limits import Alignment, Limits
-from optlink.validation.check import Check
+from optlink.validation.check import Check, Checks, Text, text
 
 Array = NDArray[np.float64]
 
@@ -25,39 +26,55 @@ SHORT = 5e-3
 """Share by which a design may fall short of a least margin: solvers meet the cosine of 0.1 deg to 1e-8, which is 3e-3 of it."""
 
 
-def at_least(name: str, value: float, limit: float, unit: str) -> Check:
+def at_least(name: Text, value: ArrayLike, limit: ArrayLike, unit: str) -> Checks:
     """Check whether a value reaches a least margin; NaN does not.
 
     Parameters
     ----------
-    name : str
+    name : str, or function of the number of a design to str
         Name of the check.
-    value : float [unit]
-    limit : float [unit]
+    value : float or array (designs,) [unit]
+    limit : float or array (designs,) [unit]
         Least margin.
     unit : str
         Display unit.
     """
-    return Check(name, bool(value >= limit * (1.0 - SHORT)), value, f">= {limit:.6g}", unit)
+    value, limit = np.asarray(value, dtype=float), np.asarray(limit, dtype=float)
+    return Checks(name, value >= limit * (1.0 - SHORT), value, text(">= {:.6g}", limit), unit)
 
 
-def grashof_check(design: Mapping[str, float], limits: Limits) -> Check:
+def grashof_check(design: Mapping[str, ArrayLike], limits: Limits) -> Checks:
     """Check whether the crank of a four-bar turns fully.
 
     The sum of shortest and longest link must be below that of the other two by the length margin.
 
     Parameters
     ----------
-    design : mapping of str to float [m]
+    design : mapping of str to float or array (designs,) [m]
         Contains crank, coupler, rocker and frame.
     limits : Limits
         Kind of crank rotation and length margin.
     """
-    lengths = [design[name] for name in LENGTHS]
-    kind = grashof(*lengths)
+    lengths = np.array(np.broadcast_arrays(*(np.atleast_1d(design[name]) for name in LENGTHS)), dtype=float)
+    kinds = [grashof(*own) for own in lengths.T.tolist()]
     wanted = Inversion.DOUBLE_CRANK if limits.crank == "double-crank" else Inversion.CRANK_ROCKER
-    check = at_least(f"Grashof: {kind.inversion.value}", kind.slack * 1e3, limits.length_margin * max(lengths) * 1e3, "mm")
-    return replace(check, passed=check.passed and kind.inversion is wanted)
+    slack, margin = np.array([kind.slack for kind in kinds]), limits.length_margin * np.max(lengths, axis=0)
+    check = at_least(lambda k: f"Grashof: {kinds[k].inversion.value}", slack * 1e3, margin * 1e3, "mm")
+    return replace(check, passed=check.passed & [kind.inversion is wanted for kind in kinds])
+
+
+def included_cosine(one: ArrayLike, other: ArrayLike, square: Array) -> Array:
+    """Return the cosine of the angle between two links, by the law of cosines; beyond -1 ... 1 where they do not meet.
+
+    Parameters
+    ----------
+    one, other : float or array (designs, 1) [m]
+        Measured lengths.
+    square : array [m^2]
+        Square of the distance of their ends.
+    """
+    one, other = np.asarray(one), np.asarray(other)
+    return np.asarray((one * one + other * other - square) / (2.0 * one * other))
 
 
 def squared_sines(motion: Motion) -> Array:
@@ -75,9 +92,30 @@ def squared_sines(motion: Motion) -> Array:
         p, q = (motion.position(name) for name in group.pins)
         lengths = (np.linalg.norm(motion.position(group.joint) - pin, axis=-1) for pin in (p, q))
         one, other = (np.median(length[np.isfinite(length)]) if np.any(np.isfinite(length)) else math.nan for length in lengths)
-        cosine = (one * one + other * other - np.sum((q - p) ** 2, axis=-1)) / (2.0 * one * other)
+        cosine = included_cosine(one, other, np.sum((q - p) ** 2, axis=-1))
         found.append(1.0 - cosine * cosine)
     return np.array(found).reshape(len(motion.mechanism.groups), len(motion.crank_angle))
+
+
+def alignment_check(group: Group, single: bool, sine: ArrayLike, limits: Alignment, where: str) -> Checks:
+    """Check that a group keeps its least angle from alignment.
+
+    Parameters
+    ----------
+    group : Group
+    single : bool
+        Whether it is the only one.
+    sine : float or array (designs,)
+        Least squared sine of that angle; negative or NaN if the group does not close.
+    limits : Alignment
+        Least angle from alignment.
+    where : str
+        Name of the required motion.
+    """
+    joint = "coupler and rocker" if group.joint == "C" and single and isinstance(group, RRR) else group.joint
+    with np.errstate(invalid="ignore"):
+        angle = np.degrees(np.arcsin(np.sqrt(np.minimum(sine, 1.0))))
+    return at_least(f"{joint} off alignment over {where}", angle, math.degrees(limits.alignment.value), "deg")
 
 
 def alignment_checks(sweep: Callable[[Array], Motion], grid: Array, limits: Alignment, where: str) -> Iterator[Check]:
@@ -98,6 +136,4 @@ def alignment_checks(sweep: Callable[[Array], Motion], grid: Array, limits: Alig
     least = extremes(lambda angles: squared_sines(sweep(angles)), grid, periodic=turns)[1][:, 0] if groups else ()
     closed = np.all(np.isfinite(squared_sines(sweep(grid))), axis=1)
     for group, value, whole in zip(groups, least, closed, strict=True):
-        joint = "coupler and rocker" if group.joint == "C" and len(groups) == 1 and isinstance(group, RRR) else group.joint
-        angle = math.degrees(math.asin(math.sqrt(min(value, 1.0)))) if whole and value >= 0.0 else math.nan
-        yield at_least(f"{joint} off alignment over {where}", angle, math.degrees(limits.alignment.value), "deg")
+        yield alignment_check(group, len(groups) == 1, value if whole else math.nan, limits, where).of()

@@ -217,19 +217,19 @@ def _sizes(tested: _Tested) -> Iterator[Check]:
     """Check bounds, fixed quantities, and constant link lengths in motion."""
     size = tested.problem.size
     for name, quantity in tested.problem.quantities.items():
-        yield bound(name, quantity, tested.design[name], size)
+        yield bound(name, quantity, tested.design[name], size).of()
     longest = max(size, *(tested.design[name] for name in tested.problem.mechanism.quantities))
     wanted = {
         link.body: tested.design[link.length] if isinstance(link.length, str) else link.length for link in tested.mechanism.links
     }
-    yield link_lengths(tested.required, lambda link: wanted[link.body], longest)
+    yield link_lengths(tested.required, lambda link: wanted[link.body], longest).of()
 
 
 def _closure(tested: _Tested) -> Iterator[Check]:
     """Check the crank condition from the lengths, and the closure of every loop at every position."""
     problem = tested.problem
     if tested.turns and isinstance(problem.mechanism, FourBarSection):
-        yield grashof_check(tested.design, problem.limits)
+        yield grashof_check(tested.design, problem.limits).of()
     where = "the whole revolution" if tested.turns else "the range of the points"
     grid = np.sort(tested.required.crank_angle)
     if tested.turns:
@@ -324,7 +324,7 @@ def _transmission(tested: _Tested) -> Iterator[Check]:
     extreme = np.degrees(extremes(angles, grid, periodic=motion is tested.revolution)[1])
     for group, limit, (least, largest) in zip(groups, limits, extreme, strict=True):
         where = "" if len(groups) == 1 else f" at {group.joint}"
-        yield from transmission_checks(float(least), float(largest), limit, where)
+        yield from (check.of() for check in transmission_checks(least, largest, limit, where))
 
 
 def _registered(tested: _Tested) -> Iterator[Check]:

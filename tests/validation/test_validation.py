@@ -481,7 +481,7 @@ def test_verdict_on_random_designs_is_that_of_the_formulas(coupler, rocker):
     design = SHIPPED.design({"coupler": coupler, "rocker": rocker})
     values = [design[name] for name in LENGTHS]
     kind_of = grashof(*values)
-    assume(abs(kind_of.slack) > 1e-6)
+    assume(abs(kind_of.slack) > SHIPPED.limits.length_margin * max(values))
     least, largest = transmission(values)
     assume(not min(abs(least - 45.0), abs(largest - 135.0)) < 1e-4)
     proof = validate(SHIPPED, design)

@@ -1,0 +1,239 @@
+"""Motion of many four-bars at once, measured between the positions of their joints.
+
+Designs are worked on in blocks that fit the processor's cache; every figure of a design is the same in any block.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.linkage.extrema import POINTS, refined_minima, refined_roots
+from optlink.linkage.mechanism import Mechanism
+from optlink.linkage.vector2d import Vector, cross, dot, minus
+from optlink.validation.check import Checks, length_check, worst_miss
+from optlink.validation.margins import included_cosine
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+TURN = 2.0 * np.pi
+BLOCK = 24_000  # positions that are worked on at a time
+ROUNDS = 60  # of the refinement of a dead centre
+
+
+@dataclass(frozen=True)
+class _Joints:
+    """Vectors between the joints (designs, angles) [m]: A-B, B-C, D-C and B-D; `c`: the position of C."""
+
+    arm: Vector
+    coupler: Vector
+    rocker: Vector
+    diagonal: Vector
+    c: Vector
+
+    @property
+    def rate(self) -> Array:
+        """Angular velocity of the rocker for a crank with 1 rad/s, from the velocities of B and C along the coupler."""
+        with np.errstate(all="ignore"):
+            return np.asarray(cross(self.arm, self.coupler) / cross(self.rocker, self.coupler))
+
+
+@dataclass(frozen=True)
+class _Survey:
+    """Figures of the motions, arrays (..., designs).
+
+    `least`, `largest`, `mean`: measured lengths of crank, coupler and rocker [m]; `heights`: extremes of the height of C above
+    B-D [m]; `fastest`, `longest`: of C, see `FourBarMotion`; `angle`, `cosine`: the position of the least and of the largest
+    cosine of the transmission angle among all, and its value; `nodes`, `samples`: positions about these, and the values there.
+    """
+
+    least: Array
+    largest: Array
+    mean: Array
+    heights: Array
+    fastest: Array
+    longest: Array
+    angle: Array
+    cosine: Array
+    nodes: Array
+    samples: Array
+
+
+class FourBarMotion:
+    """Motion of four-bars with the joints A, B, C, D over evenly spaced crank angles.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+    sizes : mapping of parameter name to array (designs, 1) [m]
+    angles : array (angles,) or (designs, angles) [rad]
+    closed : bool
+        Whether the angles are those of a revolution, the last one step before the first.
+    span : float [rad]
+        Crank rotation from the first angle to the last, if they are not.
+    """
+
+    def __init__(
+        self, mechanism: Mechanism, sizes: Mapping[str, Array], angles: Array, *, closed: bool = False, span: float = TURN
+    ) -> None:
+        self.mechanism, self.sizes, self.angles, self.closed = mechanism, sizes, angles, closed
+        self.count, self.positions = len(next(iter(sizes.values()))), angles.shape[-1]
+        self.width = span / (self.positions - (not closed))
+        self.period = self.positions - (not closed) if closed or math.isclose(abs(span), TURN) else None
+
+    @property
+    def step(self) -> float:
+        """Magnitude of the step of the crank angle [rad]."""
+        return float(abs(self.width))
+
+    def _joints(self, angles: Array, designs: slice | Index) -> _Joints:
+        sizes = {name: size[designs] for name, size in self.sizes.items()}
+        shape = np.broadcast_shapes(angles.shape, next(iter(sizes.values())).shape)
+        with np.errstate(all="ignore"):
+            pose = self.mechanism.at(sizes, angles)
+            a, b, c, d = (pose.point(name) for name in "ABCD")
+            vectors = (minus(b, a), minus(c, b), minus(c, d), minus(d, b), c)
+            return _Joints(*((np.broadcast_to(x, shape), np.broadcast_to(y, shape)) for x, y in vectors))
+
+    def _blocks(self) -> Iterator[tuple[slice, _Joints]]:
+        size = max(1, BLOCK // self.positions)
+        for first in range(0, self.count, size):
+            part = slice(first, min(first + size, self.count))
+            yield part, self._joints(self.angles if self.angles.ndim == 1 else self.angles[part], part)
+
+    @cached_property
+    def _survey(self) -> _Survey:
+        found = [vars(self._surveyed(part, joints)) for part, joints in self._blocks()]
+        return _Survey(**{name: np.concatenate([one[name] for one in found], axis=-1) for name in found[0]})
+
+    def _surveyed(self, part: slice, joints: _Joints) -> _Survey:
+        """Return the figures of a block of designs."""
+        with np.errstate(all="ignore"):
+            squares = dot(joints.diagonal, joints.diagonal)
+            lengths = [np.sqrt(dot(way, way)) for way in (joints.arm, joints.coupler, joints.rocker)]
+            height = cross(joints.diagonal, joints.coupler) / np.sqrt(squares)
+            speed = np.abs(joints.rate) * lengths[2]
+            mean = np.array([np.mean(length, axis=1) for length in lengths])
+            cosine = included_cosine(mean[1, :, None], mean[2, :, None], squares)
+            longest = np.max(sum(np.square(x[:, 1:] - x[:, :-1]) for x in joints.c), axis=1)
+            if self.closed:
+                longest = np.maximum(longest, sum(np.square(x[:, 0] - x[:, -1]) for x in joints.c))
+        angle, value, nodes, samples = self._extremes_of_samples(cosine, part)
+        return _Survey(
+            least=np.array([np.min(length, axis=1) for length in lengths]),
+            largest=np.array([np.max(length, axis=1) for length in lengths]),
+            mean=mean,
+            heights=np.array([np.min(height, axis=1), np.max(height, axis=1)]),
+            fastest=np.max(speed, axis=1),
+            longest=np.sqrt(longest),
+            angle=angle,
+            cosine=value,
+            nodes=nodes,
+            samples=samples,
+        )
+
+    def _extremes_of_samples(self, values: Array, part: slice) -> tuple[Array, Array, Array, Array]:
+        """Return angle and value (2, designs) of the least and of the largest sample, and those about it (points, 2, designs)."""
+        count = self.period or self.positions
+        best = np.array([np.argmin(values[:, :count], axis=1), np.argmax(values[:, :count], axis=1)])
+        row, around = np.arange(values.shape[0]), np.arange(POINTS)[:, None, None] - POINTS // 2
+        angles = self.angles if self.angles.ndim == 1 else self.angles[part]
+        angle = angles[best] if angles.ndim == 1 else angles[row, best]
+        if self.period is not None:
+            samples = values[row, (best + around) % count]
+        else:  # none beyond the ends
+            around = around + np.clip(best, POINTS // 2, max(count - 1 - POINTS // 2, POINTS // 2)) - best
+            samples = (
+                values[row, np.minimum(best + around, count - 1)] if count >= POINTS else np.full((POINTS, *best.shape), np.nan)
+            )
+        return angle, values[row, best], angle + around * self.width, samples
+
+    # --- figures by design ---------------------------------------------------------------------------------------------------
+
+    def link_lengths(self, lengths: Mapping[str, Array], size: Array) -> Checks:
+        """Check that crank, coupler and rocker keep their lengths in motion.
+
+        Parameters
+        ----------
+        lengths : mapping of str to array (designs,) [m]
+        size : array (designs,) [m]
+            Reference length.
+        """
+        found = self._survey
+        worst = [
+            worst_miss(least, largest, lengths[name])
+            for name, least, largest in zip(("crank", "coupler", "rocker"), found.least, found.largest, strict=True)
+        ]
+        return length_check(np.max(worst, axis=0), size)
+
+    def least_height(self, side: int) -> Array:
+        """Return the least height of C on a side (+1: left) of the line B-D (designs,) [m]."""
+        least, largest = self._survey.heights
+        return np.asarray(least if side > 0 else -largest)
+
+    @property
+    def fastest(self) -> Array:
+        """Largest speed of C for a crank with 1 rad/s (designs,) [m/s]."""
+        return self._survey.fastest
+
+    @property
+    def longest_step(self) -> Array:
+        """Largest distance of two successive positions of C (designs,) [m]."""
+        return self._survey.longest
+
+    @cached_property
+    def _cosine_extremes(self) -> tuple[Array, Array]:
+        """Crank angle [rad] and value (2, designs) of the least and of the largest cosine of the transmission angle."""
+        found, signs = self._survey, np.array([[1.0], [-1.0]])
+        ends = np.sort(self.angles[..., [0, -1]], axis=-1) if self.period is None else np.array([-np.inf, np.inf])
+        low, high = (np.clip(found.angle + way * self.step, ends[..., 0], ends[..., 1]).ravel() for way in (-1.0, 1.0))
+        coupler, rocker = found.mean[1:, :, None]
+
+        def own(points: Array, which: Index) -> Array:
+            designs = which % self.count
+            diagonal = self._joints(points, designs).diagonal
+            cosine = included_cosine(coupler[designs], rocker[designs], dot(diagonal, diagonal))
+            return np.asarray(signs[which // self.count] * cosine)
+
+        values, samples = signs * found.cosine, (signs * found.samples).reshape(POINTS, -1).T
+        some = np.flatnonzero(np.isfinite(values))
+        best = (found.angle.ravel(), values.ravel(), low, high)
+        angle, value = refined_minima(own, best, some, found.nodes.reshape(POINTS, -1).T[some], samples[some])
+        return angle.reshape(2, -1), signs * value.reshape(2, -1)
+
+    @property
+    def least_squared_sine(self) -> Array:
+        """Least squared sine of the angle between coupler and rocker (designs,), negative or NaN where they do not meet."""
+        return np.asarray(np.min(1.0 - np.square(self._cosine_extremes[1]), axis=0))
+
+    @property
+    def transmission_extremes(self) -> tuple[Array, Array]:
+        """Least and largest transmission angle (designs,) [rad], each between the directions of the links in its position."""
+        joints = self._joints(self._cosine_extremes[0].T, slice(None))
+        with np.errstate(all="ignore"):
+            sine, cosine = cross(joints.coupler, joints.rocker), dot(joints.coupler, joints.rocker)
+        angle = np.where(np.isfinite(self._survey.mean[1])[:, None], np.abs(np.arctan2(sine, cosine)), np.nan)
+        return angle[:, 1], angle[:, 0]
+
+    def dead_centres(self) -> tuple[Array, Array, Index]:
+        """Return crank and rocker angles (n,) [rad] at the sign changes of the rocker velocity, and the design (n,) of each."""
+        found = []
+        for part, joints in self._blocks():
+            rate = joints.rate
+            after = np.roll(rate, -1, axis=1)
+            row, place = np.nonzero((np.sign(rate) * np.sign(after) <= 0.0) & (rate != 0.0))
+            found.append((row + part.start, self.angles[place], rate[row, place], after[row, place]))
+        which, low, before, after = (np.concatenate(column) for column in zip(*found, strict=True))
+
+        def own(angles: Array, brackets: Index) -> Array:
+            return self._joints(angles[:, None], which[brackets]).rate[:, 0]
+
+        at = refined_roots(own, low, low + self.width, before, after, ROUNDS)
+        x, y = self._joints(at[:, None], which).rocker
+        return at % TURN, np.arctan2(y, x)[:, 0], which
