@@ -2,7 +2,7 @@
 import { Background } from "./background.js";
 import { Curve } from "./curve.js";
 import { $, download, el, icon, setText, svg, toast } from "./dom.js";
-import { Handles, inPanel } from "./handles.js";
+import { Handles } from "./handles.js";
 import { Linkage } from "./linkage.js";
 import { Live } from "./live.js";
 import { Motion } from "./motion.js";
@@ -11,6 +11,7 @@ import { Start } from "./start.js";
 import { round125, View } from "./view.js";
 
 const EMPTY = [-120, -80, 320, 200]; // box of an empty canvas [mm]
+const LONG = 900; // after which a search is mentioned [ms]
 const SLOW = 300; // after which a change that takes longer shows that it is computed [ms]
 
 // --- colours -----------------------------------------------------------------------------------------------------------------
@@ -67,27 +68,42 @@ const overlay = svg("g", { id: "overlay" });
 function redraw() {
   if (!stale) {
     stale = true;
-    requestAnimationFrame(frame);
+    requestAnimationFrame(() => {
+      early = false;
+      if (stale) {
+        frame();
+      }
+    });
+  }
+}
+
+// The first answer of a frame is drawn at once, so that the frame is ready early; later ones wait for the next frame.
+let early = false;
+function redrawNow() {
+  redraw();
+  if (!early && !document.hidden) {
+    early = true;
+    frame();
   }
 }
 
 let fresh = null; // the newest state that is not drawn yet
 function frame() {
   stale = false;
-  if (fresh) {
-    const shown = fresh;
+  const shown = fresh;
+  if (shown) {
     fresh = null;
     take(shown);
-    if (shown.timing) {
-      shown.timing.drawn = performance.now();
-    }
-    canvas.dataset.shown = String(shown.id);
   }
   lines();
   linkage.place();
   knobs.draw();
   curve.draw();
   background.draw();
+  if (shown) {
+    live.mark(shown.id, "drawn");
+    canvas.dataset.shown = String(shown.id);
+  }
 }
 
 function lines() {
@@ -202,8 +218,11 @@ function take(next) {
     linkage.clear();
     $("transport").hidden = true;
   }
+  if (scene && !refit && !next.moving && !view.touched && !view.holds(extent(scene, next.targets))) {
+    view.fit(extent(scene, next.targets));
+  }
   if (refit && scene) {
-    view.fit(scene.box);
+    view.fit(extent(scene, next.targets));
     motion.put(0);
     if (!matchMedia("(prefers-reduced-motion: reduce)").matches) {
       motion.play();
@@ -212,7 +231,7 @@ function take(next) {
   refit = false;
   knobs.infeasible = next.status === "infeasible";
   knobs.take(handles);
-  panel.take(state, inPanel(handles));
+  panel.take(state, handles);
   panel.cursor(motion.angle);
   canvas.dataset.status = next.status.replaceAll(" ", "-");
   const [sign, words, look] = verdictOf(next.status);
@@ -229,6 +248,13 @@ function take(next) {
     $(name).disabled = false;
   }
   root.dataset.open = "";
+}
+
+// Box of the linkage and its targets.
+function extent({ box }, targets) {
+  const places = [...(targets?.points || []), ...(targets?.poses || [])].map((one) => one.at);
+  const [xs, ys] = [0, 1].map((k) => [box[k], box[k + 2], ...places.map((at) => at[k])]);
+  return [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
 }
 
 let computing = 0;
@@ -262,7 +288,7 @@ const live = new Live(keptToken(), {
     busy(false);
     searching(null);
     fresh = fresh && !message.handles ? { ...message, handles: fresh.handles, scene: merged(message.scene, fresh.scene) } : message;
-    redraw();
+    redrawNow();
   },
   progress: ({ fraction, text }) => searching(fraction, text),
   candidates: (message) => (busy(false), curve.candidates(message)),
@@ -313,10 +339,17 @@ function searching(fraction, text) {
   const running = fraction !== null && fraction < 1;
   root.toggleAttribute("data-searching", running);
   setText($("search"), running ? "Stop" : "Search");
+  clearTimeout(searching.timer);
   if (running) {
-    hint(text || "Searching …");
-  } else if (searching.running) {
-    hint(null);
+    searching.begun ??= performance.now();
+    const share = fraction > 0 ? ` ${Math.round(100 * fraction)} %` : "";
+    const left = Math.max(0, searching.begun + LONG - performance.now());
+    searching.timer = setTimeout(() => hint(`${text === "searching" ? "Searching for a better design …" : text}${share}`), left);
+  } else {
+    if (searching.running) {
+      hint(null);
+    }
+    searching.begun = null;
   }
   searching.running = running;
 }
@@ -391,8 +424,7 @@ $("redo").addEventListener("click", () => ask("redo"));
 $("search").addEventListener("click", () => live.send(searching.running ? "stop" : "search"));
 $("zoom-in").addEventListener("click", () => view.zoom(1.4));
 $("zoom-out").addEventListener("click", () => view.zoom(1 / 1.4));
-const fitAll = () => view.fit(linkage.scene?.box || EMPTY);
-$("zoom-fit").addEventListener("click", fitAll);
+$("zoom-fit").addEventListener("click", () => view.fit(linkage.scene ? extent(linkage.scene, linkage.targets) : EMPTY));
 $("link-copy").addEventListener("click", async () => {
   try {
     await navigator.clipboard.writeText(link);

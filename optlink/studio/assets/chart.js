@@ -80,7 +80,7 @@ function update(node, chart) {
       text.setAttribute("x", WIDTH - RIGHT - 3);
       text.setAttribute("y", (at > TOP + 14 ? at - 4 : at + 11).toFixed(1));
       text.setAttribute("text-anchor", "end");
-      setText(text, label || "limit");
+      setText(text, `${label || "limit"} ${short(value)}`);
     }
   );
   keyed(

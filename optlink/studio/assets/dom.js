@@ -43,12 +43,15 @@ export function number(value, digits = 5) {
   return Number(text) === 0 ? text.replace("-", "") : text.replace("-", "−");
 }
 
+// A number of a problem file, without zeros at its end.
+export const plain = (value, digits = 4) => (Number.isFinite(value) && Math.abs(value) < 1e7 ? String(Number(value.toPrecision(digits))).replace("-", "−") : number(value, digits));
+
 const UNITS = { deg: "°", "": "", 1: "" };
 export const unitText = (unit) =>
   UNITS[unit] ?? String(unit).replace(/\^2/g, "²").replace(/\^3/g, "³").replace(/\^(-?\d)/g, "^$1").replace(/ ?\* ?/g, " ");
-export function quantity(value, unit, digits) {
+export function quantity(value, unit, digits, write = number) {
   const shown = unitText(unit || "");
-  return number(value, digits) + (shown === "°" || shown === "" ? shown : " " + shown);
+  return write(value, digits) + (shown === "°" || shown === "" ? shown : " " + shown);
 }
 
 // Children of a node, one per item, kept from one call to the next: `make(item)` returns a node, `update(node, item)` writes it.

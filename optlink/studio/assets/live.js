@@ -1,4 +1,5 @@
 // The connection: requests with rising ids; of drags one in flight and the newest waiting; answers older than what is shown are dropped.
+// studioTimings is for measurements: of every movement when it happened, when its drag or a later one was sent, answered and drawn.
 export const timings = (window.studioTimings = []);
 const KEPT = 4000;
 const PATIENCE = 15000; // after which a drag without an answer no longer blocks the next [ms]
@@ -12,7 +13,7 @@ export class Live {
     this.dropped = 0;
     this.flying = null;
     this.waiting = null;
-    this.sent = new Map();
+    this.moves = []; // not drawn yet
   }
 
   connect() {
@@ -20,8 +21,8 @@ export class Live {
     const query = this.token ? `?token=${encodeURIComponent(this.token)}` : "";
     const socket = (this.socket = new WebSocket(`${scheme}://${location.host}/live${query}`));
     this.flying = this.waiting = null;
-    this.shown = this.id; // answers to an earlier connection no longer count
-    socket.addEventListener("message", (event) => this.receive(JSON.parse(event.data)));
+    this.shown = 0;
+    socket.addEventListener("message", (event) => socket === this.socket && this.receive(JSON.parse(event.data)));
     socket.addEventListener("close", () => {
       if (socket === this.socket) {
         this.listeners.closed();
@@ -45,7 +46,8 @@ export class Live {
 
   // `fields`: handle, at or value, moving; `event`: time stamp of the movement
   drag(fields, event) {
-    const next = { fields, event };
+    const next = { fields, timing: { event, moving: fields.moving } };
+    this.moves.push(next.timing);
     if (this.flying !== null && performance.now() - this.flying.sent < PATIENCE) {
       this.waiting = next;
     } else {
@@ -53,11 +55,13 @@ export class Live {
     }
   }
 
-  fly({ fields, event }) {
+  fly({ fields, timing }) {
     const id = this.send("drag", fields);
-    this.flying = id === null ? null : { id, sent: performance.now() };
-    if (id !== null) {
-      this.sent.set(id, { id, event, sent: this.flying.sent, moving: fields.moving });
+    const sent = performance.now();
+    this.flying = id === null ? null : { id, sent };
+    for (const one of this.moves.slice(0, this.moves.indexOf(timing) + 1)) {
+      one.id ??= id;
+      one.sent ??= sent;
     }
   }
 
@@ -68,7 +72,7 @@ export class Live {
         this.dropped += 1;
       } else {
         this.shown = id;
-        message.timing = this.timed(id);
+        this.mark(id, "answered");
         this.listeners.state(message);
       }
     } else if (type === "hello") {
@@ -86,20 +90,19 @@ export class Live {
     }
   }
 
-  timed(id) {
-    const timing = this.sent.get(id) || null;
-    for (const known of this.sent.keys()) {
-      if (known <= id) {
-        this.sent.delete(known);
+  // The answer to a drag has arrived, or is drawn: so are the movements before it.
+  mark(id, what) {
+    for (const one of this.moves) {
+      if (one.id <= id) {
+        one[what] ??= performance.now();
       }
     }
-    if (timing) {
-      timing.answered = performance.now();
-      timings.push(timing);
+    if (what === "drawn") {
+      timings.push(...this.moves.filter((one) => one.drawn));
+      this.moves = this.moves.filter((one) => !one.drawn);
       if (timings.length > KEPT) {
         timings.splice(0, KEPT / 4);
       }
     }
-    return timing;
   }
 }

@@ -45,7 +45,8 @@ export class Motion {
   }
 
   write() {
-    const text = `${this.angle.toFixed(1).replace("-", "−")}°`;
+    const angle = this.closed ? ((this.angle % 360) + 360) % 360 : this.angle;
+    const text = `${angle.toFixed(1).replace("-", "−")}°`;
     if (this.text !== text) {
       this.text = text;
       $("angle").textContent = text;

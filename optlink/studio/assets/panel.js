@@ -1,6 +1,7 @@
 // The side panel: verdict, conclusion, design variables, limits, charts, checks.
 import { drawCharts } from "./chart.js";
-import { $, el, icon, keyed, quantity, number, setText, unitText } from "./dom.js";
+import { inPanel } from "./handles.js";
+import { $, el, icon, keyed, plain, quantity, number, setText, unitText } from "./dom.js";
 
 const VERDICTS = {
   verified: ["✓", "Verified", "good"],
@@ -11,6 +12,13 @@ const VERDICTS = {
 };
 
 export const verdictOf = (status) => VERDICTS[status] || ["○", status, "open"];
+
+// The design variables, and the fixed sizes that can be freed: those have handles.
+function sizes(variables, handles) {
+  const known = new Set(variables.map((one) => one.name));
+  const fixed = handles.filter(({ size, locked, value }) => size && locked && typeof value === "number" && !known.has(size));
+  return [...variables, ...fixed.map(({ size, value, unit, id }) => ({ name: size, value, unit, key: id, lower: null, upper: null, locked: true }))];
+}
 
 function table(parent, title, heads) {
   if (!parent.firstChild) {
@@ -32,10 +40,11 @@ export class Panel {
     );
   }
 
-  take(state, sliders) {
+  take(state, handles) {
+    const sliders = inPanel(handles);
     this.verdict(state);
     this.conflicts(state.conflicts || []);
-    this.variables(state.variables || [], sliders);
+    this.variables(sizes(state.variables || [], handles), sliders);
     this.sliders(sliders.filter((one) => one.kind !== "range" || !one.size));
     this.active(state.active || []);
     this.checks(state);
@@ -51,8 +60,9 @@ export class Panel {
     setText(node.children[1], words);
     setText($("conclusion"), state.conclusion || "");
     const [label, value, took] = $("objective").children;
-    $("objective").hidden = !state.objective;
-    if (state.objective) {
+    const known = Number.isFinite(state.objective?.value);
+    $("objective").hidden = !known;
+    if (known) {
       setText(label, state.objective.label);
       setText(value, quantity(state.objective.value, state.objective.unit, 6));
     }
@@ -73,6 +83,7 @@ export class Panel {
       return;
     }
     const body = table(parent, "Design variables", ["Name", "Value", "Bounds", "Lock"]);
+    setText(parent.firstChild, variables.some((one) => !one.locked) ? "Design variables" : "Dimensions");
     const bounds = new Map(sliders.filter((one) => one.kind === "range" && one.size).map((one) => [one.size, one]));
     keyed(body, variables, (one) => one.name, (one) => this.row(one), (node, one) => this.fill(node, one, bounds.get(one.name)));
   }
@@ -83,7 +94,7 @@ export class Panel {
     const unit = el("span", { class: "unit" });
     const track = el("div", { class: "track" }, el("i"), el("b"));
     const lock = el("button", { class: "icon lock", "aria-pressed": "false" }, icon("unlock"));
-    const row = el("tr", { "data-variable": name }, el("th", { scope: "row", text: name }), el("td", { class: "num" }, value, unit), el("td", { class: "bounds" }, track, el("small")), el("td", {}, lock));
+    const row = el("tr", { "data-variable": name }, el("th", { scope: "row" }, ...name.split(/(?<=\.)/).flatMap((part) => [part, el("wbr")])), el("td", { class: "num" }, value, unit), el("td", { class: "bounds" }, track, el("small")), el("td", {}, lock));
     value.addEventListener("change", () => {
       const text = value.value.trim().replace("−", "-");
       if (text && row.variable.key) {
@@ -117,7 +128,7 @@ export class Panel {
     const limited = Number.isFinite(low) && Number.isFinite(high) && high > low && !variable.locked;
     const [track, small] = bounds.children;
     track.hidden = !limited;
-    setText(small, variable.locked ? "fixed" : limited ? `${number(low, 3)} … ${number(high, 3)}` : "free");
+    setText(small, variable.locked ? "fixed" : limited ? `${plain(low)} … ${plain(high)}` : "free");
     if (limited) {
       const place = (at) => `${(100 * Math.min(Math.max((at - low) / (high - low), 0), 1)).toFixed(2)}%`;
       const [, mark, ...knobs] = track.children;
@@ -222,7 +233,7 @@ export class Panel {
     const values = handle.kind === "range" ? handle.value : [handle.value];
     const [low, high] = [handle.lower ?? Math.min(...values) - Math.abs(values[0] || 1), handle.upper ?? Math.max(...values) + Math.abs(values[0] || 1)];
     setText(head.children[0], handle.label);
-    setText(head.children[1], values.map((one) => quantity(one, handle.unit, 4)).join(" … "));
+    setText(head.children[1], values.map((one) => quantity(one, handle.unit, 4, plain)).join(" … "));
     inputs.forEach((input, k) => {
       if (!node.holding) {
         input.min = low;
@@ -246,7 +257,8 @@ export class Panel {
       (one) => one.limit,
       () => el("tr", {}, el("th", { scope: "row" }), el("td", { class: "num" })),
       ({ children: [name, price] }, one) => {
-        setText(name, one.limit + (one.value === null || one.value === undefined ? "" : ` (${quantity(one.value, one.unit, 4)})`));
+        const sides = one.limit.replace("<=", "≤").replace(">=", "≥");
+        setText(name, sides + (Number.isFinite(one.value) ? ` ${quantity(one.value, one.unit, 4, plain)}` : ""));
         setText(price, one.price === null ? "–" : quantity(one.price, one.price_unit, 4));
       }
     );

@@ -1,6 +1,7 @@
 // The view of the canvas: millimetres to pixels, zoom and pan by wheel, buttons, keys, one finger and two.
 const LEAST = 1e-4;
 const MOST = 1e5; // scale [px/mm]
+const SMALL = 0.35; // share of the view below which a linkage is shown larger
 
 export class View {
   constructor(node, changed) {
@@ -45,6 +46,14 @@ export class View {
     this.box = box;
     this.touched = false;
     this.changed();
+  }
+
+  // Whether a box is in view and not much smaller than it.
+  holds([x0, y0, x1, y1]) {
+    const [left, top] = this.px(x0, y1);
+    const [right, bottom] = this.px(x1, y0);
+    const inside = left >= 0 && top >= 0 && right <= this.width && bottom <= this.height;
+    return inside && Math.max((right - left) / this.width, (bottom - top) / this.height) > SMALL;
   }
 
   px(x, y) {
