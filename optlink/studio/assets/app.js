@@ -1,41 +1,21 @@
 // The studio: connects the page with the server, and the parts of the page with each other.
 import { Background } from "./background.js";
+import { dropDown, keyboard, takeFiles } from "./commands.js";
 import { Curve } from "./curve.js";
-import { $, download, el, icon, setText, svg, toast } from "./dom.js";
+import { $, download, el, setText, svg, toast } from "./dom.js";
 import { Handles } from "./handles.js";
 import { Linkage } from "./linkage.js";
 import { Live } from "./live.js";
 import { Motion } from "./motion.js";
 import { Panel, verdictOf } from "./panel.js";
 import { Start } from "./start.js";
+import "./theme.js";
 import { round125, View } from "./view.js";
 
 const EMPTY = [-120, -80, 320, 200]; // box of an empty canvas [mm]
+const root = document.documentElement;
 const LONG = 900; // after which a search is mentioned [ms]
 const SLOW = 300; // after which a change that takes longer shows that it is computed [ms]
-
-// --- colours -----------------------------------------------------------------------------------------------------------------
-
-const root = document.documentElement;
-const system = matchMedia("(prefers-color-scheme: dark)");
-function remembered(value) {
-  try {
-    return value ? localStorage.setItem("optlink-theme", value) : localStorage.getItem("optlink-theme");
-  } catch {
-    return null; // no storage for this page
-  }
-}
-function paint() {
-  const dark = (remembered() || (system.matches ? "dark" : "light")) === "dark";
-  root.dataset.theme = dark ? "dark" : "light";
-  $("theme").setAttribute("aria-label", `Use ${dark ? "light" : "dark"} colours`);
-}
-$("theme").addEventListener("click", () => {
-  remembered(root.dataset.theme === "dark" ? "light" : "dark");
-  paint();
-});
-system.addEventListener("change", paint);
-paint();
 
 // --- token: out of the address bar, kept for reconnecting ----------------------------------------------------------------------
 
@@ -435,110 +415,23 @@ $("link-copy").addEventListener("click", async () => {
   toast("Link copied.");
 });
 
-function drop(button, menu) {
-  const set = (open) => {
-    menu.hidden = !open;
-    button.setAttribute("aria-expanded", String(open));
-  };
-  button.addEventListener("click", () => set(menu.hidden));
-  menu.addEventListener("keydown", (event) => {
-    const items = [...menu.children];
-    const way = { ArrowDown: 1, ArrowUp: -1 }[event.key];
-    if (way) {
-      event.preventDefault();
-      items.at((items.indexOf(document.activeElement) + way) % items.length).focus();
-    } else if (event.key === "Escape") {
-      set(false);
-      button.focus();
-    }
-  });
-  document.addEventListener("pointerdown", (event) => {
-    if (!menu.hidden && !menu.contains(event.target) && event.target !== button) {
-      set(false);
-    }
-  });
-  return set;
-}
-const formats = drop($("export"), $("formats"));
+const formats = dropDown($("export"), $("formats"));
 for (const item of $("formats").children) {
   item.addEventListener("click", () => {
     formats(false);
     ask("export", { format: item.dataset.format });
   });
 }
-$("menu").addEventListener("click", () => {
-  const open = root.toggleAttribute("data-menu");
-  $("menu").setAttribute("aria-expanded", String(open));
-  $("menu").replaceChildren(icon(open ? "close" : "menu"));
+keyboard({
+  before: () => knobs.release(),
+  single: () => !start.open,
+  escape: () => tool !== "select" && choose("select"),
 });
-$("commands").addEventListener("click", (event) => {
-  if (event.target.closest("button") && !event.target.closest("#export")) {
-    root.removeAttribute("data-menu");
-    $("menu").setAttribute("aria-expanded", "false");
-    $("menu").replaceChildren(icon("menu"));
-  }
-});
-
-// --- keys -----------------------------------------------------------------------------------------------------------------------------
-
-const KEYS = [
-  ["Tab", "next handle or control"],
-  ["Arrow keys", "move the handle that has the focus; with Shift a tenth of it"],
-  ["Space", "play or pause the motion"],
-  ["Ctrl+Z, Ctrl+Shift+Z", "undo, redo"],
-  ["Ctrl+S, Ctrl+O", "save, open"],
-  ["+, −, 0", "zoom in, out, fit"],
-  ["V, D, B", "select, draw a curve, background"],
-  ["Esc", "give up a drag, close"],
-  ["Wheel, two fingers", "zoom; drag the empty canvas to pan"],
-];
-$("keys-text").append(
-  el("dl", {}, ...KEYS.flatMap(([key, text]) => [el("dt", { text: key }), el("dd", { text })])),
-  el("p", { text: "Circles are handles: filled ones belong to the problem, those with two arrows move along a line, arcs are angles. A red bar shows where feasibility ends. A dashed linkage is not verified yet; it is checked on release." })
-);
-$("help").addEventListener("click", () => $("keys").showModal());
-
-const COMMANDS = { z: "undo", y: "redo", Z: "redo", s: "save", o: "open" };
-const SINGLE = { v: "tool-select", d: "tool-draw", b: "tool-back", "+": "zoom-in", "=": "zoom-in", "-": "zoom-out", 0: "zoom-fit", "?": "help", " ": "play" };
-document.addEventListener("keydown", (event) => {
-  if (event.target.closest("input[type=text], input[type=search], input[type=number]") || document.querySelector("dialog[open]")) {
-    return;
-  }
-  const command = event.ctrlKey || event.metaKey ? COMMANDS[event.key] : null;
-  if (command) {
-    event.preventDefault();
-    knobs.release();
-    $(command).click();
-  } else if (!start.open && !event.ctrlKey && !event.metaKey && !event.altKey && SINGLE[event.key]) {
-    if (event.key !== " " || !event.target.closest("button, summary")) {
-      event.preventDefault();
-      $(SINGLE[event.key]).click();
-    }
-  } else if (event.key === "Escape" && tool !== "select") {
-    choose("select");
-  }
-});
-
-// --- files dropped on the page ------------------------------------------------------------------------------------------------------------
-
-addEventListener("dragover", (event) => {
-  event.preventDefault();
-  root.setAttribute("data-dropping", "");
-});
-for (const kind of ["dragleave", "drop"]) {
-  addEventListener(kind, (event) => {
-    if (kind === "drop" || !event.relatedTarget) {
-      root.removeAttribute("data-dropping");
-    }
-  });
-}
-addEventListener("drop", (event) => {
-  event.preventDefault();
-  const [file] = event.dataTransfer.files;
-  if (file && /\.(dxf|png|jpe?g|webp|gif)$/i.test(file.name)) {
+takeFiles((file) => {
+  if (/\.(dxf|png|jpe?g|webp|gif)$/i.test(file.name)) {
     start.hide();
     background.open(file);
-  } else if (file) {
+  } else {
     start.file(file);
   }
 });

@@ -85,7 +85,7 @@ export function readDxf(text) {
       kind = value;
       section = value === "ENDSEC" ? "" : section;
     } else if (code === 2 && kind === "SECTION") {
-      section = value;
+      [section, kind] = [value, null];
     } else if (code === 9) {
       heading = value;
     } else if (code === 70 && heading === "$INSUNITS" && section === "HEADER") {

@@ -39,6 +39,11 @@ export class Live {
       this.listeners.closed();
       return null;
     }
+    const before = this.waiting;
+    if (before && type !== "drag") {
+      this.waiting = null;
+      this.fly(before);
+    }
     const id = ++this.id;
     this.socket.send(JSON.stringify({ type, id, ...fields }));
     return id;

@@ -276,6 +276,11 @@ export class Panel {
       setText(line, state.moving ? "Checked when you release." : "No validated design.");
       return;
     }
+    if (!checks.length) {
+      details.hidden = true;
+      setText(line, "No design variables: the analysis over the cycle found no singular position.");
+      return;
+    }
     const passed = checks.filter((one) => one.ok).length;
     setText(line, `${passed} of ${checks.length} checks passed`);
     keyed(

@@ -1,0 +1,273 @@
+"""The page of the studio in a real browser, with a real mouse, and what of it can be checked without one."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import optlink
+from optlink.report import style
+from optlink.report.html import theme
+from tests.browser import colours, console, faults
+
+ASSETS = Path(optlink.__file__).parent / "studio" / "assets"
+FRAME = "mechanism.frame"
+
+
+def variables(text: str, selector: str) -> dict[str, str]:
+    """Colour variables of the first block of a selector."""
+    block = text.partition(selector)[2].partition("}")[0]
+    return dict(re.findall(r"(--[\w]+): (#[0-9a-f]{6})", block))
+
+
+def test_the_colours_are_those_of_the_report():
+    own = (ASSETS / "studio.css").read_text()
+    report = (ASSETS.parents[1] / "report" / "assets" / "page.css").read_text()
+    for selector in (":root {", ":root[data-theme=dark] {"):
+        shared = variables(report, selector)
+        assert len(shared) >= 9
+        assert shared.items() <= variables(own, selector).items()
+    drawn = (style.CRANK, *style.BODIES, style.GROUND, style.QUIET, style.WANTED)
+    dark = variables(own, ":root[data-theme=dark] {")
+    assert {f"--c{light[1:]}": dark.get(f"--c{light[1:]}") for light in drawn} == {f"--c{k[1:]}": v for k, v in theme.palette(drawn).items()}
+
+
+def test_the_page_has_no_inline_script_or_style():
+    """The policy of the server forbids both, and every other host."""
+    page = (ASSETS / "index.html").read_text()
+    assert re.findall(r"<script[^>]*>", page) == ['<script type="module" src="/assets/app.js">']
+    assert not re.search(r'<style|\sstyle="|\son\w+="', page)
+    for path in ASSETS.iterdir():
+        text = path.read_text()
+        assert {a for a in re.findall(r"https?://[^\s\"'`]+", text) if "${" not in a} <= {"http://www.w3.org/2000/svg"}, path
+        assert "innerHTML" not in text, path  # what a file says is text, never markup
+
+
+# --- in a browser ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def address():
+    pytest.importorskip("selenium", reason="selenium is not installed")
+    from tests.studio.browser import studio
+
+    with studio() as found:
+        yield found
+
+
+@pytest.fixture
+def page(driver, address):
+    """An empty studio; afterwards nothing stands on its console, and nothing was asked of another host."""
+    from tests.studio.browser import Page
+
+    driver.get_log("browser")
+    driver.get_log("performance")
+    page = Page(driver, address)
+    page.size(1400, 900)
+    yield page.open()
+    assert console(driver) == []
+    events = [json.loads(entry["message"])["message"] for entry in driver.get_log("performance")]
+    asked = [e["params"]["request"]["url"] for e in events if e["method"] == "Network.requestWillBeSent"]
+    own = address.partition("?")[0]
+    assert asked
+    assert [one for one in asked if not one.startswith((own, "data:", "blob:"))] == []
+    driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def drawn_length(page, body: str) -> float:
+    """Length of a link as it is drawn [mm]."""
+    (x, y), (u, v) = page.run(
+        """const path = document.querySelector(`[data-body="${arguments[0]}"] path.bar`);
+        return [0, path.getTotalLength()].map((at) => path.getPointAtLength(at)).map((p) => [p.x, p.y]);""",
+        body,
+    )
+    return math.hypot(u - x, v - y)
+
+
+def value(page, name: str) -> float:
+    return float(page.find(f'[data-variable="{name}"] input').get_attribute("value"))
+
+
+@pytest.mark.slow
+def test_a_drag_leads_the_linkage(page):
+    page.open("crank-rocker")
+    before = {name: value(page, name) for name in ("coupler", "rocker", "frame")}
+    assert before["frame"] == 500.0
+    orders = "new MutationObserver(() => seen.push(Number(c.dataset.shown))).observe(c, {attributeFilter: ['data-shown']})"
+    page.run(f"window.seen = []; const c = document.querySelector('#canvas'), seen = window.seen; {orders}")
+    page.press(FRAME)
+    page.move([(2, 0)] * 25)
+    page.until("return document.querySelector('#canvas').dataset.status === 'not-verified'")
+    assert "Not verified" in page.text("#verdict")
+    time.sleep(0.3)
+    frame = value(page, "frame")
+    assert frame == pytest.approx(500.0 + 50.0 / page.run("return Number(getComputedStyle(world).transform.split(/[(,]/)[1])"), abs=1.0)
+    page.release()
+    page.verified()
+    after = {name: value(page, name) for name in before}
+    assert after["frame"] == pytest.approx(frame, abs=1e-2)
+    # what is shown is what the command line finds, and it is drawn
+    best = optlink.solve(optlink.load("crank-rocker").override({"mechanism.frame": f"{after['frame']} mm"}))
+    for name in ("coupler", "rocker"):
+        assert abs(after[name] - before[name]) > 1.0
+        assert after[name] == pytest.approx(1e3 * best.design[name], abs=2e-2)
+        assert drawn_length(page, name) == pytest.approx(after[name], abs=2e-2)
+    assert page.text("#checks p") == f"{len(best.validation.checks)} of {len(best.validation.checks)} checks passed"
+    # answers in their order, and every movement noted
+    seen = page.run("return window.seen")
+    assert seen == sorted(seen)
+    timings = page.timings()
+    assert len([one for one in timings if one["moving"]]) >= 20
+    for one in timings:
+        assert one["event"] <= one["sent"] <= one["answered"] <= one["drawn"]
+    assert np.median([one["drawn"] - one["event"] for one in timings if one["moving"]]) < 250.0
+    page.find("#undo").click()
+    page.until("return document.querySelector('[data-variable=frame] input').value === '500.000'")
+    page.verified()
+    assert value(page, "coupler") == pytest.approx(before["coupler"], abs=1e-3)
+
+
+@pytest.mark.slow
+def test_keys_lock_and_link(page):
+    """The limit of the transmission angle by the keyboard, a locked variable, and the same problem from its link."""
+    from selenium.webdriver.common.keys import Keys
+
+    page.open("crank-rocker")
+    knob = page.find('[data-handle="limits.transmission_angle.max"]')
+    page.run("arguments[0].focus()", knob)
+    knob.send_keys(Keys.ARROW_LEFT, Keys.ARROW_LEFT, Keys.SHIFT + Keys.ARROW_LEFT)
+    page.until("return arguments[0].getAttribute('aria-valuenow').startsWith('132.9')", knob)
+    page.until("return document.querySelector('#active').textContent.includes('132.9')")
+    page.verified()
+    page.find('[data-variable="rocker"] .lock').click()
+    page.until("return document.querySelector('[data-variable=rocker]').classList.contains('locked')")
+    page.verified()
+    fixed = value(page, "rocker")
+    page.find("#share").click()
+    page.until("return document.querySelector('#link').open")
+    link = page.find("#link-text").get_attribute("value")
+    page.find("#link form button:last-child").click()
+    page.open()
+    page.find("#pasted").send_keys(link)
+    page.find("#paste button").click()
+    page.verified()
+    assert value(page, "rocker") == pytest.approx(fixed, abs=1e-3)
+    assert "132.9" in page.text("#active")
+
+
+@pytest.mark.slow
+def test_from_an_empty_canvas_to_a_drawing_by_mouse(page, tmp_path):
+    ezdxf = pytest.importorskip("ezdxf")
+    page.downloads(tmp_path)
+    actions = 0
+
+    def click(selector: str) -> None:
+        nonlocal actions
+        actions += 1
+        page.find(selector).click()
+
+    click("#start-draw")
+    actions += 1
+    page.stroke(lambda k: (160.0 * math.cos(k * math.pi / 24.0), 70.0 * math.sin(k * math.pi / 24.0) - 60.0), 48)
+    page.until("return document.querySelector('.candidate:not(.bad)')")
+    error = page.text(".candidate:not(.bad) b")
+    assert re.fullmatch(r"[\d.]+ (mm|µm)", error)
+    click(".candidate:not(.bad)")
+    page.verified()
+    click("#export")
+    click('[data-format="dxf"]')
+    end = time.monotonic() + 30.0
+    while not (files := list(tmp_path.glob("*.dxf"))):
+        assert time.monotonic() < end, page.text("#toast")
+        time.sleep(0.05)
+    assert actions <= 12
+    found = {entity.dxftype() for entity in ezdxf.readfile(files[0]).modelspace()}
+    assert "CIRCLE" in found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+def test_no_serious_fault_of_access(page, dark):
+    with colours(page.driver, dark=dark):
+        for problem in (None, "crank-rocker"):
+            page.open(problem)
+            for width, height in ((1400, 900), (1024, 768), (400, 860)):
+                page.size(width, height)
+                page.run("document.querySelector('#checks details').open = true" if problem else "")
+                assert faults(page.driver) == []
+                assert page.run("return document.documentElement.scrollWidth") <= width
+
+
+ANSWERS = """
+const done = arguments[arguments.length - 1];
+import("/assets/live.js").then(({ Live }) => {
+  const shown = [], sent = [];
+  const live = new Live(null, { state: (m) => shown.push(m.id), closed: () => {}, fault: () => {} });
+  live.socket = { readyState: WebSocket.OPEN, send: (text) => sent.push(JSON.parse(text)) };
+  for (let k = 0; k < 5; k += 1) {
+    live.drag({ handle: "h", value: k, moving: true }, k);
+  }
+  const first = sent.length;
+  live.receive({ type: "state", id: 1 });
+  live.drag({ handle: "h", value: 9, moving: false }, 9);
+  live.receive({ type: "fault", id: 2, message: "" });
+  live.receive({ type: "state", id: 1 });
+  live.receive({ type: "state", id: 3 });
+  live.receive({ type: "state", id: 3 });
+  live.receive({ type: "state", id: 2 });
+  done({ first, values: sent.map((one) => [one.id, one.value, one.moving]), shown, dropped: live.dropped });
+});
+"""
+
+
+@pytest.mark.slow
+def test_one_drag_is_under_way_and_older_answers_are_dropped(page):
+    found = page.driver.execute_async_script(ANSWERS)
+    assert found["first"] == 1
+    assert found["values"] == [[1, 0, True], [2, 4, True], [3, 9, False]]
+    assert found["shown"] == [1, 1, 3, 3]
+    assert found["dropped"] == 1
+
+
+@pytest.mark.slow
+def test_a_drawing_behind_the_linkage_to_scale(page, tmp_path):
+    """A DXF drawing in its units, and another scale by two clicks and a length."""
+    ezdxf = pytest.importorskip("ezdxf")
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    made = ezdxf.new(units=1)  # inches
+    space = made.modelspace()
+    space.add_line((0.0, 0.0), (4.0, 0.0))
+    space.add_circle((1.0, 1.0), 0.5)
+    space.add_arc((2.0, 0.0), 1.0, 0.0, 180.0)
+    space.add_lwpolyline([(0.0, 0.0, 1.0), (2.0, 0.0, 0.0), (2.0, 2.0, 0.0)], format="xyb", close=True)
+    made.saveas(tmp_path / "drawing.dxf")
+    text = (tmp_path / "drawing.dxf").read_text()
+    read = "const done = arguments[1]; import('/assets/dxf.js').then(({ readDxf }) => done(readDxf(arguments[0])))"
+    found = page.driver.execute_async_script(read, text)
+    line, circle, arc, polyline = (np.array(one) for one in found["lines"])
+    assert np.allclose(line, [[0.0, 0.0], [101.6, 0.0]])
+    assert np.allclose(np.hypot(*(circle - 25.4).T), 12.7)
+    assert np.allclose(arc[[0, -1]], [[76.2, 0.0], [25.4, 0.0]])
+    assert arc[:, 1].max() == pytest.approx(25.4)
+    assert polyline[:, 1].min() == pytest.approx(-25.4)  # a bulge of 1 is a semicircle, to the right of its chord
+    assert np.allclose(polyline[[0, -1]], 0.0)
+    page.find("#start-draw").click()
+    page.find("#tool-back").click()
+    page.find("#back-input").send_keys(str(tmp_path / "drawing.dxf"))
+    page.until("return document.querySelector('#back-scale:not(:disabled)')")
+    page.find("#back-scale").click()
+    for x in (-150, 150):
+        ActionChains(page.driver).move_to_element_with_offset(page.find("#canvas"), x, 0).click().perform()
+    shown = "return Number(getComputedStyle(world).transform.split(/[(,]/)[1])"
+    apart = 300.0 / page.run(shown)
+    page.find("#back-mm").send_keys("500")
+    page.find("#back-length button").click()
+    scale = float(page.find("#world .below g").get_attribute("transform").partition("scale(")[2].rstrip(")"))
+    assert scale == pytest.approx(500.0 / apart, rel=1e-6)
