@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import signal
 import subprocess
@@ -111,9 +112,14 @@ class Page:
         places = [(round(x), round(y)) for x, y in map(at, range(count + 1))]
         chain = ActionChains(self.driver, duration=8)
         chain.move_to_element_with_offset(self.find("#canvas"), *places[0]).click_and_hold()
-        for (x, y), (u, v) in zip(places, places[1:], strict=False):
+        for (x, y), (u, v) in itertools.pairwise(places):
             chain.move_by_offset(u - x, v - y)
         chain.release().perform()
+
+    @property
+    def scale(self) -> float:
+        """Scale of the canvas [px/mm]."""
+        return float(self.run("return Number(getComputedStyle(world).transform.split(/[(,]/)[1])"))
 
     # --- measuring and looking -----------------------------------------------------------------------------------------------
 
