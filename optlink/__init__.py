@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from optlink.linkage.fourbar import four_bar, grashof
     from optlink.linkage.motion import sweep
     from optlink.problem.file import ProblemFile, load, read, shipped
+    from optlink.problem.templates import new
     from optlink.report.html.explore import Explorer, explore
     from optlink.tasks.analyze import analyze
     from optlink.tasks.balance import balance
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from optlink.tasks.results.path import PathDesign, PathResult
     from optlink.tasks.run import solve, validate
     from optlink.tasks.simulate import Simulation, simulate
-    from optlink.templates import new
 
 _HOME = {
     "Analysis": "optlink.tasks.results.analysis",
@@ -57,7 +57,7 @@ _HOME = {
     "Status": "optlink.errors",
     "ProblemFile": "optlink.problem.file",
     "load": "optlink.problem.file",
-    "new": "optlink.templates",
+    "new": "optlink.problem.templates",
     "Explorer": "optlink.report.html.explore",
     "explore": "optlink.report.html.explore",
     "read": "optlink.problem.file",

@@ -23,8 +23,8 @@ import optlink
 from optlink.cli.app import app
 from optlink.problem.base_model import Section
 from optlink.problem.targets.expression import FUNCTIONS
+from optlink.problem.templates import templates
 from optlink.report.registry import json_schema
-from optlink.templates import templates
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"

@@ -18,7 +18,7 @@ from optlink.cli.app import app
 from optlink.dynamics.dyad_balances import BALANCES
 from optlink.errors import InputError
 from optlink.linkage.assur import DYADS
-from optlink.problem.cycle_quantities import QUANTITIES
+from optlink.problem.cycle.quantities import QUANTITIES
 from optlink.problem.file_errors import SECTIONS
 from optlink.problem.function import DesignProblem
 from optlink.problem.limits import LIMITS, Limits

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 import optlink
 from optlink.cli.app import app
 from optlink.linkage.motion import sweep
-from optlink.templates import NEXT, template, templates
+from optlink.problem.templates import NEXT, template, templates
 
 NAMES = sorted(templates())
 QUICK = ("law",)  # the others take some seconds each

@@ -27,8 +27,8 @@ import optlink
 from optlink.clearance.contact_laws import NORMAL
 from optlink.errors import InputError
 from optlink.problem.base_model import Section
-from optlink.problem.cycle import CycleProblem, StrokeProblem
-from optlink.problem.cycle_quantities import QUANTITIES
+from optlink.problem.cycle.model import CycleProblem, StrokeProblem
+from optlink.problem.cycle.quantities import QUANTITIES
 from optlink.problem.function import DEAD_CENTRES, DesignProblem
 from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import DyadsSection, FourBarSection

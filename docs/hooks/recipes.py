@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from optlink.templates import Template, template, templates
+from optlink.problem.templates import Template, template, templates
 
 if TYPE_CHECKING:
     from mkdocs.config.defaults import MkDocsConfig

@@ -38,7 +38,7 @@ def new(
 ) -> None:
     """Write a new problem file from a template that is complete and commented: change its values and solve it."""
     with console.reported(as_json):
-        from optlink.templates import template, templates
+        from optlink.problem.templates import template, templates
 
         if listed or not name:
             console.refuse({"--out": out, "--force": force}, "a list is not written to a file", "Name a template: new law")

@@ -17,8 +17,8 @@ from optlink.linkage.stroke import LEAST_DIFFERENCE
 from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale, alignment_row
 from optlink.optimization.cycle_signals import TURN, EventOrder, TracedCycle
 from optlink.optimization.nlp import Variable
-from optlink.problem.cycle import Bound
-from optlink.problem.cycle_terms import Goal, Term
+from optlink.problem.cycle.model import Bound
+from optlink.problem.cycle.terms import Goal, Term
 from optlink.problem.function import EPIGRAPH
 from optlink.problem.quantity import Quantity
 from optlink.units import KINDS, factor

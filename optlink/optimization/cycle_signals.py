@@ -23,9 +23,9 @@ from optlink.linkage.jet import Jet
 from optlink.linkage.motion import Motion
 from optlink.linkage.stroke import Direction, slow_stroke
 from optlink.linkage.vector2d import Value, dot, sign, unit
-from optlink.problem.cycle import CycleProblem
-from optlink.problem.cycle_quantities import guide_of
-from optlink.problem.cycle_terms import Term, output_of
+from optlink.problem.cycle.model import CycleProblem
+from optlink.problem.cycle.quantities import guide_of
+from optlink.problem.cycle.terms import Term, output_of
 from optlink.problem.machine.load_curves import Curve
 from optlink.problem.mechanism import sizes_of
 from optlink.symbolic import NumpyEvaluator, symbols_in_numpy

@@ -19,7 +19,7 @@ import pydantic
 from optlink.errors import Fault, InputError, shown
 from optlink.io import data_files, load_extensions
 from optlink.problem.base_model import SPELLED, SPELLINGS, with_ranges, with_spellings
-from optlink.problem.cycle import CycleProblem, StrokeProblem, cross_check_cycle
+from optlink.problem.cycle.model import CycleProblem, StrokeProblem, cross_check_cycle
 from optlink.problem.file_errors import SECTIONS, faults, known_keys, of_dyads, toml_fault
 from optlink.problem.function import DesignProblem, cross_check_design
 from optlink.problem.limits import MARGINS, Alignment

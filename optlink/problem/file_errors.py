@@ -10,8 +10,8 @@ import pydantic
 
 from optlink.errors import Fault
 from optlink.io import Registry
-from optlink.problem.cycle import CycleLimits, CycleProblem, StrokeProblem
-from optlink.problem.cycle_terms import Limit
+from optlink.problem.cycle.model import CycleLimits, CycleProblem, StrokeProblem
+from optlink.problem.cycle.terms import Limit
 from optlink.problem.function import DesignProblem
 from optlink.problem.machine.model import Problem
 from optlink.problem.path import PathProblem

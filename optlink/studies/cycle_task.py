@@ -22,7 +22,7 @@ from optlink.optimization.constraints import ConstraintRow
 from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.nlp import NLP
-from optlink.problem.cycle import CycleProblem
+from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.file import ProblemFile, read
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of

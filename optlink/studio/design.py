@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from optlink.dynamics.machine import Machine
 from optlink.errors import Status
-from optlink.problem.cycle import CycleProblem
+from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.problem.path import PathProblem

@@ -17,8 +17,8 @@ from optlink.errors import Fault, InputError
 from optlink.problem.base_model import with_ranges, with_spellings
 from optlink.problem.file import MAX_BYTES, WORDS, ProblemFile, load, read, shipped
 from optlink.problem.fixed_design import references
+from optlink.problem.templates import template
 from optlink.studies.toml_keys import exact_text, si_per_unit, value_at
-from optlink.templates import template
 from optlink.units import KINDS
 
 MOST_STEPS = 200  # of the history

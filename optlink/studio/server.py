@@ -28,8 +28,8 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from optlink.errors import Fault, InputError
 from optlink.problem.file import shipped
+from optlink.problem.templates import template, templates
 from optlink.studio.link import Link, Worker
-from optlink.templates import template, templates
 from optlink.version import VERSION
 
 ASSETS = Path(__file__).parent / "assets"

@@ -13,7 +13,7 @@ from optlink.dynamics.columns import MotionColumns
 from optlink.io import finite
 from optlink.linkage.dyad_types import transmitting
 from optlink.optimization.objectives import MEASURES
-from optlink.problem.cycle import CycleProblem
+from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.problem.limits import Limits

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Fault, InputError, Status
-from optlink.problem.cycle import Bound, CycleProblem
-from optlink.problem.cycle_terms import Term
+from optlink.problem.cycle.model import Bound, CycleProblem
+from optlink.problem.cycle.terms import Term
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import input_of
 from optlink.solvers.solution import Solution

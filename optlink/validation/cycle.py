@@ -18,9 +18,9 @@ from optlink.linkage.extrema import extremes
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.stroke import TURN, Travel, reachable, travels
 from optlink.linkage.vector2d import Value, turn
-from optlink.problem.cycle import Bound, CycleProblem
-from optlink.problem.cycle_quantities import guide_of
-from optlink.problem.cycle_terms import Term, output_of
+from optlink.problem.cycle.model import Bound, CycleProblem
+from optlink.problem.cycle.quantities import guide_of
+from optlink.problem.cycle.terms import Term, output_of
 from optlink.problem.limits import stroke_ratio
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Unusable

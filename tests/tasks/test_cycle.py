@@ -12,7 +12,7 @@ import pytest
 from scipy.optimize import brentq
 
 import optlink
-from optlink.problem.cycle_terms import Limit
+from optlink.problem.cycle.terms import Limit
 from optlink.tasks.cycle import CycleResult, solve, validate
 from optlink.validation.cycle import Cycle, validate_cycle
 from tests.solved import once

@@ -11,7 +11,7 @@ from scipy.optimize import minimize_scalar
 
 import optlink
 from optlink.errors import InputError
-from optlink.problem.cycle import CycleProblem
+from optlink.problem.cycle.model import CycleProblem
 
 Raw = dict[str, object]
 

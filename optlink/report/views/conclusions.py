@@ -10,7 +10,7 @@ import numpy as np
 
 from optlink.errors import Status
 from optlink.optimization.objectives import MEASURES
-from optlink.problem.cycle import REQUIRED, StrokeProblem
+from optlink.problem.cycle.model import REQUIRED, StrokeProblem
 from optlink.report.format import pretty, scale
 from optlink.report.views.certificate_view import clause
 

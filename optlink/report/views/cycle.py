@@ -16,7 +16,7 @@ from optlink.dynamics.columns import MotionColumns
 from optlink.linkage.motion import sweep
 from optlink.linkage.stroke import TURN
 from optlink.linkage.vector2d import Value
-from optlink.problem.cycle_terms import Term
+from optlink.problem.cycle.terms import Term
 from optlink.problem.file import ProblemFile
 from optlink.report import chart_spec
 from optlink.report.chart_spec import Axis, ChartSpec, Curve, Panel, crank_angle

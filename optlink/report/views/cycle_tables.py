@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from optlink.errors import Status
-from optlink.problem.cycle import CycleProblem, StrokeProblem
+from optlink.problem.cycle.model import CycleProblem, StrokeProblem
 from optlink.report.format import change, fixed, number, times
 from optlink.report.table_spec import Line, Paragraph, Part, Row, Summary, TableSpec, quiet, strong, summary, table
 from optlink.report.views.analysis_tables import machine_strokes

@@ -10,7 +10,7 @@ import numpy as np
 from optlink.errors import Status
 from optlink.optimization.objectives import MEASURES
 from optlink.problem.base_model import Section
-from optlink.problem.cycle import CycleProblem
+from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.problem.mechanism import FourBarSection

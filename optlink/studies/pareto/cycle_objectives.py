@@ -10,9 +10,9 @@ from typing import Any, get_args
 
 from optlink.errors import Fault, InputError
 from optlink.problem.base_model import SPELLINGS
-from optlink.problem.cycle import CycleProblem
-from optlink.problem.cycle_quantities import QUANTITIES
-from optlink.problem.cycle_terms import Limit, Measure, Term
+from optlink.problem.cycle.model import CycleProblem
+from optlink.problem.cycle.quantities import QUANTITIES
+from optlink.problem.cycle.terms import Limit, Measure, Term
 from optlink.problem.file import SIDES, ProblemFile, read
 from optlink.problem.quantity import nearest
 from optlink.studies.pareto.objective import OPTION, ParetoObjective

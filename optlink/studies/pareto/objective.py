@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from optlink.problem.cycle_terms import Term
+from optlink.problem.cycle.terms import Term
 from optlink.studies.grid import Axis, column, read_axis
 
 OPTION = "--objectives"

@@ -13,8 +13,8 @@ from pydantic import Field
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError, Status
 from optlink.problem.base_model import Number, Record, Recorded
-from optlink.problem.cycle import CycleProblem, StrokeProblem
-from optlink.problem.cycle_terms import Term
+from optlink.problem.cycle.model import CycleProblem, StrokeProblem
+from optlink.problem.cycle.terms import Term
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of

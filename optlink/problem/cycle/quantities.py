@@ -22,7 +22,7 @@ from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.vector2d import Value, cross, dot, magnitude, minus
 
 if TYPE_CHECKING:
-    from optlink.problem.cycle_terms import Term
+    from optlink.problem.cycle.terms import Term
 
 Array = NDArray[np.float64]
 Signal = Callable[[Moving, Reactions, "Term"], tuple[Value, ...]]

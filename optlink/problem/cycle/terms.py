@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, model_validator
 
 from optlink.linkage.mechanism import Mechanism
 from optlink.problem.base_model import Section
-from optlink.problem.cycle_quantities import GUIDE, QUANTITIES, QuantityType, guide_of, moving_points
+from optlink.problem.cycle.quantities import GUIDE, QUANTITIES, QuantityType, guide_of, moving_points
 from optlink.problem.quantity import (
     STROKES,
     FixedAngle,
