@@ -113,7 +113,7 @@ const knobs = new Handles(canvas, view, {
     }
   },
   away: (handle) => {
-    const at = reference(handle);
+    const at = handle.id.startsWith("requirement.") ? null : reference(handle); // targets stay where they are
     return at !== null && Math.abs(motion.at - at) > 0.02;
   },
   drag: (fields, stamp) => live.drag(fields, stamp),

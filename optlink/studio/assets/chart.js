@@ -1,5 +1,5 @@
 // A light line chart: axes with a few round numbers, curves, limits as dashed lines, and a cursor at the crank angle.
-import { el, keyed, number, setText, svg, unitText } from "./dom.js";
+import { el, keyed, number, plain, setText, svg, unitText } from "./dom.js";
 import { round125 } from "./view.js";
 
 const [WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM] = [340, 150, 44, 10, 8, 22];
@@ -80,7 +80,7 @@ function update(node, chart) {
       text.setAttribute("x", WIDTH - RIGHT - 3);
       text.setAttribute("y", (at > TOP + 14 ? at - 4 : at + 11).toFixed(1));
       text.setAttribute("text-anchor", "end");
-      setText(text, `${label || "limit"} ${short(value)}`);
+      setText(text, `${label || "limit"} ${plain(value)}`);
     }
   );
   keyed(

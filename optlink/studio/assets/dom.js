@@ -55,7 +55,8 @@ export function quantity(value, unit, digits, write = number) {
 }
 
 // Children of a node, one per item, kept from one call to the next: `make(item)` returns a node, `update(node, item)` writes it.
-export function keyed(parent, items, key, make, update) {
+// Without `ordered` no node is moved: one that is moved would lose the focus.
+export function keyed(parent, items, key, make, update, ordered = true) {
   const old = parent.keyed || new Map();
   const now = new Map();
   items.forEach((item, k) => {
@@ -63,7 +64,11 @@ export function keyed(parent, items, key, make, update) {
     const node = old.get(name) || make(item, k);
     now.set(name, node);
     update(node, item, k);
-    if (parent.children[k] !== node) {
+    if (!ordered) {
+      if (!node.parentNode) {
+        parent.append(node);
+      }
+    } else if (parent.children[k] !== node) {
       parent.insertBefore(node, parent.children[k] || null);
     }
   });

@@ -20,8 +20,7 @@ export const inPanel = (handles) => handles.filter((handle) => !placed(handle));
 export class Handles {
   // `actions`: drag(fields, stamp), grab(handle), changed(), blocked(), away(handle): whether its joint is elsewhere at present
   constructor(canvas, view, actions) {
-    this.view = view;
-    this.actions = actions;
+    Object.assign(this, { canvas, view, actions });
     this.node = svg("g", { id: "handles" });
     this.edges = svg("g", { id: "edges", "aria-hidden": "true" });
     canvas.append(this.edges, this.node);
@@ -29,7 +28,7 @@ export class Handles {
     this.held = null; // the knob that is dragged
     this.keys = null;
     this.infeasible = false;
-    this.reached = new Map(); // the last feasible place of a handle that was dragged beyond
+    this.last = null; // name of the handle that was dragged last: red while no design is feasible
   }
 
   take(handles) {
@@ -73,7 +72,8 @@ export class Handles {
       this.knobs,
       ({ handle, part }) => `${handle.id} ${part}`,
       (knob) => this.make(knob),
-      (node, knob) => this.update(node, knob)
+      (node, knob) => this.update(node, knob),
+      false
     );
     this.boundary();
   }
@@ -106,7 +106,7 @@ export class Handles {
     const [guide, body, tip] = node.children;
     body.setAttribute("transform", `translate(${x.toFixed(2)} ${y.toFixed(2)})`);
     const held = (this.held || this.keys)?.handle.id === handle.id;
-    const red = held && this.infeasible;
+    const red = this.infeasible && this.last === handle.id;
     const away = !held && this.actions.away(handle);
     const kind = `handle ${handle.kind}${away ? " away" : ""}${held ? " held" : ""}${red ? " red" : ""}${handle.locked ? " locked" : ""}${handle.along ? " along" : ""}`;
     if (node.getAttribute("class") !== kind) {
@@ -213,19 +213,26 @@ export class Handles {
     event.preventDefault();
     node.focus({ preventScroll: true });
     this.release();
-    node.setPointerCapture(event.pointerId);
+    this.canvas.setPointerCapture(event.pointerId); // not the handle: it may vanish while it is dragged
     const from = this.view.of(event);
     this.held = { handle: knob.handle, part: knob.part, from, start: structuredClone(knob.handle), own: {}, moved: false };
+    this.last = knob.handle.id;
     this.actions.grab(knob.handle);
     const move = (moving) => {
+      if (!this.held || moving.pointerId !== event.pointerId) {
+        return;
+      }
       this.held.moved = true;
       this.to(this.view.of(moving), moving.timeStamp);
     };
     const raw = "onpointerrawupdate" in window ? "pointerrawupdate" : "pointermove";
     const end = (last) => {
-      node.removeEventListener(raw, move);
-      node.removeEventListener("pointerup", end);
-      node.removeEventListener("pointercancel", end);
+      if (last.pointerId !== event.pointerId) {
+        return;
+      }
+      this.canvas.removeEventListener(raw, move);
+      this.canvas.removeEventListener("pointerup", end);
+      this.canvas.removeEventListener("pointercancel", end);
       if (this.held) {
         if (last.type === "pointerup" && this.held.moved) {
           this.to(this.view.of(last), last.timeStamp, false);
@@ -237,9 +244,9 @@ export class Handles {
         this.actions.changed();
       }
     };
-    node.addEventListener(raw, move);
-    node.addEventListener("pointerup", end);
-    node.addEventListener("pointercancel", end);
+    this.canvas.addEventListener(raw, move);
+    this.canvas.addEventListener("pointerup", end);
+    this.canvas.addEventListener("pointercancel", end);
     this.draw();
   }
 
@@ -310,6 +317,7 @@ export class Handles {
       this.release();
       this.actions.grab(handle);
       this.keys = { handle, part, own: {} };
+      this.last = handle.id;
     }
     const fine = event.shiftKey ? 0.1 : 1;
     if (handle.kind === "point") {

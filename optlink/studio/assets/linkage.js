@@ -100,7 +100,7 @@ export class Linkage {
         node.style.stroke = colour(colours.get(owner[name]) || scene.bodies.at(-1)?.colour);
       }
     );
-    const curve = this.targets.curve;
+    const curve = this.targets.poses?.length ? null : this.targets.curve;
     keyed(
       this.layers.curve,
       curve?.length ? [curve] : [],

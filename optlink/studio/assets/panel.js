@@ -43,7 +43,9 @@ export class Panel {
   take(state, handles) {
     const sliders = inPanel(handles);
     this.verdict(state);
-    this.conflicts(state.conflicts || []);
+    const said = state.conclusion || ""; // a conflict that the conclusion states is not repeated
+    $("conclusion").classList.toggle("alert", state.status === "infeasible");
+    this.conflicts((state.conflicts || []).filter((sentence) => !said.includes(sentence.replace(/\.$/, ""))));
     this.variables(sizes(state.variables || [], handles), sliders);
     this.sliders(sliders.filter((one) => one.kind !== "range" || !one.size));
     this.active(state.active || []);
@@ -60,9 +62,9 @@ export class Panel {
     setText(node.children[1], words);
     setText($("conclusion"), state.conclusion || "");
     const [label, value, took] = $("objective").children;
-    const known = Number.isFinite(state.objective?.value);
-    $("objective").hidden = !known;
-    if (known) {
+    const known = Number.isFinite(state.objective?.value) && state.status !== "infeasible";
+    $("objective").hidden = !known && !(state.moving && state.objective);
+    if (state.objective) {
       setText(label, state.objective.label);
       setText(value, quantity(state.objective.value, state.objective.unit, 6));
     }
