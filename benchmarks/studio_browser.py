@@ -2,9 +2,9 @@
 
     python benchmarks/studio_browser.py [--events 1000] [--problem crank-rocker]
 
-A real mouse in a headless Chromium drags a handle along a closed curve, one event every 16 ms. The page notes for every movement when it
-happened and when a drag that contains it was sent, answered and drawn (`window.studioTimings`); movements that were overtaken count until
-the drawing of a later one.
+A real mouse in a headless Chromium drags a handle along a closed curve, one event every 16 ms. The page notes for every movement
+when it happened, and when a drag that contains it was sent, answered and drawn (`window.studioTimings`); a movement that was
+overtaken counts until a later one is drawn.
 """
 
 from __future__ import annotations
