@@ -31,9 +31,9 @@ SYNTHESIS = {"seeds": 1, "linkages": 1, "laws": 10}  # minutes rather than hours
 PEERS = ("pylinkage", "fourbarhinge", "pymoo", "numba", "exudyn")
 YARDSTICK = ("-c", "import numpy, scipy.optimize, casadi")
 PROCESSES = {
-    "help": (("-m", "optlink", "--help"), "<= 0.4"),
-    "solve crank-rocker": (("-m", "optlink", "solve", "crank-rocker"), "<= 1.5"),
-    "analyze six-bar": (("-m", "optlink", "analyze", "six-bar"), ""),
+    "help": (("-m", "optlink", "--help"), "<= 0.25"),
+    "solve crank-rocker": (("-m", "optlink", "solve", "crank-rocker"), "<= 1.25"),
+    "analyze six-bar": (("-m", "optlink", "analyze", "six-bar"), "<= 1"),
 }
 
 

@@ -302,6 +302,8 @@ def load_extensions() -> None:
 
     A module that cannot be imported, or registers a name that is taken, is reported on standard error.
     """
+    if not _extended():
+        return
     from importlib.metadata import entry_points
 
     for entry in entry_points(group=GROUP):
@@ -310,3 +312,16 @@ def load_extensions() -> None:
         except (ImportError, AttributeError, ValueError) as error:
             message = f"the extension {entry.name} ({entry.value}) cannot be loaded: {error}"
             print(f"Warning: {message}. Repair or uninstall its package", file=sys.stderr)
+
+
+def _extended() -> bool:
+    """Return whether an installed package names the group: reading the metadata of all packages takes far longer."""
+    for place in (path or "." for path in sys.path):
+        if os.path.isfile(place):  # an archive
+            return True
+        with contextlib.suppress(OSError):
+            for name in os.listdir(place):
+                about = Path(place, name, "entry_points.txt")
+                if name.endswith((".dist-info", ".egg-info")) and about.is_file() and GROUP.encode() in about.read_bytes():
+                    return True
+    return False

@@ -27,6 +27,39 @@ def test_help_loads_nothing_heavy():
     assert loaded_after(code) & HEAVY == set()
 
 
+def command(*words: str) -> str:
+    return f"import sys; sys.argv[1:] = {list(words)}\nfrom optlink.__main__ import main\ntry: main()\nexcept SystemExit: pass"
+
+
+@pytest.mark.parametrize(
+    ("words", "unwanted"),
+    [
+        (("--help",), {"numpy", "pydantic", "markdown_it", "pygments", "importlib.metadata"}),
+        (("analyze", "six-bar"), HEAVY | {"numpy.ma", "optlink.optimization", "optlink.synthesis", "optlink.tasks.function"}),
+        (("solve", "crank-rocker"), HEAVY - {"casadi"} | {"numpy.ma", "markdown_it"}),
+    ],
+)
+def test_each_command_loads_only_what_it_needs(words, unwanted):
+    assert loaded_after(command(*words)) & unwanted == set()
+
+
+def test_garbage_is_collected_late_once_and_then_as_usual():
+    code = """
+import gc, json
+from optlink.__main__ import _collect_late
+usual = gc.get_threshold()
+_collect_late()
+loaded, late = [[] for _ in range(20_000)], gc.get_stats()[0]["collections"]
+waited = gc.get_stats()[0]["collections"] == late and gc.get_freeze_count() == 0
+loaded = [[] for _ in range(200_000)]
+assert (waited, gc.get_threshold(), gc.callbacks, gc.get_freeze_count() > 0) == (True, usual, [], True)
+late = gc.get_stats()[0]["collections"]
+loaded = [[] for _ in range(20_000)]
+assert gc.get_stats()[0]["collections"] > late
+"""
+    assert "gc" in loaded_after(code)
+
+
 def test_the_check_would_notice():
     assert loaded_after("import casadi") & HEAVY == {"casadi"}
 

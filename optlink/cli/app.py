@@ -12,6 +12,8 @@ import errno
 import io
 import os
 import sys
+import types
+from collections.abc import Iterator, Mapping
 from typing import Annotated, TextIO
 
 import typer
@@ -23,6 +25,9 @@ from optlink.solvers import interrupts
 
 CLOSED = 141
 """Exit code where the reader of a pipe has left: 128 and the number of SIGPIPE, as shells have it."""
+
+UNUSED = {"rich.markdown": "Markdown", "rich.traceback": "Traceback"}
+"""Modules that typer imports for any help, and what it takes from them; the overview needs neither, and they take longest."""
 
 NO_OUTPUT = (errno.EPIPE, errno.ENOSPC, errno.EIO, errno.EFBIG)
 """What makes standard output or standard error unusable."""
@@ -63,7 +68,9 @@ def main() -> None:
     output = sys.stdout
     try:
         try:
-            (_overview(app) if sys.argv[1:] in OVERVIEW else app)()
+            overview = sys.argv[1:] in OVERVIEW
+            with _without(UNUSED if overview else {}):
+                (_overview(app) if overview else app)()
         finally:
             if sys.stdout is not output:  # typer has detected a closed pipe
                 raise BrokenPipeError(errno.EPIPE, "the pipe is closed")
@@ -102,6 +109,26 @@ def _overview(group: typer.Typer) -> typer.Typer:
         assert part.typer_instance is not None
         part.typer_instance = _overview(part.typer_instance)
     return short
+
+
+@contextlib.contextmanager
+def _without(modules: Mapping[str, str]) -> Iterator[None]:
+    """Let imports of modules that are not loaded yet find an empty class in place of the one that they would give.
+
+    Parameters
+    ----------
+    modules : mapping of str to str
+        Name of the class by that of the module.
+    """
+    absent = {module: types.ModuleType(module) for module in modules if module not in sys.modules}
+    for module, empty in absent.items():
+        setattr(empty, modules[module], type(modules[module], (), {}))
+    sys.modules.update(absent)
+    try:
+        yield
+    finally:
+        for module in absent:
+            del sys.modules[module]
 
 
 def rejoined(arguments: list[str]) -> list[str]:

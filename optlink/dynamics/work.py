@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from optlink.dynamics.inverse import reactions
 from optlink.dynamics.machine import Machine
-from optlink.linkage.extrema import zeros
+from optlink.linkage.extrema import distinct, zeros
 
 Array = NDArray[np.float64]
 PANELS = 180  # per range or revolution: 2 degrees each in a revolution
@@ -85,7 +85,7 @@ def _panels(low: float, high: float) -> int:
 
 
 def _rising(found: list[Array], low: float, high: float) -> Array:
-    angles = np.unique(np.concatenate([*found, np.empty(0)]))
+    angles = distinct(np.concatenate([*found, np.empty(0)]))
     inside = angles[(angles > low) & (angles < high)]
     keep = np.concatenate([np.ones(min(1, len(inside)), dtype=bool), np.diff(inside) > 1e-12])
     rising: Array = inside[keep]
@@ -99,7 +99,7 @@ class Work:
         self.machine, self.speed = machine, speed
         self.jumps = jumps(machine, low, high)
         bends = corners(machine, low, high, speed)
-        self.knots = np.unique(np.concatenate([np.linspace(low, high, _panels(low, high) + 1), self.jumps, bends]))
+        self.knots = distinct(np.concatenate([np.linspace(low, high, _panels(low, high) + 1), self.jumps, bends]))
         pieces = self._integral(self.knots[:-1], self.knots[1:])
         self._sum = np.concatenate([[0.0], np.cumsum(pieces)])
         self._start = 0.0

@@ -12,9 +12,10 @@ without using derivatives, Advances in Engineering Software 28 (1997) 145-149.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -28,6 +29,12 @@ ZERO = 1e-13  # share of the largest value of its kind below which a function is
 PORTION, VALUES = 512, 1_000_000  # angles, and values of all functions, per portion
 HALFWAY = float(np.prod(np.arange(0.5, POINTS // 2) ** 2))
 """Product of the distances to all samples but the last, from half-way between the two in the middle."""
+
+
+def distinct(values: ArrayLike) -> NDArray[Any]:
+    """Return the distinct values, rising, as np.unique does without the masked arrays that it loads."""
+    rising = np.sort(np.asarray(values), axis=None)
+    return rising[np.concatenate([np.ones(min(1, rising.size), dtype=bool), rising[1:] != rising[:-1]])]
 
 
 def extremes(
@@ -210,7 +217,7 @@ def _refined(curves: Function, low: Array, high: Array, angle: Array, value: Arr
 
 def _beside(values: Array, rows: Index, grid: Array, best: Index, breaks: Sequence[float]) -> tuple[Array, Array]:
     """Grid points (n, points) beside the best ones, none across a break, and the values of `rows` there; NaN if too few."""
-    ends = np.unique(np.concatenate([[0, len(grid)], np.searchsorted(grid, np.asarray(breaks, dtype=float))])).astype(int)
+    ends = distinct(np.concatenate([[0, len(grid)], np.searchsorted(grid, np.asarray(breaks, dtype=float))])).astype(int)
     part = np.searchsorted(ends, best, side="right")
     first, last = ends[part - 1], ends[part]
     begin = np.clip(best - POINTS // 2, first, np.maximum(last - POINTS, first))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from optlink.linkage.alignment import AlignedPosition, alignment_margin, least_alignments
 from optlink.linkage.dyad_types import PRP
-from optlink.linkage.extrema import zeros
+from optlink.linkage.extrema import distinct, zeros
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import Group, Mechanism, Pose
 from optlink.linkage.motion import sweep
@@ -140,7 +140,7 @@ def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
     aligned = least_alignments(mechanism, sizes)
     lowest = [position.crank_angle for position in aligned if not position.singular]
     cycle = mechanism.cycle
-    grid = np.unique(np.concatenate([np.linspace(0.0, cycle, GRID * round(cycle / TURN) + 1), lowest]))
+    grid = distinct(np.concatenate([np.linspace(0.0, cycle, GRID * round(cycle / TURN) + 1), lowest]))
     crossing = [group for group in mechanism.groups if isinstance(group, PRP)]  # its lines may become parallel within the motion
 
     def function(angles: Array) -> Array:
@@ -155,7 +155,7 @@ def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
 
     failing = not closed(grid)
     margin, *sines = zeros(function, grid)
-    ends = np.unique(np.concatenate([margin if failing else [], *sines]))  # a margin that only touches zero is not an end
+    ends = distinct(np.concatenate([margin if failing else [], *sines]))  # a margin that only touches zero is not an end
     if len(ends) == 0:
         return Ranges((), False) if failing else Ranges(((0.0, cycle),), True, tuple(aligned))
     ranges = [

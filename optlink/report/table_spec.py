@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -40,6 +40,22 @@ def quiet(text: str) -> Span:
 def strong(text: str) -> Span:
     """Return an emphasised text."""
     return Span(text, "strong")
+
+
+def verdict(word: str, positive: bool) -> Inline:
+    """Return a verdict as good or bad.
+
+    Parameters
+    ----------
+    word : str
+    positive : bool
+    """
+    return good(word) if positive else bad(word)
+
+
+def noted(notes: Iterable[str]) -> Iterator[str]:
+    """Yield notes as lines."""
+    return (f"Note: {note}" for note in notes)
 
 
 @dataclass(frozen=True, init=False)

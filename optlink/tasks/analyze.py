@@ -16,7 +16,7 @@ from optlink.dynamics.strokes import acting_loads
 from optlink.dynamics.work import Work
 from optlink.errors import Fault, InputError
 from optlink.linkage.alignment import AlignedPosition, positions_text
-from optlink.linkage.extrema import extremes, zeros
+from optlink.linkage.extrema import distinct, extremes, zeros
 from optlink.linkage.stroke import TURN, Ranges, Travel, range_end_reason, travels, within_cycle
 from optlink.problem.file import ProblemFile
 from optlink.tasks.machine import MARGIN, crank_speed, machine_of, motion_range, table_angles
@@ -164,7 +164,7 @@ def _undetermined(columns: dict[str, Array], rows: Array, positions: Iterable[Al
         elif not name.endswith(PLACES):
             columns[name] = np.where(beside, np.nan, column)
     others = rows[np.all(np.abs(rows[:, None] - exact) > BESIDE, axis=1)] if rows.size else rows
-    return np.unique(np.concatenate([others, exact[exact <= high + BESIDE]]))
+    return distinct(np.concatenate([others, exact[exact <= high + BESIDE]]))
 
 
 def _beyond(rows: Array, positions: Iterable[AlignedPosition], cycle: float) -> Array:
@@ -197,7 +197,7 @@ def _extremes(machine: Machine, low: float, high: float, ranges: Ranges, speed: 
     names = [name for name in first.columns if not name.endswith(".angle_rad")]
     names += [name for name, _, _ in pins]
     count = GRID * (max(1, round(cycle / TURN)) if full else 1)
-    grid = np.unique(np.concatenate([low + (high - low) / count * np.arange(count + 1), work.jumps]))
+    grid = distinct(np.concatenate([low + (high - low) / count * np.arange(count + 1), work.jumps]))
     at, best = extremes(values, grid, tuple(work.jumps), [name.rpartition("_")[2] for name in names], periodic=full)
     if work.jumps.size:
         before = values(work.jumps, side=-1)
@@ -216,7 +216,7 @@ def _extremes(machine: Machine, low: float, high: float, ranges: Ranges, speed: 
     }
     inside = grid[(grid >= low) & (grid <= high)]
     turning = zeros(lambda angles: work.torque(angles)[None, :], inside)[0]
-    places = np.unique(np.concatenate([[low, high], turning, work.jumps]))
+    places = distinct(np.concatenate([[low, high], turning, work.jumps]))
     amounts = work(places)
     if np.any(np.isfinite(amounts)):
         i, j = int(np.nanargmin(amounts)), int(np.nanargmax(amounts))

@@ -90,11 +90,16 @@ def squared_sines(motion: Motion) -> Array:
             found.append(motion.margin(group.joint))
             continue
         p, q = (motion.position(name) for name in group.pins)
-        lengths = (np.linalg.norm(motion.position(group.joint) - pin, axis=-1) for pin in (p, q))
-        one, other = (np.median(length[np.isfinite(length)]) if np.any(np.isfinite(length)) else math.nan for length in lengths)
+        one, other = (_median(np.linalg.norm(motion.position(group.joint) - pin, axis=-1)) for pin in (p, q))
         cosine = included_cosine(one, other, np.sum((q - p) ** 2, axis=-1))
         found.append(1.0 - cosine * cosine)
     return np.array(found).reshape(len(motion.mechanism.groups), len(motion.crank_angle))
+
+
+def _median(values: Array) -> float:
+    """Return the median of the finite values, without numpy's masked arrays, which np.median loads; NaN if there is none."""
+    rising = np.sort(values[np.isfinite(values)])
+    return 0.5 * float(rising[(rising.size - 1) // 2] + rising[rising.size // 2]) if rising.size else math.nan
 
 
 def alignment_check(group: Group, single: bool, sine: ArrayLike, limits: Alignment, where: str) -> Checks:

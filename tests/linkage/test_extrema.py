@@ -9,10 +9,16 @@ from scipy.optimize import brentq, minimize_scalar
 
 import optlink
 from optlink.linkage import extrema
-from optlink.linkage.extrema import extremes, zeros
+from optlink.linkage.extrema import distinct, extremes, zeros
 
 TURN = 2.0 * math.pi
 GRID = np.linspace(0.0, TURN, 1441)
+
+
+def test_distinct_values_are_those_of_numpy():
+    for values in ([], [2.0], [3, 1, 3, 2, 1, 1], np.random.default_rng(0).integers(0, 9, (6, 7)) / 3.0):
+        found = distinct(np.asarray(values))
+        np.testing.assert_array_equal(found, np.unique(values), strict=True)
 
 
 def family(seed, count=60):

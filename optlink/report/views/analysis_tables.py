@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +15,24 @@ from optlink.linkage.stroke import Travel
 from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import DyadsSection
 from optlink.report.format import fixed, number
-from optlink.report.table_spec import Column, Paragraph, Part, Row, Summary, TableSpec, quiet, strong, summary, table
-from optlink.report.views.function_tables import noted, verdict
+from optlink.report.table_spec import (
+    Column,
+    Paragraph,
+    Part,
+    Row,
+    Summary,
+    TableSpec,
+    noted,
+    quiet,
+    strong,
+    summary,
+    table,
+    verdict,
+)
 from optlink.tasks.results.analysis import Analysis, named_travels, reaction_conventions
-from optlink.tasks.simulate import Simulation
+
+if TYPE_CHECKING:
+    from optlink.tasks.simulate import Simulation
 
 Array = NDArray[np.float64]
 

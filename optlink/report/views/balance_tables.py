@@ -6,8 +6,21 @@ import math
 
 from optlink.problem.machine.balance import BalanceSection
 from optlink.report.format import change, number, scale, times
-from optlink.report.table_spec import Paragraph, Part, Row, Span, Summary, TableSpec, bad, good, quiet, strong, summary, table
-from optlink.report.views.function_tables import noted
+from optlink.report.table_spec import (
+    Paragraph,
+    Part,
+    Row,
+    Span,
+    Summary,
+    TableSpec,
+    bad,
+    good,
+    noted,
+    quiet,
+    strong,
+    summary,
+    table,
+)
 from optlink.tasks.results.balance import Balance, TradeOff
 
 SHOWN = 15  # largest number of listed points of a trade-off

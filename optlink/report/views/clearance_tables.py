@@ -8,8 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from optlink.report.format import fixed, number
-from optlink.report.table_spec import Line, Paragraph, Row, Summary, TableSpec, bad, good, quiet, summary, table
-from optlink.report.views.function_tables import noted, verdict
+from optlink.report.table_spec import Line, Paragraph, Row, Summary, TableSpec, bad, good, noted, quiet, summary, table, verdict
 from optlink.tasks.results.clearance import ClearanceSimulation
 from optlink.tasks.results.control_comparison import Comparison, Tuning
 

@@ -9,9 +9,9 @@ from dataclasses import replace
 from optlink.errors import Status
 from optlink.problem.cycle.model import CycleProblem, StrokeProblem
 from optlink.report.format import change, fixed, number, times
-from optlink.report.table_spec import Line, Paragraph, Part, Row, Summary, TableSpec, quiet, strong, summary, table
+from optlink.report.table_spec import Line, Paragraph, Part, Row, Summary, TableSpec, noted, quiet, strong, summary, table
 from optlink.report.views.analysis_tables import machine_strokes
-from optlink.report.views.function_tables import active, checks, ending, graded, noted, search_verdict
+from optlink.report.views.function_tables import active, checks, ending, graded, search_verdict
 from optlink.report.views.relaxations import conflict
 from optlink.solvers.solution import LimitState
 from optlink.tasks.results.cycle import CycleResult, display_unit

@@ -28,10 +28,12 @@ from optlink.report.table_spec import (
     TableSpec,
     bad,
     good,
+    noted,
     quiet,
     strong,
     summary,
     table,
+    verdict,
 )
 from optlink.report.views.certificate_view import certificate_table, certified
 from optlink.report.views.relaxations import conflict
@@ -101,17 +103,6 @@ def ending(status: Status, starts: int, certificate: Certificate | None = None) 
     return quiet(text + " (use --starts N for a multistart search)" * (text == Status.OPTIMAL.text and starts == 1))
 
 
-def verdict(word: str, positive: bool) -> Inline:
-    """Return a verdict as good or bad.
-
-    Parameters
-    ----------
-    word : str
-    positive : bool
-    """
-    return good(word) if positive else bad(word)
-
-
 def search_verdict(status: Status, ended: str, word: str, positive: bool) -> list[Inline]:
     """Return how a search ended, and its verdict; an infeasible problem has one phrase for both.
 
@@ -125,11 +116,6 @@ def search_verdict(status: Status, ended: str, word: str, positive: bool) -> lis
     positive : bool
     """
     return [bad("no feasible design")] if status is Status.INFEASIBLE else [f"{ended}, ", verdict(word, positive)]
-
-
-def noted(notes: Iterable[str]) -> Iterator[str]:
-    """Yield notes as lines."""
-    return (f"Note: {note}" for note in notes)
 
 
 def graded(line: Sequence[Inline], fit: Fit | None, tail: str = "") -> Iterator[Line]:

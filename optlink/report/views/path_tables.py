@@ -19,13 +19,14 @@ from optlink.report.table_spec import (
     Summary,
     TableSpec,
     bad,
+    noted,
     quiet,
     strong,
     summary,
     table,
 )
 from optlink.report.views.certificate_view import certificate_lines, certificate_table, certified
-from optlink.report.views.function_tables import active, checks, graded, noted, search_verdict
+from optlink.report.views.function_tables import active, checks, graded, search_verdict
 from optlink.report.views.relaxations import conflict
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.path import LEVEL, OUTPUT, PathDesign, PathResult, display_unit

@@ -9,8 +9,21 @@ from collections.abc import Iterator
 import numpy as np
 
 from optlink.report.format import fixed, number, points, signed
-from optlink.report.table_spec import Paragraph, Part, Row, Summary, TableSpec, bad, good, quiet, strong, summary, table
-from optlink.report.views.function_tables import noted, verdict
+from optlink.report.table_spec import (
+    Paragraph,
+    Part,
+    Row,
+    Summary,
+    TableSpec,
+    bad,
+    good,
+    noted,
+    quiet,
+    strong,
+    summary,
+    table,
+    verdict,
+)
 from optlink.studies.motion_sensitivity import OutputSensitivity
 from optlink.studies.sensitivity import Sensitivities, Sensitivity
 from optlink.studies.sweep import TEXT, Sweep
