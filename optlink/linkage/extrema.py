@@ -33,8 +33,9 @@ HALFWAY = float(np.prod(np.arange(0.5, POINTS // 2) ** 2))
 
 def distinct(values: ArrayLike) -> NDArray[Any]:
     """Return the distinct values, rising, as np.unique does without the masked arrays that it loads."""
-    rising = np.sort(np.asarray(values), axis=None)
-    return rising[np.concatenate([np.ones(min(1, rising.size), dtype=bool), rising[1:] != rising[:-1]])]
+    rising: NDArray[Any] = np.sort(np.asarray(values), axis=None)
+    new = np.concatenate([np.ones(min(1, rising.size), dtype=bool), rising[1:] != rising[:-1]])
+    return rising[new]
 
 
 def extremes(
