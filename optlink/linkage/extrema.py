@@ -35,7 +35,8 @@ def distinct(values: ArrayLike) -> NDArray[Any]:
     """Return the distinct values, rising, as np.unique does without the masked arrays that it loads."""
     rising: NDArray[Any] = np.sort(np.asarray(values), axis=None)
     new = np.concatenate([np.ones(min(1, rising.size), dtype=bool), rising[1:] != rising[:-1]])
-    return rising[new]
+    found: NDArray[Any] = rising[new]
+    return found
 
 
 def extremes(
