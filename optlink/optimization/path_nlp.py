@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -71,7 +71,7 @@ def has_sampled_objective(problem: PathProblem) -> bool:
     return problem.requirement.kind == "transmission" and problem.measure == "max" and has_position_limits(problem)
 
 
-def build_path_nlp(problem: PathProblem, direction: int = 1) -> NLP:
+def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = False) -> NLP:
     """Build the nonlinear programme of a path or motion synthesis problem.
 
     Parameters
@@ -80,6 +80,8 @@ def build_path_nlp(problem: PathProblem, direction: int = 1) -> NLP:
         With definite assembly modes.
     direction : int
         Sense of crank rotation from point to point without prescribed timing: +1 counter-clockwise, -1 clockwise.
+    movable : bool
+        Make points and poses parameters, see `target_constants`.
 
     Returns
     -------
@@ -96,12 +98,21 @@ def build_path_nlp(problem: PathProblem, direction: int = 1) -> NLP:
     if minimax:
         variables.append(Variable(EPIGRAPH, share, Scale("", share)))
     constants = [scaled_variable(problem, name) for name in fixed]
+    moving = target_constants(problem) if movable and problem.pointed else []
 
     x = casadi.SX.sym("x", len(variables))
     many = EXCHANGE_POINTS if has_position_limits(problem) else 0
-    p = casadi.SX.sym("p", 1 + len(fixed) + many)
+    exchanged_from = 1 + len(fixed) + len(moving)
+    p = casadi.SX.sym("p", exchanged_from + many)
     values: dict[str, Any] = {v.name: v.origin + v.size * x[i] for i, v in enumerate(variables[: len(free)])}
     values |= {v.name: v.origin + v.size * p[1 + i] for i, v in enumerate(constants)}
+    columns: Any = data.columns
+    stretch: Any = 1.0
+    if moving:
+        parts = [v.origin + v.size * p[1 + len(fixed) + i] for i, v in enumerate(moving)]
+        width = data.columns.shape[1]
+        columns = [parts[width * k : width * (k + 1)] for k in range(count)]
+        stretch = casadi.vertcat(1.0, 1.0, parts[-1] / problem.radian) if problem.requirement.kind == "motion" else 1.0
     if own:
         angles: list[Any] = [x[len(free) + i] for i in range(count)]
     else:
@@ -113,8 +124,8 @@ def build_path_nlp(problem: PathProblem, direction: int = 1) -> NLP:
         residual, at_angle = _traced(problem, values)
         names = [values[name] for name in problem.quantities]
         errors = [
-            residual(casadi.vertcat(*names, angle, *row)) * root
-            for angle, row, root in zip(angles, data.columns, data.roots, strict=True)
+            residual(casadi.vertcat(*names, angle, *row)) * root * stretch
+            for angle, row, root in zip(angles, columns, data.roots, strict=True)
         ]
         span = angles[-1] - angles[0]
         if problem.closed and own:
@@ -136,10 +147,10 @@ def build_path_nlp(problem: PathProblem, direction: int = 1) -> NLP:
             exchanged: dict[int, ConstraintRow] = {}
             for over_span in kinds:
                 begin, whole = required_motion(problem, angles, over_span=over_span)
-                exchanged |= limits_at(begin + whole * p[1 + len(fixed) + k], over_span)
+                exchanged |= limits_at(begin + whole * p[exchanged_from + k], over_span)
             rows += [exchanged[j] for j in range(len(at_angle[1]))]
             if has_sampled_objective(problem):
-                further.append(residual(casadi.vertcat(*names, TURN * p[1 + len(fixed) + k], 0.0)))
+                further.append(residual(casadi.vertcat(*names, TURN * p[exchanged_from + k], 0.0)))
                 largest = (x[-1] * x[-1] - casadi.sumsqr(further[-1])) / (p[0] * p[0])
                 rows.append(ConstraintRow(EPIGRAPH, "transmission angle at another crank angle", largest, 0.0, math.inf, PLAIN))
         if own:
@@ -179,7 +190,7 @@ def build_path_nlp(problem: PathProblem, direction: int = 1) -> NLP:
         x_start=x_start,
         x_low=x_low,
         x_high=x_high,
-        p=np.array([1.0, *(v.scaled(problem.quantities[v.name].value) for v in constants), *between[:many]]),
+        p=np.array([1.0, *constant_values(problem, [*constants, *moving]), *between[:many]]),
         x_symbol=x,
         p_symbol=p,
         f_expression=f / p[0],
@@ -189,8 +200,39 @@ def build_path_nlp(problem: PathProblem, direction: int = 1) -> NLP:
         factor=share if minimax else share**2,
         helpers=frozenset(helpers),
         exchange_rows=(first, len(at_angle[1]) + has_sampled_objective(problem)),
-        constants=tuple(constants),
+        constants=(*constants, *moving),
     )
+
+
+TARGET = "target "
+"""Beginning of the names of the parameters that are components of the targets."""
+
+
+def target_constants(problem: PathProblem) -> list[Variable]:
+    """Return the components of the targets as parameters: each row of `data.columns`, and the length of a radian of poses."""
+    size = problem.size
+    made = []
+    for k in range(len(problem.data.columns)):
+        for axis, origin in zip("xy", problem.centre, strict=True):
+            made.append(Variable(f"{TARGET}{k}.{axis}", size, Scale("mm", 1e3 * size, offset=1e3 * origin), origin))
+        if problem.requirement.kind == "motion":
+            made += [Variable(f"{TARGET}{k}.{part}", 1.0, PLAIN) for part in ("cosine", "sine")]
+    return [*made, Variable(f"{TARGET}radian", size, Scale("mm", 1e3 * size))] if problem.requirement.kind == "motion" else made
+
+
+def constant_values(problem: PathProblem, constants: Sequence[Variable]) -> list[float]:
+    """Return the scaled values of parameters: fixed quantities, then components of the targets.
+
+    Parameters
+    ----------
+    problem : PathProblem
+    constants : sequence of Variable
+        See `NLP.constants`.
+    """
+    quantities, listed = problem.quantities, [*problem.data.columns.ravel().tolist(), problem.radian]
+    first = next((i for i, v in enumerate(constants) if v.name.startswith(TARGET)), len(constants))
+    found = [v.scaled(quantities[v.name].value) for v in constants[:first]]
+    return [*found, *(v.scaled(value) for v, value in zip(constants[first:], listed, strict=False))]
 
 
 def required_motion(problem: PathProblem, angles: Any, *, over_span: bool = False) -> tuple[Any, Any]:
@@ -283,6 +325,7 @@ def objective_excess(problem: PathProblem, values: Mapping[str, Value], largest:
 __all__ = [
     "angle_name",
     "build_path_nlp",
+    "constant_values",
     "deviation_measure",
     "has_sampled_objective",
     "limit_excesses",

@@ -10,16 +10,29 @@ from collections.abc import Mapping
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from optlink.errors import Status
+from optlink.linkage.vector2d import unit
+from optlink.optimization.constraints import position_rows
+from optlink.optimization.constraints import rows as limit_rows
+from optlink.optimization.nlp import Variable
+from optlink.optimization.path_nlp import build_path_nlp, constant_values, has_position_limits
+from optlink.problem.cycle import CycleProblem
+from optlink.problem.file import WORDS as PROSE
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
-from optlink.problem.limits import MARGINS
+from optlink.problem.limits import MARGINS, Reach
 from optlink.problem.path import PathProblem
 from optlink.problem.quantity import Quantity
 from optlink.solvers import multistart
+from optlink.solvers.contract import MINIMAX
+from optlink.solvers.path_exchange import solve_semi_infinite
 from optlink.solvers.solution import Solution
+from optlink.studies.continuation import follow_optimum
 from optlink.studies.reoptimise_task import ParametricProgramme
+from optlink.tasks.path_search import path_model
+
+Array = NDArray[np.float64]
 
 BACKEND = "ipopt"
 WORDS = ("crank", "transmission_over", *MARGINS)  # limits that change the structure of a programme
@@ -28,8 +41,8 @@ WORDS = ("crank", "transmission_over", *MARGINS)  # limits that change the struc
 class Follower(Protocol):
     """Follows the optimum of problems with one structure."""
 
-    def follow(self, problem: ProblemFile, near: Solution | None) -> Solution:
-        """Return the optimum of a problem near the last one, usable or not."""
+    def follow(self, problem: ProblemFile, near: Solution | None) -> Solution | None:
+        """Return the optimum of a problem near the last one, usable or not; None if it cannot be followed."""
         ...
 
 
@@ -63,14 +76,95 @@ class FunctionFollower:
         return add_peak_errors(task, nlp, found, BACKEND) if found.usable else found
 
 
+class PathFollower:
+    """Follower of paths, motions, laws and transmission of any linkage; its programme has the targets as parameters.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        With definite assembly modes.
+    way : int
+        Sense of crank rotation from point to point, +1 or -1.
+    """
+
+    def __init__(self, problem: ProblemFile, way: int) -> None:
+        self.way, self.task = way, path_model(problem)
+        self.nlp = build_path_nlp(self.task, way, movable=True)
+        multistart.prepare(self.nlp, BACKEND)
+
+    def follow(self, problem: ProblemFile, near: Solution | None) -> Solution:
+        """Return the optimum of a problem near the last one.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+            With definite assembly modes.
+        near : Solution, optional
+            Last optimum.
+        """
+        task = path_model(problem)
+        if not self._bind(task):
+            self.__init__(problem, self.way)  # type: ignore[misc]
+        nlp, x = self.nlp, self._start(near)
+        if near is not None and near.nlp is nlp and not nlp.exchange_count:
+            found = follow_optimum(nlp, near)
+            if found is not None:
+                return found
+        backend = MINIMAX if task.measure == "max" else BACKEND
+        if nlp.exchange_count:
+            start = multistart.solution_at(nlp, x, "the last optimum")
+            return solve_semi_infinite(task, start, backend, near=start.usable)
+        return multistart.solve_from(nlp, x, backend)
+
+    def _start(self, near: Solution | None) -> Array:
+        """Return the last design in the scaling of this programme."""
+        nlp = self.nlp
+        if near is None:
+            return nlp.lifted(np.clip(nlp.x_start, nlp.x_low, nlp.x_high))
+        x = near.x if near.nlp is nlp else np.array([_rescaled(v, near) for v in nlp.variables])
+        return nlp.lifted(np.clip(x, nlp.x_low, nlp.x_high))
+
+    def _bind(self, task: PathProblem) -> bool:
+        """Set parameters, bounds and limits; return whether the limits of the programme are those of the problem."""
+        nlp, n = self.nlp, len(self.nlp.variables)
+        values = {name: quantity.value for name, quantity in task.quantities.items()}
+        with np.errstate(all="ignore"):
+            rows = limit_rows(task, values, Reach(0.0, 1.0, self.way), self.task.size)
+            placed = position_rows(task, task.linkage.pose(values, unit(0.0))) if has_position_limits(task) else []
+        if [row.limit for row in rows] != [row.limit for row in nlp.rows[: len(rows)]]:
+            return False
+        anywhere = {(row.limit, row.label): row for row in placed}
+        nlp.p[1 : 1 + len(nlp.constants)] = constant_values(task, nlp.constants)
+        for i, v in enumerate(nlp.variables):
+            if v.name not in nlp.helpers:
+                low, high = task.quantities[v.name].bounds
+                nlp.limit(i, v.scaled(low), upper=False)
+                nlp.limit(i, v.scaled(high), upper=True)
+        for j, own in enumerate(nlp.rows):
+            row = rows[j] if j < len(rows) else anywhere.get((own.limit, own.label))
+            if row is not None:
+                nlp.limit(n + j, row.low, upper=False)
+                nlp.limit(n + j, row.high, upper=True)
+        return True
+
+
 def structure(problem: ProblemFile) -> Any:
     """Return what a programme of a problem depends on beyond its parameters and bounds; equal for problems that can share one."""
     model, raw = problem.model, problem.raw
     limits = {key: repr(value) if key in WORDS else _shape(value) for key, value in (raw.get("limits") or {}).items()}
     parts: list[Any] = [problem.task, tuple(model.quantities), tuple(model.free), limits, raw["mechanism"].get("assembly")]
     requirement = dict(raw.get("requirement") or {})
+    told = ("mechanism", "limits", "requirement", *PROSE)
+    parts += [{key: value for key, value in raw.items() if key not in told}]
+    if isinstance(model, CycleProblem):
+        parts += [_shape(requirement)]
+    if isinstance(model, PathProblem):
+        data = model.data
+        places = data.columns.shape if model.pointed else data.columns.tolist()
+        parts += [{key: value for key, value in requirement.items() if key != "points"}, places]
+        parts += [None if data.offsets is None else data.offsets.tolist(), data.roots.tolist(), data.tolerances.tolist()]
     if isinstance(model, DesignProblem):
-        parts += [{key: value for key, value in requirement.items() if not _moves(model, key)}, _shape(raw.get("tolerances"))]
+        parts += [{key: value for key, value in requirement.items() if not _moves(model, key)}]
     return tuple(map(repr, parts))
 
 
@@ -89,19 +183,34 @@ def _shape(value: Any) -> Any:
     return type(value).__name__
 
 
-def follower(problem: ProblemFile) -> Follower | None:
+def _rescaled(variable: Variable, near: Solution) -> float:
+    """Return a component of the design vector for the design of another programme."""
+    for own, value in zip(near.nlp.variables, near.x, strict=True):
+        if own.name == variable.name:
+            return variable.scaled(own.origin + own.size * float(value))
+    return 0.0
+
+
+def follower(problem: ProblemFile, values: Mapping[str, float], way: int = 1) -> Follower | None:
     """Return a follower of a problem; None if designs of its kind are only carried along while a hand moves.
 
     Parameters
     ----------
     problem : ProblemFile
         With definite assembly modes.
+    values : mapping of str to float [SI]
+        The last design.
+    way : int
+        Sense of its crank rotation, +1 or -1.
     """
     if not problem.model.free:
         return None
     if isinstance(problem.model, DesignProblem):
         return FunctionFollower(problem)
+    if isinstance(problem.model, PathProblem):
+        return PathFollower(problem, way)
+    if isinstance(problem.model, CycleProblem):
+        from optlink.studio.follow_cycle import CycleFollower
+
+        return CycleFollower(problem, values)
     return None
-
-
-__all__ = ["BACKEND", "Follower", "PathProblem", "Status", "follower", "structure"]

@@ -155,11 +155,13 @@ class Session:
         last = self._design or started(problem)
         known = structure(problem)
         if self._follower[0] != known:
-            self._follower = (known, follower(problem))
+            if problem.task == "cycle":  # its programme takes seconds: it is prepared after a release
+                return carried(problem, last)
+            self._follower = (known, follower(problem, last.values, -1 if last.speed < 0.0 else 1))
         one = self._follower[1]
-        if one is None:
+        found = None if one is None else one.follow(problem, last.solution)
+        if found is None:
             return carried(problem, last)
-        found = one.follow(problem, last.solution)
         if found.usable:
             return from_solution(problem, found)
         from optlink.studies.reoptimise_task import conflicting
@@ -209,6 +211,17 @@ class Session:
             self._show(found, problem, moving=False)
         else:
             self._show(replace(self._design, **_verdict(found)), problem, moving=False)
+        self._interruptible(self._prepare)
+
+    def _prepare(self) -> None:
+        """Build the programme of the present problem, so that the next drag finds it."""
+        last = self._design
+        if last is None or last.solution is None or not last.solution.usable:
+            return
+        problem = self._definite(self._document.problem)
+        known = structure(problem)
+        if self._follower[0] != known:
+            self._follower = (known, follower(problem, last.values, -1 if last.speed < 0.0 else 1))
 
     # --- the state ----------------------------------------------------------------------------------------------------------
 
