@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from optlink.linkage.vector2d import unit
 from optlink.optimization.constraints import position_rows
 from optlink.optimization.constraints import rows as limit_rows
-from optlink.optimization.nlp import Variable
+from optlink.optimization.nlp import NLP
 from optlink.optimization.path_nlp import build_path_nlp, constant_values, has_position_limits
 from optlink.problem.cycle import CycleProblem
 from optlink.problem.file import WORDS as PROSE
@@ -67,12 +67,13 @@ class FunctionFollower:
         nlp = programme.nlp
         programme.bind(task)
         if not task.everywhere:
-            return programme.solve(near, BACKEND)[0]
+            if near is None or near.nlp is nlp:
+                return programme.solve(near, BACKEND)[0]
+            return multistart.solve_from(nlp, start_of(nlp, near), BACKEND)
         from optlink.solvers.function_exchange import add_peak_errors
 
         nlp.set_exchange_points(np.zeros(nlp.exchange_count))
-        x = nlp.x_start if near is None else near.x
-        found = multistart.solve_from(nlp, nlp.lifted(np.clip(x, nlp.x_low, nlp.x_high)), BACKEND)
+        found = multistart.solve_from(nlp, start_of(nlp, near), BACKEND)
         return add_peak_errors(task, nlp, found, BACKEND) if found.usable else found
 
 
@@ -105,7 +106,7 @@ class PathFollower:
         task = path_model(problem)
         if not self._bind(task):
             self.__init__(problem, self.way)  # type: ignore[misc]
-        nlp, x = self.nlp, self._start(near)
+        nlp, x = self.nlp, start_of(self.nlp, near)
         if near is not None and near.nlp is nlp and not nlp.exchange_count:
             found = follow_optimum(nlp, near)
             if found is not None:
@@ -115,14 +116,6 @@ class PathFollower:
             start = multistart.solution_at(nlp, x, "the last optimum")
             return solve_semi_infinite(task, start, backend, near=start.usable)
         return multistart.solve_from(nlp, x, backend)
-
-    def _start(self, near: Solution | None) -> Array:
-        """Return the last design in the scaling of this programme."""
-        nlp = self.nlp
-        if near is None:
-            return nlp.lifted(np.clip(nlp.x_start, nlp.x_low, nlp.x_high))
-        x = near.x if near.nlp is nlp else np.array([_rescaled(v, near) for v in nlp.variables])
-        return nlp.lifted(np.clip(x, nlp.x_low, nlp.x_high))
 
     def _bind(self, task: PathProblem) -> bool:
         """Set parameters, bounds and limits; return whether the limits of the programme are those of the problem."""
@@ -183,12 +176,24 @@ def _shape(value: Any) -> Any:
     return type(value).__name__
 
 
-def _rescaled(variable: Variable, near: Solution) -> float:
-    """Return a component of the design vector for the design of another programme."""
-    for own, value in zip(near.nlp.variables, near.x, strict=True):
-        if own.name == variable.name:
-            return variable.scaled(own.origin + own.size * float(value))
-    return 0.0
+def start_of(nlp: NLP, near: Solution | None) -> Array:
+    """Return the design of the last optimum as a starting point of a programme; without one the start of the programme.
+
+    Parameters
+    ----------
+    nlp : NLP
+    near : Solution, optional
+        Of this programme, or of another one with other variables or another scaling.
+    """
+    x = nlp.x_start.copy()
+    if near is not None and near.nlp is nlp:
+        x = near.x
+    elif near is not None:
+        known = {v.name: v.origin + v.size * float(value) for v, value in zip(near.nlp.variables, near.x, strict=True)}
+        for i, variable in enumerate(nlp.variables):
+            if variable.name in known:
+                x[i] = variable.scaled(known[variable.name])
+    return nlp.lifted(np.clip(x, nlp.x_low, nlp.x_high))
 
 
 def follower(problem: ProblemFile, values: Mapping[str, float], way: int = 1) -> Follower | None:

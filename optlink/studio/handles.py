@@ -48,6 +48,30 @@ class Handle:
         base: dict[str, Any] = {"id": self.id, "label": self.label, "kind": self.kind, "unit": self.unit, "value": self.value}
         return finite({"size": None, "locked": None, "feasible": None} | base | dict(self.shown))  # type: ignore[no-any-return]
 
+    @property
+    def place(self) -> list[float] | None:
+        """Numbers that a drag changes, at present."""
+        if self.kind == "point":
+            return list(self.shown["at"])
+        return list(self.value) if self.kind == "range" else [self.value]
+
+    def place_of(self, request: Mapping[str, Any]) -> list[float] | None:
+        """Return the numbers of a drag; None if it has none."""
+        if self.kind == "point":
+            return request.get("at")
+        value = request.get("value")
+        return value if self.kind == "range" else [value]  # type: ignore[list-item]
+
+    def message(self, place: list[float]) -> dict[str, Any]:
+        """Return a drag to given numbers."""
+        return {"at": place} if self.kind == "point" else {"value": place if self.kind == "range" else place[0]}
+
+    def reached(self, place: list[float]) -> dict[str, Any]:
+        """Return the fields of the page for the last feasible place on the way from the present one."""
+        if self.kind == "point":
+            return {"boundary": place}
+        return {} if self.kind == "range" else {"feasible": sorted([self.value, place[0]])}
+
     def changes(self, problem: ProblemFile, message: Mapping[str, Any]) -> dict[str, object]:
         """Return the changes of the file for a place or a value of the handle.
 

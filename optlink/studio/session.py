@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from optlink.errors import Fault, InputError, OptlinkError
 from optlink.problem.file import MAX_BYTES, ProblemFile, parse_assignment
@@ -20,8 +20,12 @@ from optlink.studio.follow import Follower, follower, structure
 from optlink.studio.handles import Handle, handles
 from optlink.studio.picture import Picture
 
+if TYPE_CHECKING:
+    from optlink.studio.curve import CurveSearch
+
 Send = Callable[[Mapping[str, Any]], None]
 
+HALVINGS = 10  # of the way of a handle, to where feasibility ends
 BEGUN = "The search for the best design runs."
 FIRST = "Validated; the full search for a better design runs."
 
@@ -44,7 +48,11 @@ class Session:
         self._design: Design | None = None  # the last usable one
         self._follower: tuple[Any, Follower | None] = (None, None)
         self._handles: dict[str, Handle] = {}
-        self._shown: dict[str, Any] = {}
+        self._rest: dict[str, Handle] = {}  # when no hand moves
+        self._curve: CurveSearch | None = None
+        self._reached: dict[str, dict[str, Any]] = {}  # how far a handle was feasible, by its name
+        self._verdict = ""
+        self._last: tuple[Design, ProblemFile] | None = None  # what was shown last
         self._begun = 0.0
         self._id = 0
 
@@ -88,10 +96,10 @@ class Session:
     def _new(self, request: Mapping[str, Any]) -> None:
         self._begin(from_template(_text(request, "template")))
 
-    def _begin(self, document: Document) -> None:
+    def _begin(self, document: Document, design: Design | None = None) -> None:
         _ = document.problem  # refuses what is not usable before anything changes
         self._history, self._origin = History(document), document.text
-        self._design, self._follower, self._shown = None, (None, None), {}
+        self._design, self._follower = design, (None, None)
         self._settle()
 
     def _resume(self, request: Mapping[str, Any]) -> None:
@@ -108,8 +116,11 @@ class Session:
         if request.get("moving"):
             changes = handle.changes(base, request)
             self._show_moving(base.override(changes))
-        else:
-            self._commit(self._document.with_changes(handle.changes(base, request)))
+            return
+        begin, rest = self._design, self._rest.get(handle.id)
+        self._commit(self._document.with_changes(handle.changes(base, request)))
+        if self._verdict == "infeasible" and begin is not None and rest is not None:
+            self._interruptible(lambda: self._bisect(rest, base, request))
 
     def _set(self, request: Mapping[str, Any]) -> None:
         key, value = parse_assignment(f"{_text(request, 'key')}={_text(request, 'value')}", "set")
@@ -135,6 +146,35 @@ class Session:
     def _save(self, request: Mapping[str, Any]) -> None:
         document = self._document
         self._send({"type": "file", "id": self._id, "name": document.file, "media": "application/toml", "text": document.text})
+
+    def _export(self, request: Mapping[str, Any]) -> None:
+        from optlink.studio.files import exported
+
+        if self._design is None:
+            raise InputError(Fault("there is no design yet", "Wait for the search"))
+        found = exported(self._design, self._document.name, request.get("format"))
+        self._send({"type": "file", "id": self._id} | found)
+
+    def _draw(self, request: Mapping[str, Any]) -> None:
+        from optlink.studio.curve import CurveSearch, drawn
+
+        search = CurveSearch(drawn(request.get("points"), closed=bool(request.get("closed"))))
+        self._curve = search
+
+        def run() -> None:
+            for done in search.run():
+                self._send(search.message(self._id, done=done))
+
+        self._interruptible(run)
+        if not search.designs:
+            remedy = "Draw a smoother curve, or one without sharp corners"
+            raise InputError(Fault("no four-bar was found for this curve within its limits", remedy))
+
+    def _choose(self, request: Mapping[str, Any]) -> None:
+        if self._curve is None:
+            raise InputError(Fault("there are no candidates", "Draw a curve first"))
+        chosen = self._curve.design(request.get("candidate"))
+        self._begin(self._curve.document, chosen)
 
     def _link(self, request: Mapping[str, Any]) -> None:
         self._send({"type": "link", "id": self._id, "fragment": deflated(self._document.text)})
@@ -171,6 +211,25 @@ class Session:
         sentence = f"No design near the last one meets all limits: {words}."
         return replace(carried(problem, last), status="infeasible", conclusion=sentence, conflicts=(sentence,))
 
+    def _bisect(self, handle: Handle, base: ProblemFile, request: Mapping[str, Any]) -> None:
+        """Find how far a handle could be dragged, and show it."""
+        begin, end = handle.place, handle.place_of(request)
+        if begin is None or end is None:
+            return
+        low, high = 0.0, 1.0
+        for _ in range(HALVINGS):
+            middle = 0.5 * (low + high)
+            place = [a + middle * (b - a) for a, b in zip(begin, end, strict=True)]
+            try:
+                found = self._followed(self._definite(base.override(handle.changes(base, handle.message(place)))))
+                good = found.solution is not None
+            except InputError:
+                good = False
+            low, high = (middle, high) if good else (low, middle)
+        self._reached = {handle.id: handle.reached([a + low * (b - a) for a, b in zip(begin, end, strict=True)])}
+        if self._last is not None:
+            self._show(*self._last, moving=False)
+
     def _show_moving(self, problem: ProblemFile) -> None:
         definite = self._definite(problem)
         design = self._followed(definite)
@@ -184,6 +243,7 @@ class Session:
         _ = document.problem
         assert self._history is not None
         self._history.add(document)
+        self._reached = {}
         self._settle()
 
     def _settle(self) -> None:
@@ -228,12 +288,14 @@ class Session:
     def _show(self, design: Design, problem: ProblemFile, *, moving: bool) -> None:
         """Send the state of a design; parts of the last state that are the same are left out."""
         assert self._history is not None
-        done = time.perf_counter()
+        done, self._verdict, self._last = time.perf_counter(), design.status, (design, problem)
         try:
             picture: Picture | None = Picture(design.machine, design.start, design.speed)
         except (ArithmeticError, InputError, ValueError):
             picture = None
         self._handles = handles(problem, picture)
+        if not moving:
+            self._rest = self._handles
         undo, redo = self._history.ends
         document = self._document
         title = str(problem.model.title or document.name)
@@ -252,7 +314,7 @@ class Session:
             "status": design.status,
             "conclusion": design.conclusion,
             "targets": state.targets(problem, design),
-            "handles": [handle.document() for handle in self._handles.values()],
+            "handles": [handle.document() | self._reached.get(handle.id, {}) for handle in self._handles.values()],
             "variables": state.variables(problem, design, document.freed),
             "objective": state.objective(problem, design.objective),
             "active": state.active(design),
@@ -269,11 +331,13 @@ class Session:
 def warm() -> None:
     """Import what the first request would otherwise wait for."""
     from optlink.problem.file import load
+    from optlink.studio import curve, files, follow_cycle
+    from optlink.synthesis import batch_search
     from optlink.tasks import certify, cycle, function, path
     from optlink.tasks.analyze import analyze
 
     solved(load("crank-rocker"))
-    _ = certify, cycle, function, path, analyze
+    _ = certify, cycle, function, path, analyze, curve, files, follow_cycle, batch_search
 
 
 def _verdict(design: Design) -> dict[str, Any]:
@@ -301,6 +365,9 @@ _ACTIONS: dict[str, Callable[[Session, Mapping[str, Any]], None]] = {
     "redo": Session._undo,
     "save": Session._save,
     "link": Session._link,
+    "export": Session._export,
+    "draw": Session._draw,
+    "choose": Session._choose,
 }
 
 

@@ -1,0 +1,197 @@
+"""Four-bars for a curve that was drawn by hand: a path problem of its points, and the best designs that a short search finds."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.errors import Fault, InputError, Status
+from optlink.io import finite
+from optlink.studio.design import Design
+from optlink.studio.document import Document, from_text
+from optlink.studio.picture import Picture
+from optlink.tasks.path_search import DesignCollection, Polisher, path_model
+from optlink.tasks.results.path import PathDesign
+from optlink.validation.path import validate_path
+
+Array = NDArray[np.float64]
+
+MOST_DRAWN = 10_000  # points of a curve
+POINTS = 16  # target points along it
+REACH, LEAST = 4.0, 0.05  # largest and least length of a link, as a share of the size of the curve
+SECONDS = 4.5  # of the search
+SHOWN = 4  # designs
+FIRST = 6  # candidates of the first round of which a valid one is shown before it is refined
+SMALLEST = 1e-3  # mm
+ROUNDS = 12
+
+Send = Callable[[Mapping[str, Any]], None]
+
+
+def drawn(points: Any, *, closed: bool) -> Document:
+    """Return a path problem for a curve.
+
+    Parameters
+    ----------
+    points : list of [x, y] in mm
+    closed : bool
+        Whether the curve leads back to its first point.
+
+    Raises
+    ------
+    InputError
+        If there are too few or too many points, or they do not differ.
+    """
+    if not isinstance(points, list) or not 3 <= len(points) <= MOST_DRAWN:
+        raise InputError(Fault("a curve has from 3 to 10,000 points", "Draw it again", key="draw"))
+    try:
+        line = np.array(points, dtype=float)
+    except (TypeError, ValueError):
+        line = np.zeros(0)
+    if line.ndim != 2 or line.shape[1] != 2 or not np.all(np.abs(line) <= 1e6):
+        raise InputError(Fault("a point of a curve has two coordinates of at most 1e6 mm", "Draw it again", key="draw"))
+    places = np.round(_along(line, closed=closed), 6)
+    size, centre = float(np.max(np.ptp(places, axis=0))), places.mean(axis=0)
+    if not size > SMALLEST:
+        raise InputError(Fault("the curve is smaller than 0.001 mm", "Draw a larger one", key="draw"))
+    far, least = f"{REACH * size:.4g}", f"{LEAST * size:.4g}"
+    sides = [f'{{ bounds = ["{c - REACH * size:.6g} mm", "{c + REACH * size:.6g} mm"] }}' for c in centre]
+    listed = ",\n".join(f'    ["{x!r} mm", "{y!r} mm"]' for x, y in places.tolist())
+    links = "\n".join(f'{name} = {{ bounds = ["{least} mm", "{far} mm"] }}' for name in ("crank", "coupler", "rocker", "frame"))
+    text = f'''title = "A drawn curve"
+
+# A four-bar whose coupler point P passes these points in order, at free crank angles.
+[mechanism]
+type = "four-bar"
+{links}
+points = {{ P = [{{ bounds = ["-{far} mm", "{far} mm"] }}, {{ bounds = ["-{far} mm", "{far} mm"] }}] }}
+pivot = [{sides[0]}, {sides[1]}]
+direction = {{ bounds = ["-180 deg", "180 deg"] }}
+assembly = "either"
+
+[requirement]
+kind = "path"
+point = "P"
+closed = {str(closed).lower()}
+points = [
+{listed},
+]
+
+[limits]
+transmission_angle = ["20 deg", "160 deg"]
+link_ratio = [0.05, 20.0]
+'''
+    return from_text(text, "drawn-curve")
+
+
+def _along(line: Array, *, closed: bool) -> Array:
+    """Return evenly spaced points along a polyline; of a closed one the first is not repeated."""
+    if closed:
+        line = np.vstack([line, line[:1]])
+    steps = np.hypot(*np.diff(line, axis=0).T)
+    kept = np.concatenate([[True], steps > 0.0])
+    line, at = line[kept], np.concatenate([[0.0], np.cumsum(steps[steps > 0.0])])
+    if len(line) < 2:
+        return line
+    places = np.linspace(0.0, at[-1], POINTS, endpoint=not closed)
+    return np.column_stack([np.interp(places, at, line[:, k]) for k in (0, 1)])
+
+
+class CurveSearch:
+    """A search of four-bars for a drawn curve.
+
+    Parameters
+    ----------
+    document : Document
+        From `drawn`.
+    """
+
+    def __init__(self, document: Document) -> None:
+        from optlink.synthesis.batch_search import Searcher
+
+        self.document, self.begun = document, time.perf_counter()
+        files = document.problem.variants()
+        self._searcher = Searcher([path_model(file) for file in files], 0)
+        self._collection = DesignCollection(Polisher(files, "ipopt"), SHOWN)
+        self._files = files
+        self.designs: list[PathDesign] = []
+
+    def run(self) -> Iterator[bool]:
+        """Search; yield whether it is done whenever there are better designs."""
+        for number in itertools.count():
+            found = self._searcher.advance()
+            if number == 0 and (first := self._rough(found.candidates[:FIRST])) is not None:
+                self.designs = [first]
+                yield False
+            self._collection.add(found)
+            done = self._seconds > SECONDS or number + 1 == ROUNDS
+            if self._collection.designs:
+                self.designs = list(self._collection.designs)
+                yield done
+            if done:
+                return
+
+    @property
+    def _seconds(self) -> float:
+        return time.perf_counter() - self.begun
+
+    def _rough(self, candidates: Any) -> PathDesign | None:
+        """Return the best valid candidate before its refinement."""
+        for one in candidates:
+            file, batch = self._files[one.variant], self._searcher.batches[one.variant]
+            task = path_model(file)
+            values = {name: quantity.value for name, quantity in task.quantities.items()}
+            scaled = zip(batch.names, batch.origin, batch.scale, one.x, strict=True)
+            values |= {name: float(origin + scale * x) for name, origin, scale, x in scaled}
+            proof = validate_path(task, values, one.t)
+            if proof.valid:
+                return PathDesign(file, values, one.t, proof.objective, Status.NOT_SEARCHED, proof)
+        return None
+
+    def message(self, ident: int, *, done: bool) -> dict[str, Any]:
+        """Return the designs as a message.
+
+        Parameters
+        ----------
+        ident : int
+            Number of the request.
+        done : bool
+            Whether the search has ended.
+        """
+        items = [_item(design) for design in self.designs]
+        seconds = round(self._seconds, 3)
+        return {"type": "candidates", "id": ident, "done": done, "seconds": seconds, "items": items}
+
+    def design(self, index: Any) -> Design:
+        """Return one of the designs.
+
+        Raises
+        ------
+        InputError
+            If there is none with this number.
+        """
+        if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < len(self.designs):
+            raise InputError(Fault("no such candidate", "Draw the curve again", key="candidate", value=index))
+        one = self.designs[index]
+        return Design(one.problem, one.values, objective=one.objective, solution=one.solution, crank_angles=one.crank_angles)
+
+
+def _item(design: PathDesign) -> dict[str, Any]:
+    shown = Design(design.problem, design.values, crank_angles=design.crank_angles)
+    picture = Picture(shown.machine, shown.start, shown.speed)
+    scene = picture.document()
+    sizes = {name: value * (1e3 if quantity.kind != "angle" else math.degrees(1.0)) for name, value, quantity in _sizes(design)}
+    error = 1e3 * float(np.max(design.measured.distances))
+    item = {"error": error, "unit": "mm", "valid": design.valid, "design": sizes}
+    return {**finite(item), "curve": scene["points"][design.task.requirement.point], "scene": scene}
+
+
+def _sizes(design: PathDesign) -> Iterator[tuple[str, float, Any]]:
+    for name, quantity in design.task.quantities.items():
+        yield name, design.values[name], quantity
