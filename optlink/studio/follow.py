@@ -17,7 +17,7 @@ from optlink.optimization.constraints import position_rows
 from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.nlp import NLP
 from optlink.optimization.path_nlp import build_path_nlp, constant_values, has_position_limits
-from optlink.problem.cycle import CycleProblem
+from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.file import WORDS as PROSE
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem

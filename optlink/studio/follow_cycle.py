@@ -9,7 +9,7 @@ import numpy as np
 
 from optlink.optimization.cycle_nlp import CycleNLP
 from optlink.optimization.cycle_signals import TracedCycle
-from optlink.problem.cycle import Bound, CycleProblem
+from optlink.problem.cycle.model import Bound, CycleProblem
 from optlink.problem.file import ProblemFile
 from optlink.solvers import multistart
 from optlink.solvers.semi_infinite import EXACTLY, peaks
