@@ -187,6 +187,16 @@ class CosineLimit:
         return ConstraintRow(self.key, f"transmission angle{label}", cosine, self.low, self.high, COSINE)
 
 
+def _cosine(angle: Value) -> Value:
+    """Return the cosine of a limit [rad], or of an array of limits."""
+    return np.cos(angle) if np.ndim(angle) else math.cos(angle)
+
+
+def _chosen(condition: Value, one: Value, other: Value) -> Value:
+    """Return one of two numbers, elementwise for an array of conditions."""
+    return np.where(condition, one, other) if np.ndim(condition) else one if condition else other
+
+
 def transmission_sides(problem: AnyProblem, joint: str = COUPLER_JOINT) -> Iterator[CosineLimit]:
     """Yield the limits of the cosine of the transmission angle at a joint, those of the alignment included.
 
@@ -200,18 +210,18 @@ def transmission_sides(problem: AnyProblem, joint: str = COUPLER_JOINT) -> Itera
         Outer joint of the dyad.
     """
     limits, required = problem.limits, "span" if problem.limits.crank == "span" else "revolution"
-    most = math.cos(limits.alignment.value)
+    most = _cosine(limits.alignment.value)
     low, high, stated = -math.inf, math.inf, limits.transmission_at(joint)
     if stated is not None:
-        low = -math.inf if stated.high is None else math.cos(stated.high)
-        high = math.inf if stated.low is None else math.cos(stated.low)
-    own = low if low >= -most - SAME else -math.inf, high if high <= most + SAME else math.inf
-    if stated is not None and own != (-math.inf, math.inf):
+        low = -math.inf if stated.high is None else _cosine(stated.high)
+        high = math.inf if stated.low is None else _cosine(stated.low)
+    own = _chosen(low >= -most - SAME, low, -math.inf), _chosen(high <= most + SAME, high, math.inf)
+    if stated is not None and np.any((own[0] > -math.inf) | (own[1] < math.inf)):
         yield CosineLimit(stated.key, *own, problem.transmission_over)
     same = problem.transmission_over == required
-    floor = -math.inf if same and abs(own[0] + most) <= SAME else -most
-    ceiling = math.inf if same and abs(own[1] - most) <= SAME else most
-    if floor > -math.inf or ceiling < math.inf:
+    floor = _chosen(same & (abs(own[0] + most) <= SAME), -math.inf, -most)
+    ceiling = _chosen(same & (abs(own[1] - most) <= SAME), math.inf, most)
+    if np.any((floor > -math.inf) | (ceiling < math.inf)):
         yield CosineLimit("limits.alignment", floor, ceiling, required)
 
 
@@ -242,10 +252,10 @@ def transmission(problem: AnyProblem, values: Mapping[str, Value], reach: Reach,
                 yield limit.row("", transmission_cosine(*lengths, cosine))
         else:
             names = (ALIGNED, ALIGNED) if aligned else ("smallest transmission angle", "largest transmission angle")
-            if limit.high < math.inf:
+            if np.any(limit.high < math.inf):
                 cosine = transmission_cosine(*lengths, 1.0)
                 yield ConstraintRow(limit.key, names[0], cosine, -math.inf, limit.high, COSINE)
-            if limit.low > -math.inf:
+            if np.any(limit.low > -math.inf):
                 cosine = transmission_cosine(*lengths, -1.0)
                 yield ConstraintRow(limit.key, names[1], cosine, limit.low, math.inf, COSINE)
 

@@ -85,6 +85,8 @@ class NLP:
     factor: float = 1.0  # from f * p[0] to the measure of the residuals (for rms: their mean square)
     states: frozenset[str] = frozenset()  # variables and rows that are never relaxed, such as those defined by equations
     constants: tuple[Variable, ...] = ()  # the fixed quantities and tolerances in `p`, from its second component on
+    position_symbol: Any = None  # crank rotation from the start, tabulated output: a position of the requirement
+    position_expression: Any = None  # the residuals there, of which `residual_expression` has those of every position
     exchange_rows: tuple[int, int] = (0, 0)  # index of the first row of the exchange points, number of rows per position
     cache: dict[str, Any] = field(default_factory=dict, compare=False)  # functions compiled for this NLP by back ends
 
@@ -242,9 +244,14 @@ EXCHANGE_POINTS = 12  # positions that are moved to the maxima of the error
 
 
 def _residuals(
-    problem: DesignProblem, values: dict[str, Any], counted: dict[str, Any], start: StartPosition, exchange: list[Any]
-) -> list[Any]:
-    """Return the residuals at each position, one column each: those of `optlink.problem.robust.residuals`.
+    problem: DesignProblem,
+    values: dict[str, Any],
+    counted: dict[str, Any],
+    start: StartPosition,
+    exchange: list[Any],
+    position: Any,
+) -> tuple[list[Any], Any]:
+    """Return the residuals at each position, one column each, and at a symbolic one: those of `optlink.problem.robust.residuals`.
 
     They are traced once at a symbolic position, then evaluated at the design positions (the cost of numpy's dispatch is paid
     once).
@@ -264,7 +271,7 @@ def _residuals(
         one(casadi.vertcat(*known, float(offset), float(tabulated)))
         for offset, tabulated in zip(law.offsets, law.tabulated, strict=True)
     ]
-    return fixed + [one(casadi.vertcat(*known, offset, 0.0)) for offset in exchange]
+    return fixed + [one(casadi.vertcat(*known, offset, 0.0)) for offset in exchange], one(casadi.vertcat(*known, position))
 
 
 def boxed(quantity: Quantity, variable: Variable) -> tuple[float, float, float]:
@@ -306,7 +313,8 @@ def build(problem: DesignProblem) -> NLP:
     tolerances = {name: p[1 + len(fixed) + i] * size for i, name in enumerate(counted)}
     with symbols_in_numpy():
         start = problem.start_position(values)
-        columns = _residuals(problem, values, tolerances, start, [p[1 + constant + i] for i in range(many)])
+        exchange, position = [p[1 + constant + i] for i in range(many)], casadi.SX.sym("position", 2)
+        columns, anywhere = _residuals(problem, values, tolerances, start, exchange, position)
         rows = limit_rows(problem, values, Reach(start.phi0, problem.span, problem.sense), size)
         if minimax:
             labels = [f"error {math.degrees(offset):.4g} deg from the start" for offset in problem.law.offsets]
@@ -345,4 +353,6 @@ def build(problem: DesignProblem) -> NLP:
         g_expression=g,
         residual_expression=vector,
         constants=tuple(constants),
+        position_symbol=position,
+        position_expression=anywhere,
     )

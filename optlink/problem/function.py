@@ -205,9 +205,13 @@ class DesignProblem(Problem):
 
     def design(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return the complete design [SI] for values of the design variables: every length, phi0 and psi0."""
-        full = {name: float(values.get(name, quantity.value)) for name, quantity in self.quantities.items()}
+        return {name: float(value) for name, value in self.designs(values).items()}
+
+    def designs(self, values: Mapping[str, Value]) -> dict[str, Value]:
+        """Return the complete designs [SI] for values of the design variables, elementwise; see `design`."""
+        full = {name: values.get(name, quantity.value) for name, quantity in self.quantities.items()}
         start = self.start_position(full)
-        return {**full, "phi0": float(start.phi0), "psi0": float(start.psi0)}
+        return {**full, "phi0": start.phi0, "psi0": start.psi0}
 
 
 def cross_check_design(problem: DesignProblem) -> None:

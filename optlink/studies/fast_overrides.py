@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
+from optlink.linkage.vector2d import Value
 from optlink.problem.file import SIDES
 from optlink.problem.function import DesignProblem
 from optlink.problem.quantity import Interval, Quantity
@@ -50,8 +51,8 @@ class FastOverride:
         """Whether every axis is a number of a section."""
         return all(place is not None for place in self.places)
 
-    def model(self, values: Sequence[float]) -> DesignProblem:
-        """Return the model at values in the units of the axes."""
+    def model(self, values: Sequence[Value]) -> DesignProblem:
+        """Return the model at values in the units of the axes, floats or arrays (points,)."""
         sections: dict[str, dict[str, Any]] = {}
         for place, value in zip(self.places, values, strict=True):
             assert place is not None

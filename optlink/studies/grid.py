@@ -7,7 +7,11 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
 
 from optlink.errors import Fault, InputError
 from optlink.problem.base_model import Record
@@ -52,6 +56,11 @@ class Axis:
     def column(self) -> str:
         """Name of its column in the table."""
         return column(self.key, self.unit)
+
+    @cached_property
+    def array(self) -> NDArray[np.float64]:
+        """The values as an array."""
+        return np.array(self.values)
 
     def raw(self, index: int) -> Raw:
         """Return a value as written in a problem file."""
@@ -189,6 +198,11 @@ class Grid:
     def values(self, index: int) -> list[float]:
         """Return the values at a point, in the units of the axes."""
         return [axis.values[i] for axis, i in zip(self.axes, self.place(index), strict=True)]
+
+    def columns(self, points: NDArray[np.intp]) -> list[NDArray[np.float64]]:
+        """Return the values (points,) of every axis at points, in the units of the axes."""
+        places = np.unravel_index(points, tuple(len(axis.values) for axis in self.axes))
+        return [axis.array[place] for axis, place in zip(self.axes, places, strict=True)]
 
     def changes(self, index: int) -> dict[str, Raw]:
         """Return the changes of the problem file at a point."""

@@ -1,21 +1,24 @@
 """Sweep task that finds an optimum at every point of a grid.
 
-The programme is built once: what varies are its parameters and bounds. Within a chunk each search starts from the optimum of a
-completed neighbour, and usually ends after a few Newton steps; the first search of a chunk starts from the start of the problem,
-so that no chunk depends on another. Every optimum is validated like a single one.
+The programme is built once: what varies are its parameters and bounds. A search from the starting point of the problem is made
+in the middle of every block of neighbouring points; Newton's method leads from there to the optima of all points of the block at
+once (`optlink.studies.batch`). A point where it does not end at a proven optimum is searched. Every optimum is validated like a
+single one. A row depends on the grid alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Fault, InputError, Status
 from optlink.linkage.assur import EITHER
+from optlink.optimization.batch_nlp import BatchNLP
 from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.nlp import NLP, build
 from optlink.problem.file import ProblemFile
@@ -25,15 +28,23 @@ from optlink.problem.quantity import nearest
 from optlink.solvers import multistart
 from optlink.solvers.contract import selectable
 from optlink.solvers.solution import ACTIVE, FEASIBLE, Solution
+from optlink.studies.batch.blocks import Blocks
+from optlink.studies.batch.newton import BatchProblem
+from optlink.studies.batch.optima import GridSearch
 from optlink.studies.continuation import FOLLOWED, follow_optimum
 from optlink.studies.fast_overrides import FastOverride
+from optlink.studies.grid import Grid
 from optlink.studies.sweep_task import OptimumTask
 from optlink.tasks.results.balance import Balance
 from optlink.tasks.run import solve
-from optlink.validation import validate
+from optlink.units import KINDS, factor
+from optlink.validation import Validation, validate, validate_batch
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 CHUNK, SLOW_CHUNK = 100, 4  # points per chunk; the second if every point needs a separate search
+LARGEST_CHUNK, CHUNKS = 10_000, 10  # points of the chunks of a large grid, and the least number of chunks
+BATCH = 2_000  # points that are worked on at a time
 NUMBERS = ("mechanism.", "limits.", "tolerances.", "requirement.from", "requirement.psi0")  # keys of parameters of a programme
 SEARCHED = "searched"
 OTHER = 3.0  # ratio of sizes beyond which the scaling of the programme is unsuitable
@@ -67,6 +78,11 @@ def one_programme_suffices(problem: ProblemFile, keys: tuple[str, ...]) -> bool:
     if not isinstance(task, DesignProblem) or task.everywhere or task.mechanism.assembly == EITHER:
         return False
     return all(key.startswith(NUMBERS) and key not in ("limits.crank", "limits.transmission_over", *MARGIN_KEYS) for key in keys)
+
+
+def chunk_of(grid: Grid) -> int:
+    """Return the number of points per chunk of a grid with one programme: large grids have large chunks."""
+    return CHUNK * max(1, min(LARGEST_CHUNK // CHUNK, -(-grid.count // (CHUNKS * CHUNK))))
 
 
 @dataclass(frozen=True)
@@ -105,17 +121,23 @@ class ReoptimiseTask(OptimumTask):
         found = FastOverride(self.template.spec, self.grid.axes) if self.programme is not None else None
         return found if found is not None and found.possible else None
 
+    @cached_property
+    def grid_search(self) -> GridSearch:
+        """Search for the optima of the common programme."""
+        assert self.programme is not None
+        nlp = BatchNLP(self.programme.nlp, self.template.spec.law)
+        return GridSearch(nlp, Blocks(self.grid), self._problem, self._search)
+
     def lines(self, index: int) -> list[list[str]]:
         """Return the rows of a chunk."""
-        done: dict[int, Solution] = {}
-        rows = []
-        for point in self.span(index):
-            if self.programme is None:
-                found = _alone(self.problem.override(self.grid.changes(point)), self.backend)
-            else:
-                found = self._again(self.programme, point, done)
-            rows.append(self.optimum(point, **vars(found)))
-        return rows
+        if self.programme is None:
+            found = (_separately(self.problem.override(self.grid.changes(point)), self.backend) for point in self.span(index))
+            return [self.optimum(point, **vars(one)) for point, one in zip(self.span(index), found, strict=True)]
+        rows: dict[int, list[str]] = {}
+        points = np.array(self.span(index))
+        for first in range(0, len(points), BATCH):
+            rows |= self._followed(points[first : first + BATCH])
+        return [rows[point] if point in rows else self.optimum(point, **vars(self._again(point))) for point in self.span(index)]
 
     def model(self, point: int) -> DesignProblem:
         """Return the problem at a point of the grid."""
@@ -123,26 +145,77 @@ class ReoptimiseTask(OptimumTask):
             return self.direct.model(self.grid.values(point))
         return self.problem.override(self.grid.changes(point)).spec
 
-    def _again(self, programme: ParametricProgramme, point: int, done: dict[int, Solution]) -> _Optimum:
-        """Return the optimum at a point, from that of a neighbour of this chunk if available."""
+    def _problem(self, points: Index) -> BatchProblem:
+        """Return parameters and bounds of the programme at points of the grid."""
+        assert self.programme is not None
+        if self.direct is not None:
+            return self.programme.parameters(self.direct.model(self.grid.columns(points)), len(points))
+        each = [self.programme.parameters(self.model(point)) for point in points.tolist()]
+        return BatchProblem(*(np.concatenate([vars(one)[name] for one in each]) for name in ("p", "lower", "upper")))
+
+    def _search(self, point: int) -> Solution:
+        """Return the result of a search at a point, which begins at the starting point of the problem."""
+        assert self.programme is not None
+        self.programme.bind(self.model(point))
+        return self.programme.solve(None, self.backend)[0]
+
+    def _followed(self, points: Index) -> dict[int, list[str]]:
+        """Return the rows of the points at which Newton's method from a neighbouring optimum ends at a proven optimum."""
+        assert self.programme is not None
+        nlp, found = self.programme.nlp, self.grid_search.optima(points)
+        done = np.flatnonzero(found.proven)
+        points, x, sides, objective = points[done], found.x[done], found.sides[done], found.objective[done]
+        if not len(points):
+            return {}
+        values = {v.name: v.origin + x[:, i] * v.size for i, v in enumerate(nlp.variables) if v.name not in nlp.helpers}
+        if self.direct is not None:
+            task = self.direct.model(self.grid.columns(points))
+            proofs = validate_batch(task, task.designs(values), objective)
+            valid, failed = proofs.valid, {k: _failed(proofs.of(k)) for k in np.flatnonzero(~proofs.valid).tolist()}
+        else:
+            tasks = [self.model(point) for point in points.tolist()]
+            designs = [task.design({name: own[k] for name, own in values.items()}) for k, task in enumerate(tasks)]
+            single = [validate(task, *own) for task, *own in zip(tasks, designs, objective.tolist(), strict=True)]
+            valid, failed = np.array([one.valid for one in single]), {k: _failed(one) for k, one in enumerate(single)}
+        keys = list(map(tuple, sides.tolist()))
+        labels = {key: "; ".join(_labels(nlp, np.flatnonzero(key), np.array(key))) for key in set(keys)}
+        methods = np.where(found.searched[done], SEARCHED, FOLLOWED).tolist()
+        sizes = [values[name] / factor(KINDS[quantity.kind].display, quantity.kind) for name, quantity in self.free.items()]
+        figures = np.array([*self.grid.columns(points), *sizes, objective]).T.tolist()
+        return {
+            point: [
+                *map(repr, figures[k]),
+                Status.OPTIMAL.value,
+                "true" if valid[k] else "false",
+                "" if valid[k] else "; ".join(failed[k]),
+                labels[keys[k]],
+                methods[k],
+            ]
+            for k, point in enumerate(points.tolist())
+        }
+
+    def _again(self, point: int) -> _Optimum:
+        """Return the optimum at a point that is searched, from that of a neighbour if there is one."""
+        assert self.programme is not None
+        programme, near = self.programme, self.grid_search.nearest(point)
         task = self.model(point)
         programme.bind(task)
-        before = point - 1 if point % self.grid.row else point - self.grid.row
-        solution, found = programme.solve(done.get(before), self.backend)
-        if solution.usable:
-            done[point] = solution
-        elif not 1.0 / OTHER <= task.quantities["frame"].value / programme.size <= OTHER:
+        solution, found = programme.solve(near, self.backend)
+        if not solution.usable and not 1.0 / OTHER <= task.quantities["frame"].value / programme.size <= OTHER:
             own = build(task)
             solution = multistart.best([solution, multistart.solve_from(own, own.x_start, self.backend)])
         design = task.design(solution.design)
         proof = validate(task, design, solution.objective)
-        optimal = solution.status is Status.OPTIMAL
-        failed = tuple(check.name for check in proof.checks if not check.passed)
-        valid = optimal and not failed
+        failed = _failed(proof)
+        valid = solution.status is Status.OPTIMAL and not failed
         if solution.status is Status.INFEASIBLE:
             missed, against = conflicting(solution)
             return _Optimum(solution.design, solution.objective, solution.status, valid, missed or failed, against, found)
         return _Optimum(solution.design, solution.objective, solution.status, valid, failed, active(solution), found)
+
+
+def _failed(proof: Validation) -> tuple[str, ...]:
+    return tuple(check.name for check in proof.checks if not check.passed)
 
 
 class ParametricProgramme:
@@ -152,24 +225,41 @@ class ParametricProgramme:
         self.nlp: NLP = build(problem.spec)
         self.size = problem.spec.quantities["frame"].value
 
-    def bind(self, task: DesignProblem) -> None:
-        """Set fixed quantities, bounds and limits from a problem of the same structure."""
+    def parameters(self, task: DesignProblem, count: int = 1) -> BatchProblem:
+        """Return parameters and bounds of the programme for problems of the same structure.
+
+        Parameters
+        ----------
+        task : DesignProblem
+            Its numbers may be arrays (points,).
+        count : int
+            Number of points.
+        """
         nlp, quantities = self.nlp, task.quantities
+        p: list[Any] = list(nlp.p)
         for i, constant in enumerate(nlp.constants):
             value = quantities[constant.name].value if constant.name in quantities else task.counted[constant.name]
-            nlp.p[1 + i] = (value - constant.origin) / constant.size
-        n = len(nlp.variables)
+            p[1 + i] = (value - constant.origin) / constant.size
+        bounds: list[tuple[Any, Any]] = list(zip(nlp.x_low, nlp.x_high, strict=True))
         for i, v in enumerate(nlp.variables):
             if v.name not in nlp.helpers:
                 low, high = quantities[v.name].bounds
-                nlp.limit(i, (low - v.origin) / v.size, upper=False)
-                nlp.limit(i, (high - v.origin) / v.size, upper=True)
+                bounds[i] = (low - v.origin) / v.size, (high - v.origin) / v.size
         values = {name: quantity.value for name, quantity in quantities.items()}
         with np.errstate(all="ignore"):
             rows = limit_rows(task, values, task.reach(values), self.size)
-        for j, row in enumerate(rows):
-            nlp.limit(n + j, row.low, upper=False)
-            nlp.limit(n + j, row.high, upper=True)
+        bounds += [(row.low, row.high) for row in rows]
+        bounds += zip(nlp.low[len(rows) :], nlp.high[len(rows) :], strict=True)
+        lower, upper = zip(*bounds, strict=True)
+        return BatchProblem(*(np.array([np.broadcast_to(one, count) for one in own], dtype=float).T for own in (p, lower, upper)))
+
+    def bind(self, task: DesignProblem) -> None:
+        """Set fixed quantities, bounds and limits from a problem of the same structure."""
+        nlp, own = self.nlp, self.parameters(task)
+        nlp.p[:] = own.p[0]
+        for entry, (low, high) in enumerate(zip(own.lower[0], own.upper[0], strict=True)):
+            nlp.limit(entry, low, upper=False)
+            nlp.limit(entry, high, upper=True)
 
     def solve(self, near: Solution | None, backend: str) -> tuple[Solution, str]:
         """Return the optimum for the present parameters, and how it was found.
@@ -194,7 +284,7 @@ class ParametricProgramme:
         return multistart.best(tries), SEARCHED
 
 
-def _alone(task: ProblemFile, backend: str) -> _Optimum:
+def _separately(task: ProblemFile, backend: str) -> _Optimum:
     """Return the optimum of a problem that is built and searched separately."""
     result = solve(task, backend)
     assert not isinstance(result, Balance)
@@ -218,12 +308,16 @@ def conflicting(solution: Solution) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 def active(solution: Solution) -> tuple[str, ...]:
     """Return the labels of the active limits and bounds of a design, each once."""
-    nlp, prices = solution.nlp, solution.proof.multipliers
+    return _labels(solution.nlp, solution.proof.active, solution.proof.multipliers)
+
+
+def _labels(nlp: NLP, entries: Iterable[int], sides: Array) -> tuple[str, ...]:
+    """Return labels of limits and bounds, each once; a positive entry of `sides` is an upper bound."""
     n = len(nlp.variables)
     names = []
-    for entry in solution.proof.active:
+    for entry in entries:
         if entry >= n and nlp.rows[entry - n].limit not in nlp.helpers:
             names.append(nlp.rows[entry - n].label)
         elif entry < n and nlp.variables[entry].name not in nlp.helpers:
-            names.append(f"{nlp.variables[entry].name} {'<=' if prices[entry] > 0.0 else '>='} its bound")
+            names.append(f"{nlp.variables[entry].name} {'<=' if sides[entry] > 0.0 else '>='} its bound")
     return tuple(dict.fromkeys(names))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import shutil
 import tempfile
 import time
@@ -28,7 +29,7 @@ from optlink.studies.cycle_task import CycleTask
 from optlink.studies.execution.runner import run
 from optlink.studies.execution.store import Progress, Store
 from optlink.studies.grid import AxisRecord, Grid, read_grid
-from optlink.studies.reoptimise_task import CHUNK, SEARCHED, SLOW_CHUNK, ReoptimiseTask, check_backend, one_programme_suffices
+from optlink.studies.reoptimise_task import SEARCHED, SLOW_CHUNK, ReoptimiseTask, check_backend, chunk_of, one_programme_suffices
 from optlink.studies.simulation_task import SimulationTask, has_clearance, simulate_machine, with_integrator
 from optlink.studies.sweep_task import SweepTask
 
@@ -335,7 +336,7 @@ def _task(
         return _with_something_free(designing, problem)
     if problem.task != "path":
         problem.spec  # noqa: B018 - raises if there is nothing to solve
-    task = ReoptimiseTask(**stated, grid=grid, chunk=CHUNK, backend=backend)
+    task = ReoptimiseTask(**stated, grid=grid, chunk=chunk_of(grid), backend=backend)
     _with_something_free(task, problem)
     if one_programme_suffices(task.template, tuple(axis.key for axis in grid.axes)):
         return task
@@ -397,34 +398,30 @@ def _about(task: SweepTask) -> dict[str, Any]:
 
 def _marked(rows: Iterator[list[str]], grid: Grid, names: list[str], summary: _Summary) -> Iterator[list[str]]:
     """Yield rows with a mark of active-set changes, if applicable, and accumulate the summary."""
-    before: str | None = None
-    held, status = (names.index(name) if summary.objective is not None else -1 for name in ("active", "status"))
-
-    def designed(row: list[str]) -> bool:
-        return row[status] != Status.INFEASIBLE.value
-
-    for number, row in enumerate(rows):
-        if summary.objective is not None:
-            before = before if number % grid.row else None
-            row = [*row, "true" if designed(row) and before is not None and before != row[held] else "false"]
-        _count(summary, grid, names, number, row, before)
-        before = row[held] if designed(row) else None
-        yield row
-
-
-def _count(summary: _Summary, grid: Grid, names: list[str], number: int, row: list[str], before: str | None = None) -> None:
-    found = dict(zip(names, row, strict=True))
-    summary.statuses[found["status"]] += 1
+    status, valid = names.index("status"), names.index("valid")
     if summary.objective is None:
-        summary.valid += found["valid"] == "true"
+        for row in rows:
+            summary.statuses[row[status]] += 1
+            summary.valid += row[valid] == "true"
+            yield row
         return
-    summary.searched += found["method"] == SEARCHED
-    if found[CHANGED] == "true":
-        summary.changed += 1
-        if len(summary.changes) < KEPT and before is not None:
-            at = {axis.column: value for axis, value in zip(grid.axes, grid.values(number), strict=True)}
-            summary.changes.append(ActiveSetChange(at, before, found["active"]))
-    if found["valid"] == "true":
-        summary.valid += 1
-        if summary.best is None or float(found[summary.objective]) < float(summary.best[summary.objective]):
-            summary.best = found
+    active, method, objective = (names.index(name) for name in ("active", "method", summary.objective))
+    before, length, least = None, grid.row, math.inf
+    for number, row in enumerate(rows):
+        now = None if row[status] == Status.INFEASIBLE.value else row[active]
+        changed = number % length != 0 and now is not None and before is not None and before != now
+        row = [*row, "true" if changed else "false"]
+        summary.statuses[row[status]] += 1
+        summary.searched += row[method] == SEARCHED
+        if changed:
+            summary.changed += 1
+            if len(summary.changes) < KEPT:
+                assert before is not None
+                at = {axis.column: value for axis, value in zip(grid.axes, grid.values(number), strict=True)}
+                summary.changes.append(ActiveSetChange(at, before, row[active]))
+        if row[valid] == "true":
+            summary.valid += 1
+            if float(row[objective]) < least:
+                least, summary.best = float(row[objective]), dict(zip(names, row, strict=True))
+        before = now
+        yield row

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from optlink.linkage.extrema import POINTS, refined_minima, refined_roots
 from optlink.linkage.mechanism import Mechanism
-from optlink.linkage.vector2d import Vector, cross, dot, minus
+from optlink.linkage.vector2d import Value, Vector, cross, dot, minus
 from optlink.validation.check import Checks, length_check, worst_miss
 from optlink.validation.margins import included_cosine
 
@@ -65,6 +65,10 @@ class _Survey:
     samples: Array
 
 
+def _full(x: Value, shape: tuple[int, ...]) -> Array:
+    return x if np.shape(x) == shape else np.broadcast_to(x, shape)
+
+
 class FourBarMotion:
     """Motion of four-bars with the joints A, B, C, D over evenly spaced crank angles.
 
@@ -99,7 +103,7 @@ class FourBarMotion:
             pose = self.mechanism.at(sizes, angles)
             a, b, c, d = (pose.point(name) for name in "ABCD")
             vectors = (minus(b, a), minus(c, b), minus(c, d), minus(d, b), c)
-            return _Joints(*((np.broadcast_to(x, shape), np.broadcast_to(y, shape)) for x, y in vectors))
+            return _Joints(*((_full(x, shape), _full(y, shape)) for x, y in vectors))
 
     def _blocks(self) -> Iterator[tuple[slice, _Joints]]:
         size = max(1, BLOCK // self.positions)

@@ -1,0 +1,115 @@
+"""The nonlinear programme of a motion law at many points at once, with many values of its parameters.
+
+The residual at one position of the requirement is traced once with its derivatives, and evaluated by numpy at all positions
+of all points. Every figure of a point is the same in any batch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.optimization.nlp import NLP
+from optlink.problem.function import EPIGRAPH
+from optlink.problem.targets.law import Law
+from optlink.symbolic import NumpyEvaluator
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BatchValues:
+    """A programme at many points: arrays over the points.
+
+    `objective` (points,) is that of the measure; `gradient` (points, n) belongs to the scaled objective, `values` (points, n + m)
+    are the variables and the rows, `jacobian` (points, n + m, n) their derivatives, `hessian` (points, n, n) is that of the
+    Lagrangian.
+    """
+
+    objective: Array
+    gradient: Array
+    values: Array
+    jacobian: Array
+    hessian: Array
+
+
+class BatchNLP:
+    """Evaluates a programme without exchange points.
+
+    Parameters
+    ----------
+    nlp : NLP
+    law : Law
+        Its positions.
+    """
+
+    def __init__(self, nlp: NLP, law: Law) -> None:
+        self.nlp, self.size, self.offsets, self.tabulated = nlp, len(nlp.variables), law.offsets, law.tabulated
+        self.minimax = nlp.variables[-1].name == EPIGRAPH
+        self.limits = sum(row.limit != EPIGRAPH for row in nlp.rows)
+        self.pairs = [(i, j) for i in range(self.size) for j in range(i, self.size)]
+        x, p, own = nlp.x_symbol, nlp.p_symbol, nlp.position_expression
+        self.width = own.numel()
+        parts: list[Any] = []
+        for k in range(self.width):
+            hessian, gradient = casadi.hessian(own[k], x)
+            parts += [own[k], gradient, *(hessian[i, j] for i, j in self.pairs)]
+        self._residuals = NumpyEvaluator([x, p, nlp.position_symbol], parts)
+        multipliers, rows = casadi.SX.sym("multipliers", self.limits), nlp.g_expression[: self.limits]
+        hessian = casadi.hessian(casadi.dot(multipliers, rows), x)[0]
+        second = [hessian[i, j] for i, j in self.pairs]
+        self._limits = NumpyEvaluator([x, p, multipliers], [rows, casadi.jacobian(rows, x).T, *second])
+
+    def __call__(self, x: Array, p: Array, multipliers: Array) -> BatchValues:
+        """Evaluate the programme.
+
+        Parameters
+        ----------
+        x : array (points, n)
+            Scaled points.
+        p : array (points, k)
+            Parameters.
+        multipliers : array (points, n + m)
+            Of the bounds of the variables and of the rows.
+        """
+        n, count, scale = self.size, len(x), p[:, :1]
+        of_rows = multipliers[:, n:]
+        inputs = [*x.T[:, :, None], *p.T[:, :, None], self.offsets, self.tabulated]
+        residuals = self._residuals(*inputs).reshape(self.width, -1, count, len(self.offsets))
+        error, first, second = residuals[:, 0], residuals[:, 1 : 1 + n], residuals[:, 1 + n :]
+        limits = self._limits(*x.T, *p.T, *of_rows[:, : self.limits].T).reshape(-1, count)
+        rows, slopes = limits[: self.limits].T, limits[self.limits : self.limits * (1 + n)].T.reshape(count, -1, n)
+        bent = limits[self.limits * (1 + n) :]
+        if self.minimax:
+            objective = np.max(np.abs(error), axis=(0, 2))
+            gradient = np.zeros((count, n))
+            gradient[:, -1] = 1.0 / scale[:, 0]
+            signed = np.stack([-error[0], error[-1]], axis=-1)
+            steep = np.stack([-first[0], first[-1]], axis=-1)  # (n, points, positions, 2)
+            steep[-1] += 1.0
+            rows = np.concatenate([rows, (x[:, -1:] + signed.reshape(count, -1)) / scale], axis=1)
+            slopes = np.concatenate([slopes, np.moveaxis(steep, 0, -1).reshape(count, -1, n) / scale[:, :, None]], axis=1)
+            weights = (of_rows[:, self.limits :] / scale).reshape(count, -1, 2)
+            bent = bent + np.sum(weights[..., 1] * second[-1] - weights[..., 0] * second[0], axis=-1)
+        else:
+            mean = len(self.offsets) if self.nlp.measure.name == "rms" else 1
+            total = np.sum(np.sum(error * error, axis=-1), axis=0)
+            objective = np.sqrt(total / mean) if mean > 1 else total
+            factor = 2.0 / (mean * scale[:, 0])
+            gradient = (factor * np.sum(np.sum(error[:, None] * first, axis=-1), axis=0)).T
+            bent = bent + factor * np.array(
+                [
+                    np.sum(np.sum(first[:, i] * first[:, j] + error * second[:, k], axis=-1), axis=0)
+                    for k, (i, j) in enumerate(self.pairs)
+                ]
+            )
+        hessian = np.empty((count, n, n))
+        for k, (i, j) in enumerate(self.pairs):
+            hessian[:, i, j] = hessian[:, j, i] = bent[k]
+        unit = np.broadcast_to(np.eye(n), (count, n, n))
+        values, jacobian = np.concatenate([x, rows], axis=1), np.concatenate([unit, slopes], axis=1)
+        return BatchValues(objective, gradient, values, jacobian, hessian)

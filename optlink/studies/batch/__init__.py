@@ -1,0 +1,1 @@
+"""Many neighbouring optima at once."""

@@ -1,0 +1,66 @@
+"""Division of a grid into blocks of neighbouring points, each with one point in its middle."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.studies.grid import Grid
+
+Index = NDArray[np.intp]
+MOST = 100
+"""Points of a block, at most."""
+
+
+class Blocks:
+    """Blocks of at most `MOST` points of a grid, about as long along every axis; they depend on the grid alone.
+
+    Parameters
+    ----------
+    grid : Grid
+    """
+
+    def __init__(self, grid: Grid) -> None:
+        self.shape = tuple(len(axis.values) for axis in grid.axes)
+        edges, left = dict.fromkeys(range(len(self.shape)), 1), MOST
+        for done, axis in enumerate(sorted(edges, key=lambda k: self.shape[k])):
+            edge = math.floor(left ** (1.0 / (len(edges) - done)) + 1e-9)
+            edges[axis] = max(1, min(self.shape[axis], edge))
+            left //= edges[axis]
+        self.counts = tuple(-(-size // edges[k]) for k, size in enumerate(self.shape))
+
+    def of(self, points: Index) -> Index:
+        """Return the block (points,) of each point of the grid."""
+        places = np.unravel_index(points, self.shape)
+        return np.ravel_multi_index(
+            [place * count // size for place, count, size in zip(places, self.counts, self.shape, strict=True)], self.counts
+        )
+
+    def middle(self, block: int) -> int:
+        """Return the point in the middle of a block."""
+        places = []
+        for own, count, size in zip(np.unravel_index(block, self.counts), self.counts, self.shape, strict=True):
+            first, after = (-(-(int(own) + step) * size // count) for step in (0, 1))
+            places.append((first + after - 1) // 2)
+        return int(np.ravel_multi_index(places, self.shape))
+
+    def neighbours(self, block: int) -> list[int]:
+        """Return the blocks beside a block, before and after it along every axis."""
+        own = [int(place) for place in np.unravel_index(block, self.counts)]
+        beside = ([*own[:k], own[k] + way, *own[k + 1 :]] for k in range(len(own)) for way in (-1, 1))
+        return [int(np.ravel_multi_index(one, self.counts)) for one in beside if self._inside(one)]
+
+    def _inside(self, places: list[int]) -> bool:
+        return all(0 <= place < count for place, count in zip(places, self.counts, strict=True))
+
+    @cached_property
+    def count(self) -> int:
+        """Number of blocks."""
+        return math.prod(self.counts)
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(range(self.count))

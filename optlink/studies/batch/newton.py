@@ -1,0 +1,236 @@
+"""Newton's method on the optimality conditions of many neighbouring problems at once, with changes of their active sets.
+
+Points with the same active set share the linear algebra. Every point keeps its own iterates and stops on its own, so its result
+does not depend on the others.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.optimization.batch_nlp import BatchNLP, BatchValues
+from optlink.solvers.newton import newton
+from optlink.solvers.solution import ACTIVE, FEASIBLE
+from optlink.studies.continuation import CONVERGED, LONGEST, MAX_STEPS
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Index = NDArray[np.intp]
+
+ACTIVE_SETS = 5  # that are tried at each point
+LARGEST_STEP = 1.0  # of variables and multipliers; a larger one may come from dependent limits
+SAME = 1e-9  # difference of the derivatives of limits that are the same one
+INDEPENDENT = 1e-9  # least diagonal element of the triangular factor of independent limits
+
+
+@dataclass(frozen=True)
+class BatchProblem:
+    """Parameters (points, k) and bounds (points, n + m) of the variables, then of the rows, at every point."""
+
+    p: Array
+    lower: Array
+    upper: Array
+
+    def part(self, points: Index | Bools) -> BatchProblem:
+        """Return the problem at some of the points."""
+        return BatchProblem(self.p[points], self.lower[points], self.upper[points])
+
+    def towards(self, other: BatchProblem, share: float) -> BatchProblem:
+        """Return the problem at a share of the way to another one; infinite bounds and the scale are those of the other one.
+
+        Parameters
+        ----------
+        other : BatchProblem
+        share : float
+        """
+        found = []
+        for begin, end in ((self.p, other.p), (self.lower, other.lower), (self.upper, other.upper)):
+            with np.errstate(invalid="ignore"):
+                way = end - begin
+            found.append(end - (1.0 - share) * np.where(np.isfinite(way), way, 0.0))
+        found[0][:, 0] = other.p[:, 0]
+        return BatchProblem(*found)
+
+
+@dataclass(frozen=True)
+class BatchOptima:
+    """Ends of the iterations: scaled designs (points, n), multipliers and active sides (points, n + m), objectives (points,).
+
+    Active sides: +1 upper bound, -1 lower bound, 2 equality, 0 inactive. `proven` (points,): whether the first-order and
+    second-order conditions of a local optimum hold there, with nothing but the active set within `ACTIVE` of its bound.
+    """
+
+    x: Array
+    multipliers: Array
+    sides: NDArray[np.int8]
+    objective: Array
+    proven: Bools
+
+
+def groups(sides: NDArray[np.int8]) -> list[tuple[Index, Index]]:
+    """Return the points (indices) and the active entries of every active set that occurs."""
+    if not len(sides):
+        return []
+    packed = np.packbits(sides != 0, axis=1)
+    keys = packed.view(f"V{packed.shape[1]}").ravel() if packed.shape[1] > 1 else packed.ravel()
+    _, first, which = np.unique(keys, return_index=True, return_inverse=True)
+    return [(np.flatnonzero(which == k), np.flatnonzero(sides[one])) for k, one in enumerate(first)]
+
+
+def batch_newton(nlp: BatchNLP, problem: BatchProblem, x: Array, multipliers: Array, sides: NDArray[np.int8]) -> BatchOptima:
+    """Find the optima of neighbouring problems.
+
+    Parameters
+    ----------
+    nlp : BatchNLP
+    problem : BatchProblem
+    x : array (points, n)
+        Starting points, scaled.
+    multipliers : array (points, n + m)
+        Starting values.
+    sides : array (points, n + m)
+        First active sets, see `BatchOptima`.
+    """
+    start, x, multipliers, sides = x, x.copy(), multipliers.copy(), sides.copy()
+    objective, proven = np.full(len(x), np.nan), np.zeros(len(x), dtype=bool)
+    todo = np.arange(len(x))
+    for _ in range(ACTIVE_SETS):
+        if not todo.size:
+            break
+        own = problem.part(todo)
+        ended = _iterated(nlp, own, x[todo], multipliers[todo], sides[todo], start[todo])
+        x[todo], multipliers[todo] = ended.x, ended.multipliers
+        with np.errstate(invalid="ignore"):
+            beyond = np.maximum(own.lower - ended.values, ended.values - own.upper)
+        wrong = (np.abs(sides[todo]) == 1) & (multipliers[todo] * sides[todo] < 0.0)
+        missed = (beyond > FEASIBLE) & (sides[todo] == 0)
+        right = ended.converged & ~np.any(wrong | missed, axis=1)
+        objective[todo[right]] = ended.objective[right]
+        proven[todo[right]] = _second_order(ended, own, sides[todo], right)[right]
+        again = ended.converged & ~right
+        changed, multiplier = sides[todo], multipliers[todo]
+        row, at = _worst(wrong, np.abs(multiplier))
+        changed[row, at], multiplier[row, at] = 0, 0.0
+        row, at = _worst(missed, beyond)
+        changed[row, at] = np.where(ended.values[row, at] > own.upper[row, at], 1, -1)
+        changed[(changed != 0) & (own.lower == own.upper)] = 2
+        sides[todo[again]], multipliers[todo[again]] = changed[again], multiplier[again]
+        todo = todo[again]
+    return BatchOptima(x, multipliers, sides, objective, proven)
+
+
+def _worst(marked: Bools, size: Array) -> tuple[Index, Index]:
+    """Return the points with marked entries, and the largest of these at each: entries change one by one.
+
+    Two limits may be the same one at two positions, and without one limit another may not be in the way any more.
+    """
+    rows = np.flatnonzero(np.any(marked, axis=1))
+    return rows, np.argmax(np.where(marked, size, -np.inf), axis=1)[rows]
+
+
+@dataclass(frozen=True)
+class _Ended:
+    """Last iterates of an active set at each point, with the values there."""
+
+    x: Array
+    multipliers: Array
+    values: Array
+    jacobian: Array
+    hessian: Array
+    objective: Array
+    converged: Bools
+
+
+def _iterated(
+    nlp: BatchNLP, problem: BatchProblem, x: Array, multipliers: Array, sides: NDArray[np.int8], start: Array
+) -> _Ended:
+    """Iterate with fixed active sets; `x` and `multipliers` are changed in place."""
+    count, n = x.shape
+    bound = np.where(sides > 0, problem.upper, problem.lower)
+    values, objective = np.full(problem.lower.shape, np.nan), np.full(count, np.nan)
+    jacobian, hessian = np.full((*values.shape, n), np.nan), np.full((count, n, n), np.nan)
+    converged = np.zeros(count, dtype=bool)
+    todo = np.arange(count)
+    for step in range(MAX_STEPS + 1):
+        if not todo.size:
+            break
+        here = nlp(x[todo], problem.p[todo], multipliers[todo])
+        size = np.zeros(len(todo))
+        moves: list[tuple[Index, Index, Array, Array]] = []
+        for points, active in groups(sides[todo]):
+            slope = here.jacobian[points][:, active]
+            pull = np.sum(slope * multipliers[todo[points]][:, active, None], axis=1)
+            missing = here.values[points][:, active] - bound[todo[points]][:, active]
+            residual = np.concatenate([here.gradient[points] + pull, missing], axis=1)
+            size[points] = np.max(np.abs(residual), axis=1)
+            moves.append((points, active, slope, residual))
+        ends = size <= CONVERGED
+        at = todo[ends]
+        converged[at], values[at], objective[at] = True, here.values[ends], here.objective[ends]
+        jacobian[at], hessian[at] = here.jacobian[ends], here.hessian[ends]
+        far = np.max(np.abs(x[todo] - start[todo]), axis=1) > LONGEST
+        on = ~ends & np.isfinite(size) & ~far
+        if step == MAX_STEPS:
+            break
+        for points, active, slope, residual in moves:
+            own = on[points]
+            which = todo[points[own]]
+            step_x = _steps(here, points[own], slope[own], residual[own])
+            x[which] += step_x[:, :n]
+            multipliers[np.ix_(which, active)] += step_x[:, n:]
+            held = active[active < n]  # exactly, without the rounding of the linear system
+            x[np.ix_(which, held)] = bound[np.ix_(which, held)]
+        todo = todo[on]
+    return _Ended(x, multipliers, values, jacobian, hessian, objective, converged)
+
+
+def _steps(here: BatchValues, points: Index, slope: Array, residual: Array) -> Array:
+    """Return the Newton steps (points, n + active) of the optimality conditions of one active set."""
+    count, active, n = slope.shape
+    system = np.zeros((count, n + active, n + active))
+    system[:, :n, :n], system[:, n:, :n], system[:, :n, n:] = here.hessian[points], slope, np.swapaxes(slope, 1, 2)
+    finite = np.all(np.isfinite(system), axis=(1, 2))
+    steps = np.full(residual.shape, np.nan)
+    with contextlib.suppress(np.linalg.LinAlgError):
+        steps[finite] = np.linalg.solve(system[finite], -residual[finite, :, None])[..., 0]
+    for k in np.flatnonzero(finite & ~(np.max(np.abs(steps), axis=1) < LARGEST_STEP)):
+        found = newton(here.hessian[points[k]], slope[k], residual[k])
+        steps[k] = np.nan if found is None else found
+    return steps
+
+
+def _second_order(ended: _Ended, problem: BatchProblem, sides: NDArray[np.int8], right: Bools) -> Bools:
+    """Return where the reduced Hessian is not negative, and the active limits are independent.
+
+    Further limits at their bounds must be the same as one of these at another position: a limit that is active or not by rounding
+    is left to a search.
+    """
+    with np.errstate(invalid="ignore"):
+        near = (problem.upper - ended.values <= ACTIVE) | (ended.values - problem.lower <= ACTIVE)
+    proven, n = right.copy(), ended.x.shape[1]
+    for points, active in groups(sides):
+        own = points[proven[points]]
+        slopes = ended.jacobian[own]
+        for entry in np.flatnonzero(np.any(near[own], axis=0) & ~np.isin(np.arange(near.shape[1]), active)):
+            away = np.max(np.abs(slopes[:, active] - slopes[:, [entry]]), axis=2, initial=0.0)
+            proven[own] &= ~near[own, entry] | (np.min(away, axis=1, initial=np.inf) <= SAME)
+        own = own[proven[own]]
+        if not own.size:
+            continue
+        if active.size > n:
+            proven[own] = False
+            continue
+        basis = np.broadcast_to(np.eye(n), (own.size, n, n))
+        if active.size:
+            basis, factor = np.linalg.qr(np.swapaxes(ended.jacobian[own][:, active], 1, 2), mode="complete")
+            diagonal = np.abs(np.diagonal(factor, axis1=1, axis2=2))
+            proven[own] &= np.min(diagonal, axis=1) > INDEPENDENT
+        if active.size < n:
+            free = basis[:, :, active.size :]
+            bent = np.einsum("kia,kij,kjb->kab", free, ended.hessian[own], free)
+            proven[own] &= ~(np.linalg.eigvalsh(bent)[:, 0] < 0.0)
+    return proven

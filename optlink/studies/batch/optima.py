@@ -1,0 +1,171 @@
+"""Optima at many points of a grid: a search in the middle of every block, Newton's method from there to all of its points.
+
+The optimum of the search in the middle of a block is compared with those of the neighbouring blocks, continued to that point;
+where they differ, every point of the block takes the best one. The result at a point depends on the grid alone, not on the points
+that are computed with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.optimization.batch_nlp import BatchNLP
+from optlink.solvers.multistart import SAME_OBJECTIVE
+from optlink.solvers.solution import Solution
+from optlink.studies.batch.blocks import Blocks
+from optlink.studies.batch.newton import INDEPENDENT, BatchOptima, BatchProblem, batch_newton
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Bools = NDArray[np.bool_]
+
+SHARES = (0.25, 0.5, 0.75, 1.0)  # of the way to a problem that Newton's method does not reach at once
+KEPT = 4096  # searches that are kept for further blocks
+BETTER = 1e-9  # share of the objective by which another optimum must be smaller
+
+
+@dataclass(frozen=True)
+class GridOptima:
+    """Optima at some points of a grid: see `BatchOptima`. `searched` (points,): whether the optimum is that of a search there."""
+
+    x: Array
+    sides: NDArray[np.int8]
+    objective: Array
+    proven: Bools
+    searched: Bools
+
+
+class GridSearch:
+    """Optima at the points of a grid.
+
+    Parameters
+    ----------
+    nlp : BatchNLP
+    blocks : Blocks
+    problem : function of points to BatchProblem
+        Parameters and bounds at points of the grid; the scale of the objective in them is replaced.
+    search : function of a point to Solution
+        Search that depends on the point alone.
+    """
+
+    def __init__(
+        self, nlp: BatchNLP, blocks: Blocks, problem: Callable[[Index], BatchProblem], search: Callable[[int], Solution]
+    ) -> None:
+        self.nlp, self.blocks, self.problem, self.search = nlp, blocks, problem, search
+        self._searches: dict[int, tuple[Solution, NDArray[np.int8]]] = {}
+
+    def at_middle(self, block: int) -> Solution:
+        """Return the result of the search in the middle of a block."""
+        return self._searched(block)[0]
+
+    def _searched(self, block: int) -> tuple[Solution, NDArray[np.int8]]:
+        if block not in self._searches:
+            if len(self._searches) >= KEPT:
+                del self._searches[next(iter(self._searches))]
+            solution = self.search(self.blocks.middle(block))
+            self._searches[block] = solution, active_sides(solution)
+        return self._searches[block]
+
+    def nearest(self, point: int) -> Solution | None:
+        """Return the usable result of a search in the block of a point or beside it, if there is one."""
+        own = int(self.blocks.of(np.array([point]))[0])
+        found = (self.at_middle(block) for block in (own, *self.blocks.neighbours(own)))
+        return next((solution for solution in found if solution.usable), None)
+
+    def optima(self, points: Index) -> GridOptima:
+        """Return the best optima found at points of the grid (points,)."""
+        problem, of_point = self.problem(points), self.blocks.of(points)
+        count = len(points)
+        found = GridOptima(
+            x=np.full((count, self.nlp.size), np.nan),
+            sides=np.zeros(problem.lower.shape, dtype=np.int8),
+            objective=np.full(count, np.inf),
+            proven=np.zeros(count, dtype=bool),
+            searched=np.zeros(count, dtype=bool),
+        )
+        self._follow(found, problem, np.arange(count), of_point)
+        blocks, which = np.unique(of_point, return_inverse=True)
+        found.searched[:] = found.proven & (points == np.array([self.blocks.middle(int(block)) for block in blocks])[which])
+        beside = [self.blocks.neighbours(int(block)) for block in blocks]
+        others = self._others(blocks, beside)
+        for rank in range(max(map(len, beside), default=0)):
+            begin = np.array([own[rank] if rank < len(own) else -1 for own in beside])
+            differs = np.array([one in other for one, other in zip(begin.tolist(), others, strict=True)])
+            some = np.flatnonzero((begin[which] >= 0) & (differs[which] | ~found.proven))
+            self._follow(found, problem, some, begin[which[some]])
+        return found
+
+    def _follow(self, found: GridOptima, problem: BatchProblem, points: Index, blocks: Index) -> None:
+        """Continue the optima in the middle of blocks to points, and keep those that are better."""
+        usable = self._usable(blocks)
+        points, blocks = points[usable], blocks[usable]
+        ended = self._continued(problem.part(points), blocks)
+        with np.errstate(invalid="ignore"):
+            better = ended.proven & (ended.objective < found.objective[points] - BETTER * np.abs(ended.objective))
+        at = points[better]
+        found.x[at], found.sides[at], found.objective[at] = ended.x[better], ended.sides[better], ended.objective[better]
+        found.proven[at], found.searched[at] = True, False
+
+    def _others(self, blocks: Index, beside: list[list[int]]) -> list[set[int]]:
+        """Return for every block the blocks beside it whose optimum, continued to its middle, is another than its own."""
+        pairs = [(k, one) for k, own in enumerate(beside) for one in own if self.at_middle(one).usable]
+        others: list[set[int]] = [set() for _ in beside]
+        if not pairs:
+            return others
+        which, begin = np.array(pairs).T
+        middles = np.array([self.blocks.middle(int(block)) for block in blocks])
+        ended = self._continued(self.problem(middles).part(which), begin)
+        own = [self.at_middle(int(block)) for block in blocks]
+        objective = np.array([one.objective if one.usable else np.inf for one in own])[which]
+        with np.errstate(invalid="ignore"):
+            same = ended.proven & (np.abs(ended.objective - objective) <= SAME_OBJECTIVE * np.abs(objective))
+        for k, one in zip(which[~same].tolist(), begin[~same].tolist(), strict=True):
+            others[k].add(one)
+        return others
+
+    def _usable(self, blocks: Index) -> Bools:
+        return np.array([self.at_middle(block).usable for block in blocks.tolist()], dtype=bool)
+
+    def _continued(self, problem: BatchProblem, blocks: Index) -> BatchOptima:
+        """Continue the optima in the middle of blocks (points,) to the problem of each point."""
+        each, which = np.unique(blocks, return_inverse=True)
+        begin = [self.at_middle(int(block)) for block in each]
+        if not begin:
+            return batch_newton(self.nlp, problem, np.zeros((0, self.nlp.size)), problem.lower, problem.lower.astype(np.int8))
+        sides = np.array([self._searched(int(block))[1] for block in each])[which]
+        sides[(sides != 0) & (problem.lower == problem.upper)] = 2
+        multipliers = np.array([one.proof.multipliers for one in begin])
+        scale = np.array([one.p[0] for one in begin])
+        p = problem.p.copy()
+        p[:, 0] = scale[which]
+        x = np.array([one.x for one in begin])
+        own = BatchProblem(p, problem.lower, problem.upper)
+        direct = batch_newton(self.nlp, own, x[which], multipliers[which], sides)
+        far = np.flatnonzero(~direct.proven)
+        if far.size:
+            middles = self.problem(np.array([self.blocks.middle(int(block)) for block in each])).part(which[far])
+            start = BatchOptima(x[which[far]], multipliers[which[far]], sides[far], direct.objective[far], direct.proven[far])
+            for share in SHARES:
+                between = middles.towards(own.part(far), share)
+                start = batch_newton(self.nlp, between, start.x, start.multipliers, start.sides)
+            for name, values in vars(direct).items():
+                values[far] = getattr(start, name)
+        return direct
+
+
+def active_sides(solution: Solution) -> NDArray[np.int8]:
+    """Return the active sides (n + m,) of an optimum, +1 upper and -1 lower; of dependent limits only the first ones."""
+    multipliers, n = solution.proof.multipliers, len(solution.x)
+    sides, basis = np.zeros(len(multipliers), dtype=np.int8), np.zeros((0, n))
+    jacobian = np.vstack([np.eye(n), solution.nlp.at(solution.x, solution.p).jacobian])
+    for entry in solution.proof.active:
+        rest = jacobian[entry] - basis.T @ (basis @ jacobian[entry])
+        size = np.linalg.norm(rest)
+        if size > INDEPENDENT * np.linalg.norm(jacobian[entry]):
+            sides[entry] = 1 if multipliers[entry] > 0.0 else -1
+            basis = np.vstack([basis, rest / size])
+    return sides

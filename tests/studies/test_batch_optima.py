@@ -1,0 +1,180 @@
+"""Optima of many points at once: those of single searches, the same bytes in any batch, and no worse optimum than next door."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import optlink
+from optlink.optimization.batch_nlp import BatchNLP
+from optlink.optimization.nlp import build
+from optlink.solvers import multistart
+from optlink.studies import reoptimise_task
+from optlink.studies.batch.blocks import MOST, Blocks
+from optlink.studies.grid import Axis, Grid, read_grid
+from optlink.studies.reoptimise_task import FOLLOWED, ReoptimiseTask, chunk_of
+from optlink.studies.sweep import sweep
+from optlink.studies.sweep_task import SweepTask
+from optlink.validation import validate_batch
+
+LIMIT = "limits.transmission_angle.max"
+CHANGING = ["mechanism.crank=60..140 mm:12", "mechanism.coupler.max=402..440 mm:9"]  # the bound of the coupler, the angle, both
+
+
+def task(vary: list[str], chunk: int = 100, **overrides) -> ReoptimiseTask:
+    problem = optlink.load("crank-rocker", overrides)
+    return ReoptimiseTask(**SweepTask.problem_fields(problem), grid=read_grid(problem, vary), chunk=chunk, backend="ipopt")
+
+
+@pytest.mark.parametrize("measure", ["sum of squares", "rms", "max"])
+def test_the_programme_of_a_batch_is_that_of_a_point(measure):
+    limits = {"limits.transmission_over": "span", "limits.swing_angle": ["40 deg", "60 deg"]}
+    spec = optlink.load("crank-rocker", {"requirement.measure": measure, **limits}).spec
+    nlp, rng = build(spec), np.random.default_rng(1)
+    x = np.clip(nlp.x_start, 0.0, 1.0) * (1.0 + 0.02 * rng.random((5, len(nlp.variables))))
+    p = nlp.p * (1.0 + 0.02 * rng.random((5, len(nlp.p))))
+    multipliers = rng.normal(size=(5, len(nlp.lower)))
+    batch = BatchNLP(nlp, spec.law)(x, p, multipliers)
+    n = len(nlp.variables)
+    for k in range(5):
+        single = nlp.at(x[k], p[k])
+        np.testing.assert_allclose(batch.gradient[k], single.gradient, rtol=1e-11, atol=1e-13)
+        np.testing.assert_allclose(batch.values[k], [*x[k], *single.g], rtol=1e-12, atol=1e-14)
+        np.testing.assert_allclose(batch.jacobian[k], [*np.eye(n), *single.jacobian], rtol=1e-11, atol=1e-13)
+        np.testing.assert_allclose(batch.hessian[k], nlp.hessian(x[k], p[k], multipliers[k, n:]), rtol=1e-10, atol=1e-11)
+
+
+@pytest.mark.parametrize("sizes", [(61,), (1000,), (20, 30), (2, 5000), (7, 1, 40), (12, 12, 12, 12)])
+def test_blocks_cover_a_grid_with_few_points_each(sizes):
+    grid = Grid(tuple(Axis(f"a{k}", "", tuple(map(float, range(size)))) for k, size in enumerate(sizes)))
+    blocks = Blocks(grid)
+    of = blocks.of(np.arange(grid.count))
+    counts = np.bincount(of)
+    assert len(counts) == math.prod(blocks.counts)
+    assert 1 <= counts.min() <= counts.max() <= MOST
+    assert len(counts) <= 6 * math.ceil(grid.count / MOST)  # at least as many searches as one for 100 points, not many more
+    for block in range(0, len(counts), max(1, len(counts) // 7)):
+        middle = blocks.middle(block)
+        assert of[middle] == block
+        places = np.array([grid.place(int(point)) for point in np.flatnonzero(of == block)])
+        assert np.all(np.abs(np.median(places, axis=0) - grid.place(middle)) <= 0.5)
+        assert all(block in blocks.neighbours(other) for other in blocks.neighbours(block))
+
+
+@pytest.mark.parametrize(
+    ("vary", "overrides"),
+    [
+        (CHANGING, {}),
+        ([f"{LIMIT}=81..135 deg:10", "mechanism.frame=430..560 mm:9"], {}),
+        (["mechanism.rocker.max=210..260 mm:7", "mechanism.crank=90..110 mm:7"], {"requirement.measure": "max"}),
+        (
+            ["requirement.from=10..50 deg:7", f"{LIMIT}=110..140 deg:7"],
+            {"requirement.from": "20 deg", "limits.transmission_over": "span"},
+        ),
+    ],
+    ids=["bounds", "limits", "largest error", "span"],
+)
+def test_rows_are_those_of_single_searches(vary, overrides):
+    if "mechanism.rocker.max" in vary[0]:
+        overrides = {**overrides, "mechanism.rocker": {"start": "205 mm", "bounds": ["100 mm", "900 mm"]}}
+    problem = optlink.load("crank-rocker", overrides)
+    table = sweep(problem, vary, workers=1).columns
+    own = task(vary, **overrides)
+    rng, count = np.random.default_rng(2), own.grid.count
+    assert len(set(table["active"])) > 1
+    assert np.count_nonzero(table["method"] == FOLLOWED) > 0.5 * count
+    for point in rng.choice(count, 12, replace=False).tolist():
+        single = multistart.solve_from(build(own.model(point)), build(own.model(point)).x_start, "ipopt")
+        assert table["valid"][point]
+        assert table[own.objective_column][point] == pytest.approx(single.objective, rel=1e-9)
+        for name in ("coupler", "rocker"):
+            assert table[f"{name}_mm"][point] == pytest.approx(1e3 * single.design[name], rel=1e-8)
+        assert table["active"][point] == "; ".join(reoptimise_task.active(single))
+
+
+def test_rows_do_not_depend_on_the_batch(monkeypatch):
+    """One point at a time, seven, and all at once, in any order of the chunks: the same text."""
+    vary = [*CHANGING[:1], f"{LIMIT}=75..135 deg:6"]  # no design below 80 deg
+    whole = task(vary, 1000).lines(0)
+    assert {row[5] for row in whole} == {"optimal", "infeasible"}
+    assert len({row[-2] for row in whole if row[5] == "optimal"}) > 1
+    monkeypatch.setattr(reoptimise_task, "BATCH", 5)
+    parts = task(vary, 7)
+    rows = {index: parts.lines(index) for index in reversed(range(parts.chunks))}
+    assert [row for index in range(parts.chunks) for row in rows[index]] == whole
+    single = task(vary, 1)
+    assert [row for index in (0, 40, 71) for row in single.lines(index)] == [whole[index] for index in (0, 40, 71)]
+
+
+def test_chunks_of_large_grids_are_larger():
+    def chunk(*sizes: int) -> int:
+        return chunk_of(Grid(tuple(Axis("a", "", tuple(map(float, range(size)))) for size in sizes)))
+
+    assert [chunk(20), chunk(400), chunk(100, 100), chunk(1000, 1000)] == [100, 100, 1000, 10_000]
+
+
+def test_one_wrong_row_of_a_batch_is_not_valid(monkeypatch):
+    """A coupler that is 0.1 mm too short, an objective that is wrong by 2e-6: the validator rejects these rows and no others."""
+    own = task(["mechanism.frame=490..510 mm:30"])
+    real = own.grid_search.optima
+
+    def wrong(points):
+        found = real(points)
+        found.x[4, 0] -= 2e-4
+        found.objective[20] *= 1.0 + 2e-6
+        return replace(found)
+
+    monkeypatch.setattr(own.grid_search, "optima", wrong)
+    rows = own.lines(0)
+    names = own.columns
+    valid = [row[names.index("valid")] for row in rows]
+    assert [point for point, word in enumerate(valid) if word != "true"] == [4, 20]
+    assert "objective measured in motion" in rows[4][names.index("failed")]
+    assert rows[20][names.index("failed")] == "objective measured in motion"
+
+
+def test_a_limit_of_the_validator_alone_is_found_in_the_batch(monkeypatch):
+    seen = []
+    monkeypatch.setattr(reoptimise_task, "validate_batch", lambda *given: seen.append(given) or validate_batch(*given))
+    assert sweep(optlink.load("crank-rocker"), ["mechanism.frame=490..510 mm:30"], workers=1).complete
+    ((task_, designs, objectives),) = seen
+    assert len(designs["coupler"]) == len(objectives) == 30
+    assert np.ptp(task_.mechanism.frame.value) == pytest.approx(0.02)
+
+
+WIDE = {
+    "requirement.from": {"start": "40 deg", "bounds": ["-180 deg", "180 deg"]},
+    "limits.transmission_angle": ["20 deg", "160 deg"],
+}
+
+
+def test_a_search_that_ends_in_a_worse_optimum_is_mended_by_its_neighbours(monkeypatch):
+    """The problem has optima of 0.0012 and 0.36 rad^2; one search is led to the worse one, another finds no design."""
+    vary = ["mechanism.crank=98..102 mm:21"]
+    expected = task(vary, **WIDE).lines(0)
+    monkeypatch.setattr("optlink.studies.batch.blocks.MOST", 7)
+    own = task(vary, **WIDE)
+    search, nlp = own.grid_search, own.programme.nlp
+    assert search.blocks.counts == (3,)
+    real = search.search
+
+    def misled(point: int):
+        good = real(point)
+        if point == search.blocks.middle(1):
+            ends = [
+                multistart.solve_from(nlp, np.clip([0.8, 0.5, phi], nlp.x_low, nlp.x_high), "ipopt") for phi in (-2.5, -1.5, 2.5)
+            ]
+            bad = [end for end in ends if end.usable and end.objective > 100.0 * good.objective]
+            assert bad
+            return bad[0]
+        return good
+
+    monkeypatch.setattr(search, "search", misled)
+    rows = own.lines(0)
+    column = own.columns.index(own.objective_column)
+    assert [float(row[column]) for row in rows] == pytest.approx([float(row[column]) for row in expected], rel=1e-9)
+    assert len(search._others(np.array([1]), [[0, 2]])[0]) == 2
+    assert search._others(np.array([0]), [[1]]) == [{1}]
