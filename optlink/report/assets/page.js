@@ -137,7 +137,9 @@
   addEventListener("beforeprint", () => {
     paint(false);
     places.forEach((place) => {
-      Plotly.relayout(place, { width: 680, height: Math.min(place.layout.height, 420), autosize: false }); // two to a sheet
+      const panels = Object.keys(place.layout).filter((key) => key.startsWith("yaxis")).length;
+      const room = panels > 2 ? 600 : 420; // two to a sheet, unless the names of the axes would overlap
+      Plotly.relayout(place, { width: 680, height: Math.min(place.layout.height, room), autosize: false });
     });
   });
   addEventListener("afterprint", () => {

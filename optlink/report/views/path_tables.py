@@ -33,6 +33,7 @@ from optlink.tasks.results.path import LEVEL, OUTPUT, PathDesign, PathResult, di
 
 ALIKE = 1e-3  # relative tolerance for equal four-bars
 BOUNDED = " within its bounds"
+SHORTEST = 1e-8  # m, least length that is shown
 SHOWN = 12  # largest number of points listed on a terminal; result.json and points.csv contain all
 
 
@@ -106,7 +107,7 @@ def _objective(design: PathDesign) -> TableSpec:
     rms, largest = math.sqrt(float((measured.distances**2).mean())), float(measured.distances.max())
     what = {"m": "distance", "rad": "error", "": "cosine"}[task.unit]
     remark = f"{what}: rms {number(factor * rms, 4)}, largest {number(factor * largest, 4)} {unit}".rstrip()
-    if design.between is not None and np.any(np.isfinite(design.between)):
+    if design.between is not None and np.nanmax(design.between, initial=0.0) > SHORTEST:
         remark += f"; between the points up to {number(1e3 * float(np.nanmax(design.between)), 3)} mm"
     if measured.turned is not None:
         remark += f"; angle: largest {number(math.degrees(float(abs(measured.turned).max())), 4)} deg"
