@@ -1,8 +1,17 @@
-"""Reasons for the end of a simulation."""
+"""Events of a simulation: crank angles at which the integration restarts or ends, and reasons for its end."""
 
 from __future__ import annotations
 
 import enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.dynamics.runge_kutta import Step
+
+Array = NDArray[np.float64]
+EDGE = 1e-6  # share of a limited range excluded at each end: speeds are infinite at a dead position
+NEAR = 1e-9  # rad: a jump of a load nearer than this counts as passed
 
 
 class Ending(enum.Enum):
@@ -32,3 +41,64 @@ _TEXT = {
     "what was computed until then is kept. Start elsewhere, shorten the duration, or check loads and torque",
     Ending.INTERRUPTED: "interrupted; what was computed until then is kept",
 }
+
+
+def nearest(angle: float, marks: Array, cycle: float, aside: float = 0.0) -> list[float]:
+    """Return the nearest below and above a crank angle of marks that repeat every cycle.
+
+    Parameters
+    ----------
+    angle : float [rad]
+    marks : array (n,) [rad]
+    cycle : float [rad]
+    aside : float [rad]
+        Least distance from the angle.
+    """
+    if not len(marks):
+        return []
+    every = (marks[:, None] + cycle * (np.floor(angle / cycle) + np.arange(-2.0, 3.0))).ravel()
+    return [float(np.max(every[every <= angle - aside])), float(np.min(every[every >= angle + aside]))]
+
+
+def marks_ahead(angle: float, switches: Array, cycle: float, limits: tuple[float, float] | None) -> list[tuple[str, float]]:
+    """Return crank angles at which the integration restarts or ends, the nearest on either side, with the kind of event.
+
+    Parameters
+    ----------
+    angle : float [rad]
+    switches : array (n,) [rad]
+        Crank angles at which a load jumps, repeated every cycle.
+    cycle : float [rad]
+    limits : pair of float [rad], optional
+        Reachable range.
+    """
+    found = [("switch", at) for at in nearest(angle, switches, cycle, NEAR)]
+    if limits is not None:
+        edge = EDGE * (limits[1] - limits[0])
+        found += [("limit", limits[0] + edge), ("limit", limits[1] - edge)]
+    return found
+
+
+def first_event(step: Step, direction: float, marks: list[tuple[str, float]]) -> tuple[float, str | None]:
+    """Return the time of the first event within a step, an angle is reached or the crank stops, and its kind; else the end.
+
+    Parameters
+    ----------
+    step : Step
+        Of a state that begins with crank angle and speed.
+    direction : float
+        Sense in which the crank turns, 0 if it cannot come to rest.
+    marks : list of (kind, crank angle [rad])
+    """
+    (angle, speed), (later, slower) = step.before[:2].tolist(), step.after[:2].tolist()
+    found = [(kind, 0, at) for kind, at in marks if (angle - at) * (later - at) < 0.0]
+    if speed * direction > 0.0 > slower * direction:
+        found.append(("rest", 1, 0.0))
+    if not found:
+        return step.end, None
+    from scipy.optimize import brentq
+
+    return min(
+        (float(brentq(lambda t, part=part, at=at: step.at(t, part) - at, step.time, step.end, xtol=1e-16, rtol=1e-15)), kind)
+        for kind, part, at in found
+    )

@@ -11,6 +11,7 @@ Equation of motion of a machine with one degree of freedom (Eksergian's equation
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,11 +19,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.dynamics.ending import Ending
+from optlink.dynamics.ending import Ending, first_event, marks_ahead, nearest
 from optlink.dynamics.inertia import kinetic, potential
 from optlink.dynamics.inverse import Reactions, reactions, required_wrench, virtual_torque
 from optlink.dynamics.loads import Magnitude
 from optlink.dynamics.machine import Machine, Moving
+from optlink.dynamics.runge_kutta import ALL, Attempt, Step, Stepper, attempt, states_at
 from optlink.dynamics.work import jumps
 from optlink.linkage.jet import Jet
 from optlink.linkage.motion import Motion
@@ -30,11 +32,9 @@ from optlink.linkage.vector2d import Value
 
 Array = NDArray[np.float64]
 TURN = 2.0 * np.pi
-RELATIVE, ABSOLUTE = 1e-11, 1e-12  # tolerances of the integrator
 STOP = 1e-6  # rad: distance before a singular position at which a simulation ends
-EDGE = 1e-6  # share of a limited range excluded at each end: speeds are infinite at a dead position
 LEAST, PATIENCE = 1e-4, 2000  # least share of the duration per so many steps; less is a stall
-NEAR = 1e-9  # rad: a jump of a load nearer than this counts as passed
+TOGETHER = 500  # steps whose rows are interpolated together
 STEADY = 1e-13  # share of the larger torque by which a resting machine may be out of balance and still stay at rest
 
 
@@ -140,7 +140,7 @@ class _Plant:
         self.bodies, self.cycle = tuple(machine.mechanism.bodies), machine.mechanism.cycle
         self.names = ["input", *(load.name for load in machine.loads), *(["friction"] if machine.friction else [])]
         self.direction = 1.0
-        self.functions: dict[float, Callable[..., list[Array]]] = {}
+        self.compiled: dict[float, tuple[Callable[..., list[Array]], Callable[..., list[Array]]]] = {}
         self.evaluations = 0
 
     def geared(self, angle: Value) -> Moving:
@@ -189,28 +189,61 @@ class _Plant:
             powers.append(sum(np.sum(force.friction * moving.slides[name][1]) for name, force in found.guides.items()))
         return [alpha, *powers, *self.accelerations(moving)]
 
-    def traced(self, crank: Array) -> Array:
-        """The rates at a crank angle and speed, 30 times faster: the formulas of `rates` compiled from symbols."""
-        if self.direction not in self.functions:
+    def functions(self) -> tuple[Callable[..., list[Array]], Callable[..., list[Array]]]:
+        """The rates at a crank angle and speed, and a step of the integrator: the formulas of both, compiled from symbols."""
+        if self.direction not in self.compiled:
             import casadi
 
             from optlink.symbolic import CompiledFunction, symbols_in_numpy
 
-            symbols = casadi.SX.sym("crank", 2)
+            crank, size = casadi.SX.sym("crank", 2), casadi.SX.sym("size")
+            state, first = (casadi.SX.sym(name, 2 + len(self.names) + 6 * len(self.bodies)) for name in ("state", "first"))
             with symbols_in_numpy():
-                self.functions[self.direction] = CompiledFunction(
-                    [symbols], [casadi.vertcat(*self.rates(symbols[0], symbols[1]))]
+                expressions = casadi.vertcat(*self.rates(crank[0], crank[1]))
+                rates = casadi.Function("rates", [crank], [expressions])
+                made = attempt(
+                    lambda y: casadi.vertcat(*self.placed(rates(y[:2]), y)),
+                    lambda parts: casadi.horzcat(*parts),
+                    state,
+                    first,
+                    size,
                 )
-        return self.functions[self.direction](crank)[0]
+            outputs = [made.state, casadi.horzcat(*made.rates), casadi.vertcat(made.fifth, made.third)]
+            self.compiled[self.direction] = (
+                CompiledFunction([crank], [expressions]),
+                CompiledFunction([state, first, size], outputs),
+            )
+        return self.compiled[self.direction]
 
-    def __call__(self, time: float, state: Array) -> Array:
+    def traced(self, crank: Array) -> Array:
+        """The rates at a crank angle and speed, 30 times faster."""
+        return self.functions()[0](crank)[0]
+
+    def placed(self, rates: Any, state: Any) -> tuple[Any, ...]:
+        """Rates of the whole state from those of crank speed, works and velocities."""
+        count = 3 * len(self.bodies)
+        return state[1:2], rates[:-count], state[-count:], rates[-count:]
+
+    @property
+    def by_numbers(self) -> bool:
+        """Whether symbols do not support the machine: the iteration for friction, the series near change points."""
+        return bool(self.machine.friction or self.machine.mechanism.followed)
+
+    def __call__(self, state: Array) -> Array:
+        """Rates of the state; also where the crank is at rest, for which symbols cannot choose the sense of motion."""
         self.evaluations += 1
-        angle, speed, count = float(state[0]), float(state[1]), 3 * len(self.bodies)
-        # symbols do not support the iteration for friction, the choice of the sense of motion at rest, and the series near
-        # change points
-        by_numbers = bool(self.machine.friction) or speed == 0.0 or self.machine.mechanism.followed
-        rates = _flat(self.rates(angle, speed)) if by_numbers else self.traced(state[:2])
-        return np.concatenate([[speed], rates[:-count], state[-count:], rates[-count:]])
+        numbers = self.by_numbers or state[1] == 0.0
+        rates = _flat(self.rates(float(state[0]), float(state[1]))) if numbers else self.traced(state[:2])
+        return np.concatenate(self.placed(rates, state))
+
+    def attempt(self, state: Array, first: Array, size: float) -> Attempt:
+        """Take one step of the integrator."""
+        if self.by_numbers:
+            made = attempt(self, np.column_stack, state, first, size)
+            return made._replace(rates=np.array(made.rates))
+        self.evaluations += ALL - 1
+        new, rates, (fifth, third) = self.functions()[1](state, first, size)
+        return Attempt(new, rates.reshape(ALL, len(state)), float(fifth), float(third))
 
 
 def _flat(parts: list[Value]) -> Array:
@@ -265,7 +298,7 @@ class _Journey:
         self.switches = jumps(plant.machine, 0.0, plant.cycle) if plant.machine.switching else np.empty(0)
         self.may_rest = plant.drive is not None and plant.machine.switching
         self.time, self.state = 0.0, plant.start(angle, speed)
-        self.kept, self.ways = [self.state], [plant.direction]
+        self.blocks, self.ways, self.recent = [self.state[None]], [plant.direction], list[Step]()
         self.steps, self.mark, self.ending = 0, 0.0, Ending.FINISHED
 
     def travel(self, progress: Callable[[float], None] | None) -> None:
@@ -275,8 +308,11 @@ class _Journey:
         if any(abs(at - float(self.state[0])) <= 2.0 * STOP for _, at in self.stops()):
             self.ending = Ending.SINGULAR
         try:
-            while self.ending is Ending.FINISHED and len(self.kept) < len(self.times):
-                self.leg(progress)
+            while self.ending is Ending.FINISHED and len(self.ways) < len(self.times):
+                try:
+                    self.leg(progress)
+                finally:
+                    self.keep()
         except KeyboardInterrupt:
             self.ending = Ending.INTERRUPTED
 
@@ -285,35 +321,34 @@ class _Journey:
         angle = float(self.state[0])
         return [
             ("singular", at + way * STOP)
-            for way, at in zip((1.0, -1.0), _nearest(angle, self.singular, self.plant.cycle), strict=False)
+            for way, at in zip((1.0, -1.0), nearest(angle, self.singular, self.plant.cycle), strict=False)
         ]
 
     def leg(self, progress: Callable[[float], None] | None) -> None:
         """Integrate to the next event."""
-        from scipy.integrate import DOP853
-
-        end = float(self.times[-1])
-        if not np.all(np.isfinite(self.plant(self.time, self.state))):  # the integrator would search a first step forever
+        end, first = float(self.times[-1]), self.plant(self.state)
+        if not np.all(np.isfinite(first)):  # no step size would do
             self.ending = Ending.JAMMED if _jammed(self.plant, self.state) else Ending.STALLED
             return
-        solver = DOP853(self.plant, self.time, self.state, end, rtol=RELATIVE, atol=ABSOLUTE)
-        ahead = [*_ahead(float(self.state[0]), self.switches, self.plant.cycle, self.limits), *self.stops()]
+        stepper = Stepper(self.plant, self.plant.attempt, self.time, end, self.state, first)
+        ahead = [*marks_ahead(float(self.state[0]), self.switches, self.plant.cycle, self.limits), *self.stops()]
         event = None
-        while event is None and solver.status == "running":
-            solver.step()
+        while event is None and self.time < end:
+            step = stepper.step()
             self.steps += 1
-            if solver.status == "failed" or not np.all(np.isfinite(solver.y)) or self.crawls(float(solver.t)):
+            if step is None or not math.isfinite(step.after.sum()) or self.crawls(stepper.time):
                 self.ending = Ending.JAMMED if _jammed(self.plant, self.state) else Ending.STALLED
                 return
-            curve = solver.dense_output()
-            way = self.plant.direction if self.may_rest else 0.0
-            upto, event = _event(curve, float(solver.t_old), float(solver.t), way, ahead)
-            while len(self.kept) < len(self.times) and self.times[len(self.kept)] <= upto:
-                self.kept.append(curve(self.times[len(self.kept)]))
-                self.ways.append(self.plant.direction)
-            self.time, self.state = upto, np.array(solver.y if event is None else curve(upto))
+            upto, event = first_event(step, self.plant.direction if self.may_rest else 0.0, ahead)
+            self.recent.append(step)
+            self.time, self.state = upto, step.after
+            if event is not None:
+                self.state = states_at(np.array([upto]), [step])[0]
+            if len(self.recent) >= TOGETHER:
+                self.keep()
             if progress:
                 progress(upto / end)
+        self.keep()
         if event == "limit":
             self.ending = Ending.DEAD_POSITION
         elif event == "singular":
@@ -322,6 +357,14 @@ class _Journey:
             self.state[1] = 0.0
             if not _set_off(self.plant, float(self.state[0])):
                 self.ending = Ending.AT_REST
+
+    def keep(self) -> None:
+        """Interpolate the rows that the recent steps have reached."""
+        count = int(np.searchsorted(self.times, self.time, side="right")) - len(self.ways)
+        if count > 0 and self.recent:
+            self.blocks.append(states_at(self.times[len(self.ways) : len(self.ways) + count], self.recent))
+            self.ways += [self.plant.direction] * count
+        self.recent = []
 
     def crawls(self, time: float) -> bool:
         """Whether the last `PATIENCE` steps made no significant progress."""
@@ -333,10 +376,8 @@ class _Journey:
 
     def result(self) -> Run:
         """Return the result so far."""
-        count = len(self.kept)
-        return _result(
-            self.plant, self.times[:count], np.array(self.kept), np.array(self.ways), self.steps, self.ending, self.time
-        )
+        states = np.concatenate(self.blocks)
+        return _result(self.plant, self.times[: len(states)], states, np.array(self.ways), self.steps, self.ending, self.time)
 
 
 def _set_off(plant: _Plant, angle: float) -> bool:
@@ -357,37 +398,6 @@ def _jammed(plant: _Plant, state: Array) -> bool:
         return False
     moving = plant.geared(float(state[0])).scaled(float(state[1]), 0.0, plant.direction)
     return bool(np.any(reactions(moving).jammed))
-
-
-def _nearest(angle: float, marks: Array, cycle: float, aside: float = 0.0) -> list[float]:
-    """The nearest below and above a crank angle of marks that repeat every cycle."""
-    if not len(marks):
-        return []
-    every = (marks[:, None] + cycle * (np.floor(angle / cycle) + np.arange(-2.0, 3.0))).ravel()
-    return [float(np.max(every[every <= angle - aside])), float(np.min(every[every >= angle + aside]))]
-
-
-def _ahead(angle: float, switches: Array, cycle: float, limits: tuple[float, float] | None) -> list[tuple[str, float]]:
-    """Crank angles at which the integration restarts or ends: the nearest on either side."""
-    found = [("switch", at) for at in _nearest(angle, switches, cycle, NEAR)]
-    if limits is not None:
-        edge = EDGE * (limits[1] - limits[0])
-        found += [("limit", limits[0] + edge), ("limit", limits[1] - edge)]
-    return found
-
-
-def _event(curve: Any, start: float, end: float, direction: float, ahead: list[tuple[str, float]]) -> tuple[float, str | None]:
-    """The first event within a step (an angle is reached, or the crank stops) and its time, else the end of the step."""
-    from scipy.optimize import brentq
-
-    found: list[tuple[float, str]] = []
-    one, two = curve(start), curve(end)
-    for kind, at in ahead:
-        if (one[0] - at) * (two[0] - at) < 0.0:
-            found.append((float(brentq(lambda t, at=at: curve(t)[0] - at, start, end, xtol=1e-16, rtol=1e-15)), kind))
-    if one[1] * direction > 0.0 > two[1] * direction:
-        found.append((float(brentq(lambda t: curve(t)[1], start, end, xtol=1e-16, rtol=1e-15)), "rest"))
-    return min(found) if found else (end, None)
 
 
 def _result(plant: _Plant, times: Array, states: Array, ways: Array, steps: int, ending: Ending, stopped: float) -> Run:

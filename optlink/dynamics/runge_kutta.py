@@ -1,0 +1,205 @@
+"""Explicit Runge-Kutta method of order 8 with step size control and dense output, for equations that time does not enter.
+
+The stages of a step are plain formulas: of numbers, or of symbols that are compiled once and then take microseconds a step.
+
+References
+----------
+E. Hairer, S. P. Norsett, G. Wanner: Solving Ordinary Differential Equations I, 2nd ed. 1993, sections II.4 (first step size),
+II.5 (error estimate of orders 5 and 3 combined) and II.6 (dense output). The coefficients are those of their code DOP853, as
+published by SciPy.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+RELATIVE, ABSOLUTE = 1e-11, 1e-12  # tolerances
+STAGES, ALL = 12, 16  # stages of a step; with its end and those of the dense output
+SAFETY, LEAST, MOST = 0.9, 0.2, 10.0  # of the change of the step size
+EXPONENT = -1.0 / 8.0
+
+
+class Coefficients(NamedTuple):
+    """Of the stages (16, 16), row 12 that of the new state, rows 13 to 15 for the dense output; of both errors; of the output."""
+
+    stages: Array
+    fifth: Array
+    third: Array
+    dense: Array
+
+
+@functools.cache
+def coefficients() -> Coefficients:
+    """Return the coefficients of the method."""
+    from scipy.integrate import DOP853
+
+    extra = ALL - STAGES
+    stages = [np.pad(DOP853.A, ((0, 0), (0, extra))), np.pad(DOP853.B, (0, extra))[None], DOP853.A_EXTRA]
+    return Coefficients(*(np.ascontiguousarray(part) for part in (np.vstack(stages), DOP853.E5, DOP853.E3, DOP853.D)))
+
+
+class Attempt(NamedTuple):
+    """A step: the new state, the rates at all stages, and the squares of its errors of orders 5 and 3 over their tolerances."""
+
+    state: Any
+    rates: Any
+    fifth: Any
+    third: Any
+
+
+def attempt(rates: Callable[[Any], Any], stack: Callable[[list[Any]], Any], state: Any, first: Any, size: Any) -> Attempt:
+    """Take one step, of numbers or symbols.
+
+    Parameters
+    ----------
+    rates : function of a state to its rates
+    stack : function of a list of rates (n,) to a matrix with these columns
+    state : array (n,) or column of symbols
+    first : array (n,) or column of symbols
+        Rates at the state.
+    size : float or symbol [s]
+        Step size.
+    """
+    known = coefficients()
+    found, new = [first], state
+
+    def combined(row: Array) -> Any:
+        used = np.flatnonzero(row)
+        return stack([found[k] for k in used]) @ row[used]
+
+    for stage in range(1, ALL):
+        at = state + size * combined(known.stages[stage])
+        found.append(rates(at))
+        if stage == STAGES:
+            new = at
+    scale = ABSOLUTE + RELATIVE * np.maximum(np.abs(state), np.abs(new))
+    fifth, third = (combined(row) / scale for row in (known.fifth, known.third))
+    return Attempt(new, found, fifth.T @ fifth, third.T @ third)
+
+
+class Step(NamedTuple):
+    """An accepted step: its begin, end and size [s], the states (n,) at both ends, and the rates (16, n) at all stages."""
+
+    time: float
+    end: float
+    size: float
+    before: Array
+    after: Array
+    rates: Array
+
+    def at(self, time: float, part: int) -> float:
+        """Return one element of the state at a time within the step.
+
+        Parameters
+        ----------
+        time : float [s]
+        part : int
+            Which element.
+        """
+        parts = (self.before[None, [part]], self.after[None, [part]], self.rates[None, :, [part]])
+        return float(dense(np.array([(time - self.time) / self.size]), np.array([self.size]), *parts)[0, 0])
+
+
+def dense(shares: Array, sizes: Array, before: Array, after: Array, rates: Array) -> Array:
+    """Return the states within steps, from the dense output of order 7.
+
+    Parameters
+    ----------
+    shares : array (m,)
+        Places within the steps, 0 to 1.
+    sizes : array (m,) [s]
+    before, after : array (m, n)
+        States at their ends.
+    rates : array (m, 16, n)
+        At all stages.
+    """
+    over, first, last = after - before, sizes[:, None] * rates[:, 0], sizes[:, None] * rates[:, STAGES]
+    upper = sizes[:, None, None] * (coefficients().dense @ rates)
+    parts = [over, first - over, 2.0 * over - last - first, *np.moveaxis(upper, 1, 0)]
+    state, x = np.zeros_like(before), shares[:, None]
+    for k, part in enumerate(reversed(parts)):
+        state = (state + part) * (1.0 - x if k % 2 else x)
+    return before + state
+
+
+def states_at(times: Array, steps: Sequence[Step]) -> Array:
+    """Return the states (m, n) at times within consecutive steps.
+
+    Parameters
+    ----------
+    times : array (m,) [s], rising
+    steps : sequence of Step
+    """
+    starts = np.array([step.time for step in steps])
+    places = np.clip(np.searchsorted(starts, times, side="left") - 1, 0, len(steps) - 1)
+    chosen = [steps[k] for k in places]
+    sizes = np.array([step.size for step in chosen])
+    before, after, rates = (np.array([step[k] for step in chosen]) for k in (3, 4, 5))
+    return dense((times - starts[places]) / sizes, sizes, before, after, rates)
+
+
+class Stepper:
+    """Integration from a state on, one accepted step at a time.
+
+    Parameters
+    ----------
+    rates : function of a state (n,) to its rates
+    attempt : function of a state, its rates and a step size to an Attempt
+    time, end : float [s]
+    state, first : array (n,)
+        Initial state and its rates.
+    """
+
+    def __init__(
+        self,
+        rates: Callable[[Array], Array],
+        attempt: Callable[[Array, Array, float], Attempt],
+        time: float,
+        end: float,
+        state: Array,
+        first: Array,
+    ) -> None:
+        self.attempt, self.time, self.end, self.state, self.rates = attempt, time, end, state, first
+        self.size = _first_size(rates, state, first, end - time)
+
+    def step(self) -> Step | None:
+        """Return the next step that meets the tolerances; None if no step size of the number format does."""
+        time, least = self.time, 10.0 * math.ulp(self.time)
+        size, rejected = max(self.size, least), False
+        while size >= least:
+            after = min(time + size, self.end)
+            size = after - time
+            new, rates, fifth, third = self.attempt(self.state, self.rates, size)
+            total = fifth + 0.01 * third
+            error = 0.0 if total == 0.0 else size * fifth / math.sqrt(total * len(self.state))
+            if error < 1.0:
+                factor = MOST if error == 0.0 else min(MOST, SAFETY * error**EXPONENT)
+                self.size = size * (min(1.0, factor) if rejected else factor)
+                done = Step(time, after, size, self.state, new, rates)
+                self.time, self.state, self.rates = after, new, rates[STAGES]
+                return done
+            rejected = True
+            size *= max(LEAST, SAFETY * error**EXPONENT)  # the least where the error is no number
+        return None
+
+
+def _first_size(rates: Callable[[Array], Array], state: Array, first: Array, span: float) -> float:
+    """Return a first step size from the rates at the begin and after a short explicit step."""
+    scale = ABSOLUTE + RELATIVE * np.abs(state)
+
+    def norm(values: Array) -> float:
+        return float(np.linalg.norm(values / scale)) / math.sqrt(len(state))
+
+    sizes = norm(state), norm(first)
+    short = min(1e-6 if min(sizes) < 1e-5 else 0.01 * sizes[0] / sizes[1], span)
+    bend = norm(rates(state + short * first) - first) / short
+    flat = sizes[1] <= 1e-15 and bend <= 1e-15
+    size = max(1e-6, 1e-3 * short) if flat else (0.01 / max(sizes[1], bend)) ** -EXPONENT
+    return min(100.0 * short, size, span)
