@@ -112,7 +112,7 @@ def chart(spec: ChartSpec) -> Chart:
         layout[f"yaxis{key}"] = _axis(panel.y) | {"domain": [bottom, top]}
         if spec.equal:
             layout[f"yaxis{key}"] |= {"scaleanchor": "x", "constrain": "domain"}
-        layout[f"legend{key}"] = LEGEND | {"y": top + 0.01} | ({"bgcolor": "#d5d9de"} if HeatMap in kinds else {})
+        layout[f"legend{key}"] = LEGEND | {"y": top + 0.01} | ({"bgcolor": "#e3e6ea"} if HeatMap in kinds else {})
         data += [trace | {"yaxis": f"y{key}", "legend": f"legend{key}"} for trace in _traces(spec, panel)]
         top = bottom - GAP
     layout["xaxis"] = _axis(spec.x, spec.reach) | {"anchor": f"y{key}", "hoverformat": ".2f"}
