@@ -30,8 +30,8 @@ from optlink.dynamics.machine import Machine
 from optlink.errors import Fault, InputError
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import input_of, nearest
-from optlink.tasks.checkpoint import ClearanceCheckpoint, damaged, read_checkpoint
 from optlink.tasks.machine import check_regular, machine_of, motion_range, with_flywheel
+from optlink.tasks.results.checkpoint import ClearanceCheckpoint, damaged, read_checkpoint
 from optlink.tasks.results.clearance import SETTLED, ClearanceSimulation
 
 Array = NDArray[np.float64]

@@ -16,10 +16,10 @@ from optlink.clearance.output import Output
 from optlink.errors import Fault, InputError
 from optlink.problem.base_model import SPELLINGS
 from optlink.problem.file import ProblemFile
-from optlink.tasks.checkpoint import ComparisonCheckpoint, RunRecord, TuningCheckpoint, damaged, read_checkpoint
 from optlink.tasks.clearance import checked
 from optlink.tasks.machine import machine_of
 from optlink.tasks.parallel_runs import RunResult, job_of, processes, run_jobs
+from optlink.tasks.results.checkpoint import ComparisonCheckpoint, RunRecord, TuningCheckpoint, damaged, read_checkpoint
 from optlink.tasks.results.control_comparison import Comparison, Trials, Tuning
 
 Array = NDArray[np.float64]
