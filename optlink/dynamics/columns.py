@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
+from functools import cache, cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,18 +28,30 @@ class Column(NamedTuple):
     values: Array
 
 
+Named = Iterator[tuple[str, str, Callable[[], Value]]]
+"""Columns: name, meaning, and a function that computes the value."""
+Sources = dict[str, tuple[str, Callable[[], Value]]]
+
+
+def _given(value: Value) -> Callable[[], Value]:
+    return lambda: value
+
+
+def _part(whole: Callable[..., Any], part: Any, *arguments: str) -> Callable[[], Value]:
+    return lambda: whole(*arguments)[part]
+
+
 class MotionColumns:
-    """Columns by name of a machine at crank angles (n,), or of a batch of designs (designs, n).
+    """Columns by name of a machine at crank angles (n,), or of a batch of designs (designs, n); each is computed when it is read.
 
     `singular`: positions without finite reactions; `jammed`: positions in which friction locks a guide; `undefined`: positions in
-    which a load has no finite value; `reaction_names`: names of the reaction columns. `requested`: names of the required columns,
-    default all.
+    which a load has no finite value.
     """
 
-    def __init__(self, moving: Moving, requested: Collection[str] | None = None) -> None:
-        self.moving, self.machine, self.requested = moving, moving.machine, requested
+    def __init__(self, moving: Moving) -> None:
+        self.moving, self.machine = moving, moving.machine
         self.shape = np.shape(moving.motion.assembled)
-        self.reaction_names: set[str] = set()
+        self._values: dict[str, Array] = {}
         with np.errstate(all="ignore"):
             self.reactions: Reactions = reactions(moving)
             near = [np.abs(self.full(sine)) < SINGULAR for sine in self.reactions.singularity.values()]
@@ -46,108 +59,136 @@ class MotionColumns:
             self.jammed = self.full(self.reactions.jammed).astype(bool) & closed
             self.singular: NDArray[np.bool_] = np.any([*near, np.zeros(self.shape)], axis=0) & closed
             self.undefined = ~np.isfinite(self.full(self.reactions.torque)) & closed & ~self.jammed & ~self.singular
-            self.columns = {column.name: column for column in self._all() if self._wants(column.name)}
-
-    def _wants(self, *names: str) -> bool:
-        return self.requested is None or any(name in self.requested for name in names)
 
     def full(self, value: Value) -> Array:
         """Broadcast a value to all positions."""
         return np.broadcast_to(np.asarray(value, dtype=float), self.shape)
 
     def __getitem__(self, name: str) -> Array:
-        return self.columns[name].values
+        if name not in self._values:
+            with np.errstate(all="ignore"):
+                if name in self._motion:
+                    self._values[name] = self.full(self._motion[name][1]())
+                elif name in self._reactions:
+                    self._values[name] = np.where(self.singular, np.nan, self.full(self._reactions[name][1]()))
+                else:
+                    _, value = self._drive[name] if name in self._drive else self._loads[name]
+                    unknown = self.singular & (not self.machine.mechanism.followed)
+                    self._values[name] = np.where(unknown, np.nan, self.full(value()))
+        return self._values[name]
 
-    def _all(self) -> Iterator[Column]:
-        for name, meaning, value in self._motion():
-            yield Column(name, meaning, self.full(value))
-        for name, meaning, value in self._reactions():
-            self.reaction_names.add(name)
-            yield Column(name, meaning, np.where(self.singular, np.nan, self.full(value)))
-        unknown = self.singular & (not self.machine.mechanism.followed)
-        for name, meaning, value in self._forces():
-            yield Column(name, meaning, np.where(unknown, np.nan, self.full(value)))
+    @cached_property
+    def columns(self) -> dict[str, Column]:
+        """All columns by name."""
+        sections = (self._motion, self._reactions, self._loads, self._drive)
+        return {name: Column(name, meaning, self[name]) for part in sections for name, (meaning, _) in part.items()}
 
-    def _motion(self) -> Iterator[tuple[str, str, Value]]:
+    @property
+    def reaction_names(self) -> Collection[str]:
+        """Names of the reaction columns."""
+        return self._reactions.keys()
+
+    @cached_property
+    def _motion(self) -> Sources:
+        return _by_name(self._motions())
+
+    @cached_property
+    def _reactions(self) -> Sources:
+        return _by_name(self._joint_forces())
+
+    @cached_property
+    def _loads(self) -> Sources:
+        with np.errstate(all="ignore"):
+            return _by_name(self._load_forces())
+
+    @cached_property
+    def _drive(self) -> Sources:
+        return _by_name(self._drives())
+
+    def _motions(self) -> Named:
         moving, mechanism = self.moving, self.machine.mechanism
         for body in mechanism.bodies:
-            state = moving.state(body)
-            if self._wants(f"{body}.angle_rad"):
-                yield f"{body}.angle_rad", f"angle of {body}'s axis from +x", moving.motion.body_angle(body).value
-            yield f"{body}.omega_rad_s", f"angular velocity of {body}", state.omega
-            yield f"{body}.alpha_rad_s2", f"angular acceleration of {body}", state.alpha
+            yield from self._turning(body)
         for point, bodies in mechanism.owners.items():
             if FRAME not in bodies:
-                for part, unit, vector in (
-                    ("", "m", moving.position(point)),
-                    ("v", "m_s", moving.velocity(point)),
-                    ("a", "m_s2", moving.acceleration(point)),
+                for part, unit, what, vector in (
+                    ("", "m", "position", moving.position),
+                    ("v", "m_s", "velocity", moving.velocity),
+                    ("a", "m_s2", "acceleration", moving.acceleration),
                 ):
-                    what = {"": "position", "v": "velocity", "a": "acceleration"}[part]
-                    for axis, value in zip("xy", vector, strict=True):
-                        yield f"{point}.{part}{axis}_{unit}", f"{what} of {point} in {axis}", value
-        names = slider_names(self.machine)
-        for guide, (s, v, a) in moving.slides.items():
-            yield f"{names[guide]}.s_m", f"slide in the guide {guide}", s
-            yield f"{names[guide]}.v_m_s", f"sliding velocity in the guide {guide}", v
-            yield f"{names[guide]}.a_m_s2", f"sliding acceleration in the guide {guide}", a
+                    for k, axis in enumerate("xy"):
+                        yield f"{point}.{part}{axis}_{unit}", f"{what} of {point} in {axis}", _part(vector, k, point)
+        for guide, name in slider_names(self.machine).items():
+            for k, (part, what) in enumerate(
+                (("s_m", "slide"), ("v_m_s", "sliding velocity"), ("a_m_s2", "sliding acceleration"))
+            ):
+                yield f"{name}.{part}", f"{what} in the guide {guide}", _part(lambda guide: moving.slides[guide], k, guide)
         for group in mechanism.groups:
-            if isinstance(group, RRR) and self._wants(f"{group.joint}.transmission_rad"):
-                j = moving.position(group.joint)
-                p, q = (minus(moving.position(pin), j) for pin in group.pins)
-                yield (
-                    f"{group.joint}.transmission_rad",
-                    f"angle between the two links at {group.joint}",
-                    np.arctan2(magnitude(cross(p, q)), dot(p, q)),
-                )
+            if isinstance(group, RRR):
+                what = f"angle between the two links at {group.joint}"
+                yield f"{group.joint}.transmission_rad", what, partial(_transmission, moving, group)
 
-    def _reactions(self) -> Iterator[tuple[str, str, Value]]:
+    def _turning(self, body: str) -> Named:
+        moving = self.moving
+        yield f"{body}.angle_rad", f"angle of {body}'s axis from +x", lambda: moving.motion.body_angle(body).value
+        yield f"{body}.omega_rad_s", f"angular velocity of {body}", lambda: moving.state(body).omega
+        yield f"{body}.alpha_rad_s2", f"angular acceleration of {body}", lambda: moving.state(body).alpha
+
+    def _joint_forces(self) -> Named:
         machine, found = self.machine, self.reactions
         for point, (by, on) in acting_on(machine).items():
             bodies = machine.mechanism.pins[point]
             if len(bodies) == 2:
                 for axis, value in zip("xy", found.pins[point][on], strict=True):
-                    yield f"{point}.f{axis}_N", f"force of {by} on {on} at {point} in {axis}", value
+                    yield f"{point}.f{axis}_N", f"force of {by} on {on} at {point} in {axis}", _given(value)
             else:
                 for body in (on, *(b for b in bodies if b != on)):
                     for axis, value in zip("xy", found.pins[point][body], strict=True):
-                        yield f"{point}.{body}.f{axis}_N", f"force of the pin on {body} at {point} in {axis}", value
+                        what = f"force of the pin on {body} at {point} in {axis}"
+                        yield f"{point}.{body}.f{axis}_N", what, _given(value)
         for guide in machine.mechanism.guides:
             force = found.guides[guide.name]
             what = f"of {guide.on} on {guide.slider} in the guide {guide.name}"
-            yield f"{guide.name}.normal_N", f"normal force {what}, to the left of the line", force.normal
-            yield f"{guide.name}.moment_Nm", f"moment {what}", force.moment
+            yield f"{guide.name}.normal_N", f"normal force {what}, to the left of the line", _given(force.normal)
+            yield f"{guide.name}.moment_Nm", f"moment {what}", _given(force.moment)
             if guide.name in machine.friction:
-                yield f"{guide.name}.friction_N", f"friction {what}, along the line", force.friction
+                yield f"{guide.name}.friction_N", f"friction {what}, along the line", _given(force.friction)
 
-    def _forces(self) -> Iterator[tuple[str, str, Value]]:
-        moving, machine, found = self.moving, self.machine, self.reactions
-        for load in machine.loads:
-            for k, acting in enumerate(act for act in load.act(moving) if act.body != FRAME):
+    def _load_forces(self) -> Named:
+        for load in self.machine.loads:
+            for k, acting in enumerate(act for act in load.act(self.moving) if act.body != FRAME):
                 name = f"{load.name}.{acting.body}" if k else load.name
                 if not _nothing(acting.force):
                     for axis, value in zip("xy", acting.force, strict=True):
-                        yield f"{name}.f{axis}_N", f"force of the load {load.name} on {acting.body} in {axis}", value
+                        yield f"{name}.f{axis}_N", f"force of the load {load.name} on {acting.body} in {axis}", _given(value)
                 if not _nothing((acting.torque, 0.0)):
-                    yield f"{name}.torque_Nm", f"torque of the load {load.name} on {acting.body}", acting.torque
-        torque = found.torque
-        yield "input.torque_Nm", f"torque of the drive on {machine.mechanism.crank.body}", torque
-        parts = ("inertia", "gravity", "load")
-        if self._wants(*(f"input.torque_{part}_Nm" for part in parts)):
-            for part, value in torque_parts(moving, found).items():
-                yield f"input.torque_{part}_Nm", f"what of the driving torque goes into {part}", value
-        yield "input.power_W", "power of the drive", torque * moving.motion.speed
-        if self._wants(*(f"frame.shaking_{part}" for part in ("fx_N", "fy_N", "moment_Nm"))):
-            yield from self._shaking()
-        if self._wants("energy.kinetic_J", "energy.potential_J"):
-            yield "energy.kinetic_J", "kinetic energy", moving.kinetic
-            yield "energy.potential_J", "potential energy of gravity and springs, gravity's zero at y = 0", moving.potential
+                    yield f"{name}.torque_Nm", f"torque of the load {load.name} on {acting.body}", _given(acting.torque)
 
-    def _shaking(self) -> Iterator[tuple[str, str, Value]]:
-        shaken, pivot = shaking(self.moving), self.machine.mechanism.crank.start
-        for axis, value in zip("xy", shaken.force, strict=True):
-            yield f"frame.shaking_f{axis}_N", f"shaking force on the frame in {axis}: minus the rate of momentum", value
-        yield "frame.shaking_moment_Nm", f"shaking moment on the frame about {pivot}", shaken.moment
+    def _drives(self) -> Named:  # no function refers to the record, which would then outlive its use
+        moving, found, torque = self.moving, self.reactions, self.reactions.torque
+        parts, shaken = cache(lambda: torque_parts(moving, found)), cache(lambda: shaking(moving))
+        mechanism = self.machine.mechanism
+        yield "input.torque_Nm", f"torque of the drive on {mechanism.crank.body}", _given(torque)
+        for part in ("inertia", "gravity", "load"):
+            yield f"input.torque_{part}_Nm", f"what of the driving torque goes into {part}", _part(parts, part)
+        yield "input.power_W", "power of the drive", lambda: torque * moving.motion.speed
+        for k, axis in enumerate("xy"):
+            what = f"shaking force on the frame in {axis}: minus the rate of momentum"
+            yield f"frame.shaking_f{axis}_N", what, _part(lambda: shaken().force, k)
+        yield "frame.shaking_moment_Nm", f"shaking moment on the frame about {mechanism.crank.start}", lambda: shaken().moment
+        yield "energy.kinetic_J", "kinetic energy", lambda: moving.kinetic
+        what = "potential energy of gravity and springs, gravity's zero at y = 0"
+        yield "energy.potential_J", what, lambda: moving.potential
+
+
+def _transmission(moving: Moving, group: RRR) -> Value:
+    j = moving.position(group.joint)
+    p, q = (minus(moving.position(pin), j) for pin in group.pins)
+    return np.arctan2(magnitude(cross(p, q)), dot(p, q))
+
+
+def _by_name(columns: Named) -> Sources:
+    return {name: (meaning, value) for name, meaning, value in columns}
 
 
 def _nothing(parts: tuple[Any, Any]) -> bool:

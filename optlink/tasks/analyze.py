@@ -316,7 +316,7 @@ def _near(machine: Machine, position: AlignedPosition) -> str:
     joint, amount = position.group.joint, f"{math.degrees(position.angle):.3g} deg"
     where = f"at crank angle {math.degrees(position.crank_angle):.6g} deg"
     name = f"{joint}.transmission_rad"
-    found = MotionColumns(machine.moving(np.array([position.crank_angle])), (name,))
+    found = MotionColumns(machine.moving(np.array([position.crank_angle])))
     if name in found.columns:
         what = f"the transmission angle at {joint} is {math.degrees(float(found[name][0])):.6g} deg,"
     else:

@@ -95,7 +95,7 @@ class _Task:
         )
 
     def _check_finite(self) -> None:
-        record = MotionColumns(self.moving, ())
+        record = MotionColumns(self.moving)
         bad = record.singular | record.jammed | record.undefined
         if np.any(bad):
             where = ", ".join(f"{math.degrees(a):.6g}" for a in self.angles[bad][:3])

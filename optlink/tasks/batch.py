@@ -107,7 +107,7 @@ def analyze_batch(
                     found[name][part] = np.nan
                 continue
             machine = machine_of(problem, _designs(arrays, part, alone=follows))
-            record = MotionColumns(machine.moving(angles, way), columns)
+            record = MotionColumns(machine.moving(angles, way))
             for name in columns:
                 found[name][part] = record[name]
             found.singular |= _singular(machine, part, samples)
@@ -194,11 +194,11 @@ def batch_extremes(
     for first in range(0, count, portion):
         machine = machine_of(problem, {name: values[first : first + portion, None] for name, values in arrays.items()})
         moving = machine.moving(grid, way)
-        record = MotionColumns(moving, [part for name in columns for part in reaction_parts(name)])
+        record = MotionColumns(moving)
         with np.errstate(all="ignore"):
             apart = [np.min(np.abs(record.full(sine)), axis=1) > CLEAR for sine in record.reactions.singularity.values()]
             apart.append(np.all(moving.motion.assembled, axis=1))
-        apart += [np.all(np.isfinite(column.values), axis=1) for column in record.columns.values()]
+        apart += [np.all(np.isfinite(record[part]), axis=1) for name in columns for part in reaction_parts(name)]
         numbers = first + np.flatnonzero(np.all(apart, axis=0))
         clear[numbers] = True
         if numbers.size:
@@ -215,7 +215,7 @@ def reaction_parts(name: str) -> tuple[str, ...]:
 
 def _column(machine: Machine, speed: float, name: str, angles: Array) -> Array:
     """Return a column of a batch of designs at crank angles (1, n) or (designs, n)."""
-    record = MotionColumns(machine.moving(angles, speed), reaction_parts(name))
+    record = MotionColumns(machine.moving(angles, speed))
     values = [record[part] for part in reaction_parts(name)]
     return values[0] if len(values) == 1 else np.hypot(*values)
 
