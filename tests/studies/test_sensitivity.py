@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 import math
 
@@ -14,6 +15,7 @@ import optlink
 from optlink.cli.app import app
 from optlink.errors import InputError
 from optlink.linkage.motion import sweep
+from optlink.report.views.sensitivity import charts
 from optlink.studies.motion_sensitivity import output_names, output_sensitivity
 from optlink.studies.sensitivity import sensitivities
 
@@ -108,6 +110,16 @@ def test_a_minimax_function_scales_with_its_frame():
         assert frame.design[name] == pytest.approx(result.values[name] / size, rel=1e-6)
     assert frame.design["phi0"] == pytest.approx(0.0, abs=1e-6)
     assert result.gap < 1e-5
+
+
+def test_a_chart_of_effects_is_left_out_where_all_are_zero(crank_rocker):
+    """The errors of a function keep their size if the frame grows, so that its chart would be empty."""
+    (chart,) = charts(crank_rocker)
+    assert len(chart.panels[0].traces[0].y) == 3
+    quiet = dataclasses.replace(
+        crank_rocker, rows=[dataclasses.replace(row, objective=1e-9 * row.objective) for row in crank_rocker.rows]
+    )
+    assert charts(quiet) == []
 
 
 def test_a_path_with_its_frame_at_a_bound():

@@ -13,15 +13,16 @@ from optlink.report.views.study_tables import step
 from optlink.studies.sensitivity import Sensitivities
 
 MANY, SEEN = 14, 1e-3  # largest number of bars, and smallest bar as a share of the largest
+NOTHING = 5e-5  # share of the objective below which a change is shown as zero
 
 
 def charts(result: Sensitivities) -> list[ChartSpec]:
     """Return the tornado chart: the change of the objective by one step of each parameter up and down, largest on top."""
-    if not result.moving:
-        return []
-    least = SEEN * max(abs(row.effect) for row in result.moving)
-    rows = [row for row in result.moving if abs(row.effect) >= least][:MANY]
     base = result.solution.objective
+    largest = max((abs(row.effect) for row in result.moving), default=0.0)
+    if largest <= NOTHING * base:
+        return []
+    rows = [row for row in result.moving if abs(row.effect) >= SEEN * largest][:MANY]
     factor, unit = (100.0 / base, "%") if base > 0.0 else (1.0, result.unit)
     effects = np.array([factor * row.effect for row in rows])
     places = np.arange(len(rows), 0.0, -1.0)
