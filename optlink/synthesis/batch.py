@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +12,8 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.linkage.dyad_types import ModalDyad
+from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import unit
 from optlink.optimization.constraints import position_rows
 from optlink.optimization.constraints import rows as limit_rows
@@ -21,6 +24,7 @@ from optlink.problem.path import START, TURN, PathProblem
 from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 
 Array = NDArray[np.float64]
+Variant = int | NDArray[np.int_]
 
 GRID = 24  # crank angles at which the closure of mechanisms other than four-bars is evaluated
 INSIDE = 1e-3  # margin inside the crank condition: on its boundary lies a change-point linkage
@@ -32,11 +36,20 @@ class Batch:
     """Residuals of many designs of one problem with definite assembly modes.
 
     `x` (designs, n) are the scaled design variables, `t` (designs, points) the crank angles [rad] of the points. With prescribed
-    timing the crank angles follow from x, and `free_timing` is False.
+    timing the crank angles follow from x, and `free_timing` is False. The designs may differ in their assembly modes: `variant`
+    (designs,) is the index of each in `problems`.
+
+    Parameters
+    ----------
+    problem : PathProblem
+        With definite assembly modes.
+    others : sequence of PathProblem
+        The same problem with other assembly modes.
     """
 
-    def __init__(self, problem: PathProblem) -> None:
+    def __init__(self, problem: PathProblem, others: Sequence[PathProblem] = ()) -> None:
         self.problem, self.data = problem, problem.data
+        self.problems = (problem, *others)
         self.names = problem.free
         self.variables = [scaled_variable(problem, name) for name in self.names]
         self.free_timing = self.data.offsets is None
@@ -47,7 +60,36 @@ class Batch:
         self.low, self.high = ((side - self.origin) / self.scale for side in bounds.T)
         self.four_bar = isinstance(problem.mechanism, FourBarSection)
         self.crank_turns = problem.limits.crank != "span"
+        own = zip(*(each.linkage.groups for each in self.problems), strict=True)
+        modal = [groups for groups in own if isinstance(groups[0], ModalDyad) and len({g.side for g in groups}) > 1]  # type: ignore[attr-defined]
+        self.sides = np.array([[g.side for g in groups] for groups in modal], dtype=float).T  # type: ignore[attr-defined]
+        self.side_symbols = {groups[0].joint: casadi.SX.sym(groups[0].joint) for groups in modal}
         self._trace()
+
+    def linkage(self) -> Mechanism:
+        """Return the linkage, with symbols for the assembly modes that differ between the designs."""
+        linkage, symbols = self.problem.linkage, self.side_symbols
+        groups = [replace(g, side=symbols[g.joint]) if g.joint in symbols else g for g in linkage.groups]  # type: ignore[call-arg]
+        return replace(linkage, groups=tuple(groups)) if symbols else linkage
+
+    def side_columns(self, variant: Variant) -> list[Array]:
+        """Return the assembly modes of designs that differ in them, one array per symbol.
+
+        Parameters
+        ----------
+        variant : int or array (designs,) of int
+            Index of their problem.
+        """
+        if not self.side_symbols:
+            return []
+        return list(self.sides[variant].T[..., None] if np.ndim(variant) else self.sides[variant])
+
+    def of_variant(self, variant: int) -> Batch:
+        """Return the same functions for designs with one choice of the assembly modes."""
+        one = copy.copy(self)
+        one.problem, one.problems = self.problems[variant], (self.problems[variant],)
+        one.sides, one._limits = self.sides[variant : variant + 1], self._limits[variant : variant + 1]
+        return one
 
     def thinned(self, most: int) -> tuple[Batch, Array]:
         """Return the batch with at most `most` points, and the matrix (points, all points) that interpolates all crank angles.
@@ -73,25 +115,27 @@ class Batch:
         values: dict[str, Any] = {name: quantity.value for name, quantity in problem.quantities.items()}
         values |= {v.name: v.origin + v.size * x[i] for i, v in enumerate(self.variables)}
         wanted = tuple(more[k] for k in range(width))
-        inputs = [x[i] for i in range(n)]
+        inputs, sides = [x[i] for i in range(n)], list(self.side_symbols.values())
         with symbols_in_numpy():
-            pose = problem.linkage.pose(values, unit(t))
+            pose = self.linkage().pose(values, unit(t))
             residual = casadi.vertcat(*problem.deviation(pose, values, wanted)) * (more[width] / problem.whole)
             self.width = int(residual.numel())
             slopes = casadi.jacobian(residual, casadi.vertcat(x, t))
-            self._residual = NumpyEvaluator([*inputs, t, *(more[k] for k in range(width + 1))], [residual, slopes])
+            self._residual = NumpyEvaluator([*inputs, t, *(more[k] for k in range(width + 1)), *sides], [residual, slopes])
             span = casadi.SX.sym("span")
             reach = Reach(t, span, casadi.sign(span))
-            rows = limit_rows(problem, values, reach, problem.size) if self.crank_turns or not self.four_bar else []
-            self.bounds = np.array([(row.low + INSIDE * (row.limit in STRUCTURAL), row.high) for row in rows]).reshape(-1, 2)
-            g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
-            self._limits = NumpyEvaluator([*inputs, t, span], [g, casadi.jacobian(g, x)]) if rows else None
+            self._limits = []
+            for each in self.problems:  # a limit may depend on the assembly mode otherwise than by the positions
+                rows = limit_rows(each, values, reach, problem.size) if self.crank_turns or not self.four_bar else []
+                self.bounds = np.array([(row.low + INSIDE * (row.limit in STRUCTURAL), row.high) for row in rows]).reshape(-1, 2)
+                g = casadi.vertcat(*[row.value for row in rows])
+                self._limits += [NumpyEvaluator([*inputs, t, span], [g, casadi.jacobian(g, x)])] if rows else []
             self._grid = None
             if self.crank_turns and not self.four_bar:
                 asked = [row for row in position_rows(problem, pose) if not row.over_span]
                 self.grid_bounds = np.array([(row.low + INSIDE, row.high) for row in asked])
                 g = casadi.vertcat(*[row.value for row in asked])
-                self._grid = NumpyEvaluator([*inputs, t], [g, casadi.jacobian(g, x)])
+                self._grid = NumpyEvaluator([*inputs, t, *sides], [g, casadi.jacobian(g, x)])
         self.angles = np.linspace(0.0, TURN, GRID, endpoint=False)
 
     def values(self, x: Array) -> dict[str, Array]:
@@ -117,7 +161,7 @@ class Batch:
         assert self.data.offsets is not None
         return np.asarray(begin + self.data.offsets, dtype=float)
 
-    def residuals(self, x: Array, t: Array) -> tuple[Array, Array, Array]:
+    def residuals(self, x: Array, t: Array, variant: Variant = 0) -> tuple[Array, Array, Array]:
         """Return residuals (designs, points, k) and their derivatives by x (..., k, n) and by the crank angle (..., k).
 
         Residuals are relative to the size of the curve.
@@ -128,9 +172,11 @@ class Batch:
             Scaled design variables.
         t : array (designs, points) [rad]
             Crank angles of the points.
+        variant : int or array (designs,) of int
+            Index of the assembly modes of each design in `problems`.
         """
         n, k = x.shape[1], self.width
-        columns = [*(x[:, i : i + 1] for i in range(n)), t, *self.data.columns.T, self.data.roots]
+        columns = [*(x[:, i : i + 1] for i in range(n)), t, *self.data.columns.T, self.data.roots, *self.side_columns(variant)]
         out = self._residual(*columns)
         r = np.moveaxis(out[:k], 0, -1)
         slopes = np.moveaxis(out[k:].reshape(n + 1, k, *t.shape), (0, 1), (-1, -2))
@@ -140,7 +186,7 @@ class Batch:
             by_x[..., self.start] += by_t
         return r, by_x, by_t
 
-    def violations(self, x: Array, t: Array) -> tuple[Array, Array]:
+    def violations(self, x: Array, t: Array, variant: Variant = 0) -> tuple[Array, Array]:
         """Return weighted limit violations (designs, rows), zero where satisfied, and their derivatives (designs, rows, n).
 
         Parameters
@@ -149,15 +195,15 @@ class Batch:
             Scaled design variables.
         t : array (designs, points) [rad]
             Crank angles of the points.
+        variant : int or array (designs,) of int
+            Index of the assembly modes of each design in `problems`.
         """
         n = x.shape[1]
         parts = []
-        if self._limits is not None:
-            first, last = t[:, :1], t[:, -1:]
-            out = self._limits(*(x[:, i : i + 1] for i in range(n)), first, last - first)[..., 0]
-            parts.append((out, self.bounds))
+        if self._limits:
+            parts.append((self._limit_values(x, t, variant), self.bounds))
         if self._grid is not None:
-            out = self._grid(*(x[:, i : i + 1] for i in range(n)), self.angles[None, :])
+            out = self._grid(*(x[:, i : i + 1] for i in range(n)), self.angles[None, :], *self.side_columns(variant))
             m = len(self.grid_bounds)
             joined = np.concatenate(
                 [
@@ -170,6 +216,19 @@ class Batch:
             return np.zeros((len(x), 0)), np.zeros((len(x), 0, n))
         found = [self._missed(out, bounds, n) for out, bounds in parts]
         return np.concatenate([h for h, _ in found], axis=1), np.concatenate([s for _, s in found], axis=1)
+
+    def _limit_values(self, x: Array, t: Array, variant: Variant) -> Array:
+        """Return the limits and their derivatives (rows, designs)."""
+        first, span = t[:, :1], t[:, -1:] - t[:, :1]
+        if not np.ndim(variant) or len(self._limits) == 1:
+            evaluate = self._limits[int(np.max(variant))]
+            return evaluate(*(x[:, i : i + 1] for i in range(x.shape[1])), first, span)[..., 0]
+        out = np.empty((self._limits[0].outputs, len(x)))
+        for k, evaluate in enumerate(self._limits):
+            own = np.flatnonzero(variant == k)
+            if len(own):
+                out[:, own] = evaluate(*(x[own, i : i + 1] for i in range(x.shape[1])), first[own], span[own])[..., 0]
+        return out
 
     @staticmethod
     def _missed(out: Array, bounds: Array, n: int) -> tuple[Array, Array]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +60,14 @@ class Exploration:
     rounds: int = 0
 
 
+@dataclass(frozen=True)
+class _Round:
+    """Results of a round: the final designs of each combination of assembly modes, and its reordered designs."""
+
+    ends: list[FinalDesigns]
+    repaired: list[Candidate]
+
+
 class Searcher:
     """Multistart search of one problem; `variants` are its combinations of assembly modes.
 
@@ -66,28 +76,54 @@ class Searcher:
     """
 
     def __init__(self, variants: list[PathProblem], seed: int) -> None:
-        self.batches = [Batch(variant) for variant in variants]
-        self.fits = [SimilarityFit(batch) for batch in self.batches]
-        few = [batch.thinned(FEW) for batch in self.batches]
-        self.thin, self.lifts = [fit.of(thin) for fit, (thin, _) in zip(self.fits, few, strict=True)], [lift for _, lift in few]
+        self.batch = Batch(variants[0], variants[1:])
+        self.fit = SimilarityFit(self.batch)
+        self.batches = [self.batch.of_variant(k) for k in range(len(variants))]
+        self.thin, self.lift = self.batch.thinned(FEW)
         self.seed = seed
         self.exploration = Exploration()
+        self._ready: list[_Round] = []
 
-    def advance(self) -> Exploration:
-        """Run one round of starting points, and return all candidates so far."""
+    def advance(self, ahead: int = 1) -> Exploration:
+        """Run one round of starting points, and return all candidates so far.
+
+        Parameters
+        ----------
+        ahead : int
+            Number of rounds to compute at a time if none is ready: larger arrays take less time per design. The result of a
+            round does not depend on it.
+        """
         found = self.exploration
-        share = -(-min(PER_ROUND, FIRST_ROUND << min(found.rounds, 8)) // len(self.batches))
-        found.repaired = []
-        for variant, (batch, fit) in enumerate(zip(self.batches, self.thin, strict=True)):
-            rng = np.random.default_rng([self.seed, found.rounds, variant])
-            x, t = self._sample(fit.batch, fit, share, rng)
-            if len(x):
-                self._keep(variant, batch, self._run(variant, batch, fit, x, t))
-        found.starts += share * len(self.batches)
+        if not self._ready:
+            self._ready = self._rounds(range(found.rounds, found.rounds + ahead))
+        one = self._ready.pop(0)
+        found.repaired = sorted(one.repaired, key=lambda c: c.cost)
+        for variant, ends in enumerate(one.ends):
+            self._keep(variant, ends)
+        found.starts += self._share(found.rounds) * len(self.batches)
         found.rounds += 1
         return found
 
-    def _sample(self, batch: Batch, fit: SimilarityFit, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    def _share(self, number: int) -> int:
+        """Return the starting points of a round per combination of assembly modes."""
+        return -(-min(PER_ROUND, FIRST_ROUND << min(number, 8)) // len(self.batches))
+
+    def _rounds(self, numbers: range) -> list[_Round]:
+        """Compute rounds; a group is what a round starts with one combination of assembly modes."""
+        groups = [(number, variant) for number in numbers for variant in range(len(self.batches))]
+        samples = [self._sample(variant, self._share(number), number) for number, variant in groups]
+        firsts = self._descended(samples)
+        ends = self._finished(firsts)
+        found = []
+        for k in range(0, len(groups), len(self.batches)):
+            own = slice(k, k + len(self.batches))
+            repaired = [c for variant, first in enumerate(firsts[own]) for c in self._repaired(variant, first)]
+            found.append(_Round(ends[own], repaired))
+        return found
+
+    def _sample(self, variant: int, count: int, number: int) -> tuple[Array, Array]:
+        batch, rng = self.thin.of_variant(variant), np.random.default_rng([self.seed, number, variant])
+        fit = self.fit.of(batch)
         many = POOL * count
         x, t = starts.random_designs(batch, many, rng), starts.random_crank_angles(batch, many, rng)
         t = starts.within_reach(batch, x, t, rng)
@@ -105,35 +141,46 @@ class Searcher:
         chosen = np.concatenate([best, rng.permutation(rest)[: count // 2]])
         return x[chosen], t[chosen]
 
-    def _run(self, variant: int, batch: Batch, fit: SimilarityFit, x: Array, t: Array) -> FinalDesigns:
-        with_fit = (fit.fit, fit.linear) if fit.applies else (None, None)
-        steps = STEPS if fit.applies else 2 * STEPS
-        ends = minimise(fit.batch, x, t, steps, *with_fit, zero=NEAR, left=STRAGGLERS)
-        ends = replace(ends, t=ends.t @ self.lifts[variant])
-        self._repair(variant, batch, ends)
-        return self._finish(variant, batch, ends)
+    def _minimise(
+        self, batch: Batch, parts: list[tuple[Array, Array]], steps: int, fit: SimilarityFit | None, **options: Any
+    ) -> list[FinalDesigns]:
+        """Minimise the designs of all groups together, and return them by group."""
+        sizes = [len(x) for x, _ in parts]
+        if not sum(sizes):
+            return [FinalDesigns(x, t, np.zeros(0), np.zeros(0)) for x, t in parts]
+        group = np.repeat(np.arange(len(parts)), sizes)
+        x, t = (np.concatenate(each) for each in zip(*parts, strict=True))
+        projection = (None, None) if fit is None else (fit.fit, fit.linear)
+        ends = minimise(batch, x, t, steps, *projection, variant=group % len(self.batches), group=group, **options)
+        return [ends.take(np.flatnonzero(group == k)) for k in range(len(parts))]
 
-    def _finish(self, variant: int, batch: Batch, ends: FinalDesigns) -> FinalDesigns:
-        """Refine the best designs of a round to full precision.
+    def _descended(self, samples: list[tuple[Array, Array]]) -> list[FinalDesigns]:
+        """Minimise from the starting points, with few points of the path."""
+        applies = self.fit.applies
+        thin = self.fit.of(self.thin) if applies else None
+        ends = self._minimise(self.thin, samples, STEPS if applies else 2 * STEPS, thin, zero=NEAR, left=STRAGGLERS)
+        return [replace(end, t=end.t @ self.lift) for end in ends]
+
+    def _finished(self, firsts: list[FinalDesigns]) -> list[FinalDesigns]:
+        """Refine the best designs of each group to full precision.
 
         Near-circular curves have curved and narrow valleys. Variable projection (the fit) shortens them; full Levenberg-Marquardt
         steps give the last digits.
         """
-        proper = pass_in_order(batch, ends)[0] & (ends.missed <= MISSED)
-        order = np.argsort(np.where(proper, ends.cost, np.inf))[: max(1, FINISHED // len(self.batches))]
-        order = order[np.isfinite(ends.cost[order]) & proper[order]]
-        fit = self.fits[variant]
-        if len(order) and fit.applies:
-            ends = minimise(
-                batch, ends.x[order], ends.t[order], VALLEY, fit.fit, fit.linear, slow=1e-7, left=STRAGGLERS, after=AFTER
-            )
-            order = np.arange(len(order))
-        if not len(order):
-            return ends.take(order)
-        return minimise(batch, ends.x[order], ends.t[order], FINISH if fit.applies else VALLEY, slow=1e-9, after=AFTER)
+        parts = []
+        for ends in firsts:
+            proper = pass_in_order(self.batch, ends)[0] & (ends.missed <= MISSED) & np.isfinite(ends.cost)
+            order = np.argsort(np.where(proper, ends.cost, np.inf))[: max(1, FINISHED // len(self.batches))]
+            order = order[proper[order]]
+            parts.append((ends.x[order], ends.t[order]))
+        if self.fit.applies:
+            found = self._minimise(self.batch, parts, VALLEY, self.fit, slow=1e-7, left=STRAGGLERS, after=AFTER)
+            parts = [(ends.x, ends.t) for ends in found]
+        return self._minimise(self.batch, parts, FINISH if self.fit.applies else VALLEY, None, slow=1e-9, after=AFTER)
 
-    def _repair(self, variant: int, batch: Batch, ends: FinalDesigns) -> None:
+    def _repaired(self, variant: int, ends: FinalDesigns) -> Iterator[Candidate]:
         """Reorder the crank angles of the best designs that violate the order of the points or a limit."""
+        batch = self.batches[variant]
         proper, way = pass_in_order(batch, ends)
         wrong = np.isfinite(ends.cost) & ~(proper & (ends.missed <= MISSED))
         for i in np.argsort(np.where(wrong, ends.cost, np.inf))[: min(REPAIRED, int(wrong.sum()))]:
@@ -147,11 +194,10 @@ class Searcher:
             h, _ = batch.violations(ends.x[i : i + 1], angles)
             cost = float(np.sum(r * r) + np.sum(h * h))
             if np.isfinite(cost):
-                self.exploration.repaired.append(Candidate(variant, ends.x[i], t, cost, direction))
-        self.exploration.repaired.sort(key=lambda c: c.cost)
+                yield Candidate(variant, ends.x[i], t, cost, direction)
 
-    def _keep(self, variant: int, batch: Batch, ends: FinalDesigns) -> None:
-        proper, way = pass_in_order(batch, ends)
+    def _keep(self, variant: int, ends: FinalDesigns) -> None:
+        proper, way = pass_in_order(self.batch, ends)
         known = self.exploration.candidates
         for i in np.argsort(ends.cost):
             if not proper[i] or ends.missed[i] > MISSED or not np.isfinite(ends.cost[i]):

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from optlink.synthesis.batch import Batch
 
 Array = NDArray[np.float64]
-Fit = Callable[[Array, Array], tuple[Array, Array]]
+Fit = Callable[[Array, Array, NDArray[np.int_]], tuple[Array, Array]]
 
 FIRST_DAMPING = 1e-2
 LEAST_DAMPING, MOST_DAMPING = 1e-14, 1e9
@@ -47,6 +47,8 @@ class _State:
     """Designs that have not terminated."""
 
     index: NDArray[np.intp]
+    variant: NDArray[np.int_]
+    group: NDArray[np.int_]
     x: Array
     t: Array
     r: Array
@@ -63,10 +65,10 @@ class _State:
         return _State(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
 
 
-def _look(batch: Batch, x: Array, t: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
+def _look(batch: Batch, x: Array, t: Array, variant: NDArray[np.int_]) -> tuple[Array, Array, Array, Array, Array, Array]:
     angles = batch.crank_angles(x, t)
-    r, by_x, by_t = batch.residuals(x, angles)
-    h, by_h = batch.violations(x, angles)
+    r, by_x, by_t = batch.residuals(x, angles, variant)
+    h, by_h = batch.violations(x, angles, variant)
     cost = np.einsum("bpk,bpk->b", r, r) + np.einsum("bm,bm->b", h, h)
     smooth = np.isfinite(cost) & np.isfinite(by_x.sum(axis=(1, 2, 3)) + by_t.sum(axis=(1, 2)))  # none where modes meet
     return r, by_x, by_t, h, by_h, np.where(smooth, cost, np.inf)
@@ -80,6 +82,8 @@ def minimise(
     fit: Fit | None = None,
     linear: list[int] | None = None,
     *,
+    variant: NDArray[np.int_] | None = None,
+    group: NDArray[np.int_] | None = None,
     slow: float = SLOW,
     zero: float = ZERO,
     left: float = 0.0,
@@ -96,38 +100,46 @@ def minimise(
         Crank angles of the starting points.
     steps : int
         Largest number of steps.
-    fit : function (x, crank angles) to (x, crank angles), optional
+    fit : function (x, crank angles, variant) to (x, crank angles), optional
         Sets the linear variables to their optimum at every step (variable projection); fits outside the bounds are rejected.
     linear : list of int, optional
         Indices of the linear variables.
+    variant : array (designs,) of int, optional
+        Index of the assembly modes of each design in `batch.problems`. Default: the first.
+    group : array (designs,) of int, optional
+        Index of the group of each design, from zero: `left` and `after` hold within a group, so that the result of a design does
+        not depend on the other groups. Default: one group.
     slow : float
         Relative decrease of the cost below which a step counts as slow.
     zero : float
         Cost at which a design counts as exact.
     left : float
-        Share of the designs that may remain unconverged: all stop once no more than this share remains.
+        Share of the designs of a group that may remain unconverged: all stop once no more than this share remains.
     after : int, optional
-        Steps that remain for all designs once one has reached `zero`.
+        Steps that remain for all designs of a group once one has reached `zero`.
     """
     n = x.shape[1]
+    variant = np.zeros(len(x), dtype=int) if variant is None else variant
+    group = np.zeros(len(x), dtype=int) if group is None else group
     weight = np.ones(n)
     if fit is not None and linear:
         weight[linear] = 1e-6  # the fit overrides their step: damping them would only slow the other variables
     end_x, end_t = x.copy(), t.copy()
     end_cost, end_missed = np.full(len(x), np.inf), np.full(len(x), np.inf)
     with np.errstate(all="ignore"):
-        r, by_x, by_t, h, by_h, cost = _look(batch, x, t)
-    state = _State(
-        np.arange(len(x)), x, t, r, by_x, by_t, h, by_h, cost, np.full(len(x), FIRST_DAMPING), np.zeros(len(x), dtype=int)
-    ).take(np.isfinite(cost))
-    last, few = steps, left * len(x)
+        r, by_x, by_t, h, by_h, cost = _look(batch, x, t, variant)
+    damping, steady = np.full(len(x), FIRST_DAMPING), np.zeros(len(x), dtype=int)
+    state = _State(np.arange(len(x)), variant, group, x, t, r, by_x, by_t, h, by_h, cost, damping, steady).take(np.isfinite(cost))
+    members = np.bincount(group)
+    last = np.full(len(members), steps)
     for step in range(steps + 1):
         none_left = state.cost <= zero
         if after is not None and none_left.any():
-            last = min(last, step + after)
+            exact = np.unique(state.group[none_left])
+            last[exact] = np.minimum(last[exact], step + after)
         done = none_left | (state.slow >= PATIENCE) | (state.damping >= MOST_DAMPING)
-        if step >= last or np.count_nonzero(~done) <= few:
-            done[:] = True
+        ended = (step >= last) | (np.bincount(state.group[~done], minlength=len(members)) <= left * members)
+        done |= ended[state.group]
         if done.any():
             where = state.index[done]
             end_x[where], end_t[where], end_cost[where] = state.x[done], state.t[done], state.cost[done]
@@ -166,10 +178,10 @@ def _advance(batch: Batch, state: _State, weight: Array, fit: Fit | None, slow: 
         t = t + np.clip(-(along + np.einsum("bpn,bn->bp", mixed, step)) / own, -LONGEST_TURN, LONGEST_TURN)
     x = np.clip(state.x + step, batch.low, batch.high)
     if fit is not None:
-        fitted, turned = fit(x, batch.crank_angles(x, t))
+        fitted, turned = fit(x, batch.crank_angles(x, t), state.variant)
         inside = np.all((fitted >= batch.low) & (fitted <= batch.high), axis=1)[:, None]
         x, t = np.where(inside, fitted, x), np.where(inside, turned, t) if batch.free_timing else t
-    r, by_x, by_t, h, by_h, cost = _look(batch, x, t)
+    r, by_x, by_t, h, by_h, cost = _look(batch, x, t, state.variant)
     better = cost < state.cost
     decrease = np.where(better, (state.cost - np.where(better, cost, 0.0)) / np.maximum(state.cost, 1e-300), 0.0)
     state.slow = np.where(better & (decrease < slow), state.slow + 1, np.where(better, 0, state.slow))
@@ -178,4 +190,4 @@ def _advance(batch: Batch, state: _State, weight: Array, fit: Fit | None, slow: 
     for name, value in new.items():
         old = getattr(state, name)
         mask = better.reshape(-1, *[1] * (old.ndim - 1))
-        setattr(state, name, np.where(mask, value, old))
+        setattr(state, name, value if better.all() else np.where(mask, value, old))

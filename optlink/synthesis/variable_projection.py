@@ -24,7 +24,7 @@ from optlink.linkage.vector2d import minus, unit
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import START
 from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
-from optlink.synthesis.batch import Batch
+from optlink.synthesis.batch import Batch, Variant
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -66,7 +66,7 @@ class SimilarityFit:
             self._trace()
 
     def of(self, batch: Batch) -> SimilarityFit:
-        """Return the same projection for a batch with fewer points."""
+        """Return the same projection for a batch with fewer points, or with fewer assembly modes."""
         other = copy.copy(self)
         other.batch = batch
         return other
@@ -85,7 +85,7 @@ class SimilarityFit:
         x, t = casadi.SX.sym("x", n), casadi.SX.sym("t")
         values: dict[str, Any] = {name: quantity.value for name, quantity in problem.quantities.items()}
         values |= {v.name: v.origin + v.size * x[i] for i, v in enumerate(batch.variables)}
-        mechanism = problem.linkage
+        mechanism = batch.linkage()
         with symbols_in_numpy():
             pose = mechanism.pose(values, unit(t))
             link = mechanism.link(problem.body)
@@ -93,10 +93,10 @@ class SimilarityFit:
             at = pose.point(link.start if self.point else problem.requirement.point)
             arm, axis = minus(at, pivot), pose.direction(problem.body)
             outputs = [arm[0] / problem.size, arm[1] / problem.size, axis[0] + 0.0 * t, axis[1] + 0.0 * t]
-            self._tape = NumpyEvaluator([*(x[i] for i in range(n)), t], outputs)
+            self._tape = NumpyEvaluator([*(x[i] for i in range(n)), t, *batch.side_symbols.values()], outputs)
         self._pivot = [batch.names.index(f"{mechanism.crank.start}.{axis}") for axis in "xy"]
 
-    def fit(self, x: Array, t: Array) -> tuple[Array, Array]:
+    def fit(self, x: Array, t: Array, variant: Variant = 0) -> tuple[Array, Array]:
         """Return designs with optimal linear variables, and their crank angles; designs without a finite fit stay unchanged.
 
         Parameters
@@ -105,10 +105,12 @@ class SimilarityFit:
             Scaled design variables.
         t : array (designs, points) [rad]
             Crank angles of the points.
+        variant : int or array (designs,) of int
+            Index of the assembly modes of each design in `Batch.problems`.
         """
         batch = self.batch
         n = x.shape[1]
-        arm_x, arm_y, axis_x, axis_y = self._tape(*(x[:, i : i + 1] for i in range(n)), t)
+        arm_x, arm_y, axis_x, axis_y = self._tape(*(x[:, i : i + 1] for i in range(n)), t, *batch.side_columns(variant))
         centre = np.array(batch.problem.centre)
         wanted = ((batch.data.columns[:, 0] - centre[0]) + 1j * (batch.data.columns[:, 1] - centre[1])) / batch.problem.size
         arm, axis = arm_x + 1j * arm_y, axis_x + 1j * axis_y

@@ -28,6 +28,7 @@ MOST_DESIGNS = 50
 SMALL = 0.02  # estimated chance that a better design was missed at which a search ends
 LEAST_ROUNDS, MOST_ROUNDS = 3, 20
 FAR_ROUNDS = 40  # largest number, while the best design fits poorly
+AHEAD = 2  # rounds computed together, after the first one and while no design is exact
 COMPOUND_ROUNDS = 3  # largest number for a linkage of several dyads, whose starts and limits take longer
 PART_STARTS = 400  # of the four-bar that a linkage contains
 NO_FOUR_BAR = "no four-bar within this linkage carries {}: the search had random starts only, no starts from four-bar designs"
@@ -124,7 +125,7 @@ class _Search:
         try:
             while found.starts < starts if starts else not self._enough(exact):
                 exact = self.collection.exact
-                self.collection.add(self.searcher.advance())
+                self.collection.add(self.searcher.advance(1 if found.rounds == 0 or exact else AHEAD))
                 if found.rounds == 1 and has_several_dyads(path_model(self.problem)) and not self.collection.exact:
                     self._grow()
                 if progress:
