@@ -88,7 +88,7 @@ def infeasible_at(nlp: NLP, x: Array, message: str) -> Solution:
     return replace(solution_at(nlp, x, message), status=Status.INFEASIBLE)
 
 
-def solve_from(nlp: NLP, x: Array, name: str, *, track: bool = False) -> Solution:
+def solve_from(nlp: NLP, x: Array, name: str, *, track: bool = False, resume_infeasible: bool = True) -> Solution:
     """Run one local search from x.
 
     Parameters
@@ -100,6 +100,8 @@ def solve_from(nlp: NLP, x: Array, name: str, *, track: bool = False) -> Solutio
         Back end.
     track : bool
         Record the iterates.
+    resume_infeasible : bool
+        Whether to restart from an end whose violation exceeds what the tolerance of a solver explains (`NEARLY`).
     """
     start = repair(nlp, x, nlp.p)
     if start is None and not math.isfinite(nlp.values(x, nlp.p)[0]):
@@ -111,6 +113,8 @@ def solve_from(nlp: NLP, x: Array, name: str, *, track: bool = False) -> Solutio
     for _ in range(CONTINUATIONS):
         fine = scaled_parameters(nlp, solution.x)
         if solution.status is Status.OPTIMAL and fine[0] >= RESCALE * p[0]:
+            break
+        if solution.violation > NEARLY and not resume_infeasible:
             break
         again = _ended(nlp, run(nlp, solution.x, fine, tight=True), fine)
         p = fine

@@ -65,11 +65,11 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
     """
     nlp = start.nlp
     if not nlp.exchange_count:
-        return start if start.status is Status.OPTIMAL else local.solve_from(nlp, start.x, backend)
+        return start if start.status is Status.OPTIMAL else local.solve_from(nlp, start.x, backend, resume_infeasible=False)
     nlp.set_exchange_points((np.arange(nlp.exchange_count) + 0.5) / nlp.exchange_count)
     found = local.solution_at(nlp, start.x, start.message)
     if not near and found.status is not Status.OPTIMAL:
-        found = local.solve_from(nlp, start.x, backend)
+        found = local.solve_from(nlp, start.x, backend, resume_infeasible=False)
     radius, tops = RADIUS, _tops(task, found)
     for _ in range(EXCHANGES):
         if not math.isfinite(found.objective):
