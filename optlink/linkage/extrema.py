@@ -11,6 +11,7 @@ without using derivatives, Advances in Engineering Software 28 (1997) 145-149.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
@@ -280,7 +281,11 @@ STILL = 1e-11
 """Share of its largest value below which a rate is rounding."""
 
 
-def zeros(function: Function, grid: Array, count: int = 60, *, still: bool = False) -> list[Array]:
+NEWTON = 12  # steps
+Slope = Callable[[int, float], tuple[float, float]]
+
+
+def zeros(function: Function, grid: Array, count: int = 60, *, still: bool = False, slope: Slope | None = None) -> list[Array]:
     """Compute the crank angles [rad] at which each function changes sign, to machine precision.
 
     Parameters
@@ -291,6 +296,8 @@ def zeros(function: Function, grid: Array, count: int = 60, *, still: bool = Fal
         Maximum number of rounds of inverse quadratic interpolation or bisection.
     still : bool
         Whether the functions are rates that may be zero over a range: rounding errors then count as zero, not as reversals.
+    slope : callable, (index of a function, crank angle) -> (value, derivative), optional
+        Newton's method then replaces the rounds wherever it converges within the bracket.
 
     Returns
     -------
@@ -307,8 +314,28 @@ def zeros(function: Function, grid: Array, count: int = 60, *, still: bool = Fal
     def own(angles: Array, brackets: Index) -> Array:
         return in_portions(function, angles, which[brackets])
 
-    found = refined_roots(own, grid[where], grid[where + 1], left[crossing], right[crossing], count)
+    ends = grid[where], grid[where + 1], left[crossing], right[crossing]
+    found = np.full(len(which), np.nan)
+    if slope is not None:
+        found[:] = [_newton(slope, int(k), *(float(end[i]) for end in ends)) for i, k in enumerate(which)]
+    rest = np.flatnonzero(np.isnan(found))
+    low, high, at_low, at_high = (end[rest] for end in ends)
+    found[rest] = refined_roots(lambda angles, brackets: own(angles, rest[brackets]), low, high, at_low, at_high, count)
     return [found[which == k] for k in range(len(values))]
+
+
+def _newton(slope: Slope, k: int, low: float, high: float, at_low: float, at_high: float) -> float:
+    """Return the zero of a function within a bracket, to rounding; NaN if Newton's method leaves it or does not converge."""
+    at = low + (high - low) * abs(at_low) / (abs(at_low) + abs(at_high))
+    for _ in range(NEWTON):
+        value, rate = slope(k, at)
+        step = value / rate if rate else math.inf
+        at -= step
+        if not low <= at <= high:
+            return math.nan
+        if abs(step) <= 2.0 * math.ulp(high):
+            return at
+    return math.nan
 
 
 def refined_roots(

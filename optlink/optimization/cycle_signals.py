@@ -6,7 +6,7 @@ crank angles of these events are unknowns of the NLP, and within a stroke everyt
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -28,7 +28,7 @@ from optlink.problem.cycle.quantities import guide_of
 from optlink.problem.cycle.terms import Term, output_of
 from optlink.problem.machine.load_curves import Curve
 from optlink.problem.mechanism import sizes_of
-from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
+from optlink.symbolic import CompiledFunction, NumpyEvaluator, symbols_in_numpy
 
 Array = NDArray[np.float64]
 TURN = 2.0 * np.pi
@@ -274,25 +274,44 @@ class TracedCycle:
         sizes = {**sizes_of(self.problem.quantities), **values}
         return [sizes[name] for name in self.names]
 
+    @cached_property
+    def _event_rates(self) -> CompiledFunction:
+        """Events and their derivatives by the crank angle, at one crank angle."""
+        events = casadi.vertcat(*self._found)
+        return CompiledFunction([self._inputs], [events, casadi.jacobian(events, self._inputs[-1])])
+
     def structure(self, values: Mapping[str, float]) -> EventOrder | None:
         """Return the events of a design; None if the crank cannot rotate fully."""
-        known, groups = self.inputs(values), len(self.mechanism.groups)
+        return next(self.structures([values]))
+
+    def structures(self, designs: Sequence[Mapping[str, float]]) -> Iterator[EventOrder | None]:
+        """Yield the events of each design; None if the crank cannot rotate fully."""
+        known = np.array([self.inputs(values) for values in designs])
         grid = np.linspace(0.0, TURN, GRID + 1) + 0.37 * TURN / GRID
-        there = self._watch(*known, grid)
+        there = self._watch(*known.T[..., None], grid)
+        for k, inputs in enumerate(known):
+            yield self._structure(inputs, grid, there[:, k])
+
+    def _structure(self, known: Array, grid: Array, there: Array) -> EventOrder | None:
+        """Return the events of a design from its margins and event functions on a grid of crank angles."""
+        groups = len(self.mechanism.groups)
         if not np.all(np.isfinite(there)) or np.any(there[:groups] < 0.0):
             return None
         if not self.events:
             return EventOrder((), (), ())
-        count = len(self.events)
 
         def values_at(angles: Array) -> Array:
-            return self._watch(*known, angles)[groups : groups + count]
+            return there[groups:] if angles is grid else self._watch(*known, angles)[groups:]
+
+        def slope(k: int, angle: float) -> tuple[float, float]:
+            value, rate = self._event_rates(np.append(known, angle))
+            return float(value[k]), float(rate[k])
 
         cutting: list[tuple[float, int, bool]] = []
         every: dict[int, list[tuple[float, int, bool]]] = {}
         told: list[tuple[float, int, bool]] = []
-        for k, places in enumerate(zeros(values_at, grid, still=True)):
-            rises = values_at(places + AHEAD)[k] > 0.0 if places.size else []
+        for k, places in enumerate(zeros(values_at, grid, still=True, slope=slope)):
+            rises = [slope(k, at + AHEAD)[0] > 0.0 for at in places.tolist()]
             own = [(float(at) % TURN, k, bool(up)) for at, up in zip(places, rises, strict=True)]
             every[k] = own
             if self.events[k].cuts:

@@ -24,7 +24,7 @@ from optlink.problem.function import EPIGRAPH, DesignProblem, StartPosition
 from optlink.problem.limits import Reach
 from optlink.problem.quantity import Quantity
 from optlink.problem.robust import EXPECTED, residuals
-from optlink.symbolic import CompiledFunction, packed, symbols_in_numpy, unpacked
+from optlink.symbolic import BufferedFunction, CompiledFunction, packed, symbols_in_numpy, unpacked
 
 Array = NDArray[np.float64]
 
@@ -137,8 +137,21 @@ class NLP:
     def _residual_slopes(self) -> CompiledFunction:
         return CompiledFunction([self.x_symbol, self.p_symbol], [casadi.jacobian(self.residual_expression, self.x_symbol)])
 
+    def take_hessian(self, function: Any) -> None:
+        """Use the Hessian of the Lagrangian that a back end has generated, unless there is one: generating it takes long.
+
+        Parameters
+        ----------
+        function : casadi.Function
+            (x, p, factor of the objective, multipliers) -> upper triangle.
+        """
+        if "_hessian" not in vars(self):
+            given = [casadi.MX.sym("given", function.sparsity_in(i)) for i in (0, 1, 3)]
+            upper = function(given[0], given[1], 1.0, given[2])
+            vars(self)["_hessian"] = CompiledFunction(given, [casadi.triu2symm(upper)])
+
     @cached_property
-    def _hessian(self) -> CompiledFunction:
+    def _hessian(self) -> BufferedFunction:
         multipliers = casadi.SX.sym("multipliers", len(self.rows))
         lagrangian = self.f_expression + casadi.dot(multipliers, self.g_expression)
         return CompiledFunction([self.x_symbol, self.p_symbol, multipliers], [casadi.hessian(lagrangian, self.x_symbol)[0]])

@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 
 STARTS = 8  # default number of starting points
 SAMPLES = 64  # random designs per starting point; only those with the structure of the initial design are used
+BLOCK = 32  # random designs whose events are determined together
 ORDERS = 2  # further orders of events searched while no feasible design is known
 COARSE, TRIED = 24, 2  # positions per revolution, and starts, of the infeasibility analysis
 
@@ -57,8 +58,8 @@ class StartSequence:
         """Iterate over the design of the file and `count` random ones, with their structure (None if the crank cannot rotate)."""
         for k in range(count + 1):
             if k == len(self._known):
-                values = next(self._next)
-                self._known.append((values, self.trace.structure(values)))
+                many = list(itertools.islice(self._next, BLOCK if k else 1))
+                self._known += zip(many, self.trace.structures(many), strict=True)
             yield self._known[k]
 
 

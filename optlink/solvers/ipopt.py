@@ -93,6 +93,7 @@ def compiled(nlp: NLP, tight: bool = False, close: bool = False) -> Any:
     key = f"ipopt, {tight}, {close}"
     if key not in nlp.cache:
         nlp.cache[key] = _solver(nlp, (TIGHT if tight else {}) | (NEAR if close else {}))
+        nlp.take_hessian(nlp.cache[key].get_function("nlp_hess_l"))
     return nlp.cache[key]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -60,16 +60,17 @@ class Batch:
         self.low, self.high = ((side - self.origin) / self.scale for side in bounds.T)
         self.four_bar = isinstance(problem.mechanism, FourBarSection)
         self.crank_turns = problem.limits.crank != "span"
-        own = zip(*(each.linkage.groups for each in self.problems), strict=True)
-        modal = [groups for groups in own if isinstance(groups[0], ModalDyad) and len({g.side for g in groups}) > 1]  # type: ignore[attr-defined]
-        self.sides = np.array([[g.side for g in groups] for groups in modal], dtype=float).T  # type: ignore[attr-defined]
+        own: Iterable[tuple[Any, ...]] = zip(*(each.linkage.groups for each in self.problems), strict=True)
+        modal = [groups for groups in own if isinstance(groups[0], ModalDyad) and len({g.side for g in groups}) > 1]
+        self.sides = np.array([[g.side for g in groups] for groups in modal], dtype=float).T
         self.side_symbols = {groups[0].joint: casadi.SX.sym(groups[0].joint) for groups in modal}
         self._trace()
 
     def linkage(self) -> Mechanism:
         """Return the linkage, with symbols for the assembly modes that differ between the designs."""
         linkage, symbols = self.problem.linkage, self.side_symbols
-        groups = [replace(g, side=symbols[g.joint]) if g.joint in symbols else g for g in linkage.groups]  # type: ignore[call-arg]
+        known: tuple[Any, ...] = linkage.groups
+        groups = [replace(g, side=symbols[g.joint]) if g.joint in symbols else g for g in known]
         return replace(linkage, groups=tuple(groups)) if symbols else linkage
 
     def side_columns(self, variant: Variant) -> list[Array]:
