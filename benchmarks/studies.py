@@ -1,6 +1,7 @@
 """What-if studies of the crank-rocker: a sweep of optima against cold solves and on Dask, samples of its tolerances.
 
 `python benchmarks/studies.py`, or as a part of `benchmarks/run.py`. Dask is skipped where it is not installed.
+`python benchmarks/studies.py million` sweeps 10^5 and 10^6 points and prints time and memory.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ from typing import Any
 
 from timing import ROOT, Row
 
-POINTS = 2500  # of a sweep: 50 frames, 50 limits
-COLD = 25  # of them, each solved from the start of the file
+SIDE, LARGE, MILLION = 100, 300, 1000  # points along each of the two axes of a grid
+COLD = 25  # points solved each from the start of the file
 RUNS = 3
 SAMPLES = 1_000_000
 TOLERANCES = ("crank=0.05 mm", "coupler=0.1 mm", "rocker=0.1 mm", "D.x=0.1 mm", "D.y=0.05 mm")
@@ -29,52 +30,59 @@ def taken(run: Callable[[], Any], clock: Callable[[], float] = time.perf_counter
     return clock() - begin
 
 
+def swept(side: int, **options: Any) -> tuple[Any, float]:
+    """Sweep a grid of optima; return the study and its seconds."""
+    import optlink
+    from optlink.studies.sweep import sweep
+
+    vary = [f"mechanism.frame=450..550 mm:{side}", f"limits.transmission_angle.max=125..140 deg:{side}"]
+    begin = time.perf_counter()
+    study = sweep(optlink.load("crank-rocker"), vary, **options)
+    assert study.complete
+    return study, time.perf_counter() - begin
+
+
 def rows() -> list[Row]:
     """All comparisons."""
     import optlink
-    from optlink.studies.sweep import sweep
     from optlink.studies.tolerance.analysis import tolerance
 
     problem = optlink.load("crank-rocker")
-    vary = ["mechanism.frame=450..550 mm:50", "limits.transmission_angle.max=125..140 deg:50"]
-    engines = ["local", "dask"] if importlib.util.find_spec("distributed") else ["local"]
-    walls: dict[str, list[float]] = {engine: [] for engine in engines}
-    processor = []
-    for _ in range(RUNS):
-        for engine in engines:
-            begin = time.perf_counter()
-            study = sweep(problem, vary, engine=engine, workers=2)
-            walls[engine].append(time.perf_counter() - begin)
-            if engine == "local":
-                processor.append(study.cpu)
-    each = statistics.median(processor) / POINTS
 
     def cold() -> None:
         for k in range(COLD):
             optlink.solve(problem.override({"mechanism.frame": f"{450 + 100 * k / (COLD - 1):.9g} mm"}), "ipopt", certify=False)
 
     cold()
-    alone = statistics.median(taken(cold, time.process_time) for _ in range(RUNS)) / COLD
-    wall = statistics.median(walls["local"])
+    walls, each, alone = [], [], []
+    for _ in range(RUNS):  # in turn
+        study, wall = swept(SIDE, workers=1)
+        walls.append(wall)
+        each.append(study.cpu / SIDE**2)
+        alone.append(taken(cold, time.process_time) / COLD)
+    ours, theirs, wall = (statistics.median(values) for values in (each, alone, walls))
     result = [
         Row(
-            f"sweep of {POINTS:,} optima, every one proven: processor time each, against a cold solve in the same process",
-            f"{1e3 * each:.2f} ms",
-            f"{1e3 * alone:.2f} ms",
-            alone / each,
-            ">= 1",
-            f"crank-rocker, frame and transmission angle varied; {wall:.1f} s on 2 processes, {POINTS / wall:.0f} a second",
-            figures={"ours": each, "theirs": alone, "wall": wall},
+            f"sweep of {SIDE**2:,} optima, every one proven: processor time each, against a cold solve in the same process",
+            f"{1e3 * ours:.3f} ms",
+            f"{1e3 * theirs:.2f} ms",
+            theirs / ours,
+            ">= 10",
+            f"crank-rocker, frame and transmission angle varied; {wall:.1f} s in one process, {SIDE**2 / wall:,.0f} a second",
+            figures={"ours": ours, "theirs": theirs, "wall": wall},
         )
     ]
-    what = f"the same sweep on 2 Dask workers of this machine, {os.cpu_count()} processors"
-    if "dask" in walls:
-        dask = statistics.median(walls["dask"])
-        note = "cluster started and closed within the time; the share grows with the number of points"
-        figures = {"ours": dask, "theirs": wall}
-        result.append(Row(what, f"{dask:.1f} s", f"{wall:.1f} s", wall / dask, note=note, percent=True, figures=figures))
+    what = f"sweep of {LARGE**2:,} optima on 2 Dask workers of this machine ({os.cpu_count()} processors): efficiency"
+    if importlib.util.find_spec("distributed"):
+        cluster = {"workers": 2, "engine": "dask"}
+        times = [[swept(side, **way)[1] for side in (LARGE, SIDE) for way in ({"workers": 1}, cluster)] for _ in range(RUNS)]
+        single, dask, short, begun = (statistics.median(values) for values in zip(*times, strict=True))
+        note = f"without the start of the cluster (from a sweep of {SIDE**2:,}); with it {single / (2.0 * dask):.0%}"
+        figures = {"ours": dask, "theirs": single, "ours_small": begun, "theirs_small": short}
+        share = (single - short) / (2.0 * (dask - begun))
+        result.append(Row(what, f"{dask:.1f} s", f"{single:.1f} s", share, note=note, percent=True, figures=figures))
     else:
-        result.append(Row(what, "skipped", f"{wall:.1f} s", note="distributed is not installed", figures={"theirs": wall}))
+        result.append(Row(what, "skipped", "", note="distributed is not installed"))
     seconds = [taken(lambda: tolerance(problem, TOLERANCES, limit="2.5 deg", samples=SAMPLES)) for _ in range(RUNS)]
     sampled = statistics.median(seconds)
     what = f"yield from {SAMPLES:,} linkages, output error along the span, {len(TOLERANCES)} tolerances"
@@ -82,7 +90,22 @@ def rows() -> list[Row]:
     return result
 
 
+def million() -> None:
+    """Print time and peak resident memory of sweeps of 10^5 and 10^6 optima on 2 processes."""
+    import resource
+
+    for side in (round(MILLION / 10**0.5), MILLION):
+        wall = swept(side, workers=2)[1]
+        own, workers = (resource.getrusage(who).ru_maxrss / 1024 for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+        print(
+            f"{side**2:,} optima: {wall:.1f} s on 2 processes; peak memory {own:.0f} MB, of a worker {workers:.0f} MB", flush=True
+        )
+
+
 if __name__ == "__main__":
     sys.path.insert(0, str(ROOT))
+    if sys.argv[1:] == ["million"]:
+        million()
+        sys.exit()
     for row in rows():
         print(f"{row.what}: {row.ours} | {row.theirs} | {row.shown(row.ratio)} | {row.note}")

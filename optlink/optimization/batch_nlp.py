@@ -78,7 +78,8 @@ class BatchNLP:
         """
         n, count, scale = self.size, len(x), p[:, :1]
         of_rows = multipliers[:, n:]
-        inputs = [*x.T[:, :, None], *p.T[:, :, None], self.offsets, self.tabulated]
+        positions = [np.broadcast_to(one, (count, len(one))) for one in (self.offsets, self.tabulated)]
+        inputs = [*x.T[:, :, None], *p.T[:, :, None], *positions]
         residuals = self._residuals(*inputs).reshape(self.width, -1, count, len(self.offsets))
         error, first, second = residuals[:, 0], residuals[:, 1 : 1 + n], residuals[:, 1 + n :]
         limits = self._limits(*x.T, *p.T, *of_rows[:, : self.limits].T).reshape(-1, count)

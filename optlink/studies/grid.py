@@ -20,7 +20,7 @@ from optlink.studies.toml_keys import Raw, exact_text
 from optlink.units import plain
 
 MAX_POINTS = 10_000_000
-ROW_BYTES, POINTS_PER_SECOND = 160, 200  # for the error message on too many points
+ROW_BYTES, POINTS_PER_SECOND = 160, 5000  # for the error message on too many points
 EXAMPLE = 'Write KEY=LOW..HIGH UNIT:N, for example mechanism.frame="450..550 mm:101", or a list: "450 mm, 500 mm"'
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"

@@ -225,15 +225,15 @@ class ParametricProgramme:
         self.nlp: NLP = build(problem.spec)
         self.size = problem.spec.quantities["frame"].value
 
-    def parameters(self, task: DesignProblem, count: int = 1) -> BatchProblem:
+    def parameters(self, task: DesignProblem, count: int | None = None) -> BatchProblem:
         """Return parameters and bounds of the programme for problems of the same structure.
 
         Parameters
         ----------
         task : DesignProblem
             Its numbers may be arrays (points,).
-        count : int
-            Number of points.
+        count : int, optional
+            Number of points. Default: one, with numbers instead of arrays.
         """
         nlp, quantities = self.nlp, task.quantities
         p: list[Any] = list(nlp.p)
@@ -251,6 +251,8 @@ class ParametricProgramme:
         bounds += [(row.low, row.high) for row in rows]
         bounds += zip(nlp.low[len(rows) :], nlp.high[len(rows) :], strict=True)
         lower, upper = zip(*bounds, strict=True)
+        if count is None:
+            return BatchProblem(*(np.array([own], dtype=float) for own in (p, lower, upper)))
         return BatchProblem(*(np.array([np.broadcast_to(one, count) for one in own], dtype=float).T for own in (p, lower, upper)))
 
     def bind(self, task: DesignProblem) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from optlink.linkage.dyad_types import RPR, RRR
 from optlink.linkage.extrema import extremes
-from optlink.linkage.fourbar import LENGTHS, Inversion, grashof
+from optlink.linkage.fourbar import LENGTHS, grashof
 from optlink.linkage.mechanism import Group
 from optlink.linkage.motion import Motion
 from optlink.problem.limits import Alignment, Limits
@@ -56,11 +56,11 @@ def grashof_check(design: Mapping[str, ArrayLike], limits: Limits) -> Checks:
         Kind of crank rotation and length margin.
     """
     lengths = np.array(np.broadcast_arrays(*(np.atleast_1d(design[name]) for name in LENGTHS)), dtype=float)
-    kinds = [grashof(*own) for own in lengths.T.tolist()]
-    wanted = Inversion.DOUBLE_CRANK if limits.crank == "double-crank" else Inversion.CRANK_ROCKER
-    slack, margin = np.array([kind.slack for kind in kinds]), limits.length_margin * np.max(lengths, axis=0)
-    check = at_least(lambda k: f"Grashof: {kinds[k].inversion.value}", slack * 1e3, margin * 1e3, "mm")
-    return replace(check, passed=check.passed & [kind.inversion is wanted for kind in kinds])
+    shortest, second, third, longest = np.sort(lengths, axis=0)
+    turning = "frame" if limits.crank == "double-crank" else "crank"  # the shortest link of the required inversion
+    slack, margin = second + third - shortest - longest, limits.length_margin * longest
+    check = at_least(lambda k: f"Grashof: {grashof(*lengths[:, k].tolist()).inversion.value}", slack * 1e3, margin * 1e3, "mm")
+    return replace(check, passed=check.passed & (slack > 0.0) & (np.argmin(lengths, axis=0) == LENGTHS.index(turning)))
 
 
 def included_cosine(one: ArrayLike, other: ArrayLike, square: Array) -> Array:
