@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import math
 import shutil
 import tempfile
@@ -36,6 +37,7 @@ from optlink.studies.sweep_task import SweepTask
 CHANGED = "active_set_changed"
 OPTIMISE = "optimise"  # mode of a sweep that optimises at every point
 MOST_ANGLES = 10_000  # largest number of crank angles of an analysis
+PORTION = 10_000  # rows of a table that are read at a time
 KEPT = 200  # active-set changes listed in a result; the table marks all
 TEXT = ("status", "failed", "active", "method", "reason")
 
@@ -156,9 +158,11 @@ class Sweep(Recorded):
         """The table: arrays by name, of texts for columns of words."""
         with self.path.open(encoding="utf-8", newline="") as file:
             rows = csv.reader(file)
-            names = next(rows)
-            table = list(zip(*rows, strict=True))
-        return {name: _column(name, values) for name, values in zip(names, table, strict=True)}
+            names, parts = next(rows), []
+            while portion := list(itertools.islice(rows, PORTION)):
+                columns = zip(names, zip(*portion, strict=True), strict=True)
+                parts.append([_column(name, values) for name, values in columns])
+        return {name: np.concatenate(column) for name, column in zip(names, zip(*parts, strict=True), strict=True)}
 
     @property
     def evaluated(self) -> bool:

@@ -14,6 +14,7 @@ from optlink.optimization.nlp import build
 from optlink.solvers import multistart
 from optlink.studies import reoptimise_task
 from optlink.studies.batch.blocks import MOST, Blocks
+from optlink.studies.execution.runner import apart
 from optlink.studies.grid import Axis, Grid, read_grid
 from optlink.studies.reoptimise_task import FOLLOWED, ReoptimiseTask, chunk_of
 from optlink.studies.sweep import sweep
@@ -178,3 +179,11 @@ def test_a_search_that_ends_in_a_worse_optimum_is_mended_by_its_neighbours(monke
     assert [float(row[column]) for row in rows] == pytest.approx([float(row[column]) for row in expected], rel=1e-9)
     assert len(search._others(np.array([1]), [[0, 2]])[0]) == 2
     assert search._others(np.array([0]), [[1]]) == [{1}]
+
+
+@pytest.mark.parametrize(("count", "workers"), [(10, 2), (11, 3), (1, 4), (0, 2)])
+def test_workers_that_take_turns_get_neighbouring_chunks(count, workers):
+    order = apart(list(range(count)), workers)
+    assert sorted(order) == list(range(count))
+    if count >= 2 * workers:
+        assert all(order[k + workers] == order[k] + 1 for k in range(workers * (count // workers - 1)))

@@ -85,8 +85,21 @@ def run(
     if engine == "dask":
         from optlink.studies.execution.cluster import on_cluster
 
-        return on_cluster(task, todo, workers or cores(), scheduler)
-    return _local(task, list(todo), workers or cores())
+        return on_cluster(task, apart(list(todo), workers or cores()), workers or cores(), scheduler)
+    return _local(task, apart(list(todo), workers or cores()), workers or cores())
+
+
+def apart(todo: list[int], workers: int) -> list[int]:
+    """Return the chunks in an order in which each worker gets neighbouring ones: what it has computed serves for the next.
+
+    Parameters
+    ----------
+    todo : list of int
+    workers : int
+        They take one chunk after the other in turn.
+    """
+    length = max(1, -(-len(todo) // workers))
+    return [todo[at] for first in range(length) for at in range(first, len(todo), length)]
 
 
 def _local(task: ChunkTask, todo: list[int], workers: int) -> Iterator[tuple[int, ChunkResult]]:
