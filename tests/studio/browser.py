@@ -87,7 +87,8 @@ class Page:
     def verified(self) -> None:
         """Wait for a verified design, with no search that may change it."""
         done = "document.documentElement.dataset.searching === undefined && !document.documentElement.hasAttribute('data-busy')"
-        self.until(f"return document.querySelector('#canvas').dataset.status === 'verified' && {done}")
+        said = "!/search/.test(document.querySelector('#conclusion').textContent)"
+        self.until(f"return document.querySelector('#canvas').dataset.status === 'verified' && {done} && {said}")
 
     # --- mouse ---------------------------------------------------------------------------------------------------------------
 

@@ -114,7 +114,7 @@ const knobs = new Handles(canvas, view, {
   },
   away: (handle) => {
     const at = handle.id.startsWith("requirement.") ? null : reference(handle); // targets stay where they are
-    return at !== null && Math.abs(motion.at - at) > 0.02;
+    return at !== null && motion.apart(at) > 0.05;
   },
   drag: (fields, stamp) => live.drag(fields, stamp),
   changed: redraw,
@@ -149,21 +149,9 @@ function reference({ at, centre, id }) {
     references.scene = scene;
   }
   if (!references.has(id)) {
-    references.set(id, nearest(scene, centre || at));
+    references.set(id, linkage.position(centre || at));
   }
   return references.get(id);
-}
-
-function nearest(scene, place) {
-  const near = 0.004 * Math.hypot(scene.box[2] - scene.box[0], scene.box[3] - scene.box[1]);
-  for (const path of Object.values(scene.points || {})) {
-    const away = path.map((at) => (at && at[0] !== null ? Math.hypot(at[0] - place[0], at[1] - place[1]) : Infinity));
-    const best = away.indexOf(Math.min(...away));
-    if (away[best] < near && Math.max(...away.filter(Number.isFinite)) > near) {
-      return away[0] < near ? 0 : best;
-    }
-  }
-  return null;
 }
 
 function preview(scene) {

@@ -224,6 +224,33 @@ export class Linkage {
     return at && at[0] !== null ? at : null;
   }
 
+  // Position of the motion at which a moving point is at a place [mm]; null if there is none.
+  position([x, y]) {
+    const { scene } = this;
+    const near = 0.004 * Math.hypot(scene.box[2] - scene.box[0], scene.box[3] - scene.box[1]);
+    let found = null;
+    let least = near;
+    for (const path of Object.values(scene.points || {})) {
+      const [first] = path;
+      if (path.every((at) => at && first && Math.hypot(at[0] - first[0], at[1] - first[1]) < near)) {
+        continue; // a point of the frame
+      }
+      for (let k = 0; k + 1 < path.length; k += 1) {
+        const [a, b] = [path[k], path[k + 1]];
+        if (!a || !b || a[0] === null || b[0] === null) {
+          continue;
+        }
+        const [dx, dy] = [b[0] - a[0], b[1] - a[1]];
+        const share = Math.min(Math.max(((x - a[0]) * dx + (y - a[1]) * dy) / (dx * dx + dy * dy || 1), 0), 1);
+        const away = Math.hypot(a[0] + share * dx - x, a[1] + share * dy - y);
+        if (away < least - 1e-9) {
+          [least, found] = [away, k + share];
+        }
+      }
+    }
+    return found;
+  }
+
   pose() {
     const { scene, view } = this;
     const [low, high, share] = this.between();

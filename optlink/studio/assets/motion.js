@@ -38,6 +38,12 @@ export class Motion {
     return this.last > 0 ? this.angles[low] + (this.at - low) * (this.angles[low + 1] - this.angles[low]) : this.angles[0];
   }
 
+  // Distance of the present position from another one, over the end of a closed motion if that is shorter.
+  apart(at) {
+    const apart = Math.abs(this.at - at);
+    return this.closed ? Math.min(apart, this.last - apart) : apart;
+  }
+
   put(at) {
     this.at = Math.min(Math.max(at, 0), this.last);
     this.write();

@@ -63,7 +63,7 @@ export class Panel {
     setText($("conclusion"), state.conclusion || "");
     const [label, value, took] = $("objective").children;
     const known = Number.isFinite(state.objective?.value) && state.status !== "infeasible";
-    $("objective").hidden = !known && !(state.moving && state.objective);
+    $("objective").hidden = !known && (!state.moving || !state.objective || state.status === "infeasible");
     if (state.objective) {
       setText(label, state.objective.label);
       setText(value, quantity(state.objective.value, state.objective.unit, 6));
@@ -261,7 +261,7 @@ export class Panel {
       ({ children: [name, price] }, one) => {
         const sides = one.limit.replace("<=", "≤").replace(">=", "≥");
         setText(name, sides + (Number.isFinite(one.value) ? ` ${quantity(one.value, one.unit, 4, plain)}` : ""));
-        setText(price, one.price === null ? "–" : quantity(one.price, one.price_unit, 4));
+        setText(price, one.price === null ? "–" : quantity(/[<>]/.test(one.limit) ? Math.abs(one.price) : one.price, one.price_unit, 4));
       }
     );
   }

@@ -1,0 +1,162 @@
+"""Pictures and the film of the studio for the documentation, taken from a headless Chromium.
+
+    python benchmarks/studio_film.py [--out docs/images] [film start poses curve phone]
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from optlink.report.style import one_palette
+from tests.browser import browser, colours
+from tests.studio.browser import Page, studio
+
+FILM = (860, 540)  # inside of the window [px]
+COLOURS = 64
+EACH = 80  # duration of a frame of the film [ms]
+REST = 1200  # of its last one [ms]
+ARROW = ((0, 0), (0, 17), (4, 13), (7, 20), (10, 19), (7, 12), (12, 12))  # mouse pointer [px]
+
+
+def shot(page: Page, pointer: tuple[float, float] | None = None) -> Image.Image:
+    """Return a picture of the window, with a mouse pointer, which a headless browser has not.
+
+    Parameters
+    ----------
+    page : Page
+    pointer : (x, y) [px] or None, optional
+    """
+    picture = Image.open(io.BytesIO(page.driver.get_screenshot_as_png())).convert("RGB")
+    if pointer is not None:
+        corners = [(pointer[0] + x, pointer[1] + y) for x, y in ARROW]
+        ImageDraw.Draw(picture).polygon(corners, fill="#111111", outline="#ffffff", width=1)
+    return picture
+
+
+def place(page: Page, handle: str) -> tuple[float, float]:
+    """Return the middle of a handle [px]."""
+    box = page.run("return document.querySelector(`[data-handle='${arguments[0]}'] .ring`).getBoundingClientRect()", handle)
+    return box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
+
+
+def dragged(page: Page, handle: str, way: Sequence[tuple[int, int]]) -> Iterator[Image.Image]:
+    """Yield a picture after every step of a drag, and some after its release.
+
+    Parameters
+    ----------
+    page : Page
+    handle : str
+    way : sequence of (x, y) [px]
+        Steps.
+    """
+    x, y = place(page, handle)
+    page.press(handle)
+    for u, v in way:
+        page.move([(u, v)])
+        x, y = x + u, y + v
+        answered = page.run("return window.studioTimings.length")
+        page.until("return window.studioTimings.length >= arguments[0]", answered)
+        time.sleep(0.06)
+        yield shot(page, (x, y))
+    page.release()
+    page.verified()
+    for _ in range(5):
+        yield shot(page, (x, y))
+
+
+def film(page: Page, out: Path) -> None:
+    """Record the film: motion, a drag of the ground pivot, a drag of the limit of the transmission angle."""
+    page.size(*FILM)
+    page.open("crank-rocker")
+    pictures = []
+    for k in range(0, 73, 6):
+        page.run("const c = document.querySelector('#crank'); c.value = arguments[0]; c.dispatchEvent(new Event('input'))", k)
+        pictures.append(shot(page))
+    smooth = [round(6.0 * math.sin(math.pi * k / 12.0)) for k in range(1, 12)]
+    pictures += dragged(page, "mechanism.frame", [(-s, 0) for s in smooth] + [(s, 0) for s in smooth])
+    pictures += dragged(page, "limits.transmission_angle.max", [(-s, s // 2) for s in smooth] + [(s, -(s // 2)) for s in smooth[:8]])
+    frames = one_palette([np.asarray(one) for one in pictures], COLOURS)
+    times = [EACH] * (len(frames) - 1) + [REST]
+    frames[0].save(out / "studio.gif", save_all=True, append_images=frames[1:], duration=times, loop=0, optimize=False)
+
+
+def still(page: Page, path: Path) -> None:
+    """Save a picture of the window with few colours."""
+    shot(page).quantize(160, dither=Image.Dither.NONE).save(path, optimize=True)
+
+
+def start(page: Page, out: Path) -> None:
+    """The first screen."""
+    page.size(1200, 860)
+    page.open()
+    time.sleep(0.5)
+    page.run("document.activeElement.blur()")
+    still(page, out / "studio-start.png")
+
+
+def poses(page: Page, out: Path) -> None:
+    """A pose while it is dragged: the design is not verified."""
+    page.size(1200, 760)
+    page.open("motion-3-poses")
+    page.press("requirement.points.1")
+    page.move([(2, 2)] * 8, 40)
+    time.sleep(0.5)
+    still(page, out / "studio-poses.png")
+    page.release()
+
+
+def curve(page: Page, out: Path) -> None:
+    """A curve drawn by hand, and the four-bars for it."""
+    page.size(1200, 760)
+    page.open()
+    page.find("#start-draw").click()
+    page.stroke(lambda k: (150.0 * math.cos(k * math.pi / 24.0), 60.0 * math.sin(k * math.pi / 24.0) - 90.0), 48)
+    page.until("return document.querySelector('.candidate') && !document.querySelector('#tray').hasAttribute('data-searching')")
+    page.run("document.querySelector('.candidate').dispatchEvent(new Event('pointerenter'))")
+    time.sleep(1.0)
+    still(page, out / "studio-curve.png")
+
+
+def phone(page: Page, out: Path) -> None:
+    """A narrow window in dark colours."""
+    page.size(400, 860)
+    with colours(page.driver, dark=True):
+        page.open("crank-rocker")
+        time.sleep(0.3)
+        still(page, out / "studio-phone.png")
+
+
+PICTURES: dict[str, Callable[[Page, Path], None]] = {
+    "film": film,
+    "start": start,
+    "poses": poses,
+    "curve": curve,
+    "phone": phone,
+}
+
+
+def main() -> None:
+    """Take the pictures."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--out", type=Path, default=Path(__file__).resolve().parents[1] / "docs" / "images")
+    parser.add_argument("pictures", nargs="*", choices=[*PICTURES, []], default=list(PICTURES))
+    options: Any = parser.parse_args()
+    with browser() as driver, studio() as address:
+        for name in options.pictures:
+            PICTURES[name](Page(driver, address), options.out)
+
+
+if __name__ == "__main__":
+    main()
