@@ -1,6 +1,6 @@
 """Pictures and the film of the studio for the documentation, taken from a headless Chromium.
 
-    python benchmarks/studio_film.py [--out docs/images] [film start poses curve phone]
+python benchmarks/studio_film.py [--out docs/images] [film start poses curve phone]
 """
 
 from __future__ import annotations
@@ -86,7 +86,9 @@ def film(page: Page, out: Path) -> None:
         pictures.append(shot(page))
     smooth = [round(6.0 * math.sin(math.pi * k / 12.0)) for k in range(1, 12)]
     pictures += dragged(page, "mechanism.frame", [(-s, 0) for s in smooth] + [(s, 0) for s in smooth])
-    pictures += dragged(page, "limits.transmission_angle.max", [(-s, s // 2) for s in smooth] + [(s, -(s // 2)) for s in smooth[:8]])
+    pictures += dragged(
+        page, "limits.transmission_angle.max", [(-s, s // 2) for s in smooth] + [(s, -(s // 2)) for s in smooth[:8]]
+    )
     frames = one_palette([np.asarray(one) for one in pictures], COLOURS)
     times = [EACH] * (len(frames) - 1) + [REST]
     frames[0].save(out / "studio.gif", save_all=True, append_images=frames[1:], duration=times, loop=0, optimize=False)

@@ -68,7 +68,9 @@ class Page:
         """Wait until a script returns something true."""
         end = time.monotonic() + seconds
         while not (value := self.run(script, *arguments)):
-            assert time.monotonic() < end, f"in vain: {script}; {self.run('return document.body.innerText')[:600]}"
+            assert time.monotonic() < end, (
+                f"in vain: {script}; {self.run('return toast.textContent + document.body.innerText')[:600]}"
+            )
             time.sleep(0.02)
         return value
 

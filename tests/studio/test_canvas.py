@@ -134,6 +134,66 @@ def test_a_drag_leads_the_linkage(page):
 
 
 @pytest.mark.slow
+def test_keys_lock_and_link(page):
+    """The limit of the transmission angle by the keyboard, a locked variable, and the same problem from its link."""
+    from selenium.webdriver.common.keys import Keys
+
+    page.open("crank-rocker")
+    knob = page.find('[data-handle="limits.transmission_angle.max"]')
+    page.run("arguments[0].focus()", knob)
+    knob.send_keys(Keys.ARROW_LEFT, Keys.ARROW_LEFT, Keys.SHIFT + Keys.ARROW_LEFT)
+    page.until("return arguments[0].getAttribute('aria-valuenow').startsWith('132.9')", knob)
+    page.until("return document.querySelector('#active').textContent.includes('132.9')")
+    page.verified()
+    page.find('[data-variable="rocker"] .lock').click()
+    page.until("return document.querySelector('[data-variable=rocker]').classList.contains('locked')")
+    page.verified()
+    fixed = value(page, "rocker")
+    page.find("#share").click()
+    page.until("return document.querySelector('#link').open")
+    link = page.find("#link-text").get_attribute("value")
+    page.find("#link form button:last-child").click()
+    page.open()
+    page.find("#pasted").send_keys(link)
+    page.find("#paste button").click()
+    page.verified()
+    assert value(page, "rocker") == pytest.approx(fixed, abs=1e-3)
+    assert "132.9" in page.text("#active")
+
+
+@pytest.mark.slow
+def test_from_an_empty_canvas_to_a_drawing_by_mouse(page, tmp_path):
+    ezdxf = pytest.importorskip("ezdxf")
+    page.downloads(tmp_path)
+    actions = 0
+
+    def click(selector: str) -> None:
+        nonlocal actions
+        actions += 1
+        page.find(selector).click()
+
+    click("#start-draw")
+    actions += 1
+    page.stroke(lambda k: (160.0 * math.cos(k * math.pi / 24.0), 70.0 * math.sin(k * math.pi / 24.0) - 60.0), 48)
+    page.until("return document.querySelector('.candidate:not(.bad)')")
+    error = page.text(".candidate:not(.bad) b")
+    assert re.fullmatch(r"[\d.]+ (mm|µm)", error)
+    click(".candidate:not(.bad)")
+    page.until("return document.querySelector('#canvas').dataset.status === 'verified'")
+    click("#export")
+    click('[data-format="dxf"]')
+    end = time.monotonic() + 30.0
+    while not (files := list(tmp_path.glob("*.dxf"))):
+        assert time.monotonic() < end, page.text("#toast")
+        time.sleep(0.05)
+    assert actions <= 12
+    drawing = ezdxf.readfile(files[0])
+    links = [entity.dxf.name for entity in drawing.modelspace() if entity.dxftype() == "INSERT"]
+    holes = [[one.dxftype() for one in drawing.blocks[name]].count("CIRCLE") for name in links]
+    assert len([count for count in holes if count >= 2]) == 3  # crank, coupler, rocker with their holes
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 def test_no_serious_fault_of_access(page, dark):
     with colours(page.driver, dark=dark):

@@ -42,6 +42,7 @@ let handles = [];
 let stale = false; // something is to be drawn
 const references = new Map(); // positions at which handles lie on their joints
 const view = new View(canvas, () => redraw());
+view.covered = () => ($("tray").hidden ? 0 : $("tray").offsetHeight);
 const linkage = new Linkage(canvas, view);
 const overlay = svg("g", { id: "overlay" });
 
@@ -124,6 +125,12 @@ const curve = new Curve(overlay, view, {
   draw: (points, closed) => live.send("draw", { points, closed }),
   choose: (candidate) => ((refit = true), live.send("choose", { candidate })),
   preview: (scene) => preview(scene),
+  fit: (points) => {
+    const box = extent({ box: [...points[0], ...points[0]] }, { points: points.map((at) => ({ at })) });
+    if (!view.touched && !view.holds(box)) {
+      view.fit(box);
+    }
+  },
   hint,
 });
 const background = new Background(linkage.layers.below, overlay, view, choose);

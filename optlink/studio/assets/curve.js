@@ -1,5 +1,5 @@
 // A curve drawn by hand, and the four-bars that were found for it.
-import { $, el, keyed, quantity, setText, svg } from "./dom.js";
+import { $, colour, el, keyed, quantity, setText, svg } from "./dom.js";
 import { pathOf } from "./linkage.js";
 
 const CLOSE = 26; // distance of the ends up to which a curve is closed [px]
@@ -8,7 +8,7 @@ const MOST = 240; // points sent
 const SHORTEST = 60; // length of a curve [px]
 
 export class Curve {
-  // `actions`: draw(points, closed) -> id, choose(candidate), preview(scene or null), hint(text or null)
+  // `actions`: draw(points, closed) -> id, choose(candidate), preview(scene or null), fit(points), hint(text or null)
   constructor(overlay, view, actions) {
     Object.assign(this, { view, actions, stroke: [], id: null, points: [] });
     this.line = svg("path", { class: "stroke" });
@@ -81,6 +81,7 @@ export class Curve {
     this.items = items;
     $("tray").hidden = false;
     const time = Number.isFinite(seconds) ? `, ${seconds.toFixed(1)} s` : "";
+    this.actions.fit([...this.points, ...items.flatMap(({ scene }) => (scene ? corners(scene.box) : []))]);
     const count = `${items.length} four-bar${items.length === 1 ? "" : "s"}${time}`;
     setText($("tray-title"), !items.length ? (done ? "No four-bar found for this curve" : "Searching four-bars …") : done ? count : `${count}, searching for better ones …`);
     $("tray").toggleAttribute("data-searching", !done);
@@ -97,7 +98,7 @@ export class Curve {
     const button = el(
       "button",
       { class: "candidate" },
-      svg("svg", { viewBox: "0 0 100 70", "aria-hidden": "true" }, svg("path", { class: "drawn" }), svg("path", { class: "fit" })),
+      svg("svg", { viewBox: "0 0 100 76", "aria-hidden": "true" }, svg("path", { class: "drawn" }), svg("path", { class: "fit" }), svg("g", { class: "links" })),
       el("b"),
       el("small")
     );
@@ -114,9 +115,17 @@ export class Curve {
   fill(node, one, k) {
     const button = node.firstChild;
     const [plot, error, note] = button.children;
-    const place = fitting([...this.points, ...one.curve.filter(Boolean)]);
+    const links = standing(one.scene);
+    const place = fitting([...this.points, ...one.curve.filter(Boolean), ...links.flatMap(({ line }) => line)]);
     plot.children[0].setAttribute("d", pathOf(this.points.map(place), this.closed));
     plot.children[1].setAttribute("d", pathOf(one.curve.map((at) => at && place(at))));
+    plot.children[2].replaceChildren(
+      ...links.map(({ line, closed, own }) => {
+        const path = svg("path", { d: pathOf(line.map(place), closed), class: closed ? "plate" : "bar" });
+        path.style.setProperty("--own", colour(own));
+        return path;
+      })
+    );
     setText(error, quantity(one.error, one.unit, 3));
     setText(note, one.valid ? "valid" : "not valid");
     button.classList.toggle("bad", !one.valid);
@@ -146,10 +155,24 @@ export class Curve {
   }
 }
 
-// Maps millimetres to a thumbnail of 100 by 70.
+const corners = ([x0, y0, x1, y1]) => [
+  [x0, y0],
+  [x1, y1],
+];
+
+// Bars and plates of a scene at its first position.
+function standing(scene) {
+  return (scene?.bodies || []).flatMap(({ parts, poses, colour: own }) => {
+    const [x, y, angle] = poses[0];
+    const [c, s] = [Math.cos((angle * Math.PI) / 180), Math.sin((angle * Math.PI) / 180)];
+    return (parts || []).map(({ kind, outline }) => ({ own, closed: kind !== "bar", line: outline.map(([u, v]) => [x + c * u - s * v, y + s * u + c * v]) }));
+  });
+}
+
+// Maps millimetres to a thumbnail of 100 by 76.
 function fitting(points) {
   const [xs, ys] = [points.map(([x]) => x), points.map(([, y]) => y)];
   const [x0, x1, y0, y1] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
-  const scale = Math.min(88 / (x1 - x0 || 1), 58 / (y1 - y0 || 1));
-  return ([x, y]) => [(50 + scale * (x - (x0 + x1) / 2)).toFixed(1), (35 - scale * (y - (y0 + y1) / 2)).toFixed(1)];
+  const scale = Math.min(90 / (x1 - x0 || 1), 66 / (y1 - y0 || 1));
+  return ([x, y]) => [(50 + scale * (x - (x0 + x1) / 2)).toFixed(1), (38 - scale * (y - (y0 + y1) / 2)).toFixed(1)];
 }

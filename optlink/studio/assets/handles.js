@@ -4,6 +4,7 @@ import { round125 } from "./view.js";
 
 const REST = 450; // pause after the last key before a change by keyboard is released [ms]
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+const MANY = 12; // handles above which they are drawn smaller
 const SHORTEST = 46; // radius of an angle's arc [px]
 const RAD = Math.PI / 180;
 
@@ -75,6 +76,7 @@ export class Handles {
       (node, knob) => this.update(node, knob),
       false
     );
+    this.node.classList.toggle("many", this.handles.length > MANY);
     this.boundary();
   }
 

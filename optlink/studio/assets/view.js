@@ -12,6 +12,7 @@ export class View {
     this.y = 0;
     this.box = null;
     this.touched = false; // the user has zoomed or panned
+    this.covered = () => 0; // height that is covered at the lower end [px]
     this.measure();
     new ResizeObserver(() => this.resized()).observe(node);
   }
@@ -39,7 +40,8 @@ export class View {
     const [w, h] = [Math.max(x1 - x0, 1e-6), Math.max(y1 - y0, 1e-6)];
     const narrow = this.width < 600;
     const [left, right, top, bottom] = narrow ? [46, 46, 40, 64] : [76, 76, 64, 84];
-    const [free, tall] = [Math.max(this.width - left - right, 60), Math.max(this.height - top - bottom, 60)];
+    const below = Math.max(bottom, this.covered() + 24);
+    const [free, tall] = [Math.max(this.width - left - right, 60), Math.max(this.height - top - below, 60)];
     this.scale = Math.min(Math.max(Math.min(free / w, tall / h), LEAST), MOST);
     this.x = left + free / 2 - (this.scale * (x0 + x1)) / 2;
     this.y = top + tall / 2 + (this.scale * (y0 + y1)) / 2;
@@ -52,7 +54,7 @@ export class View {
   holds([x0, y0, x1, y1]) {
     const [left, top] = this.px(x0, y1);
     const [right, bottom] = this.px(x1, y0);
-    const inside = left >= 0 && top >= 0 && right <= this.width && bottom <= this.height;
+    const inside = left >= 0 && top >= 0 && right <= this.width && bottom <= this.height - this.covered();
     return inside && Math.max((right - left) / this.width, (bottom - top) / this.height) > SMALL;
   }
 
