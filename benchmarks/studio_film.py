@@ -119,12 +119,18 @@ def poses(page: Page, out: Path) -> None:
     page.release()
 
 
+def egg(k: int) -> tuple[float, float]:
+    """Return point `k` of a closed curve of 48 points [px]."""
+    turn = k * math.pi / 24.0
+    return 130.0 * math.cos(turn) + 30.0 * math.cos(2.0 * turn), 80.0 * math.sin(turn) + 25.0 * math.sin(2.0 * turn) - 60.0
+
+
 def curve(page: Page, out: Path) -> None:
     """A curve drawn by hand, and the four-bars for it."""
     page.size(1200, 760)
     page.open()
     page.find("#start-draw").click()
-    page.stroke(lambda k: (150.0 * math.cos(k * math.pi / 24.0), 60.0 * math.sin(k * math.pi / 24.0) - 90.0), 48)
+    page.stroke(egg, 48)
     page.until("return document.querySelector('.candidate') && !document.querySelector('#tray').hasAttribute('data-searching')")
     page.run("document.querySelector('.candidate').dispatchEvent(new Event('pointerenter'))")
     time.sleep(1.0)
