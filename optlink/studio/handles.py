@@ -101,7 +101,19 @@ class Handle:
             return {POINTS: _moved(problem, self.index, dict(zip(self.keys, values, strict=True)))}
         if len(self.keys) < len(values):  # a range that the file holds as one list
             return {self.keys[0]: [exact_text(value, self.unit) for value in values]}
-        return {key: exact_text(value, self.unit) for key, value in zip(self.keys, values, strict=True)}
+        found: dict[str, object] = {key: exact_text(value, self.unit) for key, value in zip(self.keys, values, strict=True)}
+        if self.kind == "range":
+            found |= self._start_within(problem, values)
+        return found
+
+
+    def _start_within(self, problem: ProblemFile, ends: list[float]) -> dict[str, object]:
+        """Return the starting value of a design variable, moved to the nearer bound where it would lie beyond it."""
+        key = f"{self.keys[0].rpartition('.')[0]}.start"
+        start, unit = read_figure(value_at(problem, key))
+        if unit != self.unit or ends[0] <= start <= ends[1]:
+            return {}
+        return {key: exact_text(min(max(start, ends[0]), ends[1]), unit)}
 
 
 def _numbers(raw: Any, count: int) -> list[float]:
