@@ -32,7 +32,7 @@ PROBLEMS = (
     *("crank-rocker", "path-closed18", "shaper-design", "motion-3-poses", "stroke-crank-rocker"),
     *("law-slider-crank", "path-vline6", "transmission-optimal", "shaper", "function-sin"),
 )
-RELEASED, SEARCHED = 0.08, 0.03  # chance that a drag is a release, and that its full search is not interrupted
+RELEASED, SEARCHED = 0.05, 0.03  # chance that a drag is a release, and that its full search is not interrupted
 SAME = 1e-9  # largest relative difference of two designs
 
 
@@ -313,6 +313,22 @@ UNUSABLE = (
 """Requests that cannot be answered with anything but a fault (or, of a text, a state)."""
 
 
+@contextlib.asynccontextmanager
+async def reading(ws: Any) -> AsyncIterator[None]:
+    """Read the answers, so that the end of the socket is noticed."""
+
+    async def read() -> None:
+        async for _ in ws:
+            pass
+
+    task = asyncio.create_task(read())
+    try:
+        yield
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+
 async def _abuse(count: int) -> None:
     """Send malformed messages over as many sockets as it takes; then the server must still answer a drag."""
     import websockets
@@ -323,18 +339,20 @@ async def _abuse(count: int) -> None:
             await until(good, "state", status="verified")
             while sent < count:
                 try:
-                    async with connect(address, token) as ws:
+                    async with connect(address, token) as ws, reading(ws):
                         while sent < count:
                             await ws.send(MALFORMED[sent % len(MALFORMED)])
                             sent += 1
+                            if sent % 100 == 0:
+                                await asyncio.sleep(0.001)
                 except websockets.ConnectionClosed:
                     closed += 1
             async with connect(address, token) as ws:
                 for ident, request in enumerate(UNUSABLE):
-                    await ws.send(json.dumps(request | {"id": ident}))
+                    await ws.send(json.dumps(request | {"id": 100 + ident}))
                     while True:
                         answer = json.loads(await asyncio.wait_for(ws.recv(), SECONDS))
-                        if answer.get("id") == ident and answer["type"] in ("fault", "state"):
+                        if answer.get("id") == 100 + ident and answer["type"] in ("fault", "state"):
                             break
                     print(f"  {str(request)[:60]}: {answer['type']} {str(answer.get('message', ''))[:100]}")
             await good.send(json.dumps(drag(5, "mechanism.frame", "scalar", [490.0], moving=True)))

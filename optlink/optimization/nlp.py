@@ -6,6 +6,7 @@ The formulas are those of `linkage`, `objectives` and `constraints`, traced once
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -24,6 +25,7 @@ from optlink.problem.function import EPIGRAPH, DesignProblem, StartPosition
 from optlink.problem.limits import Reach
 from optlink.problem.quantity import Quantity
 from optlink.problem.robust import EXPECTED, residuals
+from optlink.problem.targets.expression import Expression
 from optlink.symbolic import BufferedFunction, CompiledFunction, packed, symbols_in_numpy, unpacked
 
 Array = NDArray[np.float64]
@@ -261,10 +263,11 @@ def _residuals(
     values: dict[str, Any],
     counted: dict[str, Any],
     start: StartPosition,
+    offsets: Sequence[Any],
     exchange: list[Any],
     position: Any,
 ) -> tuple[list[Any], Any]:
-    """Return the residuals at each position, one column each, and at a symbolic one: those of `optlink.problem.robust.residuals`.
+    """Return the residuals at crank rotations from the start, and at a symbolic one: those of `optlink.problem.robust.residuals`.
 
     They are traced once at a symbolic position, then evaluated at the design positions (the cost of numpy's dispatch is paid
     once).
@@ -279,10 +282,9 @@ def _residuals(
     deviations = [replace(d, tolerance=given.get(f"tolerances.{d.name}", d.tolerance)) for d in problem.deviations]
     one = casadi.Function("error", [inputs], [casadi.vertcat(*residuals(robust, deviations, error, slopes))])
     known = [*values.values(), *counted.values(), *start.crank, start.phi0, start.psi0]
-    law = problem.law
     fixed = [
-        one(casadi.vertcat(*known, float(offset), float(tabulated)))
-        for offset, tabulated in zip(law.offsets, law.tabulated, strict=True)
+        one(casadi.vertcat(*known, offset, float(tabulated)))
+        for offset, tabulated in zip(offsets, problem.law.tabulated, strict=True)
     ]
     return fixed + [one(casadi.vertcat(*known, offset, 0.0)) for offset in exchange], one(casadi.vertcat(*known, position))
 
@@ -299,11 +301,21 @@ def boxed(quantity: Quantity, variable: Variable) -> tuple[float, float, float]:
     return variable.scaled(low), variable.scaled(high), variable.scaled(quantity.value)
 
 
-def build(problem: DesignProblem) -> NLP:
+SPAN = "requirement.span"
+"""Name of the parameter that is the crank rotation of a law."""
+
+
+def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
     """Build the nonlinear programme of a function synthesis problem.
 
     Lengths are scaled by the frame (its start, if it is a design variable), angles by 1 rad, the objective by its value at the
     start.
+
+    Parameters
+    ----------
+    problem : DesignProblem
+    movable : bool
+        Make the crank rotation of a law that is an expression a parameter, `SPAN`.
     """
     size = problem.quantities["frame"].value
     sizes = {name: size if name in LENGTHS else 1.0 for name in problem.quantities}
@@ -319,7 +331,8 @@ def build(problem: DesignProblem) -> NLP:
     many = (
         0 if not problem.everywhere else EXCHANGE_POINTS if robust is None else 2 * EXCHANGE_POINTS
     )  # with scatter the error is flatter
-    constant = len(fixed) + len(counted)
+    spanned = movable and isinstance(problem.requirement.law, Expression)
+    constant = len(fixed) + len(counted) + spanned
     p = casadi.SX.sym("p", 1 + constant + many)
     values = {name: x[i] * sizes[name] for i, name in enumerate(free)}
     values |= {name: p[1 + i] * sizes[name] for i, name in enumerate(fixed)}
@@ -327,8 +340,12 @@ def build(problem: DesignProblem) -> NLP:
     with symbols_in_numpy():
         start = problem.start_position(values)
         exchange, position = [p[1 + constant + i] for i in range(many)], casadi.SX.sym("position", 2)
-        columns, anywhere = _residuals(problem, values, tolerances, start, exchange, position)
-        rows = limit_rows(problem, values, Reach(start.phi0, problem.span, problem.sense), size)
+        span = p[constant] if spanned else problem.span
+        offsets = problem.law.offsets.tolist()
+        if spanned:
+            offsets = [span * (offset / problem.span) for offset in offsets]
+        columns, anywhere = _residuals(problem, values, tolerances, start, offsets, exchange, position)
+        rows = limit_rows(problem, values, Reach(start.phi0, span, problem.sense), size)
         if minimax:
             labels = [f"error {math.degrees(offset):.4g} deg from the start" for offset in problem.law.offsets]
             labels += [f"error at its peak {i + 1}" for i in range(many)]
@@ -345,12 +362,14 @@ def build(problem: DesignProblem) -> NLP:
 
     variables, constants = [scaled(name) for name in free], [scaled(name) for name in fixed]
     constants += [Variable(name, size, Scale("mm", 1e3 * size)) for name in counted]
+    constants += [Variable(SPAN, 1.0, DEGREES)] if spanned else []
     box = [boxed(problem.quantities[v.name], v) for v in variables]
     if minimax:
         variables.append(Variable(EPIGRAPH, 1.0, DEGREES))
         box.append((0.0, math.inf, 1.0))
     low, high, at = np.array(box).reshape(-1, 3).T.copy()
     values_fixed = [*(problem.quantities[name].value / sizes[name] for name in fixed), *(t / size for t in counted.values())]
+    values_fixed += [problem.span] if spanned else []
     return NLP(
         variables=tuple(variables),
         fixed=fixed,

@@ -49,6 +49,7 @@ class Sketch:
     def __init__(self, motion: Motion, machine: Machine | None = None, share: float = SHARE) -> None:
         self.motion, self.mechanism = motion, motion.mechanism
         self.names = list(self.mechanism.owners)
+        self._metres = np.array([motion.position(name) for name in self.names])
         self.near = self._near(motion)
         extent = max(float(np.max(spread(finite(self._points(motion, 1.0)[:, self.near])))), 1e-30)
         self.scale: Scale = scale(extent, "m")
@@ -70,6 +71,8 @@ class Sketch:
 
     def _points(self, motion: Motion, factor: float) -> Array:
         """Return every named point over a motion, shape (points, positions, 2)."""
+        if motion is self.motion:
+            return self._metres * factor
         return np.array([motion.position(name) * factor for name in self.names])
 
     def _near(self, motion: Motion) -> NDArray[np.bool_]:

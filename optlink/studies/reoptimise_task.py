@@ -20,7 +20,7 @@ from optlink.errors import Fault, InputError, Status
 from optlink.linkage.assur import EITHER
 from optlink.optimization.batch_nlp import BatchNLP
 from optlink.optimization.constraints import rows as limit_rows
-from optlink.optimization.nlp import NLP, build
+from optlink.optimization.nlp import NLP, SPAN, build
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.problem.limits import MARGIN_KEYS
@@ -219,10 +219,17 @@ def _failed(proof: Validation) -> tuple[str, ...]:
 
 
 class ParametricProgramme:
-    """One programme for many values of its parameters and bounds."""
+    """One programme for many values of its parameters and bounds.
 
-    def __init__(self, problem: ProblemFile) -> None:
-        self.nlp: NLP = build(problem.spec)
+    Parameters
+    ----------
+    problem : ProblemFile
+    movable : bool
+        Whether the crank rotation of a law is a parameter too.
+    """
+
+    def __init__(self, problem: ProblemFile, *, movable: bool = False) -> None:
+        self.nlp: NLP = build(problem.spec, movable=movable)
         self.size = problem.spec.quantities["frame"].value
 
     def parameters(self, task: DesignProblem, count: int | None = None) -> BatchProblem:
@@ -237,8 +244,9 @@ class ParametricProgramme:
         """
         nlp, quantities = self.nlp, task.quantities
         p: list[Any] = list(nlp.p)
+        counted = task.counted | {SPAN: task.span}
         for i, constant in enumerate(nlp.constants):
-            value = quantities[constant.name].value if constant.name in quantities else task.counted[constant.name]
+            value = quantities[constant.name].value if constant.name in quantities else counted[constant.name]
             p[1 + i] = (value - constant.origin) / constant.size
         bounds: list[tuple[Any, Any]] = list(zip(nlp.x_low, nlp.x_high, strict=True))
         for i, v in enumerate(nlp.variables):

@@ -17,6 +17,7 @@ from optlink.errors import Fault, InputError
 from optlink.problem.base_model import with_ranges, with_spellings
 from optlink.problem.file import MAX_BYTES, WORDS, ProblemFile, load, read, shipped
 from optlink.problem.fixed_design import references
+from optlink.problem.quantity import nearest
 from optlink.problem.templates import template
 from optlink.studies.toml_keys import exact_text, si_per_unit, value_at
 from optlink.units import KINDS
@@ -66,17 +67,18 @@ class Document:
         made = self.problem.override(changes)
         return replace(self, text=rewritten(self.text, self.problem.raw, made.raw))
 
-    def locked(self, size: str, value: float) -> Document:
+    def locked(self, size: str, value: float | None) -> Document:
         """Return the document with a design variable fixed.
 
         Parameters
         ----------
         size : str
             Name of the design variable.
-        value : float [SI]
+        value : float [SI] or None
+            None for the starting value of the file.
         """
         quantity, key = self._quantity(size)
-        unit = KINDS[quantity.kind].display
+        unit, value = KINDS[quantity.kind].display, quantity.value if value is None else value
         made = self.with_changes({key: exact_text(value / si_per_unit(quantity), unit)})
         return replace(made, freed={**self.freed, size: value_at(self.problem, key)})
 
@@ -148,6 +150,19 @@ def named(name: str) -> Document:
     problem = load(name)
     path = shipped()[name] if name in shipped() else Path(name)
     return Document(problem.name, path.read_text(encoding="utf-8-sig"), problem.folder)
+
+
+def shipped_problem(name: str) -> Document:
+    """Open a shipped problem: a page may name no other file of this machine.
+
+    Raises
+    ------
+    InputError
+        If there is none with this name.
+    """
+    if name not in shipped():
+        raise InputError(Fault("no such shipped problem", nearest(name, shipped()), key="name", value=name))
+    return named(name)
 
 
 def from_template(name: str) -> Document:

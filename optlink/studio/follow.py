@@ -24,6 +24,7 @@ from optlink.problem.function import DesignProblem
 from optlink.problem.limits import MARGINS, Reach
 from optlink.problem.path import PathProblem
 from optlink.problem.quantity import Quantity
+from optlink.problem.targets.expression import Expression
 from optlink.solvers import multistart
 from optlink.solvers.contract import MINIMAX
 from optlink.solvers.path_exchange import solve_semi_infinite
@@ -50,7 +51,7 @@ class FunctionFollower:
     """Follower of motion laws and functions of a four-bar."""
 
     def __init__(self, problem: ProblemFile) -> None:
-        self.programme = ParametricProgramme(problem)
+        self.programme = ParametricProgramme(problem, movable=True)
         multistart.prepare(self.programme.nlp, BACKEND)
 
     def follow(self, problem: ProblemFile, near: Solution | None) -> Solution:
@@ -157,12 +158,14 @@ def structure(problem: ProblemFile) -> Any:
         parts += [{key: value for key, value in requirement.items() if key != "points"}, places]
         parts += [None if data.offsets is None else data.offsets.tolist(), data.roots.tolist(), data.tolerances.tolist()]
     if isinstance(model, DesignProblem):
-        parts += [{key: value for key, value in requirement.items() if not _moves(model, key)}]
+        parts += [{key: value for key, value in requirement.items() if not _moves(model, key)}, model.sense]
     return tuple(map(repr, parts))
 
 
 def _moves(model: DesignProblem, key: str) -> bool:
     """Return whether a key of the requirement is a parameter of the programme."""
+    if key == "span":
+        return isinstance(model.requirement.law, Expression)
     held = {"from": model.requirement.start, "psi0": model.requirement.psi0}.get(key)
     return isinstance(held, Quantity)
 

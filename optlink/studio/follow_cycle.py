@@ -12,7 +12,7 @@ from optlink.optimization.cycle_signals import TracedCycle
 from optlink.problem.cycle.model import Bound, CycleProblem
 from optlink.problem.file import ProblemFile
 from optlink.solvers import multistart
-from optlink.solvers.semi_infinite import EXACTLY, peaks
+from optlink.solvers.semi_infinite import EXACTLY, exchange, peaks
 from optlink.solvers.solution import Solution, stationarity
 from optlink.studies.continuation import follow_optimum
 from optlink.studies.cycle_task import CycleProgramme, with_bounds, with_starting_values
@@ -39,6 +39,7 @@ class CycleFollower:
         self.programme = CycleProgramme(begun, BACKEND)
         self.task = task
         self._near = None if self.programme.structure is None else self._first(values)
+        self.follow(problem, None)  # the first search takes longer: it compiles
 
     def _first(self, values: Mapping[str, float]) -> Solution:
         nlp = self.programme.nlp
@@ -65,12 +66,23 @@ class CycleFollower:
             x = nlp.lifted(np.clip(last.x if found is None else found.x, nlp.x_low, nlp.x_high))
             nlp.set_exchange_points(peaks(nlp, x).shares)
             found = multistart.solve_from(nlp, x, BACKEND)
+            self.programme.nlp.cache.update(nlp.cache)
         if found.usable:
             order = nlp.traced.structure(found.design)
             if order is None or not order.like(nlp.structure):
                 return None
             self._near = _sharp(found)
         return found
+
+    def refined(self, found: Solution) -> Solution:
+        """Return an optimum that satisfies its limits at every crank angle, from one at fixed positions of the peaks."""
+        nlp = found.nlp
+        assert isinstance(nlp, CycleNLP)
+        nlp.p[:] = found.p
+        settled = exchange(nlp, found)
+        if settled.usable:
+            self._near = _sharp(settled)
+        return settled
 
     def _bound(self, task: CycleProblem, last: Solution) -> CycleNLP:
         """Return the programme with the fixed sizes, bounds and limits of a problem, and the last positions of the peaks."""

@@ -106,7 +106,6 @@ class Handle:
             found |= self._start_within(problem, values)
         return found
 
-
     def _start_within(self, problem: ProblemFile, ends: list[float]) -> dict[str, object]:
         """Return the starting value of a design variable, moved to the nearer bound where it would lie beyond it."""
         key = f"{self.keys[0].rpartition('.')[0]}.start"

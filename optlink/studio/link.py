@@ -19,7 +19,7 @@ Send = Callable[[str], Awaitable[None]]
 
 PATIENCE = 2.0  # s within which a stopped computation must end
 LIMIT = 600.0  # s for one computation
-LONG = ("drag", "set", "lock", "search", "undo", "redo", "open", "new", "draw", "choose")
+LONG = ("drag", "set", "lock", "search", "undo", "redo", "start", "open", "new", "draw", "choose")
 """Requests whose computation a later request may stop."""
 FRAME = 64 * 2**20  # largest answer in bytes
 

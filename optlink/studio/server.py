@@ -38,6 +38,7 @@ HOSTS = (ADDRESS, "localhost")
 LARGEST = 1_000_000  # bytes of a message
 RATE, BURST = 200.0, 400.0  # messages per second, and at once
 ABUSE = 2000  # refused messages after which a connection is closed
+TOLD = 100  # refused messages that are answered one by one
 PAGES = 8  # at a time
 POLICY = 1008  # code of a socket that is closed for breaking the rules
 KNOWN = (".html", ".css", ".js", ".mjs", ".svg", ".png", ".woff2", ".txt")
@@ -125,12 +126,12 @@ class Studio:
 
     # --- pages --------------------------------------------------------------------------------------------------------------
 
-    def _page(self, request: Request) -> Response:
+    async def _page(self, request: Request) -> Response:
         answer = self._file("index.html")
         answer.set_cookie(self.cookie, self.token, httponly=True, samesite="strict", path="/")
         return answer
 
-    def _asset(self, request: Request) -> Response:
+    async def _asset(self, request: Request) -> Response:
         return self._file(request.path_params["path"])
 
     def _file(self, name: str) -> Response:
@@ -153,7 +154,7 @@ class Studio:
         try:
             await ws.send_text(json.dumps(self.hello()))
             if self.opened is not None:
-                link.request({"type": "open", "id": 0, "name": self.opened})
+                link.request({"type": "start", "id": 0, "name": self.opened})
             await _listen(ws, link)
         except WebSocketDisconnect:
             pass
@@ -182,7 +183,7 @@ async def _listen(ws: WebSocket, link: Link) -> None:
         if event["type"] == "websocket.disconnect":
             raise WebSocketDisconnect(event.get("code") or 1000)
         now = time.monotonic()
-        left, last = min(BURST, left + RATE * (now - last)) - 1.0, now
+        left, last = max(min(BURST, left + RATE * (now - last)) - 1.0, -BURST), now
         text = event.get("text")
         request = parsed(text) if isinstance(text, str) else None
         if request is not None and (left >= 0.0 or (request["type"] == "drag" and request.get("moving"))):
@@ -192,7 +193,7 @@ async def _listen(ws: WebSocket, link: Link) -> None:
         if refused > ABUSE:
             await ws.close(POLICY, "too many malformed messages")
             raise WebSocketDisconnect(POLICY)
-        if left >= 0.0 or refused % 100 == 1:
+        if refused <= TOLD or refused % TOLD == 0:  # a page that does not read its answers must not block the count
             words = MALFORMED if request is None else QUOTA
             await ws.send_text(json.dumps({"type": "fault", "id": None if request is None else request["id"], "message": words}))
 

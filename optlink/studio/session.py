@@ -15,7 +15,7 @@ from optlink.errors import Fault, InputError, OptlinkError
 from optlink.problem.file import MAX_BYTES, ProblemFile, parse_assignment
 from optlink.studio import state
 from optlink.studio.design import Design, carried, checked, from_solution, kind_of, solved, started
-from optlink.studio.document import Document, History, from_template, from_text, named
+from optlink.studio.document import Document, History, from_template, from_text, named, shipped_problem
 from optlink.studio.follow import Follower, follower, structure
 from optlink.studio.handles import Handle, handles
 from optlink.studio.picture import Picture
@@ -86,12 +86,16 @@ class Session:
 
     def _open(self, request: Mapping[str, Any]) -> None:
         if "name" in request:
-            document = named(_text(request, "name"))
+            document = shipped_problem(_text(request, "name"))
         elif "fragment" in request:
             document = from_text(inflated(_text(request, "fragment")), _text(request, "title", "shared"))
         else:
             document = from_text(_text(request, "text"), _text(request, "title", "problem"))
         self._begin(document)
+
+    def _start(self, request: Mapping[str, Any]) -> None:
+        """Open the problem of the command line, which may be any file."""
+        self._begin(named(_text(request, "name")))
 
     def _new(self, request: Mapping[str, Any]) -> None:
         self._begin(from_template(_text(request, "template")))
@@ -131,9 +135,7 @@ class Session:
         if not request.get("locked"):
             self._commit(self._document.released(size))
             return
-        value = None if self._design is None else self._design.values.get(size)
-        value = self._document.problem.model.quantities[size].value if value is None else value
-        self._commit(self._document.locked(size, value))
+        self._commit(self._document.locked(size, None if self._design is None else self._design.values.get(size)))
 
     def _search(self, request: Mapping[str, Any]) -> None:
         self._settle()
@@ -256,8 +258,12 @@ class Session:
         if self._design is not None and self._design.solution is not None and problem.model.free:
             definite = self._definite(problem)
             near = self._followed(definite)
-            if near.solution is not None:
-                self._design = replace(checked(near), conclusion=FIRST)
+            settle = getattr(self._follower[1], "refined", None)
+            if near.solution is not None and settle is not None:
+                near = from_solution(definite, settle(near.solution))
+            if near.solution is not None and near.solution.usable:
+                seen = checked(near)
+                self._design = replace(seen, conclusion=FIRST) if seen.status == "verified" else replace(near, conclusion=BEGUN)
                 self._show(self._design, problem, moving=False)
 
         def progress(share: float) -> None:
@@ -351,9 +357,10 @@ def _verdict(design: Design) -> dict[str, Any]:
     }
 
 
-OPENING = ("open", "new", "draw", "choose", "resume")
+OPENING = ("start", "open", "new", "draw", "choose", "resume")
 
 _ACTIONS: dict[str, Callable[[Session, Mapping[str, Any]], None]] = {
+    "start": Session._start,
     "open": Session._open,
     "new": Session._new,
     "resume": Session._resume,
@@ -398,6 +405,8 @@ def inflated(fragment: str) -> str:
         text = unpacker.decompress(data, MAX_BYTES + 1)
         if len(text) > MAX_BYTES:
             raise InputError(Fault(f"the problem of the link is longer than {MAX_BYTES:,} bytes", "Open its file instead"))
+        if not unpacker.eof:
+            raise ValueError
         return text.decode()
     except (ValueError, binascii.Error, zlib.error):
         raise InputError(Fault("the link holds no problem", "Copy the whole link")) from None

@@ -13,6 +13,7 @@ import queue
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from types import FrameType
 from typing import Any, BinaryIO
@@ -81,6 +82,7 @@ def main() -> None:
         writing.write(frame(message))
         writing.flush()
 
+    warnings.simplefilter("ignore")  # of numpy, about positions that an absurd machine cannot take
     from optlink.studio.session import Session, warm
 
     warm()

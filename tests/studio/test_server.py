@@ -15,6 +15,9 @@ from typing import Any
 import pytest
 import websockets
 
+from optlink.studio.link import Link
+from optlink.studio.server import Studio, parsed
+
 SECONDS = 60.0
 
 
@@ -100,5 +103,100 @@ async def _session() -> None:
         assert b"Traceback" not in await process.stderr.read()
 
 
+@pytest.mark.slow
 def test_a_page_drags_and_saves_and_strangers_are_refused() -> None:
     asyncio.run(_session())
+
+
+async def _answer(studio: Studio, kind: str = "http", path: str = "/", query: str = "", **headers: str) -> dict[str, Any]:
+    """The first message with which the application answers a request."""
+    sent: list[dict[str, Any]] = []
+    named = [(name.replace("_", "-").encode(), value.encode()) for name, value in headers.items()]
+    scope = {"type": kind, "path": path, "raw_path": path.encode(), "query_string": query.encode(), "headers": named}
+
+    async def receive() -> dict[str, Any]:
+        await asyncio.sleep(0.0 if kind == "websocket" else 3600.0)
+        return {"type": "websocket.connect"}
+
+    async def send(message: dict[str, Any]) -> None:
+        sent.append(message)
+
+    await studio.app({**scope, "method": "GET", "root_path": "", "scheme": "http"}, receive, send)
+    return sent[0]
+
+
+def test_only_the_page_of_this_server_is_answered() -> None:
+    studio = Studio(4711)
+    own, token = "127.0.0.1:4711", f"token={studio.token}"
+
+    def http(query: str = token, **headers: str) -> dict[str, Any]:
+        return asyncio.run(_answer(studio, query=query, **{"host": own, **headers}))
+
+    answer = http()
+    assert answer["status"] == 200
+    told = {name.decode(): value.decode() for name, value in answer["headers"]}
+    assert "default-src 'self'" in told["content-security-policy"]
+    assert all(word in told["set-cookie"] for word in ("HttpOnly", "SameSite=strict", studio.token))
+    cookie = told["set-cookie"].partition(";")[0]
+    assert http("", cookie=cookie)["status"] == 200
+    assert http("", cookie=f"{cookie}x")["status"] == 403
+    assert http("")["status"] == 403
+    assert http(f"{token}x")["status"] == 403
+    assert http(host="evil.example")["status"] == 403
+    assert http(host="localhost:4711")["status"] == 200
+    assert http(origin="http://evil.example")["status"] == 403
+    for path in ("/assets/../server.py", "/assets/%2e%2e/server.py", "/assets//etc/passwd", "/assets/"):
+        assert asyncio.run(_answer(studio, path=path, query=token, host=own))["status"] == 404
+
+    def live(query: str = token, **headers: str) -> dict[str, Any]:
+        return asyncio.run(_answer(studio, "websocket", "/live", query, **{"host": own, **headers}))
+
+    for refused in (live(), live(origin="http://evil.example"), live("", origin=f"http://{own}"), live(origin="null")):
+        assert refused == {"type": "websocket.close", "code": 1008}
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "{", "[]", "1", '{"type":"drag"}', '{"type":"drag","id":1.5}', '{"type":"drag","id":-1}', '{"type":["drag"],"id":1}',
+     '{"type":"start","id":1,"name":"/etc/passwd"}', '{"type":"resume","id":1}', '{"type":"save","id":NaN}', "[" * 5000,
+     '{"type":"save","id":true}', '{"type":"save","id":1,"more":"' + "a" * 1_000_000 + '"}'],
+)  # fmt: skip
+def test_what_is_no_request_is_refused(text: str) -> None:
+    assert parsed(text) is None
+    assert parsed('{"type":"save","id":1}') == {"type": "save", "id": 1}
+
+
+def test_a_newer_move_replaces_one_that_waits_and_stops_a_search() -> None:
+    class Silent:
+        def __init__(self) -> None:
+            self.sent: list[Any] = []
+
+        def send(self, message: Any) -> None:
+            self.sent.append(message)
+
+        async def receive(self) -> bytes:
+            await asyncio.sleep(60.0)
+            return b""
+
+        def kill(self) -> None:
+            self.sent.append("killed")
+
+    async def run() -> None:
+        worker = Silent()
+        link = Link(worker, lambda text: asyncio.sleep(0.0))  # type: ignore[arg-type]
+        link.request({"type": "drag", "id": 1, "moving": True})
+        for ident in range(2, 9):
+            link.request({"type": "drag", "id": ident, "moving": True})
+        assert [one["id"] for one in worker.sent] == [1]
+        link._next()  # the first one is done
+        assert [one["id"] for one in worker.sent] == [1, 8]
+        link.request({"type": "search", "id": 9})
+        link._next()
+        link.request({"type": "save", "id": 10})
+        assert worker.sent[-1] == {"type": "search", "id": 9}  # saving waits for it
+        link.request({"type": "drag", "id": 11, "moving": True})
+        assert worker.sent[-1] == {"type": "stop"}
+        link._reader.cancel()
+        link._cancel()
+
+    asyncio.run(run())

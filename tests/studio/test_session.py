@@ -1,0 +1,240 @@
+"""The requests of a page: what is shown, what is saved, what is refused."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+import optlink
+from optlink.problem.file import read
+from optlink.studies.toml_keys import exact_text, knobs
+from optlink.studio.document import Document, named, rewritten, tables
+from optlink.studio.session import Session, deflated, inflated
+
+
+class Page:
+    """A page without a browser: its session and what it was sent; `patient`: whether it waits for full searches."""
+
+    def __init__(self, patient: bool = True) -> None:
+        self.sent: list[Mapping[str, Any]] = []
+        self.patient, self.ident = patient, 0
+        self.session = Session(self.sent.append, self._interruptible)
+
+    def _interruptible(self, work: Callable[[], Any]) -> Any:
+        if not self.patient:
+            raise KeyboardInterrupt
+        return work()
+
+    def ask(self, kind: str, **fields: Any) -> list[Mapping[str, Any]]:
+        """Send a request; return the answers to it, which must be plain JSON."""
+        self.ident += 1
+        del self.sent[:]
+        self.session.handle({"type": kind, "id": self.ident, **fields})
+        answers = [message for message in self.sent if message["type"] not in ("progress", "kept")]
+        assert all(message["id"] == self.ident for message in answers)
+        json.dumps(answers, allow_nan=False)
+        return answers
+
+    def state(self, kind: str, **fields: Any) -> Mapping[str, Any]:
+        """Send a request; return the last state that answers it."""
+        answers = self.ask(kind, **fields)
+        assert answers[-1]["type"] == "state", answers[-1]
+        return answers[-1]
+
+
+@pytest.fixture(scope="module")
+def page() -> Page:
+    made = Page()
+    made.ask("open", name="crank-rocker")
+    return made
+
+
+def saved(page: Page) -> optlink.ProblemFile:
+    return read(tables(page.ask("save")[0]["text"], "saved.toml"))
+
+
+def values(state: Mapping[str, Any]) -> dict[str, float]:
+    return {one["name"]: one["value"] for one in state["variables"]}
+
+
+def test_a_move_shows_the_optimum_of_the_moved_problem_without_a_verdict(page: Page) -> None:
+    """For every kind of number that is a parameter of the programme: the same optimum as a search from the start."""
+    for handle, value in (
+        ("mechanism.frame", 530.0),
+        ("mechanism.crank", 90.0),
+        ("requirement.span", 84.0),
+        ("limits.transmission_angle.min", 50.0),
+        ("limits.transmission_angle.max", 130.0),
+    ):
+        state = page.state("drag", handle=handle, value=value, moving=True)
+        assert state["status"] == "not verified"
+        assert state["checks"] is None
+        unit = "mm" if handle.startswith("mechanism") else "deg"
+        best = optlink.solve(optlink.load("crank-rocker", {handle: f"{value} {unit}"}), certify=False)
+        for name, found in values(state).items():
+            assert found == pytest.approx(1e3 * best.design[name], rel=1e-9), handle
+
+
+def test_what_is_released_is_what_the_saved_file_gives(page: Page) -> None:
+    page.ask("drag", handle="mechanism.frame", value=512.0, moving=True)
+    state = page.state("drag", handle="mechanism.frame", value=512.5, moving=False)
+    assert state["status"] == "verified"
+    assert all(check["ok"] for check in state["checks"])
+    again = optlink.solve(saved(page))
+    assert values(state) == pytest.approx({n: 1e3 * again.design[n] for n in ("coupler", "rocker")}, rel=1e-9)
+    text = page.ask("save")[0]["text"]
+    assert 'frame = "512.5 mm"' in text
+    assert "[expected]" not in text
+    assert state["document"] == {
+        "name": "crank-rocker", "title": state["document"]["title"], "changed": True, "can_undo": True, "can_redo": False
+    }  # fmt: skip
+    back = page.state("undo")
+    assert not back["document"]["changed"]
+    assert back["document"]["can_redo"]
+    assert "[expected]" in page.ask("save")[0]["text"]
+
+
+@pytest.mark.slow
+def test_a_limit_that_cannot_be_met_is_named_and_its_boundary_shown(page: Page) -> None:
+    before = page.state("drag", handle="mechanism.frame", value=500.0, moving=False)
+    moved = page.state("drag", handle="limits.transmission_angle.min", value=88.0, moving=True)
+    assert moved["status"] == "infeasible"
+    assert "transmission angle" in moved["conflicts"][0]
+    assert values(moved) == pytest.approx(values(before))  # the last feasible linkage stays
+    state = page.state("drag", handle="limits.transmission_angle.min", value=88.0, moving=False)
+    assert state["status"] == "infeasible"
+    low, high = next(one["feasible"] for one in state["handles"] if one["id"] == "limits.transmission_angle.min")
+    assert low == 45.0
+    for angle, feasible in ((high - 0.5, True), (high + 0.5, False)):
+        edge = optlink.load("crank-rocker", {"limits.transmission_angle.min": f"{angle} deg"})
+        assert optlink.solve(edge, certify=False).valid is feasible
+    page.ask("undo")
+
+
+def test_a_locked_size_keeps_its_value_and_is_released_within_its_bounds(page: Page) -> None:
+    state = page.state("lock", size="coupler", locked=True)
+    coupler = next(one for one in state["variables"] if one["name"] == "coupler")
+    assert coupler["locked"]
+    assert "mechanism.coupler" in [handle["id"] for handle in state["handles"]]
+    moved = page.state("drag", handle="mechanism.coupler", value=coupler["value"] + 20.0, moving=False)
+    assert values(moved)["coupler"] == pytest.approx(coupler["value"] + 20.0)
+    state = page.state("lock", size="coupler", locked=False)
+    assert saved(page).raw["mechanism"]["coupler"]["bounds"] == ["100 mm", "900 mm"]
+    assert values(state)["coupler"] == pytest.approx(coupler["value"], rel=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("request_", "words"),
+    [
+        ({"type": "set", "key": "mechanism.cranc", "value": "1 mm"}, 'Did you mean "crank"'),
+        ({"type": "drag", "handle": "mechanism.frame", "value": float("inf")}, "no usable place"),
+        ({"type": "drag", "handle": "mechanism.frame", "value": [1.0]}, "no usable place"),
+        ({"type": "drag", "handle": "no.such", "value": 1.0}, "no such handle"),
+        ({"type": "drag", "handle": "mechanism.frame", "value": -5.0, "moving": True}, "mechanism.frame"),
+        ({"type": "lock", "size": "neck", "locked": True}, "no such size"),
+        ({"type": "open", "text": "a = [", "title": "x"}, "not valid TOML"),
+        ({"type": "open", "text": "a = " + "[" * 5000, "title": "x"}, "nested too deeply"),
+        ({"type": "open", "fragment": "***"}, "the link holds no problem"),
+        ({"type": "open", "name": "/etc/hostname"}, "no such shipped problem"),
+        ({"type": "draw", "points": [[0, 0], [1, 1]]}, "3 to 10,000 points"),
+        ({"type": "draw", "points": [[0, 0]] * 9, "closed": True}, "smaller than"),
+        ({"type": "choose", "candidate": 0}, "no candidates"),
+        ({"type": "export", "format": "exe"}, "unknown format"),
+    ],
+)
+def test_bad_requests_are_answered_with_one_fault_and_change_nothing(page: Page, request_: dict[str, Any], words: str) -> None:
+    before = page.ask("save")[0]["text"]
+    answers = page.ask(**{("kind" if key == "type" else key): value for key, value in request_.items()})
+    assert [answer["type"] for answer in answers] == ["fault"]
+    assert words in answers[0]["message"]
+    assert page.ask("save")[0]["text"] == before
+
+
+def test_a_text_from_the_page_cannot_read_files(tmp_path: Any) -> None:
+    secret = tmp_path / "secret.csv"
+    secret.write_text("x,y\n1,2\n3,4\n5,6\n", encoding="utf-8")
+    text = named("path-ellipse10").text
+    begin = text.index("points = [\n")
+    hostile = text[:begin] + f'points = {{ csv = "{secret}" }}\n' + text[text.index("]\n\n[limits]") + 2 :]
+    answers = Page().ask("open", text=hostile, title="x")
+    assert [answer["type"] for answer in answers] == ["fault"]
+    assert "cannot read other files" in answers[0]["message"]
+
+
+def test_a_link_holds_the_problem_and_no_more_than_a_file() -> None:
+    text = named("motion-3-poses").text
+    assert inflated(deflated(text)) == text
+    with pytest.raises(optlink.InputError, match="longer than"):
+        inflated(deflated("a" * 50_000_000))
+
+
+@pytest.mark.parametrize(
+    "name", ["crank-rocker", "path-closed18", "shaper-design", "law-six-bar", "function-log10", "toggle-press"]
+)
+def test_a_changed_text_has_the_changed_values_and_all_other_lines(name: str) -> None:
+    document = named(name)
+    for knob in [knob for knob in knobs(document.problem) if knob.key and knob.value][:4]:
+        change = {knob.key: exact_text(1.01 * knob.value, knob.unit)}
+        changed = document.with_changes(change)
+        assert changed.problem.raw == document.problem.override(change).raw
+        lost = set(document.text.splitlines()) - set(changed.text.splitlines())
+        gone = document.text.partition("[expected]")[2].splitlines()
+        assert len(lost - {"[expected]", *gone}) <= 1, knob.key
+
+
+def test_a_section_is_written_again_where_its_layout_cannot_be_kept() -> None:
+    text = 'title = "x"\n# kept\n[limits]\ncrank = "full rotation" # told\n'
+    old, new = tables(text, ""), {"title": "x", "limits": {"crank": "span", "link_ratio": [0.1, 9.0]}}
+    made = rewritten(text, old, new)
+    assert tables(made, "") == new
+    assert "# kept" in made
+
+
+def test_the_title_of_a_document_is_no_path() -> None:
+    from optlink.studio.document import from_text
+
+    made = from_text(named("crank-rocker").text, "../../etc/x y;.toml")
+    assert isinstance(made, Document)
+    assert made.file == "xy.toml"
+
+
+@pytest.mark.slow
+def test_a_drawn_curve_gets_four_bars_and_a_drawing() -> None:
+    page = Page()
+    t = np.linspace(0.0, 2.0 * np.pi, 100, endpoint=False)
+    curve = np.column_stack([100.0 * np.cos(t) + 15.0 * np.cos(2.0 * t), 60.0 * np.sin(t)]).tolist()
+    answers = page.ask("draw", points=curve, closed=True)
+    assert [answer["type"] for answer in answers] == ["candidates"] * len(answers)
+    assert answers[-1]["done"]
+    best = answers[-1]["items"][0]
+    assert best["valid"]
+    assert best["error"] < 2.0
+    assert len(best["curve"]) == len(best["scene"]["angles"])
+    page.patient = False
+    state = page.state("choose", candidate=0)
+    assert state["status"] == "verified"
+    assert max(point["deviation"] for point in state["targets"]["points"]) == pytest.approx(best["error"], rel=1e-3)
+    for format in ("dxf", "svg", "csv", "html"):
+        made = page.ask("export", format=format)[0]
+        assert made["name"] == f"drawn-curve.{format}"
+        assert len(made["text"]) > 1000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["path-closed18", "shaper-design", "motion-3-poses", "stroke-crank-rocker", "law-slider-crank"])
+def test_a_followed_optimum_is_validated_on_release(name: str) -> None:
+    page = Page()
+    state = page.state("open", name=name)
+    page.patient = False
+    handle = next(h for h in state["handles"] if h["kind"] == "point" or h["id"].startswith(("limits.stroke", "requirement.s")))
+    at = np.array(handle.get("at") or [handle["value"]], dtype=float)
+    fields = {"at": (at + 0.01).tolist()} if handle["kind"] == "point" else {"value": 1.01 * float(at[0])}
+    moved = page.state("drag", handle=handle["id"], moving=True, **fields)
+    assert moved["status"] == "not verified"
+    released = page.state("drag", handle=handle["id"], moving=False, **fields)
+    assert released["status"] == "verified"
+    assert released["objective"]["value"] == pytest.approx(moved["objective"]["value"], rel=1e-4, abs=1e-12)
