@@ -171,10 +171,9 @@ export class Handles {
     const bars = [];
     for (const handle of this.handles) {
       const value = typeof handle.value === "number" ? handle.value : 0;
-      for (const edge of handle.feasible || []) {
-        if (edge === null || edge === undefined) {
-          continue;
-        }
+      const [low, high] = handle.feasible || [];
+      const crossed = value < low ? [low] : value > high ? [high] : []; // the end that an infeasible value has crossed
+      for (const edge of crossed) {
         if (handle.centre && (handle.kind === "angle" || !handle.along)) {
           const turn = ((handle.from || 0) + edge) * RAD;
           if (handle.kind === "angle") {

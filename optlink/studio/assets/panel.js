@@ -211,6 +211,7 @@ export class Panel {
     if (!parent.firstChild) {
       parent.append(el("h2", { text: "Requirement and limits" }), el("div", { class: "list" }));
     }
+    setText(parent.firstChild, handles.every((one) => one.size) ? "Sizes" : "Requirement and limits");
     keyed(parent.lastChild, handles, (one) => `${one.id} ${one.kind}`, (one) => this.slider(one), (node, one) => this.fillSlider(node, one));
   }
 
