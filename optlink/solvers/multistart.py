@@ -25,6 +25,7 @@ SAME_ERROR = 1e-8  # rad; errors that differ by less count as equal
 SAME_DESIGN = 1e-5  # in scaled units
 CONTINUATIONS = 3  # number of restarts, with tighter tolerances, from an end that is not optimal
 NEARLY = 1e-3  # a violation up to this, in scaled units, is attributed to the solver's tolerance and repaired
+LEAST_VIOLATION = "Infeasible_Problem_Detected"  # message of IPOPT at a locally least violation
 SOBOL_BLOCK = 64
 RESCALE = 1e-3  # if the objective fell below this share of its start, the search is repeated with a new scale
 
@@ -102,7 +103,7 @@ def solve_from(nlp: NLP, x: Array, name: str, *, track: bool = False, resume_inf
     track : bool
         Record the iterates.
     resume_infeasible : bool
-        Whether to restart from an end whose violation exceeds what the tolerance of a solver explains (`NEARLY`).
+        Whether to restart where the back end converged to a locally least violation of the limits.
     """
     start = repair(nlp, x, nlp.p)
     if start is None and not math.isfinite(nlp.values(x, nlp.p)[0]):
@@ -115,7 +116,7 @@ def solve_from(nlp: NLP, x: Array, name: str, *, track: bool = False, resume_inf
         fine = scaled_parameters(nlp, solution.x)
         if solution.status is Status.OPTIMAL and fine[0] >= RESCALE * p[0]:
             break
-        if solution.violation > NEARLY and not resume_infeasible:
+        if solution.message == LEAST_VIOLATION and not resume_infeasible:
             break
         again = _ended(nlp, run(nlp, solution.x, fine, tight=True), fine)
         p = fine

@@ -185,3 +185,14 @@ def test_work_grows_in_proportion_to_the_links_and_memory_stays_small(monkeypatc
     assert memory < 60e6
     for name in ("r1.omega_rad_s", "r10.omega_rad_s", "P1.ay_m_s2"):  # a parallelogram more changes no motion before it
         assert result.extremes[name].largest == pytest.approx(small.extremes[name].largest, rel=1e-9)
+
+
+@pytest.mark.parametrize("phase", [1.0, 0.2], ids=["Newton converges", "Newton leaves the bracket"])
+def test_zeros_with_derivatives_are_those_without(phase: float) -> None:
+    """Where Newton's method leaves the bracket, here for another zero, the rounds of interpolation and bisection answer."""
+
+    def slope(_k: int, angle: float) -> tuple[float, float]:
+        return math.sin(3.1 * angle - phase), 3.1 * math.cos(3.1 * angle - phase)
+
+    found = zeros(lambda angles: np.sin(3.1 * angles - phase)[None], np.array([0.0, 1.0]), slope=slope)
+    assert found[0] == pytest.approx([phase / 3.1], abs=1e-15)

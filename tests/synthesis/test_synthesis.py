@@ -527,3 +527,31 @@ def test_the_programme_knows_order_and_whole_revolutions() -> None:
         np.testing.assert_allclose(g[order], TURN / 5, rtol=1e-12)
         x[count:] *= -1.0
         assert np.all(nlp.values(x, nlp.p)[1][order] < 0.0)
+
+
+# --- rounds and assembly modes in one batch ----------------------------------------------------------------------------------
+
+
+def test_designs_of_several_assembly_modes_in_one_batch_are_those_of_each_alone() -> None:
+    limits = {"swing_angle": ["20 deg", "120 deg"], "transmission_angle": ["30 deg", "150 deg"]}
+    files = optlink.read(document(four_bar_section("either"), limits=limits)).variants()
+    problems = [file.model for file in files]
+    both = Batch(problems[0], problems[1:])
+    x, t = sample(both, 40, seed=2)
+    variant = np.arange(len(x)) % 2
+    whole = (*both.residuals(x, t, variant), *both.violations(x, t, variant), *SimilarityFit(both).fit(x, t, variant))
+    for k, problem in enumerate(problems):
+        one, own = Batch(problem), variant == k
+        alone = (*one.residuals(x[own], t[own]), *one.violations(x[own], t[own]), *SimilarityFit(one).fit(x[own], t[own]))
+        for together, each in zip(whole, alone, strict=True):
+            assert np.allclose(together[own], each, rtol=1e-9, atol=1e-12)
+
+
+def test_a_round_does_not_depend_on_the_rounds_computed_with_it() -> None:
+    files = optlink.read(document(four_bar_section("either"), closed=True)).variants()
+    one, ahead = (Searcher([file.model for file in files], 0) for _ in range(2))
+    for k in range(2):
+        found, other = one.advance(), ahead.advance(2)
+        assert (found.starts, found.rounds) == (other.starts, other.rounds) == ((60, 180)[k], k + 1)
+        assert [c.cost for c in found.candidates] == pytest.approx([c.cost for c in other.candidates], rel=1e-9)
+        assert [c.cost for c in found.repaired] == pytest.approx([c.cost for c in other.repaired], rel=1e-9)

@@ -1,0 +1,44 @@
+"""Restarts of a local search, and the Hessian that it shares with IPOPT."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import optlink
+from optlink.optimization.path_nlp import build_path_nlp
+from optlink.solvers import multistart
+from optlink.solvers.ipopt import compiled
+from optlink.solvers.multistart import LEAST_VIOLATION, solve_from
+from optlink.solvers.solution import Attempt
+
+
+@pytest.mark.parametrize(
+    ("message", "resume", "runs"),
+    [(LEAST_VIOLATION, True, 2), (LEAST_VIOLATION, False, 1), ("stopped early", False, 2)],
+)
+def test_a_search_is_not_resumed_from_a_least_violation(
+    monkeypatch: pytest.MonkeyPatch, message: str, resume: bool, runs: int
+) -> None:
+    nlp = build_path_nlp(optlink.load("path-closed18").variants()[0].model)  # type: ignore[arg-type]
+    called = []
+
+    def search(nlp: object, x: np.ndarray, p: np.ndarray, **options: bool) -> Attempt:
+        called.append(options)
+        return Attempt(np.clip(x + 0.01, nlp.x_low, nlp.x_high), 1, message)  # type: ignore[attr-defined]
+
+    monkeypatch.setattr(multistart, "backend", lambda _name: search)
+    monkeypatch.setattr(multistart, "repair", lambda _nlp, x, _p, **_: x)
+    solve_from(nlp, nlp.x_start, "ipopt", resume_infeasible=resume)
+    assert len(called) == runs
+
+
+def test_the_hessian_taken_from_ipopt_is_that_of_the_programme() -> None:
+    own, taken = (build_path_nlp(optlink.load("path-closed18").variants()[0].model) for _ in range(2))  # type: ignore[arg-type]
+    compiled(taken)
+    multipliers = np.linspace(-1.0, 1.0, len(own.rows))
+    x = own.x_start + 0.01
+    expected = own.hessian(x, own.p, multipliers)
+    assert np.max(np.abs(expected - expected.T)) == 0.0
+    assert taken.hessian(x, taken.p, multipliers) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    assert "_hessian" in vars(taken)
