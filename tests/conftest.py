@@ -25,9 +25,12 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+FIRST = ("test_the_site_builds", "test_notebooks.py")
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the notebooks, some of which take a minute: no core waits for the other at the end."""
-    items.sort(key=lambda item: "test_notebooks.py" not in item.nodeid)
+    """Begin with the documentation and the notebooks, which take a minute: no core waits for the other at the end."""
+    items.sort(key=lambda item: next((k for k, name in enumerate(FIRST) if name in item.nodeid), len(FIRST)))
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -33,9 +33,6 @@ from optlink.linkage.jet import Jet
 from optlink.symbolic import BufferedFunction, CompiledFunction, symbols_in_numpy
 
 Array = NDArray[np.float64]
-WEIGHTLESS = 1e-12
-"""Share of the largest inertia below which a free direction of motion has none."""
-
 LEAST_FORCE = 1e-300
 """Force [N] that keeps a ratio of forces finite where there are none."""
 

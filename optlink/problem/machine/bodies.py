@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import BeforeValidator, Field, ValidationInfo, field_validator, model_validator
+from pydantic import BeforeValidator, ValidationInfo, field_validator, model_validator
 
 from optlink.dynamics.inertia import Inertia
 from optlink.linkage.mechanism import Mechanism
@@ -171,4 +171,3 @@ def read_gravity(raw: object) -> Any:
 
 
 Gravity = Annotated[Any, BeforeValidator(read_gravity)]
-Bodies = Annotated[dict[str, BodySection], Field(default_factory=dict)]
