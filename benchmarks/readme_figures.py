@@ -306,6 +306,9 @@ LONG = {
     "simulate crank-rocker-clearance --control compare --starts 3",
     "study sensitivity shaper-design --check",
     "solve path-bean --designs 5 --starts 5000",
+    'solve law-slider-crank --certify --gap 1e-3 --time-limit "5 min"',
+    "solve path-arc5 --certify --gap 1e-3",
+    "solve path-closed18 --certify --gap 1e-3",
     'study pareto shaper-design --objectives "peak torque, guide force in F=1300..1620 N" --workers 2 --out shaper-front',
     'study sweep crank-rocker --vary mechanism.frame="450..550 mm:100" '
     '--vary limits.transmission_angle.max="125..140 deg:100" --workers 2 --out map',
