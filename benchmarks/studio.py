@@ -1,7 +1,7 @@
 """Measure the server of `optlink studio`: latency of recorded drags, random drags, saved problems, malformed messages.
 
 python benchmarks/studio.py latency            the drags of studio_drags.json through the socket
-python benchmarks/studio.py random [COUNT]     random drags over ten shipped problems: verdicts, exceptions, memory
+python benchmarks/studio.py random [COUNT] [PROBLEM ...]  random drags over ten shipped problems: verdicts, exceptions, memory
 python benchmarks/studio.py saved [COUNT]      drag, save, solve the saved file by the command line: the same design
 python benchmarks/studio.py abuse [COUNT]      malformed messages and a hostile file: the server stays alive
 python benchmarks/studio.py record             write studio_drags.json again
@@ -369,8 +369,9 @@ def main() -> int:
     elif command == "latency":
         return 0 if asyncio.run(_latency()) else 1
     elif command == "random":
-        each = -(-(count or 10_000) // len(PROBLEMS))
-        begin, found = time.perf_counter(), random_drags(PROBLEMS, each)
+        names = tuple(rest[1:]) or PROBLEMS
+        each = -(-(count or 10_000) // len(names))
+        begin, found = time.perf_counter(), random_drags(names, each)
         print(f"{found['drags']} drags in {time.perf_counter() - begin:.0f} s; {found['verified']} times verified, "
               f"wrongly: {found['wrong']}; {found['infeasible']} infeasible, {found['faults']} faults")  # fmt: skip
         return 1 if found["wrong"] else 0

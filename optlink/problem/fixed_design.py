@@ -58,7 +58,15 @@ def with_files_beside(file: ProblemFile) -> tuple[ProblemFile, dict[str, bytes]]
 
 
 def references(raw: Any, within: str = "") -> Iterator[tuple[dict[str, Any], str, str]]:
-    """Yield tables and keys that name another file, with its suffix; "" for the value of a tolerance."""
+    """Yield tables and keys that name another file, with its suffix; "" for the value of a tolerance.
+
+    Parameters
+    ----------
+    raw : object
+        Tables and lists of a problem file.
+    within : str
+        Name of the section that holds them; empty for the whole file.
+    """
     if isinstance(raw, list):
         for value in raw:
             yield from references(value, within)

@@ -43,7 +43,15 @@ class Follower(Protocol):
     """Follows the optimum of problems with one structure."""
 
     def follow(self, problem: ProblemFile, near: Solution | None) -> Solution | None:
-        """Return the optimum of a problem near the last one, usable or not; None if it cannot be followed."""
+        """Return the optimum of a problem near the last one, usable or not; None if it cannot be followed.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+            With definite assembly modes.
+        near : Solution, optional
+            Last optimum.
+        """
         ...
 
 

@@ -260,7 +260,8 @@ class Session:
             near = self._followed(definite)
             settle = getattr(self._follower[1], "refined", None)
             if near.solution is not None and settle is not None:
-                near = from_solution(definite, settle(near.solution))
+                found = near.solution
+                near = from_solution(definite, self._interruptible(lambda: settle(found)))
             if near.solution is not None and near.solution.usable:
                 seen = checked(near)
                 self._design = replace(seen, conclusion=FIRST) if seen.status == "verified" else replace(near, conclusion=BEGUN)
