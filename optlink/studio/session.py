@@ -260,8 +260,8 @@ class Session:
             near = self._followed(definite)
             settle = getattr(self._follower[1], "refined", None)
             if near.solution is not None and settle is not None:
-                found = near.solution
-                near = from_solution(definite, self._interruptible(lambda: settle(found)))
+                begun = near.solution
+                near = from_solution(definite, self._interruptible(lambda: settle(begun)))
             if near.solution is not None and near.solution.usable:
                 seen = checked(near)
                 self._design = replace(seen, conclusion=FIRST) if seen.status == "verified" else replace(near, conclusion=BEGUN)
