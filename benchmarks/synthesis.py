@@ -1,4 +1,4 @@
-"""Synthesis: paths against differential evolution, pylinkage and fourbarhinge; round trips; convex first steps; public cases.
+"""Synthesis: paths against differential evolution, pylinkage and fourbarhinge; round trips; convex first steps; shipped problems.
 
 `python benchmarks/synthesis.py [--parts evolution,peers,first,cases,trips] [--seeds N] [--linkages N] [--laws N] [--json FILE]`
 
@@ -67,6 +67,7 @@ CASES = (
     *("path-bean", "path-conveyor", "path-scott-russell", "path-slider-egg", "path-watt-leg", "path-stephenson-dwell"),
     *("motion-3-poses", "motion-3-poses-region", "motion-5-poses"),
     *("function-log10", "function-sin", "function-exp", "transmission-optimal"),
+    *("shaper-design", "press-toggle"),
 )
 
 
