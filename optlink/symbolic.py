@@ -71,11 +71,21 @@ class BufferedFunction:
         return [result.copy() for result in self._results]
 
 
+def dense_function(inputs: list[Any], outputs: list[Any]) -> Any:
+    """Return a casadi function of expressions, whose results have all their elements.
+
+    Parameters
+    ----------
+    inputs, outputs : list of casadi expressions
+    """
+    return casadi.Function("compiled", inputs, [casadi.densify(output) for output in outputs])
+
+
 class CompiledFunction(BufferedFunction):
     """Expressions of casadi symbols as a function on numpy arrays."""
 
     def __init__(self, inputs: list[Any], outputs: list[Any], copies: int = 1) -> None:
-        function = casadi.Function("compiled", inputs, [casadi.densify(output) for output in outputs])
+        function = dense_function(inputs, outputs)
         super().__init__(function if copies == 1 else function.map(copies))
 
 

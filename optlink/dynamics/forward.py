@@ -140,7 +140,7 @@ class _Plant:
         self.bodies, self.cycle = tuple(machine.mechanism.bodies), machine.mechanism.cycle
         self.names = ["input", *(load.name for load in machine.loads), *(["friction"] if machine.friction else [])]
         self.direction = 1.0
-        self.compiled: dict[float, tuple[Callable[..., list[Array]], Callable[..., list[Array]]]] = {}
+        self.buffered: dict[float, tuple[Callable[..., list[Array]], Callable[..., list[Array]]]] = {}
         self.evaluations = 0
 
     def geared(self, angle: Value) -> Moving:
@@ -191,29 +191,31 @@ class _Plant:
 
     def functions(self) -> tuple[Callable[..., list[Array]], Callable[..., list[Array]]]:
         """The rates at a crank angle and speed, and a step of the integrator: the formulas of both, compiled from symbols."""
-        if self.direction not in self.compiled:
-            import casadi
+        if self.direction not in self.buffered:
+            from optlink.symbolic import BufferedFunction
 
-            from optlink.symbolic import CompiledFunction, symbols_in_numpy
+            drive, known = self.machine.compiled.get("motion", (None, {}))
+            known = known if drive is self.drive else {}
+            self.machine.compiled["motion"] = self.drive, known
+            rates, step = known[self.direction] = known.get(self.direction) or self.compiled()
+            self.buffered[self.direction] = BufferedFunction(rates), BufferedFunction(step)  # buffers of this simulation alone
+        return self.buffered[self.direction]
 
-            crank, size = casadi.SX.sym("crank", 2), casadi.SX.sym("size")
-            state, first = (casadi.SX.sym(name, 2 + len(self.names) + 6 * len(self.bodies)) for name in ("state", "first"))
-            with symbols_in_numpy():
-                expressions = casadi.vertcat(*self.rates(crank[0], crank[1]))
-                rates = casadi.Function("rates", [crank], [expressions])
-                made = attempt(
-                    lambda y: casadi.vertcat(*self.placed(rates(y[:2]), y)),
-                    lambda parts: casadi.horzcat(*parts),
-                    state,
-                    first,
-                    size,
-                )
-            outputs = [made.state, casadi.horzcat(*made.rates), casadi.vertcat(made.fifth, made.third)]
-            self.compiled[self.direction] = (
-                CompiledFunction([crank], [expressions]),
-                CompiledFunction([state, first, size], outputs),
-            )
-        return self.compiled[self.direction]
+    def compiled(self) -> tuple[Any, Any]:
+        """Trace the rates, and a step of the integrator."""
+        import casadi
+
+        from optlink.symbolic import dense_function, symbols_in_numpy
+
+        crank, size = casadi.SX.sym("crank", 2), casadi.SX.sym("size")
+        n = 2 + len(self.names) + 6 * len(self.bodies)
+        state, first = casadi.SX.sym("state", n), casadi.SX.sym("first", n)
+        with symbols_in_numpy():
+            rates = dense_function([crank], [casadi.vertcat(*self.rates(crank[0], crank[1]))])
+            whole = lambda y: casadi.vertcat(*self.placed(rates(y[:2]), y))  # noqa: E731
+            made = attempt(whole, lambda parts: casadi.horzcat(*parts), state, first, size)
+        outputs = [made.state, casadi.horzcat(*made.rates), casadi.vertcat(made.fifth, made.third)]
+        return rates, dense_function([state, first, size], outputs)
 
     def traced(self, crank: Array) -> Array:
         """The rates at a crank angle and speed, 30 times faster."""

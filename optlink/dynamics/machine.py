@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +14,7 @@ from optlink.dynamics.inertia import BodyMotion, Inertia, body_motion, kinetic, 
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
 from optlink.linkage.motion import Motion, sweep
+from optlink.linkage.stroke import Ranges, reachable
 from optlink.linkage.vector2d import Value, Vector, magnitude, sign
 
 if TYPE_CHECKING:
@@ -84,6 +85,20 @@ class Machine:
         for length in lengths:
             found = found + jet_parts(self.sizes[length] if isinstance(length, str) else length)[0]
         return found if lengths else 1.0
+
+    @cached_property
+    def ranges(self) -> Ranges:
+        """Crank ranges in which the mechanism can be assembled."""
+        return reachable(self.mechanism, self.sizes)
+
+    @cached_property
+    def compiled(self) -> dict[str, Any]:
+        """Functions compiled for this machine, by what they compute."""
+        return {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the attributes without compiled functions, which are compiled again when needed."""
+        return {name: value for name, value in vars(self).items() if name != "compiled"}
 
     @cached_property
     def switching(self) -> bool:

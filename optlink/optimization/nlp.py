@@ -57,7 +57,11 @@ class NLPValues:
     @property
     def finite(self) -> bool:
         """Whether all values are finite."""
-        return bool(math.isfinite(self.f) and all(np.all(np.isfinite(a)) for a in (self.gradient, self.g, self.jacobian)))
+        flat = self.jacobian.ravel(order="K")
+        squares = self.gradient @ self.gradient + self.g @ self.g + flat @ flat  # finite only if every value is
+        if math.isfinite(self.f) and math.isfinite(squares):
+            return True
+        return math.isfinite(self.f) and all(bool(np.all(np.isfinite(a))) for a in (self.gradient, self.g, flat))
 
 
 @dataclass(frozen=True)

@@ -46,6 +46,7 @@ class _View:
         self.inside = np.concatenate([below, above])
         self.sign = np.concatenate([np.ones(below.size), -np.ones(above.size)])
         self.bound = np.concatenate([low[below], -high[above]])
+        self.signed = self.sign[:, None] * self.size
         # SLSQP starts from a unit Hessian: scaling by the largest true curvature keeps its first step short
         bend = np.linalg.norm(nlp.hessian(x, p, np.zeros(len(low))), 2) if nlp.at(x, p).finite else 1.0
         self.weight = float(1.0 / bend) if math.isfinite(bend) and bend > 0.0 else 1.0
@@ -74,7 +75,7 @@ class _View:
             point.g[self.equal] - self.nlp.low[self.equal],
             point.jacobian[self.equal] * self.size,
             self.sign * point.g[self.inside] - self.bound,
-            self.sign[:, None] * point.jacobian[self.inside] * self.size,
+            self.signed * point.jacobian[self.inside],
         )
 
 

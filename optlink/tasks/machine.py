@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import weakref
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -13,7 +14,7 @@ from optlink.dynamics.inertia import Inertia
 from optlink.dynamics.machine import Machine
 from optlink.errors import Fault, InputError
 from optlink.linkage.alignment import positions_text
-from optlink.linkage.stroke import TURN, Ranges, failure, reachable
+from optlink.linkage.stroke import TURN, Ranges, failure
 from optlink.linkage.vector2d import Value
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
@@ -21,6 +22,9 @@ from optlink.problem.quantity import input_of
 
 Array = NDArray[np.float64]
 
+
+_machines: dict[int, Machine] = {}
+"""Machines at fixed and starting values by the identity of their problem, with their ranges and compiled functions."""
 
 MARGIN = 1e-3  # fraction of a limited range omitted at either end: speeds are infinite at a dead position
 
@@ -39,7 +43,7 @@ def turning_machine(problem: ProblemFile, design: Mapping[str, float]) -> Machin
         machine = machine_of(fixed_design(problem, design))
     except InputError:
         return None
-    return machine if reachable(machine.mechanism, machine.sizes).full else None
+    return machine if machine.ranges.full else None
 
 
 def machine_of(problem: ProblemFile, design: Mapping[str, Value] | None = None) -> Machine:
@@ -56,8 +60,14 @@ def machine_of(problem: ProblemFile, design: Mapping[str, Value] | None = None) 
     InputError
         If the machine cannot be built.
     """
+    if design is None and id(problem) in _machines:
+        return _machines[id(problem)]
     with input_of(problem.file):
-        return problem.model.machine(design)
+        machine = problem.model.machine(design)
+    if design is None:
+        _machines[id(problem)] = machine
+        weakref.finalize(problem, _machines.pop, id(problem), None)
+    return machine
 
 
 def crank_speed(problem: ProblemFile) -> float:
@@ -90,6 +100,8 @@ def with_flywheel(machine: Machine, inertia: float) -> Machine:
     """
     if not 0.0 <= inertia < 1e12:
         raise InputError(Fault("out of range", "Give a moment of inertia from 0 to 1e12 kg*m^2", key="flywheel", value=inertia))
+    if inertia == 0.0:
+        return machine
     crank = machine.mechanism.crank.body
     own = machine.inertias.get(crank, Inertia())
     return machine.with_(inertias={**machine.inertias, crank: replace(own, moment=own.moment + inertia)})
@@ -113,7 +125,7 @@ def motion_range(problem: ProblemFile, machine: Machine, start: float) -> tuple[
     InputError
         If the mechanism cannot be assembled at the start.
     """
-    ranges = reachable(machine.mechanism, machine.sizes)
+    ranges = machine.ranges
     if ranges.full:
         return ranges, start, start + machine.mechanism.cycle
     holding = ranges.holding(start)

@@ -260,10 +260,38 @@ def test_energy_account_sees_a_load_that_is_left_out(monkeypatch):
     def without_loads(moving, geared):
         return honest(drive_module.Moving(moving.machine.with_(loads=()), moving.motion, 1, moving.direction), geared)
 
-    problem = slider_crank(**LOADED)
-    assert optlink.simulate(problem, duration=0.3, rows=5).run.imbalance < 1e-9
+    assert optlink.simulate(slider_crank(**LOADED), duration=0.3, rows=5).run.imbalance < 1e-9
     monkeypatch.setattr(drive_module, "required_torque", without_loads)
-    assert optlink.simulate(problem, duration=0.3, rows=5).run.imbalance > 1e-3
+    assert optlink.simulate(slider_crank(**LOADED), duration=0.3, rows=5).run.imbalance > 1e-3
+
+
+def test_functions_compiled_for_a_machine_serve_that_machine_and_torque_alone():
+    problem, torque = slider_crank(), slider_crank(drive={"torque": "0.2 N*m", "duration": "2 s"})
+    fresh = [
+        optlink.simulate(slider_crank(), duration=0.5, rows=3),
+        optlink.simulate(slider_crank(), duration=0.5, rows=3, flywheel=0.01),
+        optlink.simulate(slider_crank(drive={"torque": "0.2 N*m", "duration": "2 s"}), duration=0.5, rows=3),
+        optlink.simulate(slider_crank(), duration=0.5, rows=3, speed=-9.0),
+    ]
+    again = [
+        optlink.simulate(problem, duration=0.5, rows=3),
+        optlink.simulate(problem, duration=0.5, rows=3, flywheel=0.01),
+        optlink.simulate(torque, duration=0.5, rows=3),
+        optlink.simulate(problem, duration=0.5, rows=3, speed=-9.0),
+    ]
+    optlink.simulate(problem, duration=0.5, rows=3)  # compiled by now
+    again.append(optlink.simulate(problem, duration=0.5, rows=3))
+    ends = [one.figures["end.crank_angle_rad"] for one in (*fresh, fresh[0])]
+    assert [one.figures["end.crank_angle_rad"] for one in again] == ends
+    assert len(set(ends)) == 4
+
+
+def test_machine_compiled_for_another_torque_would_be_noticed():
+    """A machine keeps its functions with the torque that they contain."""
+    problem = slider_crank()
+    machine, times = machine_of(problem), np.array([0.0, 0.5])
+    ends = [drive_module.run(machine, times, 0.0, 5.0, lambda _, t=torque: t).crank_angle[-1] for torque in (0.1, 0.2, 0.1)]
+    assert ends[0] == ends[2] != ends[1]
 
 
 @pytest.mark.slow
