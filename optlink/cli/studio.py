@@ -10,6 +10,7 @@ import typer
 
 from optlink.cli import console
 from optlink.cli.completion import problem_names
+from optlink.cli.options import Quiet
 from optlink.errors import Fault, InputError
 
 NEEDED = ("starlette", "uvicorn", "websockets")
@@ -32,6 +33,7 @@ def studio(
     ] = "",
     port: Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help="Port. Default: any free one.")] = 0,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
+    quiet: Quiet = False,
 ) -> None:
     """Open a page on which the linkage is optimised again while you drag its points, sizes and limits."""
     with console.reported(False):
@@ -45,7 +47,8 @@ def studio(
 
         def ready(url: str) -> None:
             print(f"The studio is open at {url}", flush=True)
-            print("Stop it with Ctrl-C.", file=sys.stderr)
+            if not quiet:
+                print("Stop it with Ctrl-C.", file=sys.stderr)
             if browser:
                 import threading
                 import webbrowser

@@ -198,7 +198,7 @@ def completed(line: str) -> set[str]:
         ("optlink study sweep crank-rocker --set limits.tr", {"limits.transmission_angle="}),
         ("optlink solve nothing --set m", set()),
         ("optlink analyze pu", {"pump.toml"}),
-        ("optlink stu", {"study"}),
+        ("optlink stu", {"study", "studio"}),
         ("optlink solve --qu", {"--quiet"}),
     ],
 )
