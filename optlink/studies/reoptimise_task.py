@@ -117,9 +117,14 @@ class ReoptimiseTask(OptimumTask):
 
     @cached_property
     def direct(self) -> FastOverride | None:
-        """Sets values in the model; None if the file has to be read again for each."""
-        found = FastOverride(self.template.spec, self.grid.axes) if self.programme is not None else None
-        return found if found is not None and found.possible else None
+        """Sets values in the model; None if the file has to be read again for each.
+
+        Tolerances of a robust design are checked against each size, so that its problems are read one by one.
+        """
+        if self.programme is None or self.template.spec.requirement.robust is not None:
+            return None
+        found = FastOverride(self.template.spec, self.grid.axes)
+        return found if found.possible else None
 
     @cached_property
     def grid_search(self) -> GridSearch:

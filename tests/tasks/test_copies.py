@@ -98,15 +98,33 @@ def test_a_result_crosses_processes(result: Any, pool: ProcessPoolExecutor) -> N
     assert document(pool.submit(copy.copy, result).result()) == document(result)
 
 
+def compare(one: Any, other: Any) -> None:
+    """Fail unless two documents are equal, apart from the last digits of numbers."""
+    assert type(one) is type(other)
+    if isinstance(one, dict):
+        assert one.keys() == other.keys()
+        for key in one:
+            compare(one[key], other[key])
+    elif isinstance(one, list):
+        assert len(one) == len(other)
+        for left, right in zip(one, other, strict=True):
+            compare(left, right)
+    else:
+        assert one == (pytest.approx(other, rel=1e-7, abs=1e-12) if isinstance(one, float) else other)
+
+
 @pytest.mark.parametrize("kind", ["law", "points", pytest.param("cycle", marks=pytest.mark.slow)])
 def test_a_copied_optimum_has_its_proof(kind: str) -> None:
-    """The programme in the copy is alive: limits, curvature and sensitivities are computed from it."""
+    """The programme in the copy is alive: limits, curvature and sensitivities are computed from it.
+
+    It generates its own Hessian, where the original has that of the back end: the last digits may differ.
+    """
     result = made(kind)
     again = pickle.loads(pickle.dumps(result))
     assert again.solution.limits == result.solution.limits
-    np.testing.assert_equal(again.solution.curvature, result.solution.curvature)
+    assert again.solution.curvature == pytest.approx(result.solution.curvature, rel=1e-9, nan_ok=True)
     one, other = (of_solution(each.definite, each.solution).to_dict() for each in (result, again))
-    assert one == other
+    compare(one, other)
 
 
 @pytest.mark.parametrize("kind", ["function", pytest.param("analysis", marks=pytest.mark.slow)])
