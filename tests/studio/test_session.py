@@ -17,7 +17,7 @@ from optlink.studio.session import Session, deflated, inflated
 
 
 class Page:
-    """A page without a browser: its session and what it was sent; `patient`: whether it waits for full searches."""
+    """A page without a browser: its session and what it was sent; `patient`: whether it waits after the first state."""
 
     def __init__(self, patient: bool = True) -> None:
         self.sent: list[Mapping[str, Any]] = []
@@ -25,7 +25,7 @@ class Page:
         self.session = Session(self.sent.append, self._interruptible)
 
     def _interruptible(self, work: Callable[[], Any]) -> Any:
-        if not self.patient:
+        if not self.patient and any(message["type"] == "state" for message in self.sent):
             raise KeyboardInterrupt
         return work()
 
