@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import gc
 import os
+import threading
 
 FIRST_COLLECTION = 150_000
-"""Objects at the first garbage collection; a short command creates fewer."""
+"""Objects at a garbage collection while a command begins; a short one creates fewer."""
+BEGINNING = 3.0  # s
 
 
 def main() -> None:
     """Run the `optlink` command.
 
-    A short command spends a fifth of its time on searching the modules that it has just loaded for garbage: the first collection
-    comes late, later ones at the usual intervals, and none searches what is left at exit. One BLAS thread suffices: the arrays
-    are small, and what runs in parallel runs in processes.
+    A short command spends a fifth of its time on searching the modules that it has just loaded for garbage: in its first seconds
+    collections are rare, then at the usual intervals, and none searches what is left at exit. One BLAS thread suffices: the
+    arrays are small, and what runs in parallel runs in processes.
     """
-    _collect_late()
+    _collect_late(BEGINNING)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from optlink.cli.app import main as run
 
@@ -26,18 +28,18 @@ def main() -> None:
         gc.freeze()
 
 
-def _collect_late() -> None:
-    """Put the first garbage collection off; it exempts what has been loaded by then and restores the usual intervals."""
+def _collect_late(seconds: float) -> None:
+    """Make garbage collections rare for some seconds, in processes forked meanwhile as well.
+
+    A thread restores the usual intervals: in a callback of the collector a Ctrl-C of that moment would be lost.
+    """
     usual = gc.get_threshold()
-
-    def restore(phase: str, _: dict[str, int]) -> None:
-        if phase == "stop":
-            gc.callbacks.remove(restore)
-            gc.freeze()
-            gc.set_threshold(*usual)
-
-    gc.callbacks.append(restore)
     gc.set_threshold(FIRST_COLLECTION, *usual[1:])
+    restore = threading.Timer(seconds, gc.set_threshold, usual)
+    restore.daemon = True
+    restore.start()
+    if hasattr(os, "register_at_fork"):
+        os.register_at_fork(after_in_child=lambda: gc.set_threshold(*usual))
 
 
 if __name__ == "__main__":

@@ -49,9 +49,9 @@ class Sketch:
     def __init__(self, motion: Motion, machine: Machine | None = None, share: float = SHARE) -> None:
         self.motion, self.mechanism = motion, motion.mechanism
         self.names = list(self.mechanism.owners)
-        self._metres = np.array([motion.position(name) for name in self.names])
-        self.near = self._near(motion)
-        extent = max(float(np.max(spread(finite(self._points(motion, 1.0)[:, self.near])))), 1e-30)
+        self.points = np.array([motion.position(name) for name in self.names])  # m, (points, positions, 2)
+        self.near = self._near()
+        extent = max(float(np.max(spread(finite(self.points[:, self.near])))), 1e-30)
         self.scale: Scale = scale(extent, "m")
         self.size = share * extent * self.scale.factor
         bodies = [body for body in self.mechanism.bodies if body != self.mechanism.crank.body]
@@ -69,17 +69,10 @@ class Sketch:
 
     # --- positions ---------------------------------------------------------------------------------------------------
 
-    def _points(self, motion: Motion, factor: float) -> Array:
-        """Return every named point over a motion, shape (points, positions, 2)."""
-        if motion is self.motion:
-            return self._metres * factor
-        return np.array([motion.position(name) * factor for name in self.names])
-
-    def _near(self, motion: Motion) -> NDArray[np.bool_]:
+    def _near(self) -> NDArray[np.bool_]:
         """Return the positions in which no point is so far away (parallel lines) that the others would vanish."""
-        points = self._points(motion, 1.0)
-        crank = motion.position(self.mechanism.crank.start)
-        away = np.where(np.isfinite(points).all(axis=-1), np.linalg.norm(points - crank, axis=-1), 0.0).max(axis=0)
+        crank = self.motion.position(self.mechanism.crank.start)
+        away = np.where(np.isfinite(self.points).all(axis=-1), np.linalg.norm(self.points - crank, axis=-1), 0.0).max(axis=0)
         near: NDArray[np.bool_] = away <= FAR * np.median(away)
         return near
 
@@ -182,7 +175,7 @@ class Sketch:
     def _ground_lines(self) -> list[tuple[Array, float, bool]]:
         """Return the ground pivots and rails as (line, width, filled white)."""
         found: list[tuple[Array, float, bool]] = []
-        middle = np.mean(finite(self._points(self.motion, self.scale.factor)[:, self.near]), axis=0)
+        middle = np.mean(finite(self.points[:, self.near] * self.scale.factor), axis=0)
         s = self.size
         held = {point for spring in self.springs for body, point in spring.ends if body == FRAME}
         for name in self.mechanism.ground:
@@ -214,7 +207,7 @@ class Sketch:
     def _extent(self) -> tuple[Array, Array]:
         """Return the least and largest coordinates of everything that is drawn."""
         corners = [
-            finite(self._points(self.motion, self.scale.factor)[:, self.near]),
+            finite(self.points[:, self.near] * self.scale.factor),
             *(finite(line) for line, _, _ in self.ground),
         ]
         for body, own in self.parts.items():
