@@ -21,7 +21,7 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-from readme_figures import BLOCKS, FIGURES, LONG, PLACEHOLDERS, PREPARED, Block, Figure
+from readme_figures import BLOCKS, FIGURES, LONG, PLACEHOLDERS, PREPARED, SERVER, Block, Figure
 from timing import HERE, ROOT
 
 sys.path.insert(0, str(ROOT))  # the checkout is measured, whether it is installed or not
@@ -171,7 +171,7 @@ def calls(name: str) -> list[str]:
             lines = match["text"].replace("\\\n", " ").split("\n")
             found += [re.split(r"\s#", line)[0].strip() for line in lines if line.startswith("optlink ")]
     found += re.findall(r"^    (optlink [^#\n]*)", FENCES.sub("", page(name)), re.MULTILINE)
-    return [line.strip() for line in found if line.strip() not in PLACEHOLDERS]
+    return [line for line in map(str.strip, found) if line not in PLACEHOLDERS and not line.startswith(SERVER)]
 
 
 def run_page(name: str, *, long: bool | None = None) -> Iterator[tuple[str, int, float, str]]:

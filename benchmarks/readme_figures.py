@@ -327,5 +327,8 @@ LONG = {
 PLACEHOLDERS = {"optlink balance mine.toml --design result.json"}
 """Commands with files of the reader."""
 
+SERVER = "optlink studio"
+"""Begins commands that end with Ctrl-C alone; the tests of the studio run it."""
+
 PREPARED = {"docs/reports.md": ["optlink solve crank-rocker --out out"]}
 """Commands that write what the commands of a page read."""
