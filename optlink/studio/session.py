@@ -59,7 +59,7 @@ class Session:
     # --- requests -----------------------------------------------------------------------------------------------------------
 
     def handle(self, request: Mapping[str, Any]) -> None:
-        """Answer a request; an error of the input is answered with a fault and changes nothing."""
+        """Handle a request; invalid input sends a fault and changes nothing."""
         self._begun, self._id = time.perf_counter(), request["id"]
         try:
             act = _ACTIONS.get(request["type"])
