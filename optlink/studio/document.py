@@ -1,4 +1,4 @@
-"""The problem that is open on the page: its text with comments, changes of single values, undo and redo."""
+"""The problem that is open on the page: its text with comments, and changes of single values."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ from optlink.problem.templates import template
 from optlink.studies.toml_keys import exact_text, si_per_unit, value_at
 from optlink.units import KINDS
 
-MOST_STEPS = 200  # of the history
 ROOM = 0.5  # share of a size by which it may change where the file has no bounds for it
 
 
@@ -48,6 +47,15 @@ class Document:
             If the text is not a usable problem.
         """
         return read(tables(self.text, self.file), self.name, self.file, self.folder)
+
+    def message(self) -> dict[str, Any]:
+        """Return the document as plain data, for `of`."""
+        return {"name": self.name, "text": self.text, "folder": str(self.folder), "freed": dict(self.freed)}
+
+    @classmethod
+    def of(cls, message: Mapping[str, Any]) -> Document:
+        """Return the document of a message."""
+        return cls(message["name"], message["text"], Path(message["folder"]), message["freed"])
 
     @property
     def file(self) -> str:
@@ -78,6 +86,8 @@ class Document:
             None for the starting value of the file.
         """
         quantity, key = self._quantity(size)
+        if not quantity.free:
+            return self
         unit, value = KINDS[quantity.kind].display, quantity.value if value is None else value
         made = self.with_changes({key: exact_text(value / si_per_unit(quantity), unit)})
         return replace(made, freed={**self.freed, size: value_at(self.problem, key)})
@@ -91,6 +101,8 @@ class Document:
             Name of the size.
         """
         quantity, key = self._quantity(size)
+        if quantity.free:
+            return self
         per, unit = si_per_unit(quantity), KINDS[quantity.kind].display
         value = quantity.value / per
         known = self.freed.get(size)
@@ -106,34 +118,6 @@ class Document:
         if size not in quantities:
             raise InputError(Fault("no such size", f"Sizes: {', '.join(quantities)}", self.file, "lock", size))
         return quantities[size], file_key(self.problem.raw["mechanism"], size)
-
-
-class History:
-    """Documents in the order of their changes, and the present one."""
-
-    def __init__(self, document: Document) -> None:
-        self.steps, self.at = [document], 0
-
-    @property
-    def present(self) -> Document:
-        """The present document."""
-        return self.steps[self.at]
-
-    def add(self, document: Document) -> None:
-        """Add a step after the present one, and drop what was undone."""
-        if document.text != self.present.text:
-            self.steps[self.at + 1 :] = [document]
-            del self.steps[:-MOST_STEPS]
-            self.at = len(self.steps) - 1
-
-    def move(self, way: int) -> None:
-        """Undo (-1) or redo (+1) a step, if there is one."""
-        self.at = min(max(self.at + way, 0), len(self.steps) - 1)
-
-    @property
-    def ends(self) -> tuple[bool, bool]:
-        """Whether a step can be undone, and redone."""
-        return self.at > 0, self.at < len(self.steps) - 1
 
 
 # --- opening ----------------------------------------------------------------------------------------------------------------

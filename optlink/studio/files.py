@@ -1,12 +1,16 @@
-"""Files that the page saves: drawings, tables and the report of the present design."""
+"""What leaves the page: drawings, tables and the report of the present design, and links that hold the problem."""
 
 from __future__ import annotations
 
+import base64
+import binascii
 import tempfile
+import zlib
 from pathlib import Path
 from typing import Any
 
 from optlink.errors import Fault, InputError
+from optlink.problem.file import MAX_BYTES
 from optlink.studio.design import Design
 
 MEDIA = {"dxf": "image/vnd.dxf", "svg": "image/svg+xml", "html": "text/html", "csv": "text/csv"}
@@ -46,3 +50,29 @@ def exported(design: Design, name: str, format: Any) -> dict[str, Any]:
             export(subject, path)
             text = path.read_text(encoding="utf-8")
     return {"name": f"{name}.{format}", "media": MEDIA[format], "text": text}
+
+
+def deflated(text: str) -> str:
+    """Return a text, compressed, in the letters of a link."""
+    return base64.urlsafe_b64encode(zlib.compress(text.encode(), 9)).decode().rstrip("=")
+
+
+def inflated(fragment: str) -> str:
+    """Return the text of a link.
+
+    Raises
+    ------
+    InputError
+        If it is no compressed text, or too long.
+    """
+    try:
+        data = base64.urlsafe_b64decode(fragment + "=" * (-len(fragment) % 4))
+        unpacker = zlib.decompressobj()
+        text = unpacker.decompress(data, MAX_BYTES + 1)
+        if len(text) > MAX_BYTES:
+            raise InputError(Fault(f"the problem of the link is longer than {MAX_BYTES:,} bytes", "Open its file instead"))
+        if not unpacker.eof:
+            raise ValueError
+        return text.decode()
+    except (ValueError, binascii.Error, zlib.error):
+        raise InputError(Fault("the link holds no problem", "Copy the whole link")) from None

@@ -98,8 +98,12 @@ class PathFollower:
     """
 
     def __init__(self, problem: ProblemFile, way: int) -> None:
-        self.way, self.task = way, path_model(problem)
-        self.nlp = build_path_nlp(self.task, way, movable=True)
+        self.way = way
+        self._build(path_model(problem))
+
+    def _build(self, task: PathProblem) -> None:
+        """Build the programme of a problem; it serves all problems with the same limits."""
+        self.task, self.nlp = task, build_path_nlp(task, self.way, movable=True)
         multistart.prepare(self.nlp, BACKEND)
 
     def follow(self, problem: ProblemFile, near: Solution | None) -> Solution:
@@ -114,7 +118,7 @@ class PathFollower:
         """
         task = path_model(problem)
         if not self._bind(task):
-            self.__init__(problem, self.way)  # type: ignore[misc]
+            self._build(task)
         nlp, x = self.nlp, start_of(self.nlp, near)
         if near is not None and near.nlp is nlp and not nlp.exchange_count:
             found = follow_optimum(nlp, near)

@@ -12,23 +12,36 @@ from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from starlette.websockets import WebSocketDisconnect
+
 import optlink
+from optlink.studio.history import History
 from optlink.studio.worker import DONE, STOP, frame
 
 Send = Callable[[str], Awaitable[None]]
 
-PATIENCE = 2.0  # s within which a stopped computation must end
+PATIENCE = 4.0  # s within which a stopped computation must end
+STARTING = 60.0  # s, the same for a process that has not finished its imports
 LIMIT = 600.0  # s for one computation
-LONG = ("drag", "set", "lock", "search", "undo", "redo", "start", "open", "new", "draw", "choose")
+MOST_WAITING = 100  # requests
+LONG = ("drag", "set", "lock", "search", "undo", "redo", "start", "open", "new", "draw", "choose", "resume")
 """Requests whose computation a later request may stop."""
-FRAME = 64 * 2**20  # largest answer in bytes
+QUIET = ("save", "link", "export")
+"""Requests that wait for the present computation rather than stopping it."""
+AGAIN = 1.0  # s until a process that did not start is replaced
+FAILED = "The computation ended unexpectedly and was started again."
+STOPPED = "The computation did not stop when it should, and was started again."
+SLOW = f"The computation took longer than {LIMIT / 60.0:.0f} minutes and was ended."
+KEPT = "Your problem and its history are kept."
+UNDONE = "The last change was undone; redo it to try once more."
+NOTHING = "Open a problem."
 
 
 class Worker:
     """A process that computes; started early, so that a page does not wait for its imports."""
 
     def __init__(self, process: asyncio.subprocess.Process) -> None:
-        self.process = process
+        self.process, self.ready = process, False
 
     @classmethod
     async def start(cls) -> Worker:
@@ -63,7 +76,15 @@ class Worker:
         """
         assert self.process.stdout is not None
         head = await self.process.stdout.readexactly(4)
+        self.ready = True
         return await self.process.stdout.readexactly(int.from_bytes(head, "big"))
+
+    async def ended(self) -> None:
+        """Wait for the end of a process that closed its output; end it if it does not."""
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self.process.wait(), AGAIN)
+            return
+        self.kill()
 
     def kill(self) -> None:
         """End the process at once."""
@@ -79,13 +100,19 @@ class Link:
     worker : Worker
     send : function of a text
         Sends a message to the page.
+    another : function, optional
+        Returns a worker in place of one that has ended.
     """
 
-    def __init__(self, worker: Worker, send: Send) -> None:
-        self.worker, self._send = worker, send
+    def __init__(self, worker: Worker, send: Send, another: Callable[[], Awaitable[Worker]] | None = None) -> None:
+        self.worker, self._send, self._another = worker, send, another or Worker.start
         self._waiting: deque[dict[str, Any]] = deque()
         self._running: dict[str, Any] | None = None
-        self._document: dict[str, Any] | None = None  # request that opens the present problem again
+        self._latest = 0  # id of the request that was computed last
+        self._history: History[dict[str, Any]] | None = None  # of the page, as the worker has it
+        self._origin = ""
+        self._ended = FAILED  # why the worker has ended
+        self._failures = 0  # since the last request that was answered
         self._timer: asyncio.TimerHandle | None = None
         self._reader = asyncio.create_task(self._read())
 
@@ -96,30 +123,42 @@ class Link:
             return
         if self._waiting and _moving(self._waiting[-1]) and request["type"] == "drag":
             self._waiting.pop()
-        self._waiting.append(request)
+        if len(self._waiting) < MOST_WAITING:
+            self._waiting.append(request)
         if self._running is None:
             self._next()
-        elif self._running["type"] in LONG and not _moving(self._running) and not self._quiet(request):
-            self._stop()
-
-    @staticmethod
-    def _quiet(request: Mapping[str, Any]) -> bool:
-        """Return whether a request waits for the present computation rather than stopping it."""
-        return request["type"] in ("save", "link", "export")
+        else:
+            self._give_way()
 
     def _next(self) -> None:
         self._cancel()
         self._running = self._waiting.popleft() if self._waiting else None
         if self._running is not None:
+            self._latest = self._running["id"]
             self.worker.send(self._running)
-            self._timer = asyncio.get_running_loop().call_later(LIMIT, self.worker.kill)
+            self._kill_after(LIMIT, SLOW)
+            self._give_way()
+
+    def _give_way(self) -> None:
+        """Stop the present computation if another one waits; saving waits for its end."""
+        assert self._running is not None
+        long = self._running["type"] in LONG and not _moving(self._running)
+        if long and any(one["type"] not in QUIET for one in self._waiting):
+            self._stop()
 
     def _stop(self) -> None:
-        if self._running is None:
-            return
-        self.worker.send({"type": STOP})
+        if self._running is not None:
+            self.worker.send({"type": STOP, "id": self._running["id"]})
+            self._kill_after(PATIENCE if self.worker.ready else STARTING, STOPPED)
+
+    def _kill_after(self, seconds: float, why: str) -> None:
         self._cancel()
-        self._timer = asyncio.get_running_loop().call_later(PATIENCE, self.worker.kill)
+
+        def kill() -> None:
+            self._ended = why
+            self.worker.kill()
+
+        self._timer = asyncio.get_running_loop().call_later(seconds, kill)
 
     def _cancel(self) -> None:
         if self._timer is not None:
@@ -127,30 +166,54 @@ class Link:
             self._timer = None
 
     async def _read(self) -> None:
-        """Pass the messages of the process on to the page; start another process where one was killed."""
-        while True:
-            try:
-                data = await self.worker.receive()
-            except (asyncio.IncompleteReadError, ConnectionError):
-                await self._restart()
-                continue
-            if data.startswith(b'{"type":"done"'):
-                self._next()
-            elif data.startswith(b'{"type":"kept"'):
-                self._document = json.loads(data)["request"]
-            else:
-                await self._send(data.decode())
+        """Pass the messages of the process on to the page; start another process where one has ended."""
+        with contextlib.suppress(WebSocketDisconnect, ConnectionError, RuntimeError):  # the page is gone
+            while True:
+                try:
+                    data = await self.worker.receive()
+                except (asyncio.IncompleteReadError, ConnectionError):
+                    await self._restart()
+                    continue
+                if data.startswith(b'{"type":"done"'):
+                    self._failures = 0
+                    self._next()
+                elif data.startswith(b'{"type":"kept"'):
+                    self._keep(json.loads(data))
+                elif not data.startswith(b'{"type":"ready"'):
+                    await self._send(data.decode())
+
+    def _keep(self, step: Mapping[str, Any]) -> None:
+        """Note a step of the history."""
+        if step["step"] == "open":
+            self._history, self._origin = History(step["steps"], step["at"]), step["origin"]
+        elif self._history is not None and step["step"] == "add":
+            self._history.add(step["document"])
+        elif self._history is not None:
+            self._history.move(step["way"])
 
     async def _restart(self) -> None:
-        """Replace a process that was killed, and open the last problem again."""
-        self.worker.kill()
-        ident = self._running["id"] if self._running is not None else 0
-        self.worker = await Worker.start()
-        message = "The computation was ended because it took too long or failed. The problem is as before the last change"
-        await self._send(json.dumps({"type": "fault", "id": ident, "message": message}))
-        if self._document is not None:
-            self._waiting.appendleft({**self._document, "id": ident})
-        self._running = None
+        """Replace a process that has ended and open the problem again, after a second failure without its last change."""
+        self._cancel()
+        await self.worker.ended()
+        failed, resumed = self.worker.ready, self._running is not None and self._running["type"] == "resume"
+        self._running, why, self._ended = None, self._ended, FAILED
+        if failed:
+            self._failures += why != STOPPED or resumed
+            words = KEPT
+            if self._history is not None and (why == SLOW or self._failures > 1):
+                words = UNDONE
+                if self._history.ends[0]:
+                    self._history.move(-1)
+                else:
+                    self._history = None
+            message = f"{why} {NOTHING if self._history is None else words}"
+            await self._send(json.dumps({"type": "fault", "id": self._latest, "message": message}))
+        else:
+            await asyncio.sleep(AGAIN)
+        self.worker = await self._another()
+        if self._history is not None:
+            steps = {"steps": self._history.steps, "at": self._history.at, "origin": self._origin}
+            self._waiting.appendleft({"type": "resume", "id": self._latest, **steps})
         self._next()
 
     async def close(self) -> None:

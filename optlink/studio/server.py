@@ -147,9 +147,7 @@ class Studio:
             await ws.close(POLICY, "too many pages are open")
             return
         await ws.accept()
-        assert self._spare is not None
-        spare, self._spare = self._spare, asyncio.create_task(Worker.start())
-        link = Link(await spare, ws.send_text)
+        link = Link(await self._worker(), ws.send_text, self._worker)
         self.links.add(link)
         try:
             await ws.send_text(json.dumps(self.hello()))
@@ -161,6 +159,12 @@ class Studio:
         finally:
             self.links.discard(link)
             await link.close()
+
+    async def _worker(self) -> Worker:
+        """Return the process that waits, and start the next one."""
+        assert self._spare is not None
+        spare, self._spare = self._spare, asyncio.create_task(Worker.start())
+        return await spare
 
     def hello(self) -> dict[str, Any]:
         """Return the first message to a page."""

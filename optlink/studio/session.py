@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import base64
-import binascii
 import time
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from optlink.errors import Fault, InputError, OptlinkError
-from optlink.problem.file import MAX_BYTES, ProblemFile, parse_assignment
+from optlink.problem.file import ProblemFile, parse_assignment
+from optlink.problem.fixed_design import references
 from optlink.studio import state
 from optlink.studio.design import Design, carried, checked, from_solution, kind_of, solved, started
-from optlink.studio.document import Document, History, from_template, from_text, named, shipped_problem
+from optlink.studio.document import Document, from_template, from_text, named, shipped_problem
+from optlink.studio.files import deflated, inflated
 from optlink.studio.follow import Follower, follower, structure
 from optlink.studio.handles import Handle, handles
+from optlink.studio.history import History
 from optlink.studio.picture import Picture
 
 if TYPE_CHECKING:
@@ -43,7 +42,7 @@ class Session:
 
     def __init__(self, send: Send, interruptible: Callable[[Callable[[], Any]], Any] = lambda work: work()) -> None:
         self._send, self._interruptible = send, interruptible
-        self._history: History | None = None
+        self._history: History[Document] | None = None
         self._origin = ""
         self._design: Design | None = None  # the last usable one
         self._follower: tuple[Any, Follower | None] = (None, None)
@@ -91,24 +90,30 @@ class Session:
             document = from_text(inflated(_text(request, "fragment")), _text(request, "title", "shared"))
         else:
             document = from_text(_text(request, "text"), _text(request, "title", "problem"))
-        self._begin(document)
+        self._begin([document])
 
     def _start(self, request: Mapping[str, Any]) -> None:
         """Open the problem of the command line, which may be any file."""
-        self._begin(named(_text(request, "name")))
+        self._begin([named(_text(request, "name"))])
 
     def _new(self, request: Mapping[str, Any]) -> None:
-        self._begin(from_template(_text(request, "template")))
+        self._begin([from_template(_text(request, "template"))])
 
-    def _begin(self, document: Document, design: Design | None = None) -> None:
-        _ = document.problem  # refuses what is not usable before anything changes
-        self._history, self._origin = History(document), document.text
+    def _begin(self, steps: list[Document], at: int = 0, origin: str | None = None, design: Design | None = None) -> None:
+        """Open a document, or one with its history: `at` is the index of the present step, `origin` the text that was opened."""
+        _ = steps[at].problem  # refuses what is not usable before anything changes
+        self._history, self._origin = History(steps, at), steps[at].text if origin is None else origin
         self._design, self._follower = design, (None, None)
+        self._keep("open", steps=[step.message() for step in steps], at=at, origin=self._origin)
         self._settle()
 
     def _resume(self, request: Mapping[str, Any]) -> None:
-        """Open the text that an earlier process of this page had open."""
-        self._begin(Document(_text(request, "name"), _text(request, "text"), Path(_text(request, "folder"))))
+        """Open what an earlier process of this page had open, with its history."""
+        self._begin([Document.of(step) for step in request["steps"]], request["at"], request["origin"])
+
+    def _keep(self, step: str, **fields: Any) -> None:
+        """Let the server note a step of the history, which another process resumes if this one ends."""
+        self._send({"type": "kept", "id": self._id, "step": step, **fields})
 
     def _drag(self, request: Mapping[str, Any]) -> None:
         handle = self._handles.get(_text(request, "handle"))
@@ -117,17 +122,31 @@ class Session:
                 Fault("no such handle", f"Handles: {', '.join(self._handles)}", key="handle", value=request["handle"])
             )
         base = self._document.problem
+        changes = handle.changes(base, request)
         if request.get("moving"):
-            changes = handle.changes(base, request)
-            self._show_moving(base.override(changes))
+            self._show_moving(base, changes)
             return
         begin, rest = self._design, self._rest.get(handle.id)
-        self._commit(self._document.with_changes(handle.changes(base, request)))
+        try:
+            document = self._document.with_changes(changes)
+            _ = document.problem
+        except InputError as error:
+            self.fault(f"{_sentence(error)} The problem is as before the drag.")
+            self._settle()
+            return
+        self._commit(document)
         if self._verdict == "infeasible" and begin is not None and rest is not None:
             self._interruptible(lambda: self._bisect(rest, base, request))
 
     def _set(self, request: Mapping[str, Any]) -> None:
         key, value = parse_assignment(f"{_text(request, 'key')}={_text(request, 'value')}", "set")
+        nested: Any = value
+        for name in reversed(key.split(".")):
+            nested = {name: nested}
+        if any(references(nested)):
+            raise InputError(
+                Fault("a value that is set on the page cannot name a file", "Write it into the problem file", key=key)
+            )
         self._commit(self._document.with_changes({key: value}))
 
     def _lock(self, request: Mapping[str, Any]) -> None:
@@ -142,7 +161,10 @@ class Session:
 
     def _undo(self, request: Mapping[str, Any]) -> None:
         assert self._history is not None
-        self._history.move(-1 if request["type"] == "undo" else 1)
+        way = -1 if request["type"] == "undo" else 1
+        self._history.move(way)
+        self._keep("move", way=way)
+        self._reached = {}
         self._settle()
 
     def _save(self, request: Mapping[str, Any]) -> None:
@@ -152,9 +174,9 @@ class Session:
     def _export(self, request: Mapping[str, Any]) -> None:
         from optlink.studio.files import exported
 
-        if self._design is None:
+        if self._last is None:
             raise InputError(Fault("there is no design yet", "Wait for the search"))
-        found = exported(self._design, self._document.name, request.get("format"))
+        found = exported(self._last[0], self._document.name, request.get("format"))
         self._send({"type": "file", "id": self._id} | found)
 
     def _draw(self, request: Mapping[str, Any]) -> None:
@@ -176,7 +198,7 @@ class Session:
         if self._curve is None:
             raise InputError(Fault("there are no candidates", "Draw a curve first"))
         chosen = self._curve.design(request.get("candidate"))
-        self._begin(self._curve.document, chosen)
+        self._begin([self._curve.document], design=chosen)
 
     def _link(self, request: Mapping[str, Any]) -> None:
         self._send({"type": "link", "id": self._id, "fragment": deflated(self._document.text)})
@@ -232,8 +254,20 @@ class Session:
         if self._last is not None:
             self._show(*self._last, moving=False)
 
-    def _show_moving(self, problem: ProblemFile) -> None:
-        definite = self._definite(problem)
+    def _show_moving(self, base: ProblemFile, changes: Mapping[str, object]) -> None:
+        """Show the optimum of a changed problem; if the change is impossible, that of the last one with the reason."""
+        try:
+            definite = self._definite(base.override(changes))
+        except InputError as error:
+            if self._design is None:
+                raise
+            why = _sentence(error)
+            self._show(
+                replace(self._design, status="infeasible", conclusion=why, conflicts=(why,), checks=None, result=None),
+                self._definite(base),
+                moving=True,
+            )
+            return
         design = self._followed(definite)
         if design.status != "infeasible" or self._design is None:
             self._show(design, definite, moving=True)
@@ -244,15 +278,15 @@ class Session:
     def _commit(self, document: Document) -> None:
         _ = document.problem
         assert self._history is not None
-        self._history.add(document)
+        if document.text != self._document.text:
+            self._history.add(document)
+            self._keep("add", document=document.message())
         self._reached = {}
         self._settle()
 
     def _settle(self) -> None:
         """Show the optimum near the last design with its validation, then the result of the ordinary search."""
-        problem, ident, document = self._document.problem, self._id, self._document
-        kept = {"type": "resume", "name": document.name, "text": document.text, "folder": str(document.folder)}
-        self._send({"type": "kept", "request": kept})
+        problem, ident = self._document.problem, self._id
         if self._design is None:
             self._show(replace(started(problem), conclusion=BEGUN), problem, moving=False)
         if self._design is not None and self._design.solution is not None and problem.model.free:
@@ -270,7 +304,11 @@ class Session:
         def progress(share: float) -> None:
             self._send({"type": "progress", "id": ident, "fraction": share, "text": "searching"})
 
-        found: Design = self._interruptible(lambda: solved(problem, progress))
+        try:
+            found: Design = self._interruptible(lambda: solved(problem, progress))
+        except OptlinkError as error:  # the page must not keep the state of another problem
+            self._show(replace(self._design or started(problem), **_failed(error)), problem, moving=False)
+            return
         if getattr(found.result, "interrupted", False):
             raise KeyboardInterrupt
         if found.status != "infeasible" or self._design is None:
@@ -379,38 +417,22 @@ _ACTIONS: dict[str, Callable[[Session, Mapping[str, Any]], None]] = {
 }
 
 
+def _failed(error: OptlinkError) -> dict[str, Any]:
+    """Return the verdict of a problem that cannot be solved."""
+    return {"status": "failed", "conclusion": _sentence(error), "conflicts": (), "checks": None, "result": None}
+
+
+def _sentence(error: OptlinkError) -> str:
+    """Return what is wrong with a value that a hand has chosen, without its place in the file."""
+    if not isinstance(error, InputError):
+        return str(error)
+    fault = error.faults[0]
+    return f"{fault.message[:1].upper()}{fault.message[1:]}. {fault.remedy.rstrip('.')}."
+
+
 def _text(request: Mapping[str, Any], key: str, default: str | None = None) -> str:
     """Return a text of a request."""
     value = request.get(key, default)
     if not isinstance(value, str):
         raise InputError(Fault("expected a text", f"Send {key} as a text", key=key, value=value))
     return value
-
-
-def deflated(text: str) -> str:
-    """Return a text, compressed, in the letters of a link."""
-    return base64.urlsafe_b64encode(zlib.compress(text.encode(), 9)).decode().rstrip("=")
-
-
-def inflated(fragment: str) -> str:
-    """Return the text of a link.
-
-    Raises
-    ------
-    InputError
-        If it is no compressed text, or too long.
-    """
-    try:
-        data = base64.urlsafe_b64decode(fragment + "=" * (-len(fragment) % 4))
-        unpacker = zlib.decompressobj()
-        text = unpacker.decompress(data, MAX_BYTES + 1)
-        if len(text) > MAX_BYTES:
-            raise InputError(Fault(f"the problem of the link is longer than {MAX_BYTES:,} bytes", "Open its file instead"))
-        if not unpacker.eof:
-            raise ValueError
-        return text.decode()
-    except (ValueError, binascii.Error, zlib.error):
-        raise InputError(Fault("the link holds no problem", "Copy the whole link")) from None
-
-
-__all__ = ["Session", "deflated", "inflated"]

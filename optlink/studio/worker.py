@@ -21,6 +21,7 @@ from typing import Any, BinaryIO
 MEMORY = 8 * 2**30  # bytes of address space
 STOP = "stop"
 DONE = "done"
+READY = "ready"
 
 
 def frame(message: Mapping[str, Any]) -> bytes:
@@ -37,14 +38,31 @@ def frames(stream: BinaryIO) -> Iterator[dict[str, Any]]:
 
 
 class Interrupts:
-    """Stops a computation that allows it: the handler runs in the main thread, so that nothing else is interrupted."""
+    """Stops the computation of one request: only while it allows it, in the main thread, so that nothing else is interrupted.
+
+    A stop that comes before the computation allows it is kept; one that comes after the request is over stops no other.
+    """
 
     def __init__(self) -> None:
         self._open = False
+        self._current = self._stopped = -1  # ids of requests
         signal.signal(signal.SIGINT, self._press)
+
+    def begin(self, ident: int) -> None:
+        """Begin a request."""
+        self._current = ident
+
+    def stop(self, ident: int) -> None:
+        """Stop a request; called by the thread that reads."""
+        self._stopped = ident
+        signal.raise_signal(signal.SIGINT)
 
     def _press(self, number: int, at: FrameType | None) -> None:
         if self._open:
+            self._check()
+
+    def _check(self) -> None:
+        if self._stopped == self._current:
             self._open = False
             raise KeyboardInterrupt
 
@@ -52,9 +70,19 @@ class Interrupts:
         """Run a function that a stop interrupts."""
         self._open = True
         try:
+            self._check()
             return work()
         finally:
             self._open = False
+
+    @contextlib.contextmanager
+    def held(self) -> Iterator[None]:
+        """Let a stop wait: what is sent must be whole."""
+        before, self._open = self._open, False
+        yield
+        self._open = before
+        if before:
+            self._check()
 
 
 def main() -> None:
@@ -71,7 +99,7 @@ def main() -> None:
     def read() -> None:
         for request in frames(reading):
             if request["type"] == STOP:
-                signal.raise_signal(signal.SIGINT)
+                interrupts.stop(request["id"])
             else:
                 requests.put(request)
         os._exit(0)
@@ -79,16 +107,20 @@ def main() -> None:
     threading.Thread(target=read, daemon=True).start()
 
     def send(message: Mapping[str, Any]) -> None:
-        writing.write(frame(message))
-        writing.flush()
+        data = frame(message)
+        with interrupts.held():
+            writing.write(data)
+            writing.flush()
 
     warnings.simplefilter("ignore")  # of numpy, about positions that an absurd machine cannot take
     from optlink.studio.session import Session, warm
 
     warm()
+    send({"type": READY})
     session = Session(send, interrupts.within)
     while True:
         request = requests.get()
+        interrupts.begin(request["id"])
         try:
             session.handle(request)
         except MemoryError:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import os
 import signal
 import sys
 import urllib.error
@@ -12,6 +13,7 @@ import urllib.request
 from collections.abc import AsyncIterator
 from typing import Any
 
+import psutil
 import pytest
 import websockets
 
@@ -168,6 +170,8 @@ def test_what_is_no_request_is_refused(text: str) -> None:
 
 def test_a_newer_move_replaces_one_that_waits_and_stops_a_search() -> None:
     class Silent:
+        ready = True
+
         def __init__(self) -> None:
             self.sent: list[Any] = []
 
@@ -195,8 +199,91 @@ def test_a_newer_move_replaces_one_that_waits_and_stops_a_search() -> None:
         link.request({"type": "save", "id": 10})
         assert worker.sent[-1] == {"type": "search", "id": 9}  # saving waits for it
         link.request({"type": "drag", "id": 11, "moving": True})
-        assert worker.sent[-1] == {"type": "stop"}
+        assert worker.sent[-1] == {"type": "stop", "id": 9}
         link._reader.cancel()
         link._cancel()
 
     asyncio.run(run())
+
+
+class Scripted:
+    """A process that ends after some messages."""
+
+    def __init__(self, *messages: dict[str, Any], ready: bool = True) -> None:
+        self.messages = [json.dumps(message, separators=(",", ":")).encode() for message in messages]
+        self.ready, self.sent, self.over = ready, list[Any](), asyncio.Event()
+
+    def send(self, message: Any) -> None:
+        self.sent.append(message)
+        self.over.set()
+
+    async def receive(self) -> bytes:
+        if self.messages:
+            return self.messages.pop(0)
+        await self.over.wait()  # ends when it has something to compute
+        raise ConnectionError
+
+    async def ended(self) -> None:
+        pass
+
+    def kill(self) -> None:
+        pass
+
+
+def test_the_history_outlives_the_process_that_computes() -> None:
+    """A first failure opens the document that was being computed again, a second one the step before it, with redo."""
+
+    async def run() -> tuple[list[Any], list[dict[str, Any]]]:
+        steps = [{"name": "a", "text": text} for text in ("one", "two", "three", "four")]
+        first = Scripted(
+            {"type": "kept", "step": "open", "steps": steps[:1], "at": 0, "origin": "one"},
+            *({"type": "kept", "step": "add", "document": step} for step in steps[1:]),
+            {"type": "kept", "step": "move", "way": -1},
+        )
+        following = [Scripted() for _ in range(4)]
+        made, sent = iter(following), list[dict[str, Any]]()
+
+        async def another() -> Any:
+            return next(made)
+
+        async def send(text: str) -> None:
+            sent.append(json.loads(text))
+
+        link = Link(first, send, another)  # type: ignore[arg-type]
+        link.request({"type": "set", "id": 7})
+        for _ in range(50):
+            await asyncio.sleep(0)
+        link._reader.cancel()
+        link._cancel()
+        return [process.sent for process in following], sent
+
+    resumed, sent = asyncio.run(run())
+    assert [[(one["type"], one["id"], one["at"], len(one["steps"])) for one in process] for process in resumed] == [
+        [("resume", 7, 2, 4)], [("resume", 7, 1, 4)], [("resume", 7, 0, 4)], []
+    ]  # fmt: skip
+    assert [one["message"].partition(". ")[2].split()[0] for one in sent] == ["Your", "The", "The", "Open"]
+
+
+async def _crash() -> None:
+    async with studio("crank-rocker") as (address, token, process), socket(address, token) as ws:
+        await until(ws, "state", status="verified")
+        drag = {"type": "drag", "handle": "mechanism.frame", "moving": False}
+        shown = {}
+        for ident, value in enumerate((510.0, 520.0, 530.0), 1):
+            await ws.send(json.dumps({**drag, "id": ident, "value": value}))
+            shown[ident] = await until(ws, "state", id=ident)
+        worker = min(child.pid for child in psutil.Process(process.pid).children() if "worker" in " ".join(child.cmdline()))
+        os.kill(worker, signal.SIGKILL)
+        assert "history are kept" in (await until(ws, "fault"))["message"]
+        for ident, kind, step in ((3, "", 3), (4, "undo", 2), (5, "undo", 1), (6, "redo", 2)):
+            if kind:
+                await ws.send(json.dumps({"type": kind, "id": ident}))
+            state = await until(ws, "state", id=ident, status="verified")
+            same = [one["value"] for one in shown[step]["variables"]]
+            assert [one["value"] for one in state["variables"]] == pytest.approx(same, rel=1e-9)
+        assert state["document"]["can_redo"]
+
+
+@pytest.mark.slow
+def test_a_killed_computation_continues_with_undo_and_redo() -> None:
+    asyncio.run(_crash())

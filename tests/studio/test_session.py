@@ -13,7 +13,8 @@ import optlink
 from optlink.problem.file import read
 from optlink.studies.toml_keys import exact_text, knobs
 from optlink.studio.document import Document, named, rewritten, tables
-from optlink.studio.session import Session, deflated, inflated
+from optlink.studio.files import deflated, inflated
+from optlink.studio.session import Session
 
 
 class Page:
@@ -134,7 +135,8 @@ def test_a_locked_size_keeps_its_value_and_is_released_within_its_bounds(page: P
         ({"type": "drag", "handle": "mechanism.frame", "value": float("inf")}, "no usable place"),
         ({"type": "drag", "handle": "mechanism.frame", "value": [1.0]}, "no usable place"),
         ({"type": "drag", "handle": "no.such", "value": 1.0}, "no such handle"),
-        ({"type": "drag", "handle": "mechanism.frame", "value": -5.0, "moving": True}, "mechanism.frame"),
+        ({"type": "set", "key": "mechanism.frame", "value": "nan mm"}, "mechanism.frame"),
+        ({"type": "set", "key": "requirement.law", "value": '{ csv = "/etc/hostname" }'}, "cannot name a file"),
         ({"type": "lock", "size": "neck", "locked": True}, "no such size"),
         ({"type": "open", "text": "a = [", "title": "x"}, "not valid TOML"),
         ({"type": "open", "text": "a = " + "[" * 5000, "title": "x"}, "nested too deeply"),
@@ -152,6 +154,29 @@ def test_bad_requests_are_answered_with_one_fault_and_change_nothing(page: Page,
     assert [answer["type"] for answer in answers] == ["fault"]
     assert words in answers[0]["message"]
     assert page.ask("save")[0]["text"] == before
+
+
+@pytest.mark.parametrize(
+    ("handle", "value", "words"),
+    [
+        ("mechanism.frame", -5.0, "A length must be positive."),
+        ("limits.transmission_angle.min", 150.0, "The lower limit is above the upper."),
+        ("mechanism.coupler.bounds", [300.0, 300.0], "The lower bound is not below the upper."),
+    ],
+)
+def test_a_drag_to_an_impossible_value_keeps_the_linkage_and_says_why(page: Page, handle: str, value: Any, words: str) -> None:
+    before = page.state("search")
+    moved = page.state("drag", handle=handle, value=value, moving=True)
+    assert moved["status"] == "infeasible"
+    assert moved["conclusion"].startswith(words)
+    assert values(moved) == values(before)
+    fault, *states = page.ask("drag", handle=handle, value=value, moving=False)
+    assert fault["type"] == "fault"
+    assert fault["message"].startswith(words)
+    assert fault["message"].endswith("as before the drag.")
+    assert states[-1]["status"] == "verified"
+    assert states[-1]["document"] == before["document"]
+    assert values(states[-1]) == pytest.approx(values(before), rel=1e-9)
 
 
 def test_a_text_from_the_page_cannot_read_files(tmp_path: Any) -> None:
