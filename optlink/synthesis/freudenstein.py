@@ -1,4 +1,4 @@
-"""First designs for function synthesis: four-bars and slider-cranks from Freudenstein fits and convex programmes.
+"""First designs for function synthesis: four-bars from Freudenstein fits and convex programmes.
 
 Every pair of start positions gets the linkage that fits a loop equation linear in three constants (`loop_equations`,
 `freudenstein_fit`); the best fits are refined to the least output error of their start position, with an optimality proof
@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from optlink.synthesis.freudenstein_convex import CLOSE, Refinement
 from optlink.synthesis.freudenstein_fit import Cells, FitProblem, Keep, distinct_cells, fit, scan, step_of, zoom
-from optlink.synthesis.loop_equations import EXACT, linear_form, rocker_chain, slider_chain
+from optlink.synthesis.loop_equations import EXACT, LoopEquation, linear_form
 
 Array = NDArray[np.float64]
 
@@ -32,16 +32,15 @@ ANYWHERE = (-math.inf, math.inf)
 
 
 @dataclass(frozen=True)
-class Step:
-    """Common fields of all first designs.
+class FirstStep:
+    """A four-bar with lengths relative to the frame and start angles [rad].
 
-    `side`: assembly mode. `residual`: of the loop equation at the target positions [-, or square of the unit of s]. `error`: of
-    the output [rad, or unit of s], in closed form. Both are the largest value, or (for both other measures) the root mean square.
-    `bound`: lower bound of the error for this start position, assembly mode and range of ratios, in the unit of `error`: for
-    "max" of the output error itself, otherwise of its linearised model about this linkage. Recomputed from the multipliers; zero
-    without a proof, for example where `keep` or the coupler ratio, which are not convex, restrict the linkage. `proven`: whether
-    `error` is within a share `CLOSE` of `bound`, or zero. `status`: solver status; "closed form" where no solver was needed, "no
-    answer" where it failed.
+    `side`: assembly mode. `residual`: of the loop equation at the target positions. `error`: of the output [rad], in closed form.
+    Both are the largest value, or (for both other measures) the root mean square. `bound`: lower bound of the error for this start
+    position, assembly mode and range of ratios [rad]: for "max" of the output error itself, otherwise of its linearised model
+    about this linkage. Recomputed from the multipliers; zero without a proof, for example where `keep` or the coupler ratio,
+    which are not convex, restrict the linkage. `proven`: whether `error` is within a share `CLOSE` of `bound`, or zero. `status`:
+    solver status; "closed form" where no solver was needed, "no answer" where it failed.
     """
 
     side: int
@@ -50,39 +49,22 @@ class Step:
     bound: float
     proven: bool
     status: str
-
-    @property
-    def gap(self) -> float:
-        """Difference of `error` and its lower bound, in its unit."""
-        return self.error - self.bound
-
-
-@dataclass(frozen=True)
-class FirstStep(Step):
-    """A four-bar with lengths relative to the frame and start angles [rad]."""
-
     crank: float
     coupler: float
     rocker: float
     phi0: float
     psi0: float
 
-
-@dataclass(frozen=True)
-class FirstStepSlider(Step):
-    """An offset slider-crank with lengths in the unit of s; phi0 [rad] from the guide direction, s0 from the crank pivot."""
-
-    crank: float
-    coupler: float
-    offset: float
-    phi0: float
-    s0: float
+    @property
+    def gap(self) -> float:
+        """Difference of `error` and its lower bound [rad]."""
+        return self.error - self.bound
 
 
 def _search(task: FitProblem, x0: Array, y0: Array, count: int) -> list[tuple[Cells, dict[str, Any]]]:
-    """Return the best distinct linkages, each as a dimensionless cell and the fields of its `Step`, by increasing error."""
+    """Return the best distinct linkages, each as a dimensionless cell and the fields of its `FirstStep`, by increasing error."""
     cells = scan(task, x0, y0)
-    steps = max(step_of(x0), EXACT), max(step_of(y0), EXACT * task.unit)
+    steps = max(step_of(x0), EXACT), max(step_of(y0), EXACT)
     cells = zoom(task, cells[distinct_cells(task, cells, (APART * steps[0], APART * steps[1]), SPARE * count)], (x0, y0))
     cells = cells[distinct_cells(task, cells, steps, count)]
     refine, found = Refinement(task), []
@@ -95,26 +77,24 @@ def _search(task: FitProblem, x0: Array, y0: Array, count: int) -> list[tuple[Ce
             "residual": float(task.figure(a @ cell.k - w)),
             "error": error,
             "bound": bound,
-            "proven": bound >= (1.0 - 2.0 * CLOSE) * error or error <= EXACT * task.unit,
+            "proven": bound >= (1.0 - 2.0 * CLOSE) * error or error <= EXACT,
             "status": status,
         }
         found.append((cell, own))
-    return sorted(found, key=lambda one: (max(float(one[0].error), EXACT * task.unit), -float(one[0].margin)))
+    return sorted(found, key=lambda one: (max(float(one[0].error), EXACT), -float(one[0].margin)))
 
 
-def _read(
-    x: ArrayLike, y: ArrayLike, what: str, measure: str, ratios: tuple[float, float] | None, count: int
-) -> tuple[Array, Array]:
+def _read(x: ArrayLike, y: ArrayLike, measure: str, ratios: tuple[float, float] | None, count: int) -> tuple[Array, Array]:
     """Check and return the target rotations and outputs."""
     one, other = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     if one.ndim != 1 or one.shape != other.shape:
-        raise ValueError(f"phi and {what} are two lists of the same length, not of shapes {one.shape} and {other.shape}")
+        raise ValueError(f"phi and psi are two lists of the same length, not of shapes {one.shape} and {other.shape}")
     if not (np.all(np.isfinite(one)) and np.all(np.isfinite(other))):
-        raise ValueError(f"phi and {what} must be finite")
+        raise ValueError("phi and psi must be finite")
     if np.unique(one).size < 3:
         raise ValueError("three positions at least, at different phi: fewer do not determine the three constants")
     if np.ptp(other) == 0.0:
-        raise ValueError(f"{what} is constant: an output that does not move needs no linkage")
+        raise ValueError("psi is constant: an output that does not move needs no linkage")
     if measure not in MEASURES:
         raise ValueError(f"measure is one of {', '.join(MEASURES)}, not {measure!r}")
     if ratios is not None and not 0.0 < ratios[0] < ratios[1] < math.inf:
@@ -183,10 +163,10 @@ def first_steps(
     ValueError
         For fewer than three positions, a constant psi, a non-finite value, or an option out of range.
     """
-    x, y = _read(phi, psi, "psi", measure, ratios, count)
+    x, y = _read(phi, psi, measure, ratios, count)
     grids = _grid(phi0, "phi0"), _grid(psi0, "psi0")
     ranges = (ANYWHERE, ANYWHERE) if shift else (_range(grids[0]), _range(grids[1]))
-    task = FitProblem(rocker_chain(ratios or UNLIMITED), x, y, measure == "max", 1.0, shift, keep, *ranges)
+    task = FitProblem(LoopEquation(ratios or UNLIMITED), x, y, measure == "max", shift, keep, *ranges)
     return [_step(task, cell, own) for cell, own in _search(task, *grids, count)]
 
 
@@ -217,8 +197,8 @@ def fit_pairs(
     ValueError
         As in `first_steps`.
     """
-    x, y = _read(phi, psi, "psi", measure, ratios, 1)
-    task = FitProblem(rocker_chain(ratios or UNLIMITED), x, y, measure == "max", 1.0, shift, keep, ANYWHERE, ANYWHERE)
+    x, y = _read(phi, psi, measure, ratios, 1)
+    task = FitProblem(LoopEquation(ratios or UNLIMITED), x, y, measure == "max", shift, keep, ANYWHERE, ANYWHERE)
     cells = fit(task, np.asarray(phi0, dtype=float), np.asarray(psi0, dtype=float))
     cells = cells[np.isfinite(cells.error)]
     own = {"residual": math.nan, "bound": 0.0, "proven": False, "status": "fit"}
@@ -231,58 +211,3 @@ def _step(task: FitProblem, cell: Cells, own: dict[str, Any]) -> FirstStep:
     crank, coupler, rocker = (float(size) for size in task.chain.sizes(cell.k))
     start = [_wrapped(float(angle)) if task.shift else float(angle) for angle in (cell.x0, cell.y0)]
     return FirstStep(**own, crank=crank, coupler=coupler, rocker=rocker, phi0=start[0], psi0=start[1])
-
-
-def first_steps_slider(
-    phi: ArrayLike,
-    s: ArrayLike,
-    phi0: ArrayLike,
-    s0: ArrayLike,
-    measure: str = "max",
-    ratios: tuple[float, float] | None = None,
-    count: int = 5,
-    *,
-    shift: bool = True,
-    keep: Keep | None = None,
-) -> list[FirstStepSlider]:
-    """Return slider-cranks whose slider moves by s while the crank turns by phi, as closely as possible.
-
-    Parameters
-    ----------
-    phi, s : array (n,) [rad], [any unit of length]
-        Target rotation of the crank and displacement of the slider along the guide from their starts; n >= 3.
-    phi0, s0 : float or array (p,), (q,) [rad], [unit of s]
-        Starts to scan: crank angle from the guide direction, slider position from the crank pivot along the guide. No start
-        leaves the range of s0.
-    measure : "max", "rms" or "sum of squares"
-        As in `first_steps`.
-    ratios : (low, high) [-], optional
-        Limits of crank and coupler over the stroke (largest minus least s); the absolute offset has the upper limit only.
-    count : int
-        As in `first_steps`.
-    shift : bool
-        As in `first_steps`.
-    keep : function (crank, coupler, offset, phi0, s0, side), all (m,), to (m,) of bool, optional
-        Selects the admissible linkages, lengths over the stroke.
-
-    Returns
-    -------
-    list of FirstStepSlider
-        By increasing error; empty if no start gives a linkage that keeps its assembly mode over the whole range.
-
-    Raises
-    ------
-    ValueError
-        As in `first_steps`.
-    """
-    x, y = _read(phi, s, "s", measure, ratios, count)
-    grids = _grid(phi0, "phi0"), _grid(s0, "s0")
-    stroke = float(np.ptp(y))
-    ranges = ANYWHERE if shift else _range(grids[0]), _range(grids[1])
-    task = FitProblem(slider_chain(ratios or UNLIMITED, stroke), x, y, measure == "max", stroke, shift, keep, *ranges)
-    steps = []
-    for cell, own in _search(task, *grids, count):
-        crank, coupler, offset = (float(size) for size in task.chain.sizes(cell.k))
-        start = _wrapped(float(cell.x0)) if shift else float(cell.x0)
-        steps.append(FirstStepSlider(**own, crank=crank, coupler=coupler, offset=offset, phi0=start, s0=float(cell.y0)))
-    return steps

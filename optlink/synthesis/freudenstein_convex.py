@@ -100,7 +100,7 @@ class Refinement:
         self.task = task
 
     def __call__(self, cell: Cells) -> tuple[Cells, float, str]:
-        """Return the linkage of least error, a lower bound of that error (see `Step`) and the solver status."""
+        """Return the linkage of least error, a lower bound of that error (see `FirstStep`) and the solver status."""
         return (self._smallest_largest if self.task.largest else self._least_squares)(self._least(cell))
 
     @cached_property
@@ -138,7 +138,7 @@ class Refinement:
         rows, bounds = chain.limits
         status = "closed form"
         for _ in range(STEPS):
-            if cell.error <= EXACT * task.unit:
+            if cell.error <= EXACT:
                 break
             aim = (1.0 - CLOSE) * float(cell.error)
             weight = cell.side / np.abs(chain.slope(x, y, cell.k))
@@ -170,7 +170,7 @@ class Refinement:
         rows, bounds = chain.limits
         status, bound = "closed form", 0.0
         for _ in range(STEPS):
-            if cell.error <= EXACT * task.unit:
+            if cell.error <= EXACT:
                 bound = 0.0
                 break
             actual = chain.follow(x, cell.k, cell.side)

@@ -14,8 +14,7 @@ from optlink.synthesis.loop_equations import EXACT, LoopEquation
 
 Array = NDArray[np.float64]
 Keep = Callable[[Array, Array, Array, Array, Array, Array], Any]
-"""Which linkages are wanted, elementwise: (crank, coupler, rocker, phi0, psi0, side), or (crank, coupler, offset, phi0, s0,
-side), all (m,), to (m,) bool."""
+"""Which linkages are wanted, elementwise: (crank, coupler, rocker, phi0, psi0, side), all (m,), to (m,) bool."""
 
 BLOCK = 1 << 17  # numbers in one array of the scan, so that it fits in the cache
 FITS = 2  # fits per start position, unweighted then weighted; a third has no measurable effect
@@ -33,7 +32,6 @@ class FitProblem:
     x: Array
     y: Array
     largest: bool
-    unit: float  # of the output: 1 rad, or the stroke
     shift: bool
     keep: Keep | None
     range_x: tuple[float, float]  # of the start positions
@@ -101,7 +99,7 @@ def fit(task: FitProblem, x0: Array, y0: Array) -> Cells:
     ----------
     task : FitProblem
     x0, y0 : array (m,)
-        Start positions of input [rad] and output [rad, or unit of the stroke].
+        Start positions of input and output [rad].
     """
     chain = task.chain
     x, y = x0[:, None] + task.x, y0[:, None] + task.y
@@ -122,7 +120,7 @@ def fit_error(task: FitProblem, x0: Array, y0: Array, k: Array) -> Cells:
     ----------
     task : FitProblem
     x0, y0 : array (m,)
-        Start positions of input [rad] and output [rad, or unit of the stroke].
+        Start positions of input and output [rad].
     k : array (m, 3)
         Constants of the loop equation.
     """
@@ -154,7 +152,7 @@ def scan(task: FitProblem, x0: Array, y0: Array) -> Cells:
     task : FitProblem
     x0 : array (p,) [rad]
         Start positions of the input.
-    y0 : array (q,) [rad, or unit of the stroke]
+    y0 : array (q,) [rad]
         Start positions of the output.
     """
     first, second = (a.ravel() for a in np.meshgrid(x0, y0, indexing="ij"))
@@ -180,12 +178,12 @@ def distinct_cells(task: FitProblem, cells: Cells, room: tuple[float, float], co
     ----------
     task : FitProblem
     cells : Cells
-    room : tuple of two floats [rad, and rad or unit of the stroke]
+    room : tuple of two floats [rad]
         Distances in x0 and y0 within which two cells of one mode are the same.
     count : int
     """
     chosen: list[int] = []
-    for i in np.lexsort((-cells.margin, np.maximum(cells.error, EXACT * task.unit))):
+    for i in np.lexsort((-cells.margin, np.maximum(cells.error, EXACT))):
         if len(chosen) == count:
             break
         others = cells[chosen]

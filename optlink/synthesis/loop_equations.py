@@ -1,13 +1,9 @@
-"""Loop equations of a four-bar and a slider-crank that are linear in three constants.
-
-Four-bar (conventions of `optlink.linkage.fourbar`, frame = 1) and slider-crank (crank pivot A at the origin, pin C of the slider
-at (s, e): guide along +x, offset e to the left of A):
+"""Loop equation of a four-bar that is linear in three constants (conventions of `optlink.linkage.fourbar`, frame = 1).
 
     F = K1 cos psi - K2 cos phi + K3 - cos(phi - psi)    K1 = 1/a, K2 = 1/c, K3 = (a^2 - b^2 + c^2 + 1) / (2 a c)
-    F = K1 s cos phi + K2 sin phi + K3 - s^2             K1 = 2 a, K2 = 2 a e, K3 = b^2 - a^2 - e^2
 
-F = 0 states that the distance B-C equals the coupler length. On the assembly mode `side` (+1: C left of B -> D, or forward of B),
-side * F falls through zero as the output rises.
+F = 0 states that the distance B-C equals the coupler length. On the assembly mode `side` (+1: C left of B -> D), side * F falls
+through zero as the output rises.
 
 References
 ----------
@@ -16,8 +12,6 @@ F. Freudenstein, Approximate synthesis of four-bar linkages, Trans. ASME 77 (195
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,7 +19,7 @@ from optlink.linkage.vector2d import root
 
 Array = NDArray[np.float64]
 
-EXACT = 1e-9  # negligible output error [rad, or strokes]
+EXACT = 1e-9  # negligible output error [rad]
 
 
 def _cosine_range(low: Array, high: Array) -> tuple[Array, Array]:
@@ -42,12 +36,30 @@ def _parts(k: Array) -> tuple[Array, Array, Array]:
     return k[..., 0, None], k[..., 1, None], k[..., 2, None]
 
 
-class LoopEquation(Protocol):
-    """F = K1 u + K2 v + K3 - w for input x [rad] and output y [rad, or unit of length], both (..., n); constants k (..., 3)."""
+def _opposite(angle: Array, where: NDArray[np.bool_]) -> Array:
+    """Turn angles by half a turn towards zero where `where` is True."""
+    return np.where(where, angle - np.copysign(np.pi, angle), angle)
 
-    limits: tuple[Array, Array]  # rows (r, 3) and bounds (r,): rows @ k <= bounds, exactly
-    corners: Array  # (4, 2) of the admissible region of K1, K2, in order
-    box: tuple[Array, Array]  # least and largest k (3,) of any linkage within the limits
+
+class LoopEquation:
+    """Loop equation of a four-bar: F = K1 u + K2 v + K3 - w for crank angle x and rocker angle y [rad], both (..., n).
+
+    Constants k (..., 3). `limits`: rows (r, 3) and bounds (r,) with rows @ k <= bounds, exactly; `corners`: those (4, 2) of the
+    admissible region of K1, K2, in order; `box`: least and largest k (3,) of any linkage within the limits.
+
+    Parameters
+    ----------
+    ratios : (low, high) [-]
+        Limits of crank, coupler and rocker over the frame.
+    """
+
+    def __init__(self, ratios: tuple[float, float]) -> None:
+        self.low, self.high = ratios
+        least, largest = 1.0 / self.high, 1.0 / self.low
+        self.limits = (np.vstack([np.eye(3)[:2], -np.eye(3)[:2]]), np.array([largest, largest, -least, -least]))
+        self.corners = np.array([[least, least], [largest, least], [largest, largest], [least, largest]])
+        reach = 1.0 + 2.0 * largest  # of |K3|: F = 0 at some position
+        self.box = (np.array([least, least, -reach]), np.array([largest, largest, reach]))
 
     def terms(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
         """Return the terms u, v, w of F.
@@ -57,7 +69,7 @@ class LoopEquation(Protocol):
         x, y : array (..., n)
             Input and output.
         """
-        ...
+        return np.cos(y), -np.cos(x), np.cos(x - y)
 
     def slope(self, x: Array, y: Array, k: Array) -> Array:
         """Return dF/dy.
@@ -69,7 +81,7 @@ class LoopEquation(Protocol):
         k : array (..., 3)
             Constants.
         """
-        ...
+        return -_parts(k)[0] * np.sin(y) - np.sin(x - y)
 
     def follow(self, x: Array, k: Array, side: Array) -> Array:
         """Return the output y (..., n) of the linkage; NaN where it cannot be assembled.
@@ -83,7 +95,11 @@ class LoopEquation(Protocol):
         side : array (...)
             Assembly mode, +1 or -1.
         """
-        ...
+        k1, k2, k3 = _parts(k)
+        c, s = np.cos(x), np.sin(x)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            inner = np.arccos((k2 * c - k3) / np.hypot(k1 - c, s))
+        return np.asarray(np.arctan2(-s, k1 - c) + side[..., None] * inner)
 
     def difference(self, y: Array, wanted: Array) -> Array:
         """Return the output error, angles wrapped to [-pi, pi).
@@ -95,7 +111,7 @@ class LoopEquation(Protocol):
         wanted : array (..., n)
             Target output.
         """
-        ...
+        return np.asarray(np.remainder(y - wanted + np.pi, 2.0 * np.pi) - np.pi)
 
     def upright(self, x0: Array, y0: Array, k: Array) -> tuple[Array, Array, Array]:
         """Return x0, y0, k of the equivalent linkages with positive lengths.
@@ -107,15 +123,19 @@ class LoopEquation(Protocol):
         k : array (..., 3)
             Constants.
         """
-        ...
+        first, second = k[..., 0] < 0.0, k[..., 1] < 0.0
+        k3 = np.where(first != second, -k[..., 2], k[..., 2])
+        return _opposite(x0, first), _opposite(y0, second), np.stack([np.abs(k[..., 0]), np.abs(k[..., 1]), k3], axis=-1)
 
     def sizes(self, k: Array) -> tuple[Array, Array, Array]:
-        """Return crank, coupler and the third dimension (rocker or offset) of linkages with positive lengths."""
-        ...
+        """Return crank, coupler and rocker of linkages with positive lengths."""
+        crank, rocker = 1.0 / k[..., 0], 1.0 / k[..., 1]
+        return crank, np.asarray(root(crank * crank + rocker * rocker + 1.0 - 2.0 * crank * rocker * k[..., 2])), rocker
 
     def fits(self, sizes: tuple[Array, Array, Array]) -> Array:
         """Return whether the dimensions satisfy the limits of the ratios."""
-        ...
+        least, most = self.low * (1.0 - EXACT), self.high * (1.0 + EXACT)
+        return np.asarray(np.all([(size >= least) & (size <= most) for size in sizes], axis=0))
 
     def margin(self, sizes: tuple[Array, Array, Array], low: Array, high: Array) -> Array:
         """Return the least squared sine of the transmission angle over low ... high; not positive if a dead position is reached.
@@ -127,118 +147,12 @@ class LoopEquation(Protocol):
         low, high : array (m,) [rad]
             Range of the input.
         """
-        ...
-
-
-def _opposite(angle: Array, where: NDArray[np.bool_]) -> Array:
-    """Turn angles by half a turn towards zero where `where` is True."""
-    return np.where(where, angle - np.copysign(np.pi, angle), angle)
-
-
-class _FourBar:
-    def __init__(self, ratios: tuple[float, float]) -> None:
-        self.low, self.high = ratios
-        least, largest = 1.0 / self.high, 1.0 / self.low
-        self.limits = (np.vstack([np.eye(3)[:2], -np.eye(3)[:2]]), np.array([largest, largest, -least, -least]))
-        self.corners = np.array([[least, least], [largest, least], [largest, largest], [least, largest]])
-        reach = 1.0 + 2.0 * largest  # of |K3|: F = 0 at some position
-        self.box = (np.array([least, least, -reach]), np.array([largest, largest, reach]))
-
-    def terms(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
-        return np.cos(y), -np.cos(x), np.cos(x - y)
-
-    def slope(self, x: Array, y: Array, k: Array) -> Array:
-        return -_parts(k)[0] * np.sin(y) - np.sin(x - y)
-
-    def follow(self, x: Array, k: Array, side: Array) -> Array:
-        k1, k2, k3 = _parts(k)
-        c, s = np.cos(x), np.sin(x)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            inner = np.arccos((k2 * c - k3) / np.hypot(k1 - c, s))
-        return np.asarray(np.arctan2(-s, k1 - c) + side[..., None] * inner)
-
-    def difference(self, y: Array, wanted: Array) -> Array:
-        return np.asarray(np.remainder(y - wanted + np.pi, 2.0 * np.pi) - np.pi)
-
-    def upright(self, x0: Array, y0: Array, k: Array) -> tuple[Array, Array, Array]:
-        first, second = k[..., 0] < 0.0, k[..., 1] < 0.0
-        k3 = np.where(first != second, -k[..., 2], k[..., 2])
-        return _opposite(x0, first), _opposite(y0, second), np.stack([np.abs(k[..., 0]), np.abs(k[..., 1]), k3], axis=-1)
-
-    def sizes(self, k: Array) -> tuple[Array, Array, Array]:
-        crank, rocker = 1.0 / k[..., 0], 1.0 / k[..., 1]
-        return crank, np.asarray(root(crank * crank + rocker * rocker + 1.0 - 2.0 * crank * rocker * k[..., 2])), rocker
-
-    def fits(self, sizes: tuple[Array, Array, Array]) -> Array:
-        least, most = self.low * (1.0 - EXACT), self.high * (1.0 + EXACT)
-        return np.asarray(np.all([(size >= least) & (size <= most) for size in sizes], axis=0))
-
-    def margin(self, sizes: tuple[Array, Array, Array], low: Array, high: Array) -> Array:
         crank, coupler, rocker = sizes
         spread = [
             (coupler**2 + rocker**2 - crank**2 - 1.0 + 2.0 * crank * cosine) / (2.0 * coupler * rocker)
             for cosine in _cosine_range(low, high)
         ]
         return np.asarray(1.0 - np.maximum(spread[0] ** 2, spread[1] ** 2))
-
-
-class _SliderCrank:
-    def __init__(self, ratios: tuple[float, float], stroke: float) -> None:
-        self.low, self.high = ratios[0] * stroke, ratios[1] * stroke
-        near, far, e = 2.0 * self.low, 2.0 * self.high, self.high  # of K1, and of the offset: |K2| <= e K1
-        rows = [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [-e, 1.0, 0.0], [-e, -1.0, 0.0]]
-        self.limits = (np.array(rows), np.array([far, -near, 0.0, 0.0]))
-        self.corners = np.array([[near, -e * near], [far, -e * far], [far, e * far], [near, e * near]])
-        self.box = (np.array([near, -e * far, -e * far]), np.array([far, e * far, e * far]))
-
-    def terms(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
-        return y * np.cos(x), np.sin(x) + 0.0 * y, y * y + 0.0 * x
-
-    def slope(self, x: Array, y: Array, k: Array) -> Array:
-        return np.asarray(_parts(k)[0] * np.cos(x) - 2.0 * y)
-
-    def follow(self, x: Array, k: Array, side: Array) -> Array:
-        k1, k2, k3 = _parts(k)
-        foot = 0.5 * k1 * np.cos(x)
-        return np.asarray(foot + side[..., None] * root(foot * foot + k2 * np.sin(x) + k3))
-
-    def difference(self, y: Array, wanted: Array) -> Array:
-        return y - wanted
-
-    def upright(self, x0: Array, y0: Array, k: Array) -> tuple[Array, Array, Array]:
-        back = k[..., 0] < 0.0
-        return _opposite(x0, back), y0, np.where(back[..., None], k * np.array([-1.0, -1.0, 1.0]), k)
-
-    def sizes(self, k: Array) -> tuple[Array, Array, Array]:
-        crank, offset = 0.5 * k[..., 0], k[..., 1] / k[..., 0]
-        return crank, np.asarray(root(k[..., 2] + crank * crank + offset * offset)), offset
-
-    def fits(self, sizes: tuple[Array, Array, Array]) -> Array:
-        most = self.high * (1.0 + EXACT)
-        links = [(size >= self.low * (1.0 - EXACT)) & (size <= most) for size in sizes[:2]]
-        return np.asarray(np.all([*links, np.abs(sizes[2]) <= most], axis=0))
-
-    def margin(self, sizes: tuple[Array, Array, Array], low: Array, high: Array) -> Array:
-        crank, coupler, offset = sizes
-        spread = [(crank * sine - offset) / coupler for sine in _cosine_range(low - 0.5 * np.pi, high - 0.5 * np.pi)]
-        return np.asarray(1.0 - np.maximum(spread[0] ** 2, spread[1] ** 2))
-
-
-def rocker_chain(ratios: tuple[float, float]) -> LoopEquation:
-    """Return the loop equation of a four-bar with frame 1 and crank, coupler and rocker within `ratios`; output: rocker angle."""
-    return _FourBar(ratios)
-
-
-def slider_chain(ratios: tuple[float, float], stroke: float) -> LoopEquation:
-    """Return the loop equation of an offset slider-crank; output: slider position.
-
-    Parameters
-    ----------
-    ratios : (low, high) [-]
-        Limits of crank and coupler over the stroke; the absolute offset has the upper one.
-    stroke : float [unit of length]
-    """
-    return _SliderCrank(ratios, stroke)
 
 
 def linear_form(chain: LoopEquation, x: Array, y: Array) -> tuple[Array, Array]:
