@@ -32,6 +32,9 @@ LIGHTER = 5e-3
 END = 5e-8
 """By how much the first scaled measure may be above its optimum at the end of a trade-off where the second is then made least."""
 
+ROUNDS = 60
+"""Greatest number of linearisations of the moments of inertia of discs."""
+
 NEAR = 1e-6
 """Scaled difference from the least-squares optimum up to which that is tried in place of the solver's."""
 
@@ -206,7 +209,7 @@ class _Lightest:
 # --- discs -----------------------------------------------------------------------------------------------------------------
 
 
-def realised_discs(programme: BalancingProgramme, goal: Goal, x: Array, rounds: int = 60) -> Array:
+def realised_discs(programme: BalancingProgramme, goal: Goal, x: Array) -> Array:
     """Return feasible discs near the optimum of their relaxation, by successive linearisation of the moments of inertia.
 
     The step is limited by a trust region. If discs reach the value of the relaxation, that point is returned directly.
@@ -218,8 +221,6 @@ def realised_discs(programme: BalancingProgramme, goal: Goal, x: Array, rounds: 
         Measures and their weights.
     x : array (n,)
         Scaled parameters of the optimum of the relaxation.
-    rounds : int
-        Greatest number of iterations.
     """
     best = programme.realised(x)
     if not programme.relaxed or _merit(programme, goal, best) <= _merit(programme, goal, x) + GAP:
@@ -233,7 +234,7 @@ def realised_discs(programme: BalancingProgramme, goal: Goal, x: Array, rounds: 
     expression = sum(weight * programme.expression(measure) for measure, weight in goal)
     problem = cp.Problem(cp.Minimize(expression), [*programme.cones, *rows, *tangent])
     reach = 0.1 * max(1.0, float(np.max(np.abs(best))))
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         slopes.value, levels.value = (np.array(part) for part in zip(*(programme.tangent(best, k) for k in discs), strict=True))
         here.value, width.value = best, reach
         found = solved(cp, problem)

@@ -67,7 +67,7 @@ class ClearanceColumns:
                 self._exert(gap.point, one.body, one.force)
         for one in forces:
             if one.body != FRAME:
-                self._need(needed, one.body, one.wrench(loose.state(one.body)), -1.0)
+                self._need(needed, one.body, one.wrench(loose.state(one.body)))
         for i, joint in enumerate(cut.closing):
             a, b = -self.pull[:, 2 * i], -self.pull[:, 2 * i + 1]
             self._hold(needed, joint, self._closing_force(joint, a, b), b if isinstance(joint, Guide) else 0.0)
@@ -105,11 +105,11 @@ class ClearanceColumns:
             if body not in (FRAME, skip):
                 lever = minus(at, self.motion.state(body).start)
                 turned = sign * moment if isinstance(joint, Guide) else 0.0
-                self._need(needed, body, Wrench(own, turned + cross(lever, own)), -1.0)
+                self._need(needed, body, Wrench(own, turned + cross(lever, own)))
 
-    def _need(self, needed: dict[str, Wrench], body: str, wrench: Wrench, sign: float) -> None:
+    def _need(self, needed: dict[str, Wrench], body: str, wrench: Wrench) -> None:
         (x, y), moment = wrench
-        needed[body] = needed[body] + Wrench((sign * x, sign * y), sign * moment)
+        needed[body] = needed[body] + Wrench((-x, -y), -moment)
 
     def _exert(self, point: str, body: str, force: Vector) -> None:
         forces = self.pins.setdefault(point, {})

@@ -74,17 +74,13 @@ def alignment_margin(pose: Pose) -> Array:
     return least
 
 
-def least_alignments(
-    mechanism: Mechanism, sizes: Mapping[str, Value], low: float = 0.0, high: float | None = None
-) -> list[AlignedPosition]:
-    """Return the positions in which a group comes within `NEAR_ALIGNMENT` of alignment, each at the least angle from it.
+def least_alignments(mechanism: Mechanism, sizes: Mapping[str, Value]) -> list[AlignedPosition]:
+    """Return the positions of one cycle in which a group comes within `NEAR_ALIGNMENT` of alignment, each at the least angle.
 
     Parameters
     ----------
     mechanism : Mechanism
     sizes : mapping of parameter name to float [m, rad]
-    low, high : float [rad]
-        Range of the crank angle. Default: one cycle of the motion, from 0.
 
     Returns
     -------
@@ -92,9 +88,8 @@ def least_alignments(
     """
     if not mechanism.groups:
         return []
-    high = low + mechanism.cycle if high is None else high
     step = TURN / GRID
-    grid = np.arange(low - 0.37 * step, high + step, step)  # so that round crank angles lie between its points
+    grid = np.arange(-0.37 * step, mechanism.cycle + step, step)  # so that round crank angles lie between its points
 
     def moving(angles: Array) -> Pose:
         with np.errstate(all="ignore"):
@@ -115,7 +110,7 @@ def least_alignments(
     own = zeros(rates, grid, still=True)
     which = np.repeat(np.arange(len(own)), [len(angles) for angles in own])
     at = np.concatenate(own)
-    kept = (at >= low - 1e-9) & (at < high - 1e-9) & ~still[which]
+    kept = (at >= -1e-9) & (at < mechanism.cycle - 1e-9) & ~still[which]
     at, which = at[kept], which[kept]
     if not at.size:
         return []

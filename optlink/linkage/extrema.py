@@ -79,22 +79,20 @@ def extremes(
     return _extremes(values, grid, breaks, _zero(values, kinds), own, int(periodic))
 
 
-def extremes_of_rows(function: Function, grid: Array, *, periodic: bool = False) -> Array:
+def extremes_of_rows(function: Function, grid: Array) -> Array:
     """Compute the least and the largest value of every row of a function, each row refined at its own crank angles.
 
     Parameters
     ----------
     function : callable, crank angles (rows, n) [rad] -> values (rows, n), finite
     grid : array (n,) [rad], rising
-        Fine enough that each extremum lies beside the best grid point.
-    periodic : bool
-        As for `extremes`.
+        One period, fine enough that each extremum lies beside the best grid point.
 
     Returns
     -------
     values : array (rows, 2)
     """
-    grid = _continued(grid) if periodic else grid
+    grid = _continued(grid)
     values = function(grid[None, :])
 
     def own(points: Array, which: Index) -> Array:
@@ -102,7 +100,7 @@ def extremes_of_rows(function: Function, grid: Array, *, periodic: bool = False)
         each[which] = points
         return function(each.reshape(len(values), -1)).reshape(each.shape)[which]
 
-    return _extremes(values, grid, (), np.zeros(len(values), dtype=bool), own, int(periodic))[1]
+    return _extremes(values, grid, (), np.zeros(len(values), dtype=bool), own, 1)[1]
 
 
 def _continued(grid: Array) -> Array:

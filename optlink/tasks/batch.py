@@ -204,7 +204,7 @@ def batch_extremes(
         if numbers.size:
             own = machine_of(problem, {name: values[numbers, None] for name, values in arrays.items()})
             for name in columns:
-                found[name][numbers] = extremes_of_rows(functools.partial(_column, own, way, name), grid, periodic=True)
+                found[name][numbers] = extremes_of_rows(functools.partial(_column, own, way, name), grid)
     return found, clear
 
 

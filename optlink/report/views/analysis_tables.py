@@ -135,7 +135,7 @@ def _travels(outcome: Analysis) -> Iterator[Part | None]:
     yield stroke_table(outputs, outcome.speed, outcome.acting)
 
 
-def machine_strokes(machine: Machine, speed: float, acting: tuple[StrokeLoad, ...] | None = None) -> TableSpec | None:
+def machine_strokes(machine: Machine, speed: float) -> TableSpec | None:
     """Tabulate the forward and return strokes of the outputs of a machine whose crank turns fully; None if there are none.
 
     Parameters
@@ -143,10 +143,8 @@ def machine_strokes(machine: Machine, speed: float, acting: tuple[StrokeLoad, ..
     machine : Machine
     speed : float [rad/s]
         Crank speed; only its sign matters.
-    acting : tuple of StrokeLoad or None, optional
-        Loads that act in one stroke only; default: those of the machine.
     """
-    return stroke_table(named_travels(machine)[0], speed, acting_loads(machine, speed) if acting is None else acting)
+    return stroke_table(named_travels(machine)[0], speed, acting_loads(machine, speed))
 
 
 def stroke_table(named: Mapping[str, Travel], speed: float, acting: tuple[StrokeLoad, ...]) -> TableSpec | None:

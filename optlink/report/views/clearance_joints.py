@@ -170,7 +170,7 @@ def force(turns: RevolutionCurves) -> list[ChartSpec]:
             at = np.degrees([impact.crank_angle for impact in own]) % FULL
             peaks = np.array([impact.penetration for impact in own]) * small.factor
             depths.append(ring(at, peaks, "deepest of an impact, where it begins", WANTED, size=3.5, gid="impact"))
-        limits, cut = crown(turns, normal * unit.factor, min(0.0, float(np.min(rub[last])) * unit.factor))
+        limits, cut = crown(turns, normal * unit.factor, min(0.0, float(np.min(rub[last])) * unit.factor), 0.0)
         limits_below, cut_below = crown(turns, depth * small.factor, 0.0, deepest * small.factor)
         share = float(np.mean(result[f"{gap.point}.contact"][last][-turns.points :]))
         found.append(

@@ -318,7 +318,7 @@ def from_zero(largest: float) -> tuple[float, float]:
     return 0.0, 1.08 * largest if 0.0 < largest < math.inf else 1.0
 
 
-def crown(turns: RevolutionCurves, values: Array, low: float = 0.0, high: float = 0.0) -> tuple[tuple[float, float], str]:
+def crown(turns: RevolutionCurves, values: Array, low: float, high: float) -> tuple[tuple[float, float], str]:
     """Return limits of the last revolution and most of the others, and ", cut off" if values exceed them.
 
     Parameters
@@ -326,9 +326,9 @@ def crown(turns: RevolutionCurves, values: Array, low: float = 0.0, high: float 
     turns : RevolutionCurves
     values : array (n,)
         Values at all rows, in the unit of the axis.
-    low : float, optional
+    low : float
         Least value to include, in the unit of the axis.
-    high : float, optional
+    high : float
         Largest value to include, in the unit of the axis.
     """
     every = values[turns.rows(turns.shown)]

@@ -46,7 +46,6 @@ def maximise_yield(
     seed: int,
     *,
     shape: str = NORMAL,
-    backend: str = "ipopt",
 ) -> RobustDesign:
     """Return the design with the largest yield, searched from the nominal optimum and a robust design and compared with both.
 
@@ -64,15 +63,13 @@ def maximise_yield(
         Seed of these samples; the search uses the next one.
     shape : str
         Default distribution of tolerances.
-    backend : "slsqp" or "ipopt"
-        Solver for the two starting designs.
 
     Raises
     ------
     InputError
         If there is no motion law, no validated design, or a tolerance is invalid.
     """
-    redesign = RobustSearch(problem, tolerances, shape, backend)
+    redesign = RobustSearch(problem, tolerances, shape)
     file = redesign.problem.override({"requirement.robust": None})
     nlp = build(file.override({"requirement.measure": "sum of squares"}).spec)
     first = redesign.least(SIGMAS)

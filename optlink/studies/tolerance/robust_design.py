@@ -88,9 +88,7 @@ class RobustRecord(Record):
     failed_checks: tuple[str, ...] | None = absent()
 
 
-def robust(
-    problem: ProblemFile, tolerances: Sequence[str], sigmas: float | None = 3.0, *, shape: str = NORMAL, backend: str = "ipopt"
-) -> RobustDesign:
+def robust(problem: ProblemFile, tolerances: Sequence[str], sigmas: float | None = 3.0, *, shape: str = NORMAL) -> RobustDesign:
     """Minimise the largest error over the span, including its scatter.
 
     Parameters
@@ -103,7 +101,6 @@ def robust(
         Standard deviations added to the absolute mean error; None: the worst case is added.
     shape : str
         Default distribution of tolerances.
-    backend : "slsqp" or "ipopt"
 
     Raises
     ------
@@ -113,12 +110,10 @@ def robust(
     if sigmas is not None and not 0.0 <= sigmas <= MOST:
         remedy = f"Give 0 to {MOST:g} standard deviations, or worst, margin or yield"
         raise InputError(Fault("out of range", remedy, key="--robust", value=sigmas))
-    return RobustSearch(problem, tolerances, shape, backend).least(sigmas)
+    return RobustSearch(problem, tolerances, shape).least(sigmas)
 
 
-def most_reliable(
-    problem: ProblemFile, tolerances: Sequence[str], limit: float, *, shape: str = NORMAL, backend: str = "ipopt"
-) -> RobustDesign:
+def most_reliable(problem: ProblemFile, tolerances: Sequence[str], limit: float, *, shape: str = NORMAL) -> RobustDesign:
     """Return the design that keeps a limit of its error with the largest number of standard deviations.
 
     Its number of standard deviations is that for which the minimised value equals the limit.
@@ -133,14 +128,13 @@ def most_reliable(
         Largest error anywhere along the span.
     shape : str
         Default distribution of tolerances.
-    backend : "slsqp" or "ipopt"
 
     Raises
     ------
     InputError
         As `robust`, or if no nominal design keeps the limit.
     """
-    redesign = RobustSearch(problem, tolerances, shape, backend)
+    redesign = RobustSearch(problem, tolerances, shape)
     before = redesign.least(0.0)
     if before.value > limit:
         least = f"{math.degrees(before.value):.4g} deg"
@@ -172,13 +166,13 @@ def check_law(problem: ProblemFile) -> None:
 class RobustSearch:
     """Search of robust designs of one problem from its nominal optimum, `nominal` [SI]; `problem`: with its tolerances."""
 
-    def __init__(self, problem: ProblemFile, tolerances: Sequence[str], shape: str, backend: str) -> None:
+    def __init__(self, problem: ProblemFile, tolerances: Sequence[str], shape: str) -> None:
         check_law(problem)
         said = {name: each.raw for name, each in read_tolerances(problem, tolerances, shape).items()}
-        first = solve(problem.override({"requirement.robust": None}), backend)
+        first = solve(problem.override({"requirement.robust": None}))
         if not first.valid:
             raise InputError(Fault("no design was proven, so there is none to begin with", "See `optlink solve`", problem.file))
-        self.nominal, self.backend = first.design, backend
+        self.nominal = first.design
         try:
             self.problem = first.problem.override({"requirement.measure": "max", "tolerances": said})
         except InputError as error:
@@ -196,7 +190,7 @@ class RobustSearch:
             Starting design. Default: the nominal optimum.
         """
         problem = self.problem.override({"requirement.robust": WORST if sigmas is None else f"{sigmas!r} sigma"})
-        found = solve(problem, self.backend, begin=self.nominal if start is None else start)
+        found = solve(problem, begin=self.nominal if start is None else start)
         return RobustDesign(found, dict(self.nominal), sigmas, validate(problem, self.nominal).objective)
 
 

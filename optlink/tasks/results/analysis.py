@@ -293,7 +293,7 @@ def named_travels(machine: Machine) -> tuple[dict[str, Travel], dict[str, Travel
     return travels_by_use(machine, swings, {names[guide]: travel for guide, travel in strokes.items()})
 
 
-def stroke_document(machine: Machine, speed: float, acting: tuple[StrokeLoad, ...] | None = None) -> dict[str, Any]:
+def stroke_document(machine: Machine, speed: float) -> dict[str, Any]:
     """Return the strokes of every output of a machine whose crank turns fully, as JSON.
 
     Parameters
@@ -301,10 +301,8 @@ def stroke_document(machine: Machine, speed: float, acting: tuple[StrokeLoad, ..
     machine : Machine
     speed : float [rad/s]
         Crank speed; only its sign matters.
-    acting : tuple of StrokeLoad, optional
-        Loads that act in one stroke only. Default: the loads of the machine.
     """
-    acting = acting_loads(machine, speed) if acting is None else acting
+    acting = acting_loads(machine, speed)
     return {
         name: {"time_ratio": travel.time_ratio, **stroke_records(travel, speed, acting)}
         for part in named_travels(machine)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, Self
 
@@ -289,23 +288,6 @@ def cover_document(cover: Cover, *, witnesses: bool) -> dict[str, Any]:
             {str(k): float(row[k]) for k in found} for row, found in zip(cover.multipliers, used, strict=True)
         ]
     return document
-
-
-def cover_of(document: Mapping[str, Any]) -> Cover:
-    """Return the cover of plain data, see `cover_document`.
-
-    Parameters
-    ----------
-    document : mapping
-    """
-    limits = tuple(document.get("limits", ()))
-    low, high = (np.array(document[name], dtype=float) for name in ("low", "high"))
-    test = np.array([TESTS.index(name) for name in document["test"]], dtype=np.int8)
-    multipliers = np.zeros((len(test), len(limits)))
-    for row, known in zip(multipliers, document.get("multipliers", ()), strict=False):
-        for k, value in known.items():
-            row[int(k)] = value
-    return Cover(document["assembly"], low, high, test, multipliers, limits)
 
 
 def certificate_document(certificate: Certificate, result: Any) -> dict[str, Any]:
