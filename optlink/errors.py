@@ -42,6 +42,14 @@ class Fault:
         return ": ".join(part for part in (self.file, where, f"{self.message}. {self.remedy}") if part)
 
 
+class InvalidValue(ValueError):
+    """A value that cannot be used: `message`, `remedy`, and the faulty `key` below that of the reader, with its `value`."""
+
+    def __init__(self, message: str, remedy: str, key: str = "", value: object = None) -> None:
+        super().__init__(f"{message}. {remedy}")
+        self.message, self.remedy, self.key, self.value = message, remedy, key, value
+
+
 class OptlinkError(Exception):
     """Base class of all errors that optlink raises intentionally."""
 

@@ -13,6 +13,8 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from optlink.errors import InvalidValue
+
 DEFINITIONS = (
     "meter = [length] = m = metre",
     "second = [time] = s = sec",
@@ -112,12 +114,8 @@ _SUPERSCRIPTS = str.maketrans("\u207b\u00b9\u00b2\u00b3\u2074", "-1234")
 _PER_TIME = {"angular velocity": {"1/s": "rad/s", "1/min": "rpm"}, "frequency": {"1/s": "Hz", "1/min": "rpm"}}
 
 
-class UnitProblem(ValueError):
+class UnitProblem(InvalidValue):
     """A quantity that cannot be parsed: `message` gives the reason, `remedy` the correction."""
-
-    def __init__(self, message: str, remedy: str) -> None:
-        super().__init__(f"{message}. {remedy}")
-        self.message, self.remedy = message, remedy
 
 
 @dataclass(frozen=True)

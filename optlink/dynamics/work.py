@@ -14,6 +14,18 @@ PANELS = 180  # per range or revolution: 2 degrees each in a revolution
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 
+def gauss_points(a: Array, b: Array) -> tuple[Array, Array]:
+    """Return the points (k, nodes) of Gauss quadrature over intervals, and half their lengths (k,).
+
+    Parameters
+    ----------
+    a, b : array (k,)
+        Ends of the intervals.
+    """
+    half = 0.5 * (b - a)
+    return (0.5 * (a + b))[:, None] + half[:, None] * NODES, half
+
+
 def jumps(machine: Machine, low: float, high: float) -> Array:
     """Return the crank angles [rad] between `low` and `high` at which a load or friction may jump, rising.
 
@@ -111,8 +123,7 @@ class Work:
         return np.broadcast_to(np.asarray(torque, dtype=float), angles.shape)
 
     def _integral(self, a: Array, b: Array) -> Array:
-        half = 0.5 * (b - a)
-        points = (0.5 * (a + b))[:, None] + half[:, None] * NODES
+        points, half = gauss_points(a, b)
         values = self.torque(points.ravel()).reshape(points.shape)
         integral: Array = half * (values @ WEIGHTS)
         return integral

@@ -70,8 +70,21 @@ def alignment_margin(pose: Pose) -> Array:
     least = np.full(np.shape(_value(pose.directions[pose.mechanism.crank.body][0])), np.inf)
     for group, sines in zip(pose.mechanism.groups, squared_sines(pose), strict=True):
         above = sines - group.least if group.least > 0.0 else sines + TOUCHING  # parallel lines meet nowhere
-        least = np.minimum(least, np.where(np.isnan(above), np.where(least < 0.0, np.inf, -1.0), above))
+        least = lesser(least, above)
     return least
+
+
+def lesser(least: Array, margin: Array) -> Array:
+    """Return the lesser of two margins [-]; the first group that fails to close counts -1, its followers nothing.
+
+    Parameters
+    ----------
+    least : array (n,)
+        Least margin of the groups before.
+    margin : array (n,)
+        That of a group; NaN where it or one before it cannot be assembled.
+    """
+    return np.asarray(np.minimum(least, np.where(np.isnan(margin), np.where(least < 0.0, np.inf, -1.0), margin)))
 
 
 def least_alignments(mechanism: Mechanism, sizes: Mapping[str, Value]) -> list[AlignedPosition]:

@@ -13,6 +13,7 @@ from functools import cached_property, partial
 from itertools import combinations
 from typing import Any
 
+from optlink.errors import InvalidValue
 from optlink.io import Registry
 from optlink.linkage.dyad_types import FORWARD, PRP, RPP, RPR, RRP, RRR
 from optlink.linkage.mechanism import FRAME, BodyPoint, Ground, Group, Guide, Link, Mechanism
@@ -25,12 +26,8 @@ EITHER = "either"
 """An assembly mode that a search shall choose; until then it counts as left, or forward."""
 
 
-class StructureError(ValueError):
+class StructureError(InvalidValue):
     """Error for bodies that do not form a chain of dyads: `message`, `remedy`, and the faulty `key` below the mechanism."""
-
-    def __init__(self, message: str, remedy: str, key: str = "", value: object = None) -> None:
-        super().__init__(f"{message}. {remedy}")
-        self.message, self.remedy, self.key, self.value = message, remedy, key, value
 
 
 def assemble(

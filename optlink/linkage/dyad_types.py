@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -126,27 +127,26 @@ class RRR(ModalDyad):
         pose.fit(self.second, q, self.joint)
         return margin
 
+    def _triangle(self, pose: Pose) -> tuple[Value, Value, Value]:
+        """Return the lengths of both links and the squared distance of the outer joints."""
+        p, q = self.pins
+        between = minus(pose.point(q), pose.point(p))
+        return pose.distance(self.first, p, self.joint), pose.distance(self.second, q, self.joint), dot(between, between)
+
     def cosine(self, pose: Pose) -> Value:
         """Return the cosine of the transmission angle, from the link lengths; outside [-1, 1] where the group cannot close."""
-        p, q = self.pins
-        a, b = pose.distance(self.first, p, self.joint), pose.distance(self.second, q, self.joint)
-        between = minus(pose.point(q), pose.point(p))
-        return (a * a + b * b - dot(between, between)) / (2.0 * (a * b))
+        a, b, square = self._triangle(pose)
+        return (a * a + b * b - square) / (2.0 * (a * b))
 
     def gap(self, pose: Pose) -> Value:
         """Return the distance of the outer joints beyond the reach of the links, or below their least distance [m]."""
-        p, q = self.pins
-        a, b = pose.distance(self.first, p, self.joint), pose.distance(self.second, q, self.joint)
-        between = minus(pose.point(q), pose.point(p))
-        distance = np.sqrt(dot(between, between))
+        a, b, square = self._triangle(pose)
+        distance = np.sqrt(square)
         return np.maximum(distance - (a + b), np.abs(a - b) - distance)
 
     def alignment(self, pose: Pose) -> Value:
         """Return the squared sine of the transmission angle, from the lengths alone."""
-        p, q = self.pins
-        a, b = pose.distance(self.first, p, self.joint), pose.distance(self.second, q, self.joint)
-        between = minus(pose.point(q), pose.point(p))
-        square = dot(between, between)
+        a, b, square = self._triangle(pose)
         return (square - (a - b) * (a - b)) * ((a + b) * (a + b) - square) / (4.0 * a * a * b * b)
 
 
@@ -188,17 +188,18 @@ class RRP(ModalDyad):
         pose.place(self.second, turn_back(line, pose.local_line(self.guide, self.second.body)[1]), self.joint)
         return margin
 
+    def _height(self, pose: Pose) -> Value:
+        """Return the distance of the outer joint to the left of the path of the slider's joint."""
+        begin, line = pose.line(self.guide, self.guide.other(self.second.body))
+        return cross(line, minus(pose.point(self.outer), begin)) - pose.offset(self.guide, self.second, self.joint)
+
     def gap(self, pose: Pose) -> Value:
         """Return the distance of the outer joint from the path of the slider's joint beyond the link [m]."""
-        begin, line = pose.line(self.guide, self.guide.other(self.second.body))
-        height = cross(line, minus(pose.point(self.outer), begin)) - pose.offset(self.guide, self.second, self.joint)
-        return np.abs(height) - pose.distance(self.first, self.outer, self.joint)
+        return np.abs(self._height(pose)) - pose.distance(self.first, self.outer, self.joint)
 
     def cosine(self, pose: Pose) -> Value:
         """Return the cosine of the angle from the left normal of the guide to the link; outside [-1, 1] where it cannot close."""
-        begin, line = pose.line(self.guide, self.guide.other(self.second.body))
-        height = cross(line, minus(pose.point(self.outer), begin)) - pose.offset(self.guide, self.second, self.joint)
-        return -height / pose.distance(self.first, self.outer, self.joint)
+        return -self._height(pose) / pose.distance(self.first, self.outer, self.joint)
 
     def alignment(self, pose: Pose) -> Value:
         """Return the squared sine of the angle between the link and the normal of the guide."""
@@ -349,10 +350,12 @@ class PRP(Dyad):
             pose.place(link, turn_back(line, pose.local_line(guide, link.body)[1]), self.joint)
         return margin
 
+    def _lines(self, pose: Pose) -> Iterator[Vector]:
+        return (pose.line(guide, guide.other(link.body))[1] for link, guide in zip(self.links, self.guides, strict=True))
+
     def sine(self, pose: Pose) -> Value:
         """Return the sine of the angle from the first line to the second; it changes sign where they become parallel."""
-        (_, w), (_, u) = (pose.line(guide, guide.other(link.body)) for link, guide in zip(self.links, self.guides, strict=True))
-        return cross(w, u)
+        return cross(*self._lines(pose))
 
     def gap(self, pose: Pose) -> Value:
         """Return zero: two lines intersect unless they are parallel."""
@@ -360,8 +363,7 @@ class PRP(Dyad):
 
     def cosine(self, pose: Pose) -> Value:
         """Return the cosine of the angle between the directions of the two lines."""
-        (_, w), (_, u) = (pose.line(guide, guide.other(link.body)) for link, guide in zip(self.links, self.guides, strict=True))
-        return dot(w, u)
+        return dot(*self._lines(pose))
 
     def alignment(self, pose: Pose) -> Value:
         """Return the squared sine of the angle between the two lines."""

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.alignment import AlignedPosition, alignment_margin, least_alignments
+from optlink.linkage.alignment import AlignedPosition, alignment_margin, least_alignments, lesser
 from optlink.linkage.dyad_types import PRP
 from optlink.linkage.extrema import distinct, zeros
 from optlink.linkage.jet import Jet
@@ -108,6 +108,11 @@ class Ranges:
         """Singular positions through which a group is continued, in the order of the crank angle."""
         return self._meeting(followed=True)
 
+    @property
+    def text(self) -> str:
+        """The ranges, for display."""
+        return ", ".join(f"{math.degrees(a):.6g} ... {math.degrees(b):.6g} deg" for a, b in self.ranges)
+
     def _meeting(self, *, followed: bool) -> tuple[AlignedPosition, ...]:
         found = [position for position in self.aligned if position.singular and position.followed == followed]
         return tuple(sorted(found, key=lambda position: position.crank_angle))
@@ -125,7 +130,7 @@ def _closing(pose: Pose) -> Array:
     least = np.full(np.shape(pose.directions[pose.mechanism.crank.body][0]), np.inf)
     for group in pose.mechanism.groups:
         margin = pose.margins[group.joint] - group.least
-        least = np.minimum(least, np.where(np.isnan(margin), np.where(least < 0.0, np.inf, -1.0), margin))
+        least = lesser(least, margin)
     return least
 
 

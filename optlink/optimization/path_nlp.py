@@ -235,6 +235,24 @@ def constant_values(problem: PathProblem, constants: Sequence[Variable]) -> list
     return [*found, *(v.scaled(value) for v, value in zip(constants[first:], listed, strict=False))]
 
 
+def solved_values(task: PathProblem, design: Mapping[str, float], x: Array) -> tuple[dict[str, float], Array]:
+    """Return all quantities [m, rad] of a solved programme, and its crank angles (points,) [rad].
+
+    Parameters
+    ----------
+    task : PathProblem
+    design : mapping of str to float [m, rad]
+        Values of the design variables.
+    x : array (n,)
+        Unknowns of the programme: the design variables, then the free crank angles.
+    """
+    values = {name: quantity.value for name, quantity in task.quantities.items()}
+    values |= {name: design[name] for name in task.free}
+    free = len(task.free)
+    own = x[free : free + len(task.data.columns)] if task.data.offsets is None else None
+    return values, task.crank_angles(values, own)
+
+
 def required_motion(problem: PathProblem, angles: Any, *, over_span: bool = False) -> tuple[Any, Any]:
     """Return the crank angle [rad] at which the motion with position limits begins, and its rotation [rad].
 

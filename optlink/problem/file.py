@@ -115,10 +115,7 @@ class ProblemFile:
             If a key or value is invalid.
         """
         raw = copy.deepcopy(dict(self.raw))
-        for key, value in changes.items():
-            _assign(raw, key, value, self.file)
-        if any(key.split(".")[0] not in ("expected", *WORDS) for key in changes):
-            raw.pop("expected", None)
+        _change(raw, changes, self.file)
         return read(raw, self.name, self.file, self.folder)
 
 
@@ -181,12 +178,9 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
                 Fault("no such problem", nearest(text, names) + ", or the path of a .toml file", key="PROBLEM", value=text)
             )
     raw = with_ranges(with_spellings(_read_toml(path)), skip=WORDS)
-    if overrides:
-        for key, value in overrides.items():
-            _assign(raw, key, value, path.name if text in names else text)
-        if any(key.split(".")[0] not in ("expected", *WORDS) for key in overrides):
-            raw.pop("expected", None)
-    return read(raw, name, path.name if text in names else text, path.parent)
+    file = path.name if text in names else text
+    _change(raw, overrides or {}, file)
+    return read(raw, name, file, path.parent)
 
 
 def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", folder: Path | None = None) -> ProblemFile:
@@ -360,6 +354,14 @@ def _read_toml(path: Path) -> dict[str, Any]:
         raise InputError(Fault("brackets are nested too deep", "Simplify the file", file)) from None
     except ValueError as error:  # TOMLDecodeError, and integers of thousands of digits
         raise InputError(toml_fault(str(error), file)) from None
+
+
+def _change(raw: dict[str, Any], changes: Mapping[str, object], file: str) -> None:
+    """Set values by dotted key; a change of any key that affects the result removes `[expected]`."""
+    for key, value in changes.items():
+        _assign(raw, key, value, file)
+    if any(key.split(".")[0] not in ("expected", *WORDS) for key in changes):
+        raw.pop("expected", None)
 
 
 def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:

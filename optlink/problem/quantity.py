@@ -9,26 +9,22 @@ import difflib
 import functools
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
-from optlink.errors import Fault, InputError
+from optlink.errors import Fault, InputError, InvalidValue
 from optlink.units import KINDS, UnitProblem, mistyped_range, parse, show
 
 SIDES = ("min", "max", "exactly")
 SHORTEST, LONGEST = 1e-9, 1e6  # m; beyond them squares of ratios overflow
 
 
-class Unusable(ValueError):
+class Unusable(InvalidValue):
     """An invalid value: the reason, a remedy, and the key below the present one."""
-
-    def __init__(self, message: str, remedy: str, key: str = "", value: object = None) -> None:
-        super().__init__(f"{message}. {remedy}")
-        self.message, self.remedy, self.key, self.value = message, remedy, key, value
 
 
 @contextmanager
@@ -196,6 +192,25 @@ def check_time_ratio(stroke: str | None, value: float, key: str, low: float | No
         raise Unusable("the time of a stroke is positive", "Give a ratio above 0", key, value)
 
 
+def check_keys(raw: Iterable[object], known: Sequence[str]) -> None:
+    """Refuse a table with an unknown key.
+
+    Parameters
+    ----------
+    raw : mapping, or iterable of its keys
+    known : sequence of str
+        Permitted keys.
+
+    Raises
+    ------
+    Unusable
+        with the first unknown key.
+    """
+    for key in raw:
+        if key not in known:
+            raise Unusable("unknown key", nearest(str(key), known), str(key))
+
+
 def _positive(value: float, text: object, kind: str, key: str = "") -> float:
     if kind == "length" and value <= 0.0:
         raise Unusable("a length must be positive", f'Give one above zero, for example "{KINDS[kind].example}"', key, text)
@@ -248,9 +263,7 @@ def read_quantity(raw: object, kind: str) -> Quantity:
     if not isinstance(raw, dict):
         value, unit = read_scalar(raw, kind)
         return Quantity(value, kind, unit)
-    for key in raw:
-        if key not in ("start", "bounds"):
-            raise Unusable("unknown key", nearest(str(key), ("start", "bounds")), str(key))
+    check_keys(raw, ("start", "bounds"))
     example = f"bounds = {range_example(kind)}"
     bounds = raw.get("bounds")
     if bounds is None:
@@ -304,9 +317,7 @@ def _read_interval(raw: object, kind: str | None) -> Interval:
     if isinstance(raw, str) and (meant := mistyped_range(raw)) is not None:
         raise Unusable("this is not a range", f'Write it with two dots: "{meant}"', "", raw)
     if isinstance(raw, dict):
-        for key in raw:
-            if key not in SIDES:
-                raise Unusable("unknown key", nearest(str(key), SIDES), str(key))
+        check_keys(raw, SIDES)
         if not raw:
             raise Unusable("the table is empty", f"Give min, max or both, or write {example}", "", raw)
         if "exactly" in raw and len(raw) > 1:

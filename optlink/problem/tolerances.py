@@ -15,7 +15,7 @@ from pydantic import BeforeValidator, ValidationInfo
 
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.problem.mechanism import DyadsSection, FourBarSection
-from optlink.problem.quantity import Quantity, Unusable, nearest
+from optlink.problem.quantity import Quantity, Unusable, check_keys, nearest
 from optlink.problem.targets.law import read_columns
 from optlink.units import UnitProblem, parse, plain
 
@@ -151,9 +151,7 @@ def read_tolerance(raw: object, folder: Path) -> ToleranceEntry:
     if isinstance(raw, ToleranceEntry):
         return raw
     if isinstance(raw, dict):
-        for key in raw:
-            if key not in KEYS:
-                raise Unusable("unknown key", nearest(str(key), KEYS), str(key))
+        check_keys(raw, KEYS)
         if "tolerance" not in raw:
             raise Unusable("this key is missing", 'Add tolerance = "0.1 mm"', "tolerance")
         found = read_tolerance(raw["tolerance"], folder) if isinstance(raw["tolerance"], str) else None

@@ -11,7 +11,7 @@ from optlink.errors import Status
 from optlink.optimization.cycle_nlp import CycleNLP
 from optlink.solvers import multistart
 from optlink.solvers.semi_infinite import exchange
-from optlink.solvers.solution import Solution
+from optlink.solvers.solution import Solution, tangent_space
 
 Array = NDArray[np.float64]
 
@@ -66,11 +66,7 @@ def _flat(nlp: CycleNLP, solution: Solution) -> list[Array]:
     size = float(np.max(np.abs(multipliers), initial=0.0))
     equal = nlp.lower == nlp.upper
     holding = [i for i in solution.proof.active if equal[i] or abs(multipliers[i]) > STRONG * size]
-    basis = np.eye(n)
-    if holding:
-        _, singular, rows = np.linalg.svd(np.vstack([np.eye(n), point.jacobian])[holding])
-        rank = int(np.sum(singular > 1e-9 * max(singular[0], 1.0)))
-        basis = rows[rank:].T
+    basis = tangent_space(point, holding)
     if basis.shape[1] == 0:
         return []
     hessian = nlp.hessian(solution.x, solution.p, multipliers[n:])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from optlink.errors import Status
 from optlink.linkage.extrema import Function, extremes
 from optlink.optimization.nlp import NLP
-from optlink.optimization.path_nlp import has_sampled_objective, limit_excesses, objective_excess
+from optlink.optimization.path_nlp import has_sampled_objective, limit_excesses, objective_excess, solved_values
 from optlink.problem.path import PathProblem
 from optlink.solvers import contract
 from optlink.solvers import multistart as local
@@ -142,9 +142,7 @@ def excess_over(task: PathProblem, found: Solution) -> Function:
     found : Solution
         The design.
     """
-    values = {name: quantity.value for name, quantity in task.quantities.items()} | found.design
-    own = found.x[len(task.free) :][: len(task.data.columns)] if task.data.offsets is None else None
-    angles = task.crank_angles(values, own)
+    values, angles = solved_values(task, found.design, found.x)
 
     def excess(shares: Array) -> Array:
         over = limit_excesses(task, values, angles, shares)

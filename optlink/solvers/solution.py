@@ -6,6 +6,7 @@ The solver's own flag and message are recorded but not relied on.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
@@ -248,6 +249,24 @@ def stationarity(nlp: NLP, x: Array, point: NLPValues, within: float = ACTIVE) -
     return Stationarity(multipliers, active, kkt)
 
 
+def tangent_space(point: NLPValues, active: Sequence[int]) -> Array:
+    """Return an orthonormal basis (n, k) of the directions that keep active limits, to first order.
+
+    Parameters
+    ----------
+    point : NLPValues
+        The NLP at a point.
+    active : sequence of int
+        Indices of the active bounds and rows.
+    """
+    unit = np.eye(len(point.gradient))
+    if not len(active):
+        return unit
+    _, singular, rows = np.linalg.svd(np.vstack([unit, point.jacobian])[active])
+    rank = int(np.sum(singular > 1e-9 * max(singular[0], 1.0)))
+    return np.asarray(rows[rank:].T)
+
+
 def curvature(nlp: NLP, x: Array, p: Array, point: NLPValues, proof: Stationarity) -> float:
     """Return the least eigenvalue of the reduced Hessian of the Lagrangian; a positive one proves a strict local optimum.
 
@@ -266,15 +285,10 @@ def curvature(nlp: NLP, x: Array, p: Array, point: NLPValues, proof: Stationarit
     proof : Stationarity
         Active limits and multipliers at x.
     """
-    n = len(x)
-    basis = np.eye(n)
-    if proof.active:
-        _, singular, rows = np.linalg.svd(np.vstack([np.eye(n), point.jacobian])[proof.active])
-        rank = int(np.sum(singular > 1e-9 * max(singular[0], 1.0)))
-        basis = rows[rank:].T
+    basis = tangent_space(point, proof.active)
     if basis.shape[1] == 0:
         return math.nan
-    hessian = basis.T @ nlp.hessian(x, p, proof.multipliers[n:]) @ basis
+    hessian = basis.T @ nlp.hessian(x, p, proof.multipliers[len(x) :]) @ basis
     return float(np.linalg.eigvalsh(hessian)[0]) if np.all(np.isfinite(hessian)) else math.nan
 
 

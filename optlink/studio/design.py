@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from optlink.dynamics.machine import Machine
 from optlink.errors import Status
+from optlink.optimization.path_nlp import solved_values
 from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
@@ -111,14 +112,11 @@ def from_solution(problem: ProblemFile, solution: Solution) -> Design:
     model = problem.model
     if isinstance(model, DesignProblem):
         values, angles = model.design(solution.design), None
+    elif isinstance(model, PathProblem):
+        values, angles = solved_values(model, solution.design, solution.x)
     else:
         values = {name: quantity.value for name, quantity in model.quantities.items()}
-        values |= {name: solution.design[name] for name in model.free}
-        angles = None
-        if isinstance(model, PathProblem):
-            free = len(model.free)
-            own = solution.x[free : free + len(model.data.columns)] if model.data.offsets is None else None
-            angles = model.crank_angles(values, own)
+        values, angles = values | {name: solution.design[name] for name in model.free}, None
     return Design(problem, values, UNVERIFIED, solution.objective, solution, angles, limits=solution.limits)
 
 

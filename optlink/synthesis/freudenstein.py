@@ -35,12 +35,12 @@ ANYWHERE = (-math.inf, math.inf)
 class FirstStep:
     """A four-bar with lengths relative to the frame and start angles [rad].
 
-    `side`: assembly mode. `residual`: of the loop equation at the target positions. `error`: of the output [rad], in closed form.
-    Both are the largest value, or (for both other measures) the root mean square. `bound`: lower bound of the error for this start
-    position, assembly mode and range of ratios [rad]: for "max" of the output error itself, otherwise of its linearised model
-    about this linkage. Recomputed from the multipliers; zero without a proof, for example where `keep` or the coupler ratio,
-    which are not convex, restrict the linkage. `proven`: whether `error` is within a share `CLOSE` of `bound`, or zero. `status`:
-    solver status; "closed form" where no solver was needed, "no answer" where it failed.
+    `side`: assembly mode. `residual`: of the loop equation at the target positions. `error`: of the output [rad], in closed
+    form. Both are the largest value, or (for both other measures) the root mean square. `bound`: lower bound of the error for
+    this start position, assembly mode and range of ratios [rad]: for "max" of the output error itself, otherwise of its
+    linearised model about this linkage. Recomputed from the multipliers; zero without a proof, for example where `keep` or the
+    coupler ratio, which are not convex, restrict the linkage. `proven`: whether `error` is within a share `CLOSE` of `bound`,
+    or zero. `status`: solver status; "closed form" where no solver was needed, "no answer" where it failed.
     """
 
     side: int

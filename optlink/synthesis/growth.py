@@ -198,9 +198,7 @@ def grow_from_four_bar(
         mechanism = batch.problem.linkage
         for body, point, joint in reversed(part.coincident):
             if point != joint:
-                place = _local(mechanism, sizes, body, joint)
-                mark = mechanism.marks[body, point]
-                sizes[str(mark.along)], sizes[str(mark.across)] = place.real, place.imag
+                _place(mechanism, sizes, body, point, _local(mechanism, sizes, body, joint))
     else:
         name = f"{part.loop.coupler.body}.{batch.problem.requirement.point}"
         traced = complex(values[f"{name}.along"], values[f"{name}.across"])
@@ -289,14 +287,17 @@ def _enlarge(
     f = pivot + s * (j - pivot)
     e_name, f_name = (next(name for name in (link.start, link.end) if name != _common(arm, leg)) for link in arms)
     for body, name, place in ((loop.coupler.body, e_name, joint + side), (loop.rocker.body, f_name, f)):
-        mark = mechanism.marks[body, name]
-        sizes[str(mark.along)], sizes[str(mark.across)] = place.real, place.imag
+        _place(mechanism, sizes, body, name, place)
     sizes[str(leg.length)], sizes[str(arm.length)] = np.abs(side), np.abs(f - j)
     v = s * (traced / ratio - joint) * np.abs(side) / side  # in axes along F-G
-    place = v if leg.start == f_name else np.abs(side) - v
-    mark = mechanism.marks[leg.body, point]
-    sizes[str(mark.along)], sizes[str(mark.across)] = place.real, place.imag
+    _place(mechanism, sizes, leg.body, point, v if leg.start == f_name else np.abs(side) - v)
     return np.asarray(turned)
+
+
+def _place(mechanism: Mechanism, sizes: dict[str, Array], body: str, point: str, at: NDArray[np.complex128]) -> None:
+    """Set the coordinates of a point on its body."""
+    mark = mechanism.marks[body, point]
+    sizes[str(mark.along)], sizes[str(mark.across)] = at.real, at.imag
 
 
 def _common(arm: Link, leg: Link) -> str:

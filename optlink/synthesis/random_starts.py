@@ -46,7 +46,7 @@ def random_designs(batch: Batch, count: int, rng: np.random.Generator) -> Array:
             wide = rng.uniform(np.maximum(low, given - 3.0 * size), np.minimum(high, given + 3.0 * size), count)
             x[:, i] = np.where(rng.random(count) < 0.6, near, wide)
     if batch.four_bar:
-        shape = random_proportions(batch, count, rng) * np.exp(rng.uniform(math.log(0.5), math.log(4.0), (count, 1)))
+        shape = _random_lengths(batch, count, rng)
         for k, name in enumerate(LENGTHS):
             if name in batch.names:
                 x[:, batch.names.index(name)] = shape[:, k]
@@ -65,12 +65,17 @@ def _turning(batch: Batch, x: Array, rng: np.random.Generator) -> None:
         return
     crank, coupler, rocker, ax, ay, dx, dy = (batch.names.index(name) for name in names)
     half = len(x) // 2
-    shape = random_proportions(batch, half, rng) * np.exp(rng.uniform(math.log(0.5), math.log(4.0), (half, 1)))
+    shape = _random_lengths(batch, half, rng)
     x[:half, [crank, coupler, rocker]] = shape[:, :3]
     direction = rng.uniform(0.0, TURN, half)
     x[:half, ax], x[:half, ay] = rng.standard_normal((2, half)) * 1.5
     x[:half, dx] = x[:half, ax] + shape[:, 3] * np.cos(direction)
     x[:half, dy] = x[:half, ay] + shape[:, 3] * np.sin(direction)
+
+
+def _random_lengths(batch: Batch, count: int, rng: np.random.Generator) -> Array:
+    """Return lengths of random four-bars (count, 4) of different sizes."""
+    return random_proportions(batch, count, rng) * np.exp(rng.uniform(math.log(0.5), math.log(4.0), (count, 1)))
 
 
 def random_proportions(batch: Batch, count: int, rng: np.random.Generator) -> Array:

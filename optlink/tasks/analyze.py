@@ -261,8 +261,7 @@ def _notes(
     if free:
         notes.append(f"free quantities stand at their start values: {', '.join(free)} (--design takes a result)")
     if not ranges.full:
-        reach = ", ".join(f"{math.degrees(a):.6g} ... {math.degrees(b):.6g} deg" for a, b in ranges.ranges)
-        notes.append(f"the crank cannot turn fully; reachable: {reach} (the last 0.1 % at either end is left out)")
+        notes.append(f"the crank cannot turn fully; reachable: {ranges.text} (the last 0.1 % at either end is left out)")
         for low, high in ranges.ranges[:1]:
             for end, way in ((low, -1.0), (high, 1.0)):
                 reason = range_end_reason(machine.mechanism, machine.sizes, end, way)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.clearance.closed_loop import ClosedLoop
-from optlink.clearance.compiled.choice import IntegratorKind, chosen
+from optlink.clearance.compiled.choice import IntegratorKind, chosen, resumed
 from optlink.clearance.controller import PID, Control, Controller, Gains
 from optlink.clearance.equations import Drive, Servo, Weightless
 from optlink.clearance.integration import Stalled
@@ -183,9 +183,7 @@ def simulate_clearance(
     setting = _setting(problem, points, speed, control, start, design, flywheel)
     _check(revolutions, points, tolerance)
     plant = setting.plant(tolerance)
-    if resume is not None and integrator == IntegratorKind.AUTO:
-        integrator = str(resume.get("integrator", IntegratorKind.CVODES))
-    integrator = chosen(integrator, plant, revolutions + min(revolutions, WATCHED) * twin)
+    integrator = chosen(resumed(integrator, resume), plant, revolutions + min(revolutions, WATCHED) * twin)
     pair = PredictabilityCheck(setting.plant(tolerance * COARSER)) if twin else None
     plants = [plant] if pair is None else [plant, pair.closed_loop]
     if integrator is IntegratorKind.COMPILED:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.clearance.compiled.choice import IntegratorKind
+from optlink.clearance.compiled.choice import resumed
 from optlink.clearance.controller import Control
 from optlink.clearance.output import Output
 from optlink.errors import Fault, InputError
@@ -127,8 +127,7 @@ def compare(
     label = {**common, "problem_hash": problem.hash, "kinds": list(kinds), "starts": starts, "seed": seed}
     label["design"] = None if design is None else dict(design)
     common["design"] = design
-    if resume is not None and integrator == IntegratorKind.AUTO:
-        integrator = str(resume.get("integrator", IntegratorKind.CVODES))
+    integrator = resumed(integrator, resume)
     for kind in kinds:  # refuse options that no run accepts, before any process starts; and compile, once for all
         _, integrator = checked(
             problem, control=kind, integrator=integrator, runs=starts * len(kinds), compiling=compiling, **common
@@ -260,8 +259,7 @@ def tune(
     sobol = qmc.Sobol(len(names), seed=seed).random(1 << int(np.ceil(np.log2(max(2, evaluations // 2)))))
     common: dict[str, Any] = {"revolutions": revolutions, "points": points, "tolerance": tolerance, "speed": speed}
     common["design"] = design
-    if resume is not None and integrator == IntegratorKind.AUTO:
-        integrator = str(resume.get("integrator", IntegratorKind.CVODES))
+    integrator = resumed(integrator, resume)
     runs = starts * (evaluations + 1)
     output, integrator = checked(problem, control=control, integrator=integrator, runs=runs, compiling=compiling, **common)
     common["integrator"] = integrator

@@ -131,8 +131,11 @@ def motion_range(problem: ProblemFile, machine: Machine, start: float) -> tuple[
     holding = ranges.holding(start)
     if holding is None:
         failed = failure(machine.mechanism, machine.sizes, start)
-        reach = ", ".join(f"{math.degrees(a):.6g} ... {math.degrees(b):.6g} deg" for a, b in ranges.ranges)
-        remedy = f"Start in a range that can be reached: {reach}" if reach else "No crank angle can be reached: change the sizes"
+        remedy = (
+            f"Start in a range that can be reached: {ranges.text}"
+            if ranges.ranges
+            else "No crank angle can be reached: change the sizes"
+        )
         message = f"{failed}" if failed else "the mechanism cannot be assembled"
         raise InputError(Fault(message, remedy, problem.file, "drive.start", f"{math.degrees(start):.6g} deg"))
     low, high = holding

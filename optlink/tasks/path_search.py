@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optlink.errors import Status
+from optlink.optimization.path_nlp import solved_values
 from optlink.problem.file import ProblemFile
 from optlink.problem.path import PathProblem
 from optlink.solvers.contract import MINIMAX
@@ -131,11 +132,7 @@ def validated_design(file: ProblemFile, nlp: NLP, solution: Solution) -> PathDes
         Solution of `nlp`.
     """
     task = path_model(file)
-    values = {name: quantity.value for name, quantity in task.quantities.items()}
-    values |= {name: solution.design[name] for name in task.free}
-    free = len(task.free)
-    own = solution.x[free : free + len(task.data.columns)] if task.data.offsets is None else None
-    angles = task.crank_angles(values, own)
+    values, angles = solved_values(task, solution.design, solution.x)
     proof = validate_path(task, values, angles, solution.objective)
     proof = replace(proof, checks=(*proof.checks, *optimality(solution)))
     return PathDesign(file, values, angles, solution.objective, solution.status, proof, solution)

@@ -13,7 +13,7 @@ from optlink.dynamics.columns import MotionColumns, slider_names
 from optlink.dynamics.inertia import Parameters
 from optlink.dynamics.loads import Acting
 from optlink.dynamics.machine import Machine, Moving
-from optlink.dynamics.work import NODES, WEIGHTS, Work
+from optlink.dynamics.work import NODES, WEIGHTS, Work, gauss_points
 from optlink.linkage.extrema import extremes
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.stroke import TURN, Travel, reachable, travels
@@ -186,9 +186,7 @@ class Cycle:
 
     def _average(self, machine: Machine, read: Callable[[MotionColumns], Array], *, square: bool) -> float:
         """Return the mean, or root mean square, over the revolution by Gauss quadrature between the knots of the work."""
-        a, b = self.work.knots[:-1], self.work.knots[1:]
-        half = 0.5 * (b - a)
-        points = (0.5 * (a + b))[:, None] + half[:, None] * NODES
+        points, half = gauss_points(self.work.knots[:-1], self.work.knots[1:])
         values = read(MotionColumns(machine.moving(points.ravel(), self.speed))).reshape(points.shape)
         mean = float(np.sum(half * ((values**2 if square else values) @ WEIGHTS))) / TURN
         return math.sqrt(mean) if square else mean
@@ -226,9 +224,8 @@ class Cycle:
         The exchanged energy is the integral of the absolute powers over the revolution plus the kinetic energy: without
         loads the works all vanish, in a machine balanced on its crank the powers too.
         """
-        a, b = self.work.knots[:-1], self.work.knots[1:]
-        half = 0.5 * (b - a)
-        points = ((0.5 * (a + b))[:, None] + half[:, None] * NODES).ravel()
+        points, half = gauss_points(self.work.knots[:-1], self.work.knots[1:])
+        points = points.ravel()
         moving = self.machine.moving(points, self.speed)
         record = MotionColumns(moving)
         powers = [record["input.power_W"]]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import enum
+from collections.abc import Mapping
+from typing import Any
 
 from optlink.clearance.closed_loop import ClosedLoop
 from optlink.errors import Fault, InputError
@@ -32,6 +34,19 @@ def installed() -> bool:
     except ImportError:
         return False
     return True
+
+
+def resumed(integrator: str, checkpoint: Mapping[str, Any] | None) -> str:
+    """Return the requested integrator; for "auto" that of the checkpoint from which the work continues.
+
+    Parameters
+    ----------
+    integrator : str
+    checkpoint : mapping or None
+    """
+    if checkpoint is None or integrator != IntegratorKind.AUTO:
+        return integrator
+    return str(checkpoint.get("integrator", IntegratorKind.CVODES))
 
 
 def chosen(integrator: str, plant: ClosedLoop, revolutions: float) -> IntegratorKind:

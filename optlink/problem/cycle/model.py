@@ -28,6 +28,7 @@ from optlink.problem.quantity import (
     RatioOfStrokes,
     Unusable,
     below,
+    check_keys,
     nearest,
 )
 
@@ -201,9 +202,7 @@ def _sides(raw: object) -> dict[str, object]:
     if raw is None:
         raise Unusable("the stroke is missing", 'Write stroke = "60 deg", or "100 mm" for a slider')
     if isinstance(raw, dict):
-        for key in raw:
-            if key not in SIDES:
-                raise Unusable("unknown key", nearest(str(key), SIDES), str(key))
+        check_keys(raw, SIDES)
         return raw
     if isinstance(raw, list):
         if len(raw) != 2:

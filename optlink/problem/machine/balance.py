@@ -13,6 +13,7 @@ from optlink.dynamics.counterweights import KINDS, BalanceMeasure, Counterweight
 from optlink.dynamics.machine import Machine
 from optlink.linkage.mechanism import FRAME
 from optlink.problem.base_model import RESERVED, Name, Section
+from optlink.problem.machine.loads import spring_ends
 from optlink.problem.quantity import (
     Density,
     FixedForce,
@@ -348,13 +349,7 @@ class SpringSection(Section):
         taken = (*mechanism.bodies, *mechanism.owners, *(g.name for g in mechanism.guides), *(x.name for x in machine.loads))
         if self.name in (*taken, *RESERVED):
             raise Unusable("the name is taken", "Choose another for the spring", "name", self.name)
-        ends = []
-        for point in self.between:
-            if point not in mechanism.owners:
-                raise Unusable("no such point", nearest(point, mechanism.owners), "between", point)
-            ends.append((mechanism.owners[point][0], point))
-        if set(mechanism.owners[self.between[0]]) & set(mechanism.owners[self.between[1]]):
-            raise Unusable("both ends are on one body", "Name two points of different bodies", "between", list(self.between))
+        ends = spring_ends(mechanism, self.between)
         low, high = (self.stiffness.low or 0.0, self.stiffness.high) if self.stiffness else (0.0, None)
         if low < 0.0 or (high is not None and high < 0.0):
             raise Unusable("a spring has no negative stiffness", "Give zero or more", "stiffness", str(self.stiffness))

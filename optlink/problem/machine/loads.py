@@ -50,6 +50,29 @@ class SlideSamples(Protocol):
         ...
 
 
+def spring_ends(mechanism: Mechanism, between: tuple[str, str]) -> list[tuple[str, str]]:
+    """Return body and point of both ends of a spring or damper.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+    between : tuple of two str
+        Names of the points.
+
+    Raises
+    ------
+    Unusable
+        when a point does not exist, or both are on one body.
+    """
+    for point in between:
+        if point not in mechanism.owners:
+            raise Unusable("no such point", nearest(point, mechanism.owners), "between", point)
+    one, other = (mechanism.owners[point] for point in between)
+    if set(one) & set(other):
+        raise Unusable("both ends are on one body", "Name two points of different bodies", "between", list(between))
+    return [(one[0], between[0]), (other[0], between[1])]
+
+
 class LoadSection(Section):
     """A load; its keys determine its type."""
 
@@ -135,13 +158,7 @@ class LoadSection(Section):
             twist = replace(twist, against=self.against or FRAME)
             return replace(twist, **self._stroke(twist, motion))
         if self.between is not None:
-            ends = []
-            for point in self.between:
-                if point not in mechanism.owners:
-                    raise Unusable("no such point", nearest(point, mechanism.owners), "between", point)
-                ends.append((mechanism.owners[point][0], point))
-            if self.between[0] == self.between[1] or set(mechanism.owners[ends[0][1]]) & set(mechanism.owners[ends[1][1]]):
-                raise Unusable("both ends are on one body", "Name two points of different bodies", "between", list(self.between))
+            ends = spring_ends(mechanism, self.between)
             stiffness, damping = (0.0 if x is None else x.value for x in (self.stiffness, self.damping))
             return Spring(name, (ends[0], ends[1]), stiffness, self.free_length.value if self.free_length else 0.0, damping)
         if self.torsional_stiffness is not None or self.torsional_damping is not None:

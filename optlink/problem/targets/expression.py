@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
+from optlink.errors import InvalidValue
 from optlink.linkage.vector2d import Value
 from optlink.problem.quantity import nearest
 
@@ -56,12 +57,8 @@ _NEGATE = 30
 Step = tuple[str, Any]
 
 
-class LawError(ValueError):
+class LawError(InvalidValue):
     """A law that cannot be parsed: `message` is the error and its column, `remedy` how to fix it."""
-
-    def __init__(self, message: str, remedy: str) -> None:
-        super().__init__(f"{message}. {remedy}")
-        self.message, self.remedy = message, remedy
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from optlink.linkage.vector2d import Value
-from optlink.problem.quantity import Unusable, nearest, read_scalar
+from optlink.problem.quantity import Unusable, check_keys, read_scalar
 from optlink.problem.targets.expression import Expression, LawError, parse
 
 KEYS = ("function", "x", "input", "output")
@@ -82,9 +82,7 @@ def read_function(raw: Mapping[str, Any], kind: str = "angle") -> Function:
     Unusable
         with the key of the cause.
     """
-    for key in raw:
-        if key not in KEYS:
-            raise Unusable("unknown key", nearest(str(key), KEYS), str(key))
+    check_keys(raw, KEYS)
     for key in KEYS:
         if key not in raw:
             raise Unusable("the function needs it", f"Write {EXAMPLE}", key)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Value
-from optlink.problem.quantity import Unusable, nearest, read_scalar
+from optlink.problem.quantity import Unusable, check_keys, read_scalar
 from optlink.problem.targets.expression import Expression, LawError, parse
 from optlink.problem.targets.function import Function, read_function
 from optlink.problem.targets.target_points import csv_text
@@ -237,9 +237,7 @@ def _has_slide(raw: Mapping[str, Any], folder: Path) -> bool:
 
 
 def _read_slide(raw: Mapping[str, Any]) -> SlideExpression:
-    for key in raw:
-        if key not in ("slide", "unit"):
-            raise Unusable("unknown key", nearest(str(key), ("slide", "unit")), str(key))
+    check_keys(raw, ("slide", "unit"))
     if not isinstance(raw["slide"], str):
         raise Unusable("the law of a slide is text", f"Write {SLIDE}", "slide", raw["slide"])
     units = ("mm", "m", "cm", "in")
@@ -254,9 +252,7 @@ def _read_slide(raw: Mapping[str, Any]) -> SlideExpression:
 def _read_table(raw: Mapping[str, Any], folder: Path, output: str = "psi") -> Table:
     known = ("phi", output, "csv", "measured_from")
     kind = "angle" if output == "psi" else "coordinate"
-    for key in raw:
-        if key not in known:
-            raise Unusable("unknown key", nearest(str(key), known), str(key))
+    check_keys(raw, known)
     origin = raw.get("measured_from", "start")
     if origin not in ("start", "frame"):
         raise Unusable("unknown origin of the angles", 'Write "start" or "frame"', "measured_from", origin)
