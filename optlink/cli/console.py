@@ -326,7 +326,7 @@ def locked_study_folder(out: Path, command: str, problem: str) -> None:
 
 def _no_study(out: Path) -> None:
     """Refuse a folder that holds a sweep or a Pareto front: its table would remain beside another result."""
-    from optlink.studies.execution.store import ABOUT
+    from optlink.execution.store import ABOUT
 
     place = out / ABOUT
     if not os.path.lexists(place):

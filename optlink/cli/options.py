@@ -126,6 +126,13 @@ Starts = Annotated[
 ]
 Seed = Annotated[int, typer.Option("--seed", parser=whole_number, metavar="S", help="Seed of the starting points.")]
 
+Engine = Annotated[
+    str | None, typer.Option("--engine", metavar="NAME", help="local (default: processes of this computer) or dask.")
+]
+Scheduler = Annotated[
+    str | None, typer.Option("--scheduler", metavar="ADDRESS", help="With --engine dask: address of a running scheduler.")
+]
+
 # --- reports and exports -----------------------------------------------------------------------------------------------------
 
 Subjected = Annotated[

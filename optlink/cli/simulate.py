@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from optlink.cli import console
-from optlink.cli.options import Csv, Design, Format, Json, Out, Problem, Quiet, Set, Speed, whole_number
+from optlink.cli.options import Csv, Design, Engine, Format, Json, Out, Problem, Quiet, Scheduler, Set, Speed, whole_number
 from optlink.errors import Fault, InputError
 
 if TYPE_CHECKING:
@@ -105,6 +105,8 @@ def simulate(
         int | None,
         typer.Option(parser=whole_number, metavar="N", help="To compare or tune: number of processes. Default: all cores."),
     ] = None,
+    engine: Engine = None,
+    scheduler: Scheduler = None,
     tolerance: Annotated[
         float | None,
         typer.Option(
@@ -156,7 +158,8 @@ def simulate(
         if not comparing and not tune:
             remedy = "Leave it out" if not loose else f"Add --control {COMPARE} or --tune NAME, or leave it out"
             message = "there is one start, so the option does nothing"
-            console.refuse({"--starts": starts, "--seed": seed, "--workers": workers}, message, remedy, file.file)
+            of_many = {"--starts": starts, "--seed": seed, "--workers": workers, "--engine": engine, "--scheduler": scheduler}
+            console.refuse(of_many, message, remedy, file.file)
         else:
             message = "a comparison of all kinds of control, or a search for parameters, has no use for it"
             remedy = "Leave it out, or simulate one kind: --control inverse+pid"
@@ -173,22 +176,14 @@ def simulate(
             out,
             as_json,
         )
+        many: dict[str, Any] = {"starts": starts, "seed": seed, "workers": workers, "engine": engine, "scheduler": scheduler}
+        many |= {"tolerance": tolerance, "integrator": integrator}
         if not loose:
             _ideal(asked)
         elif comparing:
-            _compared(
-                asked, revolutions, resume, starts=starts, seed=seed, workers=workers, tolerance=tolerance, integrator=integrator
-            )
+            _compared(asked, revolutions, resume, **many)
         elif tune:
-            given_options = {
-                "evaluations": evaluations,
-                "starts": starts,
-                "seed": seed,
-                "workers": workers,
-                "tolerance": tolerance,
-                "integrator": integrator,
-            }
-            _tuned(asked, revolutions, control or "inverse+pid", tune, resume, **given_options)
+            _tuned(asked, revolutions, control or "inverse+pid", tune, resume, evaluations=evaluations, **many)
         else:
             _loose(asked, revolutions, control or "none", resume, tolerance=tolerance, integrator=integrator)
 
@@ -280,7 +275,7 @@ def _compiling() -> contextlib.AbstractContextManager[None]:
 
 def _many(options: dict[str, Any]) -> dict[str, Any]:
     """Return the options of many runs: as many processes as cores by default."""
-    from optlink.tasks.parallel_runs import cores
+    from optlink.execution.runner import cores
 
     return {"workers": cores(), **_said(**options)}
 

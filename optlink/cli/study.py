@@ -11,7 +11,7 @@ import typer
 
 from optlink.cli import console
 from optlink.cli.command import App
-from optlink.cli.options import Format, Json, Problem, Quiet, Set, whole_number
+from optlink.cli.options import Engine, Format, Json, Problem, Quiet, Scheduler, Set, whole_number
 from optlink.solvers.contract import selectable
 
 if TYPE_CHECKING:
@@ -21,13 +21,9 @@ SIMULATED = ("the option is one of simulations", "Add --simulate")
 AROUND = "0..330 deg:12"  # default crank angles of an output
 
 Backend = Annotated[str, typer.Option("--backend", metavar="NAME", help=f"One of: {', '.join(selectable())}.")]
-Engine = Annotated[str, typer.Option("--engine", metavar="NAME", help="local (processes) or dask.")]
 Workers = Annotated[
     int | None,
     typer.Option("--workers", parser=whole_number, metavar="N", help="Number of processes. Default: all cores."),
-]
-Scheduler = Annotated[
-    str | None, typer.Option("--scheduler", metavar="ADDRESS", help="With --engine dask: address of a running scheduler.")
 ]
 Kept = Annotated[
     Path | None,
@@ -199,7 +195,7 @@ def sweep(
         ),
     ] = None,
     backend: Backend = "ipopt",
-    engine: Engine = "local",
+    engine: Engine = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
     resume: Resume = False,
@@ -241,7 +237,7 @@ def sweep(
                 design=given,
                 simulate=_options(revolutions=revolutions, control=control, points=points) if simulate else None,
                 backend=backend,
-                engine=engine,
+                engine=engine or "local",
                 workers=workers,
                 scheduler=scheduler,
                 progress=progress,
@@ -365,7 +361,7 @@ def pareto(
         ),
     ] = None,
     backend: Backend = "ipopt",
-    engine: Engine = "local",
+    engine: Engine = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
     resume: Resume = False,
@@ -388,7 +384,7 @@ def pareto(
                 points=points,
                 resume=resume,
                 backend=backend,
-                engine=engine,
+                engine=engine or "local",
                 workers=workers,
                 scheduler=scheduler,
                 progress=progress,

@@ -7,7 +7,6 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
 from types import FrameType
 from typing import NoReturn
 
@@ -47,19 +46,6 @@ def check() -> None:
     """
     if _pressed:
         raise KeyboardInterrupt
-
-
-@contextlib.contextmanager
-def shielded() -> Iterator[None]:
-    """Block Ctrl-C for processes started within, even while they start; the parent process ends them."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def leave() -> NoReturn:

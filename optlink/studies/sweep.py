@@ -22,13 +22,13 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
 from optlink.errors import Fault, InputError, Status
+from optlink.execution.runner import run
+from optlink.execution.store import Progress, Store
 from optlink.optimization.objectives import MEASURES
 from optlink.problem.base_model import Recorded, ResultRecord, absent
 from optlink.problem.file import ProblemFile
 from optlink.studies.analysis_task import MANY, AnalysisTask, quantity_of
 from optlink.studies.cycle_task import CycleTask
-from optlink.studies.execution.runner import run
-from optlink.studies.execution.store import Progress, Store
 from optlink.studies.grid import AxisRecord, Grid, read_grid
 from optlink.studies.reoptimise_task import SEARCHED, SLOW_CHUNK, ReoptimiseTask, check_backend, chunk_of, one_programme_suffices
 from optlink.studies.simulation_task import SimulationTask, has_clearance, simulate_machine, with_integrator
@@ -256,7 +256,7 @@ def sweep(
     backend : "slsqp" or "ipopt"
         Local solver.
     engine, workers, scheduler
-        See `optlink.studies.execution.runner.run`.
+        See `optlink.execution.runner.run`.
     progress : function of (completed points, all points), optional
 
     Returns

@@ -14,12 +14,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from optlink.errors import Fault, InputError, Status
 from optlink.problem.file import ProblemFile, read
 from optlink.problem.quantity import Quantity
-from optlink.studies.grid import Axis, Grid
+from optlink.studies.grid import Grid
 from optlink.units import KINDS, factor
 from optlink.version import VERSION
 
@@ -30,10 +30,6 @@ OUTCOME = ("status", "valid", "failed", "active", "method")
 def number_text(value: float) -> str:
     """Return a number as text for a table: all digits, empty if not finite."""
     return repr(float(value)) if math.isfinite(value) else ""
-
-
-def _tuples(value: Any) -> Any:
-    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
 
 
 @dataclass(frozen=True)
@@ -73,18 +69,6 @@ class SweepTask(ABC):
     def size(self, index: int) -> int:
         """Return the number of points of a chunk."""
         return len(self.span(index))
-
-    def state(self) -> dict[str, Any]:
-        """Return all fields, JSON compatible."""
-        axes = [[axis.key, axis.unit, list(axis.values)] for axis in self.grid.axes]
-        return {**self.__getstate__(), "folder": str(self.folder), "grid": axes}
-
-    @classmethod
-    def revived(cls, state: dict[str, Any]) -> Self:
-        """Return the task of such a state."""
-        grid = Grid(tuple(Axis(key, unit, tuple(values)) for key, unit, values in state["grid"]))
-        rest = {name: _tuples(value) for name, value in state.items() if name != "raw"}
-        return cls(**{**rest, "raw": state["raw"], "folder": Path(state["folder"]), "grid": grid})
 
     def __getstate__(self) -> dict[str, Any]:
         return {field.name: getattr(self, field.name) for field in fields(self)}  # without cached values

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -14,11 +13,12 @@ from optlink.clearance.compiled.choice import resumed
 from optlink.clearance.controller import Control
 from optlink.clearance.output import Output
 from optlink.errors import Fault, InputError
+from optlink.execution.runner import Runs, pool
 from optlink.problem.base_model import SPELLINGS
 from optlink.problem.file import ProblemFile
 from optlink.tasks.clearance import checked
 from optlink.tasks.machine import machine_of
-from optlink.tasks.parallel_runs import RunResult, job_of, processes, run_jobs
+from optlink.tasks.parallel_runs import RunResult, job_of, run_jobs
 from optlink.tasks.results.checkpoint import ComparisonCheckpoint, RunRecord, TuningCheckpoint, damaged, read_checkpoint
 from optlink.tasks.results.control_comparison import Comparison, Trials, Tuning
 
@@ -69,6 +69,8 @@ def compare(
     tolerance: float = 1e-8,
     design: Mapping[str, float] | None = None,
     workers: int | None = None,
+    engine: str = "local",
+    scheduler: str | None = None,
     integrator: str = "auto",
     progress: Callable[[float], None] | None = None,
     checkpoint: Callable[[dict[str, Any]], None] | None = None,
@@ -98,8 +100,11 @@ def compare(
     design : mapping of str to float [SI], optional
         Values of design variables. Default: their starting values.
     workers : int, optional
-        Number of processes. Default: the calling process only. The results do not depend on it. A script that starts processes
-        must guard its code by `if __name__ == "__main__":`.
+        Number of processes. Default: the calling process only. The results do not depend on it.
+    engine : "local" or "dask"
+        Processes of this machine, or a Dask cluster.
+    scheduler : str, optional
+        Address of a Dask scheduler. Default: a local cluster.
     integrator : str
         As in `simulate_clearance`; "auto" counts all runs.
     progress : function of the completed fraction, optional
@@ -141,8 +146,8 @@ def compare(
     jobs = [job_of(problem, control=kind, start=float(angles[k]), whole=k == 0, **common) for kind, k in todo]
     if progress is not None:
         progress(len(runs) / len(order))
-    with processes(workers, len(jobs)) as pool:
-        for index, ran in run_jobs(jobs, pool):
+    with pool(engine, workers or (1 if engine == "local" else None), scheduler) as work:
+        for index, ran in run_jobs(jobs, work):
             runs[todo[index]] = kept[todo[index]] = ran
             if checkpoint is not None:
                 finished = [_run(key, kept[key]) for key in order if key in kept]
@@ -194,6 +199,8 @@ def tune(
     tolerance: float = 1e-8,
     design: Mapping[str, float] | None = None,
     workers: int | None = None,
+    engine: str = "local",
+    scheduler: str | None = None,
     integrator: str = "auto",
     progress: Callable[[float], None] | None = None,
     checkpoint: Callable[[dict[str, Any]], None] | None = None,
@@ -225,7 +232,7 @@ def tune(
         Revolutions per run.
     speed, points, tolerance, design
         As in `compare`.
-    workers, integrator, progress, compiling
+    workers, engine, scheduler, integrator, progress, compiling
         As in `compare`.
     checkpoint : function of a document, optional
         Called after every evaluation with a JSON-compatible document of all completed evaluations.
@@ -268,13 +275,13 @@ def tune(
     kept = [] if resume is None else read_checkpoint(TuningCheckpoint, resume, label).costs
     done: list[tuple[float, float]] = []  # cost and scatter: of the parameters of the problem, then of every evaluation
 
-    def cost(changed: ProblemFile, pool: ProcessPoolExecutor | None) -> float:
+    def cost(changed: ProblemFile, work: Runs) -> float:
         if len(done) < len(kept):
             done.append(kept[len(done)])
         else:
             limit = starts * min((one for one, _ in done), default=np.inf)
             jobs = [job_of(changed, control=control, start=float(start), limit=limit, **common) for start in angles]
-            runs = dict(run_jobs(jobs, pool))
+            runs = dict(run_jobs(jobs, work))
             useless = any(run.hopeless or not run.finished for run in runs.values())
             found = None if useless else _trials([runs[k] for k in range(starts)])
             done.append((np.inf, np.nan) if found is None else (found.mean, found.scatter))
@@ -287,8 +294,8 @@ def tune(
     size = _sizes(problem, output, design)
     tried: list[Array] = []
     costs: list[float] = []
-    with processes(workers, starts) as pool:
-        before = cost(problem, pool)
+    with pool(engine, workers or (1 if engine == "local" else None), scheduler) as work:
+        before = cost(problem, work)
         for k in range(evaluations):
             if k < evaluations // 2:
                 share = sobol[k]
@@ -296,7 +303,7 @@ def tune(
                 width = 0.3 * 0.5 ** (4.0 * (k - evaluations // 2) / max(1, evaluations - evaluations // 2))
                 share = np.clip(tried[int(np.argmin(costs))] + width * generator.standard_normal(len(names)), 0.0, 1.0)
             tried.append(share)
-            costs.append(cost(problem.override(_values(names, np.exp(low + share * (high - low)), size, output.unit)), pool))
+            costs.append(cost(problem.override(_values(names, np.exp(low + share * (high - low)), size, output.unit)), work))
     values = np.exp(low + np.array(tried) * (high - low)) * np.array([size.get(name, 1.0) for name in names])
     best = int(np.argmin(costs))
     better = costs[best] < before

@@ -1,18 +1,9 @@
-"""Run many clearance simulations in parallel processes.
-
-A run depends on its job only, so results are bit-identical for any number of processes. Ctrl-C ends the processes at once.
-"""
+"""Many clearance simulations as chunks of work: a run depends on its job only, so results are bit-identical for any engine."""
 
 from __future__ import annotations
 
-import contextlib
 import math
-import multiprocessing
-import os
-import signal
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -21,16 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.dynamics.ending import Ending
-from optlink.errors import Fault, InputError, SolverError
+from optlink.execution.runner import Runs
 from optlink.problem.file import ProblemFile, read
-from optlink.solvers.interrupts import shielded
 from optlink.tasks.clearance import revolutions_counted, simulate_clearance
 from optlink.tasks.machine import machine_of
 from optlink.tasks.results.clearance import ClearanceSimulation
 
 Array = NDArray[np.float64]
-WAIT = 0.2  # s, polling interval for interrupts
-MOST = 256  # processes
 
 
 class ErrorLimitExceeded(Exception):
@@ -152,72 +140,29 @@ def run_job(job: RunJob) -> RunResult:
     return RunResult(dict(run.figures), run.output.unit, run.finished, parts=parts if job.whole else None)
 
 
-@contextlib.contextmanager
-def processes(workers: int | None, jobs: int) -> Iterator[ProcessPoolExecutor | None]:
-    """Provide processes for runs; they end with the context.
+@dataclass(frozen=True)
+class RunTask:
+    """Runs, each one a chunk for `optlink.execution.runner`."""
 
-    Parameters
-    ----------
-    workers : int, optional
-        Number of processes. Default: the present process only. A script that starts processes must guard its code by
-        `if __name__ == "__main__":`.
-    jobs : int
-        Largest number of runs at a time.
+    jobs: tuple[RunJob, ...]
 
-    Raises
-    ------
-    InputError, SolverError
-    """
-    if workers is not None and not 1 <= workers <= MOST:
-        raise InputError(Fault("out of range", f"Give 1 to {MOST} processes", key="workers", value=workers))
-    if workers is None or not jobs:
-        yield None
-        return
-    before = set(multiprocessing.active_children())
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(min(workers, jobs), context, initializer=_quiet)
-    try:
-        yield pool
-    except BrokenProcessPool:
-        raise SolverError("a process of the simulation ended unexpectedly; is there enough memory?") from None
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)
-        for child in set(multiprocessing.active_children()) - before:
-            child.kill()
+    def __call__(self, index: int) -> RunResult:
+        """Perform a run."""
+        return run_job(self.jobs[index])
 
 
-def run_jobs(jobs: Sequence[RunJob], pool: ProcessPoolExecutor | None = None) -> Iterator[tuple[int, RunResult]]:
+def run_jobs(jobs: Sequence[RunJob], runs: Runs) -> Iterator[tuple[int, RunResult]]:
     """Perform runs, and yield each with its index on completion.
 
     Parameters
     ----------
     jobs : sequence of RunJob
-    pool : ProcessPoolExecutor, optional
-        From `processes`. Default: the present process only.
+    runs : function
+        From `optlink.execution.runner.pool`.
 
     Raises
     ------
-    InputError, BrokenProcessPool, KeyboardInterrupt
+    InputError, SolverError, KeyboardInterrupt
     """
-    if pool is None:
-        for index, job in enumerate(jobs):
-            yield index, run_job(job)
-        return
-    with shielded():
-        futures = {pool.submit(run_job, job): index for index, job in enumerate(jobs)}
-    todo = set(futures)
-    while todo:
-        done, todo = wait(todo, WAIT, FIRST_COMPLETED)
-        for future in sorted(done, key=futures.__getitem__):
-            yield futures[future], future.result()
-
-
-def cores() -> int:
-    """Return the number of processor cores available to this process."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _quiet() -> None:
-    """Ignore Ctrl-C in a process of the pool: the parent handles it."""
-    with contextlib.suppress(ValueError):
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for index, answer in runs(RunTask(tuple(jobs)), range(len(jobs))):
+        yield index, answer.value

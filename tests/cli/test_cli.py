@@ -326,6 +326,7 @@ COMPARED = (*GAPPED, "--control", "compare", "--revolutions", "1", "--starts", "
         ((*COMPARED, "--tune", "integral"), "--tune", "Name the kind to tune"),
         ((*GAPPED, "--evaluations", "8"), "--evaluations", "--tune NAME"),
         ((*GAPPED, "--workers", "2"), "--workers", "--tune NAME"),
+        ((*GAPPED, "--engine", "dask"), "--engine", "--tune NAME"),
         ((*GAPPED, "--starts", "3"), "--starts", "--control compare"),
         ((*GAPPED, "--seed", "0"), "--seed", "--control compare"),
         ((*GAPPED, "--ideal", "--tolerance", "1e-6"), "--tolerance", "joints count as ideal"),

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import optlink
-from optlink.tasks import parallel_runs
+from optlink.execution.process import Process
 
 COMMAND = (sys.executable, "-m", "optlink")
 posix = pytest.mark.skipif(os.name != "posix", reason="signals and devices of POSIX")
@@ -134,26 +134,14 @@ LONG = {
 
 
 @posix
-def test_processes_are_begun_without_ctrl_c(monkeypatch):
-    """They inherit the mask of signals: one that is just starting would answer with a traceback."""
-    masked = []
-
-    class Pool:
-        def __init__(self, *_arguments, **_options):
-            pass
-
-        def submit(self, *_arguments):
-            masked.append(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))
-            raise KeyboardInterrupt
-
-        def shutdown(self, **_options):
-            pass
-
-    monkeypatch.setattr(parallel_runs, "ProcessPoolExecutor", Pool)
-    with pytest.raises(KeyboardInterrupt), parallel_runs.processes(1, 1) as pool:
-        list(parallel_runs.run_jobs([None], pool))
-    assert masked == [True]
-    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+def test_processes_are_begun_out_of_reach_of_ctrl_c():
+    """A terminal sends the signal to its session: a process that is just starting would answer with a traceback."""
+    sessions, process = [], Process()
+    for _ in range(2):  # at once after the start
+        sessions.append(os.getsid(process.begin().pid))
+        process.kill()
+        process.end()
+    assert os.getsid(0) not in sessions
 
 
 TUNED = (

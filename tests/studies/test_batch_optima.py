@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import optlink
+from optlink.execution.runner import apart
 from optlink.optimization.batch_nlp import BatchNLP
 from optlink.optimization.nlp import build
 from optlink.solvers import multistart
 from optlink.studies import reoptimise_task
 from optlink.studies.batch.blocks import MOST, Blocks
-from optlink.studies.execution.runner import apart
 from optlink.studies.grid import Axis, Grid, read_grid
 from optlink.studies.reoptimise_task import FOLLOWED, ReoptimiseTask, chunk_of
 from optlink.studies.sweep import sweep

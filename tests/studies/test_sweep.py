@@ -6,7 +6,6 @@ import contextlib
 import errno
 import json
 import math
-import multiprocessing
 import os
 import random
 import shutil
@@ -26,9 +25,9 @@ import optlink
 from optlink import io
 from optlink.cli.app import app
 from optlink.errors import InputError, SolverError
+from optlink.execution import runner, store
 from optlink.report.chart_mpl import draw
 from optlink.report.views.sweep import charts
-from optlink.studies.execution import runner, store
 from optlink.studies.fast_overrides import FastOverride
 from optlink.studies.grid import read_axis, read_grid
 from optlink.studies.sweep import CHANGED, sweep
@@ -310,12 +309,7 @@ def undisturbed(tmp_path_factory) -> bytes:
 def test_workers_and_order_do_not_matter(undisturbed, tmp_path, monkeypatch):
     sweep(problem(), [f"{FRAME}:{POINTS}"], tmp_path / "two", workers=2)
     assert (tmp_path / "two" / "sweep.csv").read_bytes() == undisturbed
-    real = runner._local
-
-    def backwards(task, todo, workers):
-        return real(task, todo[::-1], workers)
-
-    monkeypatch.setattr(runner, "_local", backwards)
+    monkeypatch.setattr(runner, "apart", lambda todo, workers: todo[::-1])
     sweep(problem(), [f"{FRAME}:{POINTS}"], tmp_path / "back", workers=1)
     assert (tmp_path / "back" / "sweep.csv").read_bytes() == undisturbed
 
@@ -547,13 +541,6 @@ class Square:
     def __init__(self, folder: Path, deadly: int = -1, always: bool = False, faulty: int = -1) -> None:
         self.folder, self.deadly, self.always, self.faulty = folder, deadly, always, faulty
 
-    def state(self):
-        return {**vars(self), "folder": str(self.folder)}
-
-    @classmethod
-    def revived(cls, state):
-        return cls(**{**state, "folder": Path(state["folder"])})
-
     def __call__(self, index: int) -> int:
         with (self.folder / f"done-{index}").open("a") as file:
             file.write("x")
@@ -617,19 +604,30 @@ def test_without_dask_it_says_what_to_install(monkeypatch):
         sweep(problem(), [f"{FRAME}:3"], engine="dask")
 
 
+def children() -> set[int]:
+    """Processes that this one has started and that have not ended."""
+    found = set()
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):  # ended meanwhile
+            state, parent = stat.read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()[:2]
+            found |= {int(stat.parent.name)} if int(parent) == os.getpid() and state != "Z" else set()
+    return found
+
+
 DASK = """
-import multiprocessing, sys, time
+import os, signal, sys, time
 from pathlib import Path
 import optlink
 from optlink.studies.sweep import sweep
+from tests.studies.test_sweep import children
 
 killed = []
 
 def kill_one(done, wanted):
     if not killed and 0 < done < wanted:
-        worker = multiprocessing.active_children()[0]
-        worker.kill()
-        killed.append(worker.pid)
+        worker = next(iter(children()))
+        os.kill(worker, signal.SIGKILL)
+        killed.append(worker)
         print("killed")
 
 if __name__ == "__main__":
@@ -727,14 +725,14 @@ def test_a_cluster_of_this_machine_listens_on_no_port(tmp_path):
     seen = []
 
     def look(done: int, wanted: int) -> None:
-        workers = {child.pid for child in multiprocessing.active_children()}
+        workers = children()
         if 0 < done < wanted:
             seen.append((len(workers), listening(own | workers)))
 
     before = listening(own)
     sweep(problem(), [f"{FRAME}:400"], tmp_path, engine="dask", workers=2, progress=look)
     assert seen == [(2, before)] * 3
-    assert not multiprocessing.active_children()
+    assert not children()
 
 
 # --- cost ------------------------------------------------------------------------------------------------------------

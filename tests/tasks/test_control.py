@@ -244,8 +244,12 @@ def rocker():
 
 
 @pytest.mark.slow
-def test_comparison_in_processes_is_the_same_to_the_bit():
-    alone, shared = (optlink.compare(rocker(), starts=2, seed=7, kinds=("none", "pid"), workers=n, **SHORT) for n in (None, 2))
+@pytest.mark.parametrize("engine", ["local", "dask"])
+def test_comparison_in_processes_is_the_same_to_the_bit(engine):
+    if engine == "dask":
+        pytest.importorskip("distributed")
+    ways = ({}, {"workers": 2, "engine": engine})
+    alone, shared = (optlink.compare(rocker(), starts=2, seed=7, kinds=("none", "pid"), **way, **SHORT) for way in ways)
     for kind in ("none", "pid"):
         for name in ("rms", "peak", "correction", "torque"):
             np.testing.assert_array_equal(getattr(alone.trials[kind], name), getattr(shared.trials[kind], name))

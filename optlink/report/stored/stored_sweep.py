@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from optlink.errors import Fault, InputError
+from optlink.execution.store import TABLE
 from optlink.problem.base_model import AGAIN, LARGEST, Contradiction
 from optlink.problem.file import ProblemFile
-from optlink.studies.execution.store import TABLE
 from optlink.studies.grid import Axis, AxisRecord, Grid
 from optlink.studies.sweep import CHANGED, OPTIMISE, TEXT, Sweep, SweepRecord
 

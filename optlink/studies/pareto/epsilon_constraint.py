@@ -25,14 +25,14 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from optlink.errors import Fault, InputError, Status
+from optlink.execution.runner import check
+from optlink.execution.store import Progress, Store
 from optlink.optimization.pareto_front import ends, knee, undominated
 from optlink.problem.base_model import Record, Recorded, ResultRecord
 from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Quantity
 from optlink.studies.cycle_task import CycleTask
-from optlink.studies.execution.runner import check
-from optlink.studies.execution.store import Progress, Store
 from optlink.studies.grid import AxisRecord, Grid
 from optlink.studies.pareto.cycle_objectives import cycle_figures
 from optlink.studies.pareto.epsilon_ranges import EpsilonRanges, NoExtreme

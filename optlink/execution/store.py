@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import Any, Self
 
 from optlink.errors import Fault, InputError
+from optlink.execution.runner import run
+from optlink.execution.worker import ChunkTask
 from optlink.io import LOCK, folder, locked, whole, write_json
-from optlink.studies.execution.runner import run
-from optlink.studies.execution.worker import ChunkTask
 
 ABOUT, TABLE, CHUNKS = "study.json", "sweep.csv", "chunks"
 SPREAD = 1000  # chunks per folder
@@ -220,7 +220,7 @@ class Store:
     def fill(
         self, task: ChunkTask, engine: str, workers: int | None, scheduler: str | None, progress: Progress | None
     ) -> tuple[int, float]:
-        """Run the missing chunks; see `optlink.studies.execution.runner.run`.
+        """Run the missing chunks; see `optlink.execution.runner.run`.
 
         Parameters
         ----------

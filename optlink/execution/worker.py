@@ -1,15 +1,17 @@
-"""Worker process of a study: receives a task once, then numbers of chunks, and returns their results as lines of JSON."""
+"""Worker process: receives tasks and numbers of their chunks, and returns the results of the chunks.
+
+Messages have the form of those of `multiprocessing`, which is safe as only the parent process writes to the pipe of a worker.
+"""
 
 from __future__ import annotations
 
-import importlib
-import json
 import os
 import sys
 import threading
 import time
 import traceback
-from typing import Any, NamedTuple, Protocol, Self
+from multiprocessing.reduction import ForkingPickler
+from typing import IO, Any, NamedTuple, Protocol
 
 from optlink.errors import Fault, InputError, OptlinkError, SolverError
 
@@ -18,19 +20,10 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 
 
 class ChunkTask(Protocol):
-    """Maps the number of a chunk to its result, JSON compatible; depends on its own state only."""
+    """Maps the number of a chunk to its result; picklable, as is the result, and depends on its own state only."""
 
     def __call__(self, index: int) -> Any:
         """Return the result of a chunk."""
-        ...
-
-    def state(self) -> dict[str, Any]:
-        """Return the state that defines this task, JSON compatible."""
-        ...
-
-    @classmethod
-    def revived(cls, state: dict[str, Any]) -> Self:
-        """Return the task of a state."""
         ...
 
 
@@ -81,35 +74,53 @@ def run_chunk(task: ChunkTask, index: int) -> ChunkResult:
             return ChunkResult(broken=traceback.format_exc())
 
 
-def task_to_line(task: ChunkTask) -> str:
-    """Return a task as a line of JSON."""
-    kind = type(task)
-    return json.dumps({"room": kind.__module__, "name": kind.__qualname__, "state": task.state()}) + "\n"
+def packed(item: Any) -> bytes:
+    """Return a task, the number of a chunk, or a result as bytes."""
+    return bytes(ForkingPickler.dumps(item))
 
 
-def task_from_line(line: str) -> ChunkTask:
-    """Return the task of such a line."""
-    document = json.loads(line)
-    kind = getattr(importlib.import_module(document["room"]), document["name"])
-    return kind.revived(document["state"])  # type: ignore[no-any-return]
+def send(stream: IO[bytes], item: bytes) -> None:
+    """Write a packed item.
+
+    Parameters
+    ----------
+    stream : binary file
+    item : bytes
+        From `packed`.
+    """
+    stream.write(len(item).to_bytes(8, "little") + item)
+    stream.flush()
 
 
-def chunk_from_line(line: str) -> ChunkResult:
-    """Return the answer of a line written by a process."""
-    document = json.loads(line)
-    return ChunkResult(**{**document, "faults": tuple(Fault(**fault) for fault in document["faults"])})
+def receive(stream: IO[bytes]) -> Any:
+    """Read an item.
+
+    Raises
+    ------
+    EOFError
+        If the stream ends before.
+    """
+    size = int.from_bytes(stream.read(8), "little")
+    item = stream.read(size)
+    if not size or len(item) < size:
+        raise EOFError
+    return ForkingPickler.loads(item)
 
 
 def main() -> None:
-    """Serve standard input until it ends; output of libraries goes to standard error."""
-    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    """Serve standard input until it ends; output of libraries goes to standard error.
+
+    It reads tasks and numbers of chunks of the latest task; each number is answered by the result of the chunk.
+    """
+    answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
+    task: Any = None
     try:
-        task = task_from_line(sys.stdin.readline())
-        for line in sys.stdin:
-            answer = run_chunk(task, int(line))
-            faults = [vars(fault) for fault in answer.faults]
-            answers.write(json.dumps({**answer._asdict(), "faults": faults}, default=str) + "\n")
-            answers.flush()
-    except BrokenPipeError:
+        while True:
+            message = receive(sys.stdin.buffer)
+            if isinstance(message, int):
+                send(answers, packed(run_chunk(task, message)))
+            else:
+                task = message
+    except (EOFError, BrokenPipeError):
         pass  # the parent process has ended

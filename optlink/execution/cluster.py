@@ -1,0 +1,196 @@
+"""Run chunks on a Dask cluster, local or at a scheduler address (`pip install "optlink[dask]"`).
+
+The local cluster opens no network port: scheduler and workers are threads of this process (`inproc://`), each worker
+passes its chunks through a pipe to a process of its own, and there is neither a dashboard nor any other HTTP server.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import queue
+import threading
+from collections.abc import Iterable, Iterator
+from concurrent.futures import CancelledError
+from typing import TYPE_CHECKING, Any
+
+from optlink.errors import Fault, InputError, SolverError
+from optlink.execution.process import Process
+from optlink.execution.worker import ChunkResult, ChunkTask, packed, run_chunk
+
+if TYPE_CHECKING:
+    from optlink.execution.runner import Runs
+
+PATIENCE = 10  # s, time limit for the scheduler and for a first worker
+AHEAD = 3  # chunks queued per worker
+LOCAL = "a cluster of this machine"
+QUIET = {"distributed.admin.tick.interval": "1s", "distributed.worker.profile.enabled": False}
+"""Settings of a cluster of this machine. By default Dask observes itself 20 to 100 times a second, which slows the chunks."""
+
+
+def import_dask() -> tuple[Any, Any]:
+    """Return the packages dask and distributed.
+
+    Raises
+    ------
+    InputError
+        If Dask is not installed.
+    """
+    try:
+        import dask
+        import distributed
+    except ImportError:
+        remedy = 'Install it: pip install "optlink[dask]", or use --engine local'
+        raise InputError(Fault("Dask is not installed", remedy, key="--engine", value="dask")) from None
+    return dask, distributed
+
+
+@contextlib.contextmanager
+def cluster(workers: int, scheduler: str | None, patience: float = PATIENCE) -> Iterator[Runs]:
+    """Provide a cluster as `optlink.execution.runner.pool`; it repeats a chunk on another worker if its worker dies.
+
+    Parameters
+    ----------
+    workers : int
+        Number of workers of a local cluster.
+    scheduler : str, optional
+        Address of a Dask scheduler. Default: a local cluster.
+    patience : float [s]
+        Time limit for the answer of the scheduler and for a first worker.
+
+    Raises
+    ------
+    InputError
+        If Dask is not installed, or no scheduler or worker answers.
+    SolverError
+        If the scheduler stops answering, or a chunk ends several workers.
+    """
+    dask, distributed = import_dask()
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(distributed.utils.silence_logging_cmgr("CRITICAL"))
+        where: Any = scheduler
+        if scheduler is None:
+            stack.enter_context(dask.config.set(QUIET))
+            where = stack.enter_context(_local_cluster(distributed, workers))
+        with _answering(scheduler):
+            client = stack.enter_context(_client(distributed, where, scheduler, patience))
+        own = None if scheduler else stack.enter_context(_own_processes(workers))
+
+        def answers(task: ChunkTask, todo: Iterable[int]) -> Iterator[tuple[int, ChunkResult]]:
+            with _answering(scheduler):
+                yield from _gathered(distributed, client, task, iter(todo), own)
+
+        yield answers
+
+
+@contextlib.contextmanager
+def _answering(scheduler: str | None) -> Iterator[None]:
+    """Report a scheduler that stops answering."""
+    try:
+        yield
+    except (OSError, TimeoutError, CancelledError):
+        raise SolverError(
+            f"the Dask scheduler {scheduler or LOCAL} stopped answering before all chunks were done. Start it again and "
+            "repeat the command with --resume and the same --out DIR: the chunks done so far are kept there"
+        ) from None
+
+
+def _local_cluster(distributed: Any, workers: int) -> Any:
+    """Return a scheduler and workers in this process without HTTP servers, which Dask starts even without a dashboard."""
+
+    class Scheduler(distributed.Scheduler):  # type: ignore[misc]
+        def start_http_server(self, *args: Any, **kwargs: Any) -> None:
+            """Open no port."""
+
+    class Worker(distributed.Worker):  # type: ignore[misc]
+        def start_http_server(self, *args: Any, **kwargs: Any) -> None:
+            """Open no port."""
+
+    common = {"protocol": "inproc://", "dashboard": False}
+    specs = {number: {"cls": Worker, "options": {**common, "nthreads": 1, "memory_limit": 0}} for number in range(workers)}
+    return distributed.SpecCluster(specs, {"cls": Scheduler, "options": common})
+
+
+class _Processes:
+    """Processes to which the workers of a cluster of this machine pass their chunks."""
+
+    def __init__(self, count: int) -> None:
+        self.all = [Process() for _ in range(count)]
+        self.idle: queue.SimpleQueue[Process] = queue.SimpleQueue()
+        for process in self.all:
+            self.idle.put(process)
+        self.stopped = threading.Event()
+        self.task = b""
+
+
+_OWN: dict[int, _Processes] = {}
+"""By number: a message of Dask contains the number, as it cannot contain the processes."""
+
+
+@contextlib.contextmanager
+def _own_processes(count: int) -> Iterator[int]:
+    """Provide processes, by their number in `_OWN`."""
+    one = _Processes(count)
+    _OWN[id(one)] = one
+    try:
+        yield id(one)
+    finally:
+        one.stopped.set()
+        for process in one.all:
+            process.kill()
+        for process in one.all:
+            process.end()
+        del _OWN[id(one)]
+
+
+def _pass_on(own: int, index: int) -> ChunkResult:
+    """Run a chunk of the present task in a process of this machine."""
+    processes = _OWN[own]
+    process = processes.idle.get()
+    try:
+        return process.result(processes.task, index, processes.stopped)
+    finally:
+        processes.idle.put(process)
+
+
+def _client(distributed: Any, where: Any, scheduler: str | None, patience: float) -> Any:
+    try:
+        client = distributed.Client(where, timeout=patience, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        start = "Start one (dask scheduler; dask worker ADDRESS), check address and port, or leave --scheduler out"
+        why = "" if isinstance(error, OSError) else f": {error}"
+        message = f"no scheduler answers there within {patience:g} s{why}"
+        raise InputError(Fault(message, start, key="--scheduler", value=scheduler or LOCAL)) from None
+    try:
+        client.wait_for_workers(1, timeout=patience)
+    except TimeoutError:
+        client.close()
+        remedy = "Start one: dask worker ADDRESS"
+        raise InputError(Fault("the scheduler has no workers", remedy, key="--scheduler", value=scheduler or LOCAL)) from None
+    return client
+
+
+def _gathered(
+    distributed: Any, client: Any, task: ChunkTask, todo: Iterator[int], own: int | None
+) -> Iterator[tuple[int, ChunkResult]]:
+    numbers: dict[Any, int] = {}
+    if own is not None:
+        _OWN[own].task = packed(task)
+
+    def ask(index: int) -> Any:
+        work = (run_chunk, task) if own is None else (_pass_on, own)
+        future = client.submit(*work, index, pure=False, retries=2 if own is None else 0)
+        numbers[future.key] = index
+        return future
+
+    places = max(1, sum(client.nthreads().values()))
+    ready = distributed.as_completed([ask(i) for i in itertools.islice(todo, AHEAD * places)], loop=client.loop)
+    for future in ready:
+        index = numbers.pop(future.key)
+        try:
+            answer: ChunkResult = future.result()
+        except distributed.scheduler.KilledWorker:
+            raise SolverError(f"chunk {index} of the study ended several workers; have they enough memory?") from None
+        for following in itertools.islice(todo, 1):
+            ready.add(ask(following))
+        yield index, ChunkResult(*answer).checked(index)

@@ -1,0 +1,217 @@
+"""Run independent chunks of work in local processes or on a Dask cluster, with identical results.
+
+A task (`optlink.execution.worker.ChunkTask`) maps the number of a chunk to its result, which depends on nothing else.
+Results arrive in any order.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import threading
+from collections.abc import Callable, Iterable, Iterator
+
+from optlink.errors import Fault, InputError
+from optlink.execution.process import Process
+from optlink.execution.worker import ChunkResult, ChunkTask, packed, run_chunk
+from optlink.problem.quantity import nearest
+
+ENGINES = ("local", "dask")
+WAIT = 0.2  # s, polling interval of waiting threads
+MAX_WORKERS = 1024
+
+Answer = tuple[int, ChunkResult | BaseException]
+Runs = Callable[[ChunkTask, Iterable[int]], Iterator[tuple[int, ChunkResult]]]
+"""Runs chunks of a task in the order of their numbers as listed, and yields each number and result on completion."""
+
+
+def cores() -> int:
+    """Return the number of processor cores available to this process."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def check(engine: str, workers: int | None, scheduler: str | None) -> None:
+    """Check the execution options; see `run`.
+
+    Parameters
+    ----------
+    engine : str
+    workers : int or None
+    scheduler : str or None
+
+    Raises
+    ------
+    InputError
+        For an unknown engine, a missing Dask installation, or an invalid number of workers.
+    """
+    if engine not in ENGINES:
+        raise InputError(Fault("unknown engine", nearest(engine, ENGINES), key="--engine", value=engine))
+    if workers is not None and not 1 <= workers <= MAX_WORKERS:
+        raise InputError(Fault("out of range", f"Give 1 to {MAX_WORKERS} processes", key="--workers", value=workers))
+    if scheduler is not None and engine != "dask":
+        raise InputError(Fault("only the engine dask has a scheduler", "Add --engine dask", key="--scheduler", value=scheduler))
+    if engine == "dask":
+        from optlink.execution.cluster import import_dask
+
+        import_dask()
+
+
+def run(
+    task: ChunkTask, todo: Iterable[int], engine: str = "local", workers: int | None = None, scheduler: str | None = None
+) -> Iterator[tuple[int, ChunkResult]]:
+    """Run chunks of one task, neighbouring ones in one process, and yield each result with its number on completion.
+
+    Parameters
+    ----------
+    task : ChunkTask
+    todo : iterable of int
+        Numbers of chunks.
+    engine, workers, scheduler
+        See `pool`.
+
+    Raises
+    ------
+    InputError
+        For an unknown engine, an invalid number of workers, a scheduler that does not answer; and as raised by the task.
+    SolverError
+        If a chunk breaks down.
+    """
+    check(engine, workers, scheduler)
+
+    def answers() -> Iterator[tuple[int, ChunkResult]]:
+        with pool(engine, workers, scheduler) as runs:
+            yield from runs(task, apart(list(todo), workers or cores()))
+
+    return answers()
+
+
+@contextlib.contextmanager
+def pool(engine: str = "local", workers: int | None = None, scheduler: str | None = None) -> Iterator[Runs]:
+    """Provide processes for the chunks of several tasks, one task after the other; they end with the context.
+
+    Parameters
+    ----------
+    engine : "local" or "dask"
+    workers : int, optional
+        Number of processes. Default: the number of cores. With one worker, the present process.
+    scheduler : str, optional
+        Address of a Dask scheduler. Default: a local cluster.
+
+    Raises
+    ------
+    InputError
+        As `check`; if a scheduler does not answer.
+    SolverError
+        If a scheduler stops answering.
+    """
+    check(engine, workers, scheduler)
+    if engine == "dask":
+        from optlink.execution.cluster import cluster
+
+        with cluster(workers or cores(), scheduler) as runs:
+            yield runs
+        return
+    with contextlib.ExitStack() as ends:
+        yield _Processes(workers or cores(), ends)
+
+
+def apart(todo: list[int], workers: int) -> list[int]:
+    """Return the chunks in an order in which each worker gets neighbouring ones: what it has computed serves for the next.
+
+    Parameters
+    ----------
+    todo : list of int
+    workers : int
+        They take one chunk after the other in turn.
+    """
+    length = max(1, -(-len(todo) // workers))
+    return [todo[at] for first in range(length) for at in range(first, len(todo), length)]
+
+
+class _Processes:
+    """Processes of this machine, started as they are needed and kept for the next task."""
+
+    def __init__(self, workers: int, ends: contextlib.ExitStack) -> None:
+        self.workers = workers
+        self.idle: list[Process] = []
+        ends.callback(self.end)
+
+    def __call__(self, task: ChunkTask, todo: Iterable[int]) -> Iterator[tuple[int, ChunkResult]]:
+        """Run chunks; see `Runs`."""
+        waiting = list(todo)
+        count = min(self.workers, len(waiting))
+        if self.workers <= 1 or (count <= 1 and not self.idle):
+            for index in waiting:
+                yield index, run_chunk(task, index).checked(index)
+            return
+        jobs: queue.SimpleQueue[int] = queue.SimpleQueue()
+        for index in waiting:
+            jobs.put(index)
+        answers: queue.Queue[Answer] = queue.Queue(2 * count)
+        stated = packed(task)
+        hands = [_Hand(stated, jobs, answers, self.idle.pop() if self.idle else Process()) for _ in range(count)]
+        try:
+            for hand in hands:
+                hand.start()
+            for _ in waiting:
+                index, answer = _first(answers)
+                if isinstance(answer, BaseException):
+                    raise answer
+                yield index, answer.checked(index)
+        except BaseException:
+            for hand in hands:
+                hand.stop()
+            raise
+        finally:
+            for hand in hands:
+                hand.join()
+            self.idle += [hand.process for hand in hands]
+
+    def end(self) -> None:
+        """End all processes."""
+        while self.idle:
+            self.idle.pop().end()
+
+
+def _first(answers: queue.Queue[Answer]) -> Answer:
+    """Wait for an answer, in short turns: Windows passes no Ctrl-C to a thread that waits without end."""
+    while True:
+        with contextlib.suppress(queue.Empty):
+            return answers.get(timeout=WAIT)
+
+
+class _Hand(threading.Thread):
+    """Thread that passes chunks to one process."""
+
+    def __init__(
+        self,
+        task: bytes,
+        jobs: queue.SimpleQueue[int],
+        answers: queue.Queue[Answer],
+        process: Process,
+    ) -> None:
+        super().__init__(daemon=True)
+        self.task, self.jobs, self.answers, self.process = task, jobs, answers, process
+        self.stopped = threading.Event()
+
+    def run(self) -> None:
+        """Work until no chunk is left."""
+        while not self.stopped.is_set():
+            try:
+                index = self.jobs.get_nowait()
+            except queue.Empty:
+                return
+            try:
+                answer: ChunkResult | BaseException = self.process.result(self.task, index, self.stopped)
+            except Exception as error:  # noqa: BLE001 - raised where the chunks are run
+                answer = error
+            while not self.stopped.is_set():
+                with contextlib.suppress(queue.Full):
+                    self.answers.put((index, answer), timeout=WAIT)
+                    break
+
+    def stop(self) -> None:
+        """Start no further chunk, and abandon the current one."""
+        self.stopped.set()
+        self.process.kill()

@@ -1,1 +1,0 @@
-"""Execution of studies: processes of this machine or a Dask cluster, chunks that survive an interruption."""
