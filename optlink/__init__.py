@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from optlink.linkage.motion import sweep
     from optlink.problem.file import ProblemFile, load, read, shipped
     from optlink.problem.templates import new
-    from optlink.report.html.explore import Explorer, explore
+    from optlink.report.html.explore import Explorer
+    from optlink.studio import explore
     from optlink.tasks.analyze import analyze
     from optlink.tasks.balance import balance
     from optlink.tasks.batch import analyze_batch
@@ -59,7 +60,7 @@ _HOME = {
     "load": "optlink.problem.file",
     "new": "optlink.problem.templates",
     "Explorer": "optlink.report.html.explore",
-    "explore": "optlink.report.html.explore",
+    "explore": "optlink.studio",
     "read": "optlink.problem.file",
     "shipped": "optlink.problem.file",
     "CycleResult": "optlink.tasks.results.cycle",

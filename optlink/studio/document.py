@@ -18,9 +18,10 @@ from optlink.problem.base_model import with_ranges, with_spellings
 from optlink.problem.file import MAX_BYTES, WORDS, ProblemFile, load, read, shipped
 from optlink.problem.fixed_design import references
 from optlink.problem.quantity import nearest
-from optlink.problem.templates import template
+from optlink.problem.templates import template, templates
 from optlink.studies.toml_keys import exact_text, si_per_unit, value_at
 from optlink.units import KINDS
+from optlink.version import VERSION
 
 ROOM = 0.5  # share of a size by which it may change where the file has no bounds for it
 
@@ -187,6 +188,23 @@ def from_text(text: str, title: str) -> Document:
     made = Document(name, text, _nowhere())
     _ = made.problem
     return made
+
+
+def hello(opened: str | None) -> dict[str, Any]:
+    """Return the first message to a page: what it can open, and what is opened for it.
+
+    Parameters
+    ----------
+    opened : str or None
+        Problem that is opened without a request of the page.
+    """
+    problems = []
+    for name, path in shipped().items():
+        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+        kind = (raw.get("requirement") or {}).get("kind") or ("machine" if "objective" in raw else "analysis")
+        problems.append({"name": name, "title": raw.get("title", name), "kind": kind})
+    drafts = [{"name": name, "title": template(name).summary} for name in templates()]
+    return {"type": "hello", "version": VERSION, "problems": problems, "templates": drafts, "opened": opened}
 
 
 def _nowhere() -> Path:

@@ -12,8 +12,6 @@ from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from starlette.websockets import WebSocketDisconnect
-
 import optlink
 from optlink.studio.history import History
 from optlink.studio.worker import DONE, STOP, frame
@@ -99,7 +97,7 @@ class Link:
     ----------
     worker : Worker
     send : function of a text
-        Sends a message to the page.
+        Sends a message to the page; raises ConnectionError if the page is gone.
     another : function, optional
         Returns a worker in place of one that has ended.
     """
@@ -115,6 +113,11 @@ class Link:
         self._failures = 0  # since the last request that was answered
         self._timer: asyncio.TimerHandle | None = None
         self._reader = asyncio.create_task(self._read())
+
+    @property
+    def document(self) -> dict[str, Any] | None:
+        """The present document as a message; None before the first one."""
+        return None if self._history is None else self._history.present
 
     def request(self, request: dict[str, Any]) -> None:
         """Accept a request of the page."""
@@ -167,7 +170,7 @@ class Link:
 
     async def _read(self) -> None:
         """Pass the messages of the process on to the page; start another process where one has ended."""
-        with contextlib.suppress(WebSocketDisconnect, ConnectionError, RuntimeError):  # the page is gone
+        with contextlib.suppress(ConnectionError, RuntimeError):  # the page is gone
             while True:
                 try:
                     data = await self.worker.receive()

@@ -27,10 +27,8 @@ from starlette.types import Send as AsgiSend
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from optlink.errors import Fault, InputError
-from optlink.problem.file import shipped
-from optlink.problem.templates import template, templates
+from optlink.studio.document import hello
 from optlink.studio.link import Link, Worker
-from optlink.version import VERSION
 
 ASSETS = Path(__file__).parent / "assets"
 ADDRESS = "127.0.0.1"
@@ -147,10 +145,17 @@ class Studio:
             await ws.close(POLICY, "too many pages are open")
             return
         await ws.accept()
-        link = Link(await self._worker(), ws.send_text, self._worker)
+
+        async def send(text: str) -> None:
+            try:
+                await ws.send_text(text)
+            except WebSocketDisconnect:
+                raise ConnectionError from None
+
+        link = Link(await self._worker(), send, self._worker)
         self.links.add(link)
         try:
-            await ws.send_text(json.dumps(self.hello()))
+            await ws.send_text(json.dumps(hello(self.opened)))
             if self.opened is not None:
                 link.request({"type": "start", "id": 0, "name": self.opened})
             await _listen(ws, link)
@@ -165,18 +170,6 @@ class Studio:
         assert self._spare is not None
         spare, self._spare = self._spare, asyncio.create_task(Worker.start())
         return await spare
-
-    def hello(self) -> dict[str, Any]:
-        """Return the first message to a page."""
-        import tomllib
-
-        problems = []
-        for name, path in shipped().items():
-            raw = tomllib.loads(path.read_text(encoding="utf-8"))
-            kind = (raw.get("requirement") or {}).get("kind") or ("machine" if "objective" in raw else "analysis")
-            problems.append({"name": name, "title": raw.get("title", name), "kind": kind})
-        drafts = [{"name": name, "title": template(name).summary} for name in templates()]
-        return {"type": "hello", "version": VERSION, "problems": problems, "templates": drafts, "opened": self.opened}
 
 
 async def _listen(ws: WebSocket, link: Link) -> None:

@@ -19,12 +19,12 @@ LIMIT = "limits.transmission_angle.max"
 
 @pytest.fixture(scope="module")
 def begun():
-    return optlink.explore("crank-rocker")
+    return optlink.explore("crank-rocker", sliders=True)
 
 
 @pytest.fixture(scope="module")
 def begun_shaper():
-    return optlink.explore("shaper")
+    return optlink.explore("shaper", sliders=True)
 
 
 def reset(shown):
@@ -167,13 +167,13 @@ def test_a_notebook_without_widgets_shows_the_result(rocker):
 def test_a_missing_package_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "ipywidgets", None)
     with pytest.raises(InputError, match=r'ipywidgets.*pip install "optlink\[notebook\]"'):
-        optlink.explore("crank-rocker")
+        optlink.explore("crank-rocker", sliders=True)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["law-slider-crank", "transmission-optimal", "press-toggle", "balance-four-bar", "function-sin"])
 def test_every_kind_can_be_explored(name):
-    shown = optlink.explore(name)
+    shown = optlink.explore(name, sliders=True)
     for key, slider in [*shown.sliders.items()][:2]:
         slider.value = 0.4 * slider.min + 0.6 * slider.max
         assert shown.status.value, key

@@ -5,7 +5,7 @@ import { Curve } from "./curve.js";
 import { $, download, el, setText, svg, toast } from "./dom.js";
 import { Handles } from "./handles.js";
 import { Linkage } from "./linkage.js";
-import { Live } from "./live.js";
+import { embedded, Live } from "./live.js";
 import { Motion } from "./motion.js";
 import { Panel, verdictOf } from "./panel.js";
 import { Start } from "./start.js";
@@ -274,7 +274,7 @@ const live = new Live(keptToken(), {
   },
   link({ fragment }) {
     busy(false);
-    link = `${location.origin}/#${fragment}`;
+    link = `${embedded ? "" : `${location.origin}/`}#${fragment}`; // a frame of a notebook has no address
     $("link-text").value = link;
     $("link").showModal();
     $("link-text").select();
@@ -288,7 +288,8 @@ const live = new Live(keptToken(), {
     }
   },
   closed() {
-    hint("The connection to the studio has ended. Start `optlink studio` again, or ", { text: "reconnect", run: () => live.connect() });
+    const words = embedded ? "This canvas is connected in another view, or its kernel has ended: " : "The connection to the studio has ended. Start `optlink studio` again, or ";
+    hint(words, { text: "reconnect", run: () => live.connect() });
   },
 });
 
@@ -436,7 +437,7 @@ addEventListener("hashchange", () => {
     history.replaceState(null, "", location.pathname);
   }
 });
-addEventListener("beforeunload", (event) => state?.document.changed && event.preventDefault());
+addEventListener("beforeunload", (event) => !embedded && state?.document.changed && event.preventDefault());
 
 view.fit(EMPTY);
 live.connect();

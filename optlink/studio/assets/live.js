@@ -3,6 +3,30 @@
 export const timings = (window.studioTimings = []);
 const KEPT = 4000;
 const PATIENCE = 15000; // after which a drag without an answer no longer blocks the next [ms]
+export const embedded = "embedded" in document.documentElement.dataset; // in a notebook
+
+// In a notebook the page is a frame: its messages go through the notebook to the kernel.
+class FrameSocket extends EventTarget {
+  constructor() {
+    super();
+    this.readyState = WebSocket.OPEN;
+    addEventListener("message", (event) => event.source === parent && event.data?.studio && this.take(event.data));
+    parent.postMessage({ studio: "connect" }, "*");
+  }
+
+  take({ studio, text }) {
+    if (studio === "answer") {
+      this.dispatchEvent(new MessageEvent("message", { data: text }));
+    } else if (studio === "close" && this.readyState === WebSocket.OPEN) {
+      this.readyState = WebSocket.CLOSED;
+      this.dispatchEvent(new Event("close"));
+    }
+  }
+
+  send(text) {
+    parent.postMessage({ studio: "request", text }, "*");
+  }
+}
 
 export class Live {
   constructor(token, listeners) {
@@ -17,9 +41,7 @@ export class Live {
   }
 
   connect() {
-    const scheme = location.protocol === "https:" ? "wss" : "ws";
-    const query = this.token ? `?token=${encodeURIComponent(this.token)}` : "";
-    const socket = (this.socket = new WebSocket(`${scheme}://${location.host}/live${query}`));
+    const socket = (this.socket = embedded ? new FrameSocket() : this.opened());
     this.flying = this.waiting = null;
     this.shown = 0;
     socket.addEventListener("message", (event) => socket === this.socket && this.receive(JSON.parse(event.data)));
@@ -28,6 +50,12 @@ export class Live {
         this.listeners.closed();
       }
     });
+  }
+
+  opened() {
+    const scheme = location.protocol === "https:" ? "wss" : "ws";
+    const query = this.token ? `?token=${encodeURIComponent(this.token)}` : "";
+    return new WebSocket(`${scheme}://${location.host}/live${query}`);
   }
 
   get open() {

@@ -11,7 +11,7 @@ function remembered(value) {
   }
 }
 function paint() {
-  const dark = (remembered() || (system.matches ? "dark" : "light")) === "dark";
+  const dark = (remembered() || root.dataset.prefer || (system.matches ? "dark" : "light")) === "dark";
   root.dataset.theme = dark ? "dark" : "light";
   $("theme").setAttribute("aria-label", `Use ${dark ? "light" : "dark"} colours`);
 }

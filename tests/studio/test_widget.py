@@ -1,0 +1,141 @@
+"""The canvas in a notebook: its page without a server, what Python sees of it, and a drag in a browser."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+from selenium.webdriver.common.action_chains import ActionChains
+
+import optlink
+from optlink.errors import InputError
+from optlink.studio.session import Session
+from tests.browser import browser, console
+from tests.studio.browser import Page
+
+pytest.importorskip("anywidget")
+from optlink.studio.widget import ASSETS, page
+
+FRONT = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Notebook</title></head><body><div id="cell"></div>
+<script type="module">
+const listeners = {};
+window.asked = [];
+window.model = { get: () => 600, on: (name, call) => (listeners[name] = call), off() {}, send: (content) => asked.push(content),
+  take: (content) => listeners["msg:custom"](content) };
+const address = URL.createObjectURL(new Blob([PYTHON_ESM], { type: "text/javascript" }));
+const widget = (await import(address)).default;
+widget.render({ model, el: document.getElementById("cell") });
+</script></body></html>"""
+
+
+class Direct:
+    """The session of a canvas in this process."""
+
+    def __init__(self, answer: Callable[[str], Any]) -> None:
+        self.document: Mapping[str, Any] | None = None
+        self.answer = answer
+        self.session = Session(self.take)
+
+    def take(self, message: Mapping[str, Any]) -> None:
+        if message["type"] == "kept":
+            self.document = message["steps"][0] if message["step"] == "open" else message["document"]
+        else:
+            asyncio.run(self.answer(json.dumps(message, separators=(",", ":"))))
+
+    def request(self, **request: Any) -> None:
+        self.session.handle(request)
+
+
+def test_python_sees_the_problem_and_the_design_of_the_canvas(monkeypatch: pytest.MonkeyPatch) -> None:
+    canvas = optlink.explore(optlink.load("crank-rocker"))
+    sent: list[str] = []
+    monkeypatch.setattr(canvas, "send", lambda content: sent.append(json.loads(content["text"])["type"]))
+    assert canvas.status == "not verified"
+    link = canvas._link = Direct(canvas._pass)  # type: ignore[assignment]
+    document = canvas._document
+    link.request(type="resume", id=0, steps=[document.message()], at=0, origin=document.text)
+    assert (canvas.status, set(sent)) == ("verified", {"state", "progress"})
+    assert canvas.design == pytest.approx({"coupler": 0.412865, "rocker": 0.232246}, abs=1e-6)
+    link.request(type="drag", id=1, handle="mechanism.frame", value=540.0, at=[540.0, 0.0], moving=True)
+    assert canvas.status == "not verified"
+    assert canvas.problem.raw["mechanism"]["frame"] == "500 mm"  # until the release
+    link.request(type="drag", id=2, handle="mechanism.frame", value=540.0, at=[540.0, 0.0], moving=False)
+    assert canvas.status == "verified"
+    assert canvas.problem.model.mechanism.quantities["frame"].value == pytest.approx(0.54)
+    for name, value in canvas.design.items():
+        assert canvas.result.design[name] == pytest.approx(value, abs=1e-9)
+    shown = canvas._repr_mimebundle_()
+    assert {"application/vnd.jupyter.widget-view+json", "text/html", "text/plain"} <= set(shown)
+    assert shown["text/plain"] == "<Canvas of 'crank-rocker'>"
+
+
+def test_the_page_is_one_document() -> None:
+    text = page()
+    assert "/assets/" not in text
+    assert not re.search(r"^\s*(import|export)\b", text, re.MULTILINE)
+    for script in ASSETS.glob("*.js"):
+        assert text.count(f"const module_{script.stem} = ") == 1, script.name
+
+
+def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "anywidget", None)
+    monkeypatch.delitem(sys.modules, "optlink.studio.widget", raising=False)
+    with pytest.raises(InputError, match=r'anywidget.*pip install "optlink\[notebook\]"'):
+        optlink.explore("crank-rocker")
+
+
+@pytest.mark.slow
+def test_a_drag_in_a_notebook(tmp_path: Path) -> None:
+    """The front end of the widget with a model that passes its messages to the kernel's side, which runs in this process."""
+    canvas = optlink.explore("crank-rocker")
+    waiting: list[Mapping[str, str]] = []
+    canvas.send = waiting.append
+    file = tmp_path / "notebook.html"
+    file.write_text(FRONT.replace("PYTHON_ESM", json.dumps(canvas._esm).replace("</", "<\\/")), encoding="utf-8")
+    with browser() as driver:
+        driver.get(file.as_uri())
+        within = Page(driver, "")
+
+        def until(script: str) -> None:
+            end = time.monotonic() + 60.0
+            while not within.run(script):
+                assert time.monotonic() < end, f"in vain: {script}; {within.run('return document.body.innerText')}"
+                driver.switch_to.default_content()
+                for content in within.run("return asked.splice(0)"):
+                    canvas._receive(content)
+                while waiting:
+                    within.run("model.take(arguments[0])", waiting.pop(0))
+                driver.switch_to.frame(0)
+
+        def shown(status: str) -> str:
+            return f"return document.querySelector('#canvas').dataset.status === '{status}'"
+
+        until("return window.frames.length === 1 && document.querySelector('#cell')")
+        driver.switch_to.frame(0)
+        until(shown("verified"))
+        within.stop()
+        knob = within.find('[data-handle="mechanism.frame"] .ring')
+        ActionChains(driver, duration=0).click_and_hold(knob).perform()
+        for _ in range(4):
+            within.move([(10, 0)])
+            until("return studioTimings.length > 0")
+        until(shown("not-verified"))
+        within.release()
+        until(f"{shown('verified')} && document.querySelector('#undo').disabled === false")
+        frame = canvas.problem.model.mechanism.quantities["frame"].value
+        assert frame > 0.51
+        assert canvas.design["coupler"] == pytest.approx(canvas.result.design["coupler"], abs=1e-9)
+        assert float(str(within.find('[data-variable="frame"] input').get_attribute("value"))) == pytest.approx(
+            frame * 1e3, rel=1e-4
+        )
+        assert console(driver) == []
+        driver.switch_to.default_content()
+        assert [entry for entry in driver.get_log("performance") if '"url":"http' in entry["message"]] == []
+    canvas.close()
