@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import sys
+import tomllib
 
 import pytest
 
+import optlink
 from tests.test_docs import ROOT
 
 sys.path.insert(0, str(ROOT / "benchmarks"))
@@ -25,6 +28,22 @@ def test_quoted_words_are_on_their_pages():
         assert readme.in_text(figure), f"{figure.page}: {figure.text}"
     for block in readme.BLOCKS:
         assert len(readme.block_lines(block)) > 2, block
+
+
+def test_the_problem_file_of_the_readme_can_be_solved_as_it_stands(tmp_path):
+    """Without a title: its own is then the name of the file."""
+    file = tmp_path / "lever.toml"
+    file.write_text(re.search(r"```toml\n(.*?)```", readme.page("README.md"), re.DOTALL)[1], encoding="utf-8")
+    result = optlink.solve(optlink.load(file))
+    assert result.valid
+    assert result.problem.spec.title == "lever"
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs").glob("*.md")), ids=lambda page: page.name)
+def test_whole_problem_files_on_a_page_are_read(page):
+    for text in re.findall(r"```toml[^\n]*\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL):
+        if "[mechanism]" in text:
+            optlink.read(tomllib.loads(text))
 
 
 def quick(page: str) -> None:

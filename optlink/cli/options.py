@@ -121,7 +121,7 @@ Starts = Annotated[
         parser=whole_number,
         metavar="N",
         help="Number of starting points; more are never worse. Motion law or function: N per assembly mode; path: at least N. "
-        "Default: the given start of a law; of functions and paths as many as make a better design unlikely.",
+        "Default: as many as make a better design unlikely; 1 if a law's optimum is certified instead.",
     ),
 ]
 Seed = Annotated[int, typer.Option("--seed", parser=whole_number, metavar="S", help="Seed of the starting points.")]

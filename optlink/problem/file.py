@@ -227,7 +227,7 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
         fault = Fault("a robust design is found for motion laws of a four-bar only", remedy, file, "requirement.robust")
         raise InputError(fault)
     try:
-        problem = model.model_validate(raw, context={"folder": where})
+        problem = model.model_validate({"title": name[:200], **raw}, context={"folder": where})
     except pydantic.ValidationError as error:
         raise InputError(list(faults(error, model, raw, file))) from None
     with input_of(file):

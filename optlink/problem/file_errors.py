@@ -163,7 +163,6 @@ def _plain(value: object) -> object:
 
 
 _EXAMPLES = {
-    "title": 'Add title = "..."',
     "mechanism": "Add the section [mechanism]",
     "requirement": "Add the section [requirement]",
     "requirement.law": 'Add law = "psi0 + 0.5*(phi - phi0)"',

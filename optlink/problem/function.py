@@ -61,7 +61,7 @@ class Requirement(Section):
     span: FixedAngle | None = None
     """Crank rotation over which the law applies, negative clockwise; a table or function defines it itself."""
     points: Annotated[int, Field(strict=True, ge=1, le=MAX_POINTS)] | None = None
-    """Number of evenly spaced positions after the start; default: the rows of a table, 60 for a function."""
+    """Number of evenly spaced positions after the start; default: the rows of a table, else 60."""
     measure: Literal["sum of squares", "rms", "max"] = "sum of squares"
     """Measure that combines all errors into the objective; `max` is the largest error."""
     robust: Robustness = None
@@ -241,10 +241,8 @@ def cross_check_design(problem: DesignProblem) -> None:
             requirement.start,
         )
     if table is None:
-        for key in ("span", "points") if function is None else ():
-            if getattr(requirement, key) is None:
-                example = 'span = "90 deg"' if key == "span" else "points = 30"
-                raise Unusable("an expression as the law needs it", f"Add {example}", f"requirement.{key}")
+        if function is None and requirement.span is None:
+            raise Unusable("an expression as the law needs it", 'Add span = "90 deg"', "requirement.span")
     elif requirement.span is not None and abs(requirement.span.value - table.span) > 1e-9:
         raise Unusable(
             f"the span differs from that of the table, {np.degrees(table.span):.6g} deg",

@@ -25,6 +25,7 @@ from optlink.solvers.global_search.lagrangian import Guess, LagrangianBounds
 from optlink.solvers.global_search.quadratic import least_squares
 from optlink.solvers.global_search.timed_path import TimedPathBounds, unsuitable
 from optlink.tasks.function import FunctionResult
+from optlink.tasks.function_search import certified_by_default
 from optlink.tasks.results.certificate import GLOBAL, INFEASIBLE, NOT_CLOSED, STRICT, WITHIN_GAP, Certificate, Cover
 from optlink.tasks.results.path import PathResult
 from optlink.version import VERSION
@@ -42,14 +43,12 @@ INSIDE = 0.999  # share of the gap that the search uses, so that rounding does n
 EXACT = 1e-9  # rms deviation [rad], or share of the curve, below which a design is exact: none can be better
 LARGE = 1024  # boxes of a timed path that are bounded together
 FAILURES = 20  # searches for a better timed path that may fail
-AUTOMATIC = 2  # design variables of a motion law up to which the certificate is made without being asked for ...
-BUDGET = 2_000  # ... with at most this many boxes, which take about a second
+BUDGET = 2_000  # boxes of a certificate that is made by default; they take about a second
 
 
 def automatic(problem: ProblemFile) -> bool:
-    """Return whether a problem is certified without being asked for: a motion law of few design variables."""
-    model = problem.model
-    return isinstance(model, DesignProblem) and model.requirement.robust is None and 0 < len(model.free) <= AUTOMATIC
+    """Return whether the optimum of a problem is certified without being asked for."""
+    return isinstance(problem.model, DesignProblem) and certified_by_default(problem.model)
 
 
 def check_problem(problem: ProblemFile) -> None:

@@ -263,9 +263,10 @@ def solve(
         With "both" each solver searches separately, the better design is used, and the results must agree.
     starts : int, optional
         Number of starting points per assembly mode; a larger number contains those of a smaller one, so that more are
-        never worse. Law: the start in the problem, then Sobol points over the bounds; default 1. Function: always the
-        convex first designs (`optlink.synthesis.function_starts`) and the start in the problem, then fits at random start
-        angles; default: until the estimated chance of a missed better optimum is small (`optlink.tasks.function_search`).
+        never worse. Law: the start in the problem, then Sobol points over the bounds. Function: always the convex first
+        designs (`optlink.synthesis.function_starts`) and the start in the problem, then fits at random start angles.
+        Default: until the estimated chance of a missed better optimum is small (`optlink.tasks.function_search`); 1 for a
+        law of at most two design variables, whose optimum `optlink.solve` certifies.
     seed : int
         Seed of the Sobol points.
     progress : function of the completed fraction, optional

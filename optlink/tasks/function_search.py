@@ -34,7 +34,13 @@ Progress = Callable[[float], None] | None
 
 ROUND, MOST = 24, 144  # random starts between evaluations of the evidence, and their largest number by default
 MISSED = 0.025  # estimated chance of a missed better optimum at which a search ends by default
+CERTIFIED = 2  # design variables of a motion law up to which the global optimum is certified by default, without random starts
 NEARBY = 2.0  # times the best objective, up to which an optimum at the design positions is refined over the whole range
+
+
+def certified_by_default(problem: DesignProblem) -> bool:
+    """Return whether the optimum is certified without being asked for: that of a motion law of few design variables."""
+    return problem.requirement.robust is None and 0 < len(problem.free) <= CERTIFIED
 
 
 @dataclass(frozen=True)
@@ -251,8 +257,7 @@ class FunctionSearch:
         bool
             Whether it was interrupted (Ctrl-C); complete searches are kept, if there are any.
         """
-        function = isinstance(self.problem.requirement.law, Function)
-        total = count or len(starts.first) + (MOST if function else 0)
+        total = count or len(starts.first) + self._most
         try:
             for start in starts.first:
                 self._advance(start, progress, total)
@@ -272,10 +277,16 @@ class FunctionSearch:
             return True
         return False
 
+    @property
+    def _most(self) -> int:
+        """Largest number of random starts by default; none for a law that is certified instead."""
+        certified = certified_by_default(self.problem) and not isinstance(self.problem.requirement.law, Function)
+        return 0 if certified else MOST
+
     def _enough(self, drawn: int, first: int, count: int | None) -> bool:
-        """Return whether so many random starts suffice: the prescribed number, else by the evidence (a law needs none)."""
+        """Return whether so many random starts suffice: the prescribed number, else by the evidence."""
         if count is not None:
             return drawn >= count - first
-        if not isinstance(self.problem.requirement.law, Function) or drawn >= MOST:
+        if drawn >= self._most:
             return True
         return drawn > 0 and drawn % ROUND == 0 and evidence(self.counts).missed <= MISSED

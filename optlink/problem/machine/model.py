@@ -92,8 +92,8 @@ class ReportSection(Section):
 class Problem(Section):
     """A problem file, read and checked; immutable. Change it with `optlink.load(..., overrides)` or `override`."""
 
-    title: str = Field(min_length=1, max_length=200)
-    """Title, one line of at most 200 characters."""
+    title: str = Field(default="problem", min_length=1, max_length=200)
+    """Title, one line of at most 200 characters; default: the name of the file."""
     source: str = ""
     """Origin of the problem."""
     about: str = ""
