@@ -146,7 +146,14 @@ def test_the_machine_written_beside_a_result_moves_as_the_design_does(tmp_path: 
 def test_a_law_of_three_variables_is_searched_from_random_starts_by_default():
     """From its one starting point the search ends at an error 36 times as large."""
     bounds = {"bounds": ["42 mm", "634 mm"]}
-    mechanism = {"type": "four-bar", "frame": "211 mm", "crank": "49.5 mm", "coupler": bounds, "rocker": bounds, "assembly": "left"}
+    mechanism = {
+        "type": "four-bar",
+        "frame": "211 mm",
+        "crank": "49.5 mm",
+        "coupler": bounds,
+        "rocker": bounds,
+        "assembly": "left",
+    }
     law = {"law": "psi0 + 0.2*(phi - phi0)^2", "span": "40 deg", "measure": "max", "from": {"bounds": ["0 deg", "360 deg"]}}
     problem = optlink.read({"mechanism": mechanism, "requirement": law, "limits": {"transmission_angle": ["35 deg", "145 deg"]}})
     one, found = optlink.solve(problem, starts=1), optlink.solve(problem)
