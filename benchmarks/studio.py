@@ -13,10 +13,12 @@ import asyncio
 import contextlib
 import json
 import math
+import re
 import signal
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import AsyncIterator, Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -170,56 +172,85 @@ def anywhere(handle: Mapping[str, Any], rng: np.random.Generator) -> list[float]
     return [value + spread * (1.0 + abs(value)) * rng.standard_normal() for value in values]
 
 
-def random_drags(names: tuple[str, ...], count: int, seed: int = 0, watch: Callable[[str], None] = print) -> dict[str, Any]:
-    """Drag random handles to random places, and judge every design that is shown as verified once more."""
-    from optlink import validate
-    from optlink.studio.session import Session
-    from optlink.tasks.results.analysis import Analysis
+class RandomDrags:
+    """Drags of random handles of a problem to random places; every design that is shown as verified is judged once more.
 
-    totals: dict[str, Any] = {"drags": 0, "verified": 0, "infeasible": 0, "faults": 0, "wrong": [], "memory": []}
-    for name in names:
-        rng = np.random.default_rng([seed, sum(map(ord, name))])
-        sent: list[Mapping[str, Any]] = []
-        free = [True]
+    Parameters
+    ----------
+    name : str
+        Shipped problem.
+    seed : int
+    """
 
-        def interruptible(work: Callable[[], Any], free: list[bool] = free) -> Any:
-            if not free[0]:
-                raise KeyboardInterrupt  # the next drag has begun
-            return work()
+    def __init__(self, name: str, seed: int) -> None:
+        from optlink.studio.session import Session
 
-        session = Session(sent.append, interruptible)
-        session.handle({"type": "open", "id": 0, "name": name})
-        tally = dict.fromkeys(("verified", "not verified", "not valid", "infeasible", "failed", "fault"), 0)
-        for k in range(count):
-            handles = [one.document() for one in session._handles.values()]
-            handle = handles[int(rng.integers(len(handles)))]
-            moving = rng.random() >= RELEASED
-            free[0] = rng.random() < SEARCHED
-            del sent[:]
-            session.handle(drag(k + 1, handle["id"], handle["kind"], anywhere(handle, rng), moving=moving))
-            if not moving and rng.random() < 0.5:
-                free[0] = False
-                session.handle({"type": "undo", "id": k + 1})
-            totals["drags"] += 1
-            for message in sent:
-                json.dumps(message, allow_nan=False)
-                kind = message["status"] if message["type"] == "state" else message["type"]
-                if kind in tally:
-                    tally[kind] += 1
-                if message["type"] == "state" and message["moving"] and message["status"] == "verified":
-                    totals["wrong"].append((name, k, "shown as verified while moving"))
-            last = session._last
-            if last is not None and last[0].status == "verified" and not isinstance(last[0].result, Analysis):
-                design = last[0]
-                again = validate(design.problem, {n: design.values[n] for n in design.problem.model.free})
-                totals["verified"] += 1
-                if not again.valid:
-                    totals["wrong"].append((name, k, [c.name for c in again.validation.checks if not c.passed]))
-        totals["infeasible"] += tally["infeasible"]
-        totals["faults"] += tally["fault"]
-        totals["memory"].append(memory())
-        watch(f"{name}: {tally}, {totals['memory'][-1]:.0f} MB")
-    return totals
+        self.name, self.rng = name, np.random.default_rng([seed, sum(map(ord, name))])
+        self.sent: list[Mapping[str, Any]] = []
+        self.tally: Counter[str] = Counter()
+        self.faults: Counter[str] = Counter()
+        self.wrong: list[Any] = []
+        self._free = True  # to finish a search
+        self.session = Session(self.sent.append, self._interruptible)
+        self.session.handle({"type": "open", "id": 0, "name": name})
+
+    def _interruptible(self, work: Callable[[], Any]) -> Any:
+        if not self._free:
+            raise KeyboardInterrupt  # the next drag has begun
+        return work()
+
+    def drag(self, k: int) -> None:
+        """One drag, moving or released; half of the releases are undone."""
+        rng, session = self.rng, self.session
+        handles = [one.document() for one in session._handles.values()]
+        handle = handles[int(rng.integers(len(handles)))]
+        moving = rng.random() >= RELEASED
+        self._free = rng.random() < SEARCHED
+        del self.sent[:]
+        session.handle(drag(k, handle["id"], handle["kind"], anywhere(handle, rng), moving=moving))
+        if not any(message["type"] in ("state", "fault", "progress") for message in self.sent):
+            self.wrong.append((self.name, k, "no answer"))
+        if not moving and rng.random() < 0.5:
+            self._free = False
+            session.handle({"type": "undo", "id": k})
+        self._judge(k)
+
+    def _judge(self, k: int) -> None:
+        from optlink import validate
+        from optlink.tasks.results.analysis import Analysis
+
+        for message in self.sent:
+            json.dumps(message, allow_nan=False)
+            if message["type"] == "state":
+                self.tally[message["status"]] += 1
+                if message["moving"] and message["status"] == "verified":
+                    self.wrong.append((self.name, k, "shown as verified while moving"))
+            elif message["type"] == "fault":
+                self.faults[re.sub(r"-?[0-9][0-9.e+-]*", "N", message["message"])] += 1
+        last = self.session._last
+        if last is None or last[0].status != "verified" or isinstance(last[0].result, Analysis):
+            return
+        self.tally["judged"] += 1
+        design = last[0]
+        again = validate(self.session._document.problem, {n: design.values[n] for n in design.problem.model.free})
+        if not again.valid:
+            self.wrong.append((self.name, k, [c.name for c in again.validation.checks if not c.passed]))
+
+
+def random_drags(names: tuple[str, ...], count: int, seed: int = 0, watch: Callable[[str], None] = print) -> list[RandomDrags]:
+    """Drag in turn in all problems, `count` times in each."""
+    pages = [RandomDrags(name, seed) for name in names]
+    steps = sorted({count // 10, count // 2, count})
+    for k in range(1, count + 1):
+        for page in pages:
+            page.drag(k)
+        if k in steps:
+            watch(f"{k * len(pages)} drags: {memory():.0f} MB")
+    for page in pages:
+        watch(f"{page.name}: {dict(page.tally)}")
+        for words, times in page.faults.items():
+            watch(f"  {times} faults: {words}")
+    return pages
 
 
 def memory() -> float:
@@ -371,10 +402,12 @@ def main() -> int:
     elif command == "random":
         names = tuple(rest[1:]) or PROBLEMS
         each = -(-(count or 10_000) // len(names))
-        begin, found = time.perf_counter(), random_drags(names, each)
-        print(f"{found['drags']} drags in {time.perf_counter() - begin:.0f} s; {found['verified']} times verified, "
-              f"wrongly: {found['wrong']}; {found['infeasible']} infeasible, {found['faults']} faults")  # fmt: skip
-        return 1 if found["wrong"] else 0
+        begin, pages = time.perf_counter(), random_drags(names, each)
+        wrong = [one for page in pages for one in page.wrong]
+        judged, faults = (sum(found) for found in zip(*((p.tally["judged"], p.faults.total()) for p in pages), strict=True))
+        print(f"{each * len(names)} drags in {time.perf_counter() - begin:.0f} s; {judged} times verified, wrongly: {wrong}; "
+              f"{faults} faults")  # fmt: skip
+        return 1 if wrong else 0
     elif command == "saved":
         names = ("crank-rocker", "law-slider-crank", "stroke-crank-rocker", "motion-3-poses", "transmission-optimal")
         return 1 if saved_problems(names, count or 100) else 0
