@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -13,9 +12,11 @@ from numpy.typing import NDArray
 
 from optlink.errors import Fault, InputError, Status
 from optlink.io import finite
+from optlink.problem.file import ProblemFile
 from optlink.studio.design import Design
 from optlink.studio.document import Document, from_text
 from optlink.studio.picture import Picture
+from optlink.synthesis.batch_search import Candidate
 from optlink.tasks.path_search import DesignCollection, Polisher, path_model
 from optlink.tasks.results.path import PathDesign
 from optlink.validation.path import validate_path
@@ -27,7 +28,7 @@ POINTS = 16  # target points along it
 REACH, LEAST = 4.0, 0.05  # largest and least length of a link, as a share of the size of the curve
 SECONDS = 4.5  # of the search
 SHOWN = 4  # designs
-FIRST = 6  # candidates of the first round of which a valid one is shown before it is refined
+TRIED = 12  # candidates of the first round of which valid ones are shown before they are refined
 SMALLEST = 1e-3  # mm
 ROUNDS = 12
 
@@ -103,56 +104,125 @@ def _along(line: Array, *, closed: bool) -> Array:
     return np.column_stack([np.interp(places, at, line[:, k]) for k in (0, 1)])
 
 
+class _Over(Exception):
+    """The time of a search is over."""
+
+
+class _TimedPolisher(Polisher):
+    """A polisher that begins no refinement that would probably end too late.
+
+    Parameters
+    ----------
+    files : list of ProblemFile
+    left : function
+        Returns the remaining time [s].
+    valid : function of a design
+        Called for every valid one.
+    """
+
+    def __init__(self, files: list[ProblemFile], left: Callable[[], float], valid: Callable[[PathDesign], None]) -> None:
+        super().__init__(files, "ipopt")
+        self.left, self.valid, self._longest = left, valid, 0.0
+
+    def polish(self, candidate: Candidate, *, near: bool = False) -> PathDesign:
+        begun = self.left()
+        if begun <= self._longest:
+            raise _Over
+        made = super().polish(candidate, near=near)
+        self._longest = max(self._longest, begun - self.left())
+        if made.valid:
+            self.valid(made)
+        return made
+
+
 class CurveSearch:
-    """A search of four-bars for a drawn curve.
+    """A search of four-bars for a drawn curve: first coarse candidates, then refined ones, until its time is over.
 
     Parameters
     ----------
     document : Document
         From `drawn`.
+    seconds : float
+        Longest time of the search.
     """
 
-    def __init__(self, document: Document) -> None:
+    def __init__(self, document: Document, seconds: float = SECONDS) -> None:
         from optlink.synthesis.batch_search import Searcher
 
-        self.document, self.begun = document, time.perf_counter()
-        files = document.problem.variants()
-        self._searcher = Searcher([path_model(file) for file in files], 0)
-        self._collection = DesignCollection(Polisher(files, "ipopt"), SHOWN)
-        self._files = files
+        self.document, self.begun, self._limit = document, time.perf_counter(), seconds
+        self._files = document.problem.variants()
+        self._searcher = Searcher([path_model(file) for file in self._files], 0)
+        self._polisher = _TimedPolisher(self._files, lambda: seconds - self._seconds, self._first)
+        self._collection = DesignCollection(self._polisher, SHOWN)
+        self._coarse: list[tuple[PathDesign, Candidate]] = []
         self.designs: list[PathDesign] = []
+        self._show: Callable[[bool], None] = lambda done: None
 
-    def run(self) -> Iterator[bool]:
-        """Search; yield whether it is done whenever there are better designs."""
-        for number in itertools.count():
+    def run(self, show: Callable[[bool], None]) -> None:
+        """Search.
+
+        Parameters
+        ----------
+        show : function
+            Called with whether the search is over, whenever there are better designs.
+        """
+        self._show = show
+        coarse = self._searcher.coarse()
+        self._add_coarse(coarse, 1)
+        self._better()
+        for one in () if self.designs else coarse[:1]:
+            self._polisher.polish(one)  # shown if it is valid
+        for number in range(ROUNDS):
+            begun = self._seconds
             found = self._searcher.advance()
-            if number == 0 and (first := self._rough(found.candidates[:FIRST])) is not None:
-                self.designs = [first]
-                yield False
-            self._collection.add(found)
-            done = self._seconds > SECONDS or number + 1 == ROUNDS
-            if self._collection.designs:
-                self.designs = list(self._collection.designs)
-                yield done
-            if done:
-                return
+            if number == 0:
+                self._add_coarse(found.candidates, SHOWN)
+                self._better()
+            try:
+                self._collection.add(found)
+            except _Over:
+                break
+            if 2.0 * self._seconds - begun > self._limit:
+                break
+            self._better()
+        self._better(done=True)
+
+    def _first(self, design: PathDesign) -> None:
+        if not self.designs:
+            self.designs = [design]
+            self._show(False)
 
     @property
     def _seconds(self) -> float:
         return time.perf_counter() - self.begun
 
-    def _rough(self, candidates: Any) -> PathDesign | None:
-        """Return the best valid candidate before its refinement."""
-        for one in candidates:
-            file, batch = self._files[one.variant], self._searcher.batches[one.variant]
-            task = path_model(file)
-            values = {name: quantity.value for name, quantity in task.quantities.items()}
-            scaled = zip(batch.names, batch.origin, batch.scale, one.x, strict=True)
-            values |= {name: float(origin + scale * x) for name, origin, scale, x in scaled}
-            proof = validate_path(task, values, one.t)
-            if proof.valid:
-                return PathDesign(file, values, one.t, proof.objective, Status.NOT_SEARCHED, proof)
-        return None
+    def _add_coarse(self, candidates: list[Candidate], count: int) -> None:
+        """Add some distinct valid candidates before their refinement; the first ones of a list are its best."""
+        self._coarse = []
+        for one in candidates[:TRIED]:
+            design = self._rated(one)
+            if design.valid and not any(design.alike(known) for known, _ in self._coarse):
+                self._coarse.append((design, one))
+                if len(self._coarse) == count:
+                    return
+
+    def _rated(self, one: Candidate) -> PathDesign:
+        """Return a candidate, validated."""
+        file, batch = self._files[one.variant], self._searcher.batches[one.variant]
+        task = path_model(file)
+        values = {name: quantity.value for name, quantity in task.quantities.items()}
+        scaled = zip(batch.names, batch.origin, batch.scale, one.x, strict=True)
+        values |= {name: float(origin + scale * x) for name, origin, scale, x in scaled}
+        proof = validate_path(task, values, one.t)
+        return PathDesign(file, values, one.t, proof.objective, Status.NOT_SEARCHED, proof)
+
+    def _better(self, *, done: bool = False) -> None:
+        """Show the best designs, those of the optimiser before coarse ones, if they have changed."""
+        before, best = self.designs, list(self._collection.designs)
+        best += [design for design, _ in self._coarse if not any(design.alike(known) for known in best)]
+        self.designs = sorted(best, key=lambda design: design.objective)[:SHOWN] or before
+        if self.designs and (done or self.designs != before):
+            self._show(done)
 
     def message(self, ident: int, *, done: bool) -> dict[str, Any]:
         """Return the designs as a message.
@@ -179,6 +249,10 @@ class CurveSearch:
         if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < len(self.designs):
             raise InputError(Fault("no such candidate", "Draw the curve again", key="candidate", value=index))
         one = self.designs[index]
+        candidate = next((candidate for design, candidate in self._coarse if design is one), None)
+        if candidate is not None:
+            refined = Polisher.polish(self._polisher, candidate, near=True)
+            one = refined if refined.valid else one
         return Design(one.problem, one.values, objective=one.objective, solution=one.solution, crank_angles=one.crank_angles)
 
 

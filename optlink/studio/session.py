@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 Send = Callable[[Mapping[str, Any]], None]
 
 HALVINGS = 10  # of the way of a handle, to where feasibility ends
+WARM = 0.5  # s
 BEGUN = "The search for the best design runs."
 FIRST = "Validated; the full search for a better design runs."
 
@@ -105,6 +106,9 @@ class Session:
         self._history, self._origin = History(steps, at), steps[at].text if origin is None else origin
         self._design, self._follower = design, (None, None)
         self._keep("open", steps=[step.message() for step in steps], at=at, origin=self._origin)
+        self._reached = {}
+        if design is not None:
+            self._show(replace(design, conclusion=BEGUN), self._definite(steps[at].problem), moving=False)
         self._settle()
 
     def _resume(self, request: Mapping[str, Any]) -> None:
@@ -184,12 +188,7 @@ class Session:
 
         search = CurveSearch(drawn(request.get("points"), closed=bool(request.get("closed"))))
         self._curve = search
-
-        def run() -> None:
-            for done in search.run():
-                self._send(search.message(self._id, done=done))
-
-        self._interruptible(run)
+        self._interruptible(lambda: search.run(lambda done: self._send(search.message(self._id, done=done))))
         if not search.designs:
             remedy = "Draw a smoother curve, or one without sharp corners"
             raise InputError(Fault("no four-bar was found for this curve within its limits", remedy))
@@ -377,12 +376,18 @@ def warm() -> None:
     """Import what the first request would otherwise wait for."""
     from optlink.problem.file import load
     from optlink.studio import curve, files, follow_cycle
-    from optlink.synthesis import batch_search
     from optlink.tasks import certify, cycle, function, path
     from optlink.tasks.analyze import analyze
 
     solved(load("crank-rocker"))
-    _ = certify, cycle, function, path, analyze, curve, files, follow_cycle, batch_search
+    _ = certify, cycle, function, path, analyze, curve, files, follow_cycle
+
+
+def warm_drawing() -> None:
+    """Import and run once what a drawn curve and a path would otherwise wait for, in time that nobody needs."""
+    from optlink.studio.curve import CurveSearch, drawn
+
+    CurveSearch(drawn([[50.0, 0.0], [-20.0, 40.0], [-30.0, -40.0]], closed=True), WARM).run(lambda done: None)
 
 
 def _verdict(design: Design) -> dict[str, Any]:

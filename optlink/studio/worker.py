@@ -19,6 +19,7 @@ from types import FrameType
 from typing import Any, BinaryIO
 
 MEMORY = 8 * 2**30  # bytes of address space
+IDLE = 0.3  # s without a request, after which the imports of rarer requests begin
 STOP = "stop"
 DONE = "done"
 READY = "ready"
@@ -113,13 +114,19 @@ def main() -> None:
             writing.flush()
 
     warnings.simplefilter("ignore")  # of numpy, about positions that an absurd machine cannot take
-    from optlink.studio.session import Session, warm
+    from optlink.studio.session import Session, warm, warm_drawing
 
     warm()
     send({"type": READY})
     session = Session(send, interrupts.within)
+    idle: float | None = IDLE
     while True:
-        request = requests.get()
+        try:
+            request = requests.get(timeout=idle)
+        except queue.Empty:
+            warm_drawing()
+            idle = None
+            continue
         interrupts.begin(request["id"])
         try:
             session.handle(request)

@@ -104,6 +104,16 @@ class Searcher:
         found.rounds += 1
         return found
 
+    def coarse(self) -> list[Candidate]:
+        """Return the candidates of the first round before they are refined to full precision, cheapest first."""
+        samples = [self._sample(variant, self._share(0), 0) for variant in range(len(self.batches))]
+        found = []
+        for variant, ends in enumerate(self._descended(samples)):
+            proper, way = pass_in_order(self.batch, ends)
+            usable = np.flatnonzero(proper & (ends.missed <= MISSED) & np.isfinite(ends.cost))
+            found += [Candidate(variant, ends.x[i], ends.t[i], float(ends.cost[i]), int(way[i])) for i in usable]
+        return sorted(found, key=lambda candidate: candidate.cost)
+
     def _share(self, number: int) -> int:
         """Return the starting points of a round per combination of assembly modes."""
         return -(-min(PER_ROUND, FIRST_ROUND << min(number, 8)) // len(self.batches))
