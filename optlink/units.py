@@ -384,6 +384,16 @@ def _digits(number: float) -> str:
     return f"{number:.12g}"
 
 
+DISPLAYED = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg"), "": (1.0, "")}
+"""Factor from SI and display unit of deviations, by their SI unit."""
+
+
+def display_unit(kind: str) -> tuple[float, str]:
+    """Return the factor from SI to the display unit of a kind, and that unit."""
+    unit = KINDS[kind].display
+    return 1.0 / factor(unit, kind) if unit else 1.0, unit
+
+
 def show(value: float, kind: str, unit: str | None = None, digits: int = 6) -> str:
     """Format an SI value in display units: `show(0.412, "length")` is "412 mm".
 

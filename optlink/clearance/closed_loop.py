@@ -17,11 +17,10 @@ from optlink.clearance.integration import Block, Impact, Integration
 from optlink.clearance.joint import Gap
 from optlink.clearance.output import Output
 from optlink.dynamics.machine import Machine, jet_parts
-from optlink.linkage.vector2d import Value
+from optlink.linkage.vector2d import TURN, Value
 from optlink.symbolic import CompiledFunction, symbols_in_numpy
 
 Array = NDArray[np.float64]
-TURN = 2.0 * np.pi
 DENSE, DENSEST = 360, 50_000
 """Rows of a revolution that are looked at, at least and at most; within one a contact is found by values and slopes."""
 

@@ -28,10 +28,9 @@ from optlink.dynamics.runge_kutta import ALL, Attempt, Step, Stepper, attempt, s
 from optlink.dynamics.work import jumps
 from optlink.linkage.jet import Jet
 from optlink.linkage.motion import Motion
-from optlink.linkage.vector2d import Value
+from optlink.linkage.vector2d import TURN, Value
 
 Array = NDArray[np.float64]
-TURN = 2.0 * np.pi
 STOP = 1e-6  # rad: distance before a singular position at which a simulation ends
 LEAST, PATIENCE = 1e-4, 2000  # least share of the duration per so many steps; less is a stall
 TOGETHER = 500  # steps whose rows are interpolated together

@@ -14,7 +14,8 @@ from optlink.dynamics.loads import Force, Load, Torque
 from optlink.dynamics.machine import Machine
 from optlink.linkage.extrema import zeros
 from optlink.linkage.mechanism import FRAME
-from optlink.linkage.stroke import OTHER, TURN, Direction, Pace, StrokeRange, Travel, pace_of, slow_stroke
+from optlink.linkage.stroke import OTHER, Direction, Pace, StrokeRange, Travel, pace_of, slow_stroke
+from optlink.linkage.vector2d import TURN
 
 Array = NDArray[np.float64]
 GRID = 720  # crank angles among which reversals are bracketed

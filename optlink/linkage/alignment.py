@@ -17,10 +17,9 @@ from optlink.linkage.extrema import in_portions, zeros
 from optlink.linkage.jet import Jet
 from optlink.linkage.margins import NEAR_ALIGNMENT, SINGULAR_ALIGNMENT
 from optlink.linkage.mechanism import Group, Mechanism, Pose
-from optlink.linkage.vector2d import Value
+from optlink.linkage.vector2d import TURN, Value
 
 Array = NDArray[np.float64]
-TURN = 2.0 * math.pi
 GRID = 1440
 """Positions per revolution between which each least alignment is bracketed."""
 

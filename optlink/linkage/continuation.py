@@ -23,10 +23,9 @@ from optlink.linkage.dyad_types import RPR, RRP, RRR
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.passage import GroupPassages, Passage
 from optlink.linkage.stroke import reachable
-from optlink.linkage.vector2d import Value, turn
+from optlink.linkage.vector2d import TURN, Value, turn
 
 Array = NDArray[np.float64]
-TURN = 2.0 * math.pi
 NODES = 64
 """Points of a circle; the series has half as many terms."""
 

@@ -16,10 +16,9 @@ from optlink.linkage.extrema import distinct, zeros
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import Group, Mechanism, Pose
 from optlink.linkage.motion import sweep
-from optlink.linkage.vector2d import Value
+from optlink.linkage.vector2d import TURN, Value
 
 Array = NDArray[np.float64]
-TURN = 2.0 * math.pi
 GRID = 1440
 """Positions per revolution among which everything is bracketed."""
 SEAM = 1e-6

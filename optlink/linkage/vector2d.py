@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -11,6 +12,9 @@ Value: TypeAlias = Any
 
 Vector: TypeAlias = tuple[Value, Value]
 """x and y of a point or a direction, each a Value."""
+
+TURN = 2.0 * math.pi
+"""A revolution [rad]."""
 
 
 def root(x: Value) -> Value:

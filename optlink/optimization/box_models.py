@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from optlink.errors import Fault, InputError
 from optlink.linkage.fourbar import lengths_of, transmission_cosine
 from optlink.linkage.taylor_model import TaylorModel, pairs
-from optlink.linkage.vector2d import unit
+from optlink.linkage.vector2d import TURN, unit
 from optlink.optimization.constraints import FOUR_BAR, GENERAL, ConstraintRow, position_rows
 from optlink.optimization.objectives import output_error
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem, StartPosition
 from optlink.problem.limits import Reach
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.path import START, TURN, PathProblem
+from optlink.problem.path import START, PathProblem
 
 Array = NDArray[np.float64]
 

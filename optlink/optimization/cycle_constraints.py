@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.stroke import LEAST_DIFFERENCE
+from optlink.linkage.vector2d import TURN
 from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale, alignment_row
-from optlink.optimization.cycle_signals import TURN, EventOrder, TracedCycle
+from optlink.optimization.cycle_signals import EventOrder, TracedCycle
 from optlink.optimization.nlp import Variable
 from optlink.problem.cycle.model import Bound
 from optlink.problem.cycle.terms import Goal, Term

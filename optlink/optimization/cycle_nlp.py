@@ -16,8 +16,9 @@ import casadi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from optlink.linkage.vector2d import TURN
 from optlink.optimization.cycle_constraints import EVENT, CycleTerms, WatchedTerm
-from optlink.optimization.cycle_signals import TURN, EventOrder, TracedCycle
+from optlink.optimization.cycle_signals import EventOrder, TracedCycle
 from optlink.optimization.nlp import NLP, boxed
 from optlink.optimization.objectives import ErrorMeasure
 from optlink.problem.function import EPIGRAPH

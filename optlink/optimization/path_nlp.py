@@ -15,7 +15,7 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.vector2d import Value, unit
+from optlink.linkage.vector2d import TURN, Value, unit
 from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale, position_rows
 from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.nlp import NLP, Variable, boxed
@@ -23,7 +23,7 @@ from optlink.optimization.objectives import ErrorMeasure, error_measures
 from optlink.problem.function import EPIGRAPH
 from optlink.problem.limits import Reach
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.path import START, STEP, TURN, PathProblem
+from optlink.problem.path import START, STEP, PathProblem
 from optlink.symbolic import symbols_in_numpy
 
 Array = NDArray[np.float64]

@@ -12,7 +12,6 @@ from optlink.linkage.fourbar import LENGTHS
 from optlink.problem.file import ProblemFile, read
 from optlink.problem.targets.target_points import read_file
 from optlink.problem.tolerances import read_tolerance
-from optlink.units import KINDS, factor
 
 ASKED = ("requirement", "objective", "limits", "expected")
 """Sections that say what is wanted; without them a problem is a machine."""
@@ -29,8 +28,7 @@ def fixed_design(file: ProblemFile, values: Mapping[str, float]) -> ProblemFile:
     """
     raw: dict[str, Any] = copy.deepcopy({key: value for key, value in file.raw.items() if key not in ASKED})
     for name, quantity in file.model.mechanism.quantities.items():
-        unit = KINDS[quantity.kind].display
-        write(raw["mechanism"], name, f"{values[name] / factor(unit, quantity.kind)!r} {unit}")
+        write(raw["mechanism"], name, f"{values[name] / quantity.si_per_unit!r} {quantity.display[1]}")
     return read(raw, file.name, file.file, file.folder)
 
 

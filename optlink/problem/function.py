@@ -13,7 +13,7 @@ from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
 from optlink.linkage.assur import EITHER
 from optlink.linkage.fourbar import dead_centre, lengths_of
-from optlink.linkage.vector2d import Value, Vector, angle, unit
+from optlink.linkage.vector2d import TURN, Value, Vector, angle, unit
 from optlink.problem.base_model import Section
 from optlink.problem.limits import COUPLER_JOINT, Limits, Reach, check_limits
 from optlink.problem.machine.model import Expected, Problem
@@ -36,7 +36,6 @@ POSITIONS = 60  # default number of design positions of a function
 DEAD_CENTRES = ("outer dead centre", "inner dead centre")
 EPIGRAPH = "largest error"  # name of the extra variable of a minimax NLP, and of its rows
 ABSURD = 1e3  # rad; a larger rocker angle indicates an input error or a pole
-FULL_TURN = 2.0 * float(np.pi)
 
 
 def _read_start(raw: object) -> str | Quantity:
@@ -104,7 +103,7 @@ class DesignProblem(Problem):
     def quantities(self) -> dict[str, Quantity]:
         """Fixed quantities and design variables by name: the four lengths, phi0 and psi0 where they are defined."""
         found = dict(self.mechanism.quantities)
-        anywhere = Quantity(0.0, "angle", "deg", -FULL_TURN, FULL_TURN)
+        anywhere = Quantity(0.0, "angle", "deg", -TURN, TURN)
         if isinstance(self.requirement.start, Quantity):
             found["phi0"] = self.requirement.start
         elif isinstance(self.requirement.law, Function):
@@ -259,7 +258,7 @@ def cross_check_design(problem: DesignProblem) -> None:
         )
     if table is not None and not table.from_start and requirement.psi0 is not None:
         raise Unusable("a table measured from the frame has no psi0", "Leave psi0 out", "requirement.psi0", str(requirement.psi0))
-    if not 1e-6 <= abs(problem.span) <= FULL_TURN * (1.0 + 1e-9):
+    if not 1e-6 <= abs(problem.span) <= TURN * (1.0 + 1e-9):
         raise Unusable(
             "the span must not be zero, nor exceed one revolution",
             'Give one such as "90 deg" (negative: clockwise)',
@@ -267,7 +266,7 @@ def cross_check_design(problem: DesignProblem) -> None:
             f"{np.degrees(problem.span):.6g} deg",
         )
     turns = problem.quantities.get("phi0")
-    if turns is not None and max(abs(bound) for bound in turns.bounds) > FULL_TURN * (1.0 + 1e-9):
+    if turns is not None and max(abs(bound) for bound in turns.bounds) > TURN * (1.0 + 1e-9):
         raise Unusable(
             "the start angle lies beyond one revolution", "Give it within -360 deg ... 360 deg", "requirement.from", str(turns)
         )

@@ -18,7 +18,7 @@ from pydantic import BeforeValidator, ValidationInfo, field_validator
 
 from optlink.linkage.dyad_types import RRR, Transmitting, transmitting
 from optlink.linkage.mechanism import FRAME, Pose
-from optlink.linkage.vector2d import Value, angle_from, dot, minus, turn, unit
+from optlink.linkage.vector2d import TURN, Value, angle_from, dot, minus, turn, unit
 from optlink.problem.base_model import Section
 from optlink.problem.limits import Limits
 from optlink.problem.machine.model import Problem
@@ -38,7 +38,6 @@ from optlink.problem.targets.law import Law, Source, Table, read_output_law
 from optlink.problem.targets.points import TargetPoints, closed, read_points
 
 Array = NDArray[np.float64]
-TURN = 2.0 * math.pi
 START, MARK, ZERO = "start", "mark", "zero"
 """Names of the quantities that a task adds to those of the mechanism."""
 

@@ -8,9 +8,10 @@ import numpy as np
 
 from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.mechanism import FRAME, Mechanism
+from optlink.linkage.vector2d import TURN
 from optlink.problem.limits import LIMITS, check_limits
 from optlink.problem.mechanism import FourBarSection, check_one_mode
-from optlink.problem.path import FINE, SLIDES, TURN, PathProblem
+from optlink.problem.path import FINE, SLIDES, PathProblem
 from optlink.problem.quantity import Unusable, nearest
 from optlink.problem.targets.function import Function
 from optlink.problem.targets.law import SLIDE, Table

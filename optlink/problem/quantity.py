@@ -17,7 +17,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator
 
 from optlink.errors import Fault, InputError, InvalidValue
-from optlink.units import KINDS, UnitProblem, mistyped_range, parse, show
+from optlink.units import KINDS, UnitProblem, display_unit, factor, mistyped_range, parse, show
 
 SIDES = ("min", "max", "exactly")
 SHORTEST, LONGEST = 1e-9, 1e6  # m; beyond them squares of ratios overflow
@@ -96,6 +96,17 @@ class Quantity:
     def bounds(self) -> tuple[float, float]:
         """Lower and upper bound [SI]; both equal the value if it is fixed."""
         return (self.value, self.value) if self.low is None or self.high is None else (self.low, self.high)
+
+    @property
+    def display(self) -> tuple[float, str]:
+        """Factor from SI to the display unit, and that unit."""
+        return display_unit(self.kind)
+
+    @property
+    def si_per_unit(self) -> float:
+        """The display unit [SI]."""
+        unit = KINDS[self.kind].display
+        return factor(unit, self.kind) if unit else 1.0
 
     def __str__(self) -> str:
         if not self.free:

@@ -22,8 +22,7 @@ from optlink.dynamics.loads import Spring
 from optlink.dynamics.machine import Machine, jet_parts
 from optlink.linkage.mechanism import FRAME, Guide
 from optlink.linkage.motion import Motion
-from optlink.linkage.stroke import TURN
-from optlink.linkage.vector2d import Vector
+from optlink.linkage.vector2d import TURN, Vector
 from optlink.report.labels import Label
 from optlink.report.shapes import Part, finite, hatching, hull, rectangle, spread, stem
 from optlink.report.style import BODIES, CRANK, GROUND, QUIET, Scale, figure, scale

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from optlink.errors import InputError
-from optlink.linkage.stroke import TURN
+from optlink.linkage.vector2d import TURN
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.solvers.solution import LimitState

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import Motion, sweep
-from optlink.linkage.stroke import TURN
+from optlink.linkage.vector2d import TURN
 from optlink.report.drawing import Sketch
 from optlink.report.shapes import Part
 from optlink.tasks.results.analysis import Analysis

@@ -37,7 +37,6 @@ from optlink.studies.grid import Grid
 from optlink.studies.sweep_task import OptimumTask
 from optlink.tasks.results.balance import Balance
 from optlink.tasks.run import solve
-from optlink.units import KINDS, factor
 from optlink.validation import Validation, validate, validate_batch
 
 Array = NDArray[np.float64]
@@ -185,7 +184,7 @@ class ReoptimiseTask(OptimumTask):
         keys = list(map(tuple, sides.tolist()))
         labels = {key: "; ".join(_labels(nlp, np.flatnonzero(key), np.array(key))) for key in set(keys)}
         methods = np.where(found.searched[done], SEARCHED, FOLLOWED).tolist()
-        sizes = [values[name] / factor(KINDS[quantity.kind].display, quantity.kind) for name, quantity in self.free.items()]
+        sizes = [values[name] / quantity.si_per_unit for name, quantity in self.free.items()]
         figures = np.array([*self.grid.columns(points), *sizes, objective]).T.tolist()
         return {
             point: [

@@ -20,7 +20,6 @@ from optlink.errors import Fault, InputError, Status
 from optlink.problem.file import ProblemFile, read
 from optlink.problem.quantity import Quantity
 from optlink.studies.grid import Grid
-from optlink.units import KINDS, factor
 from optlink.version import VERSION
 
 OUTCOME = ("status", "valid", "failed", "active", "method")
@@ -155,7 +154,7 @@ class OptimumTask(SweepTask):
     @property
     def columns(self) -> list[str]:
         """The axes, the design variables in display units, the objective in SI, and the outcome."""
-        free = [f"{name}_{KINDS[quantity.kind].display}" for name, quantity in self.free.items()]
+        free = [f"{name}_{quantity.display[1]}" for name, quantity in self.free.items()]
         return [*(axis.column for axis in self.grid.axes), *free, self.objective_column, *OUTCOME]
 
     @property
@@ -191,6 +190,6 @@ class OptimumTask(SweepTask):
             How the optimum was found.
         """
         usable = status in (Status.OPTIMAL, Status.STALLED)
-        sizes = [design.get(name, math.nan) / factor(KINDS[q.kind].display, q.kind) for name, q in self.free.items()]
+        sizes = [design.get(name, math.nan) / q.si_per_unit for name, q in self.free.items()]
         figures = [value if usable else math.nan for value in (*sizes, objective)]
         return self.row(point, figures, status.value, str(valid).lower(), "; ".join(failed), "; ".join(active), method)

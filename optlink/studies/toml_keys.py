@@ -8,8 +8,7 @@ from typing import Any
 
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import file_key
-from optlink.problem.quantity import Quantity
-from optlink.units import KINDS, factor, is_unit, split
+from optlink.units import is_unit, split
 
 Raw = str | float | int
 
@@ -80,10 +79,8 @@ def _variables(problem: ProblemFile) -> Iterator[Knob]:
     """Yield the design variables within their bounds."""
     for name in problem.model.free:
         quantity = problem.model.quantities[name]
-        low, high = (bound / si_per_unit(quantity) for bound in quantity.bounds)
-        yield Knob(
-            name, quantity.value / si_per_unit(quantity), low, high, KINDS[quantity.kind].display, size=si_per_unit(quantity)
-        )
+        low, high = (bound / quantity.si_per_unit for bound in quantity.bounds)
+        yield Knob(name, quantity.value / quantity.si_per_unit, low, high, quantity.display[1], size=quantity.si_per_unit)
 
 
 def _dimensions(problem: ProblemFile) -> Iterator[Knob]:
@@ -92,9 +89,9 @@ def _dimensions(problem: ProblemFile) -> Iterator[Knob]:
     for name, quantity in problem.model.mechanism.quantities.items():
         if quantity.free:
             continue
-        value, unit = quantity.value / si_per_unit(quantity), KINDS[quantity.kind].display
+        value, unit = quantity.value / quantity.si_per_unit, quantity.display[1]
         room = (
-            ANGLE if quantity.kind == "angle" else 0.5 * (value if quantity.kind == "length" else largest / si_per_unit(quantity))
+            ANGLE if quantity.kind == "angle" else 0.5 * (value if quantity.kind == "length" else largest / quantity.si_per_unit)
         )
         yield Knob(name, value, value - room, value + room, unit, file_key(problem.raw["mechanism"], name))
 
@@ -112,9 +109,3 @@ def _limits(problem: ProblemFile) -> Iterator[Knob]:
             if unit == "deg":
                 low, high = max(0.0, value - ANGLE), min(180.0, value + ANGLE)
             yield Knob(words, value, low, high, unit, f"limits.{name}.{side}".rstrip("."))
-
-
-def si_per_unit(quantity: Quantity) -> float:
-    """Return the display unit of a quantity [SI]."""
-    unit = KINDS[quantity.kind].display
-    return factor(unit, quantity.kind) if unit else 1.0

@@ -19,8 +19,7 @@ from optlink.problem.file import MAX_BYTES, WORDS, ProblemFile, load, read, ship
 from optlink.problem.fixed_design import references
 from optlink.problem.quantity import nearest
 from optlink.problem.templates import template, templates
-from optlink.studies.toml_keys import exact_text, si_per_unit, value_at
-from optlink.units import KINDS
+from optlink.studies.toml_keys import exact_text, value_at
 from optlink.version import VERSION
 
 ROOM = 0.5  # share of a size by which it may change where the file has no bounds for it
@@ -89,8 +88,8 @@ class Document:
         quantity, key = self._quantity(size)
         if not quantity.free:
             return self
-        unit, value = KINDS[quantity.kind].display, quantity.value if value is None else value
-        made = self.with_changes({key: exact_text(value / si_per_unit(quantity), unit)})
+        unit, value = quantity.display[1], quantity.value if value is None else value
+        made = self.with_changes({key: exact_text(value / quantity.si_per_unit, unit)})
         return replace(made, freed={**self.freed, size: value_at(self.problem, key)})
 
     def released(self, size: str) -> Document:
@@ -104,7 +103,7 @@ class Document:
         quantity, key = self._quantity(size)
         if quantity.free:
             return self
-        per, unit = si_per_unit(quantity), KINDS[quantity.kind].display
+        per, unit = quantity.si_per_unit, quantity.display[1]
         value = quantity.value / per
         known = self.freed.get(size)
         if not isinstance(known, Mapping):

@@ -12,7 +12,7 @@ from optlink.dynamics.machine import Machine
 from optlink.io import finite
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import Motion, sweep
-from optlink.linkage.stroke import TURN
+from optlink.linkage.vector2d import TURN
 from optlink.report.drawing import Sketch
 
 Array = NDArray[np.float64]

@@ -21,7 +21,6 @@ from optlink.problem.path import PathProblem
 from optlink.report.style import scale
 from optlink.solvers.function_exchange import error_at
 from optlink.solvers.solution import key_of
-from optlink.studies.toml_keys import si_per_unit
 from optlink.studio.design import Design
 from optlink.studio.picture import Picture
 from optlink.units import KINDS
@@ -73,7 +72,7 @@ def variables(problem: ProblemFile, design: Design, lockable: Mapping[str, Any])
     for name, quantity in problem.model.quantities.items():
         if not quantity.free and name not in lockable:
             continue
-        size, unit = si_per_unit(quantity), KINDS[quantity.kind].display
+        size, unit = quantity.si_per_unit, quantity.display[1]
         low, high = (bound / size for bound in quantity.bounds)
         value = design.values.get(name, quantity.value) / size
         near = AT_BOUND * (high - low)

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from optlink.linkage.dyad_types import ModalDyad
 from optlink.linkage.mechanism import Mechanism
-from optlink.linkage.vector2d import unit
+from optlink.linkage.vector2d import TURN, unit
 from optlink.optimization.constraints import position_rows
 from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.path_nlp import scaled_variable
 from optlink.problem.limits import MARGIN_KEYS, Reach
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.path import START, TURN, PathProblem
+from optlink.problem.path import START, PathProblem
 from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 
 Array = NDArray[np.float64]

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.problem.path import STEP, TURN, PathProblem
+from optlink.linkage.vector2d import TURN
+from optlink.problem.path import STEP, PathProblem
 from optlink.synthesis import random_starts as starts
 from optlink.synthesis.batch import Batch
 from optlink.synthesis.levenberg_marquardt import FinalDesigns, minimise

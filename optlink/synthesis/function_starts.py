@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.fourbar import LENGTHS, transmission_cosine
-from optlink.linkage.vector2d import unit
-from optlink.problem.function import FULL_TURN, DesignProblem
+from optlink.linkage.vector2d import TURN, unit
+from optlink.problem.function import DesignProblem
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.function import Function
 from optlink.synthesis.freudenstein import FirstStep, first_steps, fit_pairs
@@ -117,7 +117,7 @@ def _grid(low: float, high: float, whole: bool) -> Array:
 def _into(start: Quantity, angle: float) -> float:
     """Shift an angle by whole revolutions into the bounds of its quantity if possible, as near to zero as possible."""
     low, high = start.bounds
-    turned = [angle + FULL_TURN * k for k in range(-2, 3)]
+    turned = [angle + TURN * k for k in range(-2, 3)]
     return min(turned, key=lambda a: (not low <= a <= high, abs(a)))
 
 

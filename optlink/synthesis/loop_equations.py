@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.vector2d import root
+from optlink.linkage.vector2d import TURN, root
 
 Array = NDArray[np.float64]
 
@@ -24,10 +24,9 @@ EXACT = 1e-9  # negligible output error [rad]
 
 def _cosine_range(low: Array, high: Array) -> tuple[Array, Array]:
     """Return the least and largest cosine over low ... high [rad]."""
-    turn = 2.0 * np.pi
     ends = np.cos(low), np.cos(high)
-    top = np.where(np.ceil(low / turn) * turn <= high, 1.0, np.maximum(*ends))
-    bottom = np.where(np.ceil((low - np.pi) / turn) * turn + np.pi <= high, -1.0, np.minimum(*ends))
+    top = np.where(np.ceil(low / TURN) * TURN <= high, 1.0, np.maximum(*ends))
+    bottom = np.where(np.ceil((low - np.pi) / TURN) * TURN + np.pi <= high, -1.0, np.minimum(*ends))
     return bottom, top
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.fourbar import LENGTHS
-from optlink.linkage.vector2d import unit
-from optlink.problem.path import MARK, START, STEP, TURN
+from optlink.linkage.vector2d import TURN, unit
+from optlink.problem.path import MARK, START, STEP
 from optlink.synthesis.batch import Batch
 from optlink.synthesis.inner_four_bar import inner_four_bars
 

@@ -17,7 +17,8 @@ from optlink.dynamics.work import Work
 from optlink.errors import Fault, InputError
 from optlink.linkage.alignment import AlignedPosition, positions_text
 from optlink.linkage.extrema import distinct, extremes, zeros
-from optlink.linkage.stroke import TURN, Ranges, Travel, range_end_reason, travels, within_cycle
+from optlink.linkage.stroke import Ranges, Travel, range_end_reason, travels, within_cycle
+from optlink.linkage.vector2d import TURN
 from optlink.problem.file import ProblemFile
 from optlink.tasks.machine import MARGIN, crank_speed, machine_of, motion_range, table_angles
 from optlink.tasks.results.analysis import Analysis, Extreme

@@ -16,8 +16,8 @@ from optlink.linkage.alignment import near_singular, positions_text
 from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.extrema import extremes_of_rows
 from optlink.linkage.motion import sweep
-from optlink.linkage.stroke import TURN, reachable
-from optlink.linkage.vector2d import Value
+from optlink.linkage.stroke import reachable
+from optlink.linkage.vector2d import TURN, Value
 from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import nearest

@@ -28,6 +28,7 @@ from optlink.clearance.statistics import WATCHED, PredictabilityCheck, Statistic
 from optlink.dynamics.ending import Ending
 from optlink.dynamics.machine import Machine
 from optlink.errors import Fault, InputError
+from optlink.linkage.vector2d import TURN
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import input_of, nearest
 from optlink.tasks.machine import check_regular, machine_of, motion_range, with_flywheel
@@ -35,7 +36,6 @@ from optlink.tasks.results.checkpoint import ClearanceCheckpoint, damaged, read_
 from optlink.tasks.results.clearance import SETTLED, ClearanceSimulation
 
 Array = NDArray[np.float64]
-TURN = 2.0 * math.pi
 EVERY = 5.0
 """Seconds between checkpoints."""
 

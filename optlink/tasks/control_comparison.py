@@ -14,6 +14,7 @@ from optlink.clearance.controller import Control
 from optlink.clearance.output import Output
 from optlink.errors import Fault, InputError
 from optlink.execution.runner import Runs, pool
+from optlink.linkage.vector2d import TURN
 from optlink.problem.base_model import SPELLINGS
 from optlink.problem.file import ProblemFile
 from optlink.tasks.clearance import checked
@@ -23,7 +24,6 @@ from optlink.tasks.results.checkpoint import ComparisonCheckpoint, RunRecord, Tu
 from optlink.tasks.results.control_comparison import Comparison, Trials, Tuning
 
 Array = NDArray[np.float64]
-TURN = 2.0 * np.pi
 KINDS = tuple(str(kind) for kind in Control)
 
 

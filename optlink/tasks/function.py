@@ -30,7 +30,7 @@ from optlink.tasks.results.certificate import Certificate, CertificateRecord, me
 from optlink.tasks.results.common import Optimum, SingleRecord, proven, shortest_link
 from optlink.tasks.results.fit import Fit, law_fit
 from optlink.tasks.search import Evidence, Timer, agreement, back_ends, evidence, part
-from optlink.units import show
+from optlink.units import display_unit, show
 from optlink.validation import Check, Validation
 from optlink.validation import validate as prove
 
@@ -43,7 +43,6 @@ MAX_STARTS = 100_000
 SAME_DESIGN = 1e-6  # of the frame
 LEVEL = 0.99  # fraction of the largest error that counts as an extreme value
 FLAT = 1e-7  # least curvature, for an objective scaled to 1, of a unique optimum
-PEOPLE = {"length": (1e3, "mm"), "angle": (math.degrees(1.0), "deg")}
 
 
 def display_value(name: str, value: float) -> tuple[float, str]:
@@ -55,7 +54,7 @@ def display_value(name: str, value: float) -> tuple[float, str]:
         Name of the quantity.
     value : float [m, rad]
     """
-    factor, unit = PEOPLE["angle" if name in ("phi0", "psi0") else "length"]
+    factor, unit = display_unit("angle" if name in ("phi0", "psi0") else "length")
     return value * factor, unit
 
 

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from optlink.errors import Status
 from optlink.linkage.fourbar import LENGTHS
+from optlink.linkage.vector2d import TURN
 from optlink.optimization.nlp import NLP
-from optlink.problem.function import FULL_TURN, DesignProblem
+from optlink.problem.function import DesignProblem
 from optlink.problem.targets.function import Function
 from optlink.solvers import multistart
 from optlink.solvers.contract import CLOSE
@@ -133,7 +134,7 @@ def _alike(one: Solution, other: Solution) -> bool:
         own = [names.index(name) for name in LENGTHS]
         away[own] = one.x[own] / one.x[own[-1]] - other.x[own] / other.x[own[-1]]
     turning = [names.index(name) for name in ("phi0", "psi0") if name in names]
-    away[turning] -= FULL_TURN * np.round(away[turning] / FULL_TURN)
+    away[turning] -= TURN * np.round(away[turning] / TURN)
     return float(np.max(np.abs(away), initial=0.0)) <= multistart.SAME_DESIGN
 
 

@@ -14,8 +14,8 @@ from optlink.dynamics.inertia import Inertia
 from optlink.dynamics.machine import Machine
 from optlink.errors import Fault, InputError
 from optlink.linkage.alignment import positions_text
-from optlink.linkage.stroke import TURN, Ranges, failure
-from optlink.linkage.vector2d import Value
+from optlink.linkage.stroke import Ranges, failure
+from optlink.linkage.vector2d import TURN, Value
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.quantity import input_of

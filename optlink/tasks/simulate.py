@@ -17,13 +17,13 @@ from optlink.dynamics.forward import Run, reduced_inertia, run
 from optlink.dynamics.machine import Machine
 from optlink.errors import Fault, InputError
 from optlink.linkage.continuation import continue_through_singularities
+from optlink.linkage.vector2d import TURN
 from optlink.problem.base_model import Columns, Contradiction, Number, Recorded, ResultRecord
 from optlink.problem.file import ProblemFile
 from optlink.tasks.machine import machine_of, motion_range, with_flywheel
 
 Array = NDArray[np.float64]
 MAX_ROWS = 1_000_000
-TURN = 2.0 * math.pi
 
 
 class SimulationRecord(ResultRecord):

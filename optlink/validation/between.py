@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.motion import sweep
-from optlink.problem.path import TURN, PathProblem
+from optlink.linkage.vector2d import TURN
+from optlink.problem.path import PathProblem
 
 Array = NDArray[np.float64]
 

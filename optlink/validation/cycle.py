@@ -16,8 +16,8 @@ from optlink.dynamics.machine import Machine, Moving
 from optlink.dynamics.work import NODES, WEIGHTS, Work, gauss_points
 from optlink.linkage.extrema import extremes
 from optlink.linkage.motion import Motion, sweep
-from optlink.linkage.stroke import TURN, Travel, reachable, travels
-from optlink.linkage.vector2d import Value, turn
+from optlink.linkage.stroke import Travel, reachable, travels
+from optlink.linkage.vector2d import TURN, Value, turn
 from optlink.problem.cycle.model import Bound, CycleProblem
 from optlink.problem.cycle.quantities import guide_of
 from optlink.problem.cycle.terms import Term, output_of

@@ -18,7 +18,7 @@ from optlink.linkage.extrema import extremes
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.motion import Motion, sweep
-from optlink.linkage.vector2d import Vector, unit
+from optlink.linkage.vector2d import TURN, Vector, unit
 from optlink.problem.function import DEAD_CENTRES, DesignProblem
 from optlink.problem.limits import limits_in_file
 from optlink.problem.robust import EXPECTED, WORST
@@ -33,7 +33,7 @@ from optlink.validation.check import (
     text,
     transmission_checks,
 )
-from optlink.validation.four_bar_motion import TURN, FourBarMotion
+from optlink.validation.four_bar_motion import FourBarMotion
 from optlink.validation.margins import alignment_check, at_least, grashof_check
 
 Array = NDArray[np.float64]

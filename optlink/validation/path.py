@@ -14,8 +14,9 @@ from optlink.linkage.extrema import extremes
 from optlink.linkage.mechanism import FRAME, Guide, Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.stroke import travels
+from optlink.linkage.vector2d import TURN
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.path import MARK, STEP, TURN, ZERO, PathProblem
+from optlink.problem.path import MARK, STEP, ZERO, PathProblem
 from optlink.validation.check import (
     POSITIONS,
     Check,

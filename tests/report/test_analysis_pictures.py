@@ -16,7 +16,7 @@ from PIL import Image
 import optlink
 from optlink.dynamics.columns import MotionColumns
 from optlink.linkage.motion import sweep
-from optlink.linkage.stroke import TURN
+from optlink.linkage.vector2d import TURN
 from optlink.report import style
 from optlink.report.chart_mpl import pictures
 from optlink.report.drawing import Sketch

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from optlink.dynamics.columns import slider_names
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import sweep
-from optlink.linkage.stroke import TURN
+from optlink.linkage.vector2d import TURN
 from optlink.report.export.svg import svg
 from optlink.report.html.theme import readable
 from optlink.report.scene import FLIP, Scene, scene

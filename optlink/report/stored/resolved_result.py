@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Status
-from optlink.linkage.stroke import TURN
+from optlink.linkage.vector2d import TURN
 from optlink.optimization.nlp import NLP
 from optlink.problem.file import ProblemFile
 from optlink.solvers.solution import Solution

@@ -19,7 +19,6 @@ from optlink.report.scene import scene
 from optlink.report.table_spec import Line, Paragraph, Part
 from optlink.tasks.analyze import analyze
 from optlink.tasks.results.analysis import Analysis
-from optlink.units import KINDS, factor
 
 DRAWN = 60  # largest number of selectable points with a drawing of their own
 
@@ -116,10 +115,10 @@ def named_si(file: ProblemFile, columns: Mapping[str, float]) -> dict[str, float
     """
     found = {}
     for name, quantity in file.model.quantities.items():
-        unit = KINDS[quantity.kind].display
+        unit = quantity.display[1]
         column = f"{name}_{unit}" if unit else name
         if column in columns:
-            found[name] = columns[column] * (factor(unit, quantity.kind) if unit else 1.0)
+            found[name] = columns[column] * quantity.si_per_unit
     return found
 
 

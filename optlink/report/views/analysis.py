@@ -14,7 +14,7 @@ from PIL import Image
 
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import sweep
-from optlink.linkage.stroke import TURN
+from optlink.linkage.vector2d import TURN
 from optlink.report.animation import film, there_and_back
 from optlink.report.chart_mpl import into
 from optlink.report.chart_spec import ChartSpec

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from optlink.dynamics.columns import slider_names
 from optlink.dynamics.strokes import last_output
 from optlink.linkage.mechanism import FRAME
-from optlink.linkage.stroke import TURN, Travel
+from optlink.linkage.stroke import Travel
+from optlink.linkage.vector2d import TURN
 from optlink.report.chart_spec import Axis, ChartSpec, Curve, Dash, Line, Mark, Panel, Span, crank_angle
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, WANTED, Scale, degrees, scale
 from optlink.report.views.analysis_curves import NOTHING, CycleCurves

@@ -11,8 +11,7 @@ from optlink.report.format import fixed, number
 from optlink.report.table_spec import Line, Paragraph, Row, Summary, TableSpec, bad, good, noted, quiet, summary, table, verdict
 from optlink.tasks.results.clearance import ClearanceSimulation
 from optlink.tasks.results.control_comparison import Comparison, Tuning
-
-TO_DISPLAY = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg")}
+from optlink.units import DISPLAYED
 
 
 def simulation(outcome: ClearanceSimulation) -> Summary:
@@ -42,7 +41,7 @@ def _status(outcome: ClearanceSimulation) -> Iterator[Line]:
 
 def _error(outcome: ClearanceSimulation) -> TableSpec:
     found, unit = outcome.figures, outcome.output.unit
-    factor, displayed = TO_DISPLAY[unit]
+    factor, displayed = DISPLAYED[unit]
     first, last = outcome.revolutions - int(found["settled_revolutions"]) + 1, outcome.revolutions
     span = f"revolutions {first} ... {last}" if last > first else f"revolution {last}"
     rows = [
@@ -98,7 +97,7 @@ def _account(outcome: ClearanceSimulation) -> TableSpec:
 
 def comparison(outcome: Comparison) -> Summary:
     """Tabulate all kinds of control of a comparison."""
-    factor, displayed = TO_DISPLAY[outcome.unit]
+    factor, displayed = DISPLAYED[outcome.unit]
     count = len(outcome.starts)
     starts = "one crank angle at the start" if count == 1 else f"{count} crank angles at the start"
     status = f"{outcome.revolutions} revolutions from each of {starts} (seed {outcome.seed})"
@@ -116,7 +115,7 @@ def comparison(outcome: Comparison) -> Summary:
 
 def tuning(outcome: Tuning) -> Summary:
     """Summarise a search for controller parameters and its best set."""
-    factor, displayed = TO_DISPLAY[outcome.unit]
+    factor, displayed = DISPLAYED[outcome.unit]
     starts = "one crank angle" if outcome.starts == 1 else f"{outcome.starts} crank angles"
     runs = f"{outcome.revolutions} revolutions from each of {starts} at the start (seed {outcome.seed})"
     stopped = int(np.sum(~np.isfinite(outcome.costs)))

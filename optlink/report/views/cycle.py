@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from optlink.dynamics.columns import MotionColumns
 from optlink.linkage.motion import sweep
-from optlink.linkage.stroke import TURN
-from optlink.linkage.vector2d import Value
+from optlink.linkage.vector2d import TURN, Value
 from optlink.problem.cycle.terms import Term
 from optlink.problem.file import ProblemFile
 from optlink.report import chart_spec

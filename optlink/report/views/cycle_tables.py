@@ -14,7 +14,7 @@ from optlink.report.views.analysis_tables import machine_strokes
 from optlink.report.views.function_tables import active, checks, ending, graded, search_verdict
 from optlink.report.views.relaxations import conflict
 from optlink.solvers.solution import LimitState
-from optlink.tasks.results.cycle import CycleResult, display_unit
+from optlink.tasks.results.cycle import CycleResult
 from optlink.units import factor
 
 
@@ -78,8 +78,8 @@ def _status(outcome: CycleResult) -> Iterator[Line]:
 def _sizes(outcome: CycleResult) -> TableSpec:
     rows = []
     for name, value in outcome.values.items():
-        size, unit = display_unit(outcome.task, name)
         quantity = outcome.task.quantities[name]
+        size, unit = quantity.display
         low, high = (bound * size for bound in quantity.bounds)
         rows.append((name, strong(fixed(value * size)), unit, fixed(quantity.value * size), quiet(f"{low:g} ... {high:g}")))
     title = "Design" if outcome.status is not Status.INFEASIBLE else "Nearest design found (it does not meet the limits)"
@@ -101,7 +101,7 @@ def _optima(outcome: CycleResult) -> TableSpec:
     reached = sum(optimum.count for optimum in outcome.optima)
     rows = []
     for optimum in outcome.optima[:8]:
-        values = [fixed(optimum.design[name] * display_unit(outcome.task, name)[0], 2) for name in free]
+        values = [fixed(optimum.design[name] * outcome.task.quantities[name].display[0], 2) for name in free]
         rows.append((number(optimum.objective, 7), *values, str(optimum.count)))
     title = f"Distinct optima: {len(outcome.optima)}, reached by {reached} searches"
     return table(title, [">objective", *(f">{name}" for name in free), ">searches"], rows, appendix=True)
@@ -114,7 +114,7 @@ def _backends(outcome: CycleResult) -> TableSpec:
         ("objective", *(number(solution.objective, 9) for solution in found), outcome.unit),
     ]
     for name in outcome.values:
-        size, unit = display_unit(outcome.task, name)
+        size, unit = outcome.task.quantities[name].display
         rows.append((name, *(fixed(solution.design[name] * size, 5) for solution in found), unit))
     rows.append(("KKT residual", *(f"{solution.kkt:.1e}" for solution in found), ""))
     return table("Back ends", ["", *(f">{name}" for name in outcome.backends), ""], rows, appendix=True)

@@ -14,7 +14,7 @@ from PIL import Image
 
 from optlink.linkage.fourbar import dead_centre, lengths_of, reachable
 from optlink.linkage.motion import Motion, sweep
-from optlink.linkage.stroke import TURN
+from optlink.linkage.vector2d import TURN
 from optlink.optimization.output_derivatives import ErrorResiduals
 from optlink.problem.file import ProblemFile
 from optlink.problem.targets.function import Function

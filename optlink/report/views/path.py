@@ -6,8 +6,6 @@ mechanism, output or transmission angles, alternative designs.
 
 from __future__ import annotations
 
-import functools
-
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -18,8 +16,8 @@ from PIL import Image
 
 from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.motion import Motion
+from optlink.linkage.vector2d import TURN
 from optlink.problem.file import ProblemFile
-from optlink.problem.path import TURN
 from optlink.report.animation import film, there_and_back
 from optlink.report.chart_spec import ChartSpec
 from optlink.report.drawing import Sketch
@@ -37,7 +35,7 @@ from optlink.report.views.path_outputs import curve, function_values, mechanism,
 from optlink.report.views.path_residuals import errors
 from optlink.report.views.path_tables import objective_scale
 from optlink.report.views.path_view import PathView, best
-from optlink.tasks.results.path import PathDesign, PathResult, display_unit
+from optlink.tasks.results.path import PathDesign, PathResult
 
 Array = NDArray[np.float64]
 FRAMES = 90
@@ -57,7 +55,7 @@ def charts(result: PathResult) -> list[ChartSpec]:
         *objective_scale(task),
         design.values if design.valid else {},
         design.assembly,
-        functools.partial(display_unit, task),
+        lambda name: task.quantities[name].display,
     )
     return own + proof
 

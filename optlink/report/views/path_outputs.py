@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from optlink.linkage.dyad_types import transmitting
-from optlink.problem.path import TURN, PathProblem
+from optlink.linkage.vector2d import TURN
+from optlink.problem.path import PathProblem
 from optlink.problem.targets.function import Function
 from optlink.report.animation import film, there_and_back
 from optlink.report.chart_mpl import into

@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from optlink.linkage.cognates import Cognate, CouplerLinkage
-from optlink.problem.path import TURN, PathProblem
+from optlink.linkage.vector2d import TURN
+from optlink.problem.path import PathProblem
 from optlink.report.format import fixed, number, precise, significant, times
 from optlink.report.table_spec import (
     Line,
@@ -29,7 +30,8 @@ from optlink.report.views.certificate_view import certificate_lines, certificate
 from optlink.report.views.function_tables import active, checks, graded, search_verdict
 from optlink.report.views.relaxations import conflict
 from optlink.tasks.machine import turning_machine
-from optlink.tasks.results.path import LEVEL, OUTPUT, PathDesign, PathResult, display_unit
+from optlink.tasks.results.path import LEVEL, PathDesign, PathResult
+from optlink.units import DISPLAYED
 
 ALIKE = 1e-3  # relative tolerance for equal four-bars
 BOUNDED = " within its bounds"
@@ -81,7 +83,7 @@ def _status(outcome: PathResult, best: PathDesign) -> Iterator[Line]:
 def _sizes(design: PathDesign, chosen: bool) -> TableSpec:
     task, rows = design.task, []
     for name, quantity in task.quantities.items():
-        factor, unit = display_unit(task, name)
+        factor, unit = quantity.display
         low, high = (bound * factor for bound in quantity.bounds)
         value = significant(design.values[name] * factor)
         remark = quiet(f"free, {low:g} ... {high:g}" if quantity.free else "fixed")
@@ -103,7 +105,7 @@ def modes(design: PathDesign) -> dict[str, str]:
 
 def _objective(design: PathDesign) -> TableSpec:
     measured, task = design.measured, design.task
-    factor, unit = OUTPUT[task.unit]
+    factor, unit = DISPLAYED[task.unit]
     rms, largest = math.sqrt(float((measured.distances**2).mean())), float(measured.distances.max())
     what = {"m": "distance", "rad": "error", "": "cosine"}[task.unit]
     remark = f"{what}: rms {number(factor * rms, 4)}, largest {number(factor * largest, 4)} {unit}".rstrip()
@@ -127,7 +129,7 @@ def measure(task: PathProblem) -> str:
 
 def objective_scale(task: PathProblem) -> tuple[float, str]:
     """Return the factor of the objective from SI to its display unit, and that unit."""
-    factor, unit = OUTPUT[task.unit]
+    factor, unit = DISPLAYED[task.unit]
     return (factor**2, f"{unit}^2" if unit else unit) if task.measure == "sum of squares" else (factor, unit)
 
 
@@ -193,7 +195,7 @@ def _alternatives(outcome: PathResult) -> TableSpec:
     best, task = designs[0], designs[0].task
     columns = [_column(design, related.get(k)) for k, design in enumerate(designs)]
     names = [(measure(task), displayed_objective_unit(best)), ("least transmission angle", "deg"), ("same curve as", "")]
-    names += [(name, display_unit(task, name)[1]) for name in task.quantities if task.quantities[name].free]
+    names += [(name, quantity.display[1]) for name, quantity in task.quantities.items() if quantity.free]
     names += [(joint, "") for joint in dict.fromkeys(f"assembly {one}".rstrip() for design in designs for one in modes(design))]
     rows: list[Row] = [
         (name, quiet(unit), *(column.get(name, "") for column in columns))
@@ -213,7 +215,7 @@ def _column(design: PathDesign, related: int | None) -> dict[str, str]:
         found["same curve as"] = f"cognate of {related + 1}"
     for name, quantity in design.task.quantities.items():
         if quantity.free:
-            found[name] = significant(design.values[name] * display_unit(design.task, name)[0])
+            found[name] = significant(design.values[name] * quantity.display[0])
     return found | {f"assembly {joint}".rstrip(): mode for joint, mode in modes(design).items()}
 
 

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.motion import Motion, sweep
-from optlink.problem.path import MARK, TURN
+from optlink.linkage.vector2d import TURN
+from optlink.problem.path import MARK
 from optlink.report.drawing import Sketch
 from optlink.report.shapes import finite, spread
 from optlink.report.views.path_tables import exact_places

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.fourbar import LENGTHS
-from optlink.problem.function import FULL_TURN, DesignProblem
+from optlink.linkage.vector2d import TURN
+from optlink.problem.function import DesignProblem
 from optlink.problem.targets.function import Function
 from optlink.solvers.global_search.branch_and_bound import Boxes, BranchAndBound
 from optlink.solvers.global_search.function_bounds import FunctionBounds, followed
@@ -127,7 +128,7 @@ def linkage_sets(problem: DesignProblem, error: float) -> list[LinkageSet]:
     low, high = (np.zeros(4) for _ in range(2))
     for k, name in enumerate(("phi0", "psi0")):
         start, end = problem.quantities[name].bounds
-        low[k], high[k] = start - WIDEN, min(end, start + FULL_TURN) + WIDEN
+        low[k], high[k] = start - WIDEN, min(end, start + TURN) + WIDEN
     for k, (least, most) in ((2, ratios[0]), (3, ratios[2])):
         low[k], high[k] = (1.0 - WIDEN) / most, (1.0 + WIDEN) / least
     if problem.limits.crank == "full rotation":  # the crank is the shortest link

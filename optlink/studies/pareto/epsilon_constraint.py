@@ -31,7 +31,6 @@ from optlink.optimization.pareto_front import ends, knee, undominated
 from optlink.problem.base_model import Record, Recorded, ResultRecord
 from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import sizes_of
-from optlink.problem.quantity import Quantity
 from optlink.studies.cycle_task import CycleTask
 from optlink.studies.grid import AxisRecord, Grid
 from optlink.studies.pareto.cycle_objectives import cycle_figures
@@ -43,7 +42,6 @@ from optlink.studies.reoptimise_task import CHUNK, SLOW_CHUNK, ReoptimiseTask, c
 from optlink.studies.sweep import TemporaryFolder
 from optlink.studies.sweep_task import SweepTask
 from optlink.tasks.function import solve
-from optlink.units import KINDS, factor
 from optlink.version import VERSION
 
 Array = NDArray[np.float64]
@@ -382,9 +380,9 @@ class _Once:
 def _point(base: ProblemFile, task: SweepTask, aims: tuple[ParetoObjective, ...], row: Mapping[str, str]) -> ParetoPoint | None:
     """Return a row with its objectives evaluated: by inverse dynamics for a machine, from the limits of the linkage for a law."""
     assert isinstance(task, CycleTask | ReoptimiseTask)
-    columns = {name: f"{name}_{KINDS[quantity.kind].display}" for name, quantity in task.free.items()}
+    columns = {name: f"{name}_{quantity.display[1]}" for name, quantity in task.free.items()}
     design = {column: float(row[column]) for column in columns.values()}
-    values = {name: design[columns[name]] * _people(quantity) for name, quantity in task.free.items()}
+    values = {name: design[columns[name]] * quantity.si_per_unit for name, quantity in task.free.items()}
     if isinstance(task, CycleTask):
         measured = cycle_figures(base, aims, values)
     else:
@@ -392,10 +390,6 @@ def _point(base: ProblemFile, task: SweepTask, aims: tuple[ParetoObjective, ...]
         error = float(next(value for name, value in row.items() if name.startswith("objective")))
         measured = tuple(law_figure(task.template.spec, aim, full) if aim.key else error for aim in aims)
     return ParetoPoint(measured, design, row["active"], "") if np.all(np.isfinite(measured)) else None
-
-
-def _people(quantity: Quantity) -> float:
-    return factor(KINDS[quantity.kind].display, quantity.kind)
 
 
 def _marked(

@@ -13,7 +13,7 @@ from optlink.problem.function import DesignProblem
 from optlink.problem.quantity import Interval, StrokeRatio, nearest, range_example
 from optlink.studies.pareto.objective import OPTION, ParetoObjective
 from optlink.studies.toml_keys import Raw, exact_text, value_at
-from optlink.units import KINDS, factor
+from optlink.units import factor
 
 ERROR = "error"
 MOVABLE = (
@@ -70,8 +70,7 @@ def law_objective(problem: ProblemFile, name: str) -> ParetoObjective:
     if not quantity.free:
         remedy = f"Free it, for example: --set mechanism.{key}={range_example(quantity.kind)}"
         raise InputError(Fault(f"{key} is fixed at {quantity}, it cannot move", remedy, problem.file, OPTION, name))
-    unit = KINDS[quantity.kind].display
-    return ParetoObjective(name, key, unit, 1 if side == "max" else -1, f"mechanism.{key}.{side}")
+    return ParetoObjective(name, key, quantity.display[1], 1 if side == "max" else -1, f"mechanism.{key}.{side}")
 
 
 def limit_in_file(problem: ProblemFile, key: str) -> Raw | None:

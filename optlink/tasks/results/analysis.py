@@ -17,7 +17,8 @@ from optlink.dynamics.flywheel import Flywheel
 from optlink.dynamics.inverse import acting_on
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.strokes import StrokeLoad, acting_loads, travels_by_use, use_of, working_stroke
-from optlink.linkage.stroke import TURN, Ranges, Travel, travels, within_cycle
+from optlink.linkage.stroke import Ranges, Travel, travels, within_cycle
+from optlink.linkage.vector2d import TURN
 from optlink.problem.base_model import Columns, Number, Record, Recorded, ResultRecord, absent
 from optlink.problem.file import ProblemFile
 

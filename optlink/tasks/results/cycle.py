@@ -22,9 +22,9 @@ from optlink.problem.quantity import Unusable
 from optlink.solvers.solution import Solution
 from optlink.tasks.analyze import analyze
 from optlink.tasks.results.analysis import Analysis, stroke_document
-from optlink.tasks.results.common import Optimum, SingleRecord, proven
+from optlink.tasks.results.common import Optimum, SingleRecord, in_display_units, proven
 from optlink.tasks.results.fit import Fit, transmission_fit
-from optlink.units import KINDS, factor
+from optlink.units import KINDS, display_unit, factor
 from optlink.validation.check import Check, Validation
 from optlink.validation.cycle import Cycle, validate_cycle
 
@@ -79,7 +79,7 @@ class CycleRecord(SingleRecord):
         """
         kind = result.task.unit_kind
         objective = CycleObjectiveRecord(value=result.objective, unit=KINDS[kind].si if kind else "")
-        design = display_values(result.task, {**sizes_of(result.problem.model.quantities), **result.values})
+        design = in_display_units({**sizes_of(result.problem.model.quantities), **result.values}, result.task.quantities)
         return super().of(result, design=design, objective=objective, **values)
 
 
@@ -132,7 +132,7 @@ class CycleResult(Recorded):
     @property
     def unit(self) -> str:
         """Display unit of the objective."""
-        return KINDS[self.task.unit_kind].display if self.task.unit_kind else ""
+        return display_unit(self.task.unit_kind)[1] if self.task.unit_kind else ""
 
     @cached_property
     def machine(self) -> ProblemFile:
@@ -224,7 +224,7 @@ class CycleResult(Recorded):
 
     def displayed(self, design: Mapping[str, float]) -> dict[str, float]:
         """Return a design [SI] in display units, which end the keys."""
-        return display_values(self.task, design)
+        return in_display_units(design, self.task.quantities)
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -256,27 +256,3 @@ def analysis_of(task: CycleProblem, values: Mapping[str, float]) -> Cycle | None
         return Cycle(task, values)
     except Unusable:
         return None
-
-
-def display_unit(task: CycleProblem, name: str) -> tuple[float, str]:
-    """Return the factor from SI and the display unit of a quantity.
-
-    Parameters
-    ----------
-    task : CycleProblem
-    name : str
-        Name of a quantity.
-    """
-    kind = task.quantities[name].kind
-    return 1.0 / factor(KINDS[kind].display, kind), KINDS[kind].display
-
-
-def display_values(task: CycleProblem, values: Mapping[str, float]) -> dict[str, float]:
-    """Return quantities in their display units, each unit appended to the key.
-
-    Parameters
-    ----------
-    task : CycleProblem
-    values : mapping of str to float [SI]
-    """
-    return {f"{name}_{display_unit(task, name)[1]}": value * display_unit(task, name)[0] for name, value in values.items()}

@@ -25,6 +25,7 @@ from pydantic import Field
 
 from optlink.linkage.fourbar import LENGTHS, grashof
 from optlink.linkage.motion import sweep
+from optlink.linkage.vector2d import TURN
 from optlink.problem.base_model import Record
 from optlink.problem.function import DesignProblem
 from optlink.problem.mechanism import FourBarSection
@@ -35,7 +36,6 @@ from optlink.units import show
 from optlink.validation.path import MeasuredDeviations
 
 Array = NDArray[np.float64]
-TURN = 2.0 * math.pi
 
 EXACT, GOOD, FAIR = 1e-9, 0.01, 0.05  # largest relative errors of these grades; beyond, a fit is poor
 GOOD_ANGLE, FAIR_ANGLE = math.radians(45.0), math.radians(40.0)  # least transmission angles of these grades

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Annotated, Any, Literal, Self
@@ -19,19 +19,20 @@ from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.extrema import extremes
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.motion import sweep
+from optlink.linkage.vector2d import TURN
 from optlink.problem.base_model import Number, Record, Recorded, Rows, absent
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.path import START, TURN, PathProblem
+from optlink.problem.path import START, PathProblem
 from optlink.solvers.solution import LimitState, Relaxation, Solution
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.analysis import stroke_document
 from optlink.tasks.results.certificate import Certificate, CertificateRecord, message
-from optlink.tasks.results.common import SearchRecord, proven
+from optlink.tasks.results.common import SearchRecord, in_display_units, proven
 from optlink.tasks.results.fit import Fit, FitRecord, path_fit, transmission_fit
 from optlink.tasks.search import Evidence
-from optlink.units import KINDS, factor
+from optlink.units import DISPLAYED
 from optlink.validation.between import excursions
 from optlink.validation.check import Check, Validation
 from optlink.validation.path import MeasuredDeviations, deviations, transmission_angles
@@ -177,35 +178,6 @@ class PathDesign(Summary):
         return PathDesignRecord.of(self).document()
 
 
-def display_unit(task: PathProblem, name: str) -> tuple[float, str]:
-    """Return the factor from SI and the display unit of a quantity.
-
-    Parameters
-    ----------
-    task : PathProblem
-    name : str
-        Name of a quantity.
-    """
-    unit = KINDS[task.quantities[name].kind].display
-    return 1.0 / factor(unit, task.quantities[name].kind), unit
-
-
-def display_values(task: PathProblem, values: Mapping[str, float]) -> dict[str, float]:
-    """Return a design in display units.
-
-    Parameters
-    ----------
-    task : PathProblem
-    values : mapping of str to float [m, rad]
-        All quantities.
-    """
-    return {name: values[name] * display_unit(task, name)[0] for name in task.quantities}
-
-
-OUTPUT = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg"), "": (1.0, "")}
-"""Factor from SI and unit in which deviations are shown."""
-
-
 def objective_unit(task: PathProblem) -> str:
     """Return the SI unit of the objective."""
     return f"{task.unit}^2" if task.measure == "sum of squares" and task.unit else task.unit
@@ -273,7 +245,7 @@ class PathDesignRecord(Record):
             Values of fields, in place of those of the result.
         """
         measured, task = result.measured, result.task
-        size, unit = OUTPUT[task.unit]
+        size, unit = DISPLAYED[task.unit]
         points: dict[str, Array] = {"crank_deg": np.degrees(result.crank_angles)}
         if task.pointed:
             points["x_mm"], points["y_mm"] = (measured.generated * 1e3).T
@@ -296,7 +268,7 @@ class PathDesignRecord(Record):
         if measured.turned is not None:
             points["turned_deg"] = np.degrees(measured.turned)
             objective["largest_turned_deg"] = math.degrees(float(np.max(np.abs(measured.turned))))
-        names = {f"{name}_{display_unit(task, name)[1]}": v for name, v in display_values(task, result.values).items()}
+        names = in_display_units({name: result.values[name] for name in task.quantities}, task.quantities)
         values |= {name: getattr(result.solution, name, None) for name in ("kkt", "violation", "iterations")}
         least = math.degrees(result.least_transmission)
         return super().of(result, design=names, objective=objective, points=points, least_transmission_deg=least, **values)
