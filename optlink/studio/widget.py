@@ -16,7 +16,6 @@ import anywidget
 import traitlets
 
 from optlink.problem.file import ProblemFile
-from optlink.studies.toml_keys import si_per_unit
 from optlink.studio.document import Document, hello
 from optlink.studio.link import Link, Worker
 from optlink.tasks.run import solve
@@ -158,7 +157,7 @@ class Canvas(anywidget.AnyWidget):
             return dict(self.result.design)
         quantities = self.problem.model.quantities
         shown = json.loads(self._state)["variables"]
-        return {one["name"]: one["value"] * si_per_unit(quantities[one["name"]]) for one in shown if not one["locked"]}
+        return {one["name"]: one["value"] * quantities[one["name"]].si_per_unit for one in shown if not one["locked"]}
 
     @property
     def status(self) -> str:
