@@ -58,8 +58,9 @@ class NLPValues:
     def finite(self) -> bool:
         """Whether all values are finite."""
         flat = self.jacobian.ravel(order="K")
-        squares = self.gradient @ self.gradient + self.g @ self.g + flat @ flat  # finite only if every value is
-        if math.isfinite(self.f) and math.isfinite(squares):
+        # finite only if every value is; no dot product of long arrays, which wakes the threads of BLAS
+        total = self.gradient @ self.gradient + self.g @ self.g + np.add.reduce(flat)
+        if math.isfinite(self.f) and math.isfinite(total):
             return True
         return math.isfinite(self.f) and all(bool(np.all(np.isfinite(a))) for a in (self.gradient, self.g, flat))
 
