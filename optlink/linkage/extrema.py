@@ -301,12 +301,7 @@ def zeros(function: Function, grid: Array, count: int = 60, *, still: bool = Fal
     -------
     one rising array per function; sign changes across a gap (NaN) or a jump to NaN do not count
     """
-    values = in_portions(function, grid)
-    if still:
-        size = np.max(np.where(np.isfinite(values), np.abs(values), 0.0), axis=1, keepdims=True, initial=0.0)
-        values = np.where(np.abs(values) <= STILL * size, 0.0, values)
-    left, right = values[:, :-1], values[:, 1:]
-    crossing = np.isfinite(left) & np.isfinite(right) & (np.sign(left) * np.sign(right) <= 0.0) & (left != 0.0)
+    crossing, left, right = sign_changes(in_portions(function, grid), still=still)
     which, where = np.nonzero(crossing)
 
     def own(angles: Array, brackets: Index) -> Array:
@@ -319,7 +314,24 @@ def zeros(function: Function, grid: Array, count: int = 60, *, still: bool = Fal
     rest = np.flatnonzero(np.isnan(found))
     low, high, at_low, at_high = (end[rest] for end in ends)
     found[rest] = refined_roots(lambda angles, brackets: own(angles, rest[brackets]), low, high, at_low, at_high, count)
-    return [found[which == k] for k in range(len(values))]
+    return [found[which == k] for k in range(len(crossing))]
+
+
+def sign_changes(values: Array, *, still: bool = False) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Return between which samples functions change sign (..., n - 1), and their values before and after each step.
+
+    Parameters
+    ----------
+    values : array (..., n)
+        Samples of each function.
+    still : bool
+        Whether the functions are rates that may be zero over a range: rounding errors then count as zero.
+    """
+    if still:
+        size = np.max(np.where(np.isfinite(values), np.abs(values), 0.0), axis=-1, keepdims=True, initial=0.0)
+        values = np.where(np.abs(values) <= STILL * size, 0.0, values)
+    left, right = values[..., :-1], values[..., 1:]
+    return np.isfinite(left) & np.isfinite(right) & (np.sign(left) * np.sign(right) <= 0.0) & (left != 0.0), left, right
 
 
 def _newton(slope: Slope, k: int, low: float, high: float, at_low: float, at_high: float) -> float:

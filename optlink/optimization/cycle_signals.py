@@ -6,6 +6,7 @@ crank angles of these events are unknowns of the NLP, and within a stroke everyt
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from optlink.dynamics.inverse import Reactions, reactions, required_wrench
 from optlink.dynamics.loads import Force, Load
 from optlink.dynamics.machine import Machine, Moving, jet_parts
-from optlink.linkage.extrema import zeros
+from optlink.linkage.extrema import sign_changes, zeros
 from optlink.linkage.jet import Jet
 from optlink.linkage.motion import Motion
 from optlink.linkage.stroke import Direction, slow_stroke
@@ -80,6 +81,24 @@ class EventOrder:
     def like(self, other: EventOrder) -> bool:
         """Return whether the same events occur in the same order."""
         return (self.which, self.rising) == (other.which, other.rising)
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A design [SI] with the number of its events of each kind; the events themselves are computed when they are needed."""
+
+    values: Mapping[str, float]
+    counts: tuple[int, ...]
+    events: Callable[[], EventOrder] | None
+
+    @cached_property
+    def structure(self) -> EventOrder | None:
+        """The events; None if the crank cannot rotate fully."""
+        return None if self.events is None else self.events()
+
+    def may_be_like(self, other: EventOrder) -> bool:
+        """Return False if this design cannot have the events of another one in the same order."""
+        return self.events is not None and all(count == other.which.count(k) for k, count in enumerate(self.counts))
 
 
 def _reversal(load: Load) -> Callable[[Moving], Value]:
@@ -281,21 +300,23 @@ class TracedCycle:
 
     def structure(self, values: Mapping[str, float]) -> EventOrder | None:
         """Return the events of a design; None if the crank cannot rotate fully."""
-        return next(self.structures([values]))
+        return next(self.samples([values])).structure
 
-    def structures(self, designs: Sequence[Mapping[str, float]]) -> Iterator[EventOrder | None]:
-        """Yield the events of each design; None if the crank cannot rotate fully."""
+    def samples(self, designs: Sequence[Mapping[str, float]]) -> Iterator[Sample]:
+        """Yield each design with what is needed to compute its events."""
         known = np.array([self.inputs(values) for values in designs])
         grid = np.linspace(0.0, TURN, GRID + 1) + 0.37 * TURN / GRID
         there = self._watch(*known.T[..., None], grid)
-        for k, inputs in enumerate(known):
-            yield self._structure(inputs, grid, there[:, k])
+        groups = len(self.mechanism.groups)
+        rotates = np.all(np.isfinite(there), axis=(0, 2)) & np.all(there[:groups] >= 0.0, axis=(0, 2))
+        counts = np.count_nonzero(sign_changes(there[groups : groups + len(self.events)], still=True)[0], axis=-1).T
+        for k, values in enumerate(designs):
+            found = functools.partial(self._structure, known[k], grid, there[:, k]) if rotates[k] else None
+            yield Sample(values, tuple(counts[k].tolist()), found)
 
-    def _structure(self, known: Array, grid: Array, there: Array) -> EventOrder | None:
+    def _structure(self, known: Array, grid: Array, there: Array) -> EventOrder:
         """Return the events of a design from its margins and event functions on a grid of crank angles."""
         groups = len(self.mechanism.groups)
-        if not np.all(np.isfinite(there)) or np.any(there[:groups] < 0.0):
-            return None
         if not self.events:
             return EventOrder((), (), ())
 

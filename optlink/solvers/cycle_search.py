@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from optlink.errors import Status
 from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
-from optlink.optimization.cycle_signals import EventOrder, TracedCycle
+from optlink.optimization.cycle_signals import EventOrder, Sample, TracedCycle
 from optlink.problem.function import EPIGRAPH
 from optlink.solvers import multistart
 from optlink.solvers.contract import backend
@@ -47,19 +47,19 @@ class StartSequence:
     """A fixed sequence of starting points: the design of the file, then random ones within the bounds."""
 
     def __init__(self, trace: TracedCycle, seed: int) -> None:
-        self.trace, self._known = trace, list[tuple[Mapping[str, float], EventOrder | None]]()
+        self.trace, self._known = trace, list[Sample]()
         task = trace.problem
         given = {name: task.quantities[name].value for name in task.free}
         low, high = np.array([task.quantities[name].bounds for name in task.free]).T
         drawn = (dict(zip(task.free, x.tolist(), strict=True)) for x in multistart.sobol(low, high, seed))
         self._next = itertools.chain([given], drawn)
 
-    def first(self, count: int) -> Iterator[tuple[Mapping[str, float], EventOrder | None]]:
-        """Iterate over the design of the file and `count` random ones, with their structure (None if the crank cannot rotate)."""
+    def first(self, count: int) -> Iterator[Sample]:
+        """Iterate over the design of the file and `count` random ones."""
         for k in range(count + 1):
             if k == len(self._known):
                 many = list(itertools.islice(self._next, BLOCK if k else 1))
-                self._known += zip(many, self.trace.structures(many), strict=True)
+                self._known += self.trace.samples(many)
             yield self._known[k]
 
 
@@ -81,12 +81,15 @@ def start_groups(samples: StartSequence, count: int, fits: Callable[[EventOrder]
     order: EventOrder | None = None
     found: dict[tuple[bool, ...], StartGroup] = {}
     choices = list(itertools.product((True, False), repeat=len(samples.trace.paced)))
-    for k, (values, structure) in enumerate(samples.first(SAMPLES * count)):
+    for k, sample in enumerate(samples.first(SAMPLES * count)):
+        if order is not None and not sample.may_be_like(order):
+            continue
+        structure = sample.structure
         if structure is None or not fits(structure):
             continue
         order = structure if order is None else order
         if structure.like(order):
-            _sort_in(found, choices, values, structure)
+            _sort_in(found, choices, sample.values, structure)
         if (k >= SAMPLES or len(choices) == 1) and any(len(own.starts) >= count for own in found.values()):
             break
     return [StartGroup(own.structure, own.starts[:count]) for own in found.values()]
@@ -123,11 +126,12 @@ def further_start_groups(
     found = [StartGroup(replace(first.structure, slow=slow), first.starts) for slow in missing]
     groups: dict[tuple[object, ...], dict[tuple[bool, ...], StartGroup]] = {}
     frequent: Counter[tuple[object, ...]] = Counter()
-    for k, (values, structure) in enumerate(samples.first(SAMPLES * max(count, STARTS))):
+    for k, sample in enumerate(samples.first(SAMPLES * max(count, STARTS))):
+        structure = sample.structure
         if structure is not None and not structure.like(first.structure) and fits(structure):
             key = (structure.which, structure.rising)
             frequent[key] += k <= SAMPLES * STARTS
-            _sort_in(groups.setdefault(key, {}), choices, values, structure)
+            _sort_in(groups.setdefault(key, {}), choices, sample.values, structure)
     for order, _ in frequent.most_common(ORDERS):
         found += [StartGroup(own.structure, own.starts[:count]) for own in groups[order].values()]
     return found
