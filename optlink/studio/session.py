@@ -287,7 +287,7 @@ class Session:
         """Show the optimum near the last design with its validation, then the result of the ordinary search."""
         problem, ident = self._document.problem, self._id
         if self._design is None:
-            self._show(replace(started(problem), conclusion=BEGUN), problem, moving=False)
+            self._show(replace(started(problem), conclusion=BEGUN), problem, moving=False, searching=True)
         if self._design is not None and self._design.solution is not None and problem.model.free:
             definite = self._definite(problem)
             near = self._followed(definite)
@@ -298,7 +298,7 @@ class Session:
             if near.solution is not None and near.solution.usable:
                 seen = checked(near)
                 self._design = replace(seen, conclusion=FIRST) if seen.status == "verified" else replace(near, conclusion=BEGUN)
-                self._show(self._design, problem, moving=False)
+                self._show(self._design, problem, moving=False, searching=True)
 
         def progress(share: float) -> None:
             self._send({"type": "progress", "id": ident, "fraction": share, "text": "searching"})
@@ -329,8 +329,8 @@ class Session:
 
     # --- the state ----------------------------------------------------------------------------------------------------------
 
-    def _show(self, design: Design, problem: ProblemFile, *, moving: bool) -> None:
-        """Send the state of a design; parts of the last state that are the same are left out."""
+    def _show(self, design: Design, problem: ProblemFile, *, moving: bool, searching: bool = False) -> None:
+        """Send the state of a design; `searching`: whether the full search for a better one runs."""
         assert self._history is not None
         done, self._verdict, self._last = time.perf_counter(), design.status, (design, problem)
         try:
@@ -347,6 +347,7 @@ class Session:
             "type": "state",
             "id": self._id,
             "moving": moving,
+            "searching": searching,
             "document": {
                 "name": document.name,
                 "title": title,

@@ -2,19 +2,19 @@
 import { Background } from "./background.js";
 import { dropDown, keyboard, takeFiles } from "./commands.js";
 import { Curve } from "./curve.js";
-import { $, download, el, setText, svg, toast } from "./dom.js";
+import { $, download, hint, setText, svg, toast } from "./dom.js";
 import { Handles } from "./handles.js";
 import { Linkage } from "./linkage.js";
 import { embedded, Live } from "./live.js";
 import { Motion } from "./motion.js";
 import { Panel, verdictOf } from "./panel.js";
+import { guide, Search } from "./search.js";
 import { Start } from "./start.js";
 import "./theme.js";
 import { round125, View } from "./view.js";
 
 const EMPTY = [-120, -80, 320, 200]; // box of an empty canvas [mm]
 const root = document.documentElement;
-const LONG = 900; // after which a search is mentioned [ms]
 const SLOW = 300; // after which a change that takes longer shows that it is computed [ms]
 
 // --- token: out of the address bar, kept for reconnecting ----------------------------------------------------------------------
@@ -108,6 +108,7 @@ const knobs = new Handles(canvas, view, {
   blocked: () => tool !== "select",
   grab: (handle) => {
     motion.stop();
+    guide.done();
     const at = reference(handle);
     if (at !== null) {
       motion.put(at);
@@ -180,6 +181,7 @@ function preview(scene) {
 // --- what the server says -------------------------------------------------------------------------------------------------------
 
 let refit = true; // the next state is another problem
+let entering = true; // its first design is still to come
 
 function take(next) {
   const scene = next.scene ? { ...next.scene } : null;
@@ -196,14 +198,27 @@ function take(next) {
   if (scene && !refit && !next.moving && !view.touched && !view.holds(extent(scene, next.targets))) {
     view.fit(extent(scene, next.targets));
   }
+  const draft = next.searching && !Number.isFinite(next.objective?.value); // the starting point of the first search
+  canvas.toggleAttribute("data-draft", Boolean(draft));
+  canvas.classList.remove("preview");
+  if (refit) {
+    entering = true;
+    panel.begin();
+  }
   if (refit && scene) {
     view.fit(extent(scene, next.targets));
     motion.put(0);
+  }
+  if (entering && scene && !draft) {
+    entering = false;
     if (!matchMedia("(prefers-reduced-motion: reduce)").matches) {
       motion.play();
     }
   }
   refit = false;
+  if (!next.moving && !next.searching && scene) {
+    guide.show(handles);
+  }
   knobs.infeasible = next.status === "infeasible";
   knobs.take(handles);
   panel.take(state, handles);
@@ -261,11 +276,11 @@ const live = new Live(keptToken(), {
   },
   state(message) {
     busy(false);
-    searching(null);
+    search.state(message);
     fresh = fresh && !message.handles ? { ...message, handles: fresh.handles, scene: merged(message.scene, fresh.scene) } : message;
     redrawNow();
   },
-  progress: ({ fraction, text }) => searching(fraction, text),
+  progress: ({ fraction, text }) => search.take(fraction, text),
   candidates: (message) => (busy(false), curve.candidates(message)),
   file({ name, media, text, base64 }) {
     busy(false);
@@ -281,8 +296,11 @@ const live = new Live(keptToken(), {
   },
   fault({ message }) {
     busy(false);
-    searching(null);
+    search.take(null);
     toast(message, true);
+    if (linkage.canvas.classList.contains("preview")) {
+      preview(null);
+    }
     if (!state && !start.open && tool !== "draw") {
       start.show(false);
     }
@@ -311,30 +329,10 @@ function ask(type, fields) {
   return live.send(type, fields);
 }
 
-function searching(fraction, text) {
-  const running = fraction !== null && fraction < 1;
-  root.toggleAttribute("data-searching", running);
-  setText($("search"), running ? "Stop" : "Search");
-  clearTimeout(searching.timer);
-  if (running) {
-    searching.begun ??= performance.now();
-    const share = fraction > 0 ? ` ${Math.round(100 * fraction)} %` : "";
-    const left = Math.max(0, searching.begun + LONG - performance.now());
-    searching.timer = setTimeout(() => hint(`${text === "searching" ? "Searching for a better design …" : text}${share}`), left);
-  } else {
-    if (searching.running) {
-      hint(null);
-    }
-    searching.begun = null;
-  }
-  searching.running = running;
-}
-
-function hint(text, action) {
-  const node = $("hint");
-  node.hidden = !text;
-  node.replaceChildren(text || "", ...(action ? [el("button", { text: action.text, class: "inline", onclick: action.run })] : []));
-}
+const search = new Search({
+  send: (type) => (type === "stop" ? live.send(type) : ask(type)),
+  objective: () => state?.objective?.value,
+});
 
 // --- tools ------------------------------------------------------------------------------------------------------------------------
 
@@ -397,7 +395,6 @@ $("save").addEventListener("click", () => ask("save"));
 $("share").addEventListener("click", () => ask("link"));
 $("undo").addEventListener("click", () => ask("undo"));
 $("redo").addEventListener("click", () => ask("redo"));
-$("search").addEventListener("click", () => live.send(searching.running ? "stop" : "search"));
 $("zoom-in").addEventListener("click", () => view.zoom(1.4));
 $("zoom-out").addEventListener("click", () => view.zoom(1 / 1.4));
 $("zoom-fit").addEventListener("click", () => view.fit(linkage.scene ? extent(linkage.scene, linkage.targets) : EMPTY));

@@ -2,7 +2,7 @@
 import { el, keyed, number, plain, setText, svg, unitText } from "./dom.js";
 import { round125 } from "./view.js";
 
-const [WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM] = [340, 150, 44, 10, 8, 22];
+const [WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM] = [340, 150, 44, 14, 8, 22];
 const FINE = 1e-9;
 const SLACK = 0.01; // of a crank angle, rounded [deg]
 
@@ -20,6 +20,7 @@ function angles(low, high) {
   return Array.from({ length: Math.floor(high / step + FINE) - first + 1 }, (_, k) => (first + k) * step);
 }
 
+const turning = (chart) => /deg|°/.test(chart.x.unit || "");
 const finite = (values) => values.filter((value) => value !== null && Number.isFinite(value));
 
 function build() {
@@ -32,14 +33,15 @@ function build() {
     svg("g", { class: "series" }),
     svg("line", { class: "cursor", y1: TOP, y2: HEIGHT - BOTTOM, visibility: "hidden" })
   );
-  return el("figure", { class: "chart" }, el("figcaption", {}), plot, el("p", { class: "legend" }));
+  return el("figure", { class: "chart" }, el("figcaption", {}, el("span"), el("small")), plot, el("p", { class: "legend" }));
 }
 
 function update(node, chart) {
   const [caption, plot, legend] = node.children;
   const [title, grid, limits, series, cursor] = plot.children;
   const unit = unitText(chart.series[0]?.unit || "");
-  setText(caption, chart.title + (unit ? ` [${unit}]` : ""));
+  setText(caption.firstChild, chart.title + (unit ? ` [${unit}]` : ""));
+  setText(caption.lastChild, chart.x.label ? `over ${chart.x.label}${turning(chart) || !chart.x.unit ? "" : ` [${unitText(chart.x.unit)}]`}` : "");
   const x = chart.x.values;
   const marks = (chart.limits || []).filter((one) => Number.isFinite(one.value));
   const every = finite([...chart.series.flatMap((one) => one.values), ...marks.map((one) => one.value)]);
@@ -49,10 +51,10 @@ function update(node, chart) {
   const [x0, x1] = x.length ? [Math.min(x[0], x.at(-1)), Math.max(x[0], x.at(-1))] : [0, 1];
   const px = (value) => LEFT + ((value - x0) / (x1 - x0 || 1)) * (WIDTH - LEFT - RIGHT);
   const py = (value) => HEIGHT - BOTTOM - ((value - y0) / (y1 - y0)) * (HEIGHT - TOP - BOTTOM);
-  const turning = /deg|°/.test(chart.x.unit || "");
+  const angular = turning(chart);
   const lines = [
     ...ticks(y0, y1, 4).map((value) => ({ value, up: true })),
-    ...(turning ? angles(x0, x1) : ticks(x0, x1, 5)).map((value) => ({ value, up: false })),
+    ...(angular ? angles(x0, x1) : ticks(x0, x1, 5)).map((value) => ({ value, up: false })),
   ];
   keyed(
     grid,
@@ -66,7 +68,7 @@ function update(node, chart) {
       text.setAttribute("x", up ? LEFT - 5 : at.toFixed(1));
       text.setAttribute("y", up ? (at + 3.5).toFixed(1) : HEIGHT - 8);
       text.setAttribute("text-anchor", up ? "end" : "middle");
-      setText(text, short(value) + (!up && turning ? "°" : ""));
+      setText(text, short(value) + (!up && angular ? "°" : ""));
     }
   );
   keyed(
@@ -112,7 +114,7 @@ function update(node, chart) {
   );
   setText(title, `${chart.title}: ${chart.series.map((one) => `${one.label} from ${number(Math.min(...finite(one.values)), 3)} to ${number(Math.max(...finite(one.values)), 3)} ${unitText(one.unit || "")}`).join("; ")}`);
   node.cursor = (angle) => {
-    const inside = turning && angle !== null && x.length > 1;
+    const inside = angular && angle !== null && x.length > 1;
     const shown = inside ? x0 + ((((angle - x0 + SLACK) % 360) + 360) % 360) - SLACK : 0;
     const seen = inside && shown <= x1 + SLACK;
     cursor.setAttribute("visibility", seen ? "inherit" : "hidden");

@@ -14,11 +14,12 @@ export class Curve {
     this.line = svg("path", { class: "stroke" });
     this.fitted = svg("path", { class: "fitted" });
     overlay.append(this.line, this.fitted);
-    $("tray-close").addEventListener("click", () => this.close());
+    $("tray-close").addEventListener("click", () => (this.close(), actions.preview(null)));
   }
 
   begin(event) {
     this.close();
+    this.actions.preview(null);
     this.stroke = [this.view.of(event)];
     this.draw();
   }
@@ -81,7 +82,6 @@ export class Curve {
     this.items = items;
     $("tray").hidden = false;
     const time = Number.isFinite(seconds) ? `, ${seconds.toFixed(1)} s` : "";
-    this.actions.fit([...this.points, ...items.flatMap(({ scene }) => (scene ? corners(scene.box) : []))]);
     const count = `${items.length} four-bar${items.length === 1 ? "" : "s"}${time}`;
     setText($("tray-title"), !items.length ? (done ? "No four-bar found for this curve" : "Searching four-bars …") : done ? count : `${count}, searching for better ones …`);
     $("tray").toggleAttribute("data-searching", !done);
@@ -92,6 +92,10 @@ export class Curve {
       (_, k) => this.item(k),
       (node, one, k) => this.fill(node, one, k)
     );
+    if (!this.pointed && items[0]?.scene && JSON.stringify(items[0].design) !== this.best) {
+      this.best = JSON.stringify(items[0].design); // the best one moves until another one is pointed at
+      this.look(items[0]);
+    }
   }
 
   item(k) {
@@ -103,11 +107,9 @@ export class Curve {
       el("small")
     );
     const node = el("div", { role: "listitem" }, button);
-    const look = () => this.look(this.items[k]);
+    const look = () => ((this.pointed = true), this.look(this.items[k]));
     button.addEventListener("pointerenter", look);
     button.addEventListener("focus", look);
-    button.addEventListener("pointerleave", () => this.look(null));
-    button.addEventListener("blur", () => this.look(null));
     button.addEventListener("click", () => this.choose(k));
     return node;
   }
@@ -133,15 +135,15 @@ export class Curve {
   }
 
   look(item) {
-    this.shown = item || null;
+    this.shown = item;
+    this.actions.fit([...this.points, ...corners(item.scene.box)]);
     this.draw();
-    this.actions.preview(item?.scene || null);
+    this.actions.preview(item.scene);
   }
 
   choose(k) {
-    const item = this.items[k];
-    this.look(null);
-    this.actions.choose(item?.id ?? k);
+    this.chosen = this.items[k]; // stays drawn until its state arrives
+    this.actions.choose(this.chosen?.id ?? k);
     this.close();
   }
 
@@ -149,7 +151,8 @@ export class Curve {
     this.stroke = [];
     this.id = null;
     this.closed = false;
-    this.shown = null;
+    this.shown = this.best = null;
+    this.pointed = false;
     $("tray").hidden = true;
     this.draw();
   }

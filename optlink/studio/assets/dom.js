@@ -95,12 +95,19 @@ export function download(name, media, content) {
   setTimeout(() => URL.revokeObjectURL(address), 10000);
 }
 
+export function hint(text, action) {
+  const node = $("hint");
+  node.hidden = !text;
+  node.replaceChildren(text || "", ...(action ? [el("button", { text: action.text, class: "inline", onclick: action.run })] : []));
+}
+
 let hiding = 0;
 export function toast(text, bad = false) {
   const node = $("toast");
-  node.textContent = text;
+  const close = () => (node.hidden = true);
+  node.replaceChildren(text, ...(bad ? [el("button", { class: "icon", "aria-label": "Close", onclick: close }, icon("close"))] : []));
   node.classList.toggle("bad", bad);
   node.hidden = false;
   clearTimeout(hiding);
-  hiding = setTimeout(() => (node.hidden = true), bad ? 9000 : 4000);
+  hiding = setTimeout(close, bad ? 12000 : 4000);
 }

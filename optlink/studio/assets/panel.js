@@ -34,9 +34,9 @@ export class Panel {
     this.actions = actions;
     this.cursor = () => {};
     $("result").append(
-      el("p", { class: "verdict", id: "verdict" }, el("span", { class: "sign", "aria-hidden": "true" }), el("span")),
+      el("div", { class: "head" }, el("p", { class: "verdict", id: "verdict" }, el("span", { class: "sign", "aria-hidden": "true" }), el("span")), el("small", { id: "took" })),
       el("p", { class: "conclusion", id: "conclusion" }),
-      el("p", { class: "objective", id: "objective" }, el("span"), el("b"), el("small"))
+      el("p", { class: "objective", id: "objective" }, el("span"), el("b"))
     );
   }
 
@@ -54,14 +54,23 @@ export class Panel {
     this.cursor = drawCharts($("charts"), state.charts || []);
   }
 
+  // Another problem begins.
+  begin() {
+    for (const node of $("sliders").lastChild?.children || []) {
+      node.range = null;
+    }
+  }
+
   verdict(state) {
     const [sign, words, look] = verdictOf(state.status);
     const node = $("verdict");
     node.className = `verdict ${look}`;
     setText(node.children[0], sign);
     setText(node.children[1], words);
-    setText($("conclusion"), state.conclusion || "");
-    const [label, value, took] = $("objective").children;
+    const said = $("conclusion");
+    said.style.minHeight = state.moving && said.offsetHeight ? `${said.offsetHeight}px` : ""; // what lies below does not jump in a drag
+    setText(said, (state.conclusion || "").replace(/(\d) (?=[%µmN°])/g, "$1\u00a0"));
+    const [label, value] = $("objective").children;
     const known = Number.isFinite(state.objective?.value) && state.status !== "infeasible";
     $("objective").hidden = !known && (!state.moving || !state.objective || state.status === "infeasible");
     if (state.objective) {
@@ -69,7 +78,7 @@ export class Panel {
       setText(value, quantity(state.objective.value, state.objective.unit, 6));
     }
     const seconds = state.seconds?.solve;
-    setText(took, Number.isFinite(seconds) ? (seconds < 1 ? `${number(1e3 * seconds, 2)} ms` : `${number(seconds, 2)} s`) : "");
+    setText($("took"), Number.isFinite(seconds) && !state.searching ? `${state.moving ? "optimised" : "solved"} in ${seconds < 1 ? `${number(1e3 * seconds, 2)} ms` : `${number(seconds, 2)} s`}` : "");
   }
 
   conflicts(sentences) {
@@ -211,7 +220,8 @@ export class Panel {
     if (!parent.firstChild) {
       parent.append(el("h2", { text: "Requirement and limits" }), el("div", { class: "list" }));
     }
-    setText(parent.firstChild, handles.every((one) => one.size) ? "Sizes" : "Requirement and limits");
+    const sizes = handles.filter((one) => one.size).length;
+    setText(parent.firstChild, sizes === handles.length ? "Sizes" : sizes ? "Sizes, requirement and limits" : "Requirement and limits");
     keyed(parent.lastChild, handles, (one) => `${one.id} ${one.kind}`, (one) => this.slider(one), (node, one) => this.fillSlider(node, one));
   }
 
@@ -234,7 +244,12 @@ export class Panel {
     node.handle = handle;
     const [head, ...inputs] = node.children;
     const values = handle.kind === "range" ? handle.value : [handle.value];
-    const [low, high] = [handle.lower ?? Math.min(...values) - Math.abs(values[0] || 1), handle.upper ?? Math.max(...values) + Math.abs(values[0] || 1)];
+    const [least, most] = [Math.min(...values), Math.max(...values)];
+    const edge = node.range ? 0.02 * (node.range[1] - node.range[0]) : 0;
+    if (!node.range || least < node.range[0] + edge || most > node.range[1] - edge) {
+      node.range = [least - Math.abs(values[0] || 1), most + Math.abs(values[0] || 1)]; // kept until a value comes to its end
+    }
+    const [low, high] = [handle.lower ?? node.range[0], handle.upper ?? node.range[1]];
     setText(head.children[0], handle.label);
     setText(head.children[1], values.map((one) => quantity(one, handle.unit, 4, plain)).join(" … "));
     inputs.forEach((input, k) => {
@@ -262,7 +277,7 @@ export class Panel {
       ({ children: [name, price] }, one) => {
         const sides = one.limit.replace("<=", "≤").replace(">=", "≥");
         setText(name, sides + (Number.isFinite(one.value) ? ` ${quantity(one.value, one.unit, 4, plain)}` : ""));
-        setText(price, one.price === null ? "–" : quantity(/[<>]/.test(one.limit) ? Math.abs(one.price) : one.price, one.price_unit, 4));
+        setText(price, one.price === null ? "–" : quantity(/[<>]/.test(one.limit) ? Math.abs(one.price) : one.price, one.price_unit?.replace(/^1 per/, "per"), 4));
       }
     );
   }
