@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from optlink.linkage.fourbar import LENGTHS
+from optlink.linkage.vector2d import TURN
 from optlink.problem.file import ProblemFile, read
 from optlink.problem.targets.target_points import read_file
 from optlink.problem.tolerances import read_tolerance
@@ -30,6 +32,23 @@ def fixed_design(file: ProblemFile, values: Mapping[str, float]) -> ProblemFile:
     for name, quantity in file.model.mechanism.quantities.items():
         write(raw["mechanism"], name, f"{values[name] / quantity.si_per_unit!r} {quantity.display[1]}")
     return read(raw, file.name, file.file, file.folder)
+
+
+def started(machine: ProblemFile, begin: float, way: float) -> ProblemFile:
+    """Return a machine with another start of its crank.
+
+    Parameters
+    ----------
+    machine : ProblemFile
+    begin : float [rad]
+        Crank angle at the start; the machine is returned unchanged if it is not finite.
+    way : float
+        The sign of the crank speed; 0 for that of the machine.
+    """
+    if not math.isfinite(begin):
+        return machine
+    speed = math.copysign(machine.model.drive.speed.value, way) if way else machine.model.drive.speed.value
+    return machine.override({"drive.start": f"{math.remainder(begin, TURN)!r} rad", "drive.speed": f"{speed!r} rad/s"})
 
 
 def with_files_beside(file: ProblemFile) -> tuple[ProblemFile, dict[str, bytes]]:

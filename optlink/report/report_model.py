@@ -8,9 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from optlink.errors import InputError
-from optlink.linkage.vector2d import TURN
 from optlink.problem.file import ProblemFile
-from optlink.problem.fixed_design import fixed_design
 from optlink.solvers.solution import LimitState
 from optlink.tasks.analyze import analyze
 from optlink.tasks.function import FunctionResult
@@ -112,37 +110,8 @@ def report_model_of(
     if isinstance(outcome, Analysis):
         return ReportModel(problem, outcome, outcome, limits=limits, notes=notes)
     try:
-        machine = resulting_machine(outcome)
+        machine = outcome.machine
         cycle = None if machine is None else analyze(machine)
     except InputError as error:
         return ReportModel(problem, outcome, None, error.faults[0].message, limits, notes)
     return ReportModel(problem, outcome, cycle, "" if cycle else "no linkage was found", limits, notes)
-
-
-def resulting_machine(outcome: FunctionResult | PathResult | CycleResult) -> ProblemFile | None:
-    """Return the resulting machine with all dimensions fixed; its crank starts and turns as the task requires.
-
-    None if the search found no design.
-
-    Raises
-    ------
-    InputError
-        If the dimensions do not form a linkage.
-    """
-    if isinstance(outcome, FunctionResult):
-        return _begun(fixed_design(outcome.problem, outcome.design), outcome.design["phi0"], outcome.problem.spec.span)
-    if not isinstance(outcome, PathResult):
-        return outcome.machine
-    design = outcome.best
-    if design is None:
-        return None
-    begin, end = float(design.crank_angles[0]), float(design.crank_angles[-1])
-    return _begun(fixed_design(design.problem, design.values), begin, end - begin)
-
-
-def _begun(machine: ProblemFile, begin: float, way: float) -> ProblemFile:
-    """Return the machine with its crank at `begin` [rad], turning in the direction of `way`."""
-    if not math.isfinite(begin):
-        return machine
-    speed = math.copysign(machine.model.drive.speed.value, way) if way else machine.model.drive.speed.value
-    return machine.override({"drive.start": f"{math.remainder(begin, TURN)!r} rad", "drive.speed": f"{speed!r} rad/s"})

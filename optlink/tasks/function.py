@@ -6,7 +6,7 @@ import functools
 import json
 import math
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
@@ -19,15 +19,16 @@ from optlink.errors import Fault, InputError, Status
 from optlink.linkage.assur import EITHER
 from optlink.linkage.fourbar import LENGTHS
 from optlink.optimization.objectives import MEASURES
-from optlink.problem.base_model import Number, Record, Recorded, absent
+from optlink.problem.base_model import Number, Record, absent
 from optlink.problem.file import ProblemFile, parse_assignment
+from optlink.problem.fixed_design import fixed_design, started
 from optlink.problem.quantity import Quantity, input_of, nearest, read_quantity
 from optlink.solvers.function_exchange import ALONG, error_at, error_function
 from optlink.solvers.solution import Relaxation, Solution
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.analysis import stroke_document
 from optlink.tasks.results.certificate import Certificate, CertificateRecord, message
-from optlink.tasks.results.common import Optimum, SingleRecord, proven, shortest_link
+from optlink.tasks.results.common import Optimum, SingleRecord, SingleResult, shortest_link
 from optlink.tasks.results.fit import Fit, law_fit
 from optlink.tasks.search import Evidence, Timer, agreement, back_ends, evidence, part
 from optlink.units import display_unit, show
@@ -128,7 +129,7 @@ class FunctionRecord(SingleRecord):
 
 
 @dataclass(frozen=True, repr=False)
-class FunctionResult(Recorded):
+class FunctionResult(SingleResult):
     """A design with its validation, or the reason why there is none."""
 
     record = FunctionRecord
@@ -158,11 +159,6 @@ class FunctionResult(Recorded):
         return message(self.status, self.certificate)
 
     @property
-    def valid(self) -> bool:
-        """Whether the design is validated, and optimal if it was searched."""
-        return proven(self.status, self.validation)
-
-    @property
     def notes(self) -> tuple[str, ...]:
         """Notes for the user."""
         free = set(self.problem.spec.free)
@@ -178,11 +174,6 @@ class FunctionResult(Recorded):
     def evidence(self) -> Evidence | None:
         """Evidence of the random starts on optima not found; None without random starts."""
         return evidence(self.counts) if self.counts else None
-
-    @property
-    def definite(self) -> ProblemFile:
-        """The problem with the assembly mode of the design."""
-        return self.problem
 
     @property
     def assembly(self) -> str:
@@ -228,13 +219,14 @@ class FunctionResult(Recorded):
         return task.measure if task.robust is None else task.robust.named(task.measure)
 
     @property
+    def machine(self) -> ProblemFile:
+        """The problem with all dimensions fixed at the design; its crank starts and turns as the task requires."""
+        return started(fixed_design(self.problem, self.design), self.design["phi0"], self.problem.spec.span)
+
+    @property
     def unit(self) -> str:
         """Unit of the objective."""
         return MEASURES[self.problem.spec.requirement.measure].unit
-
-    def with_checks(self, checks: Sequence[Check]) -> Self:
-        """Return the result with further checks."""
-        return replace(self, validation=replace(self.validation, checks=(*self.validation.checks, *checks)))
 
     def displayed(self, design: Mapping[str, float]) -> dict[str, float]:
         """Return a design [SI] in display units, which end the keys."""

@@ -31,7 +31,7 @@ from optlink.studies.sensitivity import Sensitivities, of_solution
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.analysis import Analysis
 from optlink.tasks.results.cycle import CycleResult
-from optlink.tasks.results.path import PathResult
+from optlink.tasks.results.path import PathDesign, PathResult
 
 __all__ = ["LARGEST", "page", "result_tables", "sensitivities_of", "verdict", "write_page"]
 
@@ -122,16 +122,12 @@ def sensitivities_of(subject: ReportModel) -> Sensitivities | None:
 
     None if there was no optimisation, no optimum, an exact solution, or no parameter with an effect.
     """
-    outcome = subject.result
-    if isinstance(outcome, FunctionResult | CycleResult):
-        file, solution = outcome.problem, outcome.solution
-    elif isinstance(outcome, PathResult) and outcome.best is not None and not path_tables.exact(outcome.best):
-        file, solution = outcome.best.problem, outcome.best.solution
-    else:
+    best = getattr(subject.result, "best", None)
+    if best is None or best.solution is None or best.solution.status is not Status.OPTIMAL:
         return None
-    if solution is None or solution.status is not Status.OPTIMAL:
+    if isinstance(best, PathDesign) and path_tables.exact(best):
         return None
-    found = of_solution(file, solution)
+    found = of_solution(best.problem, best.solution)
     return found if found.moving else None
 
 
@@ -140,9 +136,9 @@ def verdict(subject: ReportModel) -> str:
     if isinstance(subject.result, Analysis):
         return f"{subject.result.status[0].upper()}{subject.result.status[1:]}"
     if subject.valid:
-        outcome = subject.result.best if isinstance(subject.result, PathResult) else subject.result
-        fit = getattr(outcome, "fit", None)
-        beside = f"; {outcome.comparison}" if isinstance(outcome, CycleResult) and outcome.comparison else ""
+        best = getattr(subject.result, "best", None)
+        fit, comparison = (getattr(best, name, None) for name in ("fit", "comparison"))
+        beside = f"; {comparison}" if comparison else ""
         return (f"Valid, {fit.text}" if fit is not None and fit.grade == "poor" else "Valid: every check passed") + beside
     if subject.result.status is Status.INFEASIBLE:
         return "No feasible design"
@@ -156,8 +152,7 @@ def _conclusion(subject: ReportModel, shown: Summary) -> str:
     if isinstance(outcome, Analysis):
         return conclusions.analysis(outcome)
     if isinstance(outcome, FunctionResult | PathResult | CycleResult):
-        best = outcome.best if isinstance(outcome, PathResult) else outcome
-        solution = None if best is None else best.solution
+        solution = None if outcome.best is None else outcome.best.solution
         text = conclusions.design(outcome, subject.limits if solution is None else solution.limits)
         return f"{conclusions.sensitivities(subject.answers)} {text}" if subject.answers is not None else text
     return "".join(span.text for line in shown.status.lines[:1] for span in line)
@@ -165,11 +160,7 @@ def _conclusion(subject: ReportModel, shown: Summary) -> str:
 
 def _failed(subject: ReportModel) -> str:
     """Return the names of the failed checks."""
-    outcome = subject.result
-    if isinstance(outcome, PathResult):
-        proof = None if outcome.best is None else outcome.best.validation
-    else:
-        proof = None if isinstance(outcome, Analysis) else outcome.validation
+    proof = getattr(subject.result, "validation", None)
     names = [check.name for check in proof.checks if not check.passed] if proof else []
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
@@ -215,8 +206,7 @@ def _with_recorded_limits(subject: ReportModel, shown: Summary) -> list[Part]:
 
 def _priced(outcome: Outcome) -> bool:
     """Return whether the result has its own shadow prices."""
-    found = outcome.best if isinstance(outcome, PathResult) else outcome
-    return getattr(found, "solution", None) is not None
+    return getattr(outcome, "solution", None) is not None
 
 
 def _recorded(subject: ReportModel) -> Part:

@@ -2,34 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Status
 from optlink.linkage.vector2d import TURN
 from optlink.optimization.nlp import NLP
-from optlink.problem.file import ProblemFile
 from optlink.solvers.solution import Solution
+from optlink.tasks.function import FunctionResult
+from optlink.tasks.results.cycle import CycleResult
 from optlink.tasks.results.path import PathDesign
 
 Array = NDArray[np.float64]
 SAME = 1e-5  # tolerance in scaled units; a larger step leads to a different optimum
 
 
-def law_optimum(file: ProblemFile, design: Mapping[str, float]) -> Solution | None:
-    """Return the optimum of a function synthesis at a design; None if the design is not an optimum.
+def optimum(design: FunctionResult | CycleResult | PathDesign) -> Solution | None:
+    """Return the optimum at a design; None if the design is not an optimum."""
+    if isinstance(design, PathDesign):
+        return _path_optimum(design)
+    return _machine_optimum(design) if isinstance(design, CycleResult) else _law_optimum(design)
 
-    Parameters
-    ----------
-    file : ProblemFile
-    design : mapping of str to float [m, rad]
-    """
+
+def _law_optimum(result: FunctionResult) -> Solution | None:
     from optlink.optimization.nlp import build
     from optlink.tasks.function import solve
 
+    file, design = result.problem, result.design
     if not file.spec.everywhere:
         return _at(build(file.spec), dict(design))
     # the positions of the largest errors belong to the nonlinear program: solve from the optimum, which must not move
@@ -37,33 +36,26 @@ def law_optimum(file: ProblemFile, design: Mapping[str, float]) -> Solution | No
     return None if found is None else _same(found, found.nlp.x_of(dict(design)))
 
 
-def machine_optimum(file: ProblemFile, values: Mapping[str, float]) -> Solution | None:
-    """Return the optimum of a cycle optimisation at a design; None if the design is not an optimum.
+def _machine_optimum(result: CycleResult) -> Solution | None:
+    """Return the optimum of a cycle optimisation.
 
     The crank angles of the peaks belong to the nonlinear program, which is therefore solved from the design; it must not move.
-
-    Parameters
-    ----------
-    file : ProblemFile
-    values : mapping of str to float [m, rad]
-        Design variables.
     """
     from optlink.optimization.cycle_nlp import CycleNLP
     from optlink.studies.cycle_parameters import CLOSE
     from optlink.studies.cycle_task import with_starting_values
     from optlink.tasks.cycle import solve as solve_cycle
 
-    found = solve_cycle(with_starting_values(file, values), CLOSE, starts=1).solution
+    found = solve_cycle(with_starting_values(result.problem, result.values), CLOSE, starts=1).solution
     if found is None or found.status is not Status.OPTIMAL:
         return None
     assert isinstance(found.nlp, CycleNLP)
     count = len(found.nlp.free)
-    away = found.x[:count] - found.nlp.x_of(values)[:count]
+    away = found.x[:count] - found.nlp.x_of(result.values)[:count]
     return found if float(np.max(np.abs(away))) <= SAME else None
 
 
-def path_optimum(design: PathDesign) -> PathDesign:
-    """Return a path, motion or function synthesis design with its solution, which is None if it is not an optimum."""
+def _path_optimum(design: PathDesign) -> Solution | None:
     from optlink.optimization.path_nlp import angle_name, build_path_nlp
     from optlink.solvers import multistart
     from optlink.solvers.path_exchange import solve_semi_infinite
@@ -73,7 +65,7 @@ def path_optimum(design: PathDesign) -> PathDesign:
     own = {angle_name(k): float(angle) for k, angle in enumerate(angles)}
     x = nlp.x_of({**design.values, **own})
     start = multistart.solution_at(nlp, x, "read from a result file")
-    return replace(design, solution=_same(solve_semi_infinite(design.task, start, "ipopt", near=True), x))
+    return _same(solve_semi_infinite(design.task, start, "ipopt", near=True), x)
 
 
 def _at(nlp: NLP, values: dict[str, float]) -> Solution | None:

@@ -19,18 +19,18 @@ from optlink.problem.base_model import Contradiction, ResultRecord, check_length
 from optlink.problem.file import ProblemFile
 from optlink.problem.path import PathProblem
 from optlink.report.report_model import Outcome, ReportModel, report_model_of
-from optlink.report.stored.resolved_result import law_optimum, machine_optimum, path_optimum
+from optlink.report.stored.resolved_result import optimum
 from optlink.report.stored.stored_study import named_si
 from optlink.solvers.solution import LimitState
 from optlink.studies.sensitivity import SensitivitiesRecord
 from optlink.tasks.analyze import analyze
 from optlink.tasks.certify import exact
-from optlink.tasks.cycle import validate as validate_cycle
-from optlink.tasks.function import FunctionRecord, FunctionResult, read_design, validate
-from optlink.tasks.results.analysis import AnalysisRecord
+from optlink.tasks.function import FunctionRecord, FunctionResult, read_design
+from optlink.tasks.results.analysis import Analysis, AnalysisRecord
 from optlink.tasks.results.common import SingleRecord
-from optlink.tasks.results.cycle import CycleRecord, CycleResult
+from optlink.tasks.results.cycle import CycleResult
 from optlink.tasks.results.path import PathDesign, PathDesignRecord, PathRecord, PathResult
+from optlink.tasks.run import validate
 from optlink.units import UnitProblem, factor
 from optlink.validation import Check
 from optlink.validation.check import Validation
@@ -88,13 +88,10 @@ def _certified(outcome: Outcome, record: ResultRecord) -> Outcome:
 
 def _solved(outcome: Outcome) -> Outcome:
     """Return an outcome with the solution of its optimum restored."""
-    if isinstance(outcome, FunctionResult) and outcome.status is Status.OPTIMAL:
-        return replace(outcome, solution=law_optimum(outcome.problem, outcome.design))
-    if isinstance(outcome, CycleResult) and outcome.status is Status.OPTIMAL:
-        return replace(outcome, solution=machine_optimum(outcome.problem, outcome.values))
-    if isinstance(outcome, PathResult) and outcome.designs and outcome.designs[0].status is Status.OPTIMAL:
-        return replace(outcome, designs=(path_optimum(outcome.designs[0]), *outcome.designs[1:]))
-    return outcome
+    best = None if isinstance(outcome, Analysis) else outcome.best
+    if isinstance(outcome, Analysis) or best is None or best.status is not Status.OPTIMAL:
+        return outcome
+    return outcome.with_best(solution=optimum(best))
 
 
 def _sensitive(record: SensitivitiesRecord, file: ProblemFile, notes: tuple[str, ...]) -> ReportModel:
@@ -102,27 +99,15 @@ def _sensitive(record: SensitivitiesRecord, file: ProblemFile, notes: tuple[str,
     values = {name: value * _size(file, record.design_units, name) for name, value in record.design.items()}
     if missing := [name for name in file.model.free if name not in values]:
         raise Contradiction(f"design.{missing[0]}", "this is missing")
-    outcome: Outcome
-    if file.task == "cycle":
-        known = {name: values[name] for name in file.model.free}
-        outcome = _solved(replace(validate_cycle(file, known), status=Status.OPTIMAL))
-        problem, solution = file, outcome.solution if isinstance(outcome, CycleResult) else None
-    elif file.task == "path":
-        from optlink.tasks.path import validate as validate_path
-
-        outcome = _solved(_optimum(validate_path(file, values)))
-        best = outcome.best if isinstance(outcome, PathResult) else None
-        problem, solution = (file, None) if best is None else (best.problem, best.solution)
-    else:
-        given = replace(validate(file, {name: values[name] for name in file.model.free}), status=Status.OPTIMAL)
-        outcome = _solved(given)
-        problem, solution = file, outcome.solution if isinstance(outcome, FunctionResult) else None
-    if solution is None:
+    given = values if file.task == "path" else {name: values[name] for name in file.model.free}
+    outcome = _solved(validate(file, given).with_best(status=Status.OPTIMAL))
+    best = getattr(outcome, "best", None)
+    if best is None or best.solution is None:
         raise Contradiction("design", "this is not the optimum of its problem")
     from optlink.studies.sensitivity import of_solution
 
     checks = {row.key: row.searched_again for row in record.parameters}
-    found = of_solution(problem, solution)
+    found = of_solution(best.problem, best.solution)
     rows = tuple(replace(row, check=checks.get(row.parameter.key)) for row in found.rows)
     return replace(report_model_of(file, outcome, (), notes), answers=replace(found, rows=rows))
 
@@ -138,11 +123,6 @@ def _size(file: ProblemFile, units: Mapping[str, str], name: str) -> float:
         raise Contradiction(f"design_units.{name}", error.message, unit) from None
 
 
-def _optimum(found: PathResult) -> PathResult:
-    """Return validated designs with the status of optima."""
-    return replace(found, designs=tuple(replace(design, status=Status.OPTIMAL) for design in found.designs))
-
-
 def _outcome(record: ResultRecord, path: Path, file: ProblemFile) -> Outcome:
     if isinstance(record, AnalysisRecord):
         if missing := [name for name in file.model.free if name not in record.sizes]:
@@ -153,8 +133,7 @@ def _outcome(record: ResultRecord, path: Path, file: ProblemFile) -> Outcome:
     if isinstance(record, PathRecord):
         return _path(record, file)
     assert isinstance(record, SingleRecord)
-    given = read_design(file, [str(path)])
-    made = validate_cycle(file, given) if isinstance(record, CycleRecord) else validate(file, given)
+    made = validate(file, read_design(file, [str(path)]))
     about: dict[str, Any] = {name: getattr(record, name) for name in ("status", "backend", "seed", "starts")}
     about |= {"validation": _with_stored(made.validation, record.validation), "seconds": {}}
     about |= {"conflict": record.conflict or (), "together": record.relax_together or ()}
@@ -210,5 +189,5 @@ def _limits(record: ResultRecord) -> tuple[LimitState, ...]:
 
 def _optimal(outcome: Outcome) -> bool:
     """Return whether the outcome is an optimum, so that its limits have shadow prices."""
-    found = outcome.best if isinstance(outcome, PathResult) else outcome
-    return isinstance(found, FunctionResult | CycleResult | PathDesign) and found.status is Status.OPTIMAL
+    best = getattr(outcome, "best", None)
+    return best is not None and best.status is Status.OPTIMAL

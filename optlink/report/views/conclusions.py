@@ -81,21 +81,15 @@ def design(outcome: FunctionResult | PathResult | CycleResult, limits: Iterable[
     """
     from optlink.report.views.relaxations import contradiction
     from optlink.tasks.results.cycle import CycleResult
-    from optlink.tasks.results.path import PathResult
+    from optlink.tasks.results.path import PathDesign
 
-    best = outcome.best if isinstance(outcome, PathResult) else outcome
-    if best is None:
-        found = contradiction(outcome.conflict, outcome.together) or "No design was found."
-        return found if isinstance(outcome, CycleResult) else _joined(found, clause(outcome.certificate))
-    proof = "" if isinstance(outcome, CycleResult) else clause(outcome.certificate)
-    if outcome.conflict:
-        return _joined(contradiction(outcome.conflict, outcome.together), proof)
-    if isinstance(best, CycleResult):
-        achieved = _cycle(best)
-    elif isinstance(outcome, PathResult):
-        achieved = _path(outcome.best)  # type: ignore[arg-type]
+    best, proof = outcome.best, clause(outcome.certificate)
+    if best is None or outcome.conflict:
+        return _joined(contradiction(outcome.conflict, outcome.together) or "No design was found.", proof)
+    if isinstance(best, PathDesign | CycleResult):
+        achieved = _path(best) if isinstance(best, PathDesign) else _cycle(best)
     else:
-        achieved = _function(outcome)  # type: ignore[arg-type]
+        achieved = _function(best)
     if outcome.valid:
         return _joined(achieved, _limiting(limits), proof)
     return f"{_failed(best.validation.checks) or _stopped(best.status)} {achieved}"

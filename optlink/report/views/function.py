@@ -24,7 +24,6 @@ from optlink.report.chart_spec import Axis, Band, ChartSpec, Curve, Line, Mark, 
 from optlink.report.drawing import Sketch, merged_positions
 from optlink.report.files import verdict
 from optlink.report.labels import place_labels
-from optlink.report.report_model import resulting_machine
 from optlink.report.style import FOUND, LIMIT, QUIET, ROCKER, WANTED, figure, heading, panels, styled
 from optlink.report.view import View
 from optlink.report.views.certificate_view import certificate_charts
@@ -265,8 +264,7 @@ def frames(result: FunctionResult, count: int = 90) -> list[Image.Image]:
 
 
 def _design(result: FunctionResult) -> tuple[ProblemFile, str] | None:
-    machine = None if result.conflict else resulting_machine(result)
-    return None if machine is None else (machine, verdict(result.status.value, result.valid, failed(result)))
+    return None if result.conflict else (result.machine, verdict(result.status.value, result.valid, failed(result)))
 
 
 VIEW = View(

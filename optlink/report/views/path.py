@@ -23,7 +23,6 @@ from optlink.report.chart_spec import ChartSpec
 from optlink.report.drawing import Sketch
 from optlink.report.files import verdict
 from optlink.report.labels import place_labels
-from optlink.report.report_model import resulting_machine
 from optlink.report.style import CRANK, WANTED, degrees, figure, heading, styled
 from optlink.report.view import View
 from optlink.report.views.certificate_view import certificate_charts
@@ -189,7 +188,7 @@ def frames(result: PathResult, count: int = FRAMES) -> list[Image.Image]:
 
 
 def _design(result: PathResult) -> tuple[ProblemFile, str] | None:
-    design, machine = result.best, resulting_machine(result)
+    design, machine = result.best, result.machine
     if design is None or machine is None:
         return None
     return machine, verdict(design.status.value, design.valid, failed(design))

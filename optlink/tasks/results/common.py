@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Self
 
 from optlink.errors import Status
 from optlink.linkage.fourbar import LENGTHS
-from optlink.problem.base_model import Number, Record, ResultRecord, absent
+from optlink.problem.base_model import Number, Record, Recorded, ResultRecord, absent
+from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import Quantity
 from optlink.solvers.solution import FEASIBLE, STATIONARY, LimitState, Relaxation, Solution
+from optlink.tasks.results.certificate import Certificate
 from optlink.tasks.results.fit import FitRecord
 from optlink.validation.check import Check, Validation
 
@@ -92,6 +94,38 @@ def _stationary(solution: Solution) -> Check:
     if small and not passed:
         limit = "of a feasible design" if solution.violation > FEASIBLE else "of the design searched for"
     return Check(OPTIMALITY_CHECK, passed, solution.kkt, limit, "")
+
+
+class SingleResult(Recorded):
+    """Result of a search for one design, which is its own best design."""
+
+    problem: ProblemFile
+    status: Status
+    validation: Validation
+    certificate: Certificate | None = None
+
+    @property
+    def valid(self) -> bool:
+        """Whether the design is validated, and optimal if it was searched."""
+        return proven(self.status, self.validation)
+
+    @property
+    def definite(self) -> ProblemFile:
+        """The problem with the assembly modes of the design."""
+        return self.problem
+
+    @property
+    def best(self) -> Self:
+        """The result itself."""
+        return self
+
+    def with_best(self, **changes: Any) -> Self:
+        """Return the result with other fields of its best design."""
+        return replace(self, **changes)  # type: ignore[type-var]
+
+    def with_checks(self, checks: Sequence[Check]) -> Self:
+        """Return the result with further checks."""
+        return self.with_best(validation=replace(self.validation, checks=(*self.validation.checks, *checks)))
 
 
 class SolutionRecord(Record):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
@@ -12,7 +12,7 @@ from pydantic import Field
 
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError, Status
-from optlink.problem.base_model import Number, Record, Recorded
+from optlink.problem.base_model import Number, Record
 from optlink.problem.cycle.model import CycleProblem, StrokeProblem
 from optlink.problem.cycle.terms import Term
 from optlink.problem.file import ProblemFile
@@ -22,10 +22,10 @@ from optlink.problem.quantity import Unusable
 from optlink.solvers.solution import Solution
 from optlink.tasks.analyze import analyze
 from optlink.tasks.results.analysis import Analysis, stroke_document
-from optlink.tasks.results.common import Optimum, SingleRecord, in_display_units, proven
+from optlink.tasks.results.common import Optimum, SingleRecord, SingleResult, in_display_units
 from optlink.tasks.results.fit import Fit, transmission_fit
 from optlink.units import KINDS, display_unit, factor
-from optlink.validation.check import Check, Validation
+from optlink.validation.check import Validation
 from optlink.validation.cycle import Cycle, validate_cycle
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ class CycleRecord(SingleRecord):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CycleResult(Recorded):
+class CycleResult(SingleResult):
     """A machine with its validation, or the reason why there is none.
 
     `values`: design variables [SI]; `objective`: minimised value [SI], negative for a maximised term.
@@ -110,11 +110,6 @@ class CycleResult(Recorded):
     interrupted: bool = False  # the search ended before its last starting point
 
     @property
-    def definite(self) -> ProblemFile:
-        """The problem with the assembly modes of the design."""
-        return self.problem
-
-    @property
     def design(self) -> dict[str, float]:
         """Design variables [SI]."""
         return self.values
@@ -123,11 +118,6 @@ class CycleResult(Recorded):
     def task(self) -> CycleProblem:
         """The model of the problem."""
         return task_of(self.problem)
-
-    @property
-    def valid(self) -> bool:
-        """Whether the design is validated, and optimal if it was searched."""
-        return proven(self.status, self.validation)
 
     @property
     def unit(self) -> str:
@@ -217,10 +207,6 @@ class CycleResult(Recorded):
         size = 1.0 / factor(unit, kind) if kind else 1.0
         values = [math.nan if cycle is None else cycle.figure(term) * size for cycle in (given, found)]
         return CycleFigure(name, term.words, values[0], values[1], limit, unit)
-
-    def with_checks(self, checks: Sequence[Check]) -> Self:
-        """Return the result with further checks."""
-        return replace(self, validation=replace(self.validation, checks=(*self.validation.checks, *checks)))
 
     def displayed(self, design: Mapping[str, float]) -> dict[str, float]:
         """Return a design [SI] in display units, which end the keys."""

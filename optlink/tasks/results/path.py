@@ -22,7 +22,7 @@ from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN
 from optlink.problem.base_model import Number, Record, Recorded, Rows, absent
 from optlink.problem.file import ProblemFile
-from optlink.problem.fixed_design import fixed_design
+from optlink.problem.fixed_design import fixed_design, started
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import START, PathProblem
 from optlink.solvers.solution import LimitState, Relaxation, Solution
@@ -353,6 +353,14 @@ class PathResult(Recorded):
         return self.designs[0] if self.designs else self.nearest
 
     @property
+    def machine(self) -> ProblemFile | None:
+        """The best linkage with all dimensions fixed; its crank starts at the first point and turns to the last; or None."""
+        if self.best is None:
+            return None
+        begin, end = float(self.best.crank_angles[0]), float(self.best.crank_angles[-1])
+        return started(self.best.machine, begin, end - begin)
+
+    @property
     def definite(self) -> ProblemFile:
         """The problem with the assembly modes of the best design."""
         return self.problem if self.best is None else self.best.problem
@@ -381,6 +389,10 @@ class PathResult(Recorded):
     def objective(self) -> float:
         """Objective of the best design [SI]; NaN if there is none."""
         return math.nan if self.best is None else self.best.objective
+
+    def with_best(self, **changes: Any) -> Self:
+        """Return the result with other fields of its best valid design."""
+        return replace(self, designs=(replace(self.designs[0], **changes), *self.designs[1:])) if self.designs else self
 
     def with_checks(self, checks: Sequence[Check]) -> Self:
         """Return the result with further checks of its designs, in order; designs that fail one are no longer valid."""
