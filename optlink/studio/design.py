@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.dynamics.machine import Machine
-from optlink.errors import Status
+from optlink.errors import InputError, OptlinkError, Status
 from optlink.optimization.path_nlp import solved_values
 from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.file import ProblemFile
@@ -212,3 +212,28 @@ def checked(design: Design) -> Design:
     model = design.problem.model
     found = designed(validate(design.problem, {name: design.values[name] for name in model.free}))
     return replace(found, solution=design.solution, limits=design.limits, objective=design.objective, conclusion=found.conclusion)
+
+
+def verdict(design: Design) -> dict[str, Any]:
+    """Return the verdict of an infeasible design, for the last feasible one that stays drawn."""
+    return {
+        "status": design.status,
+        "conclusion": design.conclusion,
+        "conflicts": design.conflicts,
+        "checks": design.checks,
+        "result": None,
+    }
+
+
+def failure(error: OptlinkError, status: str = "failed") -> dict[str, Any]:
+    """Return the verdict of a problem that cannot be stated or solved."""
+    why = sentence(error)
+    return {"status": status, "conclusion": why, "conflicts": (why,), "checks": None, "result": None}
+
+
+def sentence(error: OptlinkError) -> str:
+    """Return what is wrong with a value that a hand has chosen, without its place in the file."""
+    if not isinstance(error, InputError):
+        return str(error)
+    fault = error.faults[0]
+    return f"{fault.message[:1].upper()}{fault.message[1:]}. {fault.remedy.rstrip('.')}."

@@ -11,7 +11,7 @@ from optlink.errors import Fault, InputError, OptlinkError
 from optlink.problem.file import ProblemFile, parse_assignment
 from optlink.problem.fixed_design import references
 from optlink.studio import state
-from optlink.studio.design import Design, carried, checked, from_solution, kind_of, solved, started
+from optlink.studio.design import Design, carried, checked, failure, from_solution, kind_of, sentence, solved, started, verdict
 from optlink.studio.document import Document, from_template, from_text, named, shipped_problem
 from optlink.studio.files import deflated, inflated
 from optlink.studio.follow import Follower, follower, structure
@@ -108,7 +108,7 @@ class Session:
         self._keep("open", steps=[step.message() for step in steps], at=at, origin=self._origin)
         self._reached = {}
         if design is not None:
-            self._show(replace(design, conclusion=BEGUN), self._definite(steps[at].problem), moving=False)
+            self._show(replace(design, conclusion=BEGUN), self._definite(steps[at].problem), moving=False, searching=True)
         self._settle()
 
     def _resume(self, request: Mapping[str, Any]) -> None:
@@ -135,7 +135,7 @@ class Session:
             document = self._document.with_changes(changes)
             _ = document.problem
         except InputError as error:
-            self.fault(f"{_sentence(error)} The problem is as before the drag.")
+            self.fault(f"{sentence(error)} The problem is as before the drag.")
             self._settle()
             return
         self._commit(document)
@@ -260,19 +260,15 @@ class Session:
         except InputError as error:
             if self._design is None:
                 raise
-            why = _sentence(error)
-            self._show(
-                replace(self._design, status="infeasible", conclusion=why, conflicts=(why,), checks=None, result=None),
-                self._definite(base),
-                moving=True,
-            )
+            impossible = replace(self._design, **failure(error, "infeasible"))
+            self._show(impossible, self._definite(base), moving=True)
             return
         design = self._followed(definite)
         if design.status != "infeasible" or self._design is None:
             self._show(design, definite, moving=True)
             self._design = design
         else:
-            self._show(replace(self._design, **_verdict(design)), definite, moving=True)
+            self._show(replace(self._design, **verdict(design)), definite, moving=True)
 
     def _commit(self, document: Document) -> None:
         _ = document.problem
@@ -286,19 +282,7 @@ class Session:
     def _settle(self) -> None:
         """Show the optimum near the last design with its validation, then the result of the ordinary search."""
         problem, ident = self._document.problem, self._id
-        if self._design is None:
-            self._show(replace(started(problem), conclusion=BEGUN), problem, moving=False, searching=True)
-        if self._design is not None and self._design.solution is not None and problem.model.free:
-            definite = self._definite(problem)
-            near = self._followed(definite)
-            settle = getattr(self._follower[1], "refined", None)
-            if near.solution is not None and settle is not None:
-                begun = near.solution
-                near = from_solution(definite, self._interruptible(lambda: settle(begun)))
-            if near.solution is not None and near.solution.usable:
-                seen = checked(near)
-                self._design = replace(seen, conclusion=FIRST) if seen.status == "verified" else replace(near, conclusion=BEGUN)
-                self._show(self._design, problem, moving=False, searching=True)
+        self._show_near(problem)
 
         def progress(share: float) -> None:
             self._send({"type": "progress", "id": ident, "fraction": share, "text": "searching"})
@@ -306,7 +290,7 @@ class Session:
         try:
             found: Design = self._interruptible(lambda: solved(problem, progress))
         except OptlinkError as error:  # the page must not keep the state of another problem
-            self._show(replace(self._design or started(problem), **_failed(error)), problem, moving=False)
+            self._show(replace(self._design or started(problem), **failure(error)), problem, moving=False)
             return
         if getattr(found.result, "interrupted", False):
             raise KeyboardInterrupt
@@ -314,8 +298,35 @@ class Session:
             self._design = found
             self._show(found, problem, moving=False)
         else:
-            self._show(replace(self._design, **_verdict(found)), problem, moving=False)
+            self._show(replace(self._design, **verdict(found)), problem, moving=False)
         self._interruptible(self._prepare)
+
+    def _show_near(self, problem: ProblemFile) -> None:
+        """Show the optimum near the last design; if there is none, that design: never the verdict of another problem."""
+        last = self._design
+        if last is None:
+            self._show(replace(started(problem), conclusion=BEGUN), problem, moving=False, searching=True)
+            return
+        definite = self._definite(problem)
+        near = carried(definite, last)
+        if last.solution is not None and problem.model.free:
+            near = self._followed(definite)
+            settle = getattr(self._follower[1], "refined", None)
+            if near.solution is not None and settle is not None:
+                begun = near.solution
+                try:
+                    near = from_solution(definite, self._interruptible(lambda: settle(begun)))
+                except KeyboardInterrupt:
+                    self._show(near, problem, moving=False, searching=True)
+                    raise
+        if near.solution is not None and near.solution.usable:
+            seen = checked(near)
+            self._design = replace(seen, conclusion=FIRST) if seen.status == "verified" else replace(near, conclusion=BEGUN)
+            self._show(self._design, problem, moving=False, searching=True)
+        elif near.status == "infeasible":
+            self._show(replace(last, **verdict(near)), problem, moving=False, searching=True)
+        else:
+            self._show(replace(near, conclusion=BEGUN), definite, moving=False, searching=True)
 
     def _prepare(self) -> None:
         """Build the programme of the present problem, so that the next drag finds it."""
@@ -391,17 +402,6 @@ def warm_drawing() -> None:
     CurveSearch(drawn([[50.0, 0.0], [-20.0, 40.0], [-30.0, -40.0]], closed=True), WARM).run(lambda done: None)
 
 
-def _verdict(design: Design) -> dict[str, Any]:
-    """Return the verdict of an infeasible design, for the last feasible one that stays drawn."""
-    return {
-        "status": design.status,
-        "conclusion": design.conclusion,
-        "conflicts": design.conflicts,
-        "checks": design.checks,
-        "result": None,
-    }
-
-
 OPENING = ("start", "open", "new", "draw", "choose", "resume")
 
 _ACTIONS: dict[str, Callable[[Session, Mapping[str, Any]], None]] = {
@@ -421,19 +421,6 @@ _ACTIONS: dict[str, Callable[[Session, Mapping[str, Any]], None]] = {
     "draw": Session._draw,
     "choose": Session._choose,
 }
-
-
-def _failed(error: OptlinkError) -> dict[str, Any]:
-    """Return the verdict of a problem that cannot be solved."""
-    return {"status": "failed", "conclusion": _sentence(error), "conflicts": (), "checks": None, "result": None}
-
-
-def _sentence(error: OptlinkError) -> str:
-    """Return what is wrong with a value that a hand has chosen, without its place in the file."""
-    if not isinstance(error, InputError):
-        return str(error)
-    fault = error.faults[0]
-    return f"{fault.message[:1].upper()}{fault.message[1:]}. {fault.remedy.rstrip('.')}."
 
 
 def _text(request: Mapping[str, Any], key: str, default: str | None = None) -> str:

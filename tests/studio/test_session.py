@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
+import signal
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +18,7 @@ from optlink.studies.toml_keys import exact_text, knobs
 from optlink.studio.document import Document, named, rewritten, tables
 from optlink.studio.files import deflated, inflated
 from optlink.studio.session import Session
+from optlink.studio.worker import Interrupts
 
 
 class Page:
@@ -263,3 +267,74 @@ def test_a_followed_optimum_is_validated_on_release(name: str) -> None:
     released = page.state("drag", handle=handle["id"], moving=False, **fields)
     assert released["status"] == "verified"
     assert released["objective"]["value"] == pytest.approx(moved["objective"]["value"], rel=1e-4, abs=1e-12)
+
+
+def test_no_verdict_outlives_its_problem() -> None:
+    """Where no optimum lies near the last one and the search is stopped, the page must not keep the former verdict."""
+    page = Page()
+    page.ask("open", name="crank-rocker")
+
+    def stopped(work: Callable[[], Any]) -> Any:
+        raise KeyboardInterrupt
+
+    page.session._interruptible = stopped
+    assert page.state("drag", handle="limits.transmission_angle.min", value=88.0, moving=False)["status"] == "infeasible"
+    assert page.ask("export", format="svg")[0]["type"] == "fault"
+    assert page.state("undo")["status"] == "verified"
+    assert page.state("redo")["status"] == "infeasible"
+    last = page.session._last
+    assert last is not None
+    assert last[0].checks is None
+
+
+def test_a_stop_ends_only_the_computation_that_it_means() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    interrupts = Interrupts()
+    try:
+        interrupts.begin(1)
+        interrupts.stop(1)  # before the computation allows it
+        with pytest.raises(KeyboardInterrupt):
+            interrupts.within(lambda: 1)
+        interrupts.begin(2)
+        assert interrupts.within(lambda: 2) == 2
+        interrupts.begin(3)
+        interrupts.stop(2)  # too late
+        assert interrupts.within(lambda: interrupts.stop(2) or 3) == 3
+        sent = []
+
+        def send() -> None:
+            with interrupts.held():
+                interrupts.stop(3)
+                sent.append("whole")
+
+        with pytest.raises(KeyboardInterrupt):
+            interrupts.within(send)
+        assert sent == ["whole"]
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@pytest.fixture(scope="module")
+def benchmark_() -> Any:
+    path = Path(__file__).parents[2] / "benchmarks" / "studio.py"
+    spec = importlib.util.spec_from_file_location("studio_benchmark", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.slow
+def test_random_drags_show_nothing_as_verified_that_the_validator_rejects(benchmark_: Any) -> None:
+    pages = benchmark_.random_drags(("crank-rocker", "stroke-crank-rocker"), 80, seed=2, watch=lambda text: None)
+    for page in pages:
+        assert page.wrong == []
+        assert all(words.endswith("as before the drag.") for words in page.faults)
+        assert page.tally["not verified"] > 20
+    assert sum(page.tally["judged"] for page in pages) > 1
+
+
+@pytest.mark.slow
+def test_saved_problems_are_solved_to_the_same_design(benchmark_: Any) -> None:
+    assert benchmark_.saved_problems(("crank-rocker", "stroke-crank-rocker"), 2, watch=lambda text: None) == []
