@@ -9,6 +9,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import fields
 from operator import attrgetter
 from pathlib import Path
+from types import NoneType
 from typing import Annotated, Any, ClassVar, Self, TypeVar, get_args
 
 import numpy as np
@@ -139,9 +140,11 @@ class Contradiction(ValueError):
 def _array(value: Any) -> NDArray[np.float64]:
     if isinstance(value, np.ndarray):
         return value
-    if not isinstance(value, list) or any(isinstance(x, bool) or not isinstance(x, int | float | None) for x in value):
+    if not isinstance(value, list) or not all(
+        issubclass(kind, (int, float, NoneType)) and kind is not bool for kind in set(map(type, value))
+    ):
         raise ValueError("this is not a list of numbers")
-    return np.array([math.nan if x is None else float(x) for x in value])
+    return np.array(value, dtype=np.float64)  # None becomes NaN
 
 
 def _rows(value: Any) -> NDArray[np.float64]:
@@ -331,13 +334,14 @@ def read_record(kind: type[R], document: Mapping[str, Any], path: Path) -> R:
         raise damaged(error, path) from None
 
 
-def _check_numbers(value: Any, place: tuple[str | int, ...], path: Path) -> None:
+def _check_numbers(values: Mapping[str, Any] | list[Any], place: tuple[str | int, ...], path: Path) -> None:
     """Refuse numbers that are not finite or too large, anywhere in a document."""
-    if isinstance(value, dict | list):
-        for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+    for key, item in enumerate(values) if isinstance(values, list) else values.items():
+        if isinstance(item, (float, int)):
+            if not -LARGEST <= item <= LARGEST:
+                raise _fault("this is not finite or too large", _key((*place, key)), item, path)
+        elif isinstance(item, (dict, list)):
             _check_numbers(item, (*place, key), path)
-    elif isinstance(value, int | float) and not abs(value) <= LARGEST:
-        raise _fault("this is not finite or too large", _key(place), value, path)
 
 
 WORDS = {
