@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ import optlink
 from optlink.cli.app import app
 from optlink.linkage.motion import sweep
 from optlink.problem.templates import NEXT, template, templates
+from tests.test_docs import answer
 
 NAMES = sorted(templates())
 QUICK = ("law",)  # the others take some seconds each
@@ -57,17 +59,17 @@ def test_a_line_without_comment_would_be_seen():
 
 @pytest.mark.parametrize("name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in NAMES])
 def test_next_command_gives_a_valid_result(name, tmp_path, monkeypatch):
+    """The command runs once for this test and for the recipe of the template."""
     monkeypatch.chdir(tmp_path)
-    assert run("new", name, "--out", "mine.toml").exit_code == 0
-    command, *further = template(name, "mine.toml").commands
-    done = run(*shlex.split(command)[1:], "--json")
-    assert done.exit_code == 0, done.output
-    result = json.loads(done.stdout)
-    assert result.get("valid", result.get("sound", result["status"] == "finished")) is True
+    assert run("new", name, "--out", f"{name}.toml").exit_code == 0
+    found, (command, *further) = answer(name), template(name, f"{name}.toml").commands
+    assert Path(f"{name}.toml").read_text(encoding="utf-8") == found.made.text
+    assert command == found.made.commands[0]
+    assert found.result.get("valid", found.result.get("sound", found.result["status"] == "finished")) is True
     if name in ("pump", "clearance"):
         for line in further:
             assert run(*shlex.split(line)[1:]).exit_code == 0, line
-        assert (tmp_path / "mine.html").stat().st_size > 100_000
+        assert Path(f"{name}.html").stat().st_size > 100_000
 
 
 def test_foot_of_the_walker_is_level_between_the_points():

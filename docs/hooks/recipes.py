@@ -6,17 +6,19 @@ What a page quotes of the answer in backticks must be in it, or the site is not 
 
 from __future__ import annotations
 
-import os
+import contextlib
+import functools
+import json
 import re
 import shlex
-import subprocess
-import sys
 import tempfile
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from typer.testing import CliRunner
+
+from optlink.cli.app import app
 from optlink.problem.templates import Template, template, templates
 
 if TYPE_CHECKING:
@@ -34,28 +36,37 @@ READING = "## Reading the answer"
 
 @dataclass(frozen=True)
 class Answer:
-    """What the first command of a template prints, and a picture that it draws."""
+    """What the first command of a template prints, a picture that it draws, and its result.json."""
 
     made: Template
     text: str
     picture: bytes
+    result: dict[str, Any]
 
 
-_answers: dict[str, Answer] = {}
-
-
+@functools.cache
 def answer(name: str) -> Answer:
-    """Run the first command of a template, once per build."""
-    if name not in _answers:
-        made = template(name)
-        with tempfile.TemporaryDirectory() as folder:
-            Path(folder, f"{name}.toml").write_text(made.text, encoding="utf-8")
-            words = [sys.executable, "-m", "optlink", *shlex.split(made.commands[0])[1:], "--out", "out"]
-            plain = {**os.environ, "COLUMNS": WIDTH, "NO_COLOR": "1"}
-            done = subprocess.run(words, cwd=folder, env=plain, capture_output=True, text=True, check=True)
-            picture = next(path for path in (Path(folder, "out", picture) for picture in PICTURES) if path.is_file())
-            _answers[name] = Answer(made, "\n".join(line.rstrip() for line in done.stdout.splitlines()), picture.read_bytes())
-    return _answers[name]
+    """Run the first command of a template, once per build.
+
+    Parameters
+    ----------
+    name : str
+
+    Raises
+    ------
+    RuntimeError
+        If the command fails.
+    """
+    made = template(name)
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        Path(f"{name}.toml").write_text(made.text, encoding="utf-8")
+        words = [*shlex.split(made.commands[0])[1:], "--out", "out"]
+        done = CliRunner().invoke(app, words, env={"COLUMNS": WIDTH, "NO_COLOR": "1"})
+        if done.exit_code:
+            raise RuntimeError(f"{made.commands[0]}: {done.output}") from done.exception
+        picture = next(path for path in (Path("out", picture) for picture in PICTURES) if path.is_file())
+        text = "\n".join(line.rstrip() for line in done.stdout.splitlines())
+        return Answer(made, text, picture.read_bytes(), json.loads(Path("out", "result.json").read_text(encoding="utf-8")))
 
 
 def recipe(name: str) -> str:
@@ -109,12 +120,11 @@ def missing(page: str, text: str) -> list[str]:
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """MkDocs: run the commands, two at a time, and add their pictures."""
+    """MkDocs: run the commands, and add their pictures."""
     from mkdocs.structure.files import File
 
-    with ThreadPoolExecutor(2) as pool:
-        for name, found in zip(templates(), pool.map(answer, templates()), strict=True):
-            files.append(File.generated(config, f"recipes/{name}.png", content=found.picture))
+    for name in templates():
+        files.append(File.generated(config, f"recipes/{name}.png", content=answer(name).picture))
     return files
 
 

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 import optlink
 from optlink.studies.motion_sensitivity import output_sensitivity
-from optlink.tasks.path import solve as solve_path
 
 ROOT = Path(__file__).resolve().parents[2]
 MARKER = "<!-- figures -->"
@@ -366,26 +365,35 @@ def balance() -> Iterator[Row]:
 # --- synthesis, and expected figures of the shipped machines --------------------------------------------------------------
 
 
+def solved(name: str) -> Any:
+    """Return the solution of a shipped problem.
+
+    Parameters
+    ----------
+    name : str
+    """
+    return optlink.solve(optlink.load(name))
+
+
 def synthesis() -> Iterator[Row]:
     """Yield results of the shipped problems that are solved in seconds, with the best known values."""
     test = f"{PROBLEMS}::test_best_known_objective_is_reached_or_beaten"
-    arc = optlink.solve(optlink.load("path-arc5"))
+    arc = solved("path-arc5")
     yield Row("`path-arc5`, sum of squares", "mm^2", 7.4158e-7, arc.objective * 1e6, 1e-11, test)
-    closed = optlink.solve(optlink.load("path-closed18"))
+    closed = solved("path-closed18")
     yield Row("`path-closed18`, sum of squares", "mm^2", 0.0090288846, closed.objective * 1e6, 1e-8, test)
-    best = solve_path(optlink.load("transmission-optimal")).best
-    assert best is not None
+    best = solved("transmission-optimal").best
     for name, length in (("crank", 46.67), ("coupler", 116.16), ("rocker", 73.88)):
         yield Row(f"`transmission-optimal`, {name}", "mm", length, best.values[name] * 1e3, 5e-3, test)
     angle = 90.0 - math.degrees(math.asin(best.objective))
     yield Row("`transmission-optimal`, worst angle", "deg", 37.733, angle, 5e-4, test)
     test = "tests/tasks/test_stroke_problems.py::test_{}_is_the_best_of_its_family"
     for name, known in (("crank-rocker", 40.671312175), ("slider-crank", 47.201069622)):
-        angle = 90.0 - math.degrees(optlink.solve(optlink.load(f"stroke-{name}")).objective)
+        angle = 90.0 - math.degrees(solved(f"stroke-{name}").objective)
         yield Row(f"`stroke-{name}`, worst angle", "deg", known, angle, 1e-8, test.format(name.replace("-", "_")))
     test = f"{PROBLEMS}::test_expected_design_is_reached"
     for name, known in (("log10", 0.003676), ("sin", 0.190337), ("exp", 0.025865)):
-        actual = math.degrees(optlink.solve(optlink.load(f"function-{name}"), "ipopt").objective)
+        actual = math.degrees(solved(f"function-{name}").objective)
         yield Row(f"`function-{name}`, largest error", "deg", known, actual, 2e-3 * known, test)
 
 
