@@ -112,9 +112,11 @@ def poses(page: Page, out: Path) -> None:
     """A pose while it is dragged: the design is not verified."""
     page.size(1200, 760)
     page.open("motion-3-poses")
+    time.sleep(2.0)  # until the programme of the next drag is ready
     page.press("requirement.points.1")
     page.move([(2, 2)] * 8, 40)
-    time.sleep(0.5)
+    page.until("return window.studioTimings.length >= 8")
+    time.sleep(0.3)
     still(page, out / "studio-poses.png")
     page.release()
 
@@ -142,6 +144,7 @@ def phone(page: Page, out: Path) -> None:
     page.size(400, 860)
     with colours(page.driver, dark=True):
         page.open("crank-rocker")
+        page.run("document.querySelector('#hint').hidden = true")
         time.sleep(0.3)
         still(page, out / "studio-phone.png")
 

@@ -271,3 +271,48 @@ def test_a_drawing_behind_the_linkage_to_scale(page, tmp_path):
     page.find("#back-length button").click()
     scale = float(page.find("#world .below g").get_attribute("transform").partition("scale(")[2].rstrip(")"))
     assert scale == pytest.approx(500.0 / apart, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_fingers_lead_a_handle_and_zoom(page, tmp_path):
+    """A photograph to scale below; one finger drags the frame, two fingers zoom."""
+    from PIL import Image
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    Image.new("RGB", (400, 250), "#d0d0d0").save(tmp_path / "photo.png")
+    page.open("crank-rocker")
+    page.find("#tool-back").click()
+    page.find("#back-input").send_keys(str(tmp_path / "photo.png"))
+    page.until("return document.querySelector('#back-scale:not(:disabled)')")
+    page.find("#back-scale").click()
+    for x in (-150, 150):
+        ActionChains(page.driver).move_to_element_with_offset(page.find("#canvas"), x, 0).click().perform()
+    width, apart = "return document.querySelector('#world image').getBoundingClientRect().width", 300.0 / page.scale
+    before = page.run(width)
+    page.find("#back-mm").send_keys(str(2.0 * apart))
+    page.find("#back-length button").click()
+    assert page.run(width) == pytest.approx(2.0 * before, rel=1e-3)
+    page.find("#tool-select").click()
+
+    def touch(kind: str, *places: tuple[float, float]) -> None:
+        points = [{"x": x, "y": y, "id": k} for k, (x, y) in enumerate(places)]
+        page.driver.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    page.driver.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True})
+    ring = page.run(f"return document.querySelector('[data-handle=\"{FRAME}\"] .ring').getBoundingClientRect()")
+    x, y = ring["x"] + 0.5 * ring["width"], ring["y"] + 0.5 * ring["height"]
+    touch("touchStart", (x, y))
+    for k in range(1, 9):
+        touch("touchMove", (x - 4 * k, y))
+    assert page.status() == "not-verified"
+    touch("touchEnd")
+    page.until("return document.querySelector('#undo').disabled === false")
+    page.verified()
+    assert value(page, "frame") == pytest.approx(500.0 - 32.0 / page.scale, abs=1.0)
+    scale = page.scale
+    touch("touchStart", (400, 300), (500, 300))
+    for k in range(1, 6):
+        touch("touchMove", (400 - 10 * k, 300), (500 + 10 * k, 300))
+    touch("touchEnd")
+    assert page.scale == pytest.approx(2.0 * scale, rel=0.05)
+    page.driver.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": False})

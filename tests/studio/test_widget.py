@@ -119,7 +119,7 @@ def test_a_drag_in_a_notebook(tmp_path: Path) -> None:
 
         until("return window.frames.length === 1 && document.querySelector('#cell')")
         driver.switch_to.frame(0)
-        until(shown("verified"))
+        until(f"{shown('verified')} && document.documentElement.dataset.searching === undefined")
         within.stop()
         knob = within.find('[data-handle="mechanism.frame"] .ring')
         ActionChains(driver, duration=0).click_and_hold(knob).perform()

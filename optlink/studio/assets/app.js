@@ -2,10 +2,10 @@
 import { Background } from "./background.js";
 import { dropDown, keyboard, takeFiles } from "./commands.js";
 import { Curve } from "./curve.js";
-import { $, download, hint, setText, svg, toast } from "./dom.js";
+import { $, download, hint, sentence, setText, svg, toast } from "./dom.js";
 import { Handles } from "./handles.js";
 import { Linkage } from "./linkage.js";
-import { embedded, Live } from "./live.js";
+import { embedded, keptToken, Live } from "./live.js";
 import { Motion } from "./motion.js";
 import { Panel, verdictOf } from "./panel.js";
 import { guide, Search } from "./search.js";
@@ -16,21 +16,6 @@ import { round125, View } from "./view.js";
 const EMPTY = [-120, -80, 320, 200]; // box of an empty canvas [mm]
 const root = document.documentElement;
 const SLOW = 300; // after which a change that takes longer shows that it is computed [ms]
-
-// --- token: out of the address bar, kept for reconnecting ----------------------------------------------------------------------
-
-function keptToken() {
-  const given = new URLSearchParams(location.search).get("token");
-  try {
-    if (given) {
-      sessionStorage.setItem("optlink-token", given);
-      history.replaceState(null, "", location.pathname + location.hash);
-    }
-    return given || sessionStorage.getItem("optlink-token");
-  } catch {
-    return given;
-  }
-}
 
 // --- canvas ---------------------------------------------------------------------------------------------------------------------
 
@@ -118,7 +103,7 @@ const knobs = new Handles(canvas, view, {
     const at = handle.id.startsWith("requirement.") ? null : reference(handle); // targets stay where they are
     return at !== null && motion.apart(at) > 0.05;
   },
-  drag: (fields, stamp) => live.drag(fields, stamp),
+  drag,
   changed: redraw,
 });
 canvas.append(overlay);
@@ -143,8 +128,26 @@ const motion = new Motion((at, angle) => {
 const panel = new Panel({
   lock: (size, locked) => live.send("lock", { size, locked }),
   set: (key, value) => live.send("set", { key, value }),
-  drag: (fields) => live.drag(fields, performance.now()),
+  drag: (fields) => drag(fields, performance.now()),
 });
+
+// What is drawn is not verified from the first movement on, also where the answer takes its time.
+function drag(fields, stamp) {
+  if (state?.status === "verified") {
+    state.status = "not verified";
+    verdict(state.status);
+    panel.verdict({ ...state, moving: true, conclusion: "The optimum is being computed." });
+  }
+  live.drag(fields, stamp);
+}
+
+function verdict(status) {
+  canvas.dataset.status = status.replaceAll(" ", "-");
+  const [sign, words, look] = verdictOf(status);
+  $("badge").hidden = look === "good";
+  $("badge").className = look;
+  setText($("badge"), `${sign} ${words}`);
+}
 
 // Position of the motion at which a joint lies where its handle is; null for a handle that does not move with it.
 function reference({ at, centre, id }) {
@@ -223,11 +226,7 @@ function take(next) {
   knobs.take(handles);
   panel.take(state, handles);
   panel.cursor(motion.angle);
-  canvas.dataset.status = next.status.replaceAll(" ", "-");
-  const [sign, words, look] = verdictOf(next.status);
-  $("badge").hidden = look === "good";
-  $("badge").className = look;
-  setText($("badge"), `${sign} ${words}`);
+  verdict(next.status);
   const { title, changed, can_undo: undo, can_redo: redo } = next.document;
   setText($("title"), title);
   document.title = `${changed ? "• " : ""}${title} – optlink studio`;
@@ -297,7 +296,7 @@ const live = new Live(keptToken(), {
   fault({ message }) {
     busy(false);
     search.take(null);
-    toast(message, true);
+    toast(sentence(message), true);
     if (linkage.canvas.classList.contains("preview")) {
       preview(null);
     }

@@ -101,6 +101,9 @@ export function hint(text, action) {
   node.replaceChildren(text || "", ...(action ? [el("button", { text: action.text, class: "inline", onclick: action.run })] : []));
 }
 
+// A message as a sentence; one that begins with a name, a key or a file keeps it.
+export const sentence = (text) => text.replace(/^(the|a|an|no|there|this|what|unknown) /, (word) => word[0].toUpperCase() + word.slice(1)).replace(/[^.!?]$/, "$&.");
+
 let hiding = 0;
 export function toast(text, bad = false) {
   const node = $("toast");

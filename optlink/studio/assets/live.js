@@ -5,6 +5,20 @@ const KEPT = 4000;
 const PATIENCE = 15000; // after which a drag without an answer no longer blocks the next [ms]
 export const embedded = "embedded" in document.documentElement.dataset; // in a notebook
 
+// The token of the address: out of the address bar, kept for reconnecting.
+export function keptToken() {
+  const given = new URLSearchParams(location.search).get("token");
+  try {
+    if (given) {
+      sessionStorage.setItem("optlink-token", given);
+      history.replaceState(null, "", location.pathname + location.hash);
+    }
+    return given || sessionStorage.getItem("optlink-token");
+  } catch {
+    return given;
+  }
+}
+
 // In a notebook the page is a frame: its messages go through the notebook to the kernel.
 class FrameSocket extends EventTarget {
   constructor() {

@@ -11,6 +11,8 @@ const VERDICTS = {
   failed: ["✗", "No solution", "bad"],
 };
 
+const NOTHING = 1e-12; // an objective below this is written as such
+
 export const verdictOf = (status) => VERDICTS[status] || ["○", status, "open"];
 
 // The design variables, and the fixed sizes that can be freed: those have handles.
@@ -75,10 +77,11 @@ export class Panel {
     $("objective").hidden = !known && (!state.moving || !state.objective || state.status === "infeasible");
     if (state.objective) {
       setText(label, state.objective.label);
-      setText(value, quantity(state.objective.value, state.objective.unit, 6));
+      const tiny = state.objective.value !== 0 && Math.abs(state.objective.value) < NOTHING;
+      setText(value, `${tiny ? "< " : ""}${quantity(tiny ? NOTHING : state.objective.value, state.objective.unit, tiny ? 2 : 6)}`);
     }
     const seconds = state.seconds?.solve;
-    setText($("took"), Number.isFinite(seconds) && !state.searching ? `${state.moving ? "optimised" : "solved"} in ${seconds < 1 ? `${number(1e3 * seconds, 2)} ms` : `${number(seconds, 2)} s`}` : "");
+    setText($("took"), Number.isFinite(seconds) && !state.searching ? `${state.kind === "analysis" ? "computed" : "solved"} in ${seconds < 1 ? `${number(1e3 * seconds, 2)} ms` : `${number(seconds, 2)} s`}` : "");
   }
 
   conflicts(sentences) {
