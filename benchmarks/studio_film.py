@@ -24,7 +24,7 @@ from tests.browser import browser, colours
 from tests.studio.browser import Page, studio
 
 FILM = (860, 540)  # inside of the window [px]
-COLOURS = 64
+COLOURS = 40
 EACH = 80  # duration of a frame of the film [ms]
 REST = 1200  # of its last one [ms]
 ARROW = ((0, 0), (0, 17), (4, 13), (7, 20), (10, 19), (7, 12), (12, 12))  # mouse pointer [px]
@@ -64,10 +64,10 @@ def dragged(page: Page, handle: str, way: Sequence[tuple[int, int]]) -> Iterator
     x, y = place(page, handle)
     page.press(handle)
     for u, v in way:
+        answered = page.run("return window.studioTimings.length")
         page.move([(u, v)])
         x, y = x + u, y + v
-        answered = page.run("return window.studioTimings.length")
-        page.until("return window.studioTimings.length >= arguments[0]", answered)
+        page.until("return window.studioTimings.length > arguments[0]", answered)
         time.sleep(0.06)
         yield shot(page, (x, y))
     page.release()
@@ -96,7 +96,7 @@ def film(page: Page, out: Path) -> None:
 
 def still(page: Page, path: Path) -> None:
     """Save a picture of the window with few colours."""
-    shot(page).quantize(160, dither=Image.Dither.NONE).save(path, optimize=True)
+    shot(page).quantize(256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
 def start(page: Page, out: Path) -> None:
@@ -162,10 +162,12 @@ def main() -> None:
     """Take the pictures."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path(__file__).resolve().parents[1] / "docs" / "images")
-    parser.add_argument("pictures", nargs="*", choices=[*PICTURES, []], default=list(PICTURES))
+    parser.add_argument("pictures", nargs="*", metavar="picture", help=f"of {', '.join(PICTURES)}; default: all")
     options: Any = parser.parse_args()
+    if unknown := set(options.pictures) - set(PICTURES):
+        parser.error(f"unknown picture {', '.join(unknown)}: take of {', '.join(PICTURES)}")
     with browser() as driver, studio() as address:
-        for name in options.pictures:
+        for name in options.pictures or PICTURES:
             PICTURES[name](Page(driver, address), options.out)
 
 
