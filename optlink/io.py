@@ -74,6 +74,11 @@ def whole(path: Path) -> Iterator[Path]:
     """Yield a temporary file name; rename it to `path` on success, remove it on failure.
 
     For a symbolic link the target is replaced, not the link; a pipe or device is written directly.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
     """
     path = path.resolve() if path.is_symlink() else path
     if path.exists() and not path.is_file():

@@ -1,4 +1,7 @@
-"""Public functions with two or more arguments describe every one of them; CONTRIBUTING names files that exist."""
+"""Public functions describe their arguments and exceptions; CONTRIBUTING names files that exist.
+
+Stricter than D417 of ruff, which skips functions without a Parameters section; but a name with its type needs no further words.
+"""
 
 from __future__ import annotations
 
@@ -37,14 +40,28 @@ def public(body: list[ast.stmt]) -> Iterator[ast.FunctionDef]:
             yield node
 
 
+def raised(node: ast.AST) -> set[str]:
+    """Names of the exceptions that a function raises itself; without those in a `try`, which may catch them."""
+    if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call) and isinstance(node.exc.func, ast.Name):
+        return {node.exc.func.id} if node.exc.func.id[0].isupper() else set()
+    parts: list[ast.AST] = list(ast.iter_child_nodes(node))
+    if isinstance(node, ast.Try):
+        parts = [*node.handlers, *node.orelse, *node.finalbody]
+    return {name for part in parts if not isinstance(part, ast.FunctionDef) for name in raised(part)}
+
+
 def lacking(source: str) -> list[str]:
-    """Functions of a module with arguments that their docstring does not describe."""
+    """Functions of a module whose docstrings miss an argument or exception, or describe an argument that does not exist."""
     found = []
     for function in public(ast.parse(source).body):
-        names = arguments(function)
-        missing = [name for name in names if name not in described(ast.get_docstring(function) or "")]
-        if len(names) > 1 and missing:
-            found.append(f"{function.name}: {', '.join(missing)}")
+        text = ast.get_docstring(function) or ""
+        names, known = arguments(function), described(text)
+        wrong = [name for name in names if name not in known] if len(names) > 1 else []
+        wrong += sorted(known - set(arguments(function)))
+        _, _, section = text.partition("\nRaises\n------\n")
+        wrong += sorted(name for name in raised(function) if not re.search(rf"^(\w+, )*{name}(, \w+)*$", section, re.MULTILINE))
+        if wrong:
+            found.append(f"{function.name}: {', '.join(wrong)}")
     return found
 
 
@@ -63,7 +80,11 @@ def test_the_check_sees_what_is_missing() -> None:
     good = 'def f(a, b):\n    """Add.\n\n    Parameters\n    ----------\n    a, b : float\n    """\n'
     assert lacking(good) == []
     assert lacking(good.replace("a, b : float", "a : float")) == ["f: b"]
+    assert lacking(good.replace("a, b : float", "a, b, c : float")) == ["f: c"]
     assert lacking('class C:\n    def f(self, a, b):\n        """Add."""\n') == ["f: a, b"]
+    raising = 'def f():\n    """Fail.{}"""\n    raise ValueError("always")\n'
+    assert lacking(raising.format("")) == ["f: ValueError"]
+    assert lacking(raising.format("\n\n    Raises\n    ------\n    ValueError\n        Always.\n    ")) == []
 
 
 def test_contributing_names_files_that_exist() -> None:

@@ -210,7 +210,13 @@ class ClosedLoop:
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Continue from a saved state."""
+        """Continue from a saved state.
+
+        Raises
+        ------
+        ValueError
+            If the saved state is one of another machine; the message is the name of the field.
+        """
         course = self.integration
         for name, own in (("state", course.state), ("modes", course.modes), ("entered", course.entered), ("works", course.works)):
             if np.shape(saved[name]) != own.shape:

@@ -254,7 +254,13 @@ class Store:
         return mine, cpu
 
     def rows(self) -> Rows:
-        """Yield the rows of all chunks in order."""
+        """Yield the rows of all chunks in order.
+
+        Raises
+        ------
+        InputError
+            If the file of a chunk was changed.
+        """
         for index in range(self.count):
             lines = self._lines(index)
             if lines is None:

@@ -151,7 +151,13 @@ class Assembly:
     # --- the search ------------------------------------------------------------------------------------------------
 
     def mechanism(self, name: str) -> Mechanism:
-        """Return the decomposed mechanism."""
+        """Return the decomposed mechanism.
+
+        Raises
+        ------
+        StructureError
+            If the bodies do not form dyads, or an assembly mode is that of no group.
+        """
         self.check_joints()
         reached = {body for one in (FRAME, self.driver) for body in self.neighbours(one)}
         while len(self.placed) <= len(self.links):
@@ -178,7 +184,13 @@ class Assembly:
         return None
 
     def check_joints(self) -> None:
-        """Refuse a driven body off the frame or fixed to it, and bodies without a joint."""
+        """Refuse a driven body off the frame or fixed to it, and bodies without a joint.
+
+        Raises
+        ------
+        StructureError
+            If there is one of them.
+        """
         crank = self.links[self.driver]
         if FRAME not in self.members[crank.start]:
             ends = self.members.get(crank.end, [])
@@ -236,6 +248,11 @@ class Assembly:
             Inner joint of the group.
         p, q : str
             Outer joints.
+
+        Raises
+        ------
+        StructureError
+            If the file states no mode for the group, or another than these two.
         """
         options = f'{joint} = "left of {p}-{q}" or "right of {p}-{q}"'
         words = self.mode(joint, options)
@@ -254,6 +271,11 @@ class Assembly:
         joint : str
             Name of the group.
         guide : Guide
+
+        Raises
+        ------
+        StructureError
+            If the file states no mode for the group, or another than these two.
         """
         options = f'{joint} = "forward" or "backward", along the guide {guide.name}'
         words = self.mode(joint, options).strip()
@@ -272,6 +294,11 @@ class Assembly:
             Name of the group.
         options : str
             Assignments that the file can contain, for the error.
+
+        Raises
+        ------
+        StructureError
+            If the file states none.
         """
         self.used.add(joint)
         if joint not in self.modes:

@@ -74,7 +74,13 @@ class SweepTask(ABC):
 
     @cached_property
     def problem(self) -> ProblemFile:
-        """The problem, read in the process of the chunk."""
+        """The problem, read in the process of the chunk.
+
+        Raises
+        ------
+        InputError
+            If the worker runs another version, or a file to which the problem refers has changed.
+        """
         if self.version != VERSION:
             message = f"this worker runs optlink {VERSION}, the study optlink {self.version}"
             raise InputError(Fault(message, "Install one version everywhere", self.file))

@@ -433,7 +433,13 @@ class BalanceSection(Section):
         return tuple(weights), tuple(springs)
 
     def place(self, machine: Machine) -> tuple[float, float]:
-        """Return the reference point of shaking moments [m]; default: the crank pivot."""
+        """Return the reference point of shaking moments [m]; default: the crank pivot.
+
+        Raises
+        ------
+        Unusable
+            If it is not a point of the frame.
+        """
         mechanism = machine.mechanism
         if isinstance(self.about, tuple):
             x, y = self.about

@@ -160,7 +160,13 @@ class DriveSection(Section):
 
 
 def read_gravity(raw: object) -> Any:
-    """Read gravity: a value along -y, or two components."""
+    """Read gravity: a value along -y, or two components.
+
+    Raises
+    ------
+    Unusable
+        If it is neither, or has no unit of an acceleration.
+    """
     if isinstance(raw, tuple):
         return raw
     if isinstance(raw, list):

@@ -271,7 +271,13 @@ class Revolution:
         return self.machine.moving(np.linspace(0.0, self.machine.mechanism.cycle, STROKES, endpoint=False) + 1e-4)
 
     def check_clearances(self, gaps: Sequence[Gap]) -> None:
-        """Refuse clearances that allow a group of the mechanism to disassemble or to change its assembly mode."""
+        """Refuse clearances that allow a group of the mechanism to disassemble or to change its assembly mode.
+
+        Raises
+        ------
+        Unusable
+            If there are such clearances, with the key of the first one.
+        """
         mechanism, assembled = self.machine.mechanism, self.moving.motion.assembled
         with np.errstate(all="ignore"):
             pose = mechanism.at(self.machine.sizes, self.moving.motion.crank_angle)
@@ -300,7 +306,13 @@ class Revolution:
         return known
 
     def check_moves(self, load: Load) -> None:
-        """Refuse a load that opposes a motion that does not exist."""
+        """Refuse a load that opposes a motion that does not exist.
+
+        Raises
+        ------
+        Unusable
+            If the load is one.
+        """
         rates = self._rates(load)
         size = float(np.max(self.machine.size)) if isinstance(load, Force) else 1.0
         if rates.size and float(np.median(np.abs(rates))) <= 1e-12 * size:  # near singular positions rounding errors are larger

@@ -90,7 +90,13 @@ def sampled_targets(points: Array, unit: str, loop: bool, note: str) -> TargetPo
 
 
 def expression_curve(raw: Mapping[str, Any]) -> TargetPoints:
-    """Return points of a curve whose coordinates are expressions in t."""
+    """Return points of a curve whose coordinates are expressions in t.
+
+    Raises
+    ------
+    Unusable
+        If a key is missing or invalid, or an expression is not finite or too large in the range of t.
+    """
     for key, example in (("x", '"20*cos(t)"'), ("y", '"10*sin(t)"'), ("t", '[0, "2*pi"]'), ("unit", '"mm"')):
         if key not in raw:
             raise Unusable(

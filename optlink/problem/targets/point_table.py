@@ -91,7 +91,13 @@ _LEFT_OUT = {"weight": 1.0, "tolerance": math.inf}  # defaults of a row
 
 
 def read_rows(raw: Sequence[object]) -> PointRows:
-    """Read rows listed in the problem file, each a list of two or a table."""
+    """Read rows listed in the problem file, each a list of two or a table.
+
+    Raises
+    ------
+    Unusable
+        If there is no row or there are too many, or a row is invalid, with its index.
+    """
     if len(raw) > MAX_ROWS:
         raise Unusable(f"there are {len(raw):,} points, more than {MAX_ROWS:,}", "Thin them out", "")
     example = 'Write ["20 mm", "25 mm"], or { x = "20 mm", y = "25 mm", crank = "30 deg" }'
@@ -334,7 +340,13 @@ def _check_size(rows: PointRows) -> None:
 
 
 def check_apart(rows: PointRows) -> None:
-    """Refuse a point that coincides with the previous one, unless their crank angles (a dwell) or angles (a rotation) differ."""
+    """Refuse a point that coincides with the previous one, unless their crank angles (a dwell) or angles (a rotation) differ.
+
+    Raises
+    ------
+    Unusable
+        If two points coincide, or all of them.
+    """
     points, columns = rows.points, rows.columns
     if "crank" not in columns:
         same = np.hypot(*np.diff(points, axis=0).T) <= COINCIDENT * diagonal(points)

@@ -57,7 +57,13 @@ def closed(wanted: TargetPoints) -> bool:
 
 
 def read_count(raw: Mapping[str, Any]) -> int:
-    """Read the number of points at which a curve is sampled."""
+    """Read the number of points at which a curve is sampled.
+
+    Raises
+    ------
+    Unusable
+        If it is no whole number, or out of range.
+    """
     count = raw.get("points", DEFAULT_POINTS)
     if isinstance(count, bool) or not isinstance(count, int) or not 2 <= count <= MAX_POINTS:
         raise Unusable(f"expected a whole number from 2 to {MAX_POINTS}", "Write points = 60, for example", "points", count)
@@ -65,7 +71,13 @@ def read_count(raw: Mapping[str, Any]) -> int:
 
 
 def metres(raw: Mapping[str, Any]) -> float:
-    """Return the length of one unit [m]."""
+    """Return the length of one unit [m].
+
+    Raises
+    ------
+    Unusable
+        If the unit is none of a length.
+    """
     if not isinstance(raw["unit"], str):
         raise Unusable("expected a unit of length", 'Write unit = "mm"', "unit", raw["unit"])
     try:

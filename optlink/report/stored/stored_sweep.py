@@ -32,6 +32,8 @@ def read(record: SweepRecord, file: ProblemFile, place: Path) -> Sweep:
     ------
     InputError
         If the table is missing or belongs to another sweep.
+    Contradiction
+        If the record does not fit its table.
     """
     path = place.parent / TABLE
     path = path if path.is_file() or record.table is None else Path(record.table)

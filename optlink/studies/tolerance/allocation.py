@@ -143,6 +143,8 @@ def allocate(study: Tolerance, target_yield: float, costs: Mapping[str, float], 
     ------
     InputError
         For measured deviations, which cannot be allocated, or a design that violates the limit as drawn.
+    SolverError
+        If the least cost is not proven.
     """
     measured = [d.name for d in study.deviations if d.values]
     if measured:
