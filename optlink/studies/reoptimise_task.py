@@ -115,7 +115,7 @@ class ReoptimiseTask(OptimumTask):
         return ParametricProgramme(self.template) if one_programme_suffices(self.template, keys) else None
 
     @cached_property
-    def direct(self) -> FastOverride | None:
+    def fast_override(self) -> FastOverride | None:
         """Sets values in the model; None if the file has to be read again for each.
 
         Tolerances of a robust design are checked against each size, so that its problems are read one by one.
@@ -145,15 +145,15 @@ class ReoptimiseTask(OptimumTask):
 
     def model(self, point: int) -> DesignProblem:
         """Return the problem at a point of the grid."""
-        if self.direct is not None:
-            return self.direct.model(self.grid.values(point))
+        if self.fast_override is not None:
+            return self.fast_override.model(self.grid.values(point))
         return self.problem.override(self.grid.changes(point)).spec
 
     def _problem(self, points: Index) -> BatchProblem:
         """Return parameters and bounds of the programme at points of the grid."""
         assert self.programme is not None
-        if self.direct is not None:
-            return self.programme.parameters(self.direct.model(self.grid.columns(points)), len(points))
+        if self.fast_override is not None:
+            return self.programme.parameters(self.fast_override.model(self.grid.columns(points)), len(points))
         each = [self.programme.parameters(self.model(point)) for point in points.tolist()]
         return BatchProblem(*(np.concatenate([vars(one)[name] for one in each]) for name in ("p", "lower", "upper")))
 
@@ -172,8 +172,8 @@ class ReoptimiseTask(OptimumTask):
         if not len(points):
             return {}
         values = {v.name: v.origin + x[:, i] * v.size for i, v in enumerate(nlp.variables) if v.name not in nlp.helpers}
-        if self.direct is not None:
-            task = self.direct.model(self.grid.columns(points))
+        if self.fast_override is not None:
+            task = self.fast_override.model(self.grid.columns(points))
             proofs = validate_batch(task, task.designs(values), objective)
             valid, failed = proofs.valid, {k: _failed(proofs.of(k)) for k in np.flatnonzero(~proofs.valid).tolist()}
         else:

@@ -208,7 +208,7 @@ class _Tested:
         turned = {stroke.name: stroke.rotation for stroke in travel.strokes(self.way)}
         return travel.span, turned.get("forward", math.nan), turned.get("backward", math.nan)
 
-    def asked(self) -> Motion:
+    def limited_motion(self) -> Motion:
         """Return the motion over which the transmission angle is limited."""
         whole = self.problem.transmission_over == "revolution" and self.revolution is not None
         return self.revolution if whole and self.revolution is not None else self.span
@@ -318,7 +318,7 @@ def _transmission(tested: _Tested) -> Iterator[Check]:
     def angles(at: Array) -> Array:
         return transmission_angles(tested.sweep(at), tested.mechanism).T
 
-    motion = tested.asked()
+    motion = tested.limited_motion()
     grid = np.sort(motion.crank_angle)
     if motion is tested.revolution:
         grid = np.append(grid, grid[0] + TURN)

@@ -62,7 +62,7 @@ def si(value: float, unit: str) -> str:
     return figure(value * shown.factor, shown.unit)
 
 
-def listed(words: Sequence[str]) -> str:
+def joined(words: Sequence[str]) -> str:
     """Join words with commas and "and"."""
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
@@ -85,17 +85,17 @@ def design(outcome: FunctionResult | PathResult | CycleResult, limits: Iterable[
 
     best, proof = outcome.best, clause(outcome.certificate)
     if best is None or outcome.conflict:
-        return _joined(contradiction(outcome.conflict, outcome.together) or "No design was found.", proof)
+        return _sentences(contradiction(outcome.conflict, outcome.together) or "No design was found.", proof)
     if isinstance(best, PathDesign | CycleResult):
         achieved = _path(best) if isinstance(best, PathDesign) else _cycle(best)
     else:
         achieved = _function(best)
     if outcome.valid:
-        return _joined(achieved, _limiting(limits), proof)
+        return _sentences(achieved, _limiting(limits), proof)
     return f"{_failed(best.validation.checks) or _stopped(best.status)} {achieved}"
 
 
-def _joined(*sentences: str) -> str:
+def _sentences(*sentences: str) -> str:
     return " ".join(filter(None, sentences))
 
 
@@ -138,7 +138,7 @@ def _cycle(outcome: CycleResult) -> str:
         before = f" instead of {figure(one.initial, one.unit)} ({100.0 * change:+z.1f} %)" if math.isfinite(change) else ""
         words.append(f"{one.words} {figure(one.result, one.unit)}{before.replace('-', '−')}")
     words += [f"{one.words} {figure(one.result, one.unit)}" for one in outcome.figures if stroke and one.name in REQUIRED]
-    text = listed(words)
+    text = joined(words)
     return f"{text[:1].upper()}{text[1:]}."
 
 
@@ -201,7 +201,7 @@ def analysis(outcome: Analysis) -> str:
         words = words or [
             f"the swing of {name} is {si(one.high - one.low, 'rad')}" for name, one in list(outcome.swings.items())[:2]
         ]
-    text = listed(words) if words else "the motion was computed"
+    text = joined(words) if words else "the motion was computed"
     if not outcome.sound:
         text = f"not every position has finite reactions ({outcome.status}); {text}"
     turn = "" if outcome.full else " The crank cannot turn fully."
@@ -260,7 +260,7 @@ def comparison(found: Comparison) -> str:
 def balance(found: Balance) -> str:
     """Return the conclusion of a balancing: change of the objective, proof, and active limits."""
     if found.conflict:
-        names = listed([f"{one.name} ({one.sense} {figure(one.bound, one.unit)})" for one in found.conflict][:4])
+        names = joined([f"{one.name} ({one.sense} {figure(one.bound, one.unit)})" for one in found.conflict][:4])
         eased = [one for one in found.conflict if math.isfinite(one.alone)]
         remedy = " or ".join(f"{one.name} to {figure(one.alone, one.unit)}" for one in eased[:3]) or "several of them together"
         return f"No counterweights meet all limits: {names} contradict each other. To make it feasible, relax {remedy}."
@@ -271,7 +271,7 @@ def balance(found: Balance) -> str:
     text = f"The {found.measure} falls by {100.0 * found.reduction:.4g} % to {figure(left, found.unit or '')}"
     text = text.rstrip() + f" with {figure(mass, 'kg')} of counterweights"
     active = [one.name for one in found.limits if one.active]
-    held = f" What limits it: {listed(active[:3])}." if active else ""
+    held = f" What limits it: {joined(active[:3])}." if active else ""
     return f"{text}.{held}" if found.valid else f"Not valid. {text}.{held}"
 
 
@@ -289,7 +289,7 @@ def sweep(found: Sweep) -> str:
     _, _, unit = name.partition("_")
     where = [f"{axis.key} = {figure(float(found.best[axis.column]), axis.unit)}" for axis in found.grid.axes]
     value = figure(float(found.best[name]), unit.replace("2", "²"))
-    text = f"The objective is least, {value}, at {listed(where)}; {found.valid:,} of {total:,} points have a proven design."
+    text = f"The objective is least, {value}, at {joined(where)}; {found.valid:,} of {total:,} points have a proven design."
     active = str(found.best.get("active", ""))
     return text + (f" What limits the best: {active}." if active else "")
 
@@ -307,7 +307,7 @@ def pareto(found: Pareto) -> str:
     text = f"{len(found.points)} proven designs trade {' against '.join(spans)}."
     if found.knee is not None:
         at = found.points[found.knee[0]].values
-        knee = listed([f"{aim.name} {figure(value, aim.unit)}" for aim, value in zip(found.objectives, at, strict=True)])
+        knee = joined([f"{aim.name} {figure(value, aim.unit)}" for aim, value in zip(found.objectives, at, strict=True)])
         text += f" The best compromise (knee) is point {found.knee[0] + 1}: {knee}."
     return text if found.complete else f"{text} Not every point could be proven."
 

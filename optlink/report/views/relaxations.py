@@ -12,7 +12,7 @@ from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 from typing import TYPE_CHECKING
 
 from optlink.report.table_spec import TableSpec, table
-from optlink.report.views.conclusions import figure, listed
+from optlink.report.views.conclusions import figure, joined
 
 if TYPE_CHECKING:
     from optlink.solvers.solution import Relaxation
@@ -54,8 +54,8 @@ def contradiction(conflict: Sequence[Relaxation], together: Sequence[Relaxation]
         remedy = f"relax {' or '.join(options[:3])}"
     else:
         shared = [_option(one) for one in _ranges(together) if math.isfinite(one[0].amount)]
-        remedy = f"relax together {listed(shared[:3])}" if shared else "drop one of them"
-    names = listed([_name(one) for one in limits][:4])
+        remedy = f"relax together {joined(shared[:3])}" if shared else "drop one of them"
+    names = joined([_name(one) for one in limits][:4])
     subject = f"the limits {names} contradict each other" if len(limits) > 1 else f"the limit {names} cannot be met"
     return f"No design meets all limits: {subject}. To make it feasible, {remedy}."
 
