@@ -23,12 +23,12 @@ def arguments(function: ast.FunctionDef) -> list[str]:
     return [name for name in names if name not in ("self", "cls") and not name.startswith("_")]
 
 
-def described(docstring: str) -> set[str]:
-    """Names in the Parameters section of a numpy-style docstring."""
+def described(docstring: str) -> list[str]:
+    """Names in the Parameters section of a numpy-style docstring, in order."""
     section = SECTION.search(docstring)
     lines = section.group(1).splitlines() if section else []
     entries = (line.split(" : ")[0].split(",") for line in lines if line and not line.startswith(" "))
-    return {name.strip().lstrip("*") for entry in entries for name in entry}
+    return [name.strip().lstrip("*") for entry in entries for name in entry]
 
 
 def public(body: list[ast.stmt]) -> Iterator[ast.FunctionDef]:
@@ -57,7 +57,7 @@ def lacking(source: str) -> list[str]:
         text = ast.get_docstring(function) or ""
         names, known = arguments(function), described(text)
         wrong = [name for name in names if name not in known] if len(names) > 1 else []
-        wrong += sorted(known - set(arguments(function)))
+        wrong += [name for name in known if name not in names or known.count(name) > 1]
         _, _, section = text.partition("\nRaises\n------\n")
         wrong += sorted(name for name in raised(function) if not re.search(rf"^(\w+, )*{name}(, \w+)*$", section, re.MULTILINE))
         if wrong:
@@ -81,6 +81,7 @@ def test_the_check_sees_what_is_missing() -> None:
     assert lacking(good) == []
     assert lacking(good.replace("a, b : float", "a : float")) == ["f: b"]
     assert lacking(good.replace("a, b : float", "a, b, c : float")) == ["f: c"]
+    assert lacking(good.replace("a, b : float", "a, b, a : float")) == ["f: a, a"]
     assert lacking('class C:\n    def f(self, a, b):\n        """Add."""\n') == ["f: a, b"]
     raising = 'def f():\n    """Fail.{}"""\n    raise ValueError("always")\n'
     assert lacking(raising.format("")) == ["f: ValueError"]

@@ -33,7 +33,7 @@ from optlink.version import VERSION
 Array = NDArray[np.float64]
 Certified = TypeVar("Certified", FunctionResult, PathResult)
 Progress = Callable[[float, float], None]
-"""Receives the share of the bounds that is settled, and the present gap (NaN without a design)."""
+"""Receives the share of the bounds that is done, and the present gap (NaN without a design)."""
 
 ACTIVE = 1e-6  # slack of a limit, and share of the bounds from one, below which it counts as active at the best design
 TOP = 1e-3  # share below the largest deviation within which others are as large

@@ -22,7 +22,7 @@ Progress = Callable[[float], None]
 """Receives the share of the work that is done, from 0 to 1."""
 
 Proving = Callable[[float, float], None]
-"""Receives the settled share of the bounds and the present gap."""
+"""Receives the share of the bounds that is done, and the present gap."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def solve(
         Share of the objective by which a design may be better without being found.
     time_limit : float [s]
         Time of the proof; the bound that is reached then holds.
-    proving : function of (settled share of the bounds, present gap), optional
+    proving : function of (share of the bounds that is done, present gap), optional
         Progress of the proof.
     folder : Path, optional
         Where the state of a long proof is kept, so that an interrupted one can continue.

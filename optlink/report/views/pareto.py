@@ -38,8 +38,6 @@ def read(record: ParetoRecord, file: ProblemFile, path: Path) -> Pareto:
     file : ProblemFile
         The problem of the study.
     path : Path
-        Of result.json.
-    path : Path
         File of the record.
 
     Raises
@@ -103,7 +101,7 @@ def stored_study(record: ParetoRecord, file: ProblemFile, path: Path) -> StoredS
     file : ProblemFile
         The problem of the study.
     path : Path
-        Of result.json.
+        File of the record.
 
     Raises
     ------

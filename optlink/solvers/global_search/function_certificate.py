@@ -98,7 +98,7 @@ def certify_function(
     boxes : float
         Most boxes that are bounded.
     progress : function of (share, gap), optional
-        Receives the settled share of the start angles at the present level, and the gap that is proven.
+        Receives the share of the start angles that is done at the present level, and the gap that is proven.
     improve : function, optional
         Receives a better design [m, rad] and returns the objective of the valid one found from it. Default: its own error.
 
