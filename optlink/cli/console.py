@@ -234,6 +234,11 @@ def quantity(text: str | None, kind: str, option: str) -> float | None:
         raise InputError(Fault(error.message, error.remedy, key=option, value=text)) from None
 
 
+def given(**options: Any) -> dict[str, Any]:
+    """Return the options that are not None; the library has defaults for the others."""
+    return {name: value for name, value in options.items() if value is not None}
+
+
 def refuse(options: Mapping[str, object], message: str, remedy: str, file: str | None = None) -> None:
     """Raise an error for the first of these options that is used: it would have no effect.
 

@@ -16,27 +16,6 @@ MANIFEST = ".optlink-run.json"
 """What an earlier run in the folder was, and the files that it wrote with their check sums."""
 
 RESULT = "result.json"
-WRITERS = {
-    "result": ("solve", "validate"),
-    "function": ("solve", "validate"),
-    "path": ("solve", "validate"),
-    "cycle": ("solve", "validate"),
-    "generation": ("solve", "validate"),
-    "machine-design": ("solve", "validate"),
-    "analysis": ("analyze",),
-    "simulation": ("simulate",),
-    "clearance": ("simulate",),
-    "control-comparison": ("simulate",),
-    "compensation": ("simulate",),
-    "tuning": ("simulate",),
-    "balance": ("balance",),
-    "sensitivity": ("sensitivity",),
-    "output-sensitivity": ("sensitivity",),
-    "tolerance": ("tolerance",),
-    "sweep": ("sweep",),
-    "pareto": ("pareto",),
-}
-"""Commands that write a result, by the kind in its schema (of earlier versions too): for folders without a manifest."""
 
 
 def check_owner(path: Path, command: str, problem: str) -> None:
@@ -62,8 +41,7 @@ def check_owner(path: Path, command: str, problem: str) -> None:
         commands, other = [about["command"]], about["problem"]
     else:
         result = _read(path / RESULT)
-        kind = str(result.get("schema", "")).removeprefix("optlink/").partition("/")[0]
-        commands, other = list(WRITERS.get(kind, ())), Path(str(result.get("problem", stem))).stem
+        commands, other = _writers(str(result.get("schema", ""))), Path(str(result.get("problem", stem))).stem
     if (commands and command not in commands) or other != stem:
         message = f"the folder holds the result of `{' or '.join(commands) or 'optlink'}` for {other}"
         remedy = "Choose another folder, or remove this one; nothing was overwritten"
@@ -108,6 +86,14 @@ def _replaced(path: Path, before: Any, written: set[Path], about: dict[str, Any]
             (path / name).unlink(missing_ok=True)
     with contextlib.suppress(InputError):  # the results are complete; the disk may be full
         write_json(path / MANIFEST, {**about, "files": {name: _sum(path / name) for name in sorted(names)}})
+
+
+def _writers(schema: str) -> list[str]:
+    """Return the commands that write results of a schema, of earlier versions too: for folders without a manifest."""
+    from optlink.report.stored.loader import COMMANDS
+
+    command = COMMANDS.get(schema.rpartition("/")[0], "").partition(" --")[0].rpartition(" ")[2]
+    return ["solve", "validate"] if command == "solve" else [command] if command else []
 
 
 def _sum(path: Path) -> str | None:

@@ -200,7 +200,7 @@ def _ideal(asked: Run) -> None:
             design=asked.design,
             progress=progress,
             flywheel=asked.flywheel,
-            **_said(rows=asked.points),
+            **console.given(rows=asked.points),
         )
     console.deliver(result, "simulation", asked.csv, asked.as_json, asked.out)
     if not result.finished:
@@ -228,7 +228,7 @@ def _loose(asked: Run, revolutions: int | None, control: str, resume: bool, **op
             checkpoint=None if asked.out is None else functools.partial(write_json, asked.out / "checkpoint.json"),
             resume=begun,
             compiling=_compiling,
-            **_said(points=asked.points, **options),
+            **console.given(points=asked.points, **options),
         )
     console.deliver(found, "clearance", None, asked.as_json, asked.out)
     if not found.finished:
@@ -247,7 +247,7 @@ def _compared(asked: Run, revolutions: int | None, resume: bool, **options: Any)
 
         with console.working(f"Drawing into {asked.out}"):
             view_of("control comparison").write(found, asked.out, console.pictures)
-    _shown(asked, found, "comparison")
+    _shown(asked, found, "control comparison")
     if not found.finished:
         raise typer.Exit(3)
 
@@ -277,16 +277,16 @@ def _many(options: dict[str, Any]) -> dict[str, Any]:
     """Return the options of many runs: as many processes as cores by default."""
     from optlink.execution.runner import cores
 
-    return {"workers": cores(), **_said(**options)}
+    return {"workers": cores(), **console.given(**options)}
 
 
 def _shown(asked: Run, found: Any, table: str) -> None:
     if asked.as_json:
         console.print_json(found.to_dict())
         return
-    from optlink.report.views import clearance_tables as loose
+    from optlink.report.registry import table_of
 
-    console.show(getattr(loose, table)(found))
+    console.show(table_of(table)(found))
 
 
 @contextlib.contextmanager
@@ -313,7 +313,7 @@ def _kept(asked: Run, resume: bool, parts: str, what: str) -> Iterator[dict[str,
                 "compiling": _compiling,
                 "checkpoint": keep,
                 "resume": begun,
-                **_said(points=asked.points),
+                **console.given(points=asked.points),
             }
     except KeyboardInterrupt:
         message = f"interrupted: {done} of {of} {parts} are complete" if of else f"interrupted: no {parts} are complete"
@@ -325,11 +325,6 @@ def _kept(asked: Run, resume: bool, parts: str, what: str) -> Iterator[dict[str,
         raise typer.Exit(130) from None
     if place is not None:
         place.unlink(missing_ok=True)
-
-
-def _said(**options: Any) -> dict[str, Any]:
-    """Return the options that are not None; the library has defaults for the others."""
-    return {name: value for name, value in options.items() if value is not None}
 
 
 def _revolutions(asked: Run, revolutions: int | None) -> int:

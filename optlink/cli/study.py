@@ -235,7 +235,7 @@ def sweep(
                 columns=column or ("input.torque_Nm",),
                 points=360 if points is None else points,
                 design=given,
-                simulate=_options(revolutions=revolutions, control=control, points=points) if simulate else None,
+                simulate=console.given(revolutions=revolutions, control=control, points=points) if simulate else None,
                 backend=backend,
                 engine=engine or "local",
                 workers=workers,
@@ -245,11 +245,6 @@ def sweep(
         console.deliver(result, "sweep", None, as_json, out)
         if not result.successful:
             raise typer.Exit(1)
-
-
-def _options(**options: Any) -> dict[str, Any]:
-    """Return the simulation options that are not None."""
-    return {name: value for name, value in options.items() if value is not None}
 
 
 @study.command()

@@ -64,6 +64,10 @@ def table_of(kind: str) -> Callable[[Any], Summary]:
             from optlink.report.views.clearance_tables import comparison as comparison_table
 
             return comparison_table
+        case "tuning":
+            from optlink.report.views.clearance_tables import tuning as tuning_table
+
+            return tuning_table
         case "sensitivity":
             from optlink.report.views.study_tables import sensitivities as sensitivity_table
 

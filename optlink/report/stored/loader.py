@@ -45,11 +45,18 @@ EARLIER = {
     "optlink/generation": "solve",
     "optlink/machine-design": "solve",
     "optlink/compensation": "simulate --control compare",
-    "optlink/output-sensitivity": "study sensitivity --quantity",
 }
 """Names of schemas of earlier versions: the command that writes the present one."""
-PAGELESS = {"optlink/output-sensitivity/2": "Read the derivatives of an output in the sensitivity.csv beside it"}
-"""Schemas of results that are not drawn, and where to read them."""
+PAGELESS = {
+    "optlink/output-sensitivity/2": (
+        "study sensitivity --quantity",
+        "Read the derivatives of an output in the sensitivity.csv beside it",
+    ),
+    "optlink/tuning/2": ("simulate --tune", "Read the best parameters in it, under best"),
+}
+"""Schemas of results that are not drawn: the command that writes them, and where to read them."""
+COMMANDS = {name.rpartition("/")[0]: command for name, (command, _) in (KNOWN | PAGELESS).items()} | EARLIER
+"""Commands by the names of all schemas."""
 
 
 class _Head(Record):
@@ -121,15 +128,13 @@ def _further(view: View, document: dict[str, Any], path: Path, problem: str | No
 
 def _unknown(schema: object, path: Path) -> InputError:
     """Return the error for a document of an unknown schema."""
-    known = {name.rpartition("/")[0]: command for name, (command, _) in KNOWN.items()}
     if not isinstance(schema, str) or not schema.startswith("optlink/"):
         return InputError(Fault("not a result of optlink", "Give a result.json that --out wrote", str(path), "schema", schema))
     if schema in PAGELESS:
-        return InputError(Fault("a result of this kind has no page", PAGELESS[schema], str(path), "schema", schema))
-    stem = schema.rpartition("/")[0]
-    if command := (known | EARLIER).get(stem):
+        return InputError(Fault("a result of this kind has no page", PAGELESS[schema][1], str(path), "schema", schema))
+    if command := COMMANDS.get(schema.rpartition("/")[0]):
         remedy = f"Run `{command}` again, or use the version that wrote it"
         return InputError(Fault("the result is of another version of its format", remedy, str(path), "schema", schema))
-    commands = ", ".join(dict.fromkeys(known.values()))
+    commands = ", ".join(dict.fromkeys(command for command, _ in KNOWN.values()))
     remedy = f"Give what --out of one of these wrote: {commands}; or the problem itself"
     return InputError(Fault("not a result that can be shown here", remedy, str(path), "schema", schema))
