@@ -19,11 +19,12 @@ from optlink.problem.function import DesignProblem
 from optlink.problem.limits import Limits
 from optlink.problem.path import PathProblem
 from optlink.report.style import scale
+from optlink.report.views.path_tables import objective_scale as path_scale
 from optlink.solvers.function_exchange import error_at
 from optlink.solvers.solution import key_of
 from optlink.studio.design import Design
 from optlink.studio.picture import Picture
-from optlink.units import KINDS
+from optlink.units import DISPLAYED, display_unit
 from optlink.validation.path import deviations, transmission_angles
 
 Array = NDArray[np.float64]
@@ -112,22 +113,14 @@ def objective_scale(problem: ProblemFile) -> tuple[float, str, str]:
         words = {"max": "largest error", "rms": "root mean square error"}.get(measure, "sum of squared errors")
         return (math.degrees(1.0), "deg", words) if angular else (1.0, MEASURES[measure].unit.replace("^2", "²"), words)
     if isinstance(model, PathProblem):
-        if model.requirement.kind == "transmission":
-            return 1.0, "", "worst cosine of the transmission angle"
-        length = model.unit == "m"
         words = {"max": "largest deviation", "rms": "root mean square deviation"}.get(model.measure, "sum of squared deviations")
-        if model.measure != "sum of squares":
-            return (1e3, "mm", words) if length else (math.degrees(1.0), "deg", words)
-        return (1e6, "mm²", words) if length else (1.0, "rad²", words)
+        words = "worst cosine of the transmission angle" if model.requirement.kind == "transmission" else words
+        per, unit = path_scale(model)
+        return per, unit.replace("^2", "²"), words
     if isinstance(model, CycleProblem):
         kind = model.unit_kind
         words = model.goals[0].words if model.single else "objective"
-        if not kind:
-            return 1.0, "", words
-        unit = KINDS[kind].display
-        from optlink.units import factor
-
-        return 1.0 / factor(unit, kind), unit, words
+        return (*display_unit(kind), words) if kind else (1.0, "", words)
     return 1.0, "", ""
 
 
@@ -189,7 +182,7 @@ def _error(design: Design) -> Iterator[dict[str, Any]]:
         yield _chart("Output error", design.start + offsets, [("target minus generated", "deg", error)])
     elif isinstance(model, PathProblem) and model.requirement.kind != "transmission" and design.crank_angles is not None:
         found = deviations(model, design.values, design.crank_angles)
-        factor, unit = (1e3, "mm") if model.unit == "m" else (math.degrees(1.0), "deg")
+        factor, unit = DISPLAYED[model.unit]
         yield _chart("Deviation at the points", design.crank_angles, [("deviation", unit, factor * found.distances)])
 
 
