@@ -78,7 +78,7 @@ class DesignBoxes:
     @property
     def measure(self) -> str:
         """Measure of the residuals: "sum of squares", "rms" or "max"."""
-        return self.problem.requirement.measure if isinstance(self.problem, DesignProblem) else self.problem.measure
+        return self.problem.measure
 
     def over(self, low: Array, high: Array) -> BoxModels:
         """Return the models over boxes.

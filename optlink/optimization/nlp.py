@@ -326,7 +326,7 @@ def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
     sizes = {name: size if name in LENGTHS else 1.0 for name in problem.quantities}
     free = problem.free
     fixed = tuple(name for name in problem.quantities if name not in free)
-    measure = MEASURES[problem.requirement.measure]
+    measure = MEASURES[problem.measure]
     minimax = measure.name == "max"
     robust, counted = problem.requirement.robust, problem.counted
     if robust is not None and robust.text == EXPECTED:

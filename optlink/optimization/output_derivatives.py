@@ -106,7 +106,7 @@ class ErrorResiduals:
 
     def objective(self, values: Mapping[str, Value]) -> Array:
         """Return the objective at the design positions; arrays of dimensions have a last axis of one."""
-        law, measure = self.problem.law, self.problem.requirement.measure
+        law, measure = self.problem.law, self.problem.measure
         parts = self.parts(values, law.offsets, law.tabulated)
         if measure == "max":
             return np.asarray(np.max(sizes_of(parts), axis=-1), dtype=float)

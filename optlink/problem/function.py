@@ -173,6 +173,11 @@ class DesignProblem(Problem):
         return Law(source, first + (self.span - first) * steps)
 
     @property
+    def measure(self) -> str:
+        """Measure of the errors: "sum of squares", "rms" or "max"."""
+        return self.requirement.measure
+
+    @property
     def everywhere(self) -> bool:
         """Whether the largest error is taken over the whole range, not only at the design positions: for functions."""
         return self.requirement.measure == "max" and isinstance(self.requirement.law, Function)

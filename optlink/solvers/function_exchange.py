@@ -43,7 +43,7 @@ def error_at(problem: DesignProblem, design: Mapping[str, float], offsets: Array
 
 def error_function(problem: DesignProblem) -> Callable[[Mapping[str, float], Array], Array]:
     """Return the error [rad] as a function of design and crank rotations, enlarged by the tolerances for a robust requirement."""
-    if problem.requirement.robust is None or problem.requirement.measure != "max":
+    if problem.requirement.robust is None or problem.measure != "max":
         return lambda design, offsets: error_at(problem, design, offsets)
     from optlink.optimization.output_derivatives import ErrorResiduals
 

@@ -51,7 +51,7 @@ def objective_column(problem: ProblemFile) -> str:
         assert isinstance(problem.model, PathProblem)
         unit = objective_unit(problem.model)
     else:
-        unit = MEASURES[problem.spec.requirement.measure].unit
+        unit = MEASURES[problem.spec.measure].unit
     return f"objective_{unit.replace('^', '')}".rstrip("_")
 
 

@@ -87,7 +87,7 @@ def _options(problem: DesignProblem, free: bool) -> dict[str, Any]:
     ratio = problem.limits.link_ratio
     ratios = None if ratio is None else (ratio.low or 1e-3, ratio.high or 1e3)
     keep = _keep(problem, problem.law.offsets)
-    return {"measure": problem.requirement.measure, "ratios": ratios, "shift": free, "keep": keep}
+    return {"measure": problem.measure, "ratios": ratios, "shift": free, "keep": keep}
 
 
 def values(problem: DesignProblem, step: FirstStep) -> dict[str, float]:

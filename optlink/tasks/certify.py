@@ -77,13 +77,8 @@ def exact(problem: ProblemFile, objective: float) -> bool:
     """
     model: Any = problem.model
     scale = 1.0 if isinstance(model, DesignProblem) else model.whole
-    error = objective if _measure(problem) != "sum of squares" else math.sqrt(max(objective, 0.0))
+    error = objective if model.measure != "sum of squares" else math.sqrt(max(objective, 0.0))
     return bool(error <= EXACT * scale)
-
-
-def _measure(problem: ProblemFile) -> str:
-    model: Any = problem.model
-    return str(model.requirement.measure if isinstance(model, DesignProblem) else model.measure)
 
 
 def check_options(gap: float, time_limit: float) -> None:
@@ -213,7 +208,7 @@ class _Search:
 
     @property
     def _square(self) -> bool:
-        return _measure(self.result.problem) != "sum of squares"
+        return bool(self.result.problem.model.measure != "sum of squares")
 
     @property
     def _squared(self) -> float:

@@ -64,7 +64,7 @@ class FunctionObjectiveRecord(Record):
 
     value: Annotated[Number, "objective"]
     unit: str
-    measure: Annotated[str, "problem.spec.requirement.measure"]
+    measure: Annotated[str, "problem.spec.measure"]
     rms_deg: Number
     largest_deg: Number
     alternations: int | None = absent()
@@ -87,7 +87,7 @@ class FunctionObjectiveRecord(Record):
             result,
             rms_deg=math.degrees(MEASURES["rms"].of(error)),
             largest_deg=math.degrees(MEASURES["max"].of(error)),
-            alternations=result.alternations if task.requirement.measure == "max" else None,
+            alternations=result.alternations if task.measure == "max" else None,
             robust=None if robust is None else robust.text,
             tolerances_SI=None if robust is None else {d.name: d.tolerance for d in task.deviations},
             **values,
@@ -226,7 +226,7 @@ class FunctionResult(SingleResult):
     @property
     def unit(self) -> str:
         """Unit of the objective."""
-        return MEASURES[self.problem.spec.requirement.measure].unit
+        return MEASURES[self.problem.spec.measure].unit
 
     def displayed(self, design: Mapping[str, float]) -> dict[str, float]:
         """Return a design [SI] in display units, which end the keys."""

@@ -65,7 +65,7 @@ class BallProblem:
     @property
     def measure(self) -> str:
         """Measure of the deviations: "sum of squares", "rms" or "max"."""
-        return self.problem.requirement.measure if isinstance(self.problem, DesignProblem) else self.problem.measure
+        return self.problem.measure
 
     @property
     def positions(self) -> int:

@@ -134,7 +134,7 @@ class _Tested:
     @property
     def squared(self) -> bool:
         """Whether the objective is in rad^2."""
-        return self.problem.requirement.measure == "sum of squares"
+        return self.problem.measure == "sum of squares"
 
     @property
     def turns(self) -> bool:
@@ -202,7 +202,7 @@ class _Tested:
             middle, spread = self.scattered(at)
             return np.concatenate([spread + middle, spread - middle])
 
-        measure = self.problem.requirement.measure
+        measure = self.problem.measure
         if self.problem.everywhere:
             grid = np.sort(np.linspace(0.0, self.problem.span, POSITIONS + 1))
             return np.asarray(np.max(extremes(sides, grid)[1][:, 1].reshape(2, -1), axis=0))

@@ -59,7 +59,7 @@ class MagnifiedMachine(Sketch):
         super().__init__(sweep(machine.mechanism, machine.sizes, turn, speed), machine)
         self.turns, self.rows, self.gaps = turns, rows, {gap.point: gap for gap in result.gaps}
         self.steps = sweep(machine.mechanism, machine.sizes, np.radians(turns.angle[rows]), speed)
-        self.loupe: Axes | None = None
+        self.close_up: Axes | None = None
         self.middles: dict[str, Array] = {}
         ideal = {body: self.steps.body_angle(body).value for body in self.mechanism.bodies}
         bends = {
@@ -162,8 +162,8 @@ class MagnifiedMachine(Sketch):
             if isinstance(artist, Line2D) and artist.get_gid() == "pins":
                 artist.set_data(*np.array([self.position(motion, name)[k] for name in ideal]).reshape(-1, 2).T)
         more = [(axes, artist) for gap in self.gaps.values() for artist in self._joint(gap, k)]
-        if self.loupe is not None:
-            more += [(self.loupe, artist) for gap in self.gaps.values() for artist in self._magnified(gap, k)]
+        if self.close_up is not None:
+            more += [(self.close_up, artist) for gap in self.gaps.values() for artist in self._magnified(gap, k)]
         for place, artist in more:
             place.add_artist(artist)
         return found + [artist for _, artist in more]
@@ -217,7 +217,7 @@ class MagnifiedMachine(Sketch):
         told : int or None, optional
             Row whose contact state is written below each joint; None writes none, as in an animation.
         """
-        self.loupe = axes
+        self.close_up = axes
         for i, gap in enumerate(self.gaps.values()):
             self.middles[gap.point] = middle = np.array([CELL * (i % columns), -(CELL + LINES) * (i // columns)])
             share = self._share(gap)

@@ -49,7 +49,7 @@ def law_objective(problem: ProblemFile, name: str) -> ParetoObjective:
     """
     task = problem.spec
     if name == ERROR:
-        return ParetoObjective(name, ERROR, MEASURES[task.requirement.measure].unit, 1)
+        return ParetoObjective(name, ERROR, MEASURES[task.measure].unit, 1)
     limits = [f"limits.{key}.{side}" for key in MOVABLE for side in SIDES if (key, side) != ("pressure_angle", "min")]
     sizes = [f"mechanism.{key}" for key in task.mechanism.quantities]
     above, _, side = name.rpartition(".")
