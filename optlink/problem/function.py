@@ -178,6 +178,11 @@ class DesignProblem(Problem):
         return self.requirement.measure
 
     @property
+    def objective_unit(self) -> str:
+        """SI unit of the objective."""
+        return "rad^2" if self.measure == "sum of squares" else "rad"
+
+    @property
     def everywhere(self) -> bool:
         """Whether the largest error is taken over the whole range, not only at the design positions: for functions."""
         return self.requirement.measure == "max" and isinstance(self.requirement.law, Function)

@@ -255,6 +255,11 @@ class PathProblem(Problem):
         return {"path": 2, "motion": 3, "function": 1}[self.requirement.kind]
 
     @property
+    def objective_unit(self) -> str:
+        """SI unit of the objective."""
+        return f"{self.unit}^2" if self.measure == "sum of squares" and self.unit else self.unit
+
+    @property
     def whole(self) -> float:
         """Scale of a deviation in the NLP: the size of the curve, 1 for angles and cosines."""
         return self.size if self.unit == "m" else 1.0

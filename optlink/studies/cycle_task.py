@@ -29,13 +29,11 @@ from optlink.problem.mechanism import sizes_of
 from optlink.solvers import multistart
 from optlink.solvers.semi_infinite import exchange, peaks
 from optlink.studies.continuation import FOLLOWED
-from optlink.studies.grid import column
 from optlink.studies.reoptimise_task import SEARCHED, active
 from optlink.studies.sweep_task import OptimumTask
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.results.common import optimality
 from optlink.tasks.results.cycle import CycleResult, task_of
-from optlink.units import KINDS
 from optlink.validation.check import Validation
 from optlink.validation.cycle import validate_cycle
 
@@ -51,12 +49,6 @@ class CycleTask(OptimumTask):
     """Optimum at every point; `anchors`: dimensions [SI] of machines from which the first search of a chunk starts."""
 
     anchors: tuple[tuple[tuple[str, float], ...], ...] = ()
-
-    @property
-    def objective_column(self) -> str:
-        """Name of the column of the objective."""
-        kind = task_of(self.problem).unit_kind
-        return column("objective", KINDS[kind].si.replace("**", "^") if kind else "")
 
     @cached_property
     def programme(self) -> CycleProgramme | None:

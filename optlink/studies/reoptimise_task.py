@@ -101,13 +101,6 @@ class _Optimum:
 class ReoptimiseTask(OptimumTask):
     """Optimum at every point."""
 
-    @property
-    def objective_column(self) -> str:
-        """Name of the column of the objective."""
-        from optlink.studies.sweep import objective_column
-
-        return objective_column(self.template)
-
     @cached_property
     def programme(self) -> ParametricProgramme | None:
         """Common programme of all points; None if every point needs its own."""

@@ -24,7 +24,6 @@ from pydantic import AfterValidator, Field
 from optlink.errors import Fault, InputError, Status
 from optlink.execution.runner import run
 from optlink.execution.store import Progress, Store
-from optlink.optimization.objectives import MEASURES
 from optlink.problem.base_model import Recorded, ResultRecord, absent
 from optlink.problem.file import ProblemFile
 from optlink.studies.analysis_task import MANY, AnalysisTask, quantity_of
@@ -40,19 +39,6 @@ MOST_ANGLES = 10_000  # largest number of crank angles of an analysis
 PORTION = 10_000  # rows of a table that are read at a time
 KEPT = 200  # active-set changes listed in a result; the table marks all
 TEXT = ("status", "failed", "active", "method", "reason")
-
-
-def objective_column(problem: ProblemFile) -> str:
-    """Return the name of the objective column, with its SI unit."""
-    if problem.task == "path":
-        from optlink.problem.path import PathProblem
-        from optlink.tasks.results.path import objective_unit
-
-        assert isinstance(problem.model, PathProblem)
-        unit = objective_unit(problem.model)
-    else:
-        unit = MEASURES[problem.spec.measure].unit
-    return f"objective_{unit.replace('^', '')}".rstrip("_")
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from typing import Any
 from optlink.errors import Fault, InputError, Status
 from optlink.problem.file import ProblemFile, read
 from optlink.problem.quantity import Quantity
-from optlink.studies.grid import Grid
+from optlink.studies.grid import Grid, column
 from optlink.version import VERSION
 
 OUTCOME = ("status", "valid", "failed", "active", "method")
@@ -164,9 +164,10 @@ class OptimumTask(SweepTask):
         return [*(axis.column for axis in self.grid.axes), *free, self.objective_column, *OUTCOME]
 
     @property
-    @abstractmethod
     def objective_column(self) -> str:
         """Name of the column of the objective."""
+        model: Any = self.template.model
+        return column("objective", model.objective_unit)
 
     def optimum(
         self,

@@ -226,7 +226,7 @@ class FunctionResult(SingleResult):
     @property
     def unit(self) -> str:
         """Unit of the objective."""
-        return MEASURES[self.problem.spec.measure].unit
+        return self.problem.spec.objective_unit
 
     def displayed(self, design: Mapping[str, float]) -> dict[str, float]:
         """Return a design [SI] in display units, which end the keys."""

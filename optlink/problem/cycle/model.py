@@ -31,6 +31,7 @@ from optlink.problem.quantity import (
     check_keys,
     nearest,
 )
+from optlink.units import KINDS
 
 
 @dataclass(frozen=True)
@@ -124,6 +125,11 @@ class CycleProblem(Problem):
     def unit_kind(self) -> str:
         """Physical kind of the objective; empty for a weighted sum, which is a plain number."""
         return self.kind(self.goals[0]) if self.single else ""
+
+    @property
+    def objective_unit(self) -> str:
+        """SI unit of the objective; empty for a plain number."""
+        return KINDS[self.unit_kind].si.replace("**", "^") if self.unit_kind else ""
 
     @property
     def single(self) -> bool:

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 
 from optlink.errors import Fault, InputError
 from optlink.optimization.constraints import rows as limit_rows
-from optlink.optimization.objectives import MEASURES
 from optlink.problem.file import SIDES, ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.problem.quantity import Interval, StrokeRatio, nearest, range_example
@@ -49,7 +48,7 @@ def law_objective(problem: ProblemFile, name: str) -> ParetoObjective:
     """
     task = problem.spec
     if name == ERROR:
-        return ParetoObjective(name, ERROR, MEASURES[task.measure].unit, 1)
+        return ParetoObjective(name, ERROR, task.objective_unit, 1)
     limits = [f"limits.{key}.{side}" for key in MOVABLE for side in SIDES if (key, side) != ("pressure_angle", "min")]
     sizes = [f"mechanism.{key}" for key in task.mechanism.quantities]
     above, _, side = name.rpartition(".")

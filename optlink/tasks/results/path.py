@@ -178,11 +178,6 @@ class PathDesign(Summary):
         return PathDesignRecord.of(self).document()
 
 
-def objective_unit(task: PathProblem) -> str:
-    """Return the SI unit of the objective."""
-    return f"{task.unit}^2" if task.measure == "sum of squares" and task.unit else task.unit
-
-
 class CognateRecord(Record):
     """Another four-bar with the same coupler curve."""
 
@@ -256,7 +251,7 @@ class PathDesignRecord(Record):
         points[f"distance_{unit}".rstrip("_")] = measured.distances * size
         objective = {
             "value": result.objective,
-            "unit": objective_unit(task),
+            "unit": task.objective_unit,
             "measure": task.measure,
             f"rms_{unit}".rstrip("_"): size * math.sqrt(float(np.mean(measured.distances**2))),
             f"largest_{unit}".rstrip("_"): size * float(np.max(measured.distances)),
