@@ -122,7 +122,8 @@ class Batch:
             residual = casadi.vertcat(*problem.deviation(pose, values, wanted)) * (more[width] / problem.whole)
             self.width = int(residual.numel())
             slopes = casadi.jacobian(residual, casadi.vertcat(x, t))
-            self._residual = NumpyEvaluator([*inputs, t, *(more[k] for k in range(width + 1)), *sides], [residual, slopes])
+            known = [*inputs, t, *(more[k] for k in range(width + 1)), *sides]
+            self._residual, self._value = (NumpyEvaluator(known, wanted) for wanted in ([residual, slopes], [residual]))
             span = casadi.SX.sym("span")
             reach = Reach(t, span, casadi.sign(span))
             self._limits = []
@@ -177,8 +178,7 @@ class Batch:
             Index of the assembly modes of each design in `problems`.
         """
         n, k = x.shape[1], self.width
-        columns = [*(x[:, i : i + 1] for i in range(n)), t, *self.data.columns.T, self.data.roots, *self.side_columns(variant)]
-        out = self._residual(*columns)
+        out = self._residual(*self._columns(x, t, variant))
         r = np.moveaxis(out[:k], 0, -1)
         slopes = np.moveaxis(out[k:].reshape(n + 1, k, *t.shape), (0, 1), (-1, -2))
         by_x, by_t = slopes[..., :n], slopes[..., n]
@@ -186,6 +186,21 @@ class Batch:
             by_x = by_x.copy()
             by_x[..., self.start] += by_t
         return r, by_x, by_t
+
+    def residual_values(self, x: Array, t: Array, variant: Variant = 0) -> Array:
+        """Return the residuals (designs, points, k) without their derivatives; see `residuals`.
+
+        Parameters
+        ----------
+        x, t, variant
+            As in `residuals`.
+        """
+        return np.moveaxis(self._value(*self._columns(x, t, variant)), 0, -1)
+
+    def _columns(self, x: Array, t: Array, variant: Variant) -> list[Array]:
+        """Return the inputs of the residuals."""
+        own = (x[:, i : i + 1] for i in range(x.shape[1]))
+        return [*own, t, *self.data.columns.T, self.data.roots, *self.side_columns(variant)]
 
     def violations(self, x: Array, t: Array, variant: Variant = 0) -> tuple[Array, Array]:
         """Return weighted limit violations (designs, rows), zero where satisfied, and their derivatives (designs, rows, n).

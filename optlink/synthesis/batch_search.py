@@ -21,16 +21,18 @@ Array = NDArray[np.float64]
 FIRST_ROUND, PER_ROUND = 60, 240  # starting points per round over all assembly modes: doubled from the first to the second number
 POOL = 6  # samples per starting point; half of the starting points are the best samples, the others random ones
 STEPS = 60
-DISTINCT = 1e-3  # least difference, in scaled units, of two designs
+DISTINCT = 1e-3  # least difference of two designs, in scaled units and relative to variables above one
 PERFECT = 1e-20  # cost (square of a fraction of the curve size) of a design that passes all points
 MISSED = 1e-3  # weighted squares of limit violations up to which the NLP refines a design
 FEW = 18  # points in the first descent; the second uses all
 NEAR, STRAGGLERS = 1e-17, 0.1  # cost at which the first descent stops; share of designs that it leaves unconverged
-FINISHED = 60  # best designs of a round that are refined to full precision
+FINISHED = 60  # best distinct designs of a round that are refined to full precision
 VALLEY, FINISH = 200, 200  # steps with variable projection, then full steps
 AFTER = 5  # remaining steps of all designs once one of them passes all points
 KEPT = 200  # distinct candidates, best first
-REPAIRED = 12  # best designs of a round that violate the order or a limit: reordered, they may still converge to a solution
+REPAIRED = (
+    12  # best distinct designs of a round that violate the order or a limit: reordered, they may still converge to a solution
+)
 
 
 @dataclass(eq=False)
@@ -158,7 +160,7 @@ class Searcher:
         """Minimise the designs of all groups together, and return them by group."""
         sizes = [len(x) for x, _ in parts]
         if not sum(sizes):
-            return [FinalDesigns(x, t, np.zeros(0), np.zeros(0)) for x, t in parts]
+            return [FinalDesigns(x, t, np.zeros(0), np.zeros(0), np.zeros(0, dtype=int)) for x, t in parts]
         group = np.repeat(np.arange(len(parts)), sizes)
         x, t = (np.concatenate(each) for each in zip(*parts, strict=True))
         projection = (None, None) if fit is None else (fit.fit, fit.linear)
@@ -173,28 +175,33 @@ class Searcher:
         return [replace(end, t=end.t @ self.lift) for end in ends]
 
     def _finished(self, firsts: list[FinalDesigns]) -> list[FinalDesigns]:
-        """Refine the best designs of each group to full precision.
+        """Refine the best designs of each group to full precision, one for all that are alike.
 
         Near-circular curves have curved and narrow valleys. Variable projection (the fit) shortens them; full Levenberg-Marquardt
         steps give the last digits.
         """
-        parts = []
+        parts, counts = [], []
         for ends in firsts:
             proper = pass_in_order(self.batch, ends)[0] & (ends.missed <= MISSED) & np.isfinite(ends.cost)
-            order = np.argsort(np.where(proper, ends.cost, np.inf))[: max(1, FINISHED // len(self.batches))]
-            order = order[proper[order]]
-            parts.append((ends.x[order], ends.t[order]))
+            order = np.argsort(np.where(proper, ends.cost, np.inf))
+            ends = ends.take(order[proper[order]])
+            first, count = distinct(ends, max(1, FINISHED // len(self.batches)))
+            parts.append((ends.x[first], ends.t[first]))
+            counts.append(count)
         if self.fit.applies:
             found = self._minimise(self.batch, parts, VALLEY, self.fit, slow=1e-7, left=STRAGGLERS, after=AFTER)
             parts = [(ends.x, ends.t) for ends in found]
-        return self._minimise(self.batch, parts, FINISH if self.fit.applies else VALLEY, None, slow=1e-9, after=AFTER)
+        found = self._minimise(self.batch, parts, FINISH if self.fit.applies else VALLEY, None, slow=1e-9, after=AFTER)
+        return [replace(ends, count=count) for ends, count in zip(found, counts, strict=True)]
 
     def _repaired(self, variant: int, ends: FinalDesigns) -> Iterator[Candidate]:
         """Reorder the crank angles of the best designs that violate the order of the points or a limit."""
         batch = self.batches[variant]
         proper, way = pass_in_order(batch, ends)
         wrong = np.isfinite(ends.cost) & ~(proper & (ends.missed <= MISSED))
-        for i in np.argsort(np.where(wrong, ends.cost, np.inf))[: min(REPAIRED, int(wrong.sum()))]:
+        order = np.argsort(np.where(wrong, ends.cost, np.inf))[: int(wrong.sum())]
+        ends, way = ends.take(order), way[order]
+        for i in distinct(ends, REPAIRED)[0]:
             t, direction = (
                 (nearest_in_order(batch.problem, ends.t[i]), int(way[i])) if batch.free_timing else (ends.t[i], int(way[i]))
             )
@@ -213,15 +220,48 @@ class Searcher:
         for i in np.argsort(ends.cost):
             if not proper[i] or ends.missed[i] > MISSED or not np.isfinite(ends.cost[i]):
                 continue
-            same = [c for c in known if c.variant == variant and np.max(np.abs(c.x - ends.x[i])) <= DISTINCT]
+            same = [c for c in known if c.variant == variant and alike(c.x, ends.x[i])]
             if not same:
-                known.append(Candidate(variant, ends.x[i], ends.t[i], float(ends.cost[i]), int(way[i])))
+                known.append(Candidate(variant, ends.x[i], ends.t[i], float(ends.cost[i]), int(way[i]), int(ends.count[i])))
                 continue
-            same[0].count += 1
+            same[0].count += int(ends.count[i])
             if ends.cost[i] < same[0].cost:
                 same[0].x, same[0].t, same[0].cost, same[0].direction = ends.x[i], ends.t[i], float(ends.cost[i]), int(way[i])
         known.sort(key=lambda c: c.cost)
         del known[KEPT:]
+
+
+def alike(x: Array, other: Array) -> Any:
+    """Return whether designs (..., n) are practically the same as another one.
+
+    Parameters
+    ----------
+    x : array (..., n)
+        Scaled design variables.
+    other : array (n,)
+    """
+    return np.all(np.abs(x - other) <= DISTINCT * np.maximum(1.0, np.abs(other)), axis=-1)
+
+
+def distinct(ends: FinalDesigns, most: int) -> tuple[NDArray[np.intp], NDArray[np.int_]]:
+    """Return the indices of the first designs that differ, and the number of designs like each.
+
+    Parameters
+    ----------
+    ends : FinalDesigns
+        Best first.
+    most : int
+        Largest number of designs.
+    """
+    left = np.arange(len(ends.x))
+    first: list[int] = []
+    counts: list[int] = []
+    while len(left) and len(first) < most:
+        same = alike(ends.x[left], ends.x[left[0]])
+        first.append(int(left[0]))
+        counts.append(int(np.count_nonzero(same)))
+        left = left[~same]
+    return np.array(first, dtype=np.intp), np.array(counts, dtype=int)
 
 
 def pass_in_order(batch: Batch, ends: FinalDesigns) -> tuple[NDArray[np.bool_], NDArray[np.int_]]:

@@ -5,6 +5,8 @@ The crank angles are eliminated by the Schur complement of their diagonal block,
 References
 ----------
 D. W. Marquardt, An algorithm for least-squares estimation of nonlinear parameters, J. SIAM 11 (1963).
+M. K. Transtrum, J. P. Sethna, Improvements to the Levenberg-Marquardt algorithm for nonlinear least-squares minimization,
+arXiv:1201.5885 (2012), section 4: the second-order correction of the step (geodesic acceleration).
 """
 
 from __future__ import annotations
@@ -25,21 +27,25 @@ LEAST_DAMPING, MOST_DAMPING = 1e-14, 1e9
 SLOW = 1e-5  # relative decrease of the cost below which a step counts as slow
 PATIENCE = 4  # consecutive slow steps that terminate a design
 LONGEST_TURN = 0.5  # rad per step of a crank angle
+PROBE = 0.1  # share of a step at which the residuals show their second derivative
+MOST_BEND = 0.75  # largest correction of a step by the second derivative, relative to the step
+HITS = 3  # times that a step is repeated for variables that it takes to a bound
 ZERO = 1e-28  # cost (square of a fraction of the curve size) that counts as zero
 
 
 @dataclass(frozen=True)
 class FinalDesigns:
-    """Final designs: x (designs, n), crank angles (designs, points), total cost and weighted limit violations (designs,)."""
+    """Final designs: x (designs, n), crank angles (designs, points); cost, weighted limit violations, number of starts."""
 
     x: Array
     t: Array
     cost: Array
     missed: Array
+    count: NDArray[np.int_]
 
     def take(self, keep: NDArray[np.intp]) -> FinalDesigns:
         """Return a selection of the designs."""
-        return FinalDesigns(self.x[keep], self.t[keep], self.cost[keep], self.missed[keep])
+        return FinalDesigns(self.x[keep], self.t[keep], self.cost[keep], self.missed[keep], self.count[keep])
 
 
 @dataclass
@@ -149,34 +155,14 @@ def minimise(
             break
         with np.errstate(all="ignore"):  # a step to an undefined position is rejected
             _advance(batch, state, weight, fit, slow)
-    return FinalDesigns(end_x, end_t, end_cost, end_missed)
+    return FinalDesigns(end_x, end_t, end_cost, end_missed, np.ones(len(x), dtype=int))
 
 
 def _advance(batch: Batch, state: _State, weight: Array, fit: Fit | None, slow: float) -> None:
     """Make one step for every design; accept it where it lowers the cost."""
-    size, n = state.x.shape
-    jacobian = state.by_x.reshape(size, -1, n)
-    normal = np.matmul(jacobian.transpose(0, 2, 1), jacobian) + np.matmul(state.by_h.transpose(0, 2, 1), state.by_h)
-    slope = np.einsum("bqn,bq->bn", jacobian, state.r.reshape(size, -1)) + np.einsum("bmn,bm->bn", state.by_h, state.h)
-    diagonal = np.einsum("bii->bi", normal)
-    damp = weight * np.maximum(diagonal, 1e-8 * np.max(diagonal, axis=1, keepdims=True) + 1e-300)
-    system = normal + (state.damping[:, None] * damp)[:, :, None] * np.eye(n)
-    right = -slope
-    if batch.free_timing:
-        own = np.einsum("bpk,bpk->bp", state.by_t, state.by_t) * (1.0 + state.damping[:, None]) + 1e-300
-        along = np.einsum("bpk,bpk->bp", state.by_t, state.r)
-        mixed = np.einsum("bpkn,bpk->bpn", state.by_x, state.by_t)
-        system = system - np.matmul((mixed / own[..., None]).transpose(0, 2, 1), mixed)
-        right = right + np.einsum("bpn,bp->bn", mixed, along / own)
-    held = ((state.x <= batch.low) & (right < 0.0)) | ((state.x >= batch.high) & (right > 0.0))
-    system = np.where(held[:, :, None] | held[:, None, :], 0.0, system)
-    system[:, np.arange(n), np.arange(n)] += held + 1e-14 * np.max(diagonal, axis=1, keepdims=True) + 1e-300
-    right = np.where(held, 0.0, right)
-    step = np.linalg.solve(system, right[..., None])[..., 0]
-    t = state.t
-    if batch.free_timing:
-        t = t + np.clip(-(along + np.einsum("bpn,bn->bp", mixed, step)) / own, -LONGEST_TURN, LONGEST_TURN)
+    step, turn = _step(batch, state, weight)
     x = np.clip(state.x + step, batch.low, batch.high)
+    t = state.t + np.clip(turn, -LONGEST_TURN, LONGEST_TURN) if batch.free_timing else state.t
     if fit is not None:
         fitted, turned = fit(x, batch.crank_angles(x, t), state.variant)
         inside = np.all((fitted >= batch.low) & (fitted <= batch.high), axis=1)[:, None]
@@ -191,3 +177,71 @@ def _advance(batch: Batch, state: _State, weight: Array, fit: Fit | None, slow: 
         old = getattr(state, name)
         mask = better.reshape(-1, *[1] * (old.ndim - 1))
         setattr(state, name, value if better.all() else np.where(mask, value, old))
+
+
+def _step(batch: Batch, state: _State, weight: Array) -> tuple[Array, Array]:
+    """Return the steps of the variables (designs, n) and of free crank angles (designs, points), corrected to second order."""
+    size, n = state.x.shape
+    jacobian = state.by_x.reshape(size, -1, n)
+    system = np.matmul(jacobian.transpose(0, 2, 1), jacobian) + np.matmul(state.by_h.transpose(0, 2, 1), state.by_h)
+    diagonal = np.einsum("bii->bi", system)
+    largest = np.max(diagonal, axis=1, keepdims=True)
+    damp = state.damping[:, None] * weight * np.maximum(diagonal, 1e-8 * largest + 1e-300) + 1e-14 * largest + 1e-300
+    system[:, np.arange(n), np.arange(n)] += damp
+    own = mixed = np.zeros(0)
+    if batch.free_timing:
+        own = np.einsum("bpk,bpk->bp", state.by_t, state.by_t) * (1.0 + state.damping[:, None]) + 1e-300
+        mixed = np.einsum("bpkn,bpk->bpn", state.by_x, state.by_t)
+        system -= np.matmul((mixed / own[..., None]).transpose(0, 2, 1), mixed)
+
+    def slopes(r: Array) -> tuple[Array, Array]:
+        """Return the derivatives of half the squares by the variables and by the crank angles, which the former eliminate."""
+        by_x, by_t = np.einsum("bqn,bq->bn", jacobian, r.reshape(size, -1)), np.einsum("bpk,bpk->bp", state.by_t, r)
+        return (by_x - np.einsum("bpn,bp->bn", mixed, by_t / own), by_t) if batch.free_timing else (by_x, by_t)
+
+    def turned(step: Array, slope: Array) -> Array:
+        """Return the steps of the crank angles that belong to those of the variables."""
+        return -(slope + np.einsum("bpn,bn->bp", mixed, step)) / own if batch.free_timing else np.zeros_like(state.t)
+
+    slope, along = slopes(state.r)
+    slope += np.einsum("bmn,bm->bn", state.by_h, state.h)
+    step, held, system = _bounded_step(system, -slope, batch.low - state.x, batch.high - state.x)
+    turn = turned(step, along)
+    x = state.x + PROBE * step
+    values = batch.residual_values(x, batch.crank_angles(x, state.t + PROBE * turn), state.variant)
+    linear = np.matmul(jacobian, step[..., None]).reshape(state.r.shape) + state.by_t * turn[..., None]
+    slope, along = slopes(2.0 / PROBE * ((values - state.r) / PROBE - linear))  # of the second derivative along the step
+    bend = np.asarray(np.linalg.solve(system, np.where(held, 0.0, -slope)[..., None])[..., 0], dtype=float)
+    scale = np.sqrt(np.abs(np.einsum("bii->bi", system)))
+    good = 2.0 * np.linalg.norm(scale * bend, axis=1) <= MOST_BEND * np.linalg.norm(scale * step, axis=1)
+    half = np.where(good, 0.5, 0.0)[:, None]
+    return step + half * np.where(good[:, None], bend, 0.0), turn + half * np.where(good[:, None], turned(bend, along), 0.0)
+
+
+def _bounded_step(system: Array, right: Array, least: Array, most: Array) -> tuple[Array, NDArray[np.bool_], Array]:
+    """Return steps (designs, n) within bounds, the variables that bounds determine, and the systems of the others.
+
+    Variables at a bound that they would leave stay there; those that would pass a bound end at it, and the others follow.
+
+    Parameters
+    ----------
+    system : array (designs, n, n)
+        Damped normal equations.
+    right : array (designs, n)
+        Their right-hand side.
+    least, most : array (designs, n)
+        Bounds of the step, not positive and not negative.
+    """
+    diagonal = np.arange(system.shape[1])
+    held = ((least >= 0.0) & (right < 0.0)) | ((most <= 0.0) & (right > 0.0))
+    step = np.zeros_like(right)
+    for _ in range(1 + HITS):
+        reduced = np.where(held[:, :, None] | held[:, None, :], 0.0, system)
+        reduced[:, diagonal, diagonal] += held
+        fixed = np.where(held, step, 0.0)
+        step = np.linalg.solve(reduced, np.where(held, fixed, right - np.einsum("bij,bj->bi", system, fixed))[..., None])[..., 0]
+        hit = ~held & ((step < least) | (step > most))
+        if not hit.any():
+            break
+        step, held = np.where(hit, np.clip(step, least, most), step), held | hit
+    return step, held, reduced

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 MAX_STARTS = 1_000_000
 MOST_DESIGNS = 50
 SMALL = 0.02  # estimated chance that a better design was missed at which a search ends
+SMALL_IN_ORDER = 0.005  # the same if the order of the points decides: it divides the designs into many small regions
 LEAST_ROUNDS, MOST_ROUNDS = 3, 20
 FAR_ROUNDS = 40  # largest number, while the best design fits poorly
 AHEAD = 2  # rounds computed together, after the first one and while no design is exact
@@ -181,7 +182,8 @@ class _Search:
             return collection.exact >= self.requested or collection.exact == exact or often or rounds >= self._most
         if rounds < LEAST_ROUNDS:
             return False
-        return rounds >= self._most or collection.evidence().missed <= SMALL
+        small = SMALL_IN_ORDER if collection.ordered else SMALL
+        return rounds >= self._most or collection.evidence().missed <= small
 
 
 def validate(problem: ProblemFile, given: Mapping[str, float]) -> PathResult:

@@ -177,12 +177,22 @@ class DesignCollection:
         self._first = False
 
     @property
+    def grade(self) -> str:
+        """How well the best design fits at the points; exact without design and for linkages of several dyads."""
+        if not self.designs or has_several_dyads(self.designs[0].task):
+            return "exact"
+        fit = self.designs[0].fit
+        return "exact" if fit is None else fit.at_points
+
+    @property
     def poor_fit(self) -> bool:
         """Whether the best design fits poorly: the order of the points then dominates, and costs without it are uninformative."""
-        if not self.designs or has_several_dyads(self.designs[0].task):
-            return False
-        fit = self.designs[0].fit
-        return fit is not None and fit.at_points == "poor"
+        return self.grade == "poor"
+
+    @property
+    def ordered(self) -> bool:
+        """Whether the order of the points decides which optima exist: they have no timing, and the best design misses them."""
+        return self.grade in ("fair", "poor") and path_model(self.polisher.files[0]).data.offsets is None
 
     def _follow(self, candidates: list[Candidate], tries: int, vain: int, dear: int = 0) -> None:
         """Refine candidates in order: `tries` at most, `vain` of them without a valid design, `dear` beyond the largest cost."""

@@ -555,3 +555,42 @@ def test_a_round_does_not_depend_on_the_rounds_computed_with_it() -> None:
         assert (found.starts, found.rounds) == (other.starts, other.rounds) == ((60, 180)[k], k + 1)
         assert [c.cost for c in found.candidates] == pytest.approx([c.cost for c in other.candidates], rel=1e-9)
         assert [c.cost for c in found.repaired] == pytest.approx([c.cost for c in other.repaired], rel=1e-9)
+
+
+def test_designs_do_not_stop_on_the_way_along_a_valley():
+    """As links grow the curve of an arc hardly changes: without second-order corrections many designs are on the way there."""
+    searcher = Searcher([file.model for file in optlink.load("path-arc5").variants()], 0)
+    ends = minimise(searcher.batches[0], *searcher._sample(0, 30, 0), 100, slow=1e-9)
+    costs = np.sort(ends.cost[np.isfinite(ends.cost)])
+    assert len(costs) == 30
+    assert 1 + np.count_nonzero(np.diff(costs) > 1e-6 * costs[1:]) == 3  # different ends
+
+
+class Valley:
+    """The curved valley of Rosenbrock as a batch of one point: residuals 10 (y - x^2) and 1 - x, zero at (1, 1)."""
+
+    free_timing, low = False, np.array([-2.0, -2.0])
+
+    def __init__(self, most: float) -> None:
+        self.high = np.array([most, 2.0])
+
+    def crank_angles(self, x, t):
+        return t
+
+    def residual_values(self, x, t, variant=0):
+        return np.stack([10.0 * (x[:, 1] - x[:, 0] ** 2), 1.0 - x[:, 0]], axis=-1)[:, None]
+
+    def residuals(self, x, t, variant=0):
+        by_x = np.zeros((len(x), 1, 2, 2))
+        by_x[:, 0, 0, 0], by_x[:, 0, 0, 1], by_x[:, 0, 1, 0] = -20.0 * x[:, 0], 10.0, -1.0
+        return self.residual_values(x, t), by_x, np.zeros((len(x), 1, 2))
+
+    def violations(self, x, t, variant=0):
+        return np.zeros((len(x), 0)), np.zeros((len(x), 0, 2))
+
+
+def test_a_bound_in_the_way_is_followed():
+    """The step ends at the bound and the other variable takes its best value there, instead of its place beyond the bound."""
+    ends = minimise(Valley(0.5), np.array([[-1.5, -1.0], [-1.2, 1.0], [0.3, 0.0]]), np.zeros((3, 1)), 30)
+    np.testing.assert_allclose(ends.x, [[0.5, 0.25]] * 3, atol=1e-6)
+    np.testing.assert_allclose(ends.cost, 0.25, rtol=1e-9)
