@@ -211,11 +211,13 @@ def continued(lengths, side, count):
     away = np.arctan2(y, x)
     opening = np.arccos(np.clip((rocker**2 + distance**2 - coupler**2) / (2.0 * rocker * distance), -1.0, 1.0))
     both = np.array([away - opening, away + opening])
-    first = both[0] if side > 0 else both[1]  # D -> B turned clockwise is left of B -> D
-    found = list(first[:3])
+    chosen = [0 if side > 0 else 1] * 3  # D -> B turned clockwise is left of B -> D
+    turned = np.exp(1j * both).T.tolist()
     for k in range(3, count):
-        expected = np.exp(1j * found[-1]) ** 3 * np.exp(-3j * found[-2]) * np.exp(1j * found[-3])
-        found.append(both[int(np.argmin(np.abs(np.exp(1j * both[:, k]) - expected))), k])
+        last, before, first = (turned[k - n][chosen[k - n]] for n in (1, 2, 3))
+        expected = last**3 * before**-3 * first
+        chosen.append(int(abs(turned[k][1] - expected) < abs(turned[k][0] - expected)))
+    found = both[chosen, np.arange(count)]
     return phi, np.unwrap(found)
 
 
