@@ -23,7 +23,7 @@ from tests.studio.browser import Page
 pytest.importorskip("anywidget")
 from optlink.studio.widget import ASSETS, page
 
-FRONT = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Notebook</title></head><body><div id="cell"></div>
+FRONT = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Notebook</title></head><body style="margin: 0"><div id="cell"></div>
 <script type="module">
 const listeners = {};
 window.asked = [];
@@ -106,7 +106,7 @@ def test_a_drag_in_a_notebook(tmp_path: Path) -> None:
         def until(script: str) -> None:
             end = time.monotonic() + 60.0
             while not within.run(script):
-                assert time.monotonic() < end, f"in vain: {script}; {within.run('return document.body.innerText')}"
+                assert time.monotonic() < end, f"in vain: {script}; {within.run('return panel.innerText')[:400]}"
                 driver.switch_to.default_content()
                 for content in within.run("return asked.splice(0)"):
                     canvas._receive(content)
@@ -124,7 +124,7 @@ def test_a_drag_in_a_notebook(tmp_path: Path) -> None:
         knob = within.find('[data-handle="mechanism.frame"] .ring')
         ActionChains(driver, duration=0).click_and_hold(knob).perform()
         for _ in range(4):
-            within.move([(10, 0)])
+            within.move([(6, 0)])
             until("return studioTimings.length > 0")
         until(shown("not-verified"))
         within.release()

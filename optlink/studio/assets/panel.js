@@ -66,11 +66,14 @@ export class Panel {
   verdict(state) {
     const [sign, words, look] = verdictOf(state.status);
     const node = $("verdict");
+    if (state.moving !== this.moving) {
+      this.moving = state.moving; // what lies below does not jump in a drag
+      $("result").style.minHeight = state.moving ? `${$("result").offsetHeight}px` : "";
+    }
     node.className = `verdict ${look}`;
     setText(node.children[0], sign);
     setText(node.children[1], words);
     const said = $("conclusion");
-    said.style.minHeight = state.moving && said.offsetHeight ? `${said.offsetHeight}px` : ""; // what lies below does not jump in a drag
     setText(said, (state.conclusion || "").replace(/(\d) (?=[%µmN°])/g, "$1\u00a0"));
     const [label, value] = $("objective").children;
     const known = Number.isFinite(state.objective?.value) && state.status !== "infeasible";
@@ -81,7 +84,7 @@ export class Panel {
       setText(value, `${tiny ? "< " : ""}${quantity(tiny ? NOTHING : state.objective.value, state.objective.unit, tiny ? 2 : 6)}`);
     }
     const seconds = state.seconds?.solve;
-    setText($("took"), Number.isFinite(seconds) && !state.searching ? `${state.kind === "analysis" ? "computed" : "solved"} in ${seconds < 1 ? `${number(1e3 * seconds, 2)} ms` : `${number(seconds, 2)} s`}` : "");
+    setText($("took"), Number.isFinite(seconds) && state.status !== "infeasible" && !state.searching ? `${state.kind === "analysis" ? "computed" : "solved"} in ${seconds < 1 ? `${number(1e3 * seconds, 2)} ms` : `${number(seconds, 2)} s`}` : "");
   }
 
   conflicts(sentences) {

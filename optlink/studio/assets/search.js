@@ -67,7 +67,7 @@ export const guide = {
   show(handles) {
     if (!this.known && onCanvas(handles).length) {
       this.known = true;
-      hint("Drag a ring: the linkage is optimised again at every step");
+      hint("Drag a ring, and the optimum follows");
       this.timer = setTimeout(() => this.done(), READ);
     }
   },
