@@ -23,7 +23,8 @@ from tests.studio.browser import Page
 pytest.importorskip("anywidget")
 from optlink.studio.widget import ASSETS, page
 
-FRONT = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Notebook</title></head><body style="margin: 0"><div id="cell"></div>
+FRONT = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Notebook</title></head>
+<body style="margin: 0"><div id="cell"></div>
 <script type="module">
 const listeners = {};
 window.asked = [];
