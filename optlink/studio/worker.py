@@ -13,6 +13,7 @@ import queue
 import signal
 import sys
 import threading
+import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from types import FrameType
@@ -20,6 +21,7 @@ from typing import Any, BinaryIO
 
 MEMORY = 8 * 2**30  # bytes of address space
 IDLE = 0.3  # s without a request, after which the imports of rarer requests begin
+AGAIN = 0.2  # s after which a stop is tried once more
 STOP = "stop"
 DONE = "done"
 READY = "ready"
@@ -56,7 +58,12 @@ class Interrupts:
     def stop(self, ident: int) -> None:
         """Stop a request; called by the thread that reads."""
         self._stopped = ident
-        signal.raise_signal(signal.SIGINT)
+        again = 0.0
+        while self._open and self._current == ident:
+            if time.monotonic() >= again:  # an interrupt that is raised in a callback can be lost
+                signal.raise_signal(signal.SIGINT)
+                again = time.monotonic() + AGAIN
+            time.sleep(0.01)
 
     def _press(self, number: int, at: FrameType | None) -> None:
         if self._open:
@@ -64,7 +71,6 @@ class Interrupts:
 
     def _check(self) -> None:
         if self._stopped == self._current:
-            self._open = False
             raise KeyboardInterrupt
 
     def within(self, work: Callable[[], Any]) -> Any:

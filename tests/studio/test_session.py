@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib.util
 import json
 import signal
+import threading
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -300,11 +302,30 @@ def test_a_stop_ends_only_the_computation_that_it_means() -> None:
         interrupts.begin(3)
         interrupts.stop(2)  # too late
         assert interrupts.within(lambda: interrupts.stop(2) or 3) == 3
+        lost = []
+
+        def busy(seconds: float) -> None:
+            end = time.perf_counter() + seconds
+            while time.perf_counter() < end:
+                time.sleep(0.005)
+
+        def swallowing() -> None:  # as a callback of a library does
+            try:
+                busy(20.0)
+            except KeyboardInterrupt:
+                lost.append(True)
+            busy(20.0)
+
+        threading.Timer(0.05, interrupts.stop, [3]).start()
+        with pytest.raises(KeyboardInterrupt):
+            interrupts.within(swallowing)
+        assert lost
+        interrupts.begin(4)
         sent = []
 
         def send() -> None:
             with interrupts.held():
-                interrupts.stop(3)
+                interrupts.stop(4)
                 sent.append("whole")
 
         with pytest.raises(KeyboardInterrupt):
