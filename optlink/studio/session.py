@@ -173,6 +173,7 @@ class Session:
 
     def _save(self, request: Mapping[str, Any]) -> None:
         document = self._document
+        self._origin = document.text
         self._send({"type": "file", "id": self._id, "name": document.file, "media": "application/toml", "text": document.text})
 
     def _export(self, request: Mapping[str, Any]) -> None:

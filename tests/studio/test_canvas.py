@@ -105,7 +105,7 @@ def test_a_drag_leads_the_linkage(page):
     page.move([(2, 0)] * 25)
     page.until("return document.querySelector('#canvas').dataset.status === 'not-verified'")
     assert "Not verified" in page.text("#verdict")
-    time.sleep(0.3)
+    page.until("return window.studioTimings.length >= 25")
     frame = value(page, "frame")
     assert frame == pytest.approx(500.0 + 50.0 / page.scale, abs=1.0)
     page.release()
@@ -316,3 +316,31 @@ def test_fingers_lead_a_handle_and_zoom(page, tmp_path):
     touch("touchEnd")
     assert page.scale == pytest.approx(2.0 * scale, rel=0.05)
     page.driver.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": False})
+
+
+@pytest.mark.slow
+def test_changes_are_not_discarded_without_a_question(page, tmp_path):
+    page.downloads(tmp_path)
+    page.open("crank-rocker")
+    frame = page.find('[data-variable="frame"] input')
+    frame.clear()
+    frame.send_keys("520\n")
+    page.until("return document.querySelector('#title').classList.contains('changed')")
+    page.verified()
+
+    def other(answer: str) -> None:
+        page.find("#open").click()
+        page.find('[data-problem="scotch-yoke"]').click()
+        page.find(f'#unsaved [value="{answer}"]').click()
+
+    other("")
+    page.find("#start-close").click()
+    assert page.text("#title").startswith("Crank-rocker")
+    other("save")
+    page.until("return document.querySelector('#title').textContent.startsWith('Scotch yoke')")
+    page.verified()
+    assert "520 mm" in (tmp_path / "crank-rocker.toml").read_text(encoding="utf-8")
+    page.find("#open").click()
+    page.find('[data-problem="crank-rocker"]').click()  # nothing is lost: no question
+    page.until("return document.querySelector('#title').textContent.startsWith('Crank-rocker')")
+    page.verified()

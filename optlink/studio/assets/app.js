@@ -109,7 +109,7 @@ const knobs = new Handles(canvas, view, {
 canvas.append(overlay);
 const curve = new Curve(overlay, view, {
   draw: (points, closed) => live.send("draw", { points, closed }),
-  choose: (candidate) => ((refit = true), live.send("choose", { candidate })),
+  choose: (candidate, done) => start.unless(() => ((refit = true), live.send("choose", { candidate }), done())),
   preview: (scene) => preview(scene),
   fit: (points) => {
     const box = extent({ box: [...points[0], ...points[0]] }, { points: points.map((at) => ({ at })) });
@@ -227,16 +227,20 @@ function take(next) {
   panel.take(state, handles);
   panel.cursor(motion.angle);
   verdict(next.status);
-  const { title, changed, can_undo: undo, can_redo: redo } = next.document;
-  setText($("title"), title);
-  document.title = `${changed ? "• " : ""}${title} – optlink studio`;
-  $("title").classList.toggle("changed", Boolean(changed));
+  const { can_undo: undo, can_redo: redo } = next.document;
+  titled(next.document);
   $("undo").disabled = !undo;
   $("redo").disabled = !redo;
   for (const name of ["save", "export", "share", "search"]) {
     $(name).disabled = false;
   }
   root.dataset.open = "";
+}
+
+function titled({ title, changed }) {
+  setText($("title"), title);
+  document.title = `${changed ? "• " : ""}${title} – optlink studio`;
+  $("title").classList.toggle("changed", Boolean(changed));
 }
 
 // Box of the linkage and its targets.
@@ -285,6 +289,10 @@ const live = new Live(keptToken(), {
     busy(false);
     download(name, media, text ?? Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0)));
     toast(`${name} saved in your downloads.`);
+    if (media === "application/toml" && state) {
+      state.document.changed = false;
+      titled(state.document);
+    }
   },
   link({ fragment }) {
     busy(false);
@@ -385,6 +393,8 @@ const start = new Start({
   draw: () => choose("draw"),
   open: (fields) => ask("open", fields),
   fresh: (template) => ask("new", { template }),
+  save: () => ask("save"),
+  changed: () => (state?.document.changed ? state.document.title : null),
 });
 
 // --- commands -----------------------------------------------------------------------------------------------------------------------

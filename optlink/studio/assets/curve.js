@@ -143,8 +143,7 @@ export class Curve {
 
   choose(k) {
     this.chosen = this.items[k]; // stays drawn until its state arrives
-    this.actions.choose(this.chosen?.id ?? k);
-    this.close();
+    this.actions.choose(this.chosen?.id ?? k, () => this.close());
   }
 
   close() {

@@ -4,7 +4,7 @@ import { $, el, toast } from "./dom.js";
 const LARGEST = 900000; // characters of a problem file: a message has at most 1 MB
 
 export class Start {
-  // `actions`: draw(), open(fields), fresh(template)
+  // `actions`: draw(), open(fields), fresh(template), save(), changed(): title of a problem that is not saved
   constructor(actions) {
     this.actions = actions;
     $("start-draw").addEventListener("click", () => (this.hide(), actions.draw()));
@@ -50,8 +50,32 @@ export class Start {
   }
 
   pick(open) {
-    this.hide();
-    open();
+    this.unless(() => {
+      this.hide();
+      open();
+    });
+  }
+
+  // Opens another problem, after a question if that discards changes.
+  unless(open) {
+    const changed = this.actions.changed();
+    if (!changed) {
+      open();
+      return;
+    }
+    const dialog = $("unsaved");
+    $("unsaved-name").textContent = changed;
+    dialog.returnValue = "";
+    const answered = () => {
+      if (dialog.returnValue === "save") {
+        this.actions.save();
+      }
+      if (dialog.returnValue) {
+        open();
+      }
+    };
+    dialog.addEventListener("close", answered, { once: true });
+    dialog.showModal();
   }
 
   show(closable) {
@@ -63,8 +87,12 @@ export class Start {
   }
 
   hide() {
+    const focused = $("start").contains(document.activeElement);
     $("start").hidden = true;
     $("main").inert = false;
+    if (focused) {
+      $("stage").focus({ preventScroll: true });
+    }
   }
 
   get open() {
