@@ -194,7 +194,7 @@ def _gained(here: _Here, there: _Here, price: float, promised: float) -> float:
 def _step(view: _View, here: _Here, bend: Array, box: tuple[Array, Array], price: float) -> _Step | None:
     """Return the best step within a box; None if the solver finds none."""
     import clarabel
-    from scipy.sparse import csc_matrix, triu
+    from scipy.sparse import csc_matrix
 
     (points, width), n = here.e.shape, len(box[0])
     cones = np.zeros((points, width + 1, n + 2))
@@ -214,7 +214,7 @@ def _step(view: _View, here: _Here, bend: Array, box: tuple[Array, Array], price
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = TOLERANCE
-    found = clarabel.DefaultSolver(csc_matrix(triu(square)), cost, matrix, right, kinds, settings).solve()
+    found = clarabel.DefaultSolver(csc_matrix(np.triu(square)), cost, matrix, right, kinds, settings).solve()
     z, dual = np.asarray(found.x, dtype=float), np.asarray(found.z, dtype=float)
     if not (np.all(np.isfinite(z)) and np.all(np.isfinite(dual))):
         return None
