@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import optlink
+from optlink.clearance.compiled.choice import installed
 from optlink.clearance.controller import PID, Controller, Gains
 from optlink.clearance.inverse_model import POINTS, Inverse, leverage, predicted
 from optlink.clearance.output import default_output
@@ -237,6 +238,8 @@ def test_shipped_gains_are_better_than_either_part_alone(problem):
 
 
 SHORT = {"revolutions": 2, "points": 60, "tolerance": 1e-6}
+QUICK = {"integrator": "compiled" if installed() else "cvodes"}
+"""For what holds with either integrator."""
 
 
 def rocker():
@@ -259,7 +262,7 @@ def test_comparison_in_processes_is_the_same_to_the_bit(engine):
 @pytest.mark.slow
 def test_interrupted_comparison_resumes_with_what_is_complete(monkeypatch):
     kept: list[dict] = []
-    options = {"starts": 3, "seed": 2, "kinds": ("none", "inverse"), **SHORT}
+    options = {"starts": 3, "seed": 2, "kinds": ("none", "inverse"), **SHORT, **QUICK}
     whole = optlink.compare(rocker(), **options)
 
     def stop(document: dict) -> None:
@@ -302,7 +305,7 @@ def test_checkpoints_of_other_kinds_are_refused():
 @pytest.mark.slow
 def test_tuning_resumes_and_stops_runs_that_cannot_win():
     kept: list[dict] = []
-    options = {"evaluations": 5, "starts": 2, "seed": 4, **SHORT}
+    options = {"evaluations": 5, "starts": 2, "seed": 4, **SHORT, **QUICK}
     whole = optlink.tune(rocker(), "pid", ("proportional",), checkpoint=kept.append, **options)
     middle = json.loads(json.dumps(kept[2], allow_nan=False))
     on = optlink.tune(rocker(), "pid", ("proportional",), resume=middle, **options)
@@ -347,10 +350,12 @@ def test_interrupt_ends_a_comparison_at_once_and_keeps_what_is_complete(tmp_path
 def test_control_makes_up_for_three_gaps():
     """At 1200 rpm: the inverse model takes away a quarter at least, PID on top of it more; means of three starts and of one."""
     file = optlink.load("slider-crank-three-gaps")
-    found = optlink.compare(file, 11, 3, kinds=("none", "inverse"), tolerance=1e-6)
+    found = optlink.compare(file, 11, 3, kinds=("none", "inverse"), tolerance=1e-6, **QUICK)
     assert found.finished
     assert found.trials["none"].mean == pytest.approx(1.307e-3, rel=0.02)
     assert found.gain("inverse") > 0.25
-    both = optlink.compare(file, 11, 1, kinds=("inverse+pid",), tolerance=1e-6)  # seven times the work of a run without PID
+    both = optlink.compare(
+        file, 11, 1, kinds=("inverse+pid",), tolerance=1e-6, **QUICK
+    )  # seven times the work of a run without PID
     assert both.finished
     assert both.trials["inverse+pid"].mean < 0.9 * found.trials["inverse"].mean
