@@ -6,7 +6,7 @@ import contextlib
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -192,7 +192,7 @@ def load(problem: str, changes: list[str] | None) -> ProblemFile:
     return read(problem, dict(parse_assignment(text) for text in changes or []))
 
 
-def read_design_option(file: ProblemFile, design: list[str] | None) -> dict[str, float] | None:
+def read_design_option(file: ProblemFile, design: list[str] | None, varied: Collection[str] = ()) -> dict[str, float] | None:
     """Read the design of `--design` [SI]; None without the option.
 
     Parameters
@@ -200,12 +200,14 @@ def read_design_option(file: ProblemFile, design: list[str] | None) -> dict[str,
     file : ProblemFile
     design : list of str or None
         "NAME=VALUE", or the path of a result.json.
+    varied : collection of str
+        Names that the design may leave out.
     """
     if not design:
         return None
     from optlink.tasks.function import read_design
 
-    return read_design(file, design)
+    return read_design(file, design, varied)
 
 
 def quantity(text: str | None, kind: str, option: str) -> float | None:

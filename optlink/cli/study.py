@@ -211,12 +211,8 @@ def sweep(
         from optlink.studies.sweep import sweep as run
 
         file = console.load(problem, changes)
-        given = None
-        if design:
-            from optlink.tasks.function import read_design
-
-            varied = {text.partition("=")[0].strip().removeprefix("mechanism.") for text in vary or []}
-            given = read_design(file, design, varied)
+        varied = {text.partition("=")[0].strip().removeprefix("mechanism.") for text in vary or []}
+        given = console.read_design_option(file, design, varied)
         if column and not analyze:
             raise InputError(Fault("columns are those of the analysis", "Add --analyze", key="--column", value=column[0]))
         if analyze and simulate:
@@ -306,11 +302,7 @@ def tolerance(
         from optlink.studies.tolerance.sampling import read_costs, read_sigmas, read_yield
 
         file = console.load(problem, changes)
-        given = None
-        if design:
-            from optlink.tasks.function import read_design
-
-            given = read_design(file, design)
+        given = console.read_design_option(file, design)
         if cost and allocate is None:
             raise InputError(Fault("costs are those of an allocation", 'Add for example --allocate "99 %"', key="--cost"))
         with console.share("building") as progress:
