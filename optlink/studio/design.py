@@ -226,7 +226,14 @@ def verdict(design: Design) -> dict[str, Any]:
 
 
 def failure(error: OptlinkError, status: str = "failed") -> dict[str, Any]:
-    """Return the verdict of a problem that cannot be stated or solved."""
+    """Return the verdict of a problem that cannot be stated or solved.
+
+    Parameters
+    ----------
+    error : OptlinkError
+    status : str
+        Status of the design.
+    """
     why = sentence(error)
     return {"status": status, "conclusion": why, "conflicts": (why,), "checks": None, "result": None}
 
