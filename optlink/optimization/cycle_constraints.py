@@ -17,6 +17,7 @@ from optlink.linkage.stroke import LEAST_DIFFERENCE
 from optlink.linkage.vector2d import TURN
 from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale, alignment_row
 from optlink.optimization.cycle_signals import EventOrder, TracedCycle
+from optlink.optimization.mapped_terms import MappedTerms
 from optlink.optimization.nlp import Variable
 from optlink.problem.cycle.model import Bound
 from optlink.problem.cycle.terms import Goal, Term
@@ -189,17 +190,35 @@ class CycleTerms:
         self.spans = [b - a for a, b in itertools.pairwise(edges)]
         self.at: list[tuple[int, Any, Any]] = []  # stroke, weight or None, signals
         self.exchanged: list[Any] = []  # signals at the exchange points
+        self.places: list[tuple[Any, Any, Any]] = []  # crank angle, senses, symbols for the signals
         exchange = [self.p[1 + len(self.fixed) + k] for k in range(self.slots)]
         for j, span in enumerate(self.spans):
             senses = self.trace.sensed(casadi.vertcat(self.known, edges[j] + 0.5 * span))
             for share, weight in zip(shares, weights, strict=True):
-                phi = casadi.vertcat(self.known, edges[j] + share * span)
-                self.at.append((j, weight * span, self.trace.at(phi, senses)))
+                self.at.append((j, weight * span, self._signals(edges[j] + share * span, senses)))
             for share in (0.0, 1.0) if self.cuts else ():  # forces are often largest where they jump
-                self.at.append((j, None, self.trace.at(casadi.vertcat(self.known, edges[j] + share * span), senses)))
+                self.at.append((j, None, self._signals(edges[j] + share * span, senses)))
             for share in exchange[j * self.exchange : (j + 1) * self.exchange]:
-                self.exchanged.append(self.trace.at(casadi.vertcat(self.known, edges[j] + share * span), senses))
+                self.exchanged.append(self._signals(edges[j] + share * span, senses))
                 self.at.append((j, None, self.exchanged[-1]))
+
+    def _signals(self, angle: Any, senses: Any) -> Any:
+        """Return symbols for the signals at a crank angle; `mapped` replaces them."""
+        symbols = casadi.SX.sym("z", self.trace.at.size1_out(0))
+        self.places.append((angle, senses, symbols))
+        return symbols
+
+    def mapped(self, f: Any) -> MappedTerms:
+        """Return objective and rows as terms of the signals at every position.
+
+        Parameters
+        ----------
+        f : casadi expression
+            Objective as a function of x, p and the symbols for the signals.
+        """
+        angles, senses, z = (casadi.horzcat(*parts) for parts in zip(*self.places, strict=True))
+        g = casadi.vertcat(*[row.value for row in self.rows])
+        return MappedTerms(self.x, self.p, self.trace.at, self.known, len(self.free), casadi.SX(angles), senses, z, f, g)
 
     def _at_events(self) -> None:
         """Evaluate the functions at the events: event values, which must vanish, and the positions of the outputs."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -153,9 +153,9 @@ def build_cycle(
         at = np.concatenate([begin, structure.angles, np.ones(len(parts.epigraphs))])
         shares = np.tile(np.linspace(0.0, 1.0, exchange), parts.strokes)
         p_start = np.concatenate([[1.0], parts.x_fixed, shares])
-        found = [float(np.max(value)) for value in CompiledFunction([x, p], tops)(at, p_start)]
-        courses = CompiledFunction([x, p], [parts.natural(goal) for goal in parts.goals])
-        naturals = [float(np.max(value)) for value in courses(at, p_start)]
+        courses = parts.mapped(casadi.SX(0.0)).expanded([*tops, *(parts.natural(goal) for goal in parts.goals)])
+        largest = [float(np.max(value)) for value in CompiledFunction([x, p], courses)(at, p_start)]
+        found, naturals = largest[: len(tops)], largest[len(tops) :]
         sizes = list(scales[1]) or [
             scale or (abs(value) if abs(value) > ROUNDING * natural else natural) or 1.0
             for scale, value, natural in zip(problem.scales, found, naturals, strict=True)
@@ -172,6 +172,8 @@ def build_cycle(
         heights = [parts.heights(goal, size) for goal, size in zip(parts.goals, sizes, strict=True) if goal.extreme]
         watched += [parts.limit(bound) for bound in problem.bounds]
         watched += parts.close()
+        mapped = parts.mapped(f / p[0])
+        scaled, residual, g, *others = mapped.expanded([mapped.f, f, mapped.g, *heights, *parts.exchanged])
     worth = sizes[0] if problem.single else 1.0
     at[count + events :] = [value / size for goal, value, size in zip(parts.goals, found, sizes, strict=True) if goal.extreme]
     box = [boxed(problem.quantities[v.name], v)[:2] for v in parts.variables[:count]]
@@ -183,7 +185,7 @@ def build_cycle(
     return CycleNLP(
         variables=tuple(parts.variables),
         fixed=parts.fixed,
-        rows=tuple(parts.rows),
+        rows=tuple(replace(row, value=g[k]) for k, row in enumerate(parts.rows)),
         measure=Figure("figure", KINDS[kind].si if kind else "", 1, worth),
         x_start=at,
         x_low=x_low,
@@ -191,20 +193,21 @@ def build_cycle(
         p=p_start,
         x_symbol=x,
         p_symbol=p,
-        f_expression=f / p[0],
-        g_expression=casadi.vertcat(*[row.value for row in parts.rows]),
-        residual_expression=f * worth,
+        f_expression=scaled,
+        g_expression=g,
+        residual_expression=residual * worth,
         exact=0.0,
         constants=tuple(parts.constants),
         helpers=frozenset(helpers),
         states=frozenset({EVENT, *(v.name for v in parts.variables[count : count + events])}),
+        mapped=mapped,
         trace=trace,
         structure=structure,
         free=parts.free,
         watched=tuple(item for item in watched if item is not None),
-        level_symbols=tuple(heights),
+        level_symbols=tuple(others[: len(heights)]),
         slots=parts.slots,
-        exchanged=tuple(parts.exchanged),
+        exchanged=tuple(others[len(heights) :]),
         nodes=nodes,
         scales=(parts.size, tuple(sizes)),
     )

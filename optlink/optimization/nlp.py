@@ -19,6 +19,7 @@ from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import turn, unit
 from optlink.optimization.constraints import DEGREES, ConstraintRow, Scale
 from optlink.optimization.constraints import rows as limit_rows
+from optlink.optimization.mapped_terms import MappedTerms
 from optlink.optimization.objectives import MEASURES, ErrorMeasure, output_error
 from optlink.optimization.output_derivatives import ErrorDerivatives
 from optlink.problem.function import EPIGRAPH, DesignProblem, StartPosition
@@ -45,6 +46,9 @@ class Variable:
         return (value - self.origin) / self.size
 
 
+THREADED = 10_000  # elements from which BLAS shares a dot product among threads, which takes longer than any other test
+
+
 @dataclass(frozen=True)
 class NLPValues:
     """The NLP at one x: objective f, its gradient, rows g and their Jacobian. Not finite where undefined."""
@@ -58,11 +62,15 @@ class NLPValues:
     def finite(self) -> bool:
         """Whether all values are finite."""
         flat = self.jacobian.ravel(order="K")
-        # finite only if every value is; no dot product of long arrays, which wakes the threads of BLAS
-        total = self.gradient @ self.gradient + self.g @ self.g + np.add.reduce(flat)
-        if math.isfinite(self.f) and math.isfinite(total):
-            return True
+        squares = self.gradient @ self.gradient + self.g @ self.g  # finite only if every value is
+        if flat.size < THREADED:
+            squares += flat @ flat
+            if math.isfinite(self.f) and math.isfinite(squares):
+                return True
         return math.isfinite(self.f) and all(bool(np.all(np.isfinite(a))) for a in (self.gradient, self.g, flat))
+
+
+MAPPED = "mapped "  # prefix of the parts of `NLP.mapped` in a pickle
 
 
 @dataclass(frozen=True)
@@ -95,15 +103,21 @@ class NLP:
     position_symbol: Any = None  # crank rotation from the start, tabulated output: a position of the requirement
     position_expression: Any = None  # the residuals there, of which `residual_expression` has those of every position
     exchange_rows: tuple[int, int] = (0, 0)  # index of the first row of the exchange points, number of rows per position
+    mapped: MappedTerms | None = field(default=None, compare=False)  # the same programme, differentiated faster
     cache: dict[str, Any] = field(default_factory=dict, compare=False)  # functions compiled for this NLP by back ends
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the attributes without compiled functions, which are compiled again when needed."""
         state = {name: value for name, value in vars(self).items() if not isinstance(value, CompiledFunction)}
-        return packed(state | {"cache": {}, "rows": tuple(replace(row, value=None) for row in self.rows)})
+        if self.mapped is not None:  # its symbols are those of the programme
+            state |= {f"{MAPPED}{name}": value for name, value in self.mapped.parts.items()}
+        return packed(state | {"cache": {}, "mapped": None, "rows": tuple(replace(row, value=None) for row in self.rows)})
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         found = unpacked(state)
+        parts = {name: found.pop(name) for name in list(found) if name.startswith(MAPPED)}
+        if parts:
+            found["mapped"] = MappedTerms(**{name.removeprefix(MAPPED): value for name, value in parts.items()})
         rows = tuple(replace(row, value=found["g_expression"][k]) for k, row in enumerate(found["rows"]))
         vars(self).update(found | {"rows": rows})
 
@@ -133,6 +147,8 @@ class NLP:
 
     @cached_property
     def _all(self) -> CompiledFunction:
+        if self.mapped is not None:
+            return self.mapped.values
         x, f, g = self.x_symbol, self.f_expression, self.g_expression
         return CompiledFunction([x, self.p_symbol], [f, casadi.gradient(f, x), g, casadi.jacobian(g, x)])
 
@@ -153,12 +169,12 @@ class NLP:
             (x, p, factor of the objective, multipliers) -> upper triangle.
         """
         if "_hessian" not in vars(self):
-            given = [casadi.MX.sym("given", function.sparsity_in(i)) for i in (0, 1, 3)]
-            upper = function(given[0], given[1], 1.0, given[2])
-            vars(self)["_hessian"] = CompiledFunction(given, [casadi.triu2symm(upper)])
+            vars(self)["_hessian"] = _symmetric(function)
 
     @cached_property
     def _hessian(self) -> BufferedFunction:
+        if self.mapped is not None:
+            return _symmetric(self.mapped.hessian)
         multipliers = casadi.SX.sym("multipliers", len(self.rows))
         lagrangian = self.f_expression + casadi.dot(multipliers, self.g_expression)
         return CompiledFunction([self.x_symbol, self.p_symbol, multipliers], [casadi.hessian(lagrangian, self.x_symbol)[0]])
@@ -255,6 +271,12 @@ class NLP:
             return x
         largest = float(np.max(self.measure.sizes(self.residuals(x)))) / self.variables[-1].size
         return np.append(x[:-1], largest if math.isfinite(largest) else 1.0)
+
+
+def _symmetric(function: Any) -> CompiledFunction:
+    """Return (x, p, multipliers) -> Hessian from a function whose result is its upper triangle; see `NLP.take_hessian`."""
+    given = [casadi.MX.sym("given", function.sparsity_in(i)) for i in (0, 1, 3)]
+    return CompiledFunction(given, [casadi.triu2symm(function(given[0], given[1], 1.0, given[2]))])
 
 
 SMALLEST_SCALE = 1e-6  # least scale of the objective: for an exact solution, rounding errors must not be magnified

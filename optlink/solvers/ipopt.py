@@ -75,6 +75,8 @@ class _Recorder(casadi.Callback):
 
 
 def _solver(nlp: NLP, extra: dict[str, Any]) -> Any:
+    if nlp.mapped is not None:
+        return casadi.nlpsol("ipopt", "ipopt", nlp.mapped.programme, {**OPTIONS, **nlp.mapped.options, **extra})
     programme = {"x": nlp.x_symbol, "p": nlp.p_symbol, "f": nlp.f_expression, "g": nlp.g_expression}
     return casadi.nlpsol("ipopt", "ipopt", programme, {**OPTIONS, **extra})
 

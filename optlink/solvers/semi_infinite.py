@@ -83,7 +83,7 @@ def exchange(nlp: CycleNLP, solution: Solution) -> Solution:
         if (found.excess <= LEVELLED and solution.status is Status.OPTIMAL) or radius < SMALLEST:
             break
         merit = _merit(nlp, solution.x, found)
-        for step in (_polished, _followed):
+        for step in (_polished, _levelled, _followed):
             nlp.set_exchange_points(found.shares)
             near = step(nlp, nlp.lifted(solution.x), found, radius)
             if near is None:
@@ -155,6 +155,12 @@ def _polished(nlp: CycleNLP, x: Array, found: Peaks, radius: float) -> Solution 
     return near if near.status is Status.OPTIMAL and _distance(nlp, near.x, x) <= radius else None
 
 
+def _levelled(nlp: CycleNLP, x: Array, found: Peaks, radius: float) -> Solution | None:
+    """Return the optimum by a few Newton steps, the positions of the peaks being unknowns; None if there is none nearby."""
+    near = _newton(nlp, Attempt(x, 0, "peaks followed"), found)
+    return near if near.status is Status.OPTIMAL and _distance(nlp, near.x, x) <= radius else None
+
+
 def _followed(nlp: CycleNLP, x: Array, found: Peaks, radius: float, name: str = "slsqp") -> Solution | None:
     """Return the optimum within a radius, the positions of the peaks being unknowns; None if there is none."""
     n, count = len(nlp.variables), len(nlp.free)
@@ -187,17 +193,23 @@ def refine_peaks(nlp: CycleNLP, solution: Solution) -> Solution:
     solution : Solution
         The optimum; it is returned unchanged if the refined point is not optimal.
     """
-    n, found = len(nlp.variables), peaks(nlp, solution.x)
+    found = peaks(nlp, solution.x)
     nlp.set_exchange_points(found.shares)
-    moving, start = _moving(nlp, nlp.lifted(solution.x), found)
-    begin, p = Attempt(start, solution.iterations, solution.message), multistart.scaled_parameters(moving, start)
+    near = _newton(nlp, Attempt(nlp.lifted(solution.x), solution.iterations, solution.message), found)
+    return near if near.status is Status.OPTIMAL else solution
+
+
+def _newton(nlp: CycleNLP, attempt: Attempt, found: Peaks) -> Solution:
+    """Return a point refined by Newton's method with the positions of the peaks as unknowns."""
+    n = len(nlp.variables)
+    moving, start = _moving(nlp, attempt.x, found)
+    begin, p = replace(attempt, x=start), multistart.scaled_parameters(moving, start)
     tries = (polish(moving, begin, p, near) for near in SHARP)
     end = next((found for found in tries if found is not begin), begin)
     shares = found.shares.copy()
     shares[[slot for slot, _ in found.inner]] = end.x[n:]
     nlp.set_exchange_points(shares)
-    near = _examined(nlp, replace(end, x=nlp.lifted(end.x[:n])))
-    return near if near.status is Status.OPTIMAL else solution
+    return _examined(nlp, replace(end, x=nlp.lifted(end.x[:n])))
 
 
 def _moving(nlp: CycleNLP, x: Array, found: Peaks) -> tuple[NLP, Array]:
@@ -244,7 +256,8 @@ def with_places(nlp: NLP, slots: int, heights: Mapping[int, Any]) -> NLP:
         slopes.append(casadi.gradient(height, nlp.p_symbol[first + slot]))
         p[first + slot] = x[n + k]
     given = [nlp.f_expression, nlp.g_expression, nlp.residual_expression, casadi.vertcat(*slopes)]
-    f, g, residual, slope = casadi.substitute(given, [nlp.x_symbol, nlp.p_symbol], [x[:n], casadi.vertcat(*p)])
+    moved: tuple[list[Any], list[Any]] = ([nlp.x_symbol, nlp.p_symbol], [x[:n], casadi.vertcat(*p)])
+    f, g, residual, slope = casadi.substitute(given, *moved)
     at = np.array([nlp.p[first + slot] for slot in heights])
     names = [f"{PEAK} {k + 1}" for k in range(count)]
     return NLP(
@@ -261,6 +274,7 @@ def with_places(nlp: NLP, slots: int, heights: Mapping[int, Any]) -> NLP:
         f_expression=f,
         g_expression=casadi.vertcat(g, slope),
         residual_expression=residual,
+        mapped=None if nlp.mapped is None else nlp.mapped.substituted(x, moved, slope),
         exact=nlp.exact,
         factor=nlp.factor,
         helpers=nlp.helpers | {PEAK, *names},
