@@ -1,7 +1,8 @@
 """What-if studies of the crank-rocker: a sweep of optima against cold solves and on Dask, samples of its tolerances.
 
 `python benchmarks/studies.py`, or as a part of `benchmarks/run.py`. Dask is skipped where it is not installed.
-`python benchmarks/studies.py million` sweeps 10^5 and 10^6 points and prints time and memory.
+`python benchmarks/studies.py million [local|dask]` sweeps 10^5 and 10^6 points on 2 processes and prints time, memory, and
+the share of the time, the start included, for which both workers compute.
 """
 
 from __future__ import annotations
@@ -90,22 +91,21 @@ def rows() -> list[Row]:
     return result
 
 
-def million() -> None:
-    """Print time and peak resident memory of sweeps of 10^5 and 10^6 optima on 2 processes."""
+def million(engine: str = "local") -> None:
+    """Print time, share of computing and peak resident memory of sweeps of 10^5 and 10^6 optima on 2 processes."""
     import resource
 
     for side in (round(MILLION / 10**0.5), MILLION):
-        wall = swept(side, workers=2)[1]
+        study, wall = swept(side, workers=2, engine=engine)
         own, workers = (resource.getrusage(who).ru_maxrss / 1024 for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-        print(
-            f"{side**2:,} optima: {wall:.1f} s on 2 processes; peak memory {own:.0f} MB, of a worker {workers:.0f} MB", flush=True
-        )
+        found = f"{side**2:,} optima: {wall:.1f} s on 2 processes ({engine}), {study.cpu / (2.0 * wall):.0%} of it computing"
+        print(f"{found}, the start included; peak memory {own:.0f} MB, of a worker {workers:.0f} MB", flush=True)
 
 
 if __name__ == "__main__":
     sys.path.insert(0, str(ROOT))
-    if sys.argv[1:] == ["million"]:
-        million()
+    if sys.argv[1:2] == ["million"]:
+        million(*sys.argv[2:3])
         sys.exit()
     for row in rows():
         print(f"{row.what}: {row.ours} | {row.theirs} | {row.shown(row.ratio)} | {row.note}")
