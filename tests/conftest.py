@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import gc
 import os
 import signal
@@ -9,6 +10,7 @@ from collections.abc import Iterator
 
 import hypothesis
 import pytest
+import typer.main
 
 import optlink
 from tests import solved as shared
@@ -66,6 +68,14 @@ def _shared_folder(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Let the processes of this run share what is computed once; see `tests/solved.py`."""
     if "PYTEST_XDIST_WORKER" in os.environ:
         shared.FOLDER[:] = [tmp_path_factory.getbasetemp().parent / "shared"]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_command_line() -> Iterator[None]:
+    """Build the tree of all commands once per process: it takes as long as most calls that tests make."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("typer.testing._get_command", functools.cache(typer.main.get_command))
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -202,11 +202,16 @@ def commands(page: Path) -> list[list[str]]:
     return [arguments for line in whole.split("\n") for arguments, _ in calls(line)]
 
 
-def parse(arguments: list[str]) -> Any:
-    """The context of a call as the command line makes it, which knows all options and checks their values; nothing runs."""
+@cache
+def command_line() -> Any:
     import typer.main
 
-    command: Any = typer.main.get_command(app)
+    return typer.main.get_command(app)
+
+
+def parse(arguments: list[str]) -> Any:
+    """The context of a call as the command line makes it, which knows all options and checks their values; nothing runs."""
+    command = command_line()
     context = command.make_context("optlink", list(arguments))
     while hasattr(command, "commands"):
         rest = [*getattr(context, "_protected_args", ()), *context.args]
