@@ -52,6 +52,23 @@ class Scale:
 
 
 @dataclass(frozen=True)
+class SquareRootScale(Scale):
+    """Scale of a row whose value is the square of the displayed value: smooth also where a force vanishes."""
+
+    def to_display(self, value: float) -> float:
+        """Return the value in `unit`."""
+        return math.sqrt(max(value, 0.0)) * self.factor
+
+    def to_internal(self, displayed: float) -> float:
+        """Convert a value in `unit` to the row's value."""
+        return (displayed / self.factor) ** 2
+
+    def slope(self, value: float) -> float:
+        """Return the derivative of the displayed value with respect to the row's value."""
+        return 0.5 * self.factor / math.sqrt(max(value, 1e-300))
+
+
+@dataclass(frozen=True)
 class SineSquared(Scale):
     """Scale of a row whose value is the squared sine of the displayed angle."""
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from optlink.linkage.stroke import LEAST_DIFFERENCE
 from optlink.linkage.vector2d import TURN
-from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale, alignment_row
+from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale, SquareRootScale, alignment_row
 from optlink.optimization.cycle_signals import EventOrder, TracedCycle
 from optlink.optimization.mapped_terms import MappedTerms
 from optlink.optimization.nlp import Variable
@@ -32,23 +32,6 @@ EVENT = "end of a stroke"
 FEWEST = 4  # positions per stroke
 ROOM = 1.01  # factor on the least difference of slow and quick stroke that an NLP enforces
 APART = 1e-3  # rad, least crank rotation between two events
-
-
-@dataclass(frozen=True)
-class SquareRootScale(Scale):
-    """Scale of a row whose value is the square of the displayed value: smooth also where a force vanishes."""
-
-    def to_display(self, value: float) -> float:
-        """Return the value in `unit`."""
-        return math.sqrt(max(value, 0.0)) * self.factor
-
-    def to_internal(self, displayed: float) -> float:
-        """Convert a value in `unit` to the row's value."""
-        return (displayed / self.factor) ** 2
-
-    def slope(self, value: float) -> float:
-        """Return the derivative of the displayed value with respect to the row's value."""
-        return 0.5 * self.factor / math.sqrt(max(value, 1e-300))
 
 
 @dataclass(frozen=True)
