@@ -75,7 +75,7 @@ READERS = {
     "_read_joint_maxima": "largest {kind}, or table of them by joint",
     "_read_stroke_ratio": "range of {kind}, with `stroke` `forward`, `backward`, `slow` or `quick`",
 }
-"""Permitted values by the function of `optlink.problem.quantity` that reads a field."""
+"""Permitted values by the function of `optlink.problem.quantity` or `interval` that reads a field."""
 
 FORMS = {
     "Problem.gravity": "acceleration, or `[x, y]`",

@@ -224,8 +224,7 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
     model = next((further for section, further in SECTIONS.items() if section in raw), model)
     if generation and not stroke and isinstance(task, dict) and "robust" in task:
         remedy = "Leave it out; `optlink study tolerance` judges any design"
-        fault = Fault("a robust design is found for motion laws of a four-bar only", remedy, file, "requirement.robust")
-        raise InputError(fault)
+        raise InputError(Fault("a robust design is found for motion laws of a four-bar only", remedy, file, "requirement.robust"))
     try:
         problem = model.model_validate({"title": name[:200], **raw}, context={"folder": where})
     except pydantic.ValidationError as error:

@@ -18,14 +18,7 @@ from optlink.problem.base_model import Section
 from optlink.problem.limits import COUPLER_JOINT, Limits, Reach, check_limits
 from optlink.problem.machine.model import Expected, Problem
 from optlink.problem.mechanism import FourBarSection, check_one_mode
-from optlink.problem.quantity import (
-    Angle,
-    FixedAngle,
-    Quantity,
-    Unusable,
-    nearest,
-    read_quantity,
-)
+from optlink.problem.quantity import Angle, FixedAngle, Quantity, Unusable, nearest, read_quantity
 from optlink.problem.robust import Robustness, check_robust
 from optlink.problem.targets.expression import Expression
 from optlink.problem.targets.function import Function

@@ -22,22 +22,18 @@ from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import Value
 from optlink.problem.base_model import Section
-from optlink.problem.quantity import (
+from optlink.problem.interval import (
     SIDES,
     AngleInterval,
     AnglesOfJoints,
-    FixedAngle,
     Interval,
     JointRanges,
     LargestAnglesOfJoints,
     LengthInterval,
-    Number,
     NumberInterval,
-    Quantity,
     RatioOfStrokes,
-    Unusable,
-    nearest,
 )
+from optlink.problem.quantity import FixedAngle, Number, Quantity, Unusable, nearest
 
 MARGINS: dict[str, str | float] = {"alignment": f"{np.degrees(LEAST_ALIGNMENT):g} deg", "length_margin": LEAST_LENGTH_MARGIN}
 """Limits that every design problem has, as the file would state their defaults."""

@@ -20,19 +20,11 @@ from optlink.linkage.dyad_types import RRR, Transmitting, transmitting
 from optlink.linkage.mechanism import FRAME, Pose
 from optlink.linkage.vector2d import TURN, Value, angle_from, dot, minus, turn, unit
 from optlink.problem.base_model import Section
+from optlink.problem.interval import CoordinateInterval
 from optlink.problem.limits import Limits
 from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.quantity import (
-    Angle,
-    Coordinate,
-    CoordinateInterval,
-    FixedAngle,
-    FixedLength,
-    Quantity,
-    Unusable,
-    nearest,
-)
+from optlink.problem.quantity import Angle, Coordinate, FixedAngle, FixedLength, Quantity, Unusable, nearest
 from optlink.problem.targets.function import Function
 from optlink.problem.targets.law import Law, Source, Table, read_output_law
 from optlink.problem.targets.points import TargetPoints, closed, read_points

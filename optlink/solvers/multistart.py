@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from optlink.errors import Status
 from optlink.optimization.nlp import NLP, SMALLEST_SCALE
-from optlink.sobol import sobol as sobol_sequence
 from optlink.solvers.contract import SOLVERS, backend
 from optlink.solvers.feasibility import repair
 from optlink.solvers.newton import polish
@@ -163,7 +162,9 @@ def sobol(low: Array, high: Array, seed: int) -> Iterator[Array]:
     seed : int
         Seed of the scrambling.
     """
-    points = sobol_sequence(len(low), seed)
+    from scipy.stats import qmc
+
+    points = qmc.Sobol(len(low), rng=np.random.default_rng(seed))
     high = np.where(np.isfinite(high), high, 1.0)
     while True:
         yield from low + points.random(SOBOL_BLOCK) * (high - low)

@@ -14,7 +14,8 @@ from pydantic import BaseModel
 from optlink.linkage.vector2d import Value
 from optlink.problem.file import SIDES
 from optlink.problem.function import DesignProblem
-from optlink.problem.quantity import Interval, Quantity
+from optlink.problem.interval import Interval
+from optlink.problem.quantity import Quantity
 from optlink.studies.grid import Axis
 from optlink.units import factor
 

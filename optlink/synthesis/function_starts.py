@@ -14,7 +14,6 @@ from optlink.linkage.vector2d import TURN, unit
 from optlink.problem.function import DesignProblem
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.function import Function
-from optlink.sobol import sobol
 from optlink.synthesis.freudenstein import FirstStep, first_steps, fit_pairs
 
 Array = NDArray[np.float64]
@@ -56,10 +55,12 @@ def fits(problem: DesignProblem, seed: int) -> Iterator[dict[str, float]]:
     seed : int
         Seed of the scrambling.
     """
+    from scipy.stats import qmc
+
     free, ranges = _ranges(problem)
     if all(low == high for low, high in ranges):
         return
-    points = sobol(2, seed)
+    points = qmc.Sobol(2, rng=np.random.default_rng(seed))
     low = np.array([start[0] for start in ranges])
     size = np.array([math.pi if free else start[1] - start[0] for start in ranges])
     for _ in range(BLOCKS):

@@ -14,8 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from optlink.linkage.mechanism import Link
 from optlink.linkage.motion import Motion
 from optlink.problem.base_model import Number
+from optlink.problem.interval import Interval
 from optlink.problem.limits import Limits, Moved, TransmissionLimit, limits_in_file
-from optlink.problem.quantity import Interval, Quantity
+from optlink.problem.quantity import Quantity
 
 Array = NDArray[np.float64]
 

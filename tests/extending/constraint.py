@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from optlink.problem.interval import NumberInterval
 from optlink.problem.limits import LimitTerm, add_limit
-from optlink.problem.quantity import NumberInterval
 
 
 def values(problem, sizes, reach, limit):

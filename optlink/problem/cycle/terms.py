@@ -11,17 +11,8 @@ from pydantic import BeforeValidator, model_validator
 from optlink.linkage.mechanism import Mechanism
 from optlink.problem.base_model import Section
 from optlink.problem.cycle.quantities import GUIDE, QUANTITIES, QuantityType, guide_of, moving_points
-from optlink.problem.quantity import (
-    STROKES,
-    FixedAngle,
-    Interval,
-    Number,
-    Quantity,
-    Unusable,
-    check_time_ratio,
-    nearest,
-    read_scalar,
-)
+from optlink.problem.interval import STROKES, Interval, check_time_ratio
+from optlink.problem.quantity import FixedAngle, Number, Quantity, Unusable, nearest, read_scalar
 
 Measure = Literal["peak", "rms", "mean", "largest", "least"]
 

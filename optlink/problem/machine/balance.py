@@ -13,21 +13,9 @@ from optlink.dynamics.counterweights import KINDS, BalanceMeasure, Counterweight
 from optlink.dynamics.machine import Machine
 from optlink.linkage.mechanism import FRAME
 from optlink.problem.base_model import RESERVED, Name, Section
+from optlink.problem.interval import Interval, LengthInterval, MassInterval, StiffnessInterval
 from optlink.problem.machine.loads import spring_ends
-from optlink.problem.quantity import (
-    Density,
-    FixedForce,
-    FixedLength,
-    Interval,
-    LengthInterval,
-    MassInterval,
-    StiffnessInterval,
-    Unusable,
-    below,
-    nearest,
-    read_fixed,
-    read_scalar,
-)
+from optlink.problem.quantity import Density, FixedForce, FixedLength, Unusable, below, nearest, read_fixed, read_scalar
 
 MOST = 100_000
 EXAMPLES = '"rms shaking force", "largest driving torque", "rms shaking moment", "largest reaction at D"'

@@ -13,9 +13,10 @@ from optlink.problem.base_model import Section
 from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
+from optlink.problem.interval import Interval
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import MARK, START, ZERO, PathProblem
-from optlink.problem.quantity import Interval, Quantity
+from optlink.problem.quantity import Quantity
 from optlink.problem.targets.target_points import TargetPoints
 from optlink.report.format import fixed, number, times
 from optlink.report.table_spec import (

@@ -9,7 +9,8 @@ from optlink.errors import Fault, InputError
 from optlink.optimization.constraints import rows as limit_rows
 from optlink.problem.file import SIDES, ProblemFile
 from optlink.problem.function import DesignProblem
-from optlink.problem.quantity import Interval, StrokeRatio, nearest, range_example
+from optlink.problem.interval import Interval, StrokeRatio
+from optlink.problem.quantity import nearest, range_example
 from optlink.studies.pareto.objective import OPTION, ParetoObjective
 from optlink.studies.toml_keys import Raw, exact_text, value_at
 from optlink.units import factor

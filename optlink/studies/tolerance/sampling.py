@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from optlink.errors import Fault, InputError
 from optlink.problem.tolerances import Deviation
-from optlink.sobol import sobol
 
 Array = NDArray[np.float64]
 BATCH = 1 << 13  # samples per batch; a power of two keeps Sobol points balanced
@@ -31,11 +30,13 @@ def sample_deviations(deviations: Sequence[Deviation], samples: int, seed: int) 
 
     References
     ----------
-    A. B. Owen, Scrambling Sobol' and Niederreiter-Xing points, J. Complexity 14 (1998).
+    A. B. Owen, Scrambling Sobol' and Niederreiter-Xing points, J. Complexity 14 (1998); scipy.stats.qmc.
     """
-    points = sobol(len(deviations), seed)
+    from scipy.stats import qmc
+
+    sobol = qmc.Sobol(len(deviations), rng=np.random.default_rng(seed))
     for first in range(0, samples, BATCH):
-        share = points.random(BATCH)[: samples - first] + TINY
+        share = np.asarray(sobol.random(BATCH), dtype=float)[: samples - first] + TINY
         yield np.stack([deviation.at(share[:, i]) for i, deviation in enumerate(deviations)], axis=1)
 
 
