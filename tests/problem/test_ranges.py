@@ -12,7 +12,8 @@ from optlink.cli.show import _template
 from optlink.errors import InputError
 from optlink.problem.base_model import with_ranges
 from optlink.problem.file import load, parse_assignment, read
-from optlink.problem.quantity import Unusable, _read_interval, read_quantity
+from optlink.problem.interval import _read_interval
+from optlink.problem.quantity import Unusable, read_quantity
 from optlink.units import UnitProblem, parse, split_range
 
 seeded = settings(derandomize=True, deadline=None, max_examples=150)
