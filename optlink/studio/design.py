@@ -120,6 +120,20 @@ def from_solution(problem: ProblemFile, solution: Solution) -> Design:
     return Design(problem, values, UNVERIFIED, solution.objective, solution, angles, limits=solution.limits)
 
 
+def in_modes(problem: ProblemFile, design: Design) -> ProblemFile:
+    """Return a problem with the assembly modes of a design.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    design : Design
+    """
+    modes = design.problem.raw["mechanism"].get("assembly")
+    if modes is None or problem.raw["mechanism"].get("assembly") == modes:
+        return problem
+    return problem.override({"mechanism.assembly": modes})
+
+
 def carried(problem: ProblemFile, last: Design) -> Design:
     """Return the last design in a changed problem, without optimisation: fixed sizes have their new values.
 

@@ -11,7 +11,19 @@ from optlink.errors import Fault, InputError, OptlinkError
 from optlink.problem.file import ProblemFile, parse_assignment
 from optlink.problem.fixed_design import references
 from optlink.studio import state
-from optlink.studio.design import Design, carried, checked, failure, from_solution, kind_of, sentence, solved, started, verdict
+from optlink.studio.design import (
+    Design,
+    carried,
+    checked,
+    failure,
+    from_solution,
+    in_modes,
+    kind_of,
+    sentence,
+    solved,
+    started,
+    verdict,
+)
 from optlink.studio.document import Document, from_template, from_text, named, shipped_problem
 from optlink.studio.files import deflated, inflated
 from optlink.studio.follow import Follower, follower, structure
@@ -209,10 +221,7 @@ class Session:
         """Return a problem with the assembly modes of the last design."""
         if self._design is None:
             return problem.variants()[0] if problem.model.free else problem
-        modes = self._design.problem.raw["mechanism"].get("assembly")
-        if modes is None or problem.raw["mechanism"].get("assembly") == modes:
-            return problem
-        return problem.override({"mechanism.assembly": modes})
+        return in_modes(problem, self._design)
 
     def _followed(self, problem: ProblemFile) -> Design:
         """Return the optimum of a problem near the last design."""
@@ -344,6 +353,7 @@ class Session:
     def _show(self, design: Design, problem: ProblemFile, *, moving: bool, searching: bool = False) -> None:
         """Send the state of a design; `searching`: whether the full search for a better one runs."""
         assert self._history is not None
+        problem = in_modes(problem, design)
         done, self._verdict, self._last = time.perf_counter(), design.status, (design, problem)
         try:
             picture: Picture | None = Picture(design.machine, design.start, design.speed)
