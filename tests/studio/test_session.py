@@ -246,9 +246,11 @@ def test_a_drawn_curve_gets_four_bars_and_a_drawing() -> None:
     assert best["error"] < 2.0
     assert len(best["curve"]) == len(best["scene"]["angles"])
     page.patient = False
-    state = page.state("choose", candidate=0)
-    assert state["status"] == "verified"
-    assert max(point["deviation"] for point in state["targets"]["points"]) == pytest.approx(best["error"], rel=1e-3)
+    assert {design.assembly for design in page.session._curve.designs} == {"left", "right"}
+    for k, item in list(enumerate(answers[-1]["items"]))[::-1]:
+        state = page.state("choose", candidate=k)
+        assert state["status"] == "verified"
+        assert max(point["deviation"] for point in state["targets"]["points"]) == pytest.approx(item["error"], rel=1e-3)
     for format in ("dxf", "svg", "csv", "html"):
         made = page.ask("export", format=format)[0]
         assert made["name"] == f"drawn-curve.{format}"
