@@ -90,7 +90,13 @@ def solved(crank_rocker: optlink.ProblemFile) -> optlink.FunctionResult:
 
 
 @pytest.fixture(scope="session")
-def driver():
-    """A browser, started once per process."""
+def _driver():
     with browser() as started:
         yield started
+
+
+@pytest.fixture
+def driver(_driver):
+    """A browser, started once per process; a page that moves would go on to take a core from the other tests."""
+    yield _driver
+    _driver.get("about:blank")
