@@ -3,6 +3,7 @@
 python benchmarks/studio.py latency            the drags of studio_drags.json through the socket
 python benchmarks/studio.py random [COUNT] [PROBLEM ...]  random drags over ten shipped problems: verdicts, exceptions, memory
 python benchmarks/studio.py saved [COUNT]      drag, save, solve the saved file by the command line: the same design
+python benchmarks/studio.py curves             drawn curves: time until the first valid four-bar and the end of the search
 python benchmarks/studio.py abuse [COUNT]      malformed messages and a hostile file: the server stays alive
 python benchmarks/studio.py record             write studio_drags.json again
 """
@@ -35,6 +36,7 @@ PROBLEMS = (
     *("law-slider-crank", "path-vline6", "transmission-optimal", "shaper", "function-sin"),
 )
 RELEASED, SEARCHED = 0.05, 0.03  # chance that a drag is a release, and that its full search is not interrupted
+FIRST, BEST = 1.0, 5.0  # s from a drawn curve to the first valid four-bar, and to the end of the search
 SAME = 1e-9  # largest relative difference of two designs
 
 
@@ -155,6 +157,40 @@ async def _latency() -> bool:
         good &= bool(within)
         print(f"{name}: {len(taken)} events, answered p50 {p50:.1f} ms, p95 {p95:.1f} ms (largest {max(taken):.0f}), "
               f"of it solving p50 {s50:.1f}, p95 {s95:.1f}; {sorted(statuses)}")  # fmt: skip
+    return good
+
+
+def curves(seed: int = 0) -> dict[str, tuple[list[list[float]], bool]]:
+    """Curves as a hand draws them [mm], with a tremor, and whether they are closed."""
+    rng, turn = np.random.default_rng(seed), np.linspace(0.0, 2.0 * np.pi, 120, endpoint=False)
+    part = np.linspace(0.3, 2.4, 60)
+    shapes = {
+        "oval": ([100.0 * np.cos(turn) + 15.0 * np.cos(2.0 * turn), 60.0 * np.sin(turn)], True),
+        "bean": ([90.0 * np.cos(turn), 50.0 * np.sin(turn) + 25.0 * np.cos(turn) ** 2], True),
+        "eight": ([100.0 * np.sin(turn), 40.0 * np.sin(2.0 * turn)], True),
+        "foot": ([120.0 * np.cos(turn), np.maximum(60.0 * np.sin(turn), 0.0)], True),
+        "arc": ([150.0 * np.cos(part), 150.0 * np.sin(part)], False),
+        "hook": ([100.0 * part, 30.0 * np.sin(2.0 * part) + 10.0 * part], False),
+    }
+    return {name: ((np.column_stack(at) + rng.normal(0.0, 0.4, (len(at[0]), 2))).tolist(), c) for name, (at, c) in shapes.items()}
+
+
+async def _curves() -> bool:
+    good = True
+    async with studio("crank-rocker") as (address, token, _), connect(address, token) as ws:
+        await until(ws, "state", status="verified")
+        await asyncio.sleep(5.0)  # idle, as while a hand draws
+        for ident, (name, (points, closed)) in enumerate(curves().items(), 1):
+            begin, first = time.perf_counter(), math.nan
+            await ws.send(json.dumps({"type": "draw", "id": ident, "points": points, "closed": closed}))
+            while not (found := await until(ws, "candidates", id=ident))["done"]:
+                if math.isnan(first) and any(one["valid"] for one in found["items"]):
+                    first = time.perf_counter() - begin
+            taken, best = time.perf_counter() - begin, found["items"][0]
+            first = taken if math.isnan(first) else first
+            good &= bool(best["valid"]) and first <= FIRST and taken <= BEST
+            print(f"{name}: first valid four-bar after {first:.2f} s, search ended after {taken:.2f} s; "
+                  f"valid: {best['valid']}, error {best['error']:.3g} {best['unit']}")  # fmt: skip
     return good
 
 
@@ -401,6 +437,8 @@ def main() -> int:
         record()
     elif command == "latency":
         return 0 if asyncio.run(_latency()) else 1
+    elif command == "curves":
+        return 0 if asyncio.run(_curves()) else 1
     elif command == "random":
         names = tuple(rest[1:]) or PROBLEMS
         each = -(-(count or 10_000) // len(names))
