@@ -134,6 +134,20 @@ def test_a_drag_leads_the_linkage(page):
 
 
 @pytest.mark.slow
+def test_a_drag_goes_on_over_the_panel(page):
+    page.open("crank-rocker")
+    panel = page.find("#panel").rect["x"]
+    knob = page.find(f'[data-handle="{FRAME}"] .ring').rect["x"]
+    steps = round((panel + 60.0 - knob) / 8.0)
+    wanted = 500.0 + 8.0 * steps / page.scale
+    page.press(FRAME)
+    page.move([(8, 0)] * steps)
+    page.release()
+    page.verified()
+    assert value(page, "frame") == pytest.approx(wanted, abs=1.0)
+
+
+@pytest.mark.slow
 def test_keys_lock_and_link(page):
     """The limit of the transmission angle by the keyboard, a locked variable, and the same problem from its link."""
     from selenium.webdriver.common.keys import Keys

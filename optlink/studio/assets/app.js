@@ -366,9 +366,9 @@ canvas.addEventListener("pointerdown", (event) => {
     canvas.setPointerCapture(event.pointerId);
     curve.begin(event);
     const move = (moving) => moving.getCoalescedEvents().forEach((one) => curve.move(one)) || curve.move(moving);
-    canvas.addEventListener("pointermove", move);
-    canvas.addEventListener("pointerup", () => {
-      canvas.removeEventListener("pointermove", move);
+    document.addEventListener("pointermove", move);
+    document.addEventListener("pointerup", () => {
+      document.removeEventListener("pointermove", move);
       if (curve.end()) {
         choose("select");
       }
@@ -384,8 +384,8 @@ canvas.addEventListener("pointerdown", (event) => {
       background.move(at[0] - last[0], at[1] - last[1]);
       last = at;
     };
-    canvas.addEventListener("pointermove", move);
-    canvas.addEventListener("pointerup", () => canvas.removeEventListener("pointermove", move), { once: true });
+    document.addEventListener("pointermove", move);
+    document.addEventListener("pointerup", () => document.removeEventListener("pointermove", move), { once: true });
   }
 });
 

@@ -231,9 +231,9 @@ export class Handles {
       if (last.pointerId !== event.pointerId) {
         return;
       }
-      this.canvas.removeEventListener(raw, move);
-      this.canvas.removeEventListener("pointerup", end);
-      this.canvas.removeEventListener("pointercancel", end);
+      document.removeEventListener(raw, move);
+      document.removeEventListener("pointerup", end);
+      document.removeEventListener("pointercancel", end);
       if (this.held) {
         if (last.type === "pointerup" && this.held.moved) {
           this.to(this.view.of(last), last.timeStamp, false);
@@ -245,9 +245,9 @@ export class Handles {
         this.actions.changed();
       }
     };
-    this.canvas.addEventListener(raw, move);
-    this.canvas.addEventListener("pointerup", end);
-    this.canvas.addEventListener("pointercancel", end);
+    document.addEventListener(raw, move);
+    document.addEventListener("pointerup", end);
+    document.addEventListener("pointercancel", end);
     this.draw();
   }
 

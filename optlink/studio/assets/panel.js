@@ -193,13 +193,13 @@ export class Panel {
         send(value, true);
       };
       const end = () => {
-        node.removeEventListener("pointermove", move);
+        document.removeEventListener("pointermove", move);
         row.holding = undefined;
         send(value, false);
       };
-      node.addEventListener("pointermove", move);
-      node.addEventListener("pointerup", end, { once: true });
-      node.addEventListener("pointercancel", end, { once: true });
+      document.addEventListener("pointermove", move);
+      document.addEventListener("pointerup", end, { once: true });
+      document.addEventListener("pointercancel", end, { once: true });
     });
     let resting = 0;
     node.addEventListener("keydown", (event) => {

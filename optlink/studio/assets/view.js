@@ -105,7 +105,7 @@ export class View {
       pointers.set(event.pointerId, { x: event.offsetX, y: event.offsetY });
       last = spread();
     });
-    this.node.addEventListener("pointermove", (event) => {
+    document.addEventListener("pointermove", (event) => {
       if (!pointers.has(event.pointerId)) {
         return;
       }
@@ -122,8 +122,8 @@ export class View {
       pointers.delete(event.pointerId);
       last = pointers.size ? spread() : null;
     };
-    this.node.addEventListener("pointerup", end);
-    this.node.addEventListener("pointercancel", end);
+    document.addEventListener("pointerup", end);
+    document.addEventListener("pointercancel", end);
     this.node.addEventListener(
       "wheel",
       (event) => {
