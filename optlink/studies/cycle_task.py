@@ -139,7 +139,8 @@ class CycleProgramme:
         assert self.structure is not None
         task = self.trace.problem
         start = {name: task.quantities[name].value for name in task.free}
-        made = build_cycle(self.trace, self.structure, start)
+        # solved many times: derivatives of the whole cycle take longer to build and half as long to evaluate
+        made = replace(build_cycle(self.trace, self.structure, start), mapped=None)
         multistart.prepare(made, self.backend)
         made.lifted(made.x_start)
         return made
