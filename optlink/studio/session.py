@@ -407,7 +407,7 @@ def warm() -> None:
 
 
 def warm_drawing() -> None:
-    """Import and run once what a drawn curve and a path would otherwise wait for, in time that nobody needs."""
+    """Import and run once what a drawn curve and a path would otherwise wait for, while the server is idle."""
     from optlink.studio.curve import CurveSearch, drawn
 
     CurveSearch(drawn([[50.0, 0.0], [-20.0, 40.0], [-30.0, -40.0]], closed=True), WARM).run(lambda done: None)
