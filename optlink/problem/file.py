@@ -19,20 +19,21 @@ import pydantic
 from optlink.errors import Fault, InputError, shown
 from optlink.io import data_files, load_extensions
 from optlink.problem.base_model import SPELLED, SPELLINGS, with_ranges, with_spellings
-from optlink.problem.cycle.model import CycleProblem, StrokeProblem, cross_check_cycle
+from optlink.problem.cycle.model import CycleProblem, StrokeProblem
 from optlink.problem.file_errors import SECTIONS, faults, known_keys, of_dyads, toml_fault
-from optlink.problem.function import DesignProblem, cross_check_design
+from optlink.problem.function import DesignProblem
 from optlink.problem.limits import MARGINS, Alignment
-from optlink.problem.machine.model import Problem, cross_check
+from optlink.problem.machine.model import Problem
 from optlink.problem.path import PathProblem
-from optlink.problem.path_checks import cross_check_path, four_bar_limits
+from optlink.problem.path_checks import four_bar_limits
 from optlink.problem.quantity import input_of, nearest
 from optlink.problem.tolerances import with_tolerance
 from optlink.units import plain, split, split_range
 
 MAX_BYTES = 1_000_000
-GENERATED = ("path", "motion", "transmission")
 STROKE = "stroke"
+REQUIREMENTS = ("function", "path", "motion", "transmission", STROKE)
+"""Kinds of requirements."""
 SIDES = ("min", "max")
 
 
@@ -74,10 +75,9 @@ class ProblemFile:
     @property
     def kind(self) -> str:
         """Type of the linkage and kind of the task, for display."""
-        asked = {"cycle": "cycle design", "balance": "balancing"}.get(self.task, self.task)
-        if isinstance(self.model, DesignProblem | PathProblem | StrokeProblem):
-            asked = f"{self.model.requirement.kind} design"
-        return f"{self.model.mechanism.type}, {asked}"
+        requirement = getattr(self.model, "requirement", None)
+        purpose = {"cycle": "cycle design", "balance": "balancing"}.get(self.task, self.task)
+        return f"{self.model.mechanism.type}, {purpose if requirement is None else f'{requirement.kind} design'}"
 
     @property
     def hash(self) -> str:
@@ -206,38 +206,33 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
     where = folder or Path()
     _check_integers(raw, file)
     raw = _typed(with_ranges(with_spellings(raw), skip=WORDS))
-    task = raw.get("requirement")
-    dyads = of_dyads(raw)
-    output = dyads and isinstance(task, dict)
-    kinds = ("function", *GENERATED, STROKE)
-    stroke = isinstance(task, dict) and task.get("kind") == STROKE
-    if isinstance(task, dict) and task.get("kind", "function") not in kinds:
-        raise InputError(Fault("unknown kind", nearest(str(task["kind"]), kinds), file, "requirement.kind", task["kind"]))
-    generation = isinstance(task, dict) and (task.get("kind") in GENERATED or output)
-    model: type[Problem] = DesignProblem if "requirement" in raw or "limits" in raw else Problem
-    if generation:
-        model = PathProblem
-    if "objective" in raw and "requirement" not in raw:
-        model = CycleProblem
-    if stroke:
-        model = StrokeProblem
-    model = next((further for section, further in SECTIONS.items() if section in raw), model)
-    if generation and not stroke and isinstance(task, dict) and "robust" in task:
-        remedy = "Leave it out; `optlink study tolerance` judges any design"
-        raise InputError(Fault("a robust design is found for motion laws of a four-bar only", remedy, file, "requirement.robust"))
+    model = _model(raw, file)
     try:
         problem = model.model_validate({"title": name[:200], **raw}, context={"folder": where})
     except pydantic.ValidationError as error:
         raise InputError(list(faults(error, model, raw, file))) from None
     with input_of(file):
-        if isinstance(problem, DesignProblem):
-            cross_check_design(problem)
-        if isinstance(problem, PathProblem):
-            cross_check_path(problem)
-        if isinstance(problem, CycleProblem):
-            cross_check_cycle(problem)
-        cross_check(problem)
+        problem.check()
     return ProblemFile(name, file, where, raw, problem)
+
+
+def _model(raw: Mapping[str, Any], file: str) -> type[Problem]:
+    """Return the model of a file: that of a registered section, else of its requirement, objective or limits."""
+    requirement, registered = raw.get("requirement"), [model for section, model in SECTIONS.items() if section in raw]
+    kind = requirement.get("kind", "function") if isinstance(requirement, dict) else None
+    if kind is not None and kind not in REQUIREMENTS:
+        raise InputError(Fault("unknown kind", nearest(str(kind), REQUIREMENTS), file, "requirement.kind", kind))
+    if registered or kind == STROKE:
+        return registered[0] if registered else StrokeProblem
+    if kind is not None and (kind != "function" or of_dyads(raw)):
+        if "robust" in requirement:
+            message = "a robust design is found for motion laws of a four-bar only"
+            remedy = "Leave it out; `optlink study tolerance` judges any design"
+            raise InputError(Fault(message, remedy, file, "requirement.robust"))
+        return PathProblem
+    if "objective" in raw and "requirement" not in raw:
+        return CycleProblem
+    return DesignProblem if "requirement" in raw or "limits" in raw else Problem
 
 
 def _check_integers(raw: Mapping[str, Any], file: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -215,74 +216,80 @@ class DesignProblem(Problem):
         start = self.start_position(full)
         return {**full, "phi0": start.phi0, "psi0": start.psi0}
 
+    def start(self, values: Mapping[str, float]) -> float:
+        """Return the crank angle [rad] at which the requirement begins; 0 where it does not exist."""
+        phi0 = float(self.start_position(values).phi0)
+        return phi0 if math.isfinite(phi0) else 0.0
 
-def cross_check_design(problem: DesignProblem) -> None:
-    """Check that the sections of a function synthesis problem are consistent.
-
-    Raises
-    ------
-    Unusable
-        with the full key of the cause.
-    """
-    requirement, limits = problem.requirement, problem.limits
-    function = requirement.law if isinstance(requirement.law, Function) else None
-    check_one_mode(problem.mechanism)
-    if problem.mechanism.placed:
-        raise Unusable("a motion law has no place in the plane", "Leave pivot and direction out", "mechanism.pivot")
-    if problem.mechanism.assembly == EITHER and function is None:
-        remedy = 'Write "left" or "right"'
-        raise Unusable("a motion law is designed for one assembly mode", remedy, "mechanism.assembly", EITHER)
-    table = requirement.law if isinstance(requirement.law, Table) else None
-    if function is not None and requirement.span is not None:
-        raise Unusable("a function brings its own span, the input", "Leave span out", "requirement.span", str(requirement.span))
-    if function is not None and "start" in requirement.model_fields_set and not isinstance(requirement.start, Quantity):
-        raise Unusable(
-            "a function starts at an angle, given or to be found",
-            'Write from = { start = "50 deg", bounds = ["0 deg", "180 deg"] }, or leave it out: then the search finds it',
-            "requirement.from",
-            requirement.start,
-        )
-    if table is None:
-        if function is None and requirement.span is None:
-            raise Unusable("an expression as the law needs it", 'Add span = "90 deg"', "requirement.span")
-    elif requirement.span is not None and abs(requirement.span.value - table.span) > 1e-9:
-        raise Unusable(
-            f"the span differs from that of the table, {np.degrees(table.span):.6g} deg",
-            "Leave span out: a table brings its own",
-            "requirement.span",
-            str(requirement.span),
-        )
-    elif not table.from_start and "start" in requirement.model_fields_set:
-        raise Unusable(
-            "a table measured from the frame brings its own start",
-            "Leave from out",
-            "requirement.from",
-            str(requirement.start),
-        )
-    if table is not None and not table.from_start and requirement.psi0 is not None:
-        raise Unusable("a table measured from the frame has no psi0", "Leave psi0 out", "requirement.psi0", str(requirement.psi0))
-    if not 1e-6 <= abs(problem.span) <= TURN * (1.0 + 1e-9):
-        raise Unusable(
-            "the span must not be zero, nor exceed one revolution",
-            'Give one such as "90 deg" (negative: clockwise)',
-            "requirement.span",
-            f"{np.degrees(problem.span):.6g} deg",
-        )
-    turns = problem.quantities.get("phi0")
-    if turns is not None and max(abs(bound) for bound in turns.bounds) > TURN * (1.0 + 1e-9):
-        raise Unusable(
-            "the start angle lies beyond one revolution", "Give it within -360 deg ... 360 deg", "requirement.from", str(turns)
-        )
-    check_limits(limits, [COUPLER_JOINT])
-    check_robust(requirement.robust, requirement.measure, len(problem.tolerances))
-    if limits.crank == "double-crank" and requirement.start in DEAD_CENTRES and "phi0" not in problem.quantities:
-        raise Unusable(
-            "a double-crank has no dead centres",
-            'Start at an angle: from = "60 deg"',
-            "requirement.from",
-            requirement.start,
-        )
-    _check_law(problem)
+    def check(self) -> None:
+        """Check that the sections are consistent; see `Problem.check`."""
+        requirement, limits = self.requirement, self.limits
+        function = requirement.law if isinstance(requirement.law, Function) else None
+        check_one_mode(self.mechanism)
+        if self.mechanism.placed:
+            raise Unusable("a motion law has no place in the plane", "Leave pivot and direction out", "mechanism.pivot")
+        if self.mechanism.assembly == EITHER and function is None:
+            remedy = 'Write "left" or "right"'
+            raise Unusable("a motion law is designed for one assembly mode", remedy, "mechanism.assembly", EITHER)
+        table = requirement.law if isinstance(requirement.law, Table) else None
+        if function is not None and requirement.span is not None:
+            raise Unusable(
+                "a function brings its own span, the input", "Leave span out", "requirement.span", str(requirement.span)
+            )
+        if function is not None and "start" in requirement.model_fields_set and not isinstance(requirement.start, Quantity):
+            raise Unusable(
+                "a function starts at an angle, given or to be found",
+                'Write from = { start = "50 deg", bounds = ["0 deg", "180 deg"] }, or leave it out: then the search finds it',
+                "requirement.from",
+                requirement.start,
+            )
+        if table is None:
+            if function is None and requirement.span is None:
+                raise Unusable("an expression as the law needs it", 'Add span = "90 deg"', "requirement.span")
+        elif requirement.span is not None and abs(requirement.span.value - table.span) > 1e-9:
+            raise Unusable(
+                f"the span differs from that of the table, {np.degrees(table.span):.6g} deg",
+                "Leave span out: a table brings its own",
+                "requirement.span",
+                str(requirement.span),
+            )
+        elif not table.from_start and "start" in requirement.model_fields_set:
+            raise Unusable(
+                "a table measured from the frame brings its own start",
+                "Leave from out",
+                "requirement.from",
+                str(requirement.start),
+            )
+        if table is not None and not table.from_start and requirement.psi0 is not None:
+            raise Unusable(
+                "a table measured from the frame has no psi0", "Leave psi0 out", "requirement.psi0", str(requirement.psi0)
+            )
+        if not 1e-6 <= abs(self.span) <= TURN * (1.0 + 1e-9):
+            raise Unusable(
+                "the span must not be zero, nor exceed one revolution",
+                'Give one such as "90 deg" (negative: clockwise)',
+                "requirement.span",
+                f"{np.degrees(self.span):.6g} deg",
+            )
+        turns = self.quantities.get("phi0")
+        if turns is not None and max(abs(bound) for bound in turns.bounds) > TURN * (1.0 + 1e-9):
+            raise Unusable(
+                "the start angle lies beyond one revolution",
+                "Give it within -360 deg ... 360 deg",
+                "requirement.from",
+                str(turns),
+            )
+        check_limits(limits, [COUPLER_JOINT])
+        check_robust(requirement.robust, requirement.measure, len(self.tolerances))
+        if limits.crank == "double-crank" and requirement.start in DEAD_CENTRES and "phi0" not in self.quantities:
+            raise Unusable(
+                "a double-crank has no dead centres",
+                'Start at an angle: from = "60 deg"',
+                "requirement.from",
+                requirement.start,
+            )
+        _check_law(self)
+        super().check()
 
 
 def _check_law(problem: DesignProblem) -> None:

@@ -152,6 +152,13 @@ class PathProblem(Problem):
         """Kind of task: path, motion or function synthesis, or transmission."""
         return "path"
 
+    def check(self) -> None:
+        """Check that the sections are consistent; see `Problem.check`."""
+        from optlink.problem.path_checks import check_path
+
+        check_path(self)
+        super().check()
+
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
         """Fixed quantities and design variables by name: those of the mechanism and those of the task."""

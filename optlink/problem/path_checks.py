@@ -38,8 +38,8 @@ def four_bar_limits() -> tuple[str, ...]:
     return ("length_margin", "transmission_cosine", *(term.name for term in LIMITS.values() if term.four_bar))
 
 
-def cross_check_path(problem: PathProblem) -> None:
-    """Check that the sections of a path synthesis problem are consistent.
+def check_path(problem: PathProblem) -> None:
+    """Check that the requirement and the limits of a path synthesis problem are consistent.
 
     Raises
     ------

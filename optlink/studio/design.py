@@ -12,18 +12,15 @@ from numpy.typing import NDArray
 
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError, OptlinkError, Status
-from optlink.optimization.path_nlp import solved_values
-from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.file import ProblemFile
-from optlink.problem.function import DesignProblem
-from optlink.problem.path import PathProblem
-from optlink.problem.targets.function import Function
+from optlink.problem.mechanism import sizes_of
 from optlink.report.views import conclusions
 from optlink.report.views.relaxations import contradiction
 from optlink.solvers.solution import LimitState, Solution
+from optlink.studio.kinds import kind_of
 from optlink.tasks.machine import machine_of
 from optlink.tasks.results.analysis import Analysis
-from optlink.tasks.results.path import PathResult
+from optlink.tasks.results.balance import Balance
 from optlink.validation.check import Check
 
 Array = NDArray[np.float64]
@@ -62,42 +59,21 @@ class Design:
     @property
     def start(self) -> float:
         """Crank angle [rad] of the first position that is drawn."""
-        model = self.problem.model
-        if isinstance(model, DesignProblem):
-            phi0 = float(model.start_position(self.values).phi0)
-            return phi0 if math.isfinite(phi0) else 0.0
         if self.crank_angles is not None and len(self.crank_angles):
             return float(self.crank_angles[0])
-        return float(model.drive.start.value)
+        return self.problem.model.start(self.values)
 
     @property
     def speed(self) -> float:
         """Crank speed [rad/s]; without a drive only its sign counts."""
-        model = self.problem.model
-        if isinstance(model, DesignProblem):
-            return float(model.sense)
-        if isinstance(model, PathProblem) and self.crank_angles is not None and len(self.crank_angles) > 1:
+        if self.crank_angles is not None and len(self.crank_angles) > 1:
             return math.copysign(1.0, float(self.crank_angles[-1] - self.crank_angles[0]))
-        return float(model.drive.speed.value) or 1.0
-
-
-def kind_of(problem: ProblemFile) -> str:
-    """Return the kind of a problem for the page: law, function, path, motion, transmission, machine or analysis."""
-    model = problem.model
-    if isinstance(model, DesignProblem):
-        return "function" if isinstance(model.requirement.law, Function) else "law"
-    if isinstance(model, PathProblem):
-        if model.requirement.kind != "function":
-            return str(model.requirement.kind)
-        return "function" if isinstance(model.requirement.law, Function) else "law"
-    return "machine" if isinstance(model, CycleProblem) else "analysis"
+        return self.problem.model.sense
 
 
 def started(problem: ProblemFile) -> Design:
     """Return the design of the starting values of a problem."""
-    model = problem.model
-    values = {name: quantity.value for name, quantity in model.quantities.items()}
-    return Design(problem, model.design(values) if isinstance(model, DesignProblem) else values)
+    return Design(problem, problem.model.design({}))
 
 
 def from_solution(problem: ProblemFile, solution: Solution) -> Design:
@@ -109,14 +85,7 @@ def from_solution(problem: ProblemFile, solution: Solution) -> Design:
         With definite assembly modes.
     solution : Solution
     """
-    model = problem.model
-    if isinstance(model, DesignProblem):
-        values, angles = model.design(solution.design), None
-    elif isinstance(model, PathProblem):
-        values, angles = solved_values(model, solution.design, solution.x)
-    else:
-        values = {name: quantity.value for name, quantity in model.quantities.items()}
-        values, angles = values | {name: solution.design[name] for name in model.free}, None
+    values, angles = kind_of(problem).values(problem.model, solution)
     return Design(problem, values, UNVERIFIED, solution.objective, solution, angles, limits=solution.limits)
 
 
@@ -151,30 +120,20 @@ def carried(problem: ProblemFile, last: Design) -> Design:
 
 def designed(result: Any) -> Design:
     """Return the design of an ordinary result, with the verdict of its validation."""
-    if isinstance(result, Analysis):
-        values = {name: quantity.value for name, quantity in result.problem.model.mechanism.quantities.items()}
-        status = "verified" if result.sound else "not valid"
-        return Design(result.problem, values, status, conclusion=conclusions.analysis(result), checks=(), result=result)
-    best = result.best if isinstance(result, PathResult) else result
+    if isinstance(result, Analysis | Balance):
+        return _machine(result)
+    best, text = result.best, contradiction(result.conflict, result.together)
     if best is None:
-        text = contradiction(result.conflict, result.together)
-        values = {name: quantity.value for name, quantity in result.problem.model.quantities.items()}
         words = text or "No design was found."
+        values = result.problem.model.design({})
         return Design(result.problem, values, "infeasible", conclusion=words, conflicts=(words,), checks=(), result=result)
-    values = {name: quantity.value for name, quantity in best.problem.model.quantities.items()}
-    values |= dict(getattr(best, "values", None) or result.design)
-    if isinstance(best.problem.model, DesignProblem):
-        values = best.problem.model.design(values)
-    text = contradiction(result.conflict, result.together)
     infeasible = bool(text) or result.status is Status.INFEASIBLE
     status = "verified" if result.valid else "infeasible" if infeasible else "not valid"
-    if result.status is Status.NON_FINITE:
-        status = "failed"
     limits = () if best.solution is None else best.solution.limits
     return Design(
         best.problem,
-        values,
-        status,
+        best.problem.model.design(getattr(best, "values", None) or result.design),
+        "failed" if result.status is Status.NON_FINITE else status,
         result.objective,
         best.solution,
         getattr(best, "crank_angles", None),
@@ -186,6 +145,17 @@ def designed(result: Any) -> Design:
     )
 
 
+def _machine(result: Analysis | Balance) -> Design:
+    """Return the machine of an analysis or of a balance, with its verdict."""
+    analysed = isinstance(result, Analysis)
+    conclusion = conclusions.analysis(result) if analysed else conclusions.balance(result)
+    status = "verified" if (result.sound if analysed else result.valid) else "not valid"
+    if not analysed and not result.valid and result.conflict:
+        status = "infeasible"
+    values = result.problem.model.mechanism.quantities
+    return Design(result.problem, sizes_of(values), status, conclusion=conclusion, checks=(), result=result)
+
+
 def solved(problem: ProblemFile, progress: Callable[[float], None] | None = None) -> Design:
     """Return the design that the command line finds for a problem: the same search, the same validation.
 
@@ -194,29 +164,7 @@ def solved(problem: ProblemFile, progress: Callable[[float], None] | None = None
     problem : ProblemFile
     progress : function of the completed fraction, optional
     """
-    if problem.task == "analysis" or (not problem.model.free and problem.task != "balance"):
-        from optlink.tasks.analyze import analyze
-        from optlink.tasks.run import validate
-
-        if problem.task == "analysis":
-            return designed(analyze(problem))
-        return designed(validate(problem, {}))
-    if problem.task == "balance":
-        return balanced(problem)
-    from optlink.tasks.run import solve
-
-    return designed(solve(problem, progress=progress))
-
-
-def balanced(problem: ProblemFile) -> Design:
-    """Return the machine of a balancing problem with the verdict of its balance."""
-    from optlink.tasks.balance import balance
-
-    found = balance(problem)
-    values = {name: quantity.value for name, quantity in problem.model.mechanism.quantities.items()}
-    status = "verified" if found.valid else "infeasible" if found.conflict else "not valid"
-    checks = getattr(getattr(found, "validation", None), "checks", ())
-    return Design(problem, values, status, conclusion=conclusions.balance(found), checks=tuple(checks), result=found)
+    return designed(kind_of(problem).result(problem, progress))
 
 
 def checked(design: Design) -> Design:

@@ -7,7 +7,8 @@ changes, a new one is built.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,28 +16,30 @@ from numpy.typing import NDArray
 from optlink.linkage.vector2d import unit
 from optlink.optimization.constraints import position_rows
 from optlink.optimization.constraints import rows as limit_rows
+from optlink.optimization.cycle_nlp import CycleNLP
+from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.nlp import NLP
 from optlink.optimization.path_nlp import build_path_nlp, constant_values, has_position_limits
-from optlink.problem.cycle.model import CycleProblem
-from optlink.problem.file import WORDS as PROSE
+from optlink.problem.cycle.model import Bound, CycleProblem
 from optlink.problem.file import ProblemFile
-from optlink.problem.function import DesignProblem
-from optlink.problem.limits import MARGINS, Reach
+from optlink.problem.limits import Reach
 from optlink.problem.path import PathProblem
-from optlink.problem.quantity import Quantity
-from optlink.problem.targets.expression import Expression
 from optlink.solvers import multistart
 from optlink.solvers.contract import MINIMAX
 from optlink.solvers.path_exchange import solve_semi_infinite
-from optlink.solvers.solution import Solution
+from optlink.solvers.semi_infinite import EXACTLY, exchange, peaks
+from optlink.solvers.solution import Solution, stationarity
 from optlink.studies.continuation import follow_optimum
+from optlink.studies.cycle_task import CycleProgramme, with_bounds, with_starting_values
 from optlink.studies.reoptimise_task import ParametricProgramme
 from optlink.tasks.path_search import path_model
+from optlink.tasks.results.cycle import task_of
+from optlink.units import factor
 
 Array = NDArray[np.float64]
 
 BACKEND = "ipopt"
-WORDS = ("crank", "transmission_over", *MARGINS)  # limits that change the structure of a programme
+EXCESS = 1e-4  # share of its level by which a peak may exceed the values at the fixed positions while a hand moves
 
 
 class Follower(Protocol):
@@ -154,43 +157,6 @@ class PathFollower:
         return True
 
 
-def structure(problem: ProblemFile) -> Any:
-    """Return what a programme of a problem depends on beyond its parameters and bounds; equal for problems that can share one."""
-    model, raw = problem.model, problem.raw
-    limits = {key: repr(value) if key in WORDS else _shape(value) for key, value in (raw.get("limits") or {}).items()}
-    parts: list[Any] = [problem.task, tuple(model.quantities), tuple(model.free), limits, raw["mechanism"].get("assembly")]
-    requirement = dict(raw.get("requirement") or {})
-    told = ("mechanism", "limits", "requirement", *PROSE)
-    parts += [{key: value for key, value in raw.items() if key not in told}]
-    if isinstance(model, CycleProblem):
-        parts += [_shape(requirement)]
-    if isinstance(model, PathProblem):
-        data = model.data
-        places = data.columns.shape if model.pointed else data.columns.tolist()
-        parts += [{key: value for key, value in requirement.items() if key != "points"}, places]
-        parts += [None if data.offsets is None else data.offsets.tolist(), data.roots.tolist(), data.tolerances.tolist()]
-    if isinstance(model, DesignProblem):
-        parts += [{key: value for key, value in requirement.items() if not _moves(model, key)}, model.sense]
-    return tuple(map(repr, parts))
-
-
-def _moves(model: DesignProblem, key: str) -> bool:
-    """Return whether a key of the requirement is a parameter of the programme."""
-    if key == "span":
-        return isinstance(model.requirement.law, Expression)
-    held = {"from": model.requirement.start, "psi0": model.requirement.psi0}.get(key)
-    return isinstance(held, Quantity)
-
-
-def _shape(value: Any) -> Any:
-    """Return a value of the file without its numbers."""
-    if isinstance(value, Mapping):
-        return {key: _shape(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_shape(item) for item in value]
-    return type(value).__name__
-
-
 def start_of(nlp: NLP, near: Solution | None) -> Array:
     """Return the design of the last optimum as a starting point of a programme; without one the start of the programme.
 
@@ -211,26 +177,125 @@ def start_of(nlp: NLP, near: Solution | None) -> Array:
     return nlp.lifted(np.clip(x, nlp.x_low, nlp.x_high))
 
 
-def follower(problem: ProblemFile, values: Mapping[str, float], way: int = 1) -> Follower | None:
-    """Return a follower of a problem; None if designs of its kind are only carried along while a hand moves.
+class CycleFollower:
+    """Follower of designs for quantities of the cycle; limits, bounds and fixed sizes are parameters of its programme.
+
+    Newton's method runs at fixed positions of the peaks, which hardly move.
 
     Parameters
     ----------
     problem : ProblemFile
-        With definite assembly modes.
     values : mapping of str to float [SI]
-        The last design.
-    way : int
-        Sense of its crank rotation, +1 or -1.
+        The last optimum; its order of events is that of the programme.
     """
-    if not problem.model.free:
-        return None
-    if isinstance(problem.model, DesignProblem):
-        return FunctionFollower(problem)
-    if isinstance(problem.model, PathProblem):
-        return PathFollower(problem, way)
-    if isinstance(problem.model, CycleProblem):
-        from optlink.studio.follow_cycle import CycleFollower
 
-        return CycleFollower(problem, values)
-    return None
+    def __init__(self, problem: ProblemFile, values: Mapping[str, float]) -> None:
+        task = task_of(problem)
+        begun = with_starting_values(problem, {name: values[name] for name in task.free})
+        self.programme = CycleProgramme(begun, BACKEND)
+        self.task = task
+        self._near = None if self.programme.structure is None else self._first(values)
+        self.follow(problem, None)  # the first search takes longer: it compiles
+
+    def _first(self, values: Mapping[str, float]) -> Solution:
+        nlp = self.programme.nlp
+        x = nlp.x_of({name: values[name] for name in self.task.free})
+        nlp.set_exchange_points(peaks(nlp, x).shares)
+        found = multistart.solution_at(nlp, nlp.lifted(x), "the last optimum")
+        return _sharp(found if found.usable and found.kkt <= EXCESS else multistart.solve_from(nlp, x, BACKEND))
+
+    def follow(self, problem: ProblemFile, near: Solution | None) -> Solution | None:
+        """Return the optimum of a problem near the last one; None if its events have another order.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+        near : Solution, optional
+            Not used: the follower keeps its last optimum.
+        """
+        last = self._near
+        if last is None:
+            return None
+        nlp = self._bound(task_of(problem), last)
+        found = follow_optimum(nlp, last) if last.usable else None
+        if found is None or peaks(nlp, found.x).excess > EXCESS:
+            x = nlp.lifted(np.clip(last.x if found is None else found.x, nlp.x_low, nlp.x_high))
+            nlp.set_exchange_points(peaks(nlp, x).shares)
+            found = multistart.solve_from(nlp, x, BACKEND)
+            self.programme.nlp.cache.update(nlp.cache)
+        if found.usable:
+            order = nlp.traced.structure(found.design)
+            if order is None or not order.like(nlp.structure):
+                return None
+            self._near = _sharp(found)
+        return found
+
+    def refined(self, found: Solution) -> Solution:
+        """Return an optimum that satisfies its limits at every crank angle, from one at fixed positions of the peaks."""
+        nlp = found.nlp
+        assert isinstance(nlp, CycleNLP)
+        nlp.p[:] = found.p
+        settled = exchange(nlp, found)
+        if settled.usable:
+            self._near = _sharp(settled)
+        return settled
+
+    def _bound(self, task: CycleProblem, last: Solution) -> CycleNLP:
+        """Return the programme with the fixed sizes, bounds and limits of a problem, and the last positions of the peaks."""
+        trace = object.__new__(TracedCycle)  # its copy would be traced again
+        vars(trace).update(vars(self.programme.trace) | {"problem": task})
+        nlp = with_bounds(replace_trace(self.programme.nlp, trace), dict(_moved(self.task, task)))
+        nlp.p[:] = last.p
+        quantities = task.quantities
+        for i, constant in enumerate(nlp.constants):
+            nlp.p[1 + i] = (quantities[constant.name].value - constant.origin) / constant.size
+        for i, v in enumerate(nlp.variables[: len(nlp.free)]):
+            low, high = quantities[v.name].bounds
+            nlp.limit(i, v.scaled(low), upper=False)
+            nlp.limit(i, v.scaled(high), upper=True)
+        return nlp
+
+
+def replace_trace(nlp: CycleNLP, trace: TracedCycle) -> CycleNLP:
+    """Return a programme with another trace of the same structure, and all compiled parts.
+
+    Parameters
+    ----------
+    nlp : CycleNLP
+    trace : TracedCycle
+    """
+    made = replace(nlp, trace=trace)
+    for name, value in vars(nlp).items():
+        if name not in vars(made):
+            vars(made)[name] = value
+    for name in ("low", "high", "lower", "upper"):
+        vars(made).pop(name, None)
+    return replace_bounds(made)
+
+
+def replace_bounds(nlp: CycleNLP) -> CycleNLP:
+    """Return a programme whose bounds of the variables may be moved without moving those of another one."""
+    vars(nlp)["x_low"], vars(nlp)["x_high"] = nlp.x_low.copy(), nlp.x_high.copy()
+    return nlp
+
+
+def _moved(old: CycleProblem, new: CycleProblem) -> list[tuple[str, float]]:
+    """Return the limits that differ, as key with side and value in the unit of the file."""
+    found: list[tuple[str, float]] = []
+    for before, now in zip(old.bounds, new.bounds, strict=True):
+        for side, one, other in zip(("min", "max"), _ends(before), _ends(now), strict=True):
+            if one != other and other is not None:
+                size = factor(now.interval.unit, now.interval.kind) if now.interval.kind else 1.0
+                found.append((f"{now.key}.{side}", other / size))
+    return found
+
+
+def _ends(bound: Bound) -> tuple[float | None, float | None]:
+    return bound.interval.low, bound.interval.high
+
+
+def _sharp(found: Solution) -> Solution:
+    """Return an optimum in whose proof only exactly active rows count: those beside a peak would count twice."""
+    if not found.usable:
+        return found
+    return replace(found, proof=stationarity(found.nlp, found.x, found.nlp.at(found.x, found.p), EXACTLY))

@@ -18,7 +18,6 @@ from optlink.studio.design import (
     failure,
     from_solution,
     in_modes,
-    kind_of,
     sentence,
     solved,
     started,
@@ -26,9 +25,10 @@ from optlink.studio.design import (
 )
 from optlink.studio.document import Document, from_template, from_text, named, shipped_problem
 from optlink.studio.files import deflated, inflated
-from optlink.studio.follow import Follower, follower, structure
+from optlink.studio.follow import Follower
 from optlink.studio.handles import Handle, handles
 from optlink.studio.history import History
+from optlink.studio.kinds import follower, kind_of, structure
 from optlink.studio.picture import Picture
 
 if TYPE_CHECKING:
@@ -228,7 +228,7 @@ class Session:
         last = self._design or started(problem)
         known = structure(problem)
         if self._follower[0] != known:
-            if problem.task == "cycle":  # its programme takes seconds: it is prepared after a release
+            if kind_of(problem).slow_programme:  # it is prepared after a release
                 return carried(problem, last)
             self._follower = (known, follower(problem, last.values, -1 if last.speed < 0.0 else 1))
         one = self._follower[1]
@@ -377,7 +377,7 @@ class Session:
                 "can_undo": undo,
                 "can_redo": redo,
             },
-            "kind": kind_of(problem),
+            "kind": kind_of(problem).name(problem.model),
             "status": design.status,
             "conclusion": design.conclusion,
             "targets": state.targets(problem, design),
@@ -398,12 +398,12 @@ class Session:
 def warm() -> None:
     """Import what the first request would otherwise wait for."""
     from optlink.problem.file import load
-    from optlink.studio import curve, files, follow_cycle
+    from optlink.studio import curve, files
     from optlink.tasks import certify, cycle, function, path
     from optlink.tasks.analyze import analyze
 
     solved(load("crank-rocker"))
-    _ = certify, cycle, function, path, analyze, curve, files, follow_cycle
+    _ = certify, cycle, function, path, analyze, curve, files
 
 
 def warm_drawing() -> None:

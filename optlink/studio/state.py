@@ -12,24 +12,18 @@ from numpy.typing import NDArray
 from optlink.dynamics.columns import MotionColumns
 from optlink.io import finite
 from optlink.linkage.dyad_types import transmitting
-from optlink.optimization.objectives import MEASURES
-from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.file import ProblemFile
-from optlink.problem.function import DesignProblem
 from optlink.problem.limits import Limits
 from optlink.problem.path import PathProblem
 from optlink.report.style import scale
-from optlink.report.views.path_tables import objective_scale as path_scale
-from optlink.solvers.function_exchange import error_at
 from optlink.solvers.solution import key_of
 from optlink.studio.design import Design
+from optlink.studio.kinds import kind_of
 from optlink.studio.picture import Picture
-from optlink.units import DISPLAYED, display_unit
 from optlink.validation.path import deviations, transmission_angles
 
 Array = NDArray[np.float64]
 
-ALONG = 60  # positions of the error curve
 AT_BOUND = 1e-6  # share of the range of a variable
 DIGITS = 6
 
@@ -100,33 +94,13 @@ def objective(problem: ProblemFile, value: float) -> dict[str, Any] | None:
     problem : ProblemFile
     value : float [SI]
     """
-    factor, unit, label = objective_scale(problem)
+    factor, unit, label = kind_of(problem).objective(problem.model)
     return {"label": label, "value": finite(value * factor), "unit": unit} if label else None
-
-
-def objective_scale(problem: ProblemFile) -> tuple[float, str, str]:
-    """Return the factor from SI and the display unit of the objective, and its name; no name if there is none."""
-    model = problem.model
-    if isinstance(model, DesignProblem):
-        measure = model.requirement.measure
-        angular = MEASURES[measure].unit == "rad"
-        words = {"max": "largest error", "rms": "root mean square error"}.get(measure, "sum of squared errors")
-        return (math.degrees(1.0), "deg", words) if angular else (1.0, MEASURES[measure].unit.replace("^2", "²"), words)
-    if isinstance(model, PathProblem):
-        words = {"max": "largest deviation", "rms": "root mean square deviation"}.get(model.measure, "sum of squared deviations")
-        words = "worst cosine of the transmission angle" if model.requirement.kind == "transmission" else words
-        per, unit = path_scale(model)
-        return per, unit.replace("^2", "²"), words
-    if isinstance(model, CycleProblem):
-        kind = model.unit_kind
-        words = model.goals[0].words if model.single else "objective"
-        return (*display_unit(kind), words) if kind else (1.0, "", words)
-    return 1.0, "", ""
 
 
 def active(design: Design) -> list[dict[str, Any]]:
     """Return the active limits of a design with their shadow prices, in display units."""
-    factor, unit, _ = objective_scale(design.problem)
+    factor, unit, _ = kind_of(design.problem).objective(design.problem.model)
     found = []
     for one in design.limits:
         if one.active:
@@ -157,10 +131,11 @@ def charts(design: Design, picture: Picture, *, moving: bool) -> list[dict[str, 
     moving : bool
         Leave out what takes longer than a few milliseconds.
     """
-    found = [*_error(design), *_transmission(design, picture)]
+    found = [_chart(*curve[:2], [curve[2:]]) for curve in kind_of(design.problem).error_curves(design)]
+    found += _transmission(design, picture)
     if design.problem.model.loads or design.problem.model.bodies:
         found += _forces(design, picture)
-    elif isinstance(design.problem.model, CycleProblem) or not design.problem.model.free:
+    elif design.problem.task == "cycle" or not design.problem.model.free:
         found += _motion(picture)
     return found
 
@@ -171,19 +146,6 @@ def _chart(
     shown = [{"label": label, "unit": unit, "values": finite(_rounded(values))} for label, unit, values in series]
     axis = {"label": "crank angle", "unit": "deg", "values": np.round(np.degrees(x), 3).tolist()}
     return {"title": title, "x": axis, "series": shown, "limits": [{"label": n, "value": v} for n, v in limits]}
-
-
-def _error(design: Design) -> Iterator[dict[str, Any]]:
-    model = design.problem.model
-    if isinstance(model, DesignProblem):
-        offsets = model.span * np.linspace(0.0, 1.0, ALONG + 1)
-        with np.errstate(all="ignore"):
-            error = np.degrees(error_at(model, design.values, offsets))
-        yield _chart("Output error", design.start + offsets, [("target minus generated", "deg", error)])
-    elif isinstance(model, PathProblem) and model.requirement.kind != "transmission" and design.crank_angles is not None:
-        found = deviations(model, design.values, design.crank_angles)
-        factor, unit = DISPLAYED[model.unit]
-        yield _chart("Deviation at the points", design.crank_angles, [("deviation", unit, factor * found.distances)])
 
 
 def _transmission(design: Design, picture: Picture) -> Iterator[dict[str, Any]]:
@@ -239,4 +201,4 @@ def _rounded(values: Array) -> Any:
     return np.round(values, max(0, DIGITS - 1 - math.floor(math.log10(largest))) if largest > 0.0 else 0).tolist()
 
 
-__all__ = ["active", "charts", "checks", "objective", "objective_scale", "targets", "variables"]
+__all__ = ["active", "charts", "checks", "objective", "targets", "variables"]

@@ -137,6 +137,42 @@ class CycleProblem(Problem):
         sizes = {**sizes_of(self.mechanism.quantities), **values}
         return {name: body.inertia_of(name, self.linkage, sizes) for name, body in self.bodies.items()}
 
+    def check_output(self) -> None:
+        """Check the output of the requirement: this problem has none."""
+
+    def check(self) -> None:
+        """Check that the sections are consistent; see `Problem.check`."""
+        check_one_mode(self.mechanism)
+        mechanism = self.linkage
+        if self.drive.speed.value == 0.0:
+            raise Unusable(
+                "the crank speed is zero", "Give the constant speed of the cycle", "drive.speed", str(self.drive.speed)
+            )
+        for k, goal in enumerate(self.goals):
+            place = "objective" if self.single else f"objective.terms.{k}"
+            with below(place):
+                check_term(goal, mechanism, self.quantities)
+                if goal.scale is not None and read_figure(goal.scale, self.kind(goal), "scale")[0] <= 0.0:
+                    raise Unusable("a scale is positive", "Give one above zero", "scale", goal.scale)
+        for name, limit in self.limits.named.items():
+            with below(f"limits.{name}"):
+                check_term(limit, mechanism, self.quantities)
+        self.check_output()
+        joints = [group.joint for group in transmitting(mechanism)]
+        check_transmission(self.limits.transmission_angle, self.limits.pressure_angle, joints)
+        _ = self.bounds
+        if self.mechanism.friction and any(_forced(term) for term in (*self.goals, *self.limits.named.values())):
+            guide = next(iter(self.mechanism.friction))
+            raise Unusable(
+                "where a normal force changes its sign friction has a corner that no derivative sees",
+                "Leave the friction out of the design and `optlink analyze` its result with it",
+                f"mechanism.guides.{guide}.friction",
+                self.mechanism.friction[guide],
+            )
+        if not self.bodies and not self.loads and any(_forced(goal) for goal in self.goals):
+            raise Unusable("no masses and no loads are given, so there are no forces", "Add [bodies] or [loads]", "objective")
+        super().check()
+
 
 class StrokeRequirement(Section):
     """Requirement of a stroke problem: an output goes to and fro once per revolution of the crank."""
@@ -192,6 +228,30 @@ class StrokeProblem(CycleProblem):
             found.append(Bound(REQUIRED[1], term, Interval(ratio.low, ratio.high, None, ""), "requirement.time_ratio"))
         return (*found, *super().bounds)
 
+    def check_output(self) -> None:
+        """Check that the output exists and can go to and fro, and that the assembly mode is definite."""
+        mechanism = self.linkage
+        if len(self.mechanism.variants(mechanism)) > 1:
+            message, assembly = "a stroke is designed for one assembly mode", self.mechanism.assembly
+            remedy = 'Write "left" or "right"' if isinstance(assembly, str) else "Choose one mode of every dyad"
+            raise Unusable(message, remedy, "mechanism.assembly", assembly)
+        known = [
+            *(guide.name for guide in mechanism.guides),
+            *(link.body for link in mechanism.links[1:]),
+            *moving_points(mechanism),
+        ]
+        name = self.output
+        if name not in known and guide_of(name, mechanism) is None:
+            remedy = nearest(name, known) if name else f"Write output = one of: {', '.join(known)}"
+            raise Unusable(
+                "the output is the name of a slider, a body that swings, or a point", remedy, "requirement.output", name or None
+            )
+        try:
+            output_of(Term(quantity="stroke", of=name, direction=self.requirement.direction), mechanism)
+        except Unusable as error:
+            error.key = f"requirement.{error.key.replace('of', 'output')}"
+            raise
+
 
 def _sides(raw: object) -> dict[str, object]:
     """Return a stroke as the bounds of a limit."""
@@ -211,67 +271,8 @@ def _degrees(angle: float) -> str:
     return f"{math.degrees(angle):.12g} deg"
 
 
-def cross_check_cycle(problem: CycleProblem) -> None:
-    """Check that the sections of a cycle problem are consistent.
-
-    Raises
-    ------
-    Unusable
-        with the full key of the cause.
-    """
-    check_one_mode(problem.mechanism)
-    mechanism = problem.linkage
-    if problem.drive.speed.value == 0.0:
-        raise Unusable("the crank speed is zero", "Give the constant speed of the cycle", "drive.speed", str(problem.drive.speed))
-    for k, goal in enumerate(problem.goals):
-        place = "objective" if problem.single else f"objective.terms.{k}"
-        with below(place):
-            check_term(goal, mechanism, problem.quantities)
-            if goal.scale is not None and read_figure(goal.scale, problem.kind(goal), "scale")[0] <= 0.0:
-                raise Unusable("a scale is positive", "Give one above zero", "scale", goal.scale)
-    for name, limit in problem.limits.named.items():
-        with below(f"limits.{name}"):
-            check_term(limit, mechanism, problem.quantities)
-    if isinstance(problem, StrokeProblem):
-        _check_output(problem)
-    joints = [group.joint for group in transmitting(mechanism)]
-    check_transmission(problem.limits.transmission_angle, problem.limits.pressure_angle, joints)
-    _ = problem.bounds
-    if problem.mechanism.friction and any(_forced(term) for term in (*problem.goals, *problem.limits.named.values())):
-        guide = next(iter(problem.mechanism.friction))
-        raise Unusable(
-            "where a normal force changes its sign friction has a corner that no derivative sees",
-            "Leave the friction out of the design and `optlink analyze` its result with it",
-            f"mechanism.guides.{guide}.friction",
-            problem.mechanism.friction[guide],
-        )
-    if not problem.bodies and not problem.loads and any(_forced(goal) for goal in problem.goals):
-        raise Unusable("no masses and no loads are given, so there are no forces", "Add [bodies] or [loads]", "objective")
-
-
-def _check_output(problem: StrokeProblem) -> None:
-    """Check that the output exists and can go to and fro, and that the assembly mode is definite."""
-    mechanism = problem.linkage
-    if len(problem.mechanism.variants(mechanism)) > 1:
-        message, assembly = "a stroke is designed for one assembly mode", problem.mechanism.assembly
-        remedy = 'Write "left" or "right"' if isinstance(assembly, str) else "Choose one mode of every dyad"
-        raise Unusable(message, remedy, "mechanism.assembly", assembly)
-    known = [*(guide.name for guide in mechanism.guides), *(link.body for link in mechanism.links[1:]), *moving_points(mechanism)]
-    name = problem.output
-    if name not in known and guide_of(name, mechanism) is None:
-        remedy = nearest(name, known) if name else f"Write output = one of: {', '.join(known)}"
-        raise Unusable(
-            "the output is the name of a slider, a body that swings, or a point", remedy, "requirement.output", name or None
-        )
-    try:
-        output_of(Term(quantity="stroke", of=name, direction=problem.requirement.direction), mechanism)
-    except Unusable as error:
-        error.key = f"requirement.{error.key.replace('of', 'output')}"
-        raise
-
-
 def _forced(term: Term) -> bool:
     return term.nature.kind in ("torque", "force", "energy")
 
 
-__all__ = ["Bound", "CycleProblem", "StrokeProblem", "cross_check_cycle", "replace"]
+__all__ = ["Bound", "CycleProblem", "StrokeProblem", "replace"]

@@ -137,6 +137,43 @@ class Problem(Section):
         """Names of the design variables, in the order of the design vector."""
         return tuple(name for name, quantity in self.quantities.items() if quantity.free)
 
+    @property
+    def sense(self) -> float:
+        """Sense of crank rotation by its sign: the crank speed [rad/s]."""
+        return float(self.drive.speed.value) or 1.0
+
+    def design(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return every quantity [SI] for values of design variables; those not named have their value in the file."""
+        return {**sizes_of(self.quantities), **values}
+
+    def start(self, values: Mapping[str, float]) -> float:
+        """Return the crank angle [rad] at which the motion of a design begins."""
+        return float(self.drive.start.value)
+
+    def check(self) -> None:
+        """Check that the sections are consistent.
+
+        Raises
+        ------
+        Unusable
+            with the full key of the cause.
+        """
+        machine = self.machine(slow=self.slow_assumed)
+        gaps = self.gaps(machine)
+        with below("tolerances"):
+            _ = self.deviations
+        if self.control is not None:
+            with below("control"):
+                self.control.check(machine, gaps)
+        if self.balance is not None:
+            with below("balance"):
+                self.balance.build(machine)
+        if self.drive.servo is not None:
+            with below("drive.servo"):
+                self.drive.servo.check()
+            if self.drive.torque is not None:
+                raise Unusable("the drive has a torque and a servo", "Give one of the two", "drive.servo")
+
     @cached_property
     def longest(self) -> float:
         """Largest length or coordinate of the file [m], at the start of design variables."""
@@ -383,29 +420,3 @@ class Revolution:
             raise Unusable(message, "Use torsional_damping, or a spring between two points", "on")
         middle = 0.5 * (low + high)
         return middle - 2.0 * np.pi * round((middle - free) / (2.0 * np.pi))
-
-
-def cross_check(problem: Problem) -> None:
-    """Check that the sections of a problem are consistent.
-
-    Raises
-    ------
-    Unusable
-        with the full key of the cause.
-    """
-    machine = problem.machine(slow=problem.slow_assumed)
-    gaps = problem.gaps(machine)
-    with below("tolerances"):
-        _ = problem.deviations
-    if problem.control is not None:
-        with below("control"):
-            problem.control.check(machine, gaps)
-    if problem.balance is not None:
-        with below("balance"):
-            problem.balance.build(machine)
-    if problem.drive.servo is not None:
-        with below("drive.servo"):
-            problem.drive.servo.check()
-        if problem.drive.torque is not None:
-            message = "the drive has a torque and a servo"
-            raise Unusable(message, "Give one of the two", "drive.servo")

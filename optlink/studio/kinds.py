@@ -1,0 +1,251 @@
+"""What the studio needs to know of each kind of problem: one entry of `KINDS` per kind."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.io import Registry
+from optlink.optimization.objectives import MEASURES
+from optlink.optimization.path_nlp import solved_values
+from optlink.problem.file import WORDS as PROSE
+from optlink.problem.file import ProblemFile
+from optlink.problem.limits import MARGINS
+from optlink.problem.quantity import Quantity
+from optlink.problem.targets.expression import Expression
+from optlink.problem.targets.function import Function
+from optlink.report.views.path_tables import objective_scale as path_scale
+from optlink.solvers.function_exchange import error_at
+from optlink.solvers.solution import Solution
+from optlink.studio.follow import CycleFollower, Follower, FunctionFollower, PathFollower
+from optlink.units import DISPLAYED, display_unit
+from optlink.validation.path import deviations
+
+if TYPE_CHECKING:
+    from optlink.studio.design import Design
+
+Array = NDArray[np.float64]
+
+ALONG = 60  # positions of the error curve
+WORDS = ("crank", "transmission_over", *MARGINS)  # limits that change the structure of a programme
+
+
+class ErrorCurve(NamedTuple):
+    """Error of a design over the crank angle [rad], in a display unit."""
+
+    title: str
+    crank_angles: Array
+    label: str
+    unit: str
+    values: Array
+
+
+class Kind:
+    """A machine without requirement, which is analysed; base class of the other kinds."""
+
+    slow_programme = False
+    """Whether the programme of a follower takes seconds to build."""
+
+    def name(self, model: Any) -> str:
+        """Return the name of the kind for the page."""
+        return "analysis"
+
+    def result(self, problem: ProblemFile, progress: Callable[[float], None] | None) -> Any:
+        """Return the result that the command line finds: the same search, the same validation.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+        progress : function of the completed fraction, optional
+        """
+        from optlink.tasks.analyze import analyze
+
+        return analyze(problem)
+
+    def values(self, model: Any, solution: Solution) -> tuple[dict[str, float], Array | None]:
+        """Return all quantities [SI] of a local optimum, and the crank angles of the target points if it determines them.
+
+        Parameters
+        ----------
+        model : Problem
+        solution : Solution
+        """
+        return model.design({name: solution.design[name] for name in model.free}), None
+
+    def objective(self, model: Any) -> tuple[float, str, str]:
+        """Return the factor from SI and the display unit of the objective, and its name; no name if there is none."""
+        return 1.0, "", ""
+
+    def error_curves(self, design: Design) -> Iterator[ErrorCurve]:
+        """Yield the error of a design, if the kind has one."""
+        yield from ()
+
+    def follower(self, problem: ProblemFile, values: Mapping[str, float], way: int) -> Follower | None:
+        """Return a follower of a problem; None if designs are only carried along while a hand moves.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+            With definite assembly modes.
+        values : mapping of str to float [SI]
+            The last design.
+        way : int
+            Sense of its crank rotation, +1 or -1.
+        """
+        return None
+
+    def fixed_parts(self, model: Any, requirement: Mapping[str, Any]) -> list[Any]:
+        """Return the parts of the requirement that a programme does not have as parameters.
+
+        Parameters
+        ----------
+        model : Problem
+        requirement : mapping
+            Section of the file.
+        """
+        return []
+
+
+class _Balancing(Kind):
+    """A machine that is balanced."""
+
+    def result(self, problem: ProblemFile, progress: Callable[[float], None] | None) -> Any:
+        from optlink.tasks.balance import balance
+
+        return balance(problem)
+
+
+class _Searched(Kind):
+    """A problem whose design variables are searched; a design without any is validated."""
+
+    def result(self, problem: ProblemFile, progress: Callable[[float], None] | None) -> Any:
+        from optlink.tasks.run import solve, validate
+
+        return solve(problem, progress=progress) if problem.model.free else validate(problem, {})
+
+
+class _FunctionSynthesis(_Searched):
+    def name(self, model: Any) -> str:
+        return "function" if isinstance(model.requirement.law, Function) else "law"
+
+    def values(self, model: Any, solution: Solution) -> tuple[dict[str, float], Array | None]:
+        return model.design(solution.design), None
+
+    def objective(self, model: Any) -> tuple[float, str, str]:
+        measure = model.requirement.measure
+        words = {"max": "largest error", "rms": "root mean square error"}.get(measure, "sum of squared errors")
+        unit = MEASURES[measure].unit
+        return (math.degrees(1.0), "deg", words) if unit == "rad" else (1.0, unit.replace("^2", "²"), words)
+
+    def error_curves(self, design: Design) -> Iterator[ErrorCurve]:
+        model: Any = design.problem.model
+        offsets = model.span * np.linspace(0.0, 1.0, ALONG + 1)
+        with np.errstate(all="ignore"):
+            error = np.degrees(error_at(model, design.values, offsets))
+        yield ErrorCurve("Output error", design.start + offsets, "target minus generated", "deg", error)
+
+    def follower(self, problem: ProblemFile, values: Mapping[str, float], way: int) -> Follower | None:
+        return FunctionFollower(problem)
+
+    def fixed_parts(self, model: Any, requirement: Mapping[str, Any]) -> list[Any]:
+        task = model.requirement
+        moving = {"span": isinstance(task.law, Expression)}
+        moving |= {"from": isinstance(task.start, Quantity), "psi0": isinstance(task.psi0, Quantity)}
+        return [{key: value for key, value in requirement.items() if not moving.get(key)}, model.sense]
+
+
+class _PathSynthesis(_Searched):
+    def name(self, model: Any) -> str:
+        kind = str(model.requirement.kind)
+        return "law" if kind == "function" and not isinstance(model.requirement.law, Function) else kind
+
+    def values(self, model: Any, solution: Solution) -> tuple[dict[str, float], Array | None]:
+        return solved_values(model, solution.design, solution.x)
+
+    def objective(self, model: Any) -> tuple[float, str, str]:
+        words = {"max": "largest deviation", "rms": "root mean square deviation"}.get(model.measure, "sum of squared deviations")
+        words = "worst cosine of the transmission angle" if model.requirement.kind == "transmission" else words
+        per, unit = path_scale(model)
+        return per, unit.replace("^2", "²"), words
+
+    def error_curves(self, design: Design) -> Iterator[ErrorCurve]:
+        model: Any = design.problem.model
+        if model.requirement.kind != "transmission" and design.crank_angles is not None:
+            factor, unit = DISPLAYED[model.unit]
+            distances = deviations(model, design.values, design.crank_angles).distances
+            yield ErrorCurve("Deviation at the points", design.crank_angles, "deviation", unit, factor * distances)
+
+    def follower(self, problem: ProblemFile, values: Mapping[str, float], way: int) -> Follower | None:
+        return PathFollower(problem, way)
+
+    def fixed_parts(self, model: Any, requirement: Mapping[str, Any]) -> list[Any]:
+        data = model.data
+        places = data.columns.shape if model.pointed else data.columns.tolist()
+        timing = None if data.offsets is None else data.offsets.tolist()
+        rest = {key: value for key, value in requirement.items() if key != "points"}
+        return [rest, places, timing, data.roots.tolist(), data.tolerances.tolist()]
+
+
+class _CycleOptimisation(_Searched):
+    slow_programme = True
+
+    def name(self, model: Any) -> str:
+        return "machine"
+
+    def objective(self, model: Any) -> tuple[float, str, str]:
+        words = model.goals[0].words if model.single else "objective"
+        return (*display_unit(model.unit_kind), words) if model.unit_kind else (1.0, "", words)
+
+    def follower(self, problem: ProblemFile, values: Mapping[str, float], way: int) -> Follower | None:
+        return CycleFollower(problem, values)
+
+    def fixed_parts(self, model: Any, requirement: Mapping[str, Any]) -> list[Any]:
+        return [_without_numbers(requirement)]
+
+
+KINDS: Registry[Kind] = Registry()
+KINDS |= {"function": _FunctionSynthesis(), "path": _PathSynthesis(), "cycle": _CycleOptimisation(), "balance": _Balancing()}
+"""Kinds by the name of the task; all others are analysed."""
+
+
+def kind_of(problem: ProblemFile) -> Kind:
+    """Return the kind of a problem."""
+    return KINDS.get(problem.task) or Kind()
+
+
+def structure(problem: ProblemFile) -> Any:
+    """Return what a programme of a problem depends on beyond its parameters and bounds; equal for problems that can share one."""
+    model, raw = problem.model, problem.raw
+    limits = {key: repr(value) if key in WORDS else _without_numbers(value) for key, value in (raw.get("limits") or {}).items()}
+    parts: list[Any] = [problem.task, tuple(model.quantities), tuple(model.free), limits, raw["mechanism"].get("assembly")]
+    parts += [{key: value for key, value in raw.items() if key not in ("mechanism", "limits", "requirement", *PROSE)}]
+    parts += kind_of(problem).fixed_parts(model, dict(raw.get("requirement") or {}))
+    return tuple(map(repr, parts))
+
+
+def follower(problem: ProblemFile, values: Mapping[str, float], way: int) -> Follower | None:
+    """Return a follower of a problem, see `Kind.follower`; None without design variables.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        With definite assembly modes.
+    values : mapping of str to float [SI]
+        The last design.
+    way : int
+        Sense of its crank rotation, +1 or -1.
+    """
+    return kind_of(problem).follower(problem, values, way) if problem.model.free else None
+
+
+def _without_numbers(value: Any) -> Any:
+    """Return a value of the file without its numbers."""
+    if isinstance(value, Mapping):
+        return {key: _without_numbers(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_without_numbers(item) for item in value]
+    return type(value).__name__
