@@ -218,7 +218,8 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
 
 def _model(raw: Mapping[str, Any], file: str) -> type[Problem]:
     """Return the model of a file: that of a registered section, else of its requirement, objective or limits."""
-    requirement, registered = raw.get("requirement"), [model for section, model in SECTIONS.items() if section in raw]
+    requirement: Any = raw.get("requirement")
+    registered = [model for section, model in SECTIONS.items() if section in raw]
     kind = requirement.get("kind", "function") if isinstance(requirement, dict) else None
     if kind is not None and kind not in REQUIREMENTS:
         raise InputError(Fault("unknown kind", nearest(str(kind), REQUIREMENTS), file, "requirement.kind", kind))

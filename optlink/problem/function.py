@@ -222,7 +222,13 @@ class DesignProblem(Problem):
         return phi0 if math.isfinite(phi0) else 0.0
 
     def check(self) -> None:
-        """Check that the sections are consistent; see `Problem.check`."""
+        """Check that the sections are consistent.
+
+        Raises
+        ------
+        Unusable
+            with the full key of the cause.
+        """
         requirement, limits = self.requirement, self.limits
         function = requirement.law if isinstance(requirement.law, Function) else None
         check_one_mode(self.mechanism)

@@ -153,7 +153,13 @@ class PathProblem(Problem):
         return "path"
 
     def check(self) -> None:
-        """Check that the sections are consistent; see `Problem.check`."""
+        """Check that the sections are consistent.
+
+        Raises
+        ------
+        Unusable
+            with the full key of the cause.
+        """
         from optlink.problem.path_checks import check_path
 
         check_path(self)

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,10 +62,17 @@ class AnalysisTask(FiguresTask):
         Design variables that are not varied.
     """
 
+    mode = "analyse"
+
     quantities: tuple[str, ...]
     requested: tuple[str, ...]
     points: int
     design: tuple[tuple[str, float], ...]
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Crank angles and the given design."""
+        return {"crank_angles": self.points, "design": dict(self.design)}
 
     @cached_property
     def figures(self) -> tuple[str, ...]:

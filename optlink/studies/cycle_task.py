@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar
@@ -29,8 +29,9 @@ from optlink.problem.mechanism import sizes_of
 from optlink.solvers import multistart
 from optlink.solvers.semi_infinite import exchange, peaks
 from optlink.studies.continuation import FOLLOWED
-from optlink.studies.reoptimise_task import SEARCHED, active
-from optlink.studies.sweep_task import OptimumTask
+from optlink.studies.grid import Grid
+from optlink.studies.reoptimise_task import SEARCHED, SLOW_CHUNK, ReoptimiseTask, active, one_programme_suffices
+from optlink.studies.sweep_task import OptimumTask, SweepTask
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.results.common import optimality
 from optlink.tasks.results.cycle import CycleResult, task_of
@@ -116,6 +117,29 @@ class CycleTask(OptimumTask):
             active=active(found.solution) if usable and found.solution is not None else (),
             method=how,
         )
+
+
+def optimum_task(
+    problem: ProblemFile, grid: Grid, backend: str, chunk: int, anchors: Sequence[Mapping[str, float]] = ()
+) -> CycleTask | ReoptimiseTask:
+    """Return the task that optimises a problem at every point of a grid.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    grid : Grid
+    backend : "slsqp" or "ipopt"
+    chunk : int
+        Points per chunk where one programme serves all.
+    anchors : sequence of mapping of str to float [SI]
+        Dimensions of machines from which the first search of a chunk starts.
+    """
+    common = SweepTask.problem_fields(problem) | {"grid": grid, "backend": backend}
+    if problem.task == "cycle":
+        return CycleTask(**common, chunk=SLOW_CHUNK, anchors=tuple(tuple(sizes.items()) for sizes in anchors))
+    task = ReoptimiseTask(**common, chunk=chunk)
+    shared = one_programme_suffices(task.template, tuple(axis.key for axis in grid.axes))
+    return task if shared else replace(task, chunk=SLOW_CHUNK)
 
 
 def _rank(found: CycleResult) -> tuple[bool, float]:

@@ -26,15 +26,22 @@ class SimulationTask(FiguresTask):
     ----------
     figures : tuple of str
         Names of the figures, those of a simulation at the first point.
-    options : tuple of (str, value)
-        Stated options: revolutions, points, control, tolerance, duration [s], speed [rad/s].
+    stated : tuple of (str, value)
+        Options: revolutions, points, control, tolerance, duration [s], speed [rad/s].
     design : tuple of (str, float) [SI]
         Design variables that are not varied.
     """
 
+    mode = "simulate"
+
     figures: tuple[str, ...]
-    options: tuple[tuple[str, Any], ...]
+    stated: tuple[tuple[str, Any], ...]
     design: tuple[tuple[str, float], ...]
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Options of every simulation, and the given design."""
+        return {"options": dict(self.stated), "design": dict(self.design)}
 
     def lines(self, index: int) -> list[list[str]]:
         """Return the rows of a chunk."""
@@ -55,7 +62,7 @@ class SimulationTask(FiguresTask):
         try:
             file = self.problem.override(self.grid.changes(point))
             design = {name: value for name, value in self.design if name in file.model.free} or None
-            found = simulate_machine(file, dict(self.options), design, loose=self.has_clearance)
+            found = simulate_machine(file, dict(self.stated), design, loose=self.has_clearance)
         except InputError as error:
             return {}, "not simulated", error.faults[0].message
         if found[1] == Ending.INTERRUPTED.value:  # a row is complete or absent

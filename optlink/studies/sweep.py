@@ -27,14 +27,13 @@ from optlink.execution.store import Progress, Store
 from optlink.problem.base_model import Recorded, ResultRecord, absent
 from optlink.problem.file import ProblemFile
 from optlink.studies.analysis_task import MANY, AnalysisTask, quantity_of
-from optlink.studies.cycle_task import CycleTask
+from optlink.studies.cycle_task import optimum_task
 from optlink.studies.grid import AxisRecord, Grid, read_grid
-from optlink.studies.reoptimise_task import SEARCHED, SLOW_CHUNK, ReoptimiseTask, check_backend, chunk_of, one_programme_suffices
+from optlink.studies.reoptimise_task import SEARCHED, check_backend, chunk_of
 from optlink.studies.simulation_task import SimulationTask, has_clearance, simulate_machine, with_integrator
-from optlink.studies.sweep_task import SweepTask
+from optlink.studies.sweep_task import OPTIMISE, SweepTask
 
 CHANGED = "active_set_changed"
-OPTIMISE = "optimise"  # mode of a sweep that optimises at every point
 MOST_ANGLES = 10_000  # largest number of crank angles of an analysis
 PORTION = 10_000  # rows of a table that are read at a time
 KEPT = 200  # active-set changes listed in a result; the table marks all
@@ -261,7 +260,7 @@ def sweep(
         task: SweepTask = _simulating(problem, grid, simulate, design)
     else:
         task = _task(problem, grid, analyze, columns, points, design, backend)
-    evaluated = mode_of(task) != OPTIMISE
+    evaluated = task.mode != OPTIMISE
     run(task, (), engine, workers, scheduler)  # raises if the options are invalid
     holder = TemporaryFolder() if out is None else None
     with Store(holder.path if holder is not None else Path(str(out)), _about(task), resume=resume) as store:
@@ -279,7 +278,7 @@ def sweep(
         return Sweep(
             problem=problem,
             grid=grid,
-            mode=mode_of(task),
+            mode=task.mode,
             path=store.table,
             names=tuple(names),
             valid=summary.valid,
@@ -321,16 +320,12 @@ def _task(
     if design is not None:
         raise InputError(Fault("a given design is not optimised", "Leave --design out, or add --analyze", key="--design"))
     check_backend(backend)
-    if problem.task == "cycle":
-        designing = CycleTask(**stated, grid=grid, chunk=SLOW_CHUNK, backend=backend)
-        return _with_something_free(designing, problem)
-    if problem.task != "path":
+    if problem.task not in ("path", "cycle"):
         problem.spec  # noqa: B018 - raises if there is nothing to solve
-    task = ReoptimiseTask(**stated, grid=grid, chunk=chunk_of(grid), backend=backend)
-    _with_something_free(task, problem)
-    if one_programme_suffices(task.template, tuple(axis.key for axis in grid.axes)):
-        return task
-    return replace(task, chunk=SLOW_CHUNK)
+    task = optimum_task(problem, grid, backend, chunk_of(grid))
+    if not task.free:
+        raise InputError(Fault("no design variables: every dimension is fixed", "Add --analyze, or free a size", problem.file))
+    return task
 
 
 def _simulating(
@@ -348,42 +343,24 @@ def _simulating(
         grid=grid,
         chunk=1,
         figures=tuple(figures),
-        options=tuple(options.items()),
+        stated=tuple(options.items()),
         design=own,
     )
 
 
-def _with_something_free(task: CycleTask | ReoptimiseTask, problem: ProblemFile) -> SweepTask:
-    """Return the task if there are design variables."""
-    if not task.free:
-        raise InputError(Fault("no design variables: every dimension is fixed", "Add --analyze, or free a size", problem.file))
-    return task
-
-
-def mode_of(task: SweepTask) -> str:
-    """Return the mode of a sweep."""
-    return "analyse" if isinstance(task, AnalysisTask) else "simulate" if isinstance(task, SimulationTask) else OPTIMISE
-
-
 def _about(task: SweepTask) -> dict[str, Any]:
     """Return the definition of a study."""
-    about: dict[str, Any] = {
+    return {
         "schema": "optlink/study/1",
         "optlink": task.version,
         "problem": task.name,
         "problem_hash": task.hash,
-        "mode": mode_of(task),
+        "mode": task.mode,
         "axes": [[axis.key, axis.unit, list(axis.values)] for axis in task.grid.axes],
         "points_per_chunk": task.chunk,
         "columns": task.columns,
+        **task.options,
     }
-    if isinstance(task, AnalysisTask):
-        about |= {"crank_angles": task.points, "design": dict(task.design)}
-    if isinstance(task, SimulationTask):
-        about |= {"options": dict(task.options), "design": dict(task.design)}
-    if isinstance(task, CycleTask | ReoptimiseTask):
-        about["backend"] = task.backend
-    return about
 
 
 def _marked(rows: Iterator[list[str]], grid: Grid, names: list[str], summary: _Summary) -> Iterator[list[str]]:

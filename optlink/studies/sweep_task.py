@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from optlink.errors import Fault, InputError, Status
 from optlink.problem.file import ProblemFile, read
@@ -22,6 +22,7 @@ from optlink.problem.quantity import Quantity
 from optlink.studies.grid import Grid, column
 from optlink.version import VERSION
 
+OPTIMISE = "optimise"  # mode of a sweep that optimises at every point
 OUTCOME = ("status", "valid", "failed", "active", "method")
 """Columns of the outcome of an optimum."""
 
@@ -34,6 +35,9 @@ def number_text(value: float) -> str:
 @dataclass(frozen=True)
 class SweepTask(ABC):
     """Common state of all chunks: the problem as written, the grid, and the number of points per chunk."""
+
+    mode: ClassVar[str]
+    """What is computed at every point: "analyse", "simulate" or "optimise"."""
 
     raw: Mapping[str, Any]
     name: str
@@ -100,6 +104,11 @@ class SweepTask(ABC):
     def columns(self) -> list[str]:
         """Names of the table columns."""
 
+    @property
+    @abstractmethod
+    def options(self) -> dict[str, Any]:
+        """What distinguishes the study beyond problem and grid, for its definition."""
+
     @abstractmethod
     def lines(self, index: int) -> list[list[str]]:
         """Return the rows of a chunk."""
@@ -144,7 +153,14 @@ class FiguresTask(SweepTask):
 class OptimumTask(SweepTask):
     """A task whose rows are optima."""
 
+    mode = OPTIMISE
+
     backend: str
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The back end."""
+        return {"backend": self.backend}
 
     @cached_property
     def template(self) -> ProblemFile:

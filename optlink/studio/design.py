@@ -147,13 +147,13 @@ def designed(result: Any) -> Design:
 
 def _machine(result: Analysis | Balance) -> Design:
     """Return the machine of an analysis or of a balance, with its verdict."""
-    analysed = isinstance(result, Analysis)
-    conclusion = conclusions.analysis(result) if analysed else conclusions.balance(result)
-    status = "verified" if (result.sound if analysed else result.valid) else "not valid"
-    if not analysed and not result.valid and result.conflict:
-        status = "infeasible"
-    values = result.problem.model.mechanism.quantities
-    return Design(result.problem, sizes_of(values), status, conclusion=conclusion, checks=(), result=result)
+    if isinstance(result, Analysis):
+        status, conclusion = "verified" if result.sound else "not valid", conclusions.analysis(result)
+    else:
+        status = "verified" if result.valid else "infeasible" if result.conflict else "not valid"
+        conclusion = conclusions.balance(result)
+    values = sizes_of(result.problem.model.mechanism.quantities)
+    return Design(result.problem, values, status, conclusion=conclusion, checks=(), result=result)
 
 
 def solved(problem: ProblemFile, progress: Callable[[float], None] | None = None) -> Design:

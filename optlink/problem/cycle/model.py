@@ -141,7 +141,13 @@ class CycleProblem(Problem):
         """Check the output of the requirement: this problem has none."""
 
     def check(self) -> None:
-        """Check that the sections are consistent; see `Problem.check`."""
+        """Check that the sections are consistent.
+
+        Raises
+        ------
+        Unusable
+            with the full key of the cause.
+        """
         check_one_mode(self.mechanism)
         mechanism = self.linkage
         if self.drive.speed.value == 0.0:
@@ -229,7 +235,13 @@ class StrokeProblem(CycleProblem):
         return (*found, *super().bounds)
 
     def check_output(self) -> None:
-        """Check that the output exists and can go to and fro, and that the assembly mode is definite."""
+        """Check that the output exists and can go to and fro, and that the assembly mode is definite.
+
+        Raises
+        ------
+        Unusable
+            with the full key of the cause.
+        """
         mechanism = self.linkage
         if len(self.mechanism.variants(mechanism)) > 1:
             message, assembly = "a stroke is designed for one assembly mode", self.mechanism.assembly

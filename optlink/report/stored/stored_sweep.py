@@ -12,7 +12,8 @@ from optlink.execution.store import TABLE
 from optlink.problem.base_model import AGAIN, LARGEST, Contradiction
 from optlink.problem.file import ProblemFile
 from optlink.studies.grid import Axis, AxisRecord, Grid
-from optlink.studies.sweep import CHANGED, OPTIMISE, TEXT, Sweep, SweepRecord
+from optlink.studies.sweep import CHANGED, TEXT, Sweep, SweepRecord
+from optlink.studies.sweep_task import OPTIMISE
 
 FLAGS = ("valid", CHANGED)
 

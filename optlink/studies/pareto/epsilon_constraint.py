@@ -30,18 +30,14 @@ from optlink.execution.store import Progress, Store
 from optlink.optimization.pareto_front import ends, knee, undominated
 from optlink.problem.base_model import Record, Recorded, ResultRecord
 from optlink.problem.file import ProblemFile
-from optlink.problem.mechanism import sizes_of
-from optlink.studies.cycle_task import CycleTask
+from optlink.studies.cycle_task import optimum_task
 from optlink.studies.grid import AxisRecord, Grid
-from optlink.studies.pareto.cycle_objectives import cycle_figures
-from optlink.studies.pareto.epsilon_ranges import EpsilonRanges, NoExtreme
-from optlink.studies.pareto.law_objectives import law_figure, limit_in_file, tightest_bound
+from optlink.studies.pareto.epsilon_ranges import RANGES, EpsilonRanges, NoExtreme
 from optlink.studies.pareto.objective import OPTION, ParetoObjective
 from optlink.studies.pareto.objectives import read_objectives
-from optlink.studies.reoptimise_task import CHUNK, SLOW_CHUNK, ReoptimiseTask, check_backend, one_programme_suffices
+from optlink.studies.reoptimise_task import CHUNK, check_backend
 from optlink.studies.sweep import TemporaryFolder
-from optlink.studies.sweep_task import SweepTask
-from optlink.tasks.function import solve
+from optlink.studies.sweep_task import OptimumTask
 from optlink.version import VERSION
 
 Array = NDArray[np.float64]
@@ -258,21 +254,21 @@ def pareto(
         raise InputError(Fault(message, remedy, problem.file, OPTION, objectives))
     count = _points(points, len(aims) - 1)
     check_backend(backend)
-    walks = EpsilonRanges(problem, aims, first, count, backend)
-    _most(walks.shape)
+    ranges = RANGES[problem.task](problem, aims, first, count, backend)
+    _most(ranges.shape)
     check(engine, workers, scheduler)
     keep = TemporaryFolder() if out is None else None
     place = keep.path if keep is not None else Path(str(out))
     with Store(place, _about(problem, aims, count, backend), resume=resume) as store:
-        ahead = walks.searches
-        once = _Once(store, None if progress is None else lambda done: progress(done, ahead + math.prod(walks.shape)))
+        ahead = ranges.searches
+        once = _Once(store, None if progress is None else lambda done: progress(done, ahead + math.prod(ranges.shape)))
         try:
-            base, grid, anchors = walks.search(once)
+            base, grid, anchors = ranges.search(once)
         except NoExtreme:
             store.withdraw()
             raise
         once.progress = None
-        task = _task(base, grid, backend, anchors)
+        task = optimum_task(base, grid, backend, CHUNK, anchors)
         store.divide(task.size, task.chunks)
         mine, cpu = store.fill(
             task,
@@ -285,15 +281,13 @@ def pareto(
             store.finish(task.columns, store.rows())
         store.drop()
         rows = [dict(zip(task.columns, row, strict=True)) for row in store.finished_rows(task.columns)]
-        found = [
-            point for row in rows if row["valid"] == "true" for point in [_point(base, task, aims, row)] if point is not None
-        ]
+        found = [point for row in rows if row["valid"] == "true" for point in [_point(task, ranges, row)] if point is not None]
         costs = np.array([p.values for p in found]).reshape(-1, len(aims)) * [aim.sense for aim in aims]
         kept = np.flatnonzero(undominated(costs))
         kept = kept[np.lexsort(costs[kept].T[::-1])]
         corner, bend = (ends(costs[kept]), knee(costs[kept])) if len(kept) else ((), None)
         front = tuple(_marked(found[i], j, aims, corner, bend) for j, i in enumerate(kept))
-        words, given = _given(problem, base, aims, backend, once)
+        words, given = ranges.reference(base, once)
         return Pareto(
             problem=problem,
             objectives=aims,
@@ -331,17 +325,6 @@ def _most(shape: Sequence[int]) -> None:
         raise InputError(Fault(f"{size} points are more than a front takes, {MOST:,}", "Give fewer", key="--points"))
 
 
-def _task(base: ProblemFile, grid: Grid, backend: str, anchors: Sequence[Mapping[str, float]]) -> SweepTask:
-    stated = SweepTask.problem_fields(base)
-    if base.task == "cycle":
-        known = tuple(tuple(sizes.items()) for sizes in anchors)
-        return CycleTask(**stated, grid=grid, chunk=SLOW_CHUNK, backend=backend, anchors=known)
-    task = ReoptimiseTask(**stated, grid=grid, chunk=CHUNK, backend=backend)
-    if one_programme_suffices(task.template, tuple(axis.key for axis in grid.axes)):
-        return task
-    return ReoptimiseTask(**stated, grid=grid, chunk=SLOW_CHUNK, backend=backend)
-
-
 def _about(problem: ProblemFile, aims: tuple[ParetoObjective, ...], count: int, backend: str) -> dict[str, Any]:
     """Return the definition of a front; the ranges of its limits follow from it."""
     return {
@@ -377,18 +360,12 @@ class _Once:
 # --- from rows to the front ----------------------------------------------------------------------------------------------
 
 
-def _point(base: ProblemFile, task: SweepTask, aims: tuple[ParetoObjective, ...], row: Mapping[str, str]) -> ParetoPoint | None:
-    """Return a row with its objectives evaluated: by inverse dynamics for a machine, from the limits of the linkage for a law."""
-    assert isinstance(task, CycleTask | ReoptimiseTask)
+def _point(task: OptimumTask, ranges: EpsilonRanges, row: Mapping[str, str]) -> ParetoPoint | None:
+    """Return a row with its objectives evaluated; None if they are not finite."""
     columns = {name: f"{name}_{quantity.display[1]}" for name, quantity in task.free.items()}
     design = {column: float(row[column]) for column in columns.values()}
     values = {name: design[columns[name]] * quantity.si_per_unit for name, quantity in task.free.items()}
-    if isinstance(task, CycleTask):
-        measured = cycle_figures(base, aims, values)
-    else:
-        full = {**sizes_of(task.template.spec.quantities), **values}
-        error = float(next(value for name, value in row.items() if name.startswith("objective")))
-        measured = tuple(law_figure(task.template.spec, aim, full) if aim.key else error for aim in aims)
+    measured = ranges.figures(task.template, values, float(row[task.objective_column]))
     return ParetoPoint(measured, design, row["active"], "") if np.all(np.isfinite(measured)) else None
 
 
@@ -399,25 +376,3 @@ def _marked(
     if bend is not None and bend[0] == number:
         marks.append("knee")
     return ParetoPoint(point.values, point.design, point.active, ", ".join(marks))
-
-
-def _given(
-    problem: ProblemFile, base: ProblemFile, aims: tuple[ParetoObjective, ...], backend: str, once: _Once
-) -> tuple[str, tuple[float, ...] | None]:
-    """Return the reference of the front: the initial machine, or for a law the optimum for the limits of the file."""
-    if problem.task == "cycle":
-        found = cycle_figures(problem, aims, {})
-        return "initial machine", found if np.all(np.isfinite(found)) else None
-    words, held = "limits of the file", [aim for aim in aims if aim.key]
-    if any(limit_in_file(problem, aim.key) is None for aim in held):
-        return words, None
-
-    def searched() -> dict[str, Any]:
-        result = solve(problem, backend)
-        return {"design": dict(result.design), "error": result.objective} if result.valid else {}
-
-    best = once(words, searched)
-    if not best:
-        return words, None
-    stated = base.override({aim.key: tightest_bound(base, aim) for aim in held})
-    return words, tuple(law_figure(stated.spec, aim, best["design"]) if aim.key else best["error"] for aim in aims)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -17,8 +18,14 @@ from optlink.problem.file import ProblemFile
 from optlink.solvers.infeasibility import Explanation, explain
 from optlink.studies.cycle_task import with_starting_values
 from optlink.studies.grid import Axis, Grid
-from optlink.studies.pareto.cycle_objectives import cycle_figures, epsilon_problem
-from optlink.studies.pareto.law_objectives import law_figure, tightest_bound, without_varied_limits
+from optlink.studies.pareto.cycle_objectives import cycle_figures, cycle_objective, epsilon_problem
+from optlink.studies.pareto.law_objectives import (
+    law_figure,
+    law_objective,
+    limit_in_file,
+    tightest_bound,
+    without_varied_limits,
+)
 from optlink.studies.pareto.objective import OPTION, ParetoObjective, range_values
 from optlink.studies.reoptimise_task import one_programme_suffices
 from optlink.studies.toml_keys import Raw, exact_text
@@ -37,8 +44,8 @@ class NoExtreme(InputError):
 
 
 @dataclass(frozen=True)
-class EpsilonRanges:
-    """Ranges of the epsilon constraints of a front.
+class EpsilonRanges(ABC):
+    """Ranges of the epsilon constraints of a front; each kind of problem with objectives has its class in `RANGES`.
 
     `first`: index of the minimised objective; `count`: values of every limit without a requested range.
     """
@@ -49,15 +56,27 @@ class EpsilonRanges:
     count: int
     backend: str
 
+    @staticmethod
+    @abstractmethod
+    def objective(problem: ProblemFile, name: str, number: int) -> ParetoObjective:
+        """Return the objective of a name, the `number`-th of the front.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+        name : str
+        number : int
+
+        Raises
+        ------
+        InputError
+            If there is no such objective.
+        """
+
     @cached_property
     def constrained(self) -> tuple[int, ...]:
         """Indices of the constrained objectives."""
         return tuple(k for k in range(len(self.objectives)) if k != self.first)
-
-    @cached_property
-    def bare(self) -> ProblemFile:
-        """Problem of a law without the limits of the constrained objectives."""
-        return without_varied_limits(self.problem, [self.objectives[k] for k in self.constrained])
 
     @cached_property
     def fixed(self) -> dict[int, Axis]:
@@ -73,14 +92,7 @@ class EpsilonRanges:
             aim = self.objectives[k]
             if aim.span:
                 with self._blamed(aim):
-                    found[k] = _stated(aim, self.count, partial(self._with, k))
-        for k in self.constrained:
-            if (
-                k not in found
-                and self.problem.task != "cycle"
-                and not one_programme_suffices(self.bare, (self.objectives[k].key,))
-            ):
-                raise self._no_end(self.objectives[k], "a function has many optima, its ends are not searched")
+                    found[k] = _requested(aim, self.count, partial(self._with, k))
         return found
 
     @cached_property
@@ -94,42 +106,60 @@ class EpsilonRanges:
         return tuple(len(self.fixed[k].values) if k in self.fixed else self.count for k in self.constrained)
 
     @property
+    @abstractmethod
     def searches(self) -> int:
         """Number of searches for the ranges that were not requested."""
-        if not self.open:
-            return 0
-        if self.problem.task != "cycle":
-            return 1 + len(self.open) + (len(self.constrained) if len(self.constrained) > 1 else 0)
-        return 1 + 2 * len(self.open) + bool(self.objectives[self.first].key)
 
     def search(self, once: Once) -> tuple[ProblemFile, Grid, tuple[Mapping[str, float], ...]]:
         """Return the problem with one minimised objective, the grid of the limits of the others, and the machines at the ends.
 
-        The machines (dimensions [SI]) are empty if no ends were searched.
+        The machines (dimensions [SI]) are empty if no ends were searched, and for a law.
 
         Raises
         ------
-        NoEnd
+        NoExtreme
             If an end cannot be found.
         """
-        axes = dict(self.fixed)
-        anchors: tuple[Mapping[str, float], ...] = ()
-        if self.open and self.problem.task == "cycle":
-            found, anchors = self._machine_ends(once)
-            axes |= found
-        elif self.open:
-            axes |= self._law_ends(once)
-        grid = Grid(tuple(axes[k] for k in self.constrained))
-        if self.problem.task != "cycle":
-            return self.bare, grid, ()
-        base = epsilon_problem(self.problem, self.objectives, {self.first: 1.0}, {k: axes[k].raw(0) for k in self.constrained})
-        return with_starting_values(base, anchors[0]) if anchors else base, grid, anchors
+        found, anchors = self._ends(once) if self.open else ({}, ())
+        axes = {**self.fixed, **found}
+        return self._base(axes, anchors), Grid(tuple(axes[k] for k in self.constrained)), anchors
 
+    @abstractmethod
+    def figures(self, stated: ProblemFile, values: Mapping[str, float], error: float) -> tuple[float, ...]:
+        """Return the objectives of a point of the front in their units.
+
+        Parameters
+        ----------
+        stated : ProblemFile
+            Problem at a point of the grid.
+        values : mapping of str to float [SI]
+            Design variables.
+        error : float [SI]
+            Minimised objective.
+        """
+
+    @abstractmethod
+    def reference(self, base: ProblemFile, once: Once) -> tuple[str, tuple[float, ...] | None]:
+        """Return the reference of the front: its name, and its objectives if it has any.
+
+        Parameters
+        ----------
+        base : ProblemFile
+            Problem of the grid.
+        once : function
+        """
+
+    @abstractmethod
+    def _ends(self, once: Once) -> tuple[dict[int, Axis], tuple[Mapping[str, float], ...]]:
+        """Return the ranges of the limits that were not requested, and the machines at the ends."""
+
+    @abstractmethod
+    def _base(self, axes: Mapping[int, Axis], anchors: tuple[Mapping[str, float], ...]) -> ProblemFile:
+        """Return the problem of the grid."""
+
+    @abstractmethod
     def _with(self, number: int, value: Raw) -> ProblemFile:
         """Return the problem with a value of the limit that constrains an objective."""
-        if self.problem.task == "cycle":
-            return epsilon_problem(self.problem, self.objectives, {self.first: 1.0}, {number: value})
-        return self.bare.override({self.objectives[number].key: value})
 
     @contextlib.contextmanager
     def _blamed(self, aim: ParetoObjective) -> Iterator[None]:
@@ -147,10 +177,56 @@ class EpsilonRanges:
             Fault(f"the end with the {aim.best} cannot be found: {why}", remedy, self.problem.file, OPTION, aim.text)
         )
 
-    # --- a four-bar for a law: from the optimum of the error alone to the tightest feasible limit ------------------------------
 
-    def _law_ends(self, once: Once) -> dict[int, Axis]:
-        """Return the ranges of the limits that were not requested."""
+class _LawRanges(EpsilonRanges):
+    """Ranges of a four-bar for a law: from the optimum of the error alone to the tightest feasible limit."""
+
+    objective = staticmethod(law_objective)
+
+    @cached_property
+    def bare(self) -> ProblemFile:
+        """Problem without the limits of the constrained objectives."""
+        return without_varied_limits(self.problem, [self.objectives[k] for k in self.constrained])
+
+    @cached_property
+    def fixed(self) -> dict[int, Axis]:
+        found = super().fixed
+        for aim in (self.objectives[k] for k in self.constrained if k not in found):
+            if not one_programme_suffices(self.bare, (aim.key,)):
+                raise self._no_end(aim, "a function has many optima, its ends are not searched")
+        return found
+
+    @property
+    def searches(self) -> int:
+        """Number of searches for the ranges that were not requested."""
+        return (1 + len(self.open) + (len(self.constrained) if len(self.constrained) > 1 else 0)) if self.open else 0
+
+    def figures(self, stated: ProblemFile, values: Mapping[str, float], error: float) -> tuple[float, ...]:
+        full = stated.model.design(values)
+        return tuple(law_figure(stated.spec, aim, full) if aim.key else error for aim in self.objectives)
+
+    def reference(self, base: ProblemFile, once: Once) -> tuple[str, tuple[float, ...] | None]:
+        words, limited = "limits of the file", [aim for aim in self.objectives if aim.key]
+        if any(limit_in_file(self.problem, aim.key) is None for aim in limited):
+            return words, None
+
+        def searched() -> dict[str, Any]:
+            result = solve(self.problem, self.backend)
+            return {"design": dict(result.design), "error": result.objective} if result.valid else {}
+
+        best = once(words, searched)
+        if not best:
+            return words, None
+        task = base.override({aim.key: tightest_bound(base, aim) for aim in limited}).spec
+        return words, tuple(law_figure(task, aim, best["design"]) if aim.key else best["error"] for aim in self.objectives)
+
+    def _with(self, number: int, value: Raw) -> ProblemFile:
+        return self.bare.override({self.objectives[number].key: value})
+
+    def _base(self, axes: Mapping[int, Axis], anchors: tuple[Mapping[str, float], ...]) -> ProblemFile:
+        return self.bare
+
+    def _ends(self, once: Once) -> tuple[dict[int, Axis], tuple[Mapping[str, float], ...]]:
         aims, fixed, unbound = self.objectives, self.fixed, self.open
         free = self.bare.override({aims[k].key: axis.raw(0) for k, axis in fixed.items()})  # with the loosest limits only
 
@@ -176,7 +252,7 @@ class EpsilonRanges:
             designs = [best["design"], *(other["design"] for j, other in others.items() if j != k and other["design"])]
             worst = sense * max(sense * law_figure(limited, aims[k], design) for design in designs)
             found[k] = _axis(aims[k], tight[k], worst, self.count)
-        return found
+        return found, ()
 
     def _tight(self, free: ProblemFile, aim: ParetoObjective) -> dict[str, float]:
         """Return the tightest feasible value of a limit: the least relaxation of an infeasible one."""
@@ -193,10 +269,33 @@ class EpsilonRanges:
                 return {"limit": item.relaxed}
         raise self._no_end(aim, found.status.text)
 
-    # --- a machine: from the best of the other objectives to the best of the constrained one ---------------------------------
 
-    def _machine_ends(self, once: Once) -> tuple[dict[int, Axis], tuple[Mapping[str, float], ...]]:
-        """Return the ranges of the limits and the end designs: optimal in one objective, and then in the others."""
+class _CycleRanges(EpsilonRanges):
+    """Ranges of a machine: from the best of the other objectives to the best of the constrained one."""
+
+    objective = staticmethod(cycle_objective)
+
+    @property
+    def searches(self) -> int:
+        """Number of searches for the ranges that were not requested."""
+        return 1 + 2 * len(self.open) + bool(self.objectives[self.first].key) if self.open else 0
+
+    def figures(self, stated: ProblemFile, values: Mapping[str, float], error: float) -> tuple[float, ...]:
+        return cycle_figures(stated, self.objectives, values)
+
+    def reference(self, base: ProblemFile, once: Once) -> tuple[str, tuple[float, ...] | None]:
+        found = cycle_figures(self.problem, self.objectives, {})
+        return "initial machine", found if np.all(np.isfinite(found)) else None
+
+    def _with(self, number: int, value: Raw) -> ProblemFile:
+        return epsilon_problem(self.problem, self.objectives, {self.first: 1.0}, {number: value})
+
+    def _base(self, axes: Mapping[int, Axis], anchors: tuple[Mapping[str, float], ...]) -> ProblemFile:
+        bounds = {k: axes[k].raw(0) for k in self.constrained}
+        base = epsilon_problem(self.problem, self.objectives, {self.first: 1.0}, bounds)
+        return with_starting_values(base, anchors[0]) if anchors else base
+
+    def _ends(self, once: Once) -> tuple[dict[int, Axis], tuple[Mapping[str, float], ...]]:
         problem, aims, first = self.problem, self.objectives, self.first
         bounds = {k: axis.raw(0) for k, axis in self.fixed.items()}
         asked_for = [k for k in range(len(aims)) if k not in bounds]
@@ -237,6 +336,10 @@ class EpsilonRanges:
         return found, tuple(corner[k]["sizes"] for k in sorted(corner, key=lambda k: k != first))
 
 
+RANGES: dict[str, type[EpsilonRanges]] = {"function": _LawRanges, "cycle": _CycleRanges}
+"""Objectives and ranges by the kind of problem."""
+
+
 def _axis(aim: ParetoObjective, tight: float, loose: float, count: int) -> Axis:
     """Return the values of a limit from the loose end of the front to the tight one, both rounded inwards."""
     width = abs(loose - tight)
@@ -248,7 +351,7 @@ def _axis(aim: ParetoObjective, tight: float, loose: float, count: int) -> Axis:
     return Axis(aim.key, aim.unit, tuple(float(f"{value:.12g}") for value in np.linspace(loose, tight, count)))
 
 
-def _stated(aim: ParetoObjective, count: int, made: Callable[[Raw], ProblemFile]) -> Axis:
+def _requested(aim: ParetoObjective, count: int, made: Callable[[Raw], ProblemFile]) -> Axis:
     """Return the requested range from its loose end; `made` gives the problem with a value of the limit."""
     axis = range_values(aim, count)
     for at in (0, len(axis.values) - 1):

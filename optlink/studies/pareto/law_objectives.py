@@ -34,13 +34,15 @@ SEVERAL = (
 ROOM = 1e-3  # relative distance between the sides of a limit with one side at its tightest
 
 
-def law_objective(problem: ProblemFile, name: str) -> ParetoObjective:
+def law_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjective:
     """Return the objective of a name: "error", a side of a limit, or a design variable.
 
     Parameters
     ----------
     problem : ProblemFile
     name : str
+    number : int
+        Number of the objective; its limit has a name of the file.
 
     Raises
     ------

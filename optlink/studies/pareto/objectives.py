@@ -12,10 +12,8 @@ from pathlib import Path
 
 from optlink.errors import Fault, InputError
 from optlink.problem.file import ProblemFile
-from optlink.problem.function import DesignProblem
-from optlink.problem.path import PathProblem
-from optlink.studies.pareto.cycle_objectives import cycle_objective
-from optlink.studies.pareto.law_objectives import ERROR, law_objective
+from optlink.studies.pareto.epsilon_ranges import RANGES
+from optlink.studies.pareto.law_objectives import ERROR
 from optlink.studies.pareto.objective import OPTION, ParetoObjective, range_values
 from optlink.units import UnitProblem, factor
 
@@ -52,7 +50,7 @@ def read_objectives(problem: ProblemFile, objectives: str) -> tuple[ParetoObject
     if not 2 <= len(parts) <= 3:
         what = "one objective has no trade-off" if len(parts) == 1 else f"{len(parts)} objectives are more than a front shows"
         raise InputError(Fault(what, f"Give two or three. {EXAMPLES}", problem.file, OPTION, objectives))
-    if problem.task == "path" or not (problem.task == "cycle" or isinstance(problem.model, DesignProblem)):
+    if problem.task not in RANGES:
         raise _no_front(problem)
     if not problem.model.free:
         raise InputError(Fault("no design variables: every dimension is fixed", "Free a size", problem.file, "mechanism"))
@@ -69,11 +67,11 @@ def read_objectives(problem: ProblemFile, objectives: str) -> tuple[ParetoObject
 def _no_front(problem: ProblemFile) -> InputError:
     """Return the error that a problem has no Pareto front, with an alternative."""
     whose = "Fronts are those of machines with an [objective] over their cycle, and of four-bars for a law"
-    if isinstance(problem.model, PathProblem):
+    kind = getattr(getattr(problem.model, "requirement", None), "kind", None)
+    if kind in PRESCRIBED:
         named = problem.file if Path(problem.file).is_file() else problem.name  # of a shipped one the name
         instead = f"to see how a limit changes the optimum: optlink study sweep {named} --vary KEY=LOW..HIGH:N"
-        wanted = PRESCRIBED[problem.model.requirement.kind]
-        return InputError(Fault(f"{wanted} prescribed here", f"{whose}; {instead}", problem.file))
+        return InputError(Fault(f"{PRESCRIBED[kind]} prescribed here", f"{whose}; {instead}", problem.file))
     if getattr(problem.model, "balance", None) is not None:
         instead = f"that of two measures of balancing: optlink balance {problem.name} --trade force,torque"
         return InputError(Fault("the problem has nothing to design", f"{whose}; {instead}", problem.file))
@@ -84,7 +82,7 @@ def _ranged(problem: ProblemFile, part: str, number: int) -> ParetoObjective:
     name, equals, span = (piece.strip() for piece in part.partition("="))
     if equals and not span:
         raise InputError(Fault("the range is empty", "Write NAME=LOW..HIGH UNIT", problem.file, OPTION, part))
-    aim = cycle_objective(problem, name, number) if problem.task == "cycle" else law_objective(problem, name)
+    aim = RANGES[problem.task].objective(problem, name, number)
     if span and not aim.key:
         raise InputError(Fault(f"{name} has no range: it is minimised", "Leave the range out", problem.file, OPTION, part))
     aim = replace(aim, span=span)
