@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi
 import numpy as np
@@ -49,8 +49,7 @@ class Variable:
 THREADED = 10_000  # elements from which BLAS shares a dot product among threads, which takes longer than any other test
 
 
-@dataclass(frozen=True)
-class NLPValues:
+class NLPValues(NamedTuple):
     """The NLP at one x: objective f, its gradient, rows g and their Jacobian. Not finite where undefined."""
 
     f: float

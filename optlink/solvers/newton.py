@@ -116,12 +116,13 @@ def newton(hessian: Array, jacobian: Array, residual: Array) -> Array | None:
     -------
     Step of the variables (n), then of the multipliers (k)
     """
-    k = len(jacobian)
-    system = np.block([[hessian, jacobian.T], [jacobian, np.zeros((k, k))]])
+    n = len(hessian)
+    system = np.zeros((len(residual), len(residual)))
+    system[:n, :n], system[:n, n:], system[n:, :n] = hessian, jacobian.T, jacobian
     if not np.all(np.isfinite(system)):
         return None
     try:
-        step = np.linalg.solve(system, -residual)
+        step = np.asarray(np.linalg.solve(system, -residual), dtype=float)
         if np.max(np.abs(step)) < 1.0:
             return step
     except np.linalg.LinAlgError:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
+from scipy.optimize import fmin_slsqp
 
 from optlink.optimization.nlp import NLP, NLPValues
 from optlink.problem.function import EPIGRAPH
@@ -19,8 +19,7 @@ Array = NDArray[np.float64]
 UNDEFINED = 1e20
 
 
-@dataclass(frozen=True)
-class _Seen:
+class _Seen(NamedTuple):
     """The NLP at one x in SLSQP's form: f, c_eq = 0, c_in >= 0, everything finite."""
 
     f: float
@@ -44,24 +43,27 @@ class _View:
         above = np.flatnonzero(np.isfinite(high) & (low != high))
         self.equal = np.flatnonzero(low == high)
         self.inside = np.concatenate([below, above])
+        self.target = low[self.equal]
         self.sign = np.concatenate([np.ones(below.size), -np.ones(above.size)])
         self.bound = np.concatenate([low[below], -high[above]])
         self.signed = self.sign[:, None] * self.size
-        # SLSQP starts from a unit Hessian: scaling by the largest true curvature keeps its first step short
-        bend = np.linalg.norm(nlp.hessian(x, p, np.zeros(len(low))), 2) if nlp.at(x, p).finite else 1.0
-        self.weight = float(1.0 / bend) if math.isfinite(bend) and bend > 0.0 else 1.0
-        self.key, self.seen = b"", self._look(x)
+        self.weight, point = 1.0, nlp.at(x, p)
+        if point.finite:  # SLSQP starts from a unit Hessian: scaling by the largest true curvature keeps its first step short
+            hessian = nlp.hessian(x, p, np.zeros(len(low)))
+            bend = float(np.max(np.abs(np.linalg.eigvalsh(hessian)))) if np.all(np.isfinite(hessian)) else math.nan
+            self.weight = 1.0 / bend if math.isfinite(bend) and bend > 0.0 else 1.0
+        self.slope = self.size * self.weight
+        y = x / self.size
+        self.key, self.seen = y.tobytes(), self._look(point)
 
     def at(self, y: Array) -> _Seen:
         """Evaluate the NLP at x = size * y, with derivatives with respect to y."""
-        x = y * self.size
-        key = x.tobytes()
+        key = y.tobytes()
         if key != self.key:
-            self.key, self.seen = key, self._look(x)
+            self.key, self.seen = key, self._look(self.nlp.at(y * self.size, self.p))
         return self.seen
 
-    def _look(self, x: Array) -> _Seen:
-        point = self.nlp.at(x, self.p)
+    def _look(self, point: NLPValues) -> _Seen:
         if not point.finite:
             point = NLPValues(
                 point.f if math.isfinite(point.f) else UNDEFINED,
@@ -71,11 +73,11 @@ class _View:
             )
         return _Seen(
             point.f * self.weight,
-            point.gradient * self.size * self.weight,
-            point.g[self.equal] - self.nlp.low[self.equal],
-            point.jacobian[self.equal] * self.size,
-            self.sign * point.g[self.inside] - self.bound,
-            self.signed * point.jacobian[self.inside],
+            point.gradient * self.slope,
+            point.g.take(self.equal) - self.target,
+            point.jacobian.take(self.equal, axis=0) * self.size,
+            self.sign * point.g.take(self.inside) - self.bound,
+            self.signed * point.jacobian.take(self.inside, axis=0),
         )
 
 
@@ -95,22 +97,22 @@ def slsqp(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = Fa
         Use an objective tolerance of 1e-16 instead of 1e-11.
     """
     view = _View(nlp, x, p)
-    constraints = []
-    if view.equal.size:
-        constraints.append({"type": "eq", "fun": lambda y: view.at(y).equal, "jac": lambda y: view.at(y).equal_jacobian})
-    if view.inside.size:
-        constraints.append({"type": "ineq", "fun": lambda y: view.at(y).inside, "jac": lambda y: view.at(y).inside_jacobian})
     path = [x.copy()]
     low, high = nlp.x_low / view.size, nlp.x_high / view.size
-    result = minimize(
+    found, _, count, _, message = fmin_slsqp(  # as `minimize` with less overhead
         lambda y: view.at(y).f,
         x / view.size,
-        jac=lambda y: view.at(y).gradient,
-        bounds=list(zip(low, high, strict=True)),
-        constraints=constraints,
-        method="SLSQP",
+        fprime=lambda y: view.at(y).gradient,
+        f_eqcons=(lambda y: view.at(y).equal) if view.equal.size else None,
+        fprime_eqcons=lambda y: view.at(y).equal_jacobian,
+        f_ieqcons=(lambda y: view.at(y).inside) if view.inside.size else None,
+        fprime_ieqcons=lambda y: view.at(y).inside_jacobian,
+        bounds=list(zip(low.tolist(), high.tolist(), strict=True)),
         callback=(lambda y: path.append(np.array(y) * view.size)) if track else None,
-        options={"ftol": (1e-16 if tight else 1e-11) * min(1.0, view.weight), "maxiter": 300},
+        acc=(1e-16 if tight else 1e-11) * min(1.0, view.weight),
+        iter=300,
+        iprint=0,
+        full_output=True,
     )
-    end = np.clip(np.asarray(result.x, dtype=float) * view.size, nlp.x_low, nlp.x_high)
-    return Attempt(end, int(result.nit), str(result.message), np.array(path) if track else None)
+    end = np.clip(np.asarray(found, dtype=float) * view.size, nlp.x_low, nlp.x_high)
+    return Attempt(end, int(count), str(message), np.array(path) if track else None)
