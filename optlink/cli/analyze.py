@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from optlink.cli import console
-from optlink.cli.options import Csv, Design, Format, Json, Out, Problem, Quiet, Set, Speed, whole_number
+from optlink.cli.options import Csv, Design, Format, Json, Out, Problem, Quiet, Set, Speed, number, option
 
 
 def register(app: typer.Typer) -> None:
@@ -18,10 +18,8 @@ def register(app: typer.Typer) -> None:
 
 def analyze(
     problem: Problem,
-    points: Annotated[int, typer.Option(parser=whole_number, metavar="N", help="Steps of the table per revolution.")] = 360,
-    step: Annotated[
-        str | None, typer.Option(metavar="ANGLE", help='Step of the table, instead of --points: --step "5 deg".')
-    ] = None,
+    points: Annotated[int, number("Steps of the table per revolution.")] = 360,
+    step: Annotated[str | None, option("ANGLE", 'Step of the table, instead of --points: --step "5 deg".')] = None,
     speed: Speed = None,
     changes: Set = None,
     design: Design = None,
@@ -32,31 +30,26 @@ def analyze(
     out: Out = None,
 ) -> None:
     """Analyse a machine: motion, joint reactions, driving torque and work over the cycle."""
-    with console.reported(as_json):
-        from optlink.tasks.analyze import analyze as run
+    from optlink.tasks.analyze import analyze as run
 
-        file = console.load(problem, changes)
-        given = console.read_design_option(file, design)
-        console.places(csv, out, "analyze", problem)
-        turn, rate = console.quantity(step, "angle", "--step"), console.quantity(speed, "angular velocity", "--speed")
-        result = run(file, points, turn, rate, given)
-        console.deliver(result, "analysis", csv, as_json, out)
-        if not result.sound:
-            raise typer.Exit(1)
+    file = console.load(problem, changes)
+    given = console.read_design_option(file, design)
+    console.places(out, "analyze", problem, csv)
+    turn, rate = console.quantity(step, "angle", "--step"), console.quantity(speed, "angular velocity", "--speed")
+    result = run(file, points, turn, rate, given)
+    console.deliver(result, "analysis", as_json, out, csv)
+    if not result.sound:
+        raise typer.Exit(1)
+
+
+MINIMISED = 'Measure to minimise, instead of that of the problem: "rms force", "largest reaction at D".'
 
 
 def balance(
     problem: Problem,
-    minimise: Annotated[
-        str | None,
-        typer.Option(
-            metavar="MEASURE", help='Measure to minimise, instead of that of the problem: "rms force", "largest reaction at D".'
-        ),
-    ] = None,
-    trade: Annotated[
-        str | None, typer.Option(metavar="A,B", help="Compute the trade-off between two measures: --trade force,torque.")
-    ] = None,
-    points: Annotated[int, typer.Option(parser=whole_number, metavar="N", help="Points of the trade-off.")] = 25,
+    minimise: Annotated[str | None, option("MEASURE", MINIMISED)] = None,
+    trade: Annotated[str | None, option("A,B", "Compute the trade-off between two measures: --trade force,torque.")] = None,
+    points: Annotated[int, number("Points of the trade-off.")] = 25,
     changes: Set = None,
     design: Design = None,
     csv: Csv = None,
@@ -66,14 +59,13 @@ def balance(
     out: Out = None,
 ) -> None:
     """Optimise counterweights and springs: least shaking force, torque or reactions, with proof and shadow prices."""
-    with console.reported(as_json):
-        from optlink.tasks.balance import balance as run
+    from optlink.tasks.balance import balance as run
 
-        file = console.load(problem, changes)
-        given = console.read_design_option(file, design)
-        console.places(csv, out, "balance", problem)
-        with console.share("balancing") as progress:
-            result = run(file, minimise, trade, points, progress, given)
-        console.deliver(result, "balance", csv, as_json, out)
-        if not result.valid:
-            raise typer.Exit(3 if result.status == "stalled" else 1)
+    file = console.load(problem, changes)
+    given = console.read_design_option(file, design)
+    console.places(out, "balance", problem, csv)
+    with console.share("balancing") as progress:
+        result = run(file, minimise, trade, points, progress, given)
+    console.deliver(result, "balance", as_json, out, csv)
+    if not result.valid:
+        raise typer.Exit(3 if result.status == "stalled" else 1)

@@ -49,6 +49,11 @@ class Command(TyperCommand):
             error.ctx = error.ctx or ctx  # an option without its value does not say of which command
             raise
 
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command, and report what goes wrong."""
+        with reported(bool(ctx.params.get("as_json"))):
+            return super().invoke(ctx)
+
 
 def _present(word: str, known: set[str]) -> str:
     """Return an option under its present name."""

@@ -16,6 +16,8 @@ from optlink.errors import Fault, InputError, OptlinkError, shown
 from optlink.solvers import interrupts
 
 if TYPE_CHECKING:
+    from rich.progress import Progress, ProgressColumn, TaskID
+
     from optlink.problem.file import ProblemFile
     from optlink.report.table_spec import Summary, TableSpec
 
@@ -84,7 +86,7 @@ def print_failure(message: str, faults: list[dict[str, Any]]) -> None:
     print_json({"schema": "optlink/error/1", "status": "error", "message": message, "faults": faults})
 
 
-def deliver(result: Any, kind: str, csv: Path | None, as_json: bool, out: Path | None) -> None:
+def deliver(result: Any, kind: str, as_json: bool, out: Path | None, csv: Path | None = None) -> None:
     """Write result files and print JSON or a table.
 
     Parameters
@@ -93,12 +95,12 @@ def deliver(result: Any, kind: str, csv: Path | None, as_json: bool, out: Path |
         Result with `to_dict`, and `columns` if there is a `csv`.
     kind : str
         Kind of result, see `optlink.report.registry`.
-    csv : Path or None
-        File for the columns.
     as_json : bool
         Whether to print JSON instead of a table.
     out : Path or None
         Folder for the files; after an interrupt it gets result.json only.
+    csv : Path or None, optional
+        File for the columns.
     """
     from optlink.report.registry import table_of, view_of
 
@@ -163,14 +165,33 @@ def share(what: str) -> Iterator[Callable[..., None] | None]:
 
 @contextlib.contextmanager
 def _bar(what: str) -> Iterator[Callable[[float, str], None]]:
+    from rich.progress import TextColumn
+
+    with progress_bar(TextColumn("{task.percentage:>3.0f} %"), what=what, total=1.0) as (bar, task):
+        yield lambda done, text: bar.update(task, completed=done, description=what + text)
+
+
+@contextlib.contextmanager
+def progress_bar(*columns: ProgressColumn, what: str, **options: Any) -> Iterator[tuple[Progress, TaskID]]:
+    """Show a bar with its remaining time on standard error; none if that is no terminal, or of a quiet command.
+
+    Parameters
+    ----------
+    *columns : ProgressColumn
+        Between the bar and the remaining time.
+    what : str
+        Before the bar.
+    **options
+        As for `rich.progress.Progress.add_task`.
+    """
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     from optlink.report import terminal
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn())
-    with Progress(*columns, console=terminal.console(stderr=True), transient=True) as bar:
-        task = bar.add_task(what, total=1.0)
-        yield lambda done, text: bar.update(task, completed=done, description=what + text)
+    drawn = terminal.console(stderr=True)
+    shown = (TextColumn("{task.description}"), BarColumn(), *columns, TimeRemainingColumn())
+    with Progress(*shown, console=drawn, transient=True, disable=quiet or not drawn.is_terminal) as bar:
+        yield bar, bar.add_task(what, **options)
 
 
 # --- input -------------------------------------------------------------------------------------------------------------------
@@ -266,55 +287,36 @@ def refuse(options: Mapping[str, object], message: str, remedy: str, file: str |
 # --- output folders ----------------------------------------------------------------------------------------------------------
 
 
-def places(csv: Path | None, out: Path | None, command: str, problem: str) -> None:
+def places(out: Path | None, command: str, problem: str, csv: Path | None = None) -> None:
     """Check before any work that results can be written, and lock their folder until the command ends.
+
+    A new folder is removed again if the input is invalid.
 
     Parameters
     ----------
-    csv, out : Path, optional
+    out : Path or None
     command : str
     problem : str
         Name of the problem, or its file.
+    csv : Path or None, optional
 
     Raises
     ------
     InputError
         If nothing can be written, or the folder holds or receives the results of another command or problem.
     """
-    _table(csv)
-    if out is not None:
-        locked_folder(out, command, problem)
-    if csv is not None:
-        from optlink.io import folder
+    from optlink.io import folder
 
-        folder(csv.parent, "--csv")
-
-
-def _table(csv: Path | None) -> None:
     if csv is not None and csv.is_dir():
         remedy = "Give the name of a file, for example motion.csv"
         raise InputError(Fault("this is a folder", remedy, key="--csv", value=str(csv)))
+    if out is not None:
+        _kept[-1].enter_context(_result_folder(out, command, problem))
+    if csv is not None:
+        folder(csv.parent, "--csv")
 
 
-def locked_folder(out: Path, command: str, problem: str) -> None:
-    """Create a folder and lock it until the command ends; see `optlink.cli.run_folder`.
-
-    Parameters
-    ----------
-    out : Path
-    command : str
-    problem : str
-        Name of the problem, or its file.
-    """
-    from optlink.cli.run_folder import run_folder
-    from optlink.io import folder
-
-    _no_study(out)
-    folder(out)
-    _kept[-1].enter_context(run_folder(out, command, problem))
-
-
-def locked_study_folder(out: Path, command: str, problem: str) -> None:
+def study_place(out: Path, command: str, problem: str) -> None:
     """Lock an existing folder for a study until the command ends; it may hold the study to be resumed.
 
     Parameters
@@ -350,19 +352,8 @@ def _no_study(out: Path) -> None:
 
 
 @contextlib.contextmanager
-def result_folder(out: Path | None, command: str, problem: str) -> Iterator[None]:
-    """Create and lock the result folder; remove it again if it is new and the input is invalid.
-
-    Parameters
-    ----------
-    out : Path or None
-    command : str
-    problem : str
-        Name of the problem, or its file.
-    """
-    if out is None:
-        yield
-        return
+def _result_folder(out: Path, command: str, problem: str) -> Iterator[None]:
+    """Create and lock the result folder; remove it again if it is new and the input is invalid."""
     from optlink.cli.run_folder import run_folder
     from optlink.io import folder
 

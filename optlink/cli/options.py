@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -29,7 +29,10 @@ def back_end(text: str) -> str:
     typer.BadParameter
         If it is none; the command line then ends with exit code 2.
     """
-    known = (*selectable(), "both")
+    return _one_of(text, (*selectable(), "both"))
+
+
+def _one_of(text: str, known: tuple[str, ...]) -> str:
     if text in known:
         return text
     raise typer.BadParameter(f"{text[:40]!r} is not one of {', '.join(map(repr, known))}.")
@@ -64,21 +67,60 @@ def share_number(text: object) -> float:
         raise typer.BadParameter(f'"{words[:40]}" is not a number. Give for example 1e-6 or 0.01%') from None
 
 
+def option(metavar: str, text: str, *names: str, **more: Any) -> Any:
+    """Declare an option with a value.
+
+    Parameters
+    ----------
+    metavar : str
+        What stands for the value.
+    text : str
+        Help.
+    *names : str
+        Names; default: that of the parameter.
+    **more
+        As for `typer.Option`.
+    """
+    return typer.Option(*names, metavar=metavar, help=text, **more)
+
+
+def number(text: str, *names: str, metavar: str = "N") -> Any:
+    """Declare an option that takes a whole number.
+
+    Parameters
+    ----------
+    text : str
+        Help.
+    *names : str
+        Names; default: that of the parameter.
+    metavar : str, optional
+    """
+    return option(metavar, text, *names, parser=whole_number)
+
+
+def flag(text: str, *names: str, **more: Any) -> Any:
+    """Declare an option without a value.
+
+    Parameters
+    ----------
+    text : str
+        Help.
+    *names : str
+    **more
+        As for `typer.Option`.
+    """
+    return typer.Option(*names, help=text, **more)
+
+
 PROBLEM_HELP = "A shipped problem (see `list`) or the path of a TOML file."
 Problem = Annotated[str, typer.Argument(metavar="PROBLEM", help=PROBLEM_HELP, autocompletion=problem_names)]
 Set = Annotated[
     list[str] | None,
-    typer.Option(
-        "--set", metavar="KEY=VALUE", autocompletion=keys, help='Change a key: --set mechanism.frame="480 mm". Repeatable.'
-    ),
+    option("KEY=VALUE", 'Change a key: --set mechanism.frame="480 mm". Repeatable.', "--set", autocompletion=keys),
 ]
 Design = Annotated[
     list[str] | None,
-    typer.Option(
-        "--design",
-        metavar="NAME=VALUE",
-        help='Design to use: --design coupler="412 mm", or a result.json. Repeatable.',
-    ),
+    option("NAME=VALUE", 'Design to use: --design coupler="412 mm", or a result.json. Repeatable.', "--design"),
 ]
 
 
@@ -88,61 +130,33 @@ def _set_quiet(wanted: bool) -> bool:
 
 
 def _set_pictures(text: str) -> str:
-    known = ("png", "svg", "pdf")
-    if text not in known:
-        raise typer.BadParameter(f"{text[:40]!r} is not one of {', '.join(map(repr, known))}.")
-    console.pictures = text
+    console.pictures = _one_of(text, ("png", "svg", "pdf"))
     return text
 
 
-Format = Annotated[
-    str, typer.Option("--format", metavar="<png|svg|pdf>", callback=_set_pictures, help="Format of the pictures of --out.")
-]
-Quiet = Annotated[bool, typer.Option("-q", "--quiet", callback=_set_quiet, help="Print only the verdict and errors.")]
-Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output and nothing else.")]
-Out = Annotated[Path | None, typer.Option("-o", "--out", metavar="DIR", help="Folder for result.json, pictures and tables.")]
-Csv = Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="File for the complete table.")]
-Speed = Annotated[
-    str | None, typer.Option("--speed", metavar="SPEED", help='Crank speed: --speed "64 rpm"; negative: clockwise.')
-]
+Format = Annotated[str, option("<png|svg|pdf>", "Format of the pictures of --out.", "--format", callback=_set_pictures)]
+Quiet = Annotated[bool, flag("Print only the verdict and errors.", "-q", "--quiet", callback=_set_quiet)]
+Json = Annotated[bool, flag("One JSON document on standard output and nothing else.", "--json")]
+Out = Annotated[Path | None, option("DIR", "Folder for result.json, pictures and tables.", "-o", "--out")]
+Csv = Annotated[Path | None, option("FILE", "File for the complete table.", "--csv")]
+Speed = Annotated[str | None, option("SPEED", 'Crank speed: --speed "64 rpm"; negative: clockwise.', "--speed")]
 
 # --- search ------------------------------------------------------------------------------------------------------------------
 
-Searcher = Annotated[
-    str,
-    typer.Option(
-        "--backend", parser=back_end, metavar=BACK_ENDS, help="Solver; both: SLSQP and IPOPT solve independently and must agree."
-    ),
-]
-Starts = Annotated[
-    int | None,
-    typer.Option(
-        "--starts",
-        parser=whole_number,
-        metavar="N",
-        help="Number of starting points; more are never worse. Motion law or function: N per assembly mode; path: at least N. "
-        "Default: as many as make a better design unlikely; 1 if a law's optimum is certified instead.",
-    ),
-]
-Seed = Annotated[int, typer.Option("--seed", parser=whole_number, metavar="S", help="Seed of the starting points.")]
+BOTH = "Solver; both: SLSQP and IPOPT solve independently and must agree."
+Searcher = Annotated[str, option(BACK_ENDS, BOTH, "--backend", parser=back_end)]
+MORE = (
+    "Number of starting points; more are never worse. Motion law or function: N per assembly mode; path: at least N. "
+    "Default: as many as make a better design unlikely; 1 if a law's optimum is certified instead."
+)
+Starts = Annotated[int | None, number(MORE, "--starts")]
+Seed = Annotated[int, number("Seed of the starting points.", "--seed", metavar="S")]
 
-Engine = Annotated[
-    str | None, typer.Option("--engine", metavar="NAME", help="local (default: processes of this computer) or dask.")
-]
-Scheduler = Annotated[
-    str | None, typer.Option("--scheduler", metavar="ADDRESS", help="With --engine dask: address of a running scheduler.")
-]
+Engine = Annotated[str | None, option("NAME", "local (default: processes of this computer) or dask.", "--engine")]
+Scheduler = Annotated[str | None, option("ADDRESS", "With --engine dask: address of a running scheduler.", "--scheduler")]
 
 # --- reports and exports -----------------------------------------------------------------------------------------------------
 
-Subjected = Annotated[
-    str,
-    typer.Argument(
-        metavar="PROBLEM|RESULT",
-        autocompletion=problem_names,
-        help="A shipped problem, a TOML file, or a result.json that --out wrote, or its folder.",
-    ),
-]
-Of = Annotated[
-    str | None, typer.Option("--problem", metavar="FILE", help="Problem file of a RESULT that is neither shipped nor beside it.")
-]
+RESULT_HELP = "A shipped problem, a TOML file, or a result.json that --out wrote, or its folder."
+Subjected = Annotated[str, typer.Argument(metavar="PROBLEM|RESULT", autocompletion=problem_names, help=RESULT_HELP)]
+Of = Annotated[str | None, option("FILE", "Problem file of a RESULT that is neither shipped nor beside it.", "--problem")]

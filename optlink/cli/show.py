@@ -11,7 +11,7 @@ import typer
 
 from optlink.cli import console
 from optlink.cli.completion import problem_names
-from optlink.cli.options import PROBLEM_HELP, Json, Quiet, Set
+from optlink.cli.options import PROBLEM_HELP, Json, Quiet, Set, flag, option
 from optlink.errors import Fault, InputError
 
 if TYPE_CHECKING:
@@ -28,63 +28,56 @@ def register(app: typer.Typer) -> None:
 
 def list_problems(as_json: Json = False, quiet: Quiet = False) -> None:
     """List the shipped problems with their kind and a summary."""
-    with console.reported(as_json):
-        from optlink.problem.file import load, shipped
+    from optlink.problem.file import load, shipped
 
-        files = [load(name) for name in shipped()]
-        if as_json:
-            rows = [{"name": f.name, "kind": f.kind, "title": f.model.title} for f in files]
-            console.print_json({"schema": "optlink/list/1", "problems": rows})
-            return
-        if console.quiet:
-            print("\n".join(file.name for file in files))
-            return
-        from optlink.report.views import function_tables
+    files = [load(name) for name in shipped()]
+    if as_json:
+        rows = [{"name": f.name, "kind": f.kind, "title": f.model.title} for f in files]
+        console.print_json({"schema": "optlink/list/1", "problems": rows})
+        return
+    if console.quiet:
+        print("\n".join(file.name for file in files))
+        return
+    from optlink.report.views import function_tables
 
-        console.show(function_tables.listing(files))
+    console.show(function_tables.listing(files))
 
 
 def show(
     problem: Shown = "",
     changes: Set = None,
     schema: Annotated[
-        str,
-        typer.Option(
-            "--schema", metavar="KIND", help="Print the JSON schema of a kind of result in place of a problem; of all: result."
-        ),
+        str, option("KIND", "Print the JSON schema of a kind of result in place of a problem; of all: result.", "--schema")
     ] = "",
-    as_toml: Annotated[bool, typer.Option("--toml", help="Print a problem file, as a template for your own.")] = False,
+    as_toml: Annotated[bool, flag("Print a problem file, as a template for your own.", "--toml")] = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Show a problem with units and default values."""
-    with console.reported(as_json):
-        from optlink.problem.file import complete
+    from optlink.problem.file import complete
 
-        if schema:
-            from optlink.report.registry import json_schema
+    if schema:
+        from optlink.report.registry import json_schema
 
-            console.refuse(
-                {"PROBLEM": problem or None}, "a schema is the same for every problem", "Leave it out", "show --schema"
-            )
-            console.print_json(json_schema(schema))
-            return
-        if not problem:
-            raise InputError(Fault("no problem is named", "Name one, see `optlink list`; or give --schema", key="PROBLEM"))
-        file = console.load(problem, changes)
-        if as_json:
-            document = {"schema": "optlink/problem/1", "name": file.name, "problem_hash": file.hash}
-            console.print_json(document | {"problem": complete(file)})
-            return
-        if console.quiet and not as_toml:
-            print(f"{file.name}: {file.kind}")
-            return
-        if as_toml:
-            print(_template(file), end="")
-            return
-        from optlink.report.views import function_tables
+        console.refuse({"PROBLEM": problem or None}, "a schema is the same for every problem", "Leave it out", "show --schema")
+        console.print_json(json_schema(schema))
+        return
+    if not problem:
+        raise InputError(Fault("no problem is named", "Name one, see `optlink list`; or give --schema", key="PROBLEM"))
+    file = console.load(problem, changes)
+    if as_json:
+        document = {"schema": "optlink/problem/1", "name": file.name, "problem_hash": file.hash}
+        console.print_json(document | {"problem": complete(file)})
+        return
+    if console.quiet and not as_toml:
+        print(f"{file.name}: {file.kind}")
+        return
+    if as_toml:
+        print(_template(file), end="")
+        return
+    from optlink.report.views import function_tables
 
-        console.show(function_tables.problem(file))
+    console.show(function_tables.problem(file))
 
 
 def _template(problem: ProblemFile) -> str:

@@ -11,7 +11,22 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from optlink.cli import console
-from optlink.cli.options import Design, Format, Json, Out, Problem, Quiet, Searcher, Seed, Set, Starts, share_number, whole_number
+from optlink.cli.options import (
+    Design,
+    Format,
+    Json,
+    Out,
+    Problem,
+    Quiet,
+    Searcher,
+    Seed,
+    Set,
+    Starts,
+    flag,
+    number,
+    option,
+    share_number,
+)
 from optlink.errors import Fault, InputError, Status
 
 if TYPE_CHECKING:
@@ -21,6 +36,13 @@ if TYPE_CHECKING:
     from optlink.tasks.results.cycle import CycleResult
     from optlink.tasks.results.path import PathResult
     from optlink.validation.check import Check
+
+
+CERTIFY = (
+    "Prove that no better design exists within the bounds, or find it. Default: motion laws of at most two design variables."
+)
+GAP = "--certify: share of the objective by which a better design may be missed. Default: 1e-6."
+CERTIFICATE = "Check the proof of the global optimum that solve --certify --out wrote: certificate.json, or its folder."
 
 
 def register(app: typer.Typer) -> None:
@@ -34,32 +56,13 @@ def solve(
     backend: Searcher = "ipopt",
     starts: Starts = None,
     seed: Seed = 0,
-    designs: Annotated[
-        int | None,
-        typer.Option(parser=whole_number, metavar="N", help="Path and motion problems: number of distinct designs. Default: 3."),
-    ] = None,
-    certify: Annotated[
-        bool | None,
-        typer.Option(
-            "--certify/--no-certify",
-            help="Prove that no better design exists within the bounds, or find it. Default: motion laws of at most two design "
-            "variables.",
-        ),
-    ] = None,
-    gap: Annotated[
-        float | None,
-        typer.Option(
-            "--gap",
-            parser=share_number,
-            metavar="SHARE",
-            help="--certify: share of the objective by which a better design may be missed. Default: 1e-6.",
-        ),
-    ] = None,
+    designs: Annotated[int | None, number("Path and motion problems: number of distinct designs. Default: 3.")] = None,
+    certify: Annotated[bool | None, flag(CERTIFY, "--certify/--no-certify")] = None,
+    gap: Annotated[float | None, option("SHARE", GAP, "--gap", parser=share_number)] = None,
     time_limit: Annotated[
-        str | None,
-        typer.Option("--time-limit", metavar="TIME", help='--certify: time for the proof, such as "5 min". Default: none.'),
+        str | None, option("TIME", '--certify: time for the proof, such as "5 min". Default: none.', "--time-limit")
     ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="--certify: continue the proof interrupted in --out DIR.")] = False,
+    resume: Annotated[bool, flag("--certify: continue the proof interrupted in --out DIR.", "--resume")] = False,
     changes: Set = None,
     design: Design = None,
     as_json: Json = False,
@@ -68,59 +71,52 @@ def solve(
     out: Out = None,
 ) -> None:
     """Optimise a design, verify it independently, and report the shadow prices of the active constraints."""
-    with console.reported(as_json), console.result_folder(out, "solve", problem):
-        limits: dict[str, object] = {"--gap": gap, "--time-limit": time_limit, "--resume": resume}
-        if design:
-            console.refuse({"--certify": certify} | limits, "a given design is validated, not optimised", "Leave it out")
-            _validate(problem, design, changes, as_json, out)
-            return
-        from optlink.tasks.certify import automatic
-        from optlink.tasks.results.certificate import STRICT, share_text
-        from optlink.tasks.run import CERTIFIED
-        from optlink.tasks.run import solve as search
+    console.places(out, "solve", problem)
+    limits: dict[str, object] = {"--gap": gap, "--time-limit": time_limit, "--resume": resume}
+    if design:
+        console.refuse({"--certify": certify} | limits, "a given design is validated, not optimised", "Leave it out")
+        _validate(problem, design, changes, as_json, out)
+        return
+    from optlink.tasks.certify import automatic
+    from optlink.tasks.results.certificate import STRICT, share_text
+    from optlink.tasks.run import CERTIFIED
+    from optlink.tasks.run import solve as search
 
-        file = console.load(problem, changes)
-        if not (automatic(file) if certify is None else certify):
-            possible = certify is None and file.task in CERTIFIED
-            remedy = "Add --certify, or leave it out" if possible else "Leave it out"
-            console.refuse(limits, "there is no proof of a global optimum that it applies to", remedy, file.file)
-        if resume and (out is None or not certify):
-            raise InputError(
-                Fault("there is no proof to resume", "Add --certify and --out DIR of the interrupted run", key="--resume")
-            )
-        seconds = console.quantity(time_limit, "time", "--time-limit")
-        with console.share("searching") as progress, console.share("proving") as proving:
-            result = search(
-                file,
-                backend,
-                starts,
-                seed,
-                progress,
-                designs=designs,
-                track=out is not None,
-                certify=certify,
-                gap=STRICT if gap is None else gap,
-                time_limit=math.inf if seconds is None else seconds,
-                folder=out if certify else None,
-                resume=resume,
-                proving=proving and (lambda share, gap: proving(share, f", gap {share_text(gap)}")),
-            )
-        if result.interrupted:
-            print(f"Interrupted: {_interrupted(result, starts)}.", file=sys.stderr)
-        _show(result, as_json, out)
+    file = console.load(problem, changes)
+    if not (automatic(file) if certify is None else certify):
+        possible = certify is None and file.task in CERTIFIED
+        remedy = "Add --certify, or leave it out" if possible else "Leave it out"
+        console.refuse(limits, "there is no proof of a global optimum that it applies to", remedy, file.file)
+    if resume and (out is None or not certify):
+        raise InputError(
+            Fault("there is no proof to resume", "Add --certify and --out DIR of the interrupted run", key="--resume")
+        )
+    seconds = console.quantity(time_limit, "time", "--time-limit")
+    with console.share("searching") as progress, console.share("proving") as proving:
+        result = search(
+            file,
+            backend,
+            starts,
+            seed,
+            progress,
+            designs=designs,
+            track=out is not None,
+            certify=certify,
+            gap=STRICT if gap is None else gap,
+            time_limit=math.inf if seconds is None else seconds,
+            folder=out if certify else None,
+            resume=resume,
+            proving=proving and (lambda share, gap: proving(share, f", gap {share_text(gap)}")),
+        )
+    if result.interrupted:
+        print(f"Interrupted: {_interrupted(result, starts)}.", file=sys.stderr)
+    _show(result, as_json, out)
 
 
 def validate(
     problem: Problem,
     design: Design = None,
-    certificate: Annotated[
-        Path | None,
-        typer.Option(
-            "--certificate",
-            metavar="FILE",
-            help="Check the proof of the global optimum that solve --certify --out wrote: certificate.json, or its folder.",
-        ),
-    ] = None,
+    certificate: Annotated[Path | None, option("FILE", CERTIFICATE, "--certificate")] = None,
     changes: Set = None,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -131,8 +127,8 @@ def validate(
     if certificate is not None:
         _validate_certificate(problem, certificate, design, changes, as_json, out)
         return
-    with console.reported(as_json), console.result_folder(out, "validate", problem):
-        _validate(problem, design or [], changes, as_json, out)
+    console.places(out, "validate", problem)
+    _validate(problem, design or [], changes, as_json, out)
 
 
 def _validate(problem: str, design: list[str], changes: list[str] | None, as_json: bool, out: Path | None) -> None:
@@ -149,20 +145,19 @@ def _validate_certificate(
     problem: str, path: Path, design: list[str] | None, changes: list[str] | None, as_json: bool, out: Path | None
 ) -> None:
     """Check a stored certificate, and exit with 1 if it does not hold."""
-    with console.reported(as_json):
-        unused: dict[str, object] = {"--design": design or None, "--out": out}
-        console.refuse(unused, "a certificate has its own design, and its check writes no files", "Leave it out")
-        from optlink.report.views.certificate_check import certificate_check
-        from optlink.validation.certificate import check_certificate
+    unused: dict[str, object] = {"--design": design or None, "--out": out}
+    console.refuse(unused, "a certificate has its own design, and its check writes no files", "Leave it out")
+    from optlink.report.views.function_tables import certificate_check
+    from optlink.validation.certificate import check_certificate
 
-        with console.share("checking the boxes") as progress:
-            found = check_certificate(console.load(problem, changes), path, progress)
-        if as_json:
-            console.print_json(found.to_dict())
-        else:
-            console.show(certificate_check(found))
-        if not found.valid:
-            raise typer.Exit(1)
+    with console.share("checking the boxes") as progress:
+        found = check_certificate(console.load(problem, changes), path, progress)
+    if as_json:
+        console.print_json(found.to_dict())
+    else:
+        console.show(certificate_check(found))
+    if not found.valid:
+        raise typer.Exit(1)
 
 
 def _contradictions(design: list[str], file: ProblemFile, found: FunctionResult | PathResult | CycleResult) -> tuple[Check, ...]:
@@ -192,7 +187,7 @@ def _interrupted(result: FunctionResult | PathResult | CycleResult | Balance, st
 
 def _show(result: FunctionResult | PathResult | CycleResult | Balance, as_json: bool, out: Path | None) -> None:
     """Show a result, and exit with the code of its status."""
-    console.deliver(result, result.problem.task, None, as_json, out)
+    console.deliver(result, result.problem.task, as_json, out)
     failed = (Status.STALLED, Status.NON_FINITE, "stalled")
     if result.status in failed and result.problem.task != "path":  # one of several designs may stall
         raise typer.Exit(3)

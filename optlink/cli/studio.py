@@ -10,9 +10,11 @@ import typer
 
 from optlink.cli import console
 from optlink.cli.completion import problem_names
-from optlink.cli.options import Quiet
+from optlink.cli.options import Quiet, flag, option
 from optlink.errors import Fault, InputError
 
+NAMED_HELP = "Name of a shipped problem, or path of a .toml file. Default: choose on the page."
+Named = Annotated[str, typer.Argument(metavar="PROBLEM", autocompletion=problem_names, help=NAMED_HELP, show_default=False)]
 NEEDED = ("starlette", "uvicorn", "websockets")
 
 
@@ -22,37 +24,28 @@ def register(app: typer.Typer) -> None:
 
 
 def studio(
-    problem: Annotated[
-        str,
-        typer.Argument(
-            metavar="PROBLEM",
-            autocompletion=problem_names,
-            help="Name of a shipped problem, or path of a .toml file. Default: choose on the page.",
-            show_default=False,
-        ),
-    ] = "",
-    port: Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help="Port. Default: any free one.")] = 0,
-    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
+    problem: Named = "",
+    port: Annotated[int, option("N", "Port. Default: any free one.", "--port", min=0, max=65535)] = 0,
+    browser: Annotated[bool, flag("Open the page in the browser.", "--browser/--no-browser")] = True,
     quiet: Quiet = False,
 ) -> None:
     """Open a page on which the linkage is optimised again while you drag its points, sizes and limits."""
-    with console.reported(False):
-        missing = [name for name in NEEDED if importlib.util.find_spec(name) is None]
-        if missing:
-            remedy = "Install them: pip install 'optlink[studio]'"
-            raise InputError(Fault(f"the studio needs packages that are not installed: {', '.join(missing)}", remedy))
-        if problem:
-            console.load(problem, None)
-        from optlink.studio.server import serve
+    missing = [name for name in NEEDED if importlib.util.find_spec(name) is None]
+    if missing:
+        remedy = "Install them: pip install 'optlink[studio]'"
+        raise InputError(Fault(f"the studio needs packages that are not installed: {', '.join(missing)}", remedy))
+    if problem:
+        console.load(problem, None)
+    from optlink.studio.server import serve
 
-        def ready(url: str) -> None:
-            print(f"The studio is open at {url}", flush=True)
-            if not quiet:
-                print("Stop it with Ctrl-C.", file=sys.stderr)
-            if browser:
-                import threading
-                import webbrowser
+    def ready(url: str) -> None:
+        print(f"The studio is open at {url}", flush=True)
+        if not quiet:
+            print("Stop it with Ctrl-C.", file=sys.stderr)
+        if browser:
+            import threading
+            import webbrowser
 
-                threading.Thread(target=webbrowser.open, args=[url], daemon=True).start()
+            threading.Thread(target=webbrowser.open, args=[url], daemon=True).start()
 
-        serve(problem or None, port, ready)
+    serve(problem or None, port, ready)

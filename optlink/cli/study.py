@@ -11,7 +11,7 @@ import typer
 
 from optlink.cli import console
 from optlink.cli.command import App
-from optlink.cli.options import Engine, Format, Json, Problem, Quiet, Scheduler, Set, whole_number
+from optlink.cli.options import Engine, Format, Json, Problem, Quiet, Scheduler, Set, flag, number, option
 from optlink.solvers.contract import selectable
 
 if TYPE_CHECKING:
@@ -20,18 +20,16 @@ if TYPE_CHECKING:
 SIMULATED = ("the option is one of simulations", "Add --simulate")
 AROUND = "0..330 deg:12"  # default crank angles of an output
 
-Backend = Annotated[str, typer.Option("--backend", metavar="NAME", help=f"One of: {', '.join(selectable())}.")]
-Workers = Annotated[
-    int | None,
-    typer.Option("--workers", parser=whole_number, metavar="N", help="Number of processes. Default: all cores."),
-]
-Kept = Annotated[
-    Path | None,
-    typer.Option(
-        "-o", "--out", metavar="DIR", help="Folder for completed chunks, and for table, result.json and picture at the end."
-    ),
-]
-Resume = Annotated[bool, typer.Option("--resume", help="Resume the interrupted run in --out DIR.")]
+Backend = Annotated[str, option("NAME", f"One of: {', '.join(selectable())}.", "--backend")]
+Workers = Annotated[int | None, number("Number of processes. Default: all cores.", "--workers")]
+KEPT = "Folder for completed chunks, and for table, result.json and picture at the end."
+Kept = Annotated[Path | None, option("DIR", KEPT, "-o", "--out")]
+Resume = Annotated[bool, flag("Resume the interrupted run in --out DIR.", "--resume")]
+DEVIATIONS = 'coupler="0.1 mm", D.x="0.05 mm uniform", rocker=parts.csv. Default: as in the file. Repeatable.'
+SHAPE = "Default distribution: normal (the tolerance is 3 sigma), uniform, triangular."
+ROBUST = "Optimise the design for the error plus K sigma, the worst case, the most sigma, or the largest yield."
+TRADED = '"peak torque, guide force in F=1300..1600 N" of a machine; "error, limits.transmission_angle.max" of a law.'
+POINTS = "Number of points; with three objectives along each of two axes. Default: 15; with three objectives 7."
 
 study = App(no_args_is_help=True, help="Parametric studies: sensitivity, sweep, tolerance analysis, Pareto front.")
 
@@ -44,61 +42,50 @@ def register(app: typer.Typer) -> None:
 @study.command()
 def sensitivity(
     problem: Problem,
-    check: Annotated[bool, typer.Option("--check", help="Verify each sensitivity by re-optimising on both sides.")] = False,
+    check: Annotated[bool, flag("Verify each sensitivity by re-optimising on both sides.", "--check")] = False,
     output: Annotated[
         str | None,
-        typer.Option(
-            "--quantity",
-            metavar="BODY|P.x",
-            help="Sensitivity of an output angle or point to every dimension, instead of the objective.",
-        ),
+        option("BODY|P.x", "Sensitivity of an output angle or point to every dimension, instead of the objective.", "--quantity"),
     ] = None,
     angles: Annotated[
-        str | None,
-        typer.Option("--angles", metavar="LIST", help=f'With --quantity, crank angles: "0 deg, 60 deg" or "{AROUND}" (default).'),
+        str | None, option("LIST", f'With --quantity, crank angles: "0 deg, 60 deg" or "{AROUND}" (default).', "--angles")
     ] = None,
     backend: Backend = "ipopt",
-    starts: Annotated[int | None, typer.Option(metavar="N", help="Number of starting points.")] = None,
-    seed: Annotated[int, typer.Option(metavar="S", help="Seed of the starting points.")] = 0,
+    starts: Annotated[int | None, option("N", "Number of starting points.")] = None,
+    seed: Annotated[int, option("S", "Seed of the starting points.")] = 0,
     changes: Set = None,
-    design: Annotated[
-        list[str] | None, typer.Option("--design", metavar="NAME=VALUE", help="With --quantity: design to use. Repeatable.")
-    ] = None,
+    design: Annotated[list[str] | None, option("NAME=VALUE", "With --quantity: design to use. Repeatable.", "--design")] = None,
     as_json: Json = False,
     quiet: Quiet = False,
     picture: Format = "png",
-    out: Annotated[
-        Path | None, typer.Option("-o", "--out", metavar="DIR", help="Folder for result.json, table and tornado chart.")
-    ] = None,
+    out: Annotated[Path | None, option("DIR", "Folder for result.json, table and tornado chart.", "-o", "--out")] = None,
 ) -> None:
     """Sensitivity of the optimum to each fixed parameter and limit, with the range over which it holds."""
-    with console.reported(as_json), console.result_folder(out, "sensitivity", problem):
-        from optlink.studies.reoptimise_task import check_backend
+    console.places(out, "sensitivity", problem)
+    from optlink.studies.reoptimise_task import check_backend
 
-        file = console.load(problem, changes)
-        check_backend(backend)
-        if output is not None:
-            remedy = "Leave --check out; it searches an optimum again"
-            console.refuse({"--check": check}, "no optimum is searched for the slopes of an output", remedy, file.file)
-            _output(file, output, AROUND if angles is None else angles, design, as_json, out)
-            return
-        console.refuse(
-            {"--angles": angles}, "crank angles are those of an output", "Add for example --quantity rocker", file.file
-        )
-        if design:
-            from optlink.errors import Fault, InputError
+    file = console.load(problem, changes)
+    check_backend(backend)
+    if output is not None:
+        remedy = "Leave --check out; it searches an optimum again"
+        console.refuse({"--check": check}, "no optimum is searched for the slopes of an output", remedy, file.file)
+        _output(file, output, AROUND if angles is None else angles, design, as_json, out)
+        return
+    console.refuse({"--angles": angles}, "crank angles are those of an output", "Add for example --quantity rocker", file.file)
+    if design:
+        from optlink.errors import Fault, InputError
 
-            remedy = "Leave --design out; --quantity takes one"
-            raise InputError(Fault("sensitivities are those of the optimum, which is searched", remedy, key="--design"))
-        from optlink.studies.sensitivity import sensitivities
+        remedy = "Leave --design out; --quantity takes one"
+        raise InputError(Fault("sensitivities are those of the optimum, which is searched", remedy, key="--design"))
+    from optlink.studies.sensitivity import sensitivities
 
-        with console.share("searching again" if check else "searching") as progress:
-            result = sensitivities(file, backend, starts, seed, check=check, progress=progress)
-        console.deliver(result, "sensitivity", None, as_json, out)
-        from optlink.report.views.study_tables import AGREES
+    with console.share("searching again" if check else "searching") as progress:
+        result = sensitivities(file, backend, starts, seed, check=check, progress=progress)
+    console.deliver(result, "sensitivity", as_json, out)
+    from optlink.report.views.study_tables import AGREES
 
-        if result.gap is not None and result.gap > AGREES:
-            raise typer.Exit(1)
+    if result.gap is not None and result.gap > AGREES:
+        raise typer.Exit(1)
 
 
 def _crank_angles(text: str) -> Any:
@@ -160,39 +147,22 @@ def _output(file: ProblemFile, output: str, angles: str, design: list[str] | Non
 def sweep(
     problem: Problem,
     vary: Annotated[
-        list[str] | None,
-        typer.Option("--vary", metavar="KEY=VALUES", help='mechanism.frame="450..550 mm:101", or a list of values. Repeatable.'),
+        list[str] | None, option("KEY=VALUES", 'mechanism.frame="450..550 mm:101", or a list of values. Repeatable.', "--vary")
     ] = None,
-    analyze: Annotated[bool, typer.Option("--analyze", help="Analyse the machine at every point, without optimisation.")] = False,
+    analyze: Annotated[bool, flag("Analyse the machine at every point, without optimisation.", "--analyze")] = False,
     simulate: Annotated[
-        bool, typer.Option("--simulate", help="Simulate the machine at every point, with joint clearance, without optimisation.")
+        bool, flag("Simulate the machine at every point, with joint clearance, without optimisation.", "--simulate")
     ] = False,
-    revolutions: Annotated[
-        int | None,
-        typer.Option(
-            parser=whole_number, metavar="N", help="With --simulate and joint clearance: number of revolutions. Default: 20."
-        ),
-    ] = None,
-    control: Annotated[
-        str | None, typer.Option(metavar="HOW", help="With --simulate, control: none, inverse, pid, inverse+pid.")
-    ] = None,
+    revolutions: Annotated[int | None, number("With --simulate and joint clearance: number of revolutions. Default: 20.")] = None,
+    control: Annotated[str | None, option("HOW", "With --simulate, control: none, inverse, pid, inverse+pid.")] = None,
     column: Annotated[
         list[str] | None,
-        typer.Option(
-            "--column",
-            metavar="NAME",
-            help="With --analyze: column of the analysis, or a figure such as slider.stroke_m. Repeatable.",
-        ),
+        option("NAME", "With --analyze: column of the analysis, or a figure such as slider.stroke_m. Repeatable.", "--column"),
     ] = None,
-    points: Annotated[
-        int | None,
-        typer.Option(parser=whole_number, metavar="N", help="With --analyze: crank angles per revolution. Default: 360."),
-    ] = None,
+    points: Annotated[int | None, number("With --analyze: crank angles per revolution. Default: 360.")] = None,
     design: Annotated[
         list[str] | None,
-        typer.Option(
-            "--design", metavar="NAME=VALUE", help="With --analyze: values of design variables that are not varied. Repeatable."
-        ),
+        option("NAME=VALUE", "With --analyze: values of design variables that are not varied. Repeatable.", "--design"),
     ] = None,
     backend: Backend = "ipopt",
     engine: Engine = None,
@@ -206,147 +176,106 @@ def sweep(
     out: Kept = None,
 ) -> None:
     """Solve, analyse or simulate a problem at every point of a grid, on one machine or a cluster; resumable."""
-    with console.reported(as_json):
-        from optlink.errors import Fault, InputError
-        from optlink.studies.sweep import sweep as run
+    from optlink.errors import Fault, InputError
+    from optlink.studies.sweep import sweep as run
 
-        file = console.load(problem, changes)
-        varied = {text.partition("=")[0].strip().removeprefix("mechanism.") for text in vary or []}
-        given = console.read_design_option(file, design, varied)
-        if column and not analyze:
-            raise InputError(Fault("columns are those of the analysis", "Add --analyze", key="--column", value=column[0]))
-        if analyze and simulate:
-            raise InputError(Fault("designs are analysed or simulated", "Give --analyze or --simulate", key="--simulate"))
-        console.refuse({} if simulate else {"--revolutions": revolutions, "--control": control}, *SIMULATED, file.file)
-        if not analyze and not simulate:
-            remedy = "Add --analyze; the number of swept values is part of --vary KEY=LOW..HIGH UNIT:N"
-            console.refuse({"--points": points}, "crank angles are those of the analysis", remedy, file.file)
-        with _resuming(out, "sweep", problem, "sweeping", resume=resume) as progress:
-            result = run(
-                file,
-                vary or [],
-                out,
-                resume=resume,
-                analyze=analyze,
-                columns=column or ("input.torque_Nm",),
-                points=360 if points is None else points,
-                design=given,
-                simulate=console.given(revolutions=revolutions, control=control, points=points) if simulate else None,
-                backend=backend,
-                engine=engine or "local",
-                workers=workers,
-                scheduler=scheduler,
-                progress=progress,
-            )
-        console.deliver(result, "sweep", None, as_json, out)
-        if not result.successful:
-            raise typer.Exit(1)
+    file = console.load(problem, changes)
+    varied = {text.partition("=")[0].strip().removeprefix("mechanism.") for text in vary or []}
+    given = console.read_design_option(file, design, varied)
+    if column and not analyze:
+        raise InputError(Fault("columns are those of the analysis", "Add --analyze", key="--column", value=column[0]))
+    if analyze and simulate:
+        raise InputError(Fault("designs are analysed or simulated", "Give --analyze or --simulate", key="--simulate"))
+    console.refuse({} if simulate else {"--revolutions": revolutions, "--control": control}, *SIMULATED, file.file)
+    if not analyze and not simulate:
+        remedy = "Add --analyze; the number of swept values is part of --vary KEY=LOW..HIGH UNIT:N"
+        console.refuse({"--points": points}, "crank angles are those of the analysis", remedy, file.file)
+    with _resuming(out, "sweep", problem, "sweeping", resume=resume) as progress:
+        result = run(
+            file,
+            vary or [],
+            out,
+            resume=resume,
+            analyze=analyze,
+            columns=column or ("input.torque_Nm",),
+            points=360 if points is None else points,
+            design=given,
+            simulate=console.given(revolutions=revolutions, control=control, points=points) if simulate else None,
+            backend=backend,
+            engine=engine or "local",
+            workers=workers,
+            scheduler=scheduler,
+            progress=progress,
+        )
+    console.deliver(result, "sweep", as_json, out)
+    if not result.successful:
+        raise typer.Exit(1)
 
 
 @study.command()
 def tolerance(
     problem: Problem,
-    tolerances: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--tolerance",
-            metavar="NAME=T",
-            help='coupler="0.1 mm", D.x="0.05 mm uniform", rocker=parts.csv. Default: as in the file. Repeatable.',
-        ),
-    ] = None,
+    tolerances: Annotated[list[str] | None, option("NAME=T", DEVIATIONS, "--tolerance")] = None,
     output: Annotated[
-        str | None,
-        typer.Option("--quantity", metavar="BODY|P.x|error", help="Output to analyse. Default: the error of a motion law."),
+        str | None, option("BODY|P.x|error", "Output to analyse. Default: the error of a motion law.", "--quantity")
     ] = None,
-    angles: Annotated[
-        str | None, typer.Option("--angles", metavar="LIST", help='Crank angles: "0 deg, 60 deg" or "0..330 deg:12".')
-    ] = None,
-    limit: Annotated[
-        str | None, typer.Option(metavar="SIZE", help='Permitted error or deviation, for the yield: "0.5 deg".')
-    ] = None,
-    samples: Annotated[int, typer.Option(metavar="N", help="Number of sampled linkages; 0: linear analysis only.")] = 131072,
-    seed: Annotated[int, typer.Option(metavar="S", help="Seed of the samples.")] = 0,
-    distribution: Annotated[
-        str, typer.Option(metavar="NAME", help="Default distribution: normal (the tolerance is 3 sigma), uniform, triangular.")
-    ] = "normal",
-    allocate: Annotated[
-        str | None, typer.Option(metavar="YIELD", help='Find the least costly tolerances that reach a yield: "99.7 %".')
-    ] = None,
+    angles: Annotated[str | None, option("LIST", 'Crank angles: "0 deg, 60 deg" or "0..330 deg:12".', "--angles")] = None,
+    limit: Annotated[str | None, option("SIZE", 'Permitted error or deviation, for the yield: "0.5 deg".')] = None,
+    samples: Annotated[int, option("N", "Number of sampled linkages; 0: linear analysis only.")] = 131072,
+    seed: Annotated[int, option("S", "Seed of the samples.")] = 0,
+    distribution: Annotated[str, option("NAME", SHAPE)] = "normal",
+    allocate: Annotated[str | None, option("YIELD", 'Find the least costly tolerances that reach a yield: "99.7 %".')] = None,
     cost: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME=C", help="With --allocate: a tolerance t costs C/t. Default: 1. Repeatable."),
+        list[str] | None, option("NAME=C", "With --allocate: a tolerance t costs C/t. Default: 1. Repeatable.")
     ] = None,
-    robust: Annotated[
-        str | None,
-        typer.Option(
-            metavar="K|worst|margin|yield",
-            help="Optimise the design for the error plus K sigma, the worst case, the most sigma, or the largest yield.",
-        ),
-    ] = None,
+    robust: Annotated[str | None, option("K|worst|margin|yield", ROBUST)] = None,
     changes: Set = None,
     design: Annotated[
-        list[str] | None,
-        typer.Option("--design", metavar="NAME=VALUE", help="Design to analyse, instead of the optimum. Repeatable."),
+        list[str] | None, option("NAME=VALUE", "Design to analyse, instead of the optimum. Repeatable.", "--design")
     ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
     picture: Format = "png",
-    out: Annotated[
-        Path | None, typer.Option("-o", "--out", metavar="DIR", help="Folder for result.json, table and pictures.")
-    ] = None,
+    out: Annotated[Path | None, option("DIR", "Folder for result.json, table and pictures.", "-o", "--out")] = None,
 ) -> None:
     """Tolerance analysis: worst case, statistical scatter, yield, tolerance allocation, robust design."""
-    with console.reported(as_json), console.result_folder(out, "tolerance", problem):
-        from optlink.errors import Fault, InputError
-        from optlink.studies.tolerance.analysis import tolerance as run
-        from optlink.studies.tolerance.sampling import read_costs, read_sigmas, read_yield
+    console.places(out, "tolerance", problem)
+    from optlink.errors import Fault, InputError
+    from optlink.studies.tolerance.analysis import tolerance as run
+    from optlink.studies.tolerance.sampling import read_costs, read_sigmas, read_yield
 
-        file = console.load(problem, changes)
-        given = console.read_design_option(file, design)
-        if cost and allocate is None:
-            raise InputError(Fault("costs are those of an allocation", 'Add for example --allocate "99 %"', key="--cost"))
-        with console.share("building") as progress:
-            result = run(
-                file,
-                tolerances or [],
-                output,
-                None if angles is None else _crank_angles(angles),
-                limit,
-                samples=samples,
-                seed=seed,
-                shape=distribution,
-                design=given,
-                target_yield=None if allocate is None else read_yield(allocate),
-                costs=read_costs(cost or []),
-                robust=None if robust is None else read_sigmas(robust),
-                progress=progress,
-            )
-        console.deliver(result, "tolerance", None, as_json, out)
-        if (result.allocation is not None and not result.allocation.achieved) or (
-            result.robust is not None and not result.robust.valid
-        ):
-            raise typer.Exit(1)
+    file = console.load(problem, changes)
+    given = console.read_design_option(file, design)
+    if cost and allocate is None:
+        raise InputError(Fault("costs are those of an allocation", 'Add for example --allocate "99 %"', key="--cost"))
+    with console.share("building") as progress:
+        result = run(
+            file,
+            tolerances or [],
+            output,
+            None if angles is None else _crank_angles(angles),
+            limit,
+            samples=samples,
+            seed=seed,
+            shape=distribution,
+            design=given,
+            target_yield=None if allocate is None else read_yield(allocate),
+            costs=read_costs(cost or []),
+            robust=None if robust is None else read_sigmas(robust),
+            progress=progress,
+        )
+    console.deliver(result, "tolerance", as_json, out)
+    if (result.allocation is not None and not result.allocation.achieved) or (
+        result.robust is not None and not result.robust.valid
+    ):
+        raise typer.Exit(1)
 
 
 @study.command()
 def pareto(
     problem: Problem,
-    objectives: Annotated[
-        str,
-        typer.Option(
-            "--objectives",
-            metavar="A,B[,C]",
-            help='"peak torque, guide force in F=1300..1600 N" of a machine; "error, limits.transmission_angle.max" of a law.',
-        ),
-    ] = "",
-    points: Annotated[
-        int | None,
-        typer.Option(
-            parser=whole_number,
-            metavar="N",
-            help="Number of points; with three objectives along each of two axes. Default: 15; with three objectives 7.",
-        ),
-    ] = None,
+    objectives: Annotated[str, option("A,B[,C]", TRADED, "--objectives")] = "",
+    points: Annotated[int | None, number(POINTS)] = None,
     backend: Backend = "ipopt",
     engine: Engine = None,
     workers: Workers = None,
@@ -359,26 +288,25 @@ def pareto(
     out: Kept = None,
 ) -> None:
     """Pareto front of two or three objectives, with its ends and knee; every point is validated."""
-    with console.reported(as_json):
-        from optlink.studies.pareto.epsilon_constraint import pareto as run
+    from optlink.studies.pareto.epsilon_constraint import pareto as run
 
-        file = console.load(problem, changes)
-        with _resuming(out, "pareto", problem, "computing the front", resume=resume) as progress:
-            result = run(
-                file,
-                objectives,
-                out,
-                points=points,
-                resume=resume,
-                backend=backend,
-                engine=engine or "local",
-                workers=workers,
-                scheduler=scheduler,
-                progress=progress,
-            )
-        console.deliver(result, "pareto", None, as_json, out)
-        if not result.complete:
-            raise typer.Exit(1)
+    file = console.load(problem, changes)
+    with _resuming(out, "pareto", problem, "computing the front", resume=resume) as progress:
+        result = run(
+            file,
+            objectives,
+            out,
+            points=points,
+            resume=resume,
+            backend=backend,
+            engine=engine or "local",
+            workers=workers,
+            scheduler=scheduler,
+            progress=progress,
+        )
+    console.deliver(result, "pareto", as_json, out)
+    if not result.complete:
+        raise typer.Exit(1)
 
 
 @contextlib.contextmanager
@@ -389,7 +317,7 @@ def _resuming(out: Path | None, command: str, problem: str, what: str, *, resume
     if resume and out is None:
         raise InputError(Fault("needs the folder of the run", "Add --out DIR", key="--resume"))
     if out is not None and out.is_dir():
-        console.locked_study_folder(out, command, problem)
+        console.study_place(out, command, problem)
     try:
         with _points(what) as progress:
             yield progress
@@ -402,20 +330,10 @@ def _resuming(out: Path | None, command: str, problem: str, what: str, *, resume
 @contextlib.contextmanager
 def _points(what: str) -> Iterator[Callable[[int, int], None]]:
     """Show a bar with the completed points, their rate and the remaining time on standard error."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import MofNCompleteColumn, TextColumn
 
-    from optlink.report import terminal
-
-    columns = (
-        TextColumn(what),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[rate]}"),
-        TimeRemainingColumn(),
-    )
-    drawn = terminal.console(stderr=True)
-    with Progress(*columns, console=drawn, transient=True, disable=console.quiet or not drawn.is_terminal) as bar:
-        task = bar.add_task("points", total=None, rate="")
+    columns = MofNCompleteColumn(), TextColumn("{task.fields[rate]}")
+    with console.progress_bar(*columns, what=what, total=None, rate="") as (bar, task):
 
         def advance(done: int, total: int) -> None:
             speed = bar.tasks[0].speed

@@ -6,7 +6,6 @@ Each is imported when it is used: a table needs no plotting library.
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from optlink.errors import Fault, InputError
@@ -14,8 +13,6 @@ from optlink.report.view import View
 
 if TYPE_CHECKING:
     from optlink.problem.base_model import ResultRecord
-    from optlink.problem.file import ProblemFile
-    from optlink.report.stored.stored_study import StoredStudy
     from optlink.report.table_spec import Summary
 
 
@@ -121,34 +118,13 @@ def view_of(kind: str) -> View:
         "simulation": simulation.VIEW,
         "clearance": clearance.VIEW,
         "control comparison": control_comparison.VIEW,
+        "tuning": View(),
         "sweep": sweep.VIEW,
         "sensitivity": sensitivity.VIEW,
         "tolerance": tolerance.VIEW,
         "pareto": pareto.VIEW,
     }
     return views[kind]
-
-
-def page_of(kind: str) -> Callable[[Any, ProblemFile, Path], StoredStudy]:
-    """Import the function that makes a page of a stored result of a kind.
-
-    Raises
-    ------
-    KeyError
-        if results of that kind are not shown as stored.
-    """
-    from optlink.report.views import balance_page, clearance_page, pareto, simulation_page, sweep, tolerance
-
-    pages: dict[str, Callable[[Any, ProblemFile, Path], StoredStudy]] = {
-        "simulation": simulation_page.stored_study,
-        "clearance": clearance_page.stored_study,
-        "control comparison": clearance_page.compared,
-        "balance": balance_page.stored_study,
-        "sweep": sweep.stored_study,
-        "tolerance": tolerance.stored_study,
-        "pareto": pareto.stored_study,
-    }
-    return pages[kind]
 
 
 def records() -> dict[str, type[ResultRecord]]:
