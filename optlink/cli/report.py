@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from optlink.cli import console
-from optlink.cli.options import Design, Json, Of, Quiet, Searcher, Seed, Set, Starts, Subjected, whole_number
+from optlink.cli.options import Design, Json, Of, Quiet, Searcher, Seed, Set, Starts, Subjected, flag, number, option
 from optlink.errors import Fault, InputError
 from optlink.solvers import interrupts
 
@@ -30,64 +30,50 @@ def register(app: typer.Typer) -> None:
 
 def report(
     subject: Subjected,
-    output: Annotated[Path, typer.Option("-o", "--out", metavar="FILE.html", help="HTML file to write.")],
+    output: Annotated[Path, option("FILE.html", "HTML file to write.", "-o", "--out")],
     problem: Of = None,
     backend: Searcher = "ipopt",
     starts: Starts = None,
     seed: Seed = 0,
     changes: Set = None,
     design: Design = None,
-    title: Annotated[str | None, typer.Option("--title", help="Title of the page; default: that of the problem.")] = None,
-    company: Annotated[str | None, typer.Option("--company", help="Company, at the head of the page.")] = None,
-    author: Annotated[str | None, typer.Option("--author", help="Author, at the head of the page.")] = None,
-    part: Annotated[str | None, typer.Option("--part", help="Name or number of the part.")] = None,
-    revision: Annotated[str | None, typer.Option("--revision", help="Revision of the part.")] = None,
-    date: Annotated[str | None, typer.Option("--date", help="Date; default: today.")] = None,
+    title: Annotated[str | None, flag("Title of the page; default: that of the problem.", "--title")] = None,
+    company: Annotated[str | None, flag("Company, at the head of the page.", "--company")] = None,
+    author: Annotated[str | None, flag("Author, at the head of the page.", "--author")] = None,
+    part: Annotated[str | None, flag("Name or number of the part.", "--part")] = None,
+    revision: Annotated[str | None, flag("Revision of the part.", "--revision")] = None,
+    date: Annotated[str | None, flag("Date; default: today.", "--date")] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Write a self-contained HTML page of a design, simulation or study: results, checks, charts, animation, sources."""
-    with console.reported(as_json):
-        from optlink.report.export.export import target
+    from optlink.report.export.export import target
 
-        target(output, (".html", ".htm"), "report.html")
-        facts = {"title": title, "company": company, "author": author, "part": part, "revision": revision, "date": date}
-        changes = [*(changes or []), *(f"report.{key}={json.dumps(text)}" for key, text in facts.items() if text is not None)]
-        with console.working("Reading or solving the problem"):
-            about = _subject(subject, output, problem, backend, starts, seed, changes, design)
-            interrupts.check()
-        from optlink.report.stored.stored_study import StoredStudy, write_study
+    target(output, (".html", ".htm"), "report.html")
+    facts = {"title": title, "company": company, "author": author, "part": part, "revision": revision, "date": date}
+    changes = [*(changes or []), *(f"report.{key}={json.dumps(text)}" for key, text in facts.items() if text is not None)]
+    with console.working("Reading or solving the problem"):
+        about = _subject(subject, output, problem, backend, starts, seed, changes, design)
+        interrupts.check()
+    from optlink.report.html.page import write_page
 
-        with console.working(f"Writing {output}"):
-            if isinstance(about, StoredStudy):
-                write_study(about, output)
-            else:
-                from optlink.report.html.page import write_page
-
-                write_page(about, output)
-        _written(about, output, as_json)
+    with console.working(f"Writing {output}"):
+        write_page(about, output)
+    _written(about, output, as_json)
 
 
 def export(
     subject: Subjected,
     output: Annotated[
-        Path,
-        typer.Option(
-            "-o", "--out", metavar="FILE", help="File to write; its suffix selects the format: .dxf, .svg, .csv or .json."
-        ),
+        Path, option("FILE", "File to write; its suffix selects the format: .dxf, .svg, .csv or .json.", "-o", "--out")
     ],
     at: Annotated[
-        str | None,
-        typer.Option(
-            "--at", metavar="ANGLE", help='Crank angle of the drawing: --at "30 deg"; default: the start of the motion.'
-        ),
+        str | None, option("ANGLE", 'Crank angle of the drawing: --at "30 deg"; default: the start of the motion.', "--at")
     ] = None,
-    hole: Annotated[str | None, typer.Option("--hole", metavar="SIZE", help='DXF: hole diameter: --hole "8 mm".')] = None,
-    width: Annotated[str | None, typer.Option("--width", metavar="SIZE", help='DXF: link width: --width "20 mm".')] = None,
-    points: Annotated[
-        int, typer.Option("--points", parser=whole_number, metavar="N", help="CSV: steps of the table per revolution.")
-    ] = 360,
-    even_invalid: Annotated[bool, typer.Option("--even-invalid", help="Write the design even if it is not valid.")] = False,
+    hole: Annotated[str | None, option("SIZE", 'DXF: hole diameter: --hole "8 mm".', "--hole")] = None,
+    width: Annotated[str | None, option("SIZE", 'DXF: link width: --width "20 mm".', "--width")] = None,
+    points: Annotated[int, number("CSV: steps of the table per revolution.", "--points")] = 360,
+    even_invalid: Annotated[bool, flag("Write the design even if it is not valid.", "--even-invalid")] = False,
     problem: Of = None,
     backend: Searcher = "ipopt",
     starts: Starts = None,
@@ -98,25 +84,24 @@ def export(
     quiet: Quiet = False,
 ) -> None:
     """Export a design to DXF, SVG, CSV or JSON."""
-    with console.reported(as_json):
-        from optlink.report.export.export import FORMATS, Options, target
-        from optlink.report.export.export import export as write
+    from optlink.report.export.export import FORMATS, Options, target
+    from optlink.report.export.export import export as write
 
-        target(output, tuple(FORMATS), "drawing.dxf")
-        angle = console.quantity(at, "angle", "--at")
-        options = Options(angle, console.quantity(hole, "length", "--hole"), console.quantity(width, "length", "--width"), points)
-        with console.working("Reading or solving the problem"):
-            about = _subject(subject, output, problem, backend, starts, seed, changes, design)
-            interrupts.check()
-        from optlink.report.stored.stored_study import StoredStudy
+    target(output, tuple(FORMATS), "drawing.dxf")
+    angle = console.quantity(at, "angle", "--at")
+    options = Options(angle, console.quantity(hole, "length", "--hole"), console.quantity(width, "length", "--width"), points)
+    with console.working("Reading or solving the problem"):
+        about = _subject(subject, output, problem, backend, starts, seed, changes, design)
+        interrupts.check()
+    from optlink.report.stored.stored_study import StoredStudy
 
-        if isinstance(about, StoredStudy):
-            remedy = f"Export the problem, with the design that you want: optlink export {about.problem.name} --design NAME=VALUE"
-            raise InputError(Fault(f"a {about.kind} is no one design that could be drawn", remedy, subject))
-        if not (about.valid or even_invalid):
-            _refuse(about, as_json)
-        write(about, output, options)
-        _written(about, output, as_json)
+    if isinstance(about, StoredStudy):
+        remedy = f"Export the problem, with the design that you want: optlink export {about.problem.name} --design NAME=VALUE"
+        raise InputError(Fault(f"a {about.kind} is no one design that could be drawn", remedy, subject))
+    if not (about.valid or even_invalid):
+        _refuse(about, as_json)
+    write(about, output, options)
+    _written(about, output, as_json)
 
 
 def _subject(
@@ -161,15 +146,14 @@ def _refuse(about: ReportModel, as_json: bool) -> None:
 def _written(about: ReportModel | StoredStudy, output: Path, as_json: bool) -> None:
     """Report the written file, and exit with code 1 for an invalid design."""
     from optlink.report.html.page import verdict
-    from optlink.report.stored.stored_study import StoredStudy
 
-    size, told = output.stat().st_size, about.verdict if isinstance(about, StoredStudy) else verdict(about)
+    size = output.stat().st_size
     if as_json:
         from optlink.io import head
 
         document = head(SCHEMA, about.problem, "valid" if about.valid else "not valid")
         console.print_json(document | {"valid": about.valid, "file": str(output), "bytes": size})
     else:
-        print(f"{output}: {size:,} bytes. {told}")
+        print(f"{output}: {size:,} bytes. {verdict(about)}")
     if not about.valid:
         raise typer.Exit(1)

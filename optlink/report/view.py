@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from optlink.problem.file import ProblemFile
     from optlink.report.chart_spec import ChartSpec
+    from optlink.report.stored.stored_study import StoredStudy
     from optlink.report.table_spec import Summary
 
 
@@ -34,6 +35,10 @@ def _no_tables(result: Any) -> Mapping[str, Any]:
 
 def _no_result(document: dict[str, Any], problem: ProblemFile) -> Any:
     raise Contradiction("schema", "results of this kind cannot be read", document["schema"])
+
+
+def _no_page(record: Any, problem: ProblemFile, path: Path) -> StoredStudy:
+    raise TypeError(f"results of {type(record).__name__} are not shown as stored")
 
 
 def _no_design(result: Any) -> None:
@@ -61,6 +66,8 @@ class View:
         Returns the machine of a result and a comment on it for design.toml, or None.
     frames : function
         Returns the frames of the animation motion.gif; none if there is nothing to move.
+    page : function of (record, problem, path)
+        Returns the page of a result that is shown as stored.
     schema : str
         `schema` of the JSON document of a kind from outside the package, whose result files `report` shall read.
     stored : function of (document, problem)
@@ -74,6 +81,7 @@ class View:
     tables: Callable[[Any], Mapping[str, Mapping[str, Iterable[float | str]]]] = _no_tables
     design: Callable[[Any], tuple[ProblemFile, str] | None] = _no_design
     frames: Callable[[Any], list[Image.Image]] = _none
+    page: Callable[[Any, ProblemFile, Path], StoredStudy] = _no_page
     schema: str = ""
     stored: Callable[[dict[str, Any], ProblemFile], Any] = _no_result
 

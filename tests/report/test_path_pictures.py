@@ -24,9 +24,9 @@ from optlink.report.chart_mpl import pictures
 from optlink.report.registry import view_of
 from optlink.report.style import LIMIT
 from optlink.report.views import path as view
-from optlink.report.views import path_outputs
+from optlink.report.views import path_drawings
 from optlink.report.views import path_tables as tables
-from optlink.report.views.path_closeup import Close
+from optlink.report.views.path_charts import Close
 from optlink.report.views.path_view import PathView
 from optlink.tasks.results.path import PathDesign, PathResult
 from optlink.tasks.search import evidence
@@ -302,7 +302,7 @@ def test_the_curve_from_near_leaves_out_what_is_far():
 
 @pytest.mark.parametrize(("numbers", "told"), [([1, 2, 3, 4], "1–4"), ([1, 10], "1, 10"), ([7], "7"), ([3, 4], "3, 4")])
 def test_points_in_one_place_share_a_label(numbers, told):
-    from optlink.report.views.path_closeup import _listed
+    from optlink.report.views.path_charts import _listed
 
     assert _listed(numbers) == told
 
@@ -531,7 +531,7 @@ def test_the_mark_of_the_film_is_the_mechanism(name, monkeypatch):
         return []
 
     monkeypatch.setattr(view, "film", catch)
-    monkeypatch.setattr(path_outputs, "film", catch)
+    monkeypatch.setattr(path_drawings, "film", catch)
     view.frames(result(name), 24)
     steps, marks = caught["steps"], caught["marks"]
     assert len(steps) == len(marks) == 24

@@ -15,7 +15,7 @@ from optlink.report.chart_spec import ChartSpec
 from optlink.report.html.moving_linkage import Moving
 from optlink.report.html.page import moved
 from optlink.report.html.shell import asset, fragment, templates
-from optlink.report.registry import page_of, table_of, view_of
+from optlink.report.registry import table_of, view_of
 from optlink.report.report_model import Outcome, report_model_of
 from optlink.report.stored.loader import KNOWN, STUDIES
 
@@ -62,7 +62,7 @@ def _moving(kind: str, result: Any, *, study: bool) -> Moving | None:
     """Return the moving linkage of a result; None if it has none, or cannot be assembled."""
     try:
         if study:
-            return page_of(kind)(type(result).record.of(result), result.problem, Path("result.json")).moving(STEPS)
+            return view_of(kind).page(type(result).record.of(result), result.problem, Path("result.json")).moving(STEPS)
         return moved(report_model_of(result.problem, result), STEPS) if isinstance(result, Outcome) else None
     except (InputError, Contradiction):  # a design that cannot be assembled, a study without a design
         return None

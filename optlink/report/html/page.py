@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 from optlink.errors import Status
 from optlink.report.chart_spec import ChartSpec
+from optlink.report.files import whole
+from optlink.report.format import single_units
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, crank_stops, readouts
-from optlink.report.html.shell import LARGEST, PageContent, PageSection, arranged, fitted, linkage_sections, write
-from optlink.report.html.sources import closing, letterhead
+from optlink.report.html.shell import LARGEST, PageSection
 from optlink.report.registry import table_of, view_of
 from optlink.report.report_model import Outcome, ReportModel
 from optlink.report.scene import scene
+from optlink.report.stored.stored_study import StoredStudy, study_page
 from optlink.report.table_spec import Paragraph, Part, Summary, TableSpec
 from optlink.report.views import (
     analysis_charts,
@@ -36,12 +39,12 @@ from optlink.tasks.results.path import PathDesign, PathResult
 __all__ = ["LARGEST", "page", "result_tables", "sensitivities_of", "verdict", "write_page"]
 
 
-def write_page(subject: ReportModel, path: Path) -> None:
-    """Write the HTML report of a report model.
+def write_page(subject: ReportModel | StoredStudy, path: Path) -> None:
+    """Write the HTML page of a report model or of a stored result.
 
     Parameters
     ----------
-    subject : ReportModel
+    subject : ReportModel or StoredStudy
     path : Path
 
     Raises
@@ -49,29 +52,33 @@ def write_page(subject: ReportModel, path: Path) -> None:
     InputError
         If the file cannot be written; then no file is left behind.
     """
-    write(page(subject), path)
+    text = page(subject)
+    with whole(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
-def page(subject: ReportModel) -> str:
-    """Return the HTML report of a report model."""
+def page(subject: ReportModel | StoredStudy) -> str:
+    """Return the HTML page of a report model or of a stored result."""
+    return study_page(subject if isinstance(subject, StoredStudy) else _report(subject))
+
+
+def _report(subject: ReportModel) -> StoredStudy:
     answers = subject.answers or sensitivities_of(subject)
-    return fitted(lambda steps: _sheet(subject, answers, steps))
-
-
-def _sheet(subject: ReportModel, answers: Sensitivities | None, steps: int) -> PageContent:
-    moving, shown = moved(subject, steps), result_tables(subject)
-    notes = Paragraph(*(f"Note: {note}" for note in subject.notes))
-    return PageContent(
-        title=subject.problem.model.title,
-        kind=f"{subject.problem.name} · {subject.problem.kind}",
-        verdict=verdict(subject),
-        good=subject.valid,
-        status=Paragraph(*shown.status.lines, *notes.lines),
-        conclusion=_conclusion(subject, shown),
-        sections=arranged(_sections(subject, shown, moving, answers), closing(subject.problem, _by(subject))),
-        moving=moving,
-        letterhead=letterhead(subject.problem),
-    )
+    with single_units():
+        shown = result_tables(subject)
+        return StoredStudy(
+            problem=subject.problem,
+            kind=subject.problem.kind,
+            verdict=verdict(subject),
+            valid=subject.valid,
+            conclusion=_conclusion(subject, shown),
+            status=shown.status.lines,
+            sections=list(_sections(subject, shown, answers)),
+            moving=functools.partial(moved, subject),
+            by=_by(subject),
+            after=1 if subject.answers is not None else 0,  # the requested study comes first
+            notes=subject.notes,
+        )
 
 
 def moved(subject: ReportModel, steps: int) -> Moving | None:
@@ -92,23 +99,16 @@ def moved(subject: ReportModel, steps: int) -> Moving | None:
 # --- layout ------------------------------------------------------------------------------------------------------------------
 
 
-def _sections(
-    subject: ReportModel, shown: Summary, moving: Moving | None, answers: Sensitivities | None
-) -> Iterator[PageSection]:
-    if answers is not None and subject.answers is not None:  # the requested study comes first
+def _sections(subject: ReportModel, shown: Summary, answers: Sensitivities | None) -> Iterator[PageSection]:
+    if answers is not None and subject.answers is not None:
         yield _matters(answers)
-    if moving is not None:
-        yield from linkage_sections(moving, subject.problem.model.title)
-    elif subject.unmoved:
+    if subject.cycle is None and subject.unmoved:
         yield PageSection("Linkage", (Paragraph(f"It cannot be shown in motion: {subject.unmoved}."),))
-    result = _with_recorded_limits(subject, shown)
-    if result:
-        yield PageSection("Analysis" if isinstance(subject.result, Analysis) else "Design and proof", (result,))
+    name = "Analysis" if isinstance(subject.result, Analysis) else "Design and proof"
+    yield PageSection(name, (_with_recorded_limits(subject, shown),))
     if answers is not None and subject.answers is None:
         yield _matters(answers)
-    curves = chart_plotly.charts(charts(subject))
-    if curves:
-        yield PageSection("Curves", curves)
+    yield PageSection("Curves", chart_plotly.charts(charts(subject)))
 
 
 def _matters(answers: Sensitivities) -> PageSection:
@@ -131,8 +131,10 @@ def sensitivities_of(subject: ReportModel) -> Sensitivities | None:
     return found if found.moving else None
 
 
-def verdict(subject: ReportModel) -> str:
+def verdict(subject: ReportModel | StoredStudy) -> str:
     """Return the verdict: whether the design is valid, and which checks failed."""
+    if isinstance(subject, StoredStudy):
+        return subject.verdict
     if isinstance(subject.result, Analysis):
         return f"{subject.result.status[0].upper()}{subject.result.status[1:]}"
     if subject.valid:

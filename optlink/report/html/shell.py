@@ -11,14 +11,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from optlink.report.export.dimensions import Drawing, dimensioned
-from optlink.report.files import whole
 from optlink.report.format import pretty, single_units
 from optlink.report.html import theme
 from optlink.report.html.chart_plotly import Chart, short
@@ -171,24 +169,6 @@ def fitted(made: Callable[[int], PageContent]) -> str:
         if len(text.encode()) <= LARGEST:
             break
     return text
-
-
-def write(text: str, path: Path) -> None:
-    """Write a page.
-
-    Parameters
-    ----------
-    text : str
-        HTML document.
-    path : Path
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written; then no file is left behind.
-    """
-    with whole(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
 
 
 # --- templates ---------------------------------------------------------------------------------------------------------------

@@ -1,20 +1,19 @@
-"""Loading of results: a result.json of any command, or its folder."""
+"""Loading of results: a result.json of any command, or its folder, and its problem."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from optlink.errors import Fault, InputError
 from optlink.problem.base_model import Contradiction, Record, damaged, read_document, read_record
-from optlink.problem.file import shipped
+from optlink.problem.file import ProblemFile, load, parse_assignment, shipped
 from optlink.report.format import single_units
-from optlink.report.registry import REGISTERED, page_of, records
+from optlink.report.registry import REGISTERED, records, view_of
 from optlink.report.report_model import ReportModel, report_model_of
-from optlink.report.stored.problem_lookup import problem_of
 from optlink.report.stored.stored_result import read_report_model
 from optlink.report.stored.stored_study import StoredStudy
 from optlink.report.view import View
@@ -107,7 +106,7 @@ def load_stored(text: str, problem: str | None = None, changes: Sequence[str] = 
         if schema in SOLVED:
             return read_report_model(record, file, path)
         with single_units():
-            found = page_of(kind)(record, file, path)
+            found = view_of(kind).page(record, file, path)
     except Contradiction as error:
         raise damaged(error, path) from None
     notes = [f"shown as {path.name} recorded it"]
@@ -138,3 +137,50 @@ def _unknown(schema: object, path: Path) -> InputError:
     commands = ", ".join(dict.fromkeys(command for command, _ in KNOWN.values()))
     remedy = f"Give what --out of one of these wrote: {commands}; or the problem itself"
     return InputError(Fault("not a result that can be shown here", remedy, str(path), "schema", schema))
+
+
+def problem_of(name: str, wanted: str, path: Path, problem: str | None = None, changes: Sequence[str] = ()) -> ProblemFile:
+    """Return the problem of a result, identified by its hash.
+
+    Parameters
+    ----------
+    name, wanted : str
+        Name and hash of the problem.
+    path : Path
+        File of the result.
+    problem : str or None, optional
+        Path or name of the problem; default: searched by name among the shipped problems, beside the file and in the
+        working directory.
+    changes : sequence of str, optional
+        Assignments KEY=VALUE with which the problem was changed (`--set`).
+
+    Raises
+    ------
+    InputError
+        If the problem is not found or has a different hash.
+    """
+    places = [problem] if problem is not None else list(_places(name, path))
+    overrides = dict(parse_assignment(text) for text in changes)
+    hashes = []
+    for place in places:
+        file = load(place, overrides)
+        for variant in (file, *file.variants()):
+            if variant.hash == wanted:
+                return variant
+        hashes.append(file.hash)
+    if not places:
+        remedy = f"Name its problem file: --problem {name}.toml"
+        raise InputError(Fault(f"the problem {name} of this result is not found", remedy, str(path), "problem", name))
+    told = f"its problem has the hash {wanted}, {places[0]} has {hashes[0]}"
+    remedy = "Name the problem file: --problem FILE, and repeat the --set of the search; or solve again"
+    raise InputError(Fault(f"the result is that of another problem or version: {told}", remedy, str(path), "problem_hash"))
+
+
+def _places(name: str, path: Path) -> Iterator[str]:
+    """Yield the possible locations of the problem of a result."""
+    if name in shipped():
+        yield name
+    for folder in (path.parent, path.parent.parent, Path()):
+        beside = folder / f"{name}.toml"
+        if "/" not in name and "\\" not in name and beside.is_file():
+            yield str(beside)

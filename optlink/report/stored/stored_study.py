@@ -1,10 +1,14 @@
-"""Pages of stored simulations, balancing results and studies, which are shown as recorded."""
+"""The page of a result: its head, its sections with the linkage in motion, the problem and the sources."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import datetime
+import platform
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
+from importlib.metadata import version
+
+import numpy as np
 
 from optlink.errors import InputError
 from optlink.problem.file import ProblemFile
@@ -13,19 +17,20 @@ from optlink.problem.mechanism import sizes_of
 from optlink.report.export.dimensions import Drawing, dimensioned
 from optlink.report.html.chart_plotly import Chart
 from optlink.report.html.moving_linkage import Moving, crank_stops, even, readouts
-from optlink.report.html.shell import PageContent, PageSection, arranged, fitted, linkage_sections, write
-from optlink.report.html.sources import closing, letterhead
+from optlink.report.html.shell import PageContent, PageSection, arranged, fitted, linkage_sections
 from optlink.report.scene import scene
-from optlink.report.table_spec import Line, Paragraph, Part
+from optlink.report.table_spec import Line, Paragraph
+from optlink.report.views import function_tables
 from optlink.tasks.analyze import analyze
 from optlink.tasks.results.analysis import Analysis
+from optlink.version import VERSION
 
 DRAWN = 60  # largest number of selectable points with a drawing of their own
 
 
 @dataclass(frozen=True, eq=False)
 class StoredStudy:
-    """Report of a stored result.
+    """Report of a result.
 
     `kind` describes the task; `conclusion` says in a sentence what was found; `status` are lines below the verdict;
     `sections` contain tables and charts; `moving` returns the animated linkage for a number of positions per revolution, `drawn`
@@ -46,30 +51,14 @@ class StoredStudy:
     notes: tuple[str, ...] = ()
 
 
-def write_study(studied: StoredStudy, path: Path) -> None:
-    """Write the page of a stored result.
-
-    Parameters
-    ----------
-    studied : StoredStudy
-    path : Path
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written; then no file is left behind.
-    """
-    write(study_page(studied), path)
-
-
 def study_page(studied: StoredStudy) -> str:
-    """Return the HTML page of a stored result."""
+    """Return the HTML page of a result."""
     return fitted(lambda steps: _sheet(studied, steps))
 
 
 def _sheet(studied: StoredStudy, steps: int) -> PageContent:
     file, moving = studied.problem, studied.moving(steps)
-    sections = list(studied.sections)
+    sections = list(studied.sections)  # those without parts are left out
     if moving is not None:
         picked = any(isinstance(part, Chart) and part.draw for section in sections for part in section.parts)
         shown = linkage_sections(moving, file.model.title, studied.drawn, dimensions=not picked)
@@ -88,20 +77,6 @@ def _sheet(studied: StoredStudy, steps: int) -> PageContent:
 
 
 # --- parts -------------------------------------------------------------------------------------------------------------------
-
-
-def figures_of(parts: Iterable[Part], name: str = "Figures") -> Iterator[PageSection]:
-    """Yield a section of tables, if there are any.
-
-    Parameters
-    ----------
-    parts : iterable of TableSpec or Paragraph
-    name : str, optional
-        Heading of the section.
-    """
-    listed = tuple(parts)
-    if listed:
-        yield PageSection(name, (listed,))
 
 
 def named_si(file: ProblemFile, columns: Mapping[str, float]) -> dict[str, float]:
@@ -182,3 +157,38 @@ def turning(file: ProblemFile, design: Mapping[str, float]) -> Callable[[int], M
 
 def still(_: int) -> None:
     """Return None: there is no linkage to animate."""
+
+
+def closing(file: ProblemFile, by: str) -> Iterable[PageSection]:
+    """Yield the last sections of the appendix: the problem, and sources, versions and method.
+
+    Parameters
+    ----------
+    file : ProblemFile
+    by : str
+        Method by which the result was found.
+    """
+    about = (" ".join(piece.replace("`", "").split()) for piece in file.model.about.split("\n\n") if piece.strip())
+    yield PageSection("Problem", (Paragraph(*about), function_tables.problem(file).parts))
+    yield PageSection("Sources", (dict(_sources(file, by)),))
+
+
+def letterhead(file: ProblemFile) -> dict[str, str]:
+    """Return the facts at the head of a page by name, without the empty ones; the date is that of today unless it is stated."""
+    facts = file.model.report.model_dump()
+    facts["date"] = facts["date"] or datetime.datetime.now(tz=datetime.UTC).date().isoformat()
+    return {name: " ".join(text.split()) for name, text in facts.items() if text.strip()}
+
+
+def _sources(file: ProblemFile, by: str) -> list[tuple[str, str]]:
+    found = [("Problem", file.model.source or "no source is given")]
+    if file.model.expected is not None:
+        found.append(("Expected values", file.model.expected.source))
+    return [
+        *found,
+        ("Problem file", file.file),
+        ("Hash of the problem", file.hash),
+        ("Found by", by),
+        ("optlink", f"{VERSION}, with Python {platform.python_version()}, numpy {np.__version__}"),
+        ("Charts", f"plotly.js of plotly {version('plotly')}, in this page"),
+    ]

@@ -1,20 +1,26 @@
-"""Charts of a control comparison: deviation under each kind of control, and trials from several starts."""
+"""Charts of a control comparison, and the HTML sections of a stored one: deviation under each control, several starts."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.problem.file import ProblemFile
 from optlink.report.chart_spec import Axis, Band, ChartSpec, Curve, Line, Panel
+from optlink.report.html import chart_plotly
+from optlink.report.html.shell import PageSection
+from optlink.report.stored.stored_study import StoredStudy, still
 from optlink.report.style import BODIES, COUPLER, CRANK, FOUND, QUIET, ROCKER, WANTED, scale
 from optlink.report.view import View
+from optlink.report.views import clearance_tables, conclusions
 from optlink.report.views.revolutions import FULL, RevolutionCurves, fold
 from optlink.tasks.results.clearance import ClearanceSimulation
-from optlink.tasks.results.control_comparison import Comparison
+from optlink.tasks.results.control_comparison import Comparison, ComparisonRecord, Trials
 
 Array = NDArray[np.float64]
 
@@ -117,4 +123,37 @@ def trials(found: Comparison) -> ChartSpec:
     return ChartSpec("trials", f"Deviation under each kind of control, {count}", [panel], x, heading, cursor=False)
 
 
-VIEW = View(charts=charts)
+# --- the page ---------------------------------------------------------------------------------------------------------------
+
+
+def stored_study(record: ComparisonRecord, file: ProblemFile, _: Path) -> StoredStudy:
+    """Build the report of a stored control comparison.
+
+    Parameters
+    ----------
+    record : ComparisonRecord
+    file : ProblemFile
+        The problem that was simulated.
+
+    Raises
+    ------
+    InputError
+        If the record is damaged.
+    """
+    trials = {name: one.build(Trials) for name, one in record.trials.items()}
+    found = record.build(Comparison, problem=file, trials=trials, examples={})
+    shown = clearance_tables.comparison(found)
+    return StoredStudy(
+        problem=file,
+        kind="comparison of control",
+        verdict="Finished" if found.finished else "Not every run was finished",
+        valid=found.finished,
+        conclusion=conclusions.comparison(found),
+        status=shown.status.lines,
+        sections=[PageSection("Figures", (shown.parts,)), PageSection("Chart", chart_plotly.charts(charts(found)))],
+        moving=still,
+        by=f"event-driven integration from {len(found.starts)} crank angles, seed {found.seed}",
+    )
+
+
+VIEW = View(charts=charts, page=stored_study)

@@ -23,7 +23,7 @@ from optlink.report.drawing import Sketch
 from optlink.report.files import verdict
 from optlink.report.style import FOUND, GROUND, LIMIT, QUIET, Scale, figure, heading, scale, styled
 from optlink.report.view import View
-from optlink.report.views.path_captions import failed
+from optlink.report.views.path_view import failed
 from optlink.tasks.results.analysis import Analysis
 from optlink.tasks.results.cycle import CycleResult
 from optlink.validation.cycle import Cycle

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import math
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,9 +14,10 @@ from matplotlib.patches import Arc
 from numpy.typing import NDArray
 from PIL import Image
 
-from optlink.linkage.fourbar import dead_centre, lengths_of, reachable
+from optlink.linkage.fourbar import LENGTHS, dead_centre, lengths_of, reachable
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN
+from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.output_derivatives import ErrorResiduals
 from optlink.problem.file import ProblemFile
 from optlink.problem.targets.function import Function
@@ -25,11 +28,11 @@ from optlink.report.drawing import Sketch, merged_positions
 from optlink.report.files import verdict
 from optlink.report.labels import place_labels
 from optlink.report.style import FOUND, LIMIT, QUIET, ROCKER, WANTED, figure, heading, panels, styled
+from optlink.report.style import figure as new_figure
 from optlink.report.view import View
 from optlink.report.views.certificate_view import certificate_charts
-from optlink.report.views.function_chart import function_chart
-from optlink.report.views.function_landscape import objective_map, unit_of
-from optlink.report.views.path_captions import failed
+from optlink.report.views.path_view import failed
+from optlink.solvers.contract import selectable
 from optlink.tasks.function import FunctionResult, display_value
 
 Array = NDArray[np.float64]
@@ -265,6 +268,120 @@ def frames(result: FunctionResult, count: int = 90) -> list[Image.Image]:
 
 def _design(result: FunctionResult) -> tuple[ProblemFile, str] | None:
     return None if result.conflict else (result.machine, verdict(result.status.value, result.valid, failed(result)))
+
+
+def function_chart(function: Function, offsets: Array, error: Array, title: str, *, warning: bool = False) -> ChartSpec:
+    """Return the prescribed and the generated y(x) with the error in y.
+
+    Parameters
+    ----------
+    function : Function
+    offsets : array (positions,) [rad]
+        Crank rotations from the start.
+    error : array (positions,) [rad or m]
+        Prescribed minus generated output; finite at one position at least.
+    title : str
+    warning : bool, optional
+        Whether the title is that of a design that is not valid.
+    """
+    least, largest = function.ends
+    x = function.low + (function.high - function.low) * offsets / function.input
+    wanted = np.asarray(function.expression({"x": x}) + 0.0 * x, dtype=float)
+    away = error * (largest - least) / function.output
+    worst = int(np.nanargmax(np.abs(away)))
+    above = [
+        Curve(x, wanted, "target", WANTED, 1.4, "dash", gid="target y"),
+        Curve(x, wanted - away, "generated", FOUND, 1.8, gid="generated y"),
+    ]
+    mark = Mark(
+        float(x[worst]),
+        float(away[worst]),
+        f"largest {away[worst]:+.3g}".replace("-", "−"),
+        size=1.0,
+        prefer=(0.0, np.sign(away[worst])),
+    )
+    below = Panel(Axis("target minus generated"), [Curve(x, away, "", LIMIT, 1.5, gid="error in y")], marks=[mark])
+    panels = [Panel(Axis("y"), above, 1.7), below]
+    return ChartSpec("function", "Function y(x)", panels, Axis("x"), title, cursor=False, warning=warning)
+
+
+COLOURS = ("#e67e22", "#8e44ad", "#16a085", "#c0392b")  # of back ends, by their position in the registry
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def unit_of(result: FunctionResult) -> str:
+    """Return the unit of the objective with typographic exponents."""
+    return result.unit.replace("^2", "²")
+
+
+@styled
+def objective_map(result: FunctionResult) -> Figure | None:
+    """Draw contours of the objective over two design variables, the feasible region, the iterates and the optimum."""
+    problem, solution = result.problem.spec, result.solution
+    if solution is None or len(problem.free) != 2:
+        return None
+    x_name, y_name = problem.free
+    (x_low, x_high), (y_low, y_high) = (problem.quantities[name].bounds for name in problem.free)
+    x, y = np.meshgrid(np.linspace(x_low, x_high, 241), np.linspace(y_low, y_high, 241))
+    fixed = {name: quantity.value for name, quantity in problem.quantities.items()}
+    flat: dict[str, Any] = {**fixed, x_name: x, y_name: y}
+    with np.errstate(all="ignore"):
+        objective = ErrorResiduals(problem).objective({**fixed, x_name: x[..., None], y_name: y[..., None]})
+        inside = np.ones_like(x, dtype=bool)
+        size = fixed["frame"]
+        edges: list[tuple[str, Array]] = []
+        for row in limit_rows(problem, flat, problem.reach(flat), size):
+            value = np.broadcast_to(np.asarray(row.value, dtype=float), x.shape)
+            slack = np.fmin(value - row.low, row.high - value)
+            inside &= slack >= 0.0
+            edges.append((row.label, slack))
+    figure = new_figure(7.0, 5.8)
+    axes = figure.subplots()
+    scale_x, scale_y = (1e3 if name in LENGTHS else math.degrees(1.0) for name in problem.free)
+    shown = np.where(np.isfinite(objective) & (objective > 0.0), objective, np.nan)
+    furthest = math.pi if result.unit == "rad" else len(problem.law.offsets) * math.pi**2
+    # limit to the largest possible angular error; near dead centres, first-order effects of tolerances would exceed it
+    shown = np.minimum(shown, furthest)
+    if not np.any(np.isfinite(shown)):
+        return None
+    low, high = max(float(np.nanmin(shown)), 1e-12), float(np.nanmax(shown))
+    levels = np.geomspace(low * 1.0001, high, 22)
+    filled = axes.contourf(x * scale_x, y * scale_y, np.log10(shown), levels=np.log10(levels), cmap="Blues_r", alpha=0.9)
+    axes.contour(
+        x * scale_x, y * scale_y, np.log10(shown), levels=np.log10(levels), colors="white", linewidths=0.4, linestyles="solid"
+    )
+    if inside.any() and not inside.all():
+        outside = np.where(inside, np.nan, 1.0)
+        axes.contourf(x * scale_x, y * scale_y, outside, levels=[0.5, 1.5], colors=["white"], alpha=0.62)
+        worst = np.min([slack for _, slack in edges], axis=0)
+        axes.contour(x * scale_x, y * scale_y, worst, levels=[0.0], colors=[LIMIT], linewidths=1.5)
+        axes.plot([], [], color=LIMIT, linewidth=1.5, label="edge of the feasible region")
+    _iterations(axes, result, scale_x, scale_y)
+    at = (result.design[x_name] * scale_x, result.design[y_name] * scale_y)
+    axes.plot(*at, "*", color="#f1c40f", markeredgecolor=WANTED, markersize=15, zorder=6, label="design")
+    axes.set_xlim(x_low * scale_x, x_high * scale_x)
+    axes.set_ylim(y_low * scale_y, y_high * scale_y)
+    axes.grid(False)
+    axes.set_xlabel(f"{x_name} [{'mm' if x_name in LENGTHS else 'deg'}]")
+    axes.set_ylabel(f"{y_name} [{'mm' if y_name in LENGTHS else 'deg'}]")
+    axes.legend(frameon=True, framealpha=0.9, fontsize=8.5, loc="upper right")
+    bar = figure.colorbar(filled, ax=axes, pad=0.02)
+    ticks = [t for t in range(math.floor(np.log10(low)), math.ceil(np.log10(high)) + 1) if np.log10(low) <= t <= np.log10(high)]
+    bar.set_ticks(ticks, labels=[f"10{str(t).translate(RAISED)}" for t in ticks])
+    bar.set_label(f"{result.measure} [{unit_of(result)}]")
+    axes.set_title(heading(f"{problem.title}: {result.objective:.6g} at {at[0]:z.3f}, {at[1]:z.3f}", 6.8, 10.5), fontsize=10.5)
+    return figure
+
+
+def _iterations(axes: Axes, result: FunctionResult, scale_x: float, scale_y: float) -> None:
+    colors = dict(zip(selectable(), itertools.cycle(COLOURS), strict=False))
+    found = result.backends or ({result.backend: result.solution} if result.solution else {})
+    sizes = [result.problem.spec.quantities["frame"].value if n in LENGTHS else 1.0 for n in result.problem.spec.free]
+    for name, solution in found.items():
+        if solution.path is not None and len(solution.path) > 1:
+            path = solution.path[:, :2] * sizes * [scale_x, scale_y]
+            axes.plot(path[:, 0], path[:, 1], "-o", markersize=3, linewidth=1.1, color=colors[name], label=f"{name}, iterations")
+            axes.plot(*path[0], "s", color=colors[name], markersize=6)
 
 
 VIEW = View(

@@ -1,4 +1,4 @@
-"""Tables of a function synthesis result and of a problem file."""
+"""Tables of a function synthesis result, of a problem file, and of the check of a certificate."""
 
 from __future__ import annotations
 
@@ -42,9 +42,10 @@ from optlink.solvers.solution import LimitState
 from optlink.synthesis.function_starts import WIDER
 from optlink.tasks.function import FunctionResult, display_value
 from optlink.tasks.machine import turning_machine
-from optlink.tasks.results.certificate import Certificate, message
+from optlink.tasks.results.certificate import Certificate, message, share_text
 from optlink.tasks.results.fit import Fit
 from optlink.validation import Check
+from optlink.validation.certificate import CertificateCheck
 
 MOST = 8  # largest number of points listed
 RELAXED = "; <=, >=: its improvement if the bound is relaxed by one unit"
@@ -365,3 +366,19 @@ def _listed(targets: TargetPoints) -> str:
 def listing(files: Iterable[ProblemFile]) -> TableSpec:
     """List the shipped problems, one per row."""
     return table("Shipped problems", ["name", "kind", "what it is"], ((one.name, one.kind, one.model.title) for one in files))
+
+
+def certificate_check(found: CertificateCheck) -> Summary:
+    """Summarise the check of a certificate: the verdict, and every check."""
+    if not found.valid:
+        failed = next(check for check in found.checks if not check.passed)
+        verdict = bad(f"certificate does not hold: {failed.name}")
+    elif math.isfinite(found.objective):
+        verdict = good(f"certificate holds: no design is better by more than {share_text(found.gap)}")
+    else:
+        verdict = good("certificate holds: no design within the bounds meets all limits")
+    bounded = f"{found.pieces:,} parts of {found.boxes:,} boxes bounded in ball arithmetic"
+    status: list[Line] = [verdict, bounded]
+    if math.isfinite(found.objective):
+        status.append(f"objective {number(found.objective, 9)}, lower bound {number(found.lower_bound, 9)} (SI)")
+    return summary(found.problem.model.title, status, checks(found.checks))

@@ -16,7 +16,7 @@ from optlink.report.chart_spec import Axis, ChartSpec, Curve, Mark, Panel, Picks
 from optlink.report.format import number
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection
-from optlink.report.stored.stored_study import StoredStudy, figures_of, named_si, still, turning, with_drawings
+from optlink.report.stored.stored_study import StoredStudy, named_si, still, turning, with_drawings
 from optlink.report.style import FOUND, LIMIT, QUIET, WANTED
 from optlink.report.view import View
 from optlink.report.views import conclusions, pareto_tables
@@ -123,11 +123,11 @@ def stored_study(record: ParetoRecord, file: ProblemFile, path: Path) -> StoredS
         valid=found.complete,
         conclusion=conclusions.pareto(found),
         status=shown.status.lines,
-        sections=[*([PageSection("Front", drawn)] if drawn else []), *figures_of(shown.parts, "Points and designs")],
+        sections=[PageSection("Front", drawn), PageSection("Points and designs", (shown.parts,))],
         moving=still if chosen is None else turning(file, named_si(file, found.points[chosen].design)),
         by="optima along limits on all objectives but one, each proven by the validator (epsilon constraint method)",
         drawn=words,
-        after=1 if drawn else 0,
+        after=1,
     )
 
 
@@ -241,4 +241,4 @@ def _picks(found: Pareto, x: Array, y: Array) -> Picks:
     return Picks(told_words, (*names, "active constraints", "mark"), tuple(rows), x, y, _chosen(found) or 0, range(len(rows)))
 
 
-VIEW = View(charts=charts, tables=lambda result: {"front": result.columns})
+VIEW = View(charts=charts, tables=lambda result: {"front": result.columns}, page=stored_study)

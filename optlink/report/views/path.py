@@ -26,14 +26,20 @@ from optlink.report.labels import place_labels
 from optlink.report.style import CRANK, WANTED, degrees, figure, heading, styled
 from optlink.report.view import View
 from optlink.report.views.certificate_view import certificate_charts
-from optlink.report.views.path_alternatives import designs
-from optlink.report.views.path_captions import LINE, SMALL, assembly, entitle, failed, headed, wrapped
-from optlink.report.views.path_closeup import Close, dots, points_on, small_frames
-from optlink.report.views.path_initial_pose import BESIDE, HIGH, initial_pose, trim
-from optlink.report.views.path_outputs import curve, function_values, mechanism, output_film
-from optlink.report.views.path_residuals import errors
+from optlink.report.views.path_charts import Close, dots, errors, points_on, small_frames
+from optlink.report.views.path_drawings import (
+    BESIDE,
+    HIGH,
+    curve,
+    designs,
+    function_values,
+    initial_pose,
+    mechanism,
+    output_film,
+    trim,
+)
 from optlink.report.views.path_tables import objective_scale
-from optlink.report.views.path_view import PathView, best
+from optlink.report.views.path_view import LINE, SMALL, PathView, assembly, best, entitle, failed, headed, wrapped
 from optlink.tasks.results.path import PathDesign, PathResult
 
 Array = NDArray[np.float64]

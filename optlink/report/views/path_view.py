@@ -1,11 +1,13 @@
-"""Motion and deviations of a synthesised design, shared by all its figures."""
+"""Motion and deviations of a synthesised design, and their captions, shared by all its figures."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from optlink.linkage.motion import Motion, sweep
@@ -13,11 +15,16 @@ from optlink.linkage.vector2d import TURN
 from optlink.problem.path import MARK
 from optlink.report.drawing import Sketch
 from optlink.report.shapes import finite, spread
-from optlink.report.views.path_tables import exact_places
+from optlink.report.style import LIMIT, WANTED, Scale, degrees, heading, scale
+from optlink.report.views.path_tables import exact, exact_places, measure, words
 from optlink.report.views.revolutions import round_below
+from optlink.tasks.function import FunctionResult
+from optlink.tasks.results.cycle import CycleResult
 from optlink.tasks.results.path import PathDesign, PathResult
 
 Array = NDArray[np.float64]
+
+
 FINE = 721  # positions per revolution
 STICK = 0.07  # length of the largest magnified deviation, as a share of the extent of the points
 
@@ -135,3 +142,223 @@ def best(result: PathResult) -> PathView | None:
         return None
     track = PathView(result.best)
     return track if track.reached else None
+
+
+SIZES = 14  # largest number of dimensions below a title
+DIGITS = 5  # significant digits of a dimension
+TITLE = 10.0  # font size of a figure title [pt]
+SMALL = 9.5  # font size of a panel title [pt]
+LINE = 0.17  # line height of a figure title [inch]
+
+
+def fitting(value: float, unit: Scale) -> Scale:
+    """Return the unit of the figure, or a smaller unit for values that are small in it.
+
+    Parameters
+    ----------
+    value : float [m]
+    unit : Scale
+        Unit of the figure.
+    """
+    return unit if value == 0.0 or not math.isfinite(value) or value * unit.factor >= 0.01 else scale(value, "m")
+
+
+def length(value: float, unit: Scale) -> str:
+    """Format a deviation with its unit.
+
+    Parameters
+    ----------
+    value : float [m]
+    unit : Scale
+        Unit of the figure.
+    """
+    shown = fitting(value, unit)
+    return f"{_digits(value * shown.factor, 4)} {shown.unit}"
+
+
+def squares(value: float, unit: Scale) -> str:
+    """Format a sum of squares in the square of the figure's unit, or of a smaller one that avoids an exponent.
+
+    Parameters
+    ----------
+    value : float [m²]
+    unit : Scale
+        Unit of the figure.
+    """
+    units = [
+        unit,
+        *(smaller for smaller in (Scale(1e3, "mm"), Scale(1e6, "µm"), Scale(1e9, "nm")) if smaller.factor > unit.factor),
+    ]
+    shown = next((each for each in units if value * each.factor**2 >= 1e-4), units[-1])
+    return f"{_digits(value * shown.factor**2, 4)} {shown.unit}²"
+
+
+def _digits(value: float, count: int) -> str:
+    """Format `count` significant digits, without an exponent for moderate sizes and with a typographic minus."""
+    if not math.isfinite(value):
+        return "–"
+    size = math.floor(math.log10(abs(value))) if value else 0
+    shown = f"{value:z.{min(max(count - 1 - size, 0), 9)}f}" if -5 <= size < 7 else f"{value:.{count}g}"
+    if "." in shown and "e" not in shown:
+        shown = shown.rstrip("0").rstrip(".")
+    return shown.replace("-", "−") if "e" not in shown else shown
+
+
+def failed(design: PathDesign | FunctionResult | CycleResult) -> str:
+    """Return the reason why a design is not valid."""
+    names = [check.name for check in design.validation.checks if not check.passed]
+    more = f" and {len(names) - 2} more checks" if len(names) > 3 else ""
+    return f"fails {', '.join(names[: 2 if more else 3])}{more}" if names else design.status.text
+
+
+def objective(track: PathView) -> str:
+    """Format the objective with its measure."""
+    design, unit, task = track.design, track.sketch.scale, track.task
+    if exact(design):
+        return "exact to rounding"
+    what = measure(task)
+    squared = task.measure == "sum of squares"
+    if task.unit == "m":
+        return f"{what} {squares(design.objective, unit) if squared else length(design.objective, unit)}"
+    if task.unit == "rad":
+        return f"{what} {_digits(design.objective * math.degrees(1.0) ** (1 + squared), 4)} deg{'²' if squared else ''}"
+    named = "largest cosine of a transmission angle" if task.measure == "max" else f"cosines of the transmission angles: {what}"
+    return f"{named} {design.objective:.4g}"
+
+
+def assembly(design: PathDesign) -> list[str]:
+    """Return the assembly modes, one text for each joint."""
+    first, *others = words(design).split(", ")
+    return [f"assembly {first}", *others]
+
+
+def transmission(design: PathDesign) -> str:
+    """Format the worst transmission angle; empty if there is none."""
+    least = design.least_transmission
+    return f"least transmission angle {math.degrees(least):z.1f}°" if math.isfinite(least) else ""
+
+
+def figures(track: PathView) -> list[str]:
+    """Return the captions of objective, deviations and transmission angle."""
+    design, task, unit = track.design, track.task, track.sketch.scale
+    distances, turned = design.measured.distances, design.measured.turned
+    if not task.pointed:
+        return [objective(track), *_error(track), *filter(None, [transmission(design)])]
+    told = []
+    if exact(design):
+        many = f"all {len(distances)}" if len(distances) > 2 else "both"
+        told.append(f"{many} {'points' if turned is None else 'poses'} met exactly, to rounding")
+    else:
+        plain = turned is None and task.target_points.weights is None
+        rms, largest = math.sqrt(float(np.nanmean(distances**2))), float(np.nanmax(distances))
+        if not (plain and task.measure in ("rms", "max")):
+            told.append(objective(track))
+        shown = fitting(rms, unit)
+        told.append(f"distances: rms {length(rms, shown)}, largest {length(largest, shown)}")
+        if turned is not None:
+            told.append(f"angles: largest {_digits(math.degrees(float(np.nanmax(np.abs(turned)))), 4)}°")
+        if np.any(np.isfinite(track.tolerances)):
+            used = float(np.nanmax(distances / track.tolerances))
+            told.append(f"at most {f'{100.0 * used:.3g} % of' if used < 10.0 else f'{used:.3g} times'} the tolerance")
+    return [*told, *filter(None, [transmission(design)])]
+
+
+def _error(track: PathView) -> list[str]:
+    """Return the caption of the output error of a function."""
+    task, errors = track.task, track.design.measured.distances
+    if not task.unit or track.exact:
+        return []
+    rms, largest = math.sqrt(float(np.nanmean(errors**2))), float(np.nanmax(errors))
+    unit = fitting(rms, track.sketch.scale) if task.slides else Scale(math.degrees(1.0), "deg")
+    shown = (f"{_digits(value * unit.factor, 4)} {unit.unit}" for value in (rms, largest))
+    return ["error: rms {}, largest {}".format(*shown)]
+
+
+def sizes(track: PathView) -> list[str]:
+    """Return the captions of all dimensions, or of the design variables only if there are too many."""
+    task, unit, values = track.task, track.sketch.scale, track.design.values
+    names = [*task.mechanism.quantities, *([MARK] if MARK in task.quantities else [])]
+    if len(names) > SIZES:
+        names = [name for name in names if task.quantities[name].free]
+    if not names or len(names) > SIZES:
+        return []
+    angles = [task.quantities[name].kind == "angle" for name in names]
+    largest = max([abs(values[name]) for name, angle in zip(names, angles, strict=True) if not angle], default=0.0)
+    decimals = DIGITS - math.floor(math.log10(largest * unit.factor)) if largest else 0
+    told = []
+    for name, angle in zip(names, angles, strict=True):
+        shown = degrees(values[name]) if angle else _digits(round(values[name] * unit.factor, decimals), DIGITS)
+        told.append(f"{name} {shown}")
+    return [f"in {unit.unit}: {told[0]}", *told[1:]]
+
+
+def wrapped(items: Sequence[str], width: float, gap: str, size: float = TITLE) -> str:
+    """Join items to lines of similar length that fit a width; items are not broken.
+
+    Parameters
+    ----------
+    items : sequence of str
+    width : float [inch]
+    gap : str
+        Separator between items.
+    size : float [pt], optional
+        Font size.
+    """
+    most = max(16, int(72.0 * width / (0.56 * size)))
+
+    def lines(limit: int) -> list[str]:
+        found = [""]
+        for item in items:
+            longer = f"{found[-1]}{gap if found[-1] else ''}{item}"
+            if found[-1] and len(longer) > limit:
+                found.append(item)
+            else:
+                found[-1] = longer
+        return found
+
+    count = len(lines(most))
+    best = next(found for limit in range(1, most + 1) if len(found := lines(limit)) == count)
+    return f"{gap.rstrip()}\n".join(best)
+
+
+def title_of(track: PathView, width: float, title: str, *more: str) -> str:
+    """Compose a title with further lines below it; an invalid design is marked as not valid.
+
+    Parameters
+    ----------
+    track : PathView
+    width : float [inch]
+    title : str
+    *more : str
+        Further lines; empty ones are left out.
+    """
+    text = [heading(title, width, TITLE)]
+    if not track.design.valid:
+        text.append(wrapped(f"NOT VALID: {failed(track.design)}".split(", "), width, ", "))
+    elif track.design.fit is not None and track.design.fit.grade == "poor":
+        text.append(heading(track.design.fit.text.capitalize(), width, TITLE))
+    return "\n".join([*text, *filter(None, more)])
+
+
+def headed(track: PathView, width: float) -> str:
+    """Compose the title of a mechanism with its deviations and dimensions.
+
+    Parameters
+    ----------
+    track : PathView
+    width : float [inch]
+    """
+    told = wrapped(figures(track), width, "; "), wrapped(sizes(track), width, "   ")
+    return title_of(track, width, track.task.title, *told)
+
+
+def entitle(made: Figure, track: PathView, title: str) -> None:
+    """Write the title of a figure, in red if the design is not valid.
+
+    Parameters
+    ----------
+    made : Figure
+    track : PathView
+    title : str
+    """
+    made.suptitle(title, fontsize=TITLE, color=WANTED if track.design.valid else LIMIT)

@@ -16,7 +16,7 @@ from optlink.report.chart_spec import ChartSpec, Curve, HeatMap, Line, Panel, Pi
 from optlink.report.format import number
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection
-from optlink.report.stored.stored_study import StoredStudy, figures_of, named_si, still, turning, with_drawings
+from optlink.report.stored.stored_study import StoredStudy, named_si, still, turning, with_drawings
 from optlink.report.stored.stored_sweep import read
 from optlink.report.style import BODIES, FOUND, LIMIT, QUIET
 from optlink.report.view import View
@@ -131,11 +131,11 @@ def stored_study(record: SweepRecord, file: ProblemFile, path: Path) -> StoredSt
         valid=found.successful,
         conclusion=conclusions.sweep(found),
         status=shown.status.lines,
-        sections=[*([PageSection("Sweep", drawn)] if drawn else []), *figures_of(shown.parts)],
+        sections=[PageSection("Sweep", drawn), PageSection("Figures", (shown.parts,))],
         moving=still if table.best is None else turning(*_design(file, table, table.best)),
         by=by,
         drawn="The best point of the sweep.",
-        after=1 if drawn else 0,
+        after=1,
     )
 
 
@@ -411,4 +411,4 @@ def _page_only(table: Table) -> list[ChartSpec]:
     return found
 
 
-VIEW = View(charts=charts)
+VIEW = View(charts=charts, page=stored_study)

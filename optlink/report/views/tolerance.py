@@ -14,7 +14,7 @@ from optlink.report.chart_spec import Axis, Band, Bars, ChartSpec, Curve, Line, 
 from optlink.report.format import percent
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection
-from optlink.report.stored.stored_study import StoredStudy, figures_of, turning
+from optlink.report.stored.stored_study import StoredStudy, turning
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, SHADE, WANTED
 from optlink.report.view import View
 from optlink.report.views import conclusions, tolerance_tables
@@ -58,7 +58,7 @@ def stored_study(record: ToleranceRecord, file: ProblemFile, _: Path) -> StoredS
         valid=(allocation is None or allocation.achieved) and (robust is None or robust.valid),
         conclusion=conclusions.tolerance(record),
         status=shown.status.lines,
-        sections=[PageSection("Scatter", chart_plotly.charts(charts(record))), *figures_of(shown.parts)],
+        sections=[PageSection("Scatter", chart_plotly.charts(charts(record))), PageSection("Figures", (shown.parts,))],
         moving=turning(file, {name: value for name, value in record.sizes_SI.items() if name in file.model.mechanism.quantities}),
         by=by,
         drawn="The linkage as drawn.",
@@ -176,4 +176,4 @@ def _histogram(record: ToleranceRecord, sampled: MonteCarloRecord) -> ChartSpec:
     )
 
 
-VIEW = View(model=ToleranceRecord.of, charts=charts, tables=lambda result: {"tolerance": result.columns})
+VIEW = View(model=ToleranceRecord.of, charts=charts, tables=lambda result: {"tolerance": result.columns}, page=stored_study)

@@ -1,12 +1,17 @@
-"""Figures of a synthesised function or transmission: output against the prescribed one, or transmission angles."""
+"""Figures of a synthesised mechanism at its first position, of several designs side by side, and of outputs."""
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.patches import FancyArrowPatch, Polygon
+from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -17,16 +22,147 @@ from optlink.problem.targets.function import Function
 from optlink.report.animation import film, there_and_back
 from optlink.report.chart_mpl import into
 from optlink.report.chart_spec import Axis, ChartSpec, Curve, Panel, crank_angle
-from optlink.report.labels import place_labels
-from optlink.report.style import BODIES, LIMIT, WANTED, degrees, figure, scale, styled
-from optlink.report.views.function_chart import function_chart
-from optlink.report.views.path_captions import LINE, SMALL, assembly, entitle, figures, headed, title_of, wrapped
-from optlink.report.views.path_initial_pose import BESIDE, HIGH, initial_pose, trim
-from optlink.report.views.path_view import PathView, best
+from optlink.report.labels import Label, place_labels
+from optlink.report.style import BODIES, CRANK, LIMIT, WANTED, degrees, figure, heading, panels, scale, styled
+from optlink.report.views.function import function_chart
+from optlink.report.views.path_charts import NUMBERED, points_on, some
+from optlink.report.views.path_tables import kin
+from optlink.report.views.path_view import (
+    LINE,
+    SMALL,
+    PathView,
+    assembly,
+    best,
+    entitle,
+    figures,
+    headed,
+    objective,
+    title_of,
+    transmission,
+    wrapped,
+)
+from optlink.report.views.revolutions import beside
 from optlink.tasks.results.path import PathResult
 from optlink.validation.path import deviations, transmission_angles
 
 Array = NDArray[np.float64]
+
+
+HIGH, BESIDE = 4.3, 0.75  # largest height of a panel and width of its axis labels [inch]
+GHOSTS = 8  # largest number of poses in which the body is drawn
+
+
+def _turning(axes: Axes, track: PathView) -> None:
+    """Draw an arrow on the crank circle in the direction of rotation."""
+    crank = track.sketch.mechanism.crank
+    pivot, pin = (track.sketch.position(track.here, name)[0] for name in (crank.start, crank.end))
+    arm = pin - pivot
+    radius = max(float(np.linalg.norm(arm)), 1.7 * track.sketch.size)
+    start = math.atan2(arm[1], arm[0])
+    turn = min(math.radians(50.0), 5.0 * track.sketch.size / radius)
+    if not track.design.crank_turns:
+        turn = min(turn, 0.8 * abs(track.end - track.begin))
+    angles = start + track.way * np.linspace(0.25 * turn, 1.25 * turn, 33)
+    arc = pivot + radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    drawn = FancyArrowPatch(path=Outline(arc), arrowstyle="-|>", mutation_scale=11.0, linewidth=1.5, color=CRANK)
+    drawn.set(zorder=3.9, gid="turning")
+    axes.add_patch(drawn)
+
+
+def _ghosts(axes: Axes, track: PathView) -> None:
+    """Draw the guided body in its poses."""
+    sketch, body = track.sketch, track.task.body
+    for part in sketch.parts[body]:
+        if part.kind in ("bar", "plate"):
+            places = sketch.placed(track.at, body, part.outline)
+            for k in some(len(places), GHOSTS):
+                if k != track.first and np.all(np.isfinite(places[k])):
+                    colour = to_rgb(track.colour)
+                    ghost = Polygon(places[k], closed=part.kind == "plate", facecolor=(*colour, 0.06), edgecolor=(*colour, 0.35))
+                    ghost.set(linewidth=1.2, zorder=1.2, gid="ghost")
+                    axes.add_patch(ghost)
+
+
+def trim(made: Figure, rows: int = 1) -> None:
+    """Reduce the height of a figure by the empty space above and below its panels.
+
+    Parameters
+    ----------
+    made : Figure
+    rows : int, optional
+        Number of rows of panels.
+    """
+    made.draw_without_rendering()
+    empty = math.inf
+    for axes in made.axes:
+        slot, needed = axes.get_position(original=True).transformed(made.transFigure), axes.get_tightbbox()
+        assert needed is not None
+        empty = min(empty, max(0.0, slot.y1 - needed.y1) + max(0.0, needed.y0 - slot.y0))
+    if 0.0 < empty < math.inf:
+        made.set_figheight(made.get_figheight() - rows * empty / made.dpi)
+
+
+def initial_pose(axes: Axes, track: PathView) -> list[Label]:
+    """Draw the mechanism at the first point with its coupler curve and the precision points, and return the labels.
+
+    Parameters
+    ----------
+    axes : Axes
+    track : PathView
+    """
+    sketch = track.sketch
+    factor = sketch.scale.factor
+    labels = sketch.show(axes, track.here)
+    if track.task.pointed:
+        axes.plot(*(track.position(track.run) * factor).T, color=track.colour, linewidth=2.3, zorder=1.5, gid="run")
+        points_on(axes, track.targets * factor, 1.0 if len(track.targets) <= NUMBERED else 0.55)
+    if track.task.requirement.kind == "motion":
+        _ghosts(axes, track)
+    _turning(axes, track)
+    return labels
+
+
+PANELS = 9  # largest number of designs
+APART = 4.0  # designs up to this multiple of the smallest size share one scale
+
+
+@styled
+def designs(result: PathResult) -> Figure | None:
+    """Draw the distinct designs side by side on one scale and name their cognates."""
+    if len(result.designs) < 2:
+        return None
+    related = kin(result.designs)
+    tracks = [PathView(design) for design in result.designs[:PANELS]]
+    sizes = np.array([np.ptp(track.sketch.limits, axis=1) / track.sketch.scale.factor for track in tracks])
+    reach = sizes.max(axis=1)
+    common = sizes[reach <= APART * float(np.min(reach))].max(axis=0)
+    columns = beside(len(tracks))
+    rows = -(-len(tracks) // columns)
+    panel = 3.9 if columns > 2 else 4.6
+    tall = min(max(float(common[1] / common[0]), 0.4), 1.5)
+    made = figure(panel * columns, ((panel - BESIDE) * tall + 1.35) * rows + 0.4)
+    labels: list[Label] = []
+    for number, (axes, track) in enumerate(zip(panels(made, len(tracks), columns), tracks, strict=True)):
+        labels += initial_pose(axes, track)
+        smaller = max(1.0, float(np.max(sizes[number] / common)))
+        half = 0.5 * common * smaller * track.sketch.scale.factor
+        middle = np.mean(track.sketch.limits, axis=1)
+        axes.set(xlim=(middle[0] - half[0], middle[0] + half[0]), ylim=(middle[1] - half[1], middle[1] + half[1]))
+        told = [heading(f"{number + 1}: {objective(track)}", panel - 0.3, 9.0), transmission(track.design)]
+        told.append(wrapped(assembly(track.design), panel - 0.3, ", ", 9.0))
+        if number in related:
+            told.append(f"cognate of {related[number] + 1}: the same curve")
+        if smaller > 1.0:
+            told.append(f"drawn {smaller:.2g} times smaller than the others")
+        axes.set_title("\n".join(filter(None, told)), fontsize=9.0)
+    count = len(result.designs)
+    many = f"{count} distinct designs, best first" + (f"; the first {PANELS}" if count > PANELS else "")
+    made.suptitle(heading(f"{tracks[0].task.title}: {many}", panel * columns - 0.4, 10.5), fontsize=10.5)
+    trim(made, rows)
+    place_labels(made, labels)
+    return made
+
+
 FINEST = 360  # number of positions of the output curve
 
 
