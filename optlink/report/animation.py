@@ -8,14 +8,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 from PIL import Image
 
 from optlink.linkage.motion import Motion
 from optlink.report.drawing import Sketch
+from optlink.report.shapes import Array
 from optlink.report.style import CRANK, figure, heading, one_palette, styled
 
-Array = NDArray[np.float64]
 WIDE = 0.42  # ratio of height to width below which the curve is drawn below the mechanism
 
 

@@ -25,9 +25,9 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from optlink.report.shapes import Array as Array
+
 Dash = Literal["solid", "dash", "dot", "dashdot"]
 Symbol = Literal["circle", "open circle", "square", "cross", "plus", "star", "diamond", "triangle", "dash"]
 CRANK_ANGLE = "crank angle φ [deg]"

@@ -24,10 +24,9 @@ from optlink.linkage.mechanism import FRAME, Guide
 from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import TURN, Vector
 from optlink.report.labels import Label
-from optlink.report.shapes import Part, finite, hatching, hull, rectangle, spread, stem
+from optlink.report.shapes import Array, Part, finite, hatching, hull, rectangle, spread, stem
 from optlink.report.style import BODIES, CRANK, GROUND, QUIET, Scale, figure, scale
 
-Array = NDArray[np.float64]
 FAR = 8.0  # positions beyond this multiple of the median distance from the crank pivot do not set the scale
 SHARE = 0.035  # height of a ground pivot
 

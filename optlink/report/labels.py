@@ -12,9 +12,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import FancyArrowPatch, Polygon
 from numpy.typing import NDArray
 
+from optlink.report.shapes import Array
 from optlink.report.style import HALO, WANTED
 
-Array = NDArray[np.float64]
 WAYS = np.array([[np.cos(t), np.sin(t)] for t in np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)])
 REACHES = np.array([2.0, 5.0, 9.0, 15.0, 24.0, 36.0])  # distances tried between point and label [pt]
 FAR = 14.0  # distance beyond which a leader line is drawn [pt]

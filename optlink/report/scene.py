@@ -11,16 +11,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN
 from optlink.report.drawing import Sketch
-from optlink.report.shapes import Part
+from optlink.report.shapes import Array, Part
 from optlink.tasks.results.analysis import Analysis
 
-Array = NDArray[np.float64]
 FLIP = np.array([1.0, -1.0])
 STEPS = 360  # positions per revolution
 PLACES = 6  # significant digits of a coordinate, relative to the extent

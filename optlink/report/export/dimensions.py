@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from html import escape
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.columns import slider_names
 from optlink.linkage.mechanism import FRAME
@@ -19,11 +18,10 @@ from optlink.linkage.vector2d import TURN
 from optlink.report.export.svg import svg
 from optlink.report.html.theme import readable
 from optlink.report.scene import FLIP, Scene, scene
-from optlink.report.shapes import finite, hull
+from optlink.report.shapes import Array, finite, hull
 from optlink.report.style import GROUND
 from optlink.tasks.results.analysis import Analysis
 
-Array = NDArray[np.float64]
 POSES = 24  # positions from which the clearest is drawn
 OFFSETS = (1.2, 2.2, 3.3, 4.6)  # distances of a dimension line from what it measures, in heights of a ground pivot
 LETTER = 0.62  # width of a letter in font sizes

@@ -13,14 +13,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.columns import slider_names
 from optlink.linkage.mechanism import FRAME, Guide
 from optlink.linkage.motion import Motion, sweep
 from optlink.report.files import whole
 from optlink.report.scene import scene
-from optlink.report.shapes import hull
+from optlink.report.shapes import Array, hull
 from optlink.tasks.results.analysis import Analysis
 
 if TYPE_CHECKING:
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
     from ezdxf.layouts.blocklayout import BlockLayout
     from ezdxf.layouts.layout import Modelspace
 
-Array = NDArray[np.float64]
 Vertex = tuple[float, float, float]
 """x and y [mm] of a corner, and the bulge of the edge that begins there: the tangent of a quarter of its arc."""
 

@@ -7,13 +7,11 @@ from collections.abc import Iterator
 from html import escape
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.report.scene import Body, Scene
-from optlink.report.shapes import Part
+from optlink.report.shapes import Array, Part
 from optlink.report.style import GROUND, QUIET
 
-Array = NDArray[np.float64]
 POINT = 1.0 / 8.0  # size of a typographic point, as a share of the size of a ground pivot, as in the other figures
 LAYERS = ("slot", "plate", "bar", "block", "crank")
 """What lies on what."""

@@ -11,16 +11,14 @@ from html import escape as escaped
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.io import finite
-from optlink.report.chart_spec import Axis, Band, Bars, Boxes, ChartSpec, Curve, HeatMap, Mark, Panel, Picks
+from optlink.report.chart_spec import Array, Axis, Band, Bars, Boxes, ChartSpec, Curve, HeatMap, Mark, Panel, Picks
 from optlink.report.export.dimensions import Drawing
 from optlink.report.format import pretty
 from optlink.report.html.theme import readable
 from optlink.report.style import WANTED
 
-Array = NDArray[np.float64]
 Trace = dict[str, Any]
 DIGITS = 6  # significant digits of a number in a chart, far below the visible resolution
 FONT = "system-ui, -apple-system, 'Segoe UI', 'DejaVu Sans', sans-serif"

@@ -15,10 +15,10 @@ from optlink.io import finite
 from optlink.report.export.svg import svg, zigzag
 from optlink.report.format import pretty
 from optlink.report.scene import Scene
+from optlink.report.shapes import Array
 from optlink.report.style import Scale, scale
 from optlink.tasks.results.analysis import Analysis
 
-Array = NDArray[np.float64]
 FLAT = 0.45  # ratio of height to width below which the quantities are shown below the drawing
 
 

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.errors import Status
 from optlink.linkage.vector2d import TURN
@@ -21,6 +20,7 @@ from optlink.problem.base_model import Contradiction, ResultRecord, check_length
 from optlink.problem.file import ProblemFile
 from optlink.problem.path import PathProblem
 from optlink.report.report_model import Outcome, ReportModel, report_model_of
+from optlink.report.shapes import Array
 from optlink.report.stored.stored_study import named_si
 from optlink.solvers.solution import LimitState, Solution
 from optlink.studies.sensitivity import SensitivitiesRecord
@@ -37,9 +37,6 @@ from optlink.validation import Check
 from optlink.validation.check import Validation
 from optlink.validation.path import validate_path
 from optlink.version import VERSION
-
-Array = NDArray[np.float64]
-
 
 RESTORED = "the certificate of the global optimum is that of the file; it is not computed anew"
 

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.columns import slider_names
 from optlink.dynamics.strokes import last_output
@@ -19,7 +18,6 @@ from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, WANTED, Sca
 from optlink.report.views.analysis_curves import NOTHING, CycleCurves
 from optlink.tasks.results.analysis import Extreme
 
-Array = NDArray[np.float64]
 MANY = 12  # largest number of dead centres to draw; a body at rest has spurious ones due to rounding
 SHOWN = 4  # largest number of sliders in motion.png
 

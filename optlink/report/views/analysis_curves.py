@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.work import Work
+from optlink.report.shapes import Array
 from optlink.tasks.results.analysis import Analysis
 
-Array = NDArray[np.float64]
 POINTS = 720
 TABLE = 2000  # largest number of analysis rows that are added to the points of the curves
 NOTHING = 1e-9  # share of the largest value below which a value is rounding error

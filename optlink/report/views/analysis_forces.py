@@ -6,16 +6,14 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.inverse import shaking as shaken
 from optlink.linkage import extrema
-from optlink.report.chart_spec import Axis, ChartSpec, Curve, Dash, Line, Mark, Panel
+from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Dash, Line, Mark, Panel
 from optlink.report.style import BODIES, COUPLER, CRANK, FOUND, QUIET, ROCKER, WANTED, Scale, degrees, scale
 from optlink.report.views.analysis_charts import axis, chart, curves, extremes, panel, titled
 from optlink.report.views.analysis_curves import NOTHING, CycleCurves
 
-Array = NDArray[np.float64]
 TORQUE = "input.torque_Nm"
 SHAKING = ("frame.shaking_fx_N", "frame.shaking_fy_N", "frame.shaking_moment_Nm")
 DASHES: tuple[Dash, ...] = ("solid", "dash", "dashdot")

@@ -6,15 +6,13 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.strokes import StrokeLoad, acting_loads, travels_by_use, use_of, working_stroke
 from optlink.linkage.stroke import Travel
 from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import DyadsSection
 from optlink.report.format import fixed, number
+from optlink.report.shapes import Array
 from optlink.report.table_spec import (
     Column,
     Paragraph,
@@ -33,8 +31,6 @@ from optlink.tasks.results.analysis import Analysis, named_travels, reaction_con
 
 if TYPE_CHECKING:
     from optlink.tasks.simulate import Simulation
-
-Array = NDArray[np.float64]
 
 
 def machine(file: ProblemFile) -> Iterator[TableSpec]:

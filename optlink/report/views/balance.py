@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.counterweights import BalanceMeasure, quantities, quantities_of
 from optlink.dynamics.inverse import reported_on
@@ -18,7 +17,7 @@ from optlink.problem.fixed_design import fixed_design
 from optlink.problem.machine.balance import BalanceSection, read_measure
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Unusable
-from optlink.report.chart_spec import Axis, Band, ChartSpec, Curve, Line, Mark, Panel, Picks, crank_angle
+from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line, Mark, Panel, Picks, crank_angle
 from optlink.report.files import verdict
 from optlink.report.format import change, number
 from optlink.report.html import chart_plotly
@@ -37,9 +36,6 @@ from optlink.tasks.results.balance import (
     MeasureChange,
     TradeOff,
 )
-
-Array = NDArray[np.float64]
-
 
 GIVEN = "#8a8a8a"
 COMMON = ("shaking force", "shaking moment", "driving torque")

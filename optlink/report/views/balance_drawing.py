@@ -9,15 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
-from numpy.typing import NDArray
 
 from optlink.linkage.motion import sweep
 from optlink.report.drawing import Sketch
 from optlink.report.labels import Label, in_points, place_labels
+from optlink.report.shapes import Array
 from optlink.report.style import figure, heading, scale, styled
 from optlink.tasks.results.balance import AddedCounterweight, Balance
-
-Array = NDArray[np.float64]
 
 
 @styled

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.clearance.controller import Control
 from optlink.clearance.integration import Impact
@@ -18,7 +17,7 @@ from optlink.clearance.statistics import Prediction
 from optlink.dynamics.columns import MotionColumns
 from optlink.problem.base_model import Contradiction
 from optlink.problem.file import ProblemFile
-from optlink.report.chart_spec import TIME, Axis, ChartSpec, Curve, Dash, Panel, Span
+from optlink.report.chart_spec import TIME, Array, Axis, ChartSpec, Curve, Dash, Panel, Span
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, even, in_time
 from optlink.report.html.shell import PageSection
@@ -31,9 +30,6 @@ from optlink.report.views.revolutions import FULL, TORQUE, WINDOW, RevolutionCur
 from optlink.report.views.simulation import largest
 from optlink.tasks.machine import machine_of
 from optlink.tasks.results.clearance import ClearanceRecord, ClearanceSimulation
-
-Array = NDArray[np.float64]
-
 
 MARKED = 60  # number of revolutions up to which each has a marker
 ZOOM = 4.0  # ratio to the ideal torque beyond which a second panel enlarges the latter

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from optlink.clearance.integration import Impact
 from optlink.clearance.joint import Gap
-from optlink.report.chart_spec import CRANK_ANGLE, Axis, ChartSpec, Curve, Panel
+from optlink.report.chart_spec import CRANK_ANGLE, Array, Axis, ChartSpec, Curve, Panel
 from optlink.report.style import BODIES, FOUND, GROUND, LIMIT, QUIET, WANTED, Scale, scale
 from optlink.report.views.revolutions import (
     CIRCLE,
@@ -27,7 +27,6 @@ from optlink.report.views.revolutions import (
     round_below,
 )
 
-Array = NDArray[np.float64]
 DEEP = 0.22  # largest magnified penetration, as a share of the clearance
 MOST = 50.0  # largest magnification
 PERIODS = 8  # largest period considered [revolutions]

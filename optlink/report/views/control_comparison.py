@@ -8,10 +8,9 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.problem.file import ProblemFile
-from optlink.report.chart_spec import Axis, Band, ChartSpec, Curve, Line, Panel
+from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line, Panel
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection
 from optlink.report.stored.stored_study import StoredStudy, still
@@ -21,8 +20,6 @@ from optlink.report.views import clearance_tables, conclusions
 from optlink.report.views.revolutions import FULL, RevolutionCurves, fold
 from optlink.tasks.results.clearance import ClearanceSimulation
 from optlink.tasks.results.control_comparison import Comparison, ComparisonRecord, Trials
-
-Array = NDArray[np.float64]
 
 
 def charts(found: Comparison) -> list[ChartSpec]:

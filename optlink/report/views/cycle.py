@@ -10,7 +10,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
 from optlink.dynamics.columns import MotionColumns
 from optlink.linkage.motion import sweep
@@ -18,7 +17,7 @@ from optlink.linkage.vector2d import TURN, Value
 from optlink.problem.cycle.terms import Term
 from optlink.problem.file import ProblemFile
 from optlink.report import chart_spec
-from optlink.report.chart_spec import Axis, ChartSpec, Curve, Panel, crank_angle
+from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Panel, crank_angle
 from optlink.report.drawing import Sketch
 from optlink.report.files import verdict
 from optlink.report.style import FOUND, GROUND, LIMIT, QUIET, Scale, figure, heading, scale, styled
@@ -27,8 +26,6 @@ from optlink.report.views.path_view import failed
 from optlink.tasks.results.analysis import Analysis
 from optlink.tasks.results.cycle import CycleResult
 from optlink.validation.cycle import Cycle
-
-Array = NDArray[np.float64]
 
 GIVEN = QUIET
 STEPS = 720

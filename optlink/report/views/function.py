@@ -11,7 +11,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc
-from numpy.typing import NDArray
 from PIL import Image
 
 from optlink.linkage.fourbar import LENGTHS, dead_centre, lengths_of, reachable
@@ -23,7 +22,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.targets.function import Function
 from optlink.report.animation import film, there_and_back
 from optlink.report.chart_mpl import into
-from optlink.report.chart_spec import Axis, Band, ChartSpec, Curve, Line, Mark, Panel, Span, Trace, crank_angle
+from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line, Mark, Panel, Span, Trace, crank_angle
 from optlink.report.drawing import Sketch, merged_positions
 from optlink.report.files import verdict
 from optlink.report.labels import place_labels
@@ -34,8 +33,6 @@ from optlink.report.views.certificate_view import certificate_charts
 from optlink.report.views.path_view import failed
 from optlink.solvers.contract import selectable
 from optlink.tasks.function import FunctionResult, display_value
-
-Array = NDArray[np.float64]
 
 
 def _moved(result: FunctionResult, angles: Array) -> Motion:

@@ -24,11 +24,11 @@ from optlink.report.animation import WIDE, film
 from optlink.report.chart_mpl import FONT, TITLE
 from optlink.report.drawing import Sketch
 from optlink.report.labels import Label, in_points, place_labels
+from optlink.report.shapes import Array
 from optlink.report.style import GROUND, QUIET, WANTED, degrees, figure, heading, styled
 from optlink.report.views.revolutions import FULL, RevolutionCurves, named, rough, round_below
 from optlink.tasks.results.clearance import ClearanceSimulation
 
-Array = NDArray[np.float64]
 FRAMES = 80
 TRACE = 361  # number of positions of the ideal machine in the traces
 OFFSET = 0.55  # largest magnified eccentricity of a journal, in heights of a ground pivot

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.problem.base_model import Contradiction
 from optlink.problem.file import ProblemFile
-from optlink.report.chart_spec import Axis, ChartSpec, Curve, Mark, Panel, Picks
+from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Mark, Panel, Picks
 from optlink.report.format import number
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection
@@ -24,7 +23,6 @@ from optlink.studies import grid
 from optlink.studies.pareto.epsilon_constraint import Pareto, ParetoPoint, ParetoRecord
 from optlink.studies.pareto.objective import ParetoObjective
 
-Array = NDArray[np.float64]
 OTHERS = {"initial machine": "the initial machine", "limits of the file": "the optimum for the limits of the file"}
 SENSES = {"minimise": 1, "maximise": -1}
 

@@ -11,7 +11,6 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 from PIL import Image
 
 from optlink.linkage.dyad_types import transmitting
@@ -19,7 +18,7 @@ from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import TURN
 from optlink.problem.file import ProblemFile
 from optlink.report.animation import film, there_and_back
-from optlink.report.chart_spec import ChartSpec
+from optlink.report.chart_spec import Array, ChartSpec
 from optlink.report.drawing import Sketch
 from optlink.report.files import verdict
 from optlink.report.labels import place_labels
@@ -42,7 +41,6 @@ from optlink.report.views.path_tables import objective_scale
 from optlink.report.views.path_view import LINE, SMALL, PathView, assembly, best, entitle, failed, headed, wrapped
 from optlink.tasks.results.path import PathDesign, PathResult
 
-Array = NDArray[np.float64]
 FRAMES = 90
 LIT = "#ffc20a"
 

@@ -9,16 +9,13 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from optlink.report.chart_mpl import into
-from optlink.report.chart_spec import Axis, Bars, ChartSpec, Curve, Line, Mark, Panel, Trace
+from optlink.report.chart_spec import Array, Axis, Bars, ChartSpec, Curve, Line, Mark, Panel, Trace
 from optlink.report.labels import Label
 from optlink.report.shapes import finite
 from optlink.report.style import BODIES, FOUND, LIMIT, QUIET, WANTED, scale
 from optlink.report.views.path_tables import exact, exact_angles
 from optlink.report.views.path_view import PathView, figures, fitting, length, title_of, wrapped
 from optlink.tasks.results.path import LEVEL
-
-Array = NDArray[np.float64]
-
 
 NUMBERED = 20  # number of points up to which each is numbered
 SAME = 5e-3  # distance below which points share a label, as a share of the extent of the points

@@ -12,7 +12,6 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, Polygon
 from matplotlib.path import Path as Outline
-from numpy.typing import NDArray
 from PIL import Image
 
 from optlink.linkage.dyad_types import transmitting
@@ -21,7 +20,7 @@ from optlink.problem.path import PathProblem
 from optlink.problem.targets.function import Function
 from optlink.report.animation import film, there_and_back
 from optlink.report.chart_mpl import into
-from optlink.report.chart_spec import Axis, ChartSpec, Curve, Panel, crank_angle
+from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Panel, crank_angle
 from optlink.report.labels import Label, place_labels
 from optlink.report.style import BODIES, CRANK, LIMIT, WANTED, degrees, figure, heading, panels, scale, styled
 from optlink.report.views.function import function_chart
@@ -44,9 +43,6 @@ from optlink.report.views.path_view import (
 from optlink.report.views.revolutions import beside
 from optlink.tasks.results.path import PathResult
 from optlink.validation.path import deviations, transmission_angles
-
-Array = NDArray[np.float64]
-
 
 HIGH, BESIDE = 4.3, 0.75  # largest height of a panel and width of its axis labels [inch]
 GHOSTS = 8  # largest number of poses in which the body is drawn

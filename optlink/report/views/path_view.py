@@ -8,22 +8,18 @@ from functools import cached_property
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN
 from optlink.problem.path import MARK
 from optlink.report.drawing import Sketch
-from optlink.report.shapes import finite, spread
+from optlink.report.shapes import Array, finite, spread
 from optlink.report.style import LIMIT, WANTED, Scale, degrees, heading, scale
 from optlink.report.views.path_tables import exact, exact_places, measure, words
 from optlink.report.views.revolutions import round_below
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.cycle import CycleResult
 from optlink.tasks.results.path import PathDesign, PathResult
-
-Array = NDArray[np.float64]
-
 
 FINE = 721  # positions per revolution
 STICK = 0.07  # length of the largest magnified deviation, as a share of the extent of the points

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.clearance.joint import Gap
-from optlink.report.chart_spec import CRANK_ANGLE, Axis, Curve, Line, Span
+from optlink.report.chart_spec import CRANK_ANGLE, Array, Axis, Curve, Line, Span
 from optlink.report.style import FOUND, QUIET, SHADE, Scale, scale
 from optlink.tasks.results.clearance import ClearanceSimulation
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 FULL = 360.0
 TORQUE = "input.torque_Nm"

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.columns import slider_names
 from optlink.dynamics.ending import Ending
 from optlink.dynamics.machine import Machine
 from optlink.problem.base_model import Contradiction
 from optlink.problem.file import ProblemFile
-from optlink.report.chart_spec import TIME, Axis, ChartSpec, Curve, Dash, Panel
+from optlink.report.chart_spec import TIME, Array, Axis, ChartSpec, Curve, Dash, Panel
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, even, in_time
 from optlink.report.html.shell import PageSection
@@ -26,9 +25,6 @@ from optlink.report.view import View
 from optlink.report.views import analysis_tables, conclusions
 from optlink.tasks.machine import machine_of
 from optlink.tasks.simulate import Simulation, SimulationRecord
-
-Array = NDArray[np.float64]
-
 
 RPM = 30.0 / math.pi
 LINES = 10  # largest number of joint reactions

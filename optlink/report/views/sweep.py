@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from optlink.problem.file import ProblemFile
 from optlink.report import chart_spec
-from optlink.report.chart_spec import ChartSpec, Curve, HeatMap, Line, Panel, Picks, Span, cells
+from optlink.report.chart_spec import Array, ChartSpec, Curve, HeatMap, Line, Panel, Picks, Span, cells
 from optlink.report.format import number
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection
@@ -25,7 +25,6 @@ from optlink.studies.analysis_task import FIGURES
 from optlink.studies.grid import Axis
 from optlink.studies.sweep import CHANGED, TEXT, Sweep, SweepRecord
 
-Array = NDArray[np.float64]
 LARGE = 200_000  # largest number of points drawn
 MOST = 4000  # largest number of points of a curve; larger sweeps are thinned evenly
 PICKED = 1500  # largest number of selectable points

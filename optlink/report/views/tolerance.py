@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.problem.file import ProblemFile
-from optlink.report.chart_spec import Axis, Band, Bars, ChartSpec, Curve, Line, Panel, Trace, crank_angle
+from optlink.report.chart_spec import Array, Axis, Band, Bars, ChartSpec, Curve, Line, Panel, Trace, crank_angle
 from optlink.report.format import percent
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection
@@ -22,7 +21,6 @@ from optlink.report.views.tolerance_tables import judged_value
 from optlink.studies.tolerance.analysis import ToleranceRecord
 from optlink.studies.tolerance.monte_carlo import MonteCarloRecord
 
-Array = NDArray[np.float64]
 COLOURS = (CRANK, *BODIES)
 NEAR = 2.5  # the limit is drawn up to this multiple of the drawn range
 BARS = 60  # largest number of bars in a histogram
