@@ -103,7 +103,7 @@ def _height(chart: ChartSpec) -> float:
 
 def _ratio(chart: ChartSpec) -> float:
     """Return height divided by width of the first panel in the unit of the axes."""
-    (left, right), (low, high) = chart.x.limits or chart.reach, chart.panels[0].y.limits or _rise(chart.panels[0])
+    (left, right), (low, high) = chart.x.limits or chart.reach, chart.panels[0].y.limits or chart.panels[0].rise
     return (high - low) / (right - left) if right > left else 1.0
 
 
@@ -111,11 +111,6 @@ def _widened(chart: ChartSpec) -> bool:
     """Return whether equal scales widen the limits to fill the panel: where they are not given, or too flat or tall for it."""
     given = chart.x.limits is not None and chart.panels[0].y.limits is not None
     return chart.equal and not (given and FLAT <= _ratio(chart) <= TALL)
-
-
-def _rise(panel: Panel) -> tuple[float, float]:
-    every = np.concatenate([trace.y for trace in panel.traces if isinstance(trace, Curve)] or [np.zeros(1)])
-    return float(np.nanmin(every)), float(np.nanmax(every))
 
 
 def _chart(place: Figure | SubFigure, chart: ChartSpec) -> list[Label]:

@@ -103,6 +103,18 @@ class Curve:
         """
         return cls(places[:, 0], places[:, 1], name, colour, width, **more)
 
+    @classmethod
+    def entry(cls, name: str, colour: str, **more: Any) -> Curve:
+        """Return an entry in the legend without a curve; `more` are further attributes.
+
+        Parameters
+        ----------
+        name : str
+        colour : str
+        **more
+        """
+        return cls(np.full(1, np.nan), np.full(1, np.nan), name, colour, **more)
+
 
 @dataclass(frozen=True, eq=False)
 class Bars:
@@ -229,6 +241,12 @@ class Panel:
     lines: Sequence[Line] = ()
     marks: Sequence[Mark] = ()
     note: str = ""
+
+    @property
+    def rise(self) -> tuple[float, float]:
+        """Range of y of the curves."""
+        every = np.concatenate([trace.y for trace in self.traces if isinstance(trace, Curve)] or [np.zeros(1)])
+        return (float(np.nanmin(every)), float(np.nanmax(every))) if np.any(np.isfinite(every)) else (0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)

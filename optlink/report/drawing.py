@@ -24,7 +24,7 @@ from optlink.linkage.mechanism import FRAME, Guide
 from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import TURN, Vector
 from optlink.report.labels import Label
-from optlink.report.shapes import Array, Part, finite, hatching, hull, rectangle, spread, stem
+from optlink.report.shapes import Array, Part, finite, hatching, hull, rectangle, spread, stem, zigzag
 from optlink.report.style import BODIES, CRANK, GROUND, QUIET, Scale, figure, scale
 
 FAR = 8.0  # positions beyond this multiple of the median distance from the crank pivot do not set the scale
@@ -323,9 +323,7 @@ class Sketch:
         for spring in self.springs:
             p, q = (self.position(motion, point)[k] for _, point in spring.ends)
             along, across = q - p, np.array([p[1] - q[1], q[0] - p[0]]) / max(float(np.linalg.norm(q - p)), 1e-30)
-            shares = np.concatenate([[0.0, 0.18], np.linspace(0.2, 0.8, 12), [0.82, 1.0]])
-            swings = np.concatenate([[0.0, 0.0], 0.45 * self.size * (-1.0) ** np.arange(12), [0.0, 0.0]])
-            xy = p + shares[:, None] * along + swings[:, None] * across
+            xy = np.array([p + share * along + swing * across for share, swing in zigzag(self.size)])
             yield Line2D(xy[:, 0], xy[:, 1], color=QUIET, linewidth=1.2, zorder=2.9, gid=spring.name)
 
     def _markers(self, motion: Motion, k: int) -> Iterable[Line2D]:

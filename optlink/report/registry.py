@@ -28,6 +28,7 @@ def table_of(kind: str) -> Callable[[Any], Summary]:
     KeyError
         if no view of that kind exists.
     """
+    tables: dict[str, Callable[[Any], Summary]] = {name: view.table for name, view in REGISTERED.items()}
     match kind:
         case "function":
             from optlink.report.views.function_tables import result as function_table
@@ -45,34 +46,18 @@ def table_of(kind: str) -> Callable[[Any], Summary]:
             from optlink.report.views.balance_tables import balance as balance_table
 
             return balance_table
-        case "analysis":
-            from optlink.report.views.analysis_tables import analysis as analysis_table
+        case "analysis" | "simulation":
+            from optlink.report.views import analysis_tables as analysed
 
-            return analysis_table
-        case "simulation":
-            from optlink.report.views.analysis_tables import simulation as simulation_table
+            tables = {"analysis": analysed.analysis, "simulation": analysed.simulation}
+        case "clearance" | "control comparison" | "tuning":
+            from optlink.report.views import clearance_tables as simulated
 
-            return simulation_table
-        case "clearance":
-            from optlink.report.views.clearance_tables import simulation as clearance_table
+            tables = {"clearance": simulated.simulation, "control comparison": simulated.comparison, "tuning": simulated.tuning}
+        case "sensitivity" | "sweep":
+            from optlink.report.views import study_tables as studied
 
-            return clearance_table
-        case "control comparison":
-            from optlink.report.views.clearance_tables import comparison as comparison_table
-
-            return comparison_table
-        case "tuning":
-            from optlink.report.views.clearance_tables import tuning as tuning_table
-
-            return tuning_table
-        case "sensitivity":
-            from optlink.report.views.study_tables import sensitivities as sensitivity_table
-
-            return sensitivity_table
-        case "sweep":
-            from optlink.report.views.study_tables import sweep as sweep_table
-
-            return sweep_table
+            tables = {"sensitivity": studied.sensitivities, "sweep": studied.sweep}
         case "tolerance":
             from optlink.report.views.tolerance_tables import tolerances as tolerance_table
 
@@ -81,7 +66,7 @@ def table_of(kind: str) -> Callable[[Any], Summary]:
             from optlink.report.views.pareto_tables import pareto_front as pareto_table
 
             return pareto_table
-    return REGISTERED[kind].table
+    return tables[kind]
 
 
 def view_of(kind: str) -> View:

@@ -104,3 +104,21 @@ def hull(points: Array) -> Array:
         return kept[:-1]
 
     return np.array([*chain(ordered), *chain(ordered[::-1])])
+
+
+def zigzag(size: float) -> list[tuple[float, float]]:
+    """Return a spring from (0, 0) to (1, 0): shares of its length and lateral offsets [mm]."""
+    shares = [0.0, 0.18, *np.linspace(0.2, 0.8, 12).tolist(), 0.82, 1.0]
+    sides = [0.0, 0.0, *(0.45 * size * (-1.0) ** i for i in range(12)), 0.0, 0.0]
+    return list(zip(shares, sides, strict=True))
+
+
+def even(count: int, most: int) -> NDArray[np.intp]:
+    """Return at most `most` evenly spaced indices of `count` items, including the first and the last.
+
+    Parameters
+    ----------
+    count : int
+    most : int
+    """
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))

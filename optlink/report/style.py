@@ -100,6 +100,11 @@ def panels(made: Figure, count: int, columns: int, **options: Any) -> list[Axes]
     return every[:count]
 
 
+def beside(count: int) -> int:
+    """Return the number of charts or drawings in a row."""
+    return 2 if count in (2, 4) else min(count, 3)
+
+
 def heading(text: str, width: float, size: float = 11.0) -> str:
     """Break a title into lines that fit a width.
 

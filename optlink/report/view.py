@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from optlink.problem.base_model import Contradiction
 from optlink.report.files import write_csv, write_design, write_json
+from optlink.report.table_spec import Paragraph, Summary
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -17,32 +18,10 @@ if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
     from optlink.report.chart_spec import ChartSpec
     from optlink.report.stored.stored_study import StoredStudy
-    from optlink.report.table_spec import Summary
 
 
-def _none(result: Any) -> Any:
-    """Return nothing to write."""
-    return ()
-
-
-def _itself(result: Any) -> Any:
-    return result
-
-
-def _no_tables(result: Any) -> Mapping[str, Any]:
-    return {}
-
-
-def _no_result(document: dict[str, Any], problem: ProblemFile) -> Any:
+def _unreadable(document: Any, *_: Any) -> Any:
     raise Contradiction("schema", "results of this kind cannot be read", document["schema"])
-
-
-def _no_page(record: Any, problem: ProblemFile, path: Path) -> StoredStudy:
-    raise TypeError(f"results of {type(record).__name__} are not shown as stored")
-
-
-def _no_design(result: Any) -> None:
-    return None
 
 
 @dataclass(frozen=True)
@@ -74,16 +53,16 @@ class View:
         Returns the result of such a document, a dictionary, and its problem; raises `Contradiction` if they do not fit.
     """
 
-    table: Callable[[Any], Summary] = _none
-    model: Callable[[Any], Any] = _itself
-    charts: Callable[[Any], Iterable[ChartSpec]] = _none
+    table: Callable[[Any], Summary] = lambda _: Summary("", Paragraph())
+    model: Callable[[Any], Any] = lambda result: result
+    charts: Callable[[Any], Iterable[ChartSpec]] = lambda _: ()
     drawings: Mapping[str, Callable[[Any], Figure | None]] = field(default_factory=dict)
-    tables: Callable[[Any], Mapping[str, Mapping[str, Iterable[float | str]]]] = _no_tables
-    design: Callable[[Any], tuple[ProblemFile, str] | None] = _no_design
-    frames: Callable[[Any], list[Image.Image]] = _none
-    page: Callable[[Any, ProblemFile, Path], StoredStudy] = _no_page
+    tables: Callable[[Any], Mapping[str, Mapping[str, Iterable[float | str]]]] = lambda _: {}
+    design: Callable[[Any], tuple[ProblemFile, str] | None] = lambda _: None
+    frames: Callable[[Any], list[Image.Image]] = lambda _: []
+    page: Callable[[Any, ProblemFile, Path], StoredStudy] = _unreadable
     schema: str = ""
-    stored: Callable[[dict[str, Any], ProblemFile], Any] = _no_result
+    stored: Callable[[dict[str, Any], ProblemFile], Any] = _unreadable
 
     def write(self, result: Any, folder: Path, pictures: str = "png") -> list[Path]:
         """Write result.json, the certificate, the tables, the design, the pictures and the animation; return the paths.

@@ -9,7 +9,7 @@ from html import escape
 import numpy as np
 
 from optlink.report.scene import Body, Scene
-from optlink.report.shapes import Array, Part
+from optlink.report.shapes import Array, Part, zigzag
 from optlink.report.style import GROUND, QUIET
 
 POINT = 1.0 / 8.0  # size of a typographic point, as a share of the size of a ground pivot, as in the other figures
@@ -145,13 +145,6 @@ def _centroid(at: Array, colour: str, scene: Scene) -> str:
     look = f'stroke="{colour}" stroke-width="{_wide(0.9, scene)}"'
     ring = f'<circle cx="{_number(x, scene)}" cy="{_number(y, scene)}" r="{_number(r, scene)}" fill="#ffffff" {look}/>'
     return f'{ring}<path d="{cross}" {look}/>'
-
-
-def zigzag(size: float) -> list[tuple[float, float]]:
-    """Return a spring from (0, 0) to (1, 0): shares of its length and lateral offsets [mm]."""
-    shares = [0.0, 0.18, *np.linspace(0.2, 0.8, 12).tolist(), 0.82, 1.0]
-    sides = [0.0, 0.0, *(0.45 * size * (-1.0) ** i for i in range(12)), 0.0, 0.0]
-    return list(zip(shares, sides, strict=True))
 
 
 def _springs(scene: Scene, k: int) -> Iterator[str]:

@@ -326,7 +326,7 @@ def _marks(spec: ChartSpec, panel: Panel) -> list[Trace]:
     groups: dict[tuple[object, ...], list[Mark]] = {}
     for one in (one for one in panel.marks if math.isfinite(one.x + one.y)):
         groups.setdefault((one.colour, one.symbol, one.size, one.written), []).append(one)
-    middle = [0.5 * sum(ends) for ends in (spec.x.limits or spec.reach, panel.y.limits or _heights(panel))]
+    middle = [0.5 * sum(ends) for ends in (spec.x.limits or spec.reach, panel.y.limits or panel.rise)]
     found = []
     for own in groups.values():
         first = own[0]
@@ -351,9 +351,3 @@ def _marks(spec: ChartSpec, panel: Panel) -> list[Trace]:
         seen = first.text and not (first.written and spec.picks is not None)  # else the points below are pointed at
         found.append(drawn | ({} if seen else {"hoverinfo": "skip", "hovertemplate": None}))
     return found
-
-
-def _heights(panel: Panel) -> tuple[float, float]:
-    """Return the range of y of the curves of a panel."""
-    every = np.concatenate([trace.y for trace in panel.traces if isinstance(trace, Curve)] or [np.zeros(1)])
-    return (float(np.nanmin(every)), float(np.nanmax(every))) if np.any(np.isfinite(every)) else (0.0, 0.0)

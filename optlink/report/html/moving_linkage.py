@@ -8,14 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.columns import MotionColumns, slider_names
 from optlink.io import finite
-from optlink.report.export.svg import svg, zigzag
+from optlink.report.export.svg import svg
 from optlink.report.format import pretty
 from optlink.report.scene import Scene
-from optlink.report.shapes import Array
+from optlink.report.shapes import Array, zigzag
 from optlink.report.style import Scale, scale
 from optlink.tasks.results.analysis import Analysis
 
@@ -114,17 +113,6 @@ def in_time(scene: Scene, time: Array, shown: Iterable[tuple[str, Scale, Array]]
         for name, unit, values in shown
     ]
     return Moving(scene, Stops("time", " s", time, decimals_of(time)), listed)
-
-
-def even(count: int, most: int) -> NDArray[np.intp]:
-    """Return at most `most` evenly spaced indices of `count` rows, including the first and the last.
-
-    Parameters
-    ----------
-    count : int
-    most : int
-    """
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.intp))
 
 
 def decimals_of(values: Array) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 from optlink.errors import Status
@@ -215,11 +214,7 @@ def _recorded(subject: ReportModel) -> Part:
     """Tabulate the stored active constraints with their shadow prices in display units."""
     outcome, limits = subject.result, subject.limits
     if isinstance(outcome, PathResult) and outcome.best is not None:
-        best = outcome.best
-        shown = path_tables.displayed_objective(best)
-        size = shown / best.objective if best.objective > 0.0 else 1.0
-        scaled = [replace(limit, multiplier=limit.multiplier * size) for limit in limits]
-        return function_tables.active(scaled, shown, path_tables.displayed_objective_unit(best))
+        return path_tables.priced(outcome.best, limits)
     if isinstance(outcome, CycleResult):
         return cycle_tables.priced(outcome, limits)
     unit = outcome.unit if isinstance(outcome, FunctionResult) else ""

@@ -16,9 +16,10 @@ from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of
 from optlink.report.export.dimensions import Drawing, dimensioned
 from optlink.report.html.chart_plotly import Chart
-from optlink.report.html.moving_linkage import Moving, crank_stops, even, readouts
+from optlink.report.html.moving_linkage import Moving, crank_stops, readouts
 from optlink.report.html.shell import PageContent, PageSection, arranged, fitted, linkage_sections
 from optlink.report.scene import scene
+from optlink.report.shapes import even
 from optlink.report.table_spec import Line, Paragraph
 from optlink.report.views import function_tables
 from optlink.tasks.analyze import analyze

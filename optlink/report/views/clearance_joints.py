@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 from optlink.clearance.integration import Impact
 from optlink.clearance.joint import Gap
 from optlink.report.chart_spec import CRANK_ANGLE, Array, Axis, ChartSpec, Curve, Panel
-from optlink.report.style import BODIES, FOUND, GROUND, LIMIT, QUIET, WANTED, Scale, scale
+from optlink.report.style import BODIES, FOUND, GROUND, LIMIT, QUIET, WANTED, Scale, beside, scale
 from optlink.report.views.revolutions import (
     CIRCLE,
     FULL,
     WINDOW,
     RevolutionCurves,
-    beside,
     crown,
     from_zero,
     hold,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from optlink.report.chart_mpl import into
 from optlink.report.chart_spec import Array, Axis, Bars, ChartSpec, Curve, Line, Mark, Panel, Trace
 from optlink.report.labels import Label
-from optlink.report.shapes import finite
+from optlink.report.shapes import even, finite
 from optlink.report.style import BODIES, FOUND, LIMIT, QUIET, WANTED, scale
 from optlink.report.views.path_tables import exact, exact_angles
 from optlink.report.views.path_view import PathView, figures, fitting, length, title_of, wrapped
@@ -63,17 +63,6 @@ def small_frames(places: Array, angles: Array, length: float) -> Array:
     return np.stack([places + length * (a * x + b * y) for a, b in strokes], axis=1).reshape(-1, 2)
 
 
-def some(count: int, most: int) -> NDArray[np.intp]:
-    """Return at most `most` evenly spaced indices of `count` items, including the first and the last.
-
-    Parameters
-    ----------
-    count : int
-    most : int
-    """
-    return np.unique(np.round(np.linspace(0.0, count - 1.0, min(count, most))).astype(int))
-
-
 def _listed(numbers: list[int]) -> str:
     """Format point numbers; consecutive numbers as a range."""
     if len(numbers) > 2 and numbers[-1] - numbers[0] == len(numbers) - 1:
@@ -93,7 +82,7 @@ class Close:
         self.unit = scale(float(np.nanmax(np.abs(np.concatenate([track.targets, track.generated])))), "m")
         self.length = FRAME * track.size * self.unit.factor
         self.motion = track.task.requirement.kind == "motion"
-        self.shown = some(len(track.targets), FRAMED)
+        self.shown = even(len(track.targets), FRAMED)
 
     def _ends(self) -> Array:
         """Return the end points of the deviation lines."""
@@ -303,7 +292,7 @@ def _distances(track: PathView) -> Panel:
         if not np.all(seen[known]):
             least = length(float(np.min(tolerances[known & ~seen])), track.sketch.scale)
             told = f"tolerances from {least} on lie above" if np.any(seen) else f"tolerance, {least}, lies above"
-            traces.append(Curve(np.full(1, np.nan), np.full(1, np.nan), told, ALLOWED))
+            traces.append(Curve.entry(told, ALLOWED))
     return Panel(Axis(f"distance [{unit.unit}]", (0.0, 1.1 * top * unit.factor)), traces)
 
 

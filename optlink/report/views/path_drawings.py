@@ -22,9 +22,10 @@ from optlink.report.animation import film, there_and_back
 from optlink.report.chart_mpl import into
 from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Panel, crank_angle
 from optlink.report.labels import Label, place_labels
-from optlink.report.style import BODIES, CRANK, LIMIT, WANTED, degrees, figure, heading, panels, scale, styled
+from optlink.report.shapes import even
+from optlink.report.style import BODIES, CRANK, LIMIT, WANTED, beside, degrees, figure, heading, panels, scale, styled
 from optlink.report.views.function import function_chart
-from optlink.report.views.path_charts import NUMBERED, points_on, some
+from optlink.report.views.path_charts import NUMBERED, points_on
 from optlink.report.views.path_tables import kin
 from optlink.report.views.path_view import (
     LINE,
@@ -40,7 +41,6 @@ from optlink.report.views.path_view import (
     transmission,
     wrapped,
 )
-from optlink.report.views.revolutions import beside
 from optlink.tasks.results.path import PathResult
 from optlink.validation.path import deviations, transmission_angles
 
@@ -71,7 +71,7 @@ def _ghosts(axes: Axes, track: PathView) -> None:
     for part in sketch.parts[body]:
         if part.kind in ("bar", "plate"):
             places = sketch.placed(track.at, body, part.outline)
-            for k in some(len(places), GHOSTS):
+            for k in even(len(places), GHOSTS):
                 if k != track.first and np.all(np.isfinite(places[k])):
                     colour = to_rgb(track.colour)
                     ghost = Polygon(places[k], closed=part.kind == "plate", facecolor=(*colour, 0.06), edgecolor=(*colour, 0.35))

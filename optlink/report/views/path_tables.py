@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -29,6 +29,7 @@ from optlink.report.table_spec import (
 from optlink.report.views.certificate_view import certificate_lines, certificate_table, certified
 from optlink.report.views.function_tables import active, checks, graded, search_verdict
 from optlink.report.views.relaxations import conflict
+from optlink.solvers.solution import LimitState
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.path import LEVEL, PathDesign, PathResult
 from optlink.units import DISPLAYED
@@ -61,7 +62,7 @@ def path_result(outcome: PathResult) -> Summary:
         strokes,
         impossible,
         _points(best) if best.task.pointed else None,
-        _active(best) if best.solution is not None else None,
+        priced(best, best.limits) if best.solution is not None else None,
         _certificate(outcome),
         checks(best.validation.checks, bounds if len(bounds) > 1 else ()),
         _alternatives(outcome) if len(outcome.designs) > 1 else None,
@@ -150,10 +151,17 @@ def _certificate(outcome: PathResult) -> TableSpec | None:
     return None if found is None else certificate_table(found, *objective_scale(task), outcome.seconds)
 
 
-def _active(design: PathDesign) -> Part:
-    """Tabulate the active constraints with their shadow prices in the display unit of the objective."""
+def priced(design: PathDesign, limits: Iterable[LimitState]) -> Part:
+    """Tabulate the active constraints with their shadow prices in the display unit of the objective.
+
+    Parameters
+    ----------
+    design : PathDesign
+    limits : iterable of LimitState
+        Multipliers of the objective [SI].
+    """
     factor = displayed_objective(design) / design.objective if design.objective > 0.0 else 1.0
-    held = [replace(limit, multiplier=limit.multiplier * factor) for limit in design.limits]
+    held = [replace(limit, multiplier=limit.multiplier * factor) for limit in limits]
     return active(held, displayed_objective(design), displayed_objective_unit(design))
 
 

@@ -304,11 +304,6 @@ def named(gap: Gap) -> str:
     return f"{gap.point}: {gap.journal} in {gap.bearing}"
 
 
-def beside(count: int) -> int:
-    """Return the number of charts in a row."""
-    return 2 if count in (2, 4) else min(count, 3)
-
-
 # --- limits of y ---------------------------------------------------------------------------------------------------------
 
 

@@ -16,9 +16,10 @@ from optlink.report.chart_spec import Array, ChartSpec, Curve, HeatMap, Line, Pa
 from optlink.report.format import number
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection
+from optlink.report.shapes import even
 from optlink.report.stored.stored_study import StoredStudy, named_si, still, turning, with_drawings
 from optlink.report.stored.stored_sweep import read
-from optlink.report.style import BODIES, FOUND, LIMIT, QUIET
+from optlink.report.style import BODIES, FOUND, LIMIT, QUIET, beside
 from optlink.report.view import View
 from optlink.report.views import conclusions, study_tables
 from optlink.studies.analysis_task import FIGURES
@@ -235,8 +236,8 @@ def _picked(table: Table, rows: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return the selectable rows: all, or an even selection with the best."""
     if len(rows) <= PICKED:
         return np.sort(rows)
-    even = np.sort(rows)[np.linspace(0, len(rows) - 1, PICKED).round().astype(np.intp)]
-    return np.unique([*even, *([] if table.best is None else [table.best])]).astype(np.intp)
+    some = np.sort(rows)[even(len(rows), PICKED)]
+    return np.unique([*some, *([] if table.best is None else [table.best])]).astype(np.intp)
 
 
 # --- one parameter -----------------------------------------------------------------------------------------------------------
@@ -250,7 +251,7 @@ def _curves(table: Table) -> ChartSpec:
     values = table.column(table.shown[0])
     if len(x) > MOST:
         marked = np.flatnonzero(changed | (table.order == table.best))
-        kept = np.unique([*np.linspace(0, len(x) - 1, MOST).round(), *marked[:MOST]]).astype(np.intp)
+        kept = np.unique([*even(len(x), MOST), *marked[:MOST]]).astype(np.intp)
     picked = _picked(table, table.order[kept])
     places = np.searchsorted(picked, table.order[kept]).clip(max=len(picked) - 1)
     picks = [int(k) if picked[k] == row else None for k, row in zip(places, table.order[kept], strict=True)]
@@ -366,16 +367,15 @@ def _map(
             )
             traces.append(dots)
     if not np.all(there):
-        nowhere = np.array([np.nan])
-        traces.append(Curve(nowhere, nowhere, table.empty, EMPTY, mode="markers", symbol="square", size=7.0, hover=False))
+        traces.append(Curve.entry(table.empty, EMPTY, mode="markers", symbol="square", size=7.0, hover=False))
     return Panel(_axis_of(up), traces, height)
 
 
 def _slices(table: Table) -> list[ChartSpec]:
     """Return maps over the second and third parameter for some values of the first, with a common colour scale."""
     slow, up, side = table.axes
-    chosen = np.unique(np.linspace(0, len(slow.values) - 1, min(SLICES, len(slow.values))).round().astype(int))
-    columns = 2 if len(chosen) in (2, 4) else min(3, len(chosen))
+    chosen = even(len(slow.values), SLICES)
+    columns = beside(len(chosen))
     names = next(iter(_analysed(table).values())) if table.result.evaluated else table.shown
     name = next((name for name in names if name.endswith(".rms")), names[0])
     known = np.asarray(table.column(name), dtype=float)[chosen]

@@ -128,8 +128,7 @@ def _band(record: ToleranceRecord) -> ChartSpec:
         lines = [Line(limit, words, LIMIT, 1.6, "solid"), Line(-limit, "", LIMIT, 1.6, "solid")]
         ends_of_y = -max(reach, 1.1 * limit), max(reach, 1.1 * limit)
     elif math.isfinite(limit):
-        nowhere = np.array([math.nan])
-        traces.append(Curve(nowhere, nowhere, f"{words} (far outside)", LIMIT))
+        traces.append(Curve.entry(f"{words} (far outside)", LIMIT))
     what = record.output if error else f"change of {record.output}"
     panel = Panel(Axis(f"{what} [{record.display_unit}]", ends_of_y), traces, 1.7, lines)
     output = f"the {record.output}" if error else record.output
