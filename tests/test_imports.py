@@ -36,6 +36,7 @@ def command(*words: str) -> str:
     [
         (("--help",), {"numpy", "pydantic", "markdown_it", "pygments", "importlib.metadata"}),
         (("analyze", "six-bar"), HEAVY | {"numpy.ma", "optlink.optimization", "optlink.synthesis", "optlink.tasks.function"}),
+        (("simulate", "slider-crank"), HEAVY - {"casadi"} | {"scipy", "numpy.ma", "markdown_it"}),
         (("solve", "crank-rocker"), HEAVY - {"casadi"} | {"numpy.ma", "markdown_it"}),
     ],
 )

@@ -19,12 +19,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.dynamics.dop853 import ALL
 from optlink.dynamics.ending import Ending, first_event, marks_ahead, nearest
 from optlink.dynamics.inertia import kinetic, potential
 from optlink.dynamics.inverse import Reactions, reactions, required_wrench, virtual_torque
 from optlink.dynamics.loads import Magnitude
 from optlink.dynamics.machine import Machine, Moving
-from optlink.dynamics.runge_kutta import ALL, Attempt, Step, Stepper, attempt, states_at
+from optlink.dynamics.runge_kutta import Attempt, Step, Stepper, attempt, states_at
 from optlink.dynamics.work import jumps
 from optlink.linkage.jet import Jet
 from optlink.linkage.motion import Motion

@@ -5,13 +5,11 @@ The stages of a step are plain formulas: of numbers, or of symbols that are comp
 References
 ----------
 E. Hairer, S. P. Norsett, G. Wanner: Solving Ordinary Differential Equations I, 2nd ed. 1993, sections II.4 (first step size),
-II.5 (error estimate of orders 5 and 3 combined) and II.6 (dense output). The coefficients are those of their code DOP853, as
-published by SciPy.
+II.5 (error estimate of orders 5 and 3 combined) and II.6 (dense output). The coefficients are those of their code DOP853.
 """
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -19,30 +17,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.dynamics.dop853 import ALL, COEFFICIENTS
+
 Array = NDArray[np.float64]
 RELATIVE, ABSOLUTE = 1e-11, 1e-12  # tolerances
-STAGES, ALL = 12, 16  # stages of a step; with its end and those of the dense output
+STAGES = 12  # stages of a step
 SAFETY, LEAST, MOST = 0.9, 0.2, 10.0  # of the change of the step size
 EXPONENT = -1.0 / 8.0
-
-
-class Coefficients(NamedTuple):
-    """Of the stages (16, 16), row 12 that of the new state, rows 13 to 15 for the dense output; of both errors; of the output."""
-
-    stages: Array
-    fifth: Array
-    third: Array
-    dense: Array
-
-
-@functools.cache
-def coefficients() -> Coefficients:
-    """Return the coefficients of the method."""
-    from scipy.integrate import DOP853
-
-    extra = ALL - STAGES
-    stages = [np.pad(DOP853.A, ((0, 0), (0, extra))), np.pad(DOP853.B, (0, extra))[None], DOP853.A_EXTRA]
-    return Coefficients(*(np.ascontiguousarray(part) for part in (np.vstack(stages), DOP853.E5, DOP853.E3, DOP853.D)))
 
 
 class Attempt(NamedTuple):
@@ -67,7 +48,7 @@ def attempt(rates: Callable[[Any], Any], stack: Callable[[list[Any]], Any], stat
     size : float or symbol [s]
         Step size.
     """
-    known = coefficients()
+    known = COEFFICIENTS
     found, new = [first], state
 
     def combined(row: Array) -> Any:
@@ -121,7 +102,7 @@ def dense(shares: Array, sizes: Array, before: Array, after: Array, rates: Array
         At all stages.
     """
     over, first, last = after - before, sizes[:, None] * rates[:, 0], sizes[:, None] * rates[:, STAGES]
-    upper = sizes[:, None, None] * (coefficients().dense @ rates)
+    upper = sizes[:, None, None] * (COEFFICIENTS.dense @ rates)
     parts = [over, first - over, 2.0 * over - last - first, *np.moveaxis(upper, 1, 0)]
     state, x = np.zeros_like(before), shares[:, None]
     for k, part in enumerate(reversed(parts)):

@@ -9,6 +9,7 @@ from scipy.integrate import DOP853
 
 import optlink
 from optlink.dynamics import forward, runge_kutta
+from optlink.dynamics.dop853 import COEFFICIENTS
 from optlink.dynamics.runge_kutta import ABSOLUTE, RELATIVE, Stepper, attempt, states_at
 from optlink.symbolic import CompiledFunction, symbols_in_numpy
 
@@ -60,9 +61,17 @@ def test_steps_and_states_are_those_of_scipy():
     assert states < 1e-11
 
 
+def test_coefficients_are_those_of_scipy_to_the_last_digit():
+    extra = ((0, 0), (0, 4))
+    stages = np.vstack([np.pad(DOP853.A, extra), np.pad(DOP853.B[None], extra), DOP853.A_EXTRA])
+    known = stages, np.concatenate([DOP853.C, [1.0], DOP853.C_EXTRA]), DOP853.E5, DOP853.E3, DOP853.D
+    for ours, theirs in zip(COEFFICIENTS, known, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
 def test_wrong_coefficient_of_the_dense_output_would_be_noticed(monkeypatch):
-    known = runge_kutta.coefficients()
-    monkeypatch.setattr(runge_kutta, "coefficients", lambda: known._replace(dense=known.dense * (1.0 + 1e-4)))
+    wrong = COEFFICIENTS._replace(dense=COEFFICIENTS.dense * (1.0 + 1e-4))
+    monkeypatch.setattr(runge_kutta, "COEFFICIENTS", wrong)
     assert differences(1.0)[1] > 1e-11
 
 

@@ -6,7 +6,7 @@ constants c, and the servo reference. `p` has the feedback correction, then angl
 References
 ----------
 E. Hairer, S. P. Norsett, G. Wanner: Solving Ordinary Differential Equations I, 2nd ed. 1993, sections II.5 (error estimate of
-orders 5 and 3 combined) and II.6 (dense output). The coefficients are those of their code DOP853, as published by SciPy.
+orders 5 and 3 combined) and II.6 (dense output). The coefficients are those of their code DOP853.
 """
 
 from __future__ import annotations
@@ -14,17 +14,13 @@ from __future__ import annotations
 from math import cos, sin, sqrt
 from typing import Any
 
-import numpy as np
 from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
-from scipy.integrate import DOP853
 
-A: Any = np.ascontiguousarray(np.vstack([np.pad(DOP853.A, ((0, 0), (0, 4))), np.pad(DOP853.B, (0, 4))[None], DOP853.A_EXTRA]))
-"""(16, 16): stages 0 to 11; the new state, which is stage 12; stages 13 to 15 of the dense output."""
+from optlink.dynamics.dop853 import COEFFICIENTS
 
-C: Any = np.concatenate([DOP853.C, [1.0], DOP853.C_EXTRA])
-E3, E5, D = (np.ascontiguousarray(part) for part in (DOP853.E3, DOP853.E5, DOP853.D))
+A, C, E5, E3, D = COEFFICIENTS
 STAGES = 12
 POWERS = 7  # of the dense output
 SAFETY, LEAST, MOST = 0.9, 0.2, 10.0  # of the change of the step size
