@@ -79,12 +79,12 @@ def solve(
         return
     from optlink.tasks.certify import automatic
     from optlink.tasks.results.certificate import STRICT, share_text
-    from optlink.tasks.run import CERTIFIED
+    from optlink.tasks.run import design_task
     from optlink.tasks.run import solve as search
 
     file = console.load(problem, changes)
     if not (automatic(file) if certify is None else certify):
-        possible = certify is None and file.task in CERTIFIED
+        possible = certify is None and design_task(file).certified
         remedy = "Add --certify, or leave it out" if possible else "Leave it out"
         console.refuse(limits, "there is no proof of a global optimum that it applies to", remedy, file.file)
     if resume and (out is None or not certify):

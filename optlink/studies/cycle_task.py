@@ -68,7 +68,7 @@ class CycleTask(OptimumTask):
         for point in self.span(index):
             task = self.problem.override(self.grid.changes(point))
             near = done.get(point - 1 if point % self.grid.row else point - self.grid.row)
-            begin = [near.values] if near is not None else [dict(sizes) for sizes in self.anchors]
+            begin = [near.design] if near is not None else [dict(sizes) for sizes in self.anchors]
             found = min((self.begun(point, task, sizes) for sizes in begin), key=_rank, default=None)
             how = FOLLOWED
             if found is None or not found.valid:
@@ -101,7 +101,7 @@ class CycleTask(OptimumTask):
         found = solve_cycle(task, self.backend)
         if found.valid or found.status is not Status.OPTIMAL:
             return found
-        again = solve_cycle(with_starting_values(task, found.values), self.backend, starts=1)
+        again = solve_cycle(with_starting_values(task, found.design), self.backend, starts=1)
         return again if again.valid else found
 
     def _row(self, point: int, found: CycleResult, how: str) -> list[str]:
@@ -109,7 +109,7 @@ class CycleTask(OptimumTask):
         missed = [item.name for item in found.conflict] or [check.name for check in found.validation.checks if not check.passed]
         return self.optimum(
             point,
-            found.values,
+            found.design,
             found.objective,
             found.status,
             valid=found.valid,
@@ -196,7 +196,7 @@ class CycleProgramme:
             problem=problem,
             status=found.status,
             backend=self.backend,
-            values=dict(found.design),
+            design=dict(found.design),
             objective=found.objective,
             validation=Validation((*proof.checks, *optimality(found)), proof.objective),
             seconds={"build": built - begin, "solve": done - built, "validate": time.perf_counter() - done},

@@ -132,7 +132,7 @@ def designed(result: Any) -> Design:
     limits = () if best.solution is None else best.solution.limits
     return Design(
         best.problem,
-        best.problem.model.design(getattr(best, "values", None) or result.design),
+        best.problem.model.design(best.design),
         "failed" if result.status is Status.NON_FINITE else status,
         result.objective,
         best.solution,

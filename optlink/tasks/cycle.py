@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,9 +16,10 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import input_of
 from optlink.solvers.solution import Solution
 from optlink.tasks.analyze import quick_stroke_notes
+from optlink.tasks.protocol import DesignTask, Search, agreement
 from optlink.tasks.results.common import Optimum, optimality
 from optlink.tasks.results.cycle import CycleResult, analysis_of, task_of
-from optlink.tasks.search import Timer, agreement, back_ends, tally
+from optlink.tasks.results.evidence import tally
 from optlink.units import factor
 from optlink.validation.check import Check, Validation
 from optlink.validation.cycle import validate_cycle
@@ -31,45 +32,57 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-MAX_STARTS = 10_000
 ALIKE = 1e-6  # relative, of the objectives of two designs of one continuum
 MOST_NODES, EXACT = 400, 1e-7  # positions per revolution, and relative accuracy of integrals against the fine sweep
 
 
-def solve(
-    problem: ProblemFile,
-    backend: str = "ipopt",
-    starts: int | None = None,
-    seed: int = 0,
-    progress: Callable[[float], None] | None = None,
-) -> CycleResult:
-    """Find the dimensions that minimise the objective within the limits, and validate them.
+class CycleTask(DesignTask[CycleResult]):
+    """Optimisation of cycle quantities of a machine.
 
-    Parameters
-    ----------
-    problem : ProblemFile
-        From `optlink.load`, with an [objective].
-    backend : "slsqp", "ipopt" or "both"
-        With "both" each solver searches separately, the better design is used, and the results must agree.
-    starts : int, optional
-        Number of starting points: the given dimensions, and random ones with the same order of reversals. Default: 8. A larger
-        number contains the starting points of a smaller one, so that more are never worse.
-    seed : int
-        Seed of the random dimensions.
-    progress : function of the completed fraction, optional
-
-    Raises
-    ------
-    InputError
-        If there are no design variables, or an argument is out of range.
+    Starting points: the given dimensions, and random ones with the same order of reversals. Default: 8.
     """
+
+    most_starts = 10_000
+    free_example = 'length = { start = "120 mm", bounds = ["60 mm", "200 mm"] }'
+    without_free = "`optlink analyze` the machine"
+
+    def search(self, problem: ProblemFile, search: Search) -> CycleResult:
+        """Return the dimensions that minimise the objective within the limits; see `DesignTask.search`.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+        search : Search
+        """
+        return _search(problem, search)
+
+    def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> CycleResult:
+        """Validate given dimensions; those not named have their value in the file.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+        design : mapping of str to float [SI]
+        """
+        task, begin = task_of(problem), time.perf_counter()
+        own = {name: design.get(name, task.quantities[name].value) for name in task.free}
+        proof = validate_cycle(task, own)
+        seconds = {"build": 0.0, "solve": 0.0, "validate": time.perf_counter() - begin}
+        return CycleResult(problem, Status.NOT_SEARCHED, "none", own, proof.objective, proof, seconds, 0, 0)
+
+
+TASK = CycleTask()
+solve, validate = TASK.solve, TASK.validate
+
+
+def _search(problem: ProblemFile, search: Search) -> CycleResult:
+    """Return the dimensions that minimise the objective within the limits."""
     from optlink.optimization.cycle_signals import TracedCycle
     from optlink.solvers.continuum import continuum
     from optlink.solvers.cycle_search import STARTS, StartSequence, explain_infeasibility, further_start_groups, rank, search_all
 
-    names = back_ends(problem, backend, starts, seed, MAX_STARTS)
-    task, count = task_of(problem), STARTS if starts is None else starts
-    timer = Timer()
+    names, seed, timer, progress = search.names, search.seed, search.timer, search.progress
+    task, count = task_of(problem), STARTS if search.starts is None else search.starts
     with input_of(problem.file):
         trace = TracedCycle(task, slow=task.slow_assumed)
     samples = StartSequence(trace, seed)
@@ -105,7 +118,7 @@ def solve(
         problem=problem,
         status=winner.status,
         backend=chosen,
-        values=dict(winner.design),
+        design=dict(winner.design),
         objective=winner.objective,
         validation=Validation(checks, proof.objective),
         seconds=timer.seconds,
@@ -193,22 +206,6 @@ def _optima(task: CycleProblem, winner: Solution, solutions: list[Solution], equ
     optimal = sorted((s for s in solutions if s.status is Status.OPTIMAL), key=lambda s: s.objective)
     kept = tally([(winner, 0), *((solution, 1) for solution in optimal)], alike)
     return tuple(Optimum(solution.design, solution.objective, max(hits, 1)) for solution, hits in kept)
-
-
-def validate(problem: ProblemFile, values: Mapping[str, float]) -> CycleResult:
-    """Validate given dimensions, or show where they fail.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-    values : mapping of str to float [SI]
-        Design variables; those not named have their value in the file.
-    """
-    task, begin = task_of(problem), time.perf_counter()
-    own = {name: values.get(name, task.quantities[name].value) for name in task.free}
-    proof = validate_cycle(task, own)
-    seconds = {"build": 0.0, "solve": 0.0, "validate": time.perf_counter() - begin}
-    return CycleResult(problem, Status.NOT_SEARCHED, "none", own, proof.objective, proof, seconds, 0, 0)
 
 
 def _strokeless(task: CycleProblem, trace: TracedCycle, structure: EventOrder) -> tuple[str, Term, int] | None:

@@ -6,8 +6,8 @@ import functools
 import json
 import math
 import time
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from optlink.errors import Fault, InputError, Status
-from optlink.linkage.assur import EITHER
 from optlink.linkage.fourbar import LENGTHS
 from optlink.optimization.objectives import MEASURES
 from optlink.problem.base_model import Number, Record, absent
@@ -26,13 +25,14 @@ from optlink.problem.quantity import Quantity, input_of, nearest, read_quantity
 from optlink.solvers.function_exchange import ALONG, error_at, error_function
 from optlink.solvers.solution import Relaxation, Solution
 from optlink.tasks.machine import turning_machine
+from optlink.tasks.protocol import DesignTask, Search, Timer, agreement, part
 from optlink.tasks.results.analysis import stroke_document
-from optlink.tasks.results.certificate import Certificate, CertificateRecord, message
-from optlink.tasks.results.common import Optimum, SingleRecord, SingleResult, shortest_link
+from optlink.tasks.results.certificate import CertificateRecord, message
+from optlink.tasks.results.common import SingleRecord, SingleResult, shortest_link
+from optlink.tasks.results.evidence import Evidence, evidence
 from optlink.tasks.results.fit import Fit, law_fit
-from optlink.tasks.search import Evidence, Timer, agreement, back_ends, evidence, part
 from optlink.units import display_unit, show
-from optlink.validation import Check, Validation
+from optlink.validation import Check
 from optlink.validation import validate as prove
 
 if TYPE_CHECKING:
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from optlink.synthesis.freudenstein import FirstStep
 
 Start = NDArray[np.float64]
-MAX_STARTS = 100_000
 SAME_DESIGN = 1e-6  # of the frame
 LEVEL = 0.99  # fraction of the largest error that counts as an extreme value
 FLAT = 1e-7  # least curvature, for an objective scaled to 1, of a unique optimum
@@ -128,29 +127,13 @@ class FunctionRecord(SingleRecord):
         )
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FunctionResult(SingleResult):
     """A design with its validation, or the reason why there is none."""
 
     record = FunctionRecord
 
-    problem: ProblemFile
-    status: Status
-    backend: str
-    design: dict[str, float]
-    objective: float
-    validation: Validation
-    seconds: dict[str, float]
-    seed: int | None = None
-    starts: int = 0
-    solution: Solution | None = None
-    backends: dict[str, Solution] = field(default_factory=dict)
-    optima: tuple[Optimum, ...] = ()
-    conflict: tuple[Relaxation, ...] = ()
-    together: tuple[Relaxation, ...] = ()
     first: FirstStep | None = None  # best convex first design of a function
-    interrupted: bool = False
-    certificate: Certificate | None = None
     counts: tuple[int, ...] = ()  # random starts that reached each value of the objective, that of the design first
 
     @property
@@ -234,68 +217,84 @@ class FunctionResult(SingleResult):
         return {f"{name}_{display_value(name, value)[1]}": display_value(name, value)[0] for name, value in whole.items()}
 
 
-def solve(
-    problem: ProblemFile,
-    backend: str = "ipopt",
-    starts: int | None = None,
-    seed: int = 0,
-    progress: Callable[[float], None] | None = None,
-    *,
-    track: bool = False,
-    begin: Mapping[str, float] | None = None,
-) -> FunctionResult:
-    """Find the optimal design and validate it.
+class FunctionTask(DesignTask[FunctionResult]):
+    """Function synthesis of a four-bar.
 
-    Parameters
-    ----------
-    problem : ProblemFile
-        From `optlink.load`.
-    backend : "slsqp", "ipopt" or "both"
-        With "both" each solver searches separately, the better design is used, and the results must agree.
-    starts : int, optional
-        Number of starting points per assembly mode; a larger number contains those of a smaller one, so that more are
-        never worse. Law: the start in the problem, then Sobol points over the bounds. Function: always the convex first
-        designs (`optlink.synthesis.function_starts`) and the start in the problem, then fits at random start angles.
-        Default: until the estimated chance of a missed better optimum is small (`optlink.tasks.function_search`); 1 for a
-        law of at most two design variables, whose optimum `optlink.solve` certifies.
-    seed : int
-        Seed of the Sobol points.
-    progress : function of the completed fraction, optional
-    track : bool
-        Keep the iterates of the first search.
-    begin : mapping of str to float [SI], optional
-        Design variables of the only starting point.
-
-    Raises
-    ------
-    InputError
-        If there are no design variables, or an argument is out of range.
+    `starts` are those per assembly mode. Law: the start in the problem, then Sobol points over the bounds. Function: always the
+    convex first designs (`optlink.synthesis.function_starts`) and the start in the problem, then fits at random start angles.
+    Default: until the estimated chance of a missed better optimum is small (`optlink.tasks.function_search`); 1 for a law of at
+    most two design variables, whose optimum `optlink.solve` certifies.
     """
+
+    most_starts = 100_000
+    certified = True
+    free_example = 'coupler = { start = "400 mm", bounds = ["100 mm", "900 mm"] }'
+
+    def check(self, problem: ProblemFile) -> None:
+        """Refuse a problem without a requirement.
+
+        Raises
+        ------
+        InputError
+            If it has none.
+        """
+        _ = problem.spec
+
+    def search(self, problem: ProblemFile, search: Search) -> FunctionResult:
+        """Return the best design over the assembly modes; see `DesignTask.search`.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+        search : Search
+        """
+        variants = problem.variants()
+        found: list[FunctionResult] = []
+        for k, variant in enumerate(variants):
+            found.append(_search(variant, replace(search, timer=Timer(), progress=part(search.progress, k, len(variants)))))
+            if found[-1].interrupted:
+                break
+        return _merged(found) if len(variants) > 1 else found[0]
+
+    def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> FunctionResult:
+        """Validate a given design, in the better assembly mode if the file leaves it open; see `DesignTask.validate`.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+        design : mapping of str to float [m, rad]
+        """
+        begin = time.perf_counter()
+        results = []
+        for variant in problem.variants():
+            full = variant.spec.design(design)
+            proof = prove(variant.spec, full)
+            seconds = {"build": 0.0, "solve": 0.0, "validate": time.perf_counter() - begin}
+            results.append(FunctionResult(variant, Status.NOT_SEARCHED, "none", full, proof.objective, proof, seconds))
+        return min(results, key=_better)
+
+
+TASK = FunctionTask()
+solve, validate = TASK.solve, TASK.validate
+
+
+def _search(problem: ProblemFile, search: Search) -> FunctionResult:
+    """Return the best design in one assembly mode."""
     from optlink.optimization.nlp import build
     from optlink.solvers import multistart
     from optlink.tasks.function_search import FunctionSearch, start_sequence
 
-    spec = problem.spec  # refuses a problem without a requirement
-    names = back_ends(problem, backend, starts, seed, MAX_STARTS)
-    if spec.mechanism.assembly == EITHER:
-        found: list[FunctionResult] = []
-        variants = problem.variants()
-        for k, variant in enumerate(variants):
-            found.append(solve(variant, backend, starts, seed, part(progress, k, len(variants)), track=track, begin=begin))
-            if found[-1].interrupted:
-                break
-        return _merged(found)
-    timer = Timer()
+    spec = problem.spec
     nlp = build(spec)
-    for name in names:
+    for name in search.names:
         multistart.prepare(nlp, name)
-    timer.lap("build")
-    points = start_sequence(spec, nlp, seed, begin)
-    reason = functools.cache(lambda: _explained(nlp, seed))
-    searches = {name: FunctionSearch(spec, nlp, name, track=track) for name in names}
-    count, interrupted = starts, False
+    search.timer.lap("build")
+    points = start_sequence(spec, nlp, search.seed, search.begin)
+    reason = functools.cache(lambda: _explained(nlp, search.seed))
+    searches = {name: FunctionSearch(spec, nlp, name, track=search.track) for name in search.names}
+    count, interrupted = search.starts, False
     for k, one in enumerate(searches.values()):
-        if one.run(points, count, lambda: reason()[0], part(progress, k, len(searches))):
+        if one.run(points, count, lambda: reason()[0], part(search.progress, k, len(searches))):
             count, interrupted = one.starts, True  # the other solver then uses as many starting points
     conflict: Conflict = ((), ())
     chosen = min(searches.values(), key=lambda one: one.result.rank)
@@ -306,12 +305,12 @@ def solve(
     nlp.p[1:] = winner.solution.p[1:]
     backends = {name: one.result.solution if one.usable else winner.solution for name, one in searches.items()}
     checks: tuple[Check, ...] = ()
-    if len(names) > 1:
+    if len(search.names) > 1:
         backends = multistart.reconcile(nlp, backends)
         winner = min([winner, *(chosen.judge(solution) for solution in backends.values())], key=lambda candidate: candidate.rank)
         gaps = multistart.compare(*backends.values())
         checks = agreement("design", gaps.same, (gaps.objective, gaps.design), SAME_DESIGN, "<= 1e-06 frame")
-    timer.lap("solve")
+    search.timer.lap("solve")
     validating = sum(one.validating for one in searches.values())
     return FunctionResult(
         problem=problem,
@@ -320,12 +319,12 @@ def solve(
         design=winner.design,
         objective=winner.solution.objective,
         validation=replace(winner.validation, checks=(*winner.validation.checks, *checks)),
-        seconds=timer.seconds | {"solve": timer.seconds["solve"] - validating, "validate": validating},
-        seed=seed,
+        seconds=search.timer.seconds | {"solve": search.timer.seconds["solve"] - validating, "validate": validating},
+        seed=search.seed,
         starts=chosen.starts,
         solution=winner.solution,
-        backends=backends if backend == "both" else {},
-        optima=chosen.distinct_optima(spec.mechanism.assembly) if begin is None else (),
+        backends=backends if len(search.names) > 1 else {},
+        optima=chosen.distinct_optima(spec.mechanism.assembly) if search.begin is None else (),
         counts=tuple(chosen.counts) if chosen.drawn else (),
         interrupted=interrupted,
         conflict=conflict[0],
@@ -367,25 +366,6 @@ def _merged(found: list[FunctionResult]) -> FunctionResult:
         optima=tuple(optima),
         counts=best.counts + tuple(count for result in found if result is not best for count in result.counts),
     )
-
-
-def validate(problem: ProblemFile, design: Mapping[str, float]) -> FunctionResult:
-    """Validate a given design, in the better assembly mode if the file leaves it open.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-    design : mapping of str to float [m, rad]
-        All design variables; see `read_design`.
-    """
-    begin = time.perf_counter()
-    results = []
-    for variant in problem.variants():
-        full = variant.spec.design(design)
-        proof = prove(variant.spec, full)
-        seconds = {"build": 0.0, "solve": 0.0, "validate": time.perf_counter() - begin}
-        results.append(FunctionResult(variant, Status.NOT_SEARCHED, "none", full, proof.objective, proof, seconds))
-    return min(results, key=_better)
 
 
 def _pairs(text: str, quantities: Mapping[str, Quantity]) -> list[tuple[str, object]]:

@@ -26,7 +26,7 @@ from optlink.solvers.solution import Solution
 from optlink.synthesis import function_starts
 from optlink.synthesis.freudenstein import FirstStep
 from optlink.tasks.results.common import Optimum, optimality, proven
-from optlink.tasks.search import evidence, tally
+from optlink.tasks.results.evidence import evidence, tally
 from optlink.validation import Validation
 from optlink.validation import validate as prove
 

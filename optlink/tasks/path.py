@@ -12,19 +12,17 @@ import numpy as np
 
 from optlink.errors import Status
 from optlink.problem.file import ProblemFile
-from optlink.solvers import interrupts
 from optlink.solvers.contract import MINIMAX
 from optlink.tasks.path_search import DesignCollection, Polisher, has_several_dyads, path_model
+from optlink.tasks.protocol import DesignTask, Search
 from optlink.tasks.results.common import shortest_link
+from optlink.tasks.results.evidence import evidence
 from optlink.tasks.results.path import PathDesign, PathResult
-from optlink.tasks.search import Timer, back_ends, check_count, evidence
 from optlink.validation.path import validate_path
 
 if TYPE_CHECKING:
     from optlink.solvers.infeasibility import Explanation
 
-MAX_STARTS = 1_000_000
-MOST_DESIGNS = 50
 SMALL = 0.02  # estimated chance that a better design was missed at which a search ends
 SMALL_IN_ORDER = 0.005  # the same if the order of the points decides: it divides the designs into many small regions
 LEAST_ROUNDS, MOST_ROUNDS = 3, 20
@@ -41,42 +39,52 @@ MOST_IN_VAIN = 12  # rounds without a valid design
 OFTEN = 3  # starts per exact design after which no other one is expected
 
 
-def solve(
-    problem: ProblemFile,
-    backend: str = "ipopt",
-    starts: int | None = None,
-    seed: int = 0,
-    designs: int = 3,
-    progress: Callable[[float], None] | None = None,
-) -> PathResult:
-    """Find linkages that pass the points or poses, and validate them.
+class PathTask(DesignTask[PathResult]):
+    """Path, motion, function or transmission synthesis of any linkage.
 
-    Parameters
-    ----------
-    problem : ProblemFile
-        From `optlink.load`, with a requirement of the kind "path" or "motion".
-    backend : "slsqp" or "ipopt"
-        Solver that refines the batch results with all limits; a minimax solver is used where the largest deviation counts.
-    starts : int, optional
-        Least number of starts, rounded up to whole rounds. Default: rounds until a better design is unlikely.
-    seed : int
-        Seed of the random starts.
-    designs : int
-        Number of distinct designs.
-    progress : function of the completed fraction, optional
-
-    Raises
-    ------
-    InputError
-        If there are no design variables, or an argument is out of range.
+    The back end refines the batch results with all limits; a minimax solver is used where the largest deviation counts. `starts`:
+    least number of starts, rounded up to whole rounds. Default: rounds until a better design is unlikely.
     """
-    interrupts.check()
-    check_count("designs", designs, MOST_DESIGNS)
-    back_ends(problem, backend, starts, seed, MAX_STARTS, both=False)
-    timer = Timer()
-    search = _Search(problem, backend, seed, designs)
+
+    most_starts = 1_000_000
+    compares = False
+    designs = 3
+    certified = True
+
+    def search(self, problem: ProblemFile, search: Search) -> PathResult:
+        """Return linkages that pass the points or poses; see `DesignTask.search`.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+        search : Search
+        """
+        return _search(problem, search)
+
+    def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> PathResult:
+        """Validate a given design; with free timing, at the crank angles with the least deviation.
+
+        Of assembly modes that the problem leaves open, a valid one is taken before others, then the one with the least objective.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+        design : mapping of str to float [m, rad]
+            All design variables; further quantities replace those of the file.
+        """
+        return _validated(problem, design)
+
+
+TASK = PathTask()
+solve, validate = TASK.solve, TASK.validate
+
+
+def _search(problem: ProblemFile, options: Search) -> PathResult:
+    """Return linkages that pass the points or poses."""
+    backend, starts, seed, timer = options.backend, options.starts, options.seed, options.timer
+    search = _Search(problem, backend, seed, options.designs)
     timer.lap("build")
-    search.run(starts, progress)
+    search.run(starts, options.progress)
     timer.lap("search, polish and validate")
     found, told = search.collection, search.collection.evidence()
     task = path_model(problem)
@@ -89,7 +97,7 @@ def solve(
     notes += () if found.designs else shortest_link(task.quantities, task.limits.crank)
     if found.designs and told.missed > SMALL:
         count = search.searcher.exploration.starts
-        notes.append(f"search incomplete: {count} starts, {told.chance}; use --starts {min(4 * count, MAX_STARTS)}")
+        notes.append(f"search incomplete: {count} starts, {told.chance}; use --starts {min(4 * count, PathTask.most_starts)}")
     return PathResult(
         problem=problem,
         designs=tuple(found.designs),
@@ -186,17 +194,8 @@ class _Search:
         return rounds >= self._most or collection.evidence().missed <= small
 
 
-def validate(problem: ProblemFile, given: Mapping[str, float]) -> PathResult:
-    """Validate a given design; with free timing, at the crank angles with the least deviation.
-
-    Of assembly modes that the problem leaves open, a valid one is taken before others, then the one with the least objective.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-    given : mapping of str to float [m, rad]
-        All design variables; further quantities replace those of the file.
-    """
+def _validated(problem: ProblemFile, given: Mapping[str, float]) -> PathResult:
+    """Return the validation of a given design."""
     from optlink.validation.timing import passing
 
     clock = time.perf_counter()

@@ -21,8 +21,8 @@ from optlink.synthesis.batch_search import MISSED, Candidate, pass_in_order
 from optlink.synthesis.growth import ContainedFourBar, grow_from_four_bar
 from optlink.synthesis.levenberg_marquardt import minimise
 from optlink.tasks.results.common import OPTIMALITY_CHECK, optimality
+from optlink.tasks.results.evidence import Evidence, evidence
 from optlink.tasks.results.path import PathDesign
-from optlink.tasks.search import Evidence, evidence
 from optlink.validation.path import validate_path
 
 if TYPE_CHECKING:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from optlink.errors import Fault, InputError
 from optlink.io import Registry
 from optlink.problem.file import ProblemFile
+from optlink.problem.file_errors import SECTIONS
+from optlink.tasks.protocol import DesignTask, Progress, Search
 
 if TYPE_CHECKING:
     from optlink.tasks.function import FunctionResult
@@ -18,42 +19,35 @@ if TYPE_CHECKING:
     from optlink.tasks.results.cycle import CycleResult
     from optlink.tasks.results.path import PathResult
 
-Progress = Callable[[float], None]
-"""Receives the share of the work that is done, from 0 to 1."""
-
 Proving = Callable[[float, float], None]
 """Receives the share of the bounds that is done, and the present gap."""
 
-
-@dataclass(frozen=True)
-class Search:
-    """Options of a search, see `solve`."""
-
-    backend: str = "ipopt"
-    starts: int | None = None
-    seed: int = 0
-    progress: Progress | None = None
-    designs: int | None = None
-    track: bool = False
+TASKS: Registry[Callable[[], DesignTask[Any]]] = Registry()
+"""Functions that import and return the tasks, by the kind of problem (`ProblemFile.task`)."""
 
 
-@dataclass(frozen=True)
-class Task:
-    """How a kind of problem is solved, and how a given design of it is validated.
+def add_task(kind: str, task: type[DesignTask[Any]]) -> None:
+    """Register a kind of problem from outside the package.
 
-    The results have `problem`, `status`, `valid`, `interrupted`, `validation`, `with_checks` and `to_dict`; and, for the motion
-    on their page, `machine`: the problem with all dimensions fixed, or None.
+    Parameters
+    ----------
+    kind : str
+        Its name, that of the property `task` of its model.
+    task : type
+        With `section` and `model`.
+
+    Raises
+    ------
+    ValueError
+        if the name or the section is already taken.
     """
+    SECTIONS.add(task.section, task.model)
+    TASKS.add(kind, task)
 
-    solve: Callable[[ProblemFile, Search], Any]
-    validate: Callable[[ProblemFile, Mapping[str, float]], Any]
 
-
-CERTIFIED = ("function", "path")
-"""Kinds of problems whose global optimum can be certified."""
-
-TASKS: Registry[Task] = Registry()
-"""Tasks by the kind of problem (`ProblemFile.task`)."""
+def design_task(problem: ProblemFile) -> DesignTask[Any]:
+    """Return the task of a problem."""
+    return TASKS[problem.task]()
 
 
 def solve(
@@ -61,7 +55,7 @@ def solve(
     backend: str = "ipopt",
     starts: int | None = None,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = None,
     *,
     designs: int | None = None,
     track: bool = False,
@@ -116,20 +110,18 @@ def solve(
         If the problem has no requirement, objective or balancing section, if it has no design variables, or if an argument
         does not apply.
     """
-    if problem.task != "path" and designs is not None:
-        remedy = "Leave it out; --starts N lists the distinct optima of a law"
-        raise InputError(Fault("only points and poses have several designs", remedy, problem.file, "--designs", designs))
-    if certify and problem.task not in CERTIFIED:
-        message, remedy = "no certificate of the global optimum for this kind of problem", "Leave it out"
-        raise InputError(Fault(message, remedy, problem.file, "--certify"))
     from optlink.tasks import certify as proof
 
+    task = design_task(problem)
+    if certify and not task.certified:
+        message, remedy = "no certificate of the global optimum for this kind of problem", "Leave it out"
+        raise InputError(Fault(message, remedy, problem.file, "--certify"))
     proof.check_options(gap, time_limit)
     if certify:
         proof.check_problem(problem)
     found: FunctionResult | PathResult | CycleResult | Balance
-    found = TASKS[problem.task].solve(problem, Search(backend, starts, seed, progress, designs, track))
-    if problem.task not in CERTIFIED or certify is False or found.interrupted:
+    found = task.solve(problem, backend, starts, seed, progress, designs=designs, track=track)
+    if not task.certified or certify is False or found.interrupted:
         return found
     if certify is None and not proof.automatic(problem):
         return found
@@ -159,65 +151,43 @@ def validate(problem: ProblemFile, design: Mapping[str, float]) -> FunctionResul
     InputError
         If the problem has no requirement or objective.
     """
-    found: FunctionResult | PathResult | CycleResult = TASKS[problem.task].validate(problem, design)
+    found: FunctionResult | PathResult | CycleResult = design_task(problem).validate(problem, design)
     return found
 
 
 # --- the kinds of problems -------------------------------------------------------------------------------------------------
 
 
-def _function(problem: ProblemFile, search: Search) -> FunctionResult:
-    from optlink.tasks import function
+def _function() -> DesignTask[FunctionResult]:
+    from optlink.tasks.function import TASK
 
-    return function.solve(problem, search.backend, search.starts, search.seed, search.progress, track=search.track)
-
-
-def _path(problem: ProblemFile, search: Search) -> PathResult:
-    from optlink.tasks import path
-
-    designs = 3 if search.designs is None else search.designs
-    return path.solve(problem, search.backend, search.starts, search.seed, designs, search.progress)
+    return TASK
 
 
-def _cycle(problem: ProblemFile, search: Search) -> CycleResult:
-    from optlink.tasks import cycle
+def _path() -> DesignTask[PathResult]:
+    from optlink.tasks.path import TASK
 
-    return cycle.solve(problem, search.backend, search.starts, search.seed, search.progress)
-
-
-def _balance(problem: ProblemFile, search: Search) -> Balance:
-    from optlink.tasks import balance
-
-    if search.starts is not None:
-        message = "balancing is a convex programme with one optimum: it has no starting points"
-        raise InputError(Fault(message, "Leave it out", problem.file, "--starts", search.starts))
-    return balance.balance(problem, progress=search.progress)
+    return TASK
 
 
-def _check_function(problem: ProblemFile, design: Mapping[str, float]) -> FunctionResult:
-    from optlink.tasks import function
+def _cycle() -> DesignTask[CycleResult]:
+    from optlink.tasks.cycle import TASK
 
-    return function.validate(problem, design)
-
-
-def _check_path(problem: ProblemFile, design: Mapping[str, float]) -> PathResult:
-    from optlink.tasks import path
-
-    return path.validate(problem, design)
+    return TASK
 
 
-def _check_cycle(problem: ProblemFile, design: Mapping[str, float]) -> CycleResult:
-    from optlink.tasks import cycle
+class _BalanceTask(DesignTask["Balance"]):
+    no_starts = "balancing is a convex programme with one optimum: it has no starting points"
 
-    return cycle.validate(problem, design)
+    def search(self, problem: ProblemFile, search: Search) -> Balance:
+        from optlink.tasks.balance import balance
+
+        return balance(problem, progress=search.progress)
+
+    def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> Balance:
+        remedy = "Run `optlink balance`: it verifies what it finds by inverse dynamics"
+        raise InputError(Fault("a balancing problem has no design to validate", remedy, problem.file, "balance"))
 
 
-def _check_balance(problem: ProblemFile, design: Mapping[str, float]) -> Balance:
-    remedy = "Run `optlink balance`: it verifies what it finds by inverse dynamics"
-    raise InputError(Fault("a balancing problem has no design to validate", remedy, problem.file, "balance"))
-
-
-TASKS["function"] = TASKS["analysis"] = Task(_function, _check_function)  # an analysis is refused: it has no requirement
-TASKS["path"] = Task(_path, _check_path)
-TASKS["cycle"] = Task(_cycle, _check_cycle)
-TASKS["balance"] = Task(_balance, _check_balance)
+TASKS |= {"function": _function, "path": _path, "cycle": _cycle, "balance": _BalanceTask}
+TASKS["analysis"] = _function  # refused: it has no requirement

@@ -9,11 +9,9 @@ from optlink.io import head
 from optlink.linkage.extrema import extremes
 from optlink.linkage.motion import sweep
 from optlink.problem.base_model import Section
-from optlink.problem.file_errors import SECTIONS
 from optlink.problem.machine.model import Problem
-from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import FixedLength
-from optlink.tasks.run import TASKS, Task
+from optlink.tasks.run import DesignTask, add_task
 from optlink.validation.check import Check, Validation
 
 
@@ -41,20 +39,22 @@ class ClearingResult:
 
 
 def distances(problem, angles):
-    motion = sweep(problem.model.linkage, sizes_of(problem.model.quantities), angles)
+    motion = sweep(problem.model.linkage, problem.model.design({}), angles)
     pivot, point = motion.mechanism.crank.start, problem.model.clearing.point
     return np.linalg.norm(motion.position(point) - motion.position(pivot), axis=1)
 
 
-def solve(problem, search=None):
-    found = float(extremes(lambda at: distances(problem, at)[None, :], np.linspace(0.0, 2.0 * np.pi, 361))[1][0, 0])
-    swept, least = float(np.min(distances(problem, np.linspace(0.0, 2.0 * np.pi, 20001)))), problem.model.clearing.least.value
-    checks = (
-        Check("least distance", found >= least, found * 1e3, f">= {least * 1e3:.6g}", "mm"),
-        Check("agrees with a sweep", abs(found - swept) <= 1e-6 * swept, abs(found - swept) * 1e3, "<= 1e-06", ""),
-    )
-    return ClearingResult(problem, found, Validation(checks, swept))
+class ClearingTask(DesignTask):
+    section, model = "clearing", ClearingProblem
+
+    def search(self, problem, search):
+        found = float(extremes(lambda at: distances(problem, at)[None, :], np.linspace(0.0, 2.0 * np.pi, 361))[1][0, 0])
+        swept, least = float(np.min(distances(problem, np.linspace(0.0, 2.0 * np.pi, 20001)))), problem.model.clearing.least.value
+        checks = (
+            Check("least distance", found >= least, found * 1e3, f">= {least * 1e3:.6g}", "mm"),
+            Check("agrees with a sweep", abs(found - swept) <= 1e-6 * swept, abs(found - swept) * 1e3, "<= 1e-06", ""),
+        )
+        return ClearingResult(problem, found, Validation(checks, swept))
 
 
-SECTIONS.add("clearing", ClearingProblem)
-TASKS.add("clearing", Task(solve, lambda problem, design: solve(problem)))
+add_task("clearing", ClearingTask)

@@ -28,8 +28,8 @@ from optlink.report.views import path_drawings
 from optlink.report.views import path_tables as tables
 from optlink.report.views.path_charts import Close
 from optlink.report.views.path_view import PathView
+from optlink.tasks.results.evidence import evidence
 from optlink.tasks.results.path import PathDesign, PathResult
-from optlink.tasks.search import evidence
 from optlink.validation.path import validate_path
 from tests import synthesis_oracle as oracle
 

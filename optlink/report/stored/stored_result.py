@@ -226,12 +226,12 @@ def _machine_optimum(result: CycleResult) -> Solution | None:
     from optlink.studies.cycle_task import with_starting_values
     from optlink.tasks.cycle import solve as solve_cycle
 
-    found = solve_cycle(with_starting_values(result.problem, result.values), CLOSE, starts=1).solution
+    found = solve_cycle(with_starting_values(result.problem, result.design), CLOSE, starts=1).solution
     if found is None or found.status is not Status.OPTIMAL:
         return None
     assert isinstance(found.nlp, CycleNLP)
     count = len(found.nlp.free)
-    away = found.x[:count] - found.nlp.x_of(result.values)[:count]
+    away = found.x[:count] - found.nlp.x_of(result.design)[:count]
     return found if float(np.max(np.abs(away))) <= SAME else None
 
 

@@ -80,7 +80,7 @@ def _shown(result: CycleResult) -> Iterable[tuple[Term, float | None, float | No
 def charts(result: CycleResult) -> list[ChartSpec]:
     """Return the minimised and limited quantities over the revolution: initial machine grey, optimal in colour, limits red."""
     shown = list(_shown(result))
-    given, found = Cycle(result.task, {}), Cycle(result.task, result.values)
+    given, found = Cycle(result.task, {}), Cycle(result.task, result.design)
     if not shown or not found.full:
         return []
     cycles = {"initial": given, "result": found} if given.full else {"result": found}

@@ -77,7 +77,7 @@ def _status(outcome: CycleResult) -> Iterator[Line]:
 
 def _sizes(outcome: CycleResult) -> TableSpec:
     rows = []
-    for name, value in outcome.values.items():
+    for name, value in outcome.design.items():
         quantity = outcome.task.quantities[name]
         size, unit = quantity.display
         low, high = (bound * size for bound in quantity.bounds)
@@ -97,7 +97,7 @@ def _figures(outcome: CycleResult) -> TableSpec:
 
 
 def _optima(outcome: CycleResult) -> TableSpec:
-    free = list(outcome.values)[:4]
+    free = list(outcome.design)[:4]
     reached = sum(optimum.count for optimum in outcome.optima)
     rows = []
     for optimum in outcome.optima[:8]:
@@ -113,7 +113,7 @@ def _backends(outcome: CycleResult) -> TableSpec:
         ("status", *(solution.status.value for solution in found), ""),
         ("objective", *(number(solution.objective, 9) for solution in found), outcome.unit),
     ]
-    for name in outcome.values:
+    for name in outcome.design:
         size, unit = outcome.task.quantities[name].display
         rows.append((name, *(fixed(solution.design[name] * size, 5) for solution in found), unit))
     rows.append(("KKT residual", *(f"{solution.kkt:.1e}" for solution in found), ""))

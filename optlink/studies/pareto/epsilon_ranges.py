@@ -304,10 +304,10 @@ class _CycleRanges(EpsilonRanges):
             found = solve_cycle(with_starting_values(task, near), self.backend, starts=1) if near is not None else None
             if found is None or found.status is not Status.OPTIMAL:
                 found = solve_cycle(task, self.backend)
-            measured = cycle_figures(problem, aims, found.values)
+            measured = cycle_figures(problem, aims, found.design)
             if found.status not in (Status.OPTIMAL, Status.STALLED) or not np.all(np.isfinite(measured)):
                 raise self._no_end(aims[k], found.status.text)
-            return {"sizes": dict(found.values), "figures": list(measured)}  # validated or not: it only defines the range
+            return {"sizes": dict(found.design), "figures": list(measured)}  # validated or not: it only defines the range
 
         alone = {
             first: once(aims[first].best, partial(searched, first, epsilon_problem(problem, aims, {first: 1.0}, bounds), None))

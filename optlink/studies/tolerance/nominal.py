@@ -16,12 +16,11 @@ from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import Value, cross, dot, unit
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
-from optlink.problem.mechanism import sizes_of
-from optlink.problem.path import PathProblem
 from optlink.problem.quantity import nearest
 from optlink.problem.tolerances import with_deviating_pivots
 from optlink.solvers import interrupts
 from optlink.studies.motion_sensitivity import output_names, output_sensitivity
+from optlink.tasks.run import design_task
 
 Array = NDArray[np.float64]
 ERROR = "error"
@@ -147,41 +146,22 @@ def _placed(
 def _design(problem: ProblemFile, given: Mapping[str, float] | None) -> tuple[ProblemFile, dict[str, float], Array | None]:
     """Return the problem with definite assembly modes, all quantities of the design [SI], and its crank angles, if any."""
     model = problem.model
-    if isinstance(model, PathProblem):
-        from optlink.tasks.path import solve as solve_path
-        from optlink.tasks.path import validate as validate_path
-
-        made = solve_path(problem) if given is None and model.free else validate_path(problem, given or {})
+    if given is None and model.free:
+        if problem.task in ("analysis", "balance"):
+            message = "the problem has design variables but no requirement"
+            raise InputError(Fault(message, "Add --design", problem.file, "mechanism"))
+        result = design_task(problem).solve(problem)
         interrupts.check()
-        best = made.best
-        if best is None or (given is None and not made.valid):
-            raise _nothing(problem)
-        return (
-            best.problem,
-            dict(best.values),
-            np.asarray(best.crank_angles) if model.requirement.kind != "transmission" else None,
-        )
-    if problem.task == "cycle" and given is None:
-        from optlink.tasks.cycle import solve as solve_cycle
-
-        machine = solve_cycle(problem)
-        interrupts.check()
-        if not machine.valid:
-            raise _nothing(problem)
-        return problem, {**sizes_of(model.quantities), **machine.values}, None
-    if isinstance(model, DesignProblem) and (given is not None or not model.free):
+    elif problem.task == "path":
+        result = design_task(problem).validate(problem, given or {})
+    else:
         return problem, model.design(given or {}), None
-    if isinstance(model, DesignProblem):
-        from optlink.tasks.function import solve
-
-        result = solve(problem)
-        interrupts.check()
-        if not result.valid:
-            raise _nothing(problem)
-        return result.problem, dict(result.design), None
-    if model.free and given is None:
-        raise InputError(Fault("the problem has design variables but no requirement", "Add --design", problem.file, "mechanism"))
-    return problem, {**sizes_of(model.quantities), **(given or {})}, None
+    best = result.best
+    if best is None or (given is None and not result.valid):
+        raise _nothing(problem)
+    angles = getattr(best, "crank_angles", None)
+    timed = angles is not None and best.task.requirement.kind != "transmission"
+    return best.problem, best.problem.model.design(best.design), np.asarray(angles) if timed else None
 
 
 def _nothing(problem: ProblemFile) -> InputError:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Self
 
 from optlink.errors import Status
@@ -96,12 +96,28 @@ def _stationary(solution: Solution) -> Check:
     return Check(OPTIMALITY_CHECK, passed, solution.kkt, limit, "")
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class SingleResult(Recorded):
-    """Result of a search for one design, which is its own best design."""
+    """Result of a search for one design, which is its own best design.
+
+    `design` [SI]; `objective` [SI]; `counts` and `conflict` as they apply: a search without a design has the reason instead.
+    """
 
     problem: ProblemFile
     status: Status
+    backend: str
+    design: dict[str, float]
+    objective: float
     validation: Validation
+    seconds: dict[str, float]
+    seed: int | None = None
+    starts: int = 0
+    solution: Solution | None = None
+    backends: dict[str, Solution] = field(default_factory=dict)
+    optima: tuple[Optimum, ...] = ()
+    conflict: tuple[Relaxation, ...] = ()
+    together: tuple[Relaxation, ...] = ()
+    interrupted: bool = False  # the search ended before its last starting point
     certificate: Certificate | None = None
 
     @property
@@ -121,7 +137,7 @@ class SingleResult(Recorded):
 
     def with_best(self, **changes: Any) -> Self:
         """Return the result with other fields of its best design."""
-        return replace(self, **changes)  # type: ignore[type-var]
+        return replace(self, **changes)
 
     def with_checks(self, checks: Sequence[Check]) -> Self:
         """Return the result with further checks."""

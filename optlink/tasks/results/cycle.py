@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
@@ -17,19 +17,17 @@ from optlink.problem.cycle.model import CycleProblem, StrokeProblem
 from optlink.problem.cycle.terms import Term
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
-from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Unusable
-from optlink.solvers.solution import Solution
 from optlink.tasks.analyze import analyze
 from optlink.tasks.results.analysis import Analysis, stroke_document
-from optlink.tasks.results.common import Optimum, SingleRecord, SingleResult, in_display_units
+from optlink.tasks.results.common import SingleRecord, SingleResult, in_display_units
 from optlink.tasks.results.fit import Fit, transmission_fit
 from optlink.units import KINDS, display_unit, factor
 from optlink.validation.check import Validation
 from optlink.validation.cycle import Cycle, validate_cycle
 
 if TYPE_CHECKING:
-    from optlink.solvers.solution import Relaxation
+    pass
 
 
 @dataclass(frozen=True)
@@ -79,7 +77,7 @@ class CycleRecord(SingleRecord):
         """
         kind = result.task.unit_kind
         objective = CycleObjectiveRecord(value=result.objective, unit=KINDS[kind].si if kind else "")
-        design = in_display_units({**sizes_of(result.problem.model.quantities), **result.values}, result.task.quantities)
+        design = in_display_units(result.complete(result.design), result.task.quantities)
         return super().of(result, design=design, objective=objective, **values)
 
 
@@ -87,32 +85,17 @@ class CycleRecord(SingleRecord):
 class CycleResult(SingleResult):
     """A machine with its validation, or the reason why there is none.
 
-    `values`: design variables [SI]; `objective`: minimised value [SI], negative for a maximised term.
+    `design`: design variables [SI]; `objective`: minimised value [SI], negative for a maximised term.
     """
 
     record = CycleRecord
 
-    problem: ProblemFile
-    status: Status
-    backend: str
-    values: dict[str, float]
-    objective: float
-    validation: Validation
-    seconds: dict[str, float]
-    seed: int
-    starts: int
-    solution: Solution | None = None
-    backends: dict[str, Solution] = field(default_factory=dict)
-    optima: tuple[Optimum, ...] = ()
-    conflict: tuple[Relaxation, ...] = ()
-    together: tuple[Relaxation, ...] = ()
     notes: tuple[str, ...] = ()
-    interrupted: bool = False  # the search ended before its last starting point
 
     @property
-    def design(self) -> dict[str, float]:
+    def values(self) -> dict[str, float]:
         """Design variables [SI]."""
-        return self.values
+        return self.design
 
     @property
     def task(self) -> CycleProblem:
@@ -127,20 +110,21 @@ class CycleResult(SingleResult):
     @cached_property
     def machine(self) -> ProblemFile:
         """The problem with all design variables fixed at the result, as used by `analyze` and `simulate`."""
-        return fixed_design(self.problem, self._all(self.values))
+        return fixed_design(self.problem, self.complete(self.design))
 
     @cached_property
     def initial_analysis(self) -> Analysis | None:
         """Cycle of the initial machine of the file; None if its crank cannot turn fully."""
-        return self._analysed(self._all({}))
+        return self._analysed(self.complete({}))
 
     @cached_property
     def analysis(self) -> Analysis | None:
         """Cycle of the resulting machine; None if its crank cannot turn fully."""
-        return self._analysed(self._all(self.values))
+        return self._analysed(self.complete(self.design))
 
-    def _all(self, values: Mapping[str, float]) -> dict[str, float]:
-        return {**sizes_of(self.problem.model.quantities), **values}
+    def complete(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return every quantity [SI] for values of design variables."""
+        return self.problem.model.design(values)
 
     def _analysed(self, values: Mapping[str, float]) -> Analysis | None:
         try:
@@ -152,13 +136,13 @@ class CycleResult(SingleResult):
     @cached_property
     def built(self) -> Machine | None:
         """Machine of this design; None if its crank cannot turn fully."""
-        cycle = analysis_of(self.task, self.values)
+        cycle = analysis_of(self.task, self.design)
         return cycle.machine if cycle is not None and cycle.full else None
 
     @cached_property
     def initial(self) -> Validation:
         """Checks and objective of the initial design of the file."""
-        return validate_cycle(self.task, self._all({}))
+        return validate_cycle(self.task, self.complete({}))
 
     @property
     def comparison(self) -> str:
@@ -183,16 +167,16 @@ class CycleResult(SingleResult):
         goal = self.task.goals[0]
         if not self.task.single or goal.quantity not in ("transmission angle", "pressure angle"):
             return None
-        cycle = analysis_of(self.task, self.values)
+        cycle = analysis_of(self.task, self.design)
         angle = math.nan if cycle is None else cycle.figure(goal)
         angle = 0.5 * math.pi - angle if goal.quantity == "pressure angle" else angle
         limits = () if self.solution is None else self.solution.limits
-        return transmission_fit(min(angle, math.pi - angle), self.task.mechanism.quantities, self._all(self.values), limits)
+        return transmission_fit(min(angle, math.pi - angle), self.task.mechanism.quantities, self.complete(self.design), limits)
 
     @cached_property
     def figures(self) -> tuple[CycleFigure, ...]:
         """Terms of the objective, then the limits, of the initial machine and of the result."""
-        given, found = (analysis_of(self.task, values) for values in ({}, self.values))
+        given, found = (analysis_of(self.task, values) for values in ({}, self.design))
         told = []
         for k, goal in enumerate(self.task.goals):
             name = "objective" if self.task.single else f"objective {k + 1}"

@@ -30,8 +30,8 @@ from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.analysis import stroke_document
 from optlink.tasks.results.certificate import Certificate, CertificateRecord, message
 from optlink.tasks.results.common import SearchRecord, in_display_units, proven
+from optlink.tasks.results.evidence import Evidence
 from optlink.tasks.results.fit import Fit, FitRecord, path_fit, transmission_fit
-from optlink.tasks.search import Evidence
 from optlink.units import DISPLAYED
 from optlink.validation.between import excursions
 from optlink.validation.check import Check, Validation
@@ -64,6 +64,11 @@ class PathDesign(Summary):
         """The model of the problem."""
         assert isinstance(self.problem.model, PathProblem)
         return self.problem.model
+
+    @property
+    def design(self) -> dict[str, float]:
+        """All quantities [m, rad], as in other results."""
+        return self.values
 
     @property
     def valid(self) -> bool:

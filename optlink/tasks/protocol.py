@@ -1,0 +1,225 @@
+"""What a kind of design problem registers, `DesignTask`, and what all searches share: checked options, stages, progress."""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar, Generic, TypeVar
+
+from optlink.errors import Fault, InputError
+from optlink.problem.file import ProblemFile
+from optlink.problem.machine.model import Problem
+from optlink.problem.quantity import nearest
+from optlink.solvers import contract, interrupts
+from optlink.validation.check import Check
+
+R = TypeVar("R")
+MOST_DESIGNS = 50
+Progress = Callable[[float], None] | None
+"""Receives the share of the work that is done, from 0 to 1."""
+
+
+class Timer:
+    """Wall time per stage [s], in `seconds`."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, stage: str) -> None:
+        """End a stage."""
+        now = time.perf_counter()
+        self.seconds[stage], self._last = now - self._last, now
+
+
+def check_count(key: str, value: int | None, most: int) -> None:
+    """Check that a number lies between 1 and `most`.
+
+    Parameters
+    ----------
+    key : str
+        Argument, for the error.
+    value : int or None
+        None: the default.
+    most : int
+
+    Raises
+    ------
+    InputError
+        If it does not.
+    """
+    if value is not None and not 1 <= value <= most:
+        raise InputError(Fault("out of range", f"Give a number from 1 to {most}", key=key, value=value))
+
+
+def agreement(
+    what: str, same: bool, gaps: tuple[float, float], nearest_design: float, limit: str, unit: str = ""
+) -> tuple[Check, ...]:
+    """Check that two back ends found the same objective, and the same design unless several are equally good.
+
+    Parameters
+    ----------
+    what : str
+        "design" or "sizes".
+    same : bool
+        Whether the objectives agree.
+    gaps : (float, float)
+        Relative difference of the objectives, and difference of the designs.
+    nearest_design : float
+        Difference up to which two designs are the same.
+    limit : str
+        The same, for display.
+    unit : str
+        Unit of the difference of the designs.
+    """
+    alike = gaps[1] <= nearest_design
+    words = "" if alike or not same else " (two of equal value)"
+    return (
+        Check("both back ends agree: objective", same, gaps[0], "<= 1e-06", ""),
+        Check(f"both back ends agree: {what}{words}", same, gaps[1], limit if alike else "-", unit),
+    )
+
+
+def part(progress: Progress, k: int, count: int) -> Progress:
+    """Return the progress function of the k-th of several searches.
+
+    Parameters
+    ----------
+    progress : function of the completed fraction, optional
+    k, count : int
+    """
+    return None if progress is None else lambda share: progress((k + share) / count)
+
+
+@dataclass(frozen=True)
+class Search:
+    """Checked options of a search, see `DesignTask.solve`; `names`: the back ends to use; `timer`: begun with the search."""
+
+    names: tuple[str, ...]
+    backend: str
+    starts: int | None
+    seed: int
+    progress: Progress
+    designs: int
+    track: bool
+    begin: Mapping[str, float] | None
+    timer: Timer = field(default_factory=Timer)
+
+
+class DesignTask(ABC, Generic[R]):
+    """A kind of problem: how it is searched, and how a given design of it is validated.
+
+    The results have `problem`, `status`, `valid`, `interrupted`, `validation`, `with_checks` and `to_dict`; and, for the motion
+    on their page, `machine`: the problem with all dimensions fixed, or None.
+    """
+
+    section: ClassVar[str]
+    """Section of a problem file that marks a kind from outside the package, see `optlink.tasks.run.add_task`."""
+    model: ClassVar[type[Problem]]
+    """Model of such a file; its property `task` is the name of the kind."""
+    most_starts: ClassVar[int | None] = None
+    """Largest number of starting points; None for a kind without starting points and design variables."""
+    no_starts: ClassVar[str] = "this kind of problem has no starting points"
+    """Error message where a number of starting points is given nevertheless."""
+    compares: ClassVar[bool] = True
+    """Whether two back ends can search separately and be compared, with the back end "both"."""
+    designs: ClassVar[int | None] = None
+    """Default number of distinct designs; None if only one is found."""
+    certified: ClassVar[bool] = False
+    """Whether the global optimum can be certified."""
+    free_example: ClassVar[str] = 'coupler = { bounds = ["100 mm", "900 mm"] }'
+    """Example of a design variable, for an error message."""
+    without_free: ClassVar[str] = "check the design: optlink validate"
+    """What to do with a problem without design variables, for an error message."""
+
+    @abstractmethod
+    def search(self, problem: ProblemFile, search: Search) -> R:
+        """Return the best design with its validation, or the reason why there is none.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+        search : Search
+        """
+
+    def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> R:
+        """Validate a given design; of a kind without design variables, the result of `solve`.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+        design : mapping of str to float [m, rad]
+            All design variables; see `read_design`.
+        """
+        return self.solve(problem)
+
+    def check(self, problem: ProblemFile) -> None:
+        """Refuse a problem that has nothing to solve."""
+
+    def solve(
+        self,
+        problem: ProblemFile,
+        backend: str = "ipopt",
+        starts: int | None = None,
+        seed: int = 0,
+        progress: Progress = None,
+        *,
+        designs: int | None = None,
+        track: bool = False,
+        begin: Mapping[str, float] | None = None,
+    ) -> R:
+        """Check the options, search, and validate the result.
+
+        Parameters
+        ----------
+        problem : ProblemFile
+            From `optlink.load`.
+        backend : "slsqp", "ipopt" or "both"
+            With "both" each solver searches separately, the better design is used, and the results must agree.
+        starts : int, optional
+            Number of starting points; a larger number contains those of a smaller one, so that more are never worse.
+        seed : int
+            Seed of the random starting points.
+        progress : function of the completed fraction, optional
+        designs : int, optional
+            Number of distinct designs, for kinds of problems with several.
+        track : bool
+            Keep the iterates of the first search (laws and functions).
+        begin : mapping of str to float [SI], optional
+            Design variables of the only starting point (laws and functions).
+
+        Raises
+        ------
+        InputError
+            If there are no design variables, or an option is out of range or does not apply.
+        """
+        interrupts.check()
+        self.check(problem)
+        if designs is not None and self.designs is None:
+            remedy = "Leave it out; --starts N lists the distinct optima of a law"
+            raise InputError(Fault("only points and poses have several designs", remedy, problem.file, "--designs", designs))
+        check_count("designs", designs, MOST_DESIGNS)
+        names = self._back_ends(problem, backend, starts, seed)
+        return self.search(problem, Search(names, backend, starts, seed, progress, designs or self.designs or 1, track, begin))
+
+    def _back_ends(self, problem: ProblemFile, backend: str, starts: int | None, seed: int) -> tuple[str, ...]:
+        """Check the options of the search, import its back ends and return their names."""
+        if self.most_starts is None:
+            if starts is not None:
+                raise InputError(Fault(self.no_starts, "Leave it out", problem.file, "--starts", starts))
+            return ()
+        known = [*contract.selectable(), *(["both"] if self.compares else [])]
+        if backend not in known:
+            raise InputError(Fault("unknown back end", nearest(backend, known), key="backend", value=backend))
+        check_count("starts", starts, self.most_starts)
+        if seed < 0:
+            raise InputError(Fault("a seed is not negative", "Give 0 or more", key="seed", value=seed))
+        if not problem.model.free:
+            message = "no design variables: every dimension is fixed"
+            raise InputError(Fault(message, f"Free one: {self.free_example}, or {self.without_free}", problem.file, "mechanism"))
+        names = contract.BACKENDS if backend == "both" else (backend,)
+        for name in names:
+            contract.backend(name)  # imports do not count as solving time
+        return names
