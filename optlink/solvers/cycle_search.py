@@ -1,5 +1,7 @@
 """Multistart search of cycle optimisation: one NLP for each order of events and slow stroke.
 
+Where a design ends at the edge of its order of events, and a better one would have another order, that order is searched as well.
+
 A larger number of starting points never worsens the result: the starting points of a smaller number come first in the same
 sequence, every search starts from the state of the searches before it, and the best design is returned.
 """
@@ -16,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Status
+from optlink.optimization.cycle_constraints import EVENT
 from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
 from optlink.optimization.cycle_signals import EventOrder, Sample, TracedCycle
 from optlink.problem.function import EPIGRAPH
@@ -24,7 +27,7 @@ from optlink.solvers.contract import backend
 from optlink.solvers.feasibility import repair
 from optlink.solvers.infeasibility import Explanation, explain
 from optlink.solvers.semi_infinite import exchange, peaks, restart_from
-from optlink.solvers.solution import Relaxation, Solution
+from optlink.solvers.solution import ACTIVE, LEAST_PRICE, Relaxation, Solution
 
 Array = NDArray[np.float64]
 
@@ -33,6 +36,8 @@ SAMPLES = 64  # random designs per starting point; only those with the structure
 BLOCK = 32  # random designs whose events are determined together
 ORDERS = 2  # further orders of events searched while no feasible design is known
 COARSE, TRIED = 24, 2  # positions per revolution, and starts, of the infeasibility analysis
+STEPS = (1e-3, 1e-2)  # of the range of a design variable: from a design at the edge of its order of events to the next order
+NEIGHBOURS, CROSSINGS = 4, 12  # other orders searched from one such design; designs from which orders beside are searched
 
 
 @dataclass(frozen=True)
@@ -137,6 +142,44 @@ def further_start_groups(
     return found
 
 
+def at_edge(solution: Solution) -> bool:
+    """Return whether the order of events, which no limit prescribes, keeps a design from a better one.
+
+    Parameters
+    ----------
+    solution : Solution
+        Of a `CycleNLP`.
+    """
+    rows = solution.nlp.rows
+    prices = np.abs(solution.proof.multipliers[len(solution.x) :])
+    return solution.usable and any(
+        row.limit == EVENT and row.low < row.high and value - row.low <= ACTIVE and price > LEAST_PRICE
+        for row, value, price in zip(rows, solution.g, prices, strict=True)
+    )
+
+
+def neighbours(nlp: CycleNLP, solution: Solution) -> list[StartGroup]:
+    """Return starting points beside a design, one for each other order of events, the nearest first.
+
+    Parameters
+    ----------
+    nlp : CycleNLP
+    solution : Solution
+        One of its solutions.
+    """
+    trace, here, designs = nlp.traced, solution.design, []
+    for step, (name, way) in itertools.product(STEPS, itertools.product(trace.problem.free, (-1.0, 1.0))):
+        low, high = trace.problem.quantities[name].bounds
+        designs.append({**here, name: min(max(here[name] + way * step * (high - low), low), high)})
+    found: dict[tuple[object, ...], StartGroup] = {}
+    for sample in trace.samples(designs):
+        structure = sample.structure
+        if structure is not None and not structure.like(nlp.structure):
+            structure = replace(structure, slow=nlp.structure.slow)
+            found.setdefault((structure.which, structure.rising), StartGroup(structure, (sample.values,)))
+    return list(found.values())[:NEIGHBOURS]
+
+
 def build_programme(trace: TracedCycle, begin: StartGroup) -> CycleNLP:
     """Return the NLP of one order of events, with its exchange points at the peaks of the first starting point.
 
@@ -166,6 +209,7 @@ class OrderSearch:
     names: tuple[str, ...]
     insists: bool = True  # whether the first search runs even without a feasible point near the start
     runs: dict[str, list[Solution]] = field(default_factory=dict)
+    left: list[Solution] = field(default_factory=list)  # designs at the edge of the order, from which others were searched
 
     def __post_init__(self) -> None:
         self.runs = {name: [] for name in self.names}
@@ -202,6 +246,10 @@ class OrderSearch:
     def best(self, name: str) -> Solution | None:
         """Return the best design of a back end so far."""
         return min(self.runs[name], key=rank, default=None)
+
+    def rank(self) -> tuple[bool, bool, float]:
+        """Return the sort key of the best design of all back ends; infeasible ones last."""
+        return min((rank(best) for name in self.names if (best := self.best(name)) is not None), default=(True, True, math.inf))
 
     @property
     def usable(self) -> bool:
@@ -264,6 +312,7 @@ def search_all(
     own = tuple(names)
     orders = [OrderSearch(build_programme(trace, begin), begin, own) for begin in firsts]
     more: list[OrderSearch] | None = None
+    beside: list[OrderSearch] = []
     count, interrupted = 0, False
     try:
         for k in range(max(len(begin.starts) for begin in firsts)):
@@ -272,14 +321,15 @@ def search_all(
                 if more is None:
                     more = [OrderSearch(build_programme(trace, begin), begin, own, False) for begin in further()]
                 _round(more, k)
+            _cross([*orders, *(more or ())], beside, own)
             count = k + 1
             done()
     except KeyboardInterrupt:
         if not any(order.usable for order in (*orders, *(more or ()))):
             raise
         interrupted = True
-    every = [order for order in (*orders, *(more or ())) if all(order.runs.values())]
-    winner = min(every, key=lambda order: min(rank(best) for name in own if (best := order.best(name)) is not None))
+    every = [order for order in (*orders, *(more or ()), *beside) if all(order.runs.values())]
+    winner = min(every, key=OrderSearch.rank)
     found = {name: best for name in own if (best := winner.best(name)) is not None}
     if winner.usable:
         found = reconcile_backends(winner.nlp, found)
@@ -290,6 +340,28 @@ def _round(orders: Sequence[OrderSearch], k: int) -> None:
     for order in orders:
         if k < len(order.begin.starts):
             order.advance(k)
+
+
+def _cross(orders: Sequence[OrderSearch], beside: list[OrderSearch], names: tuple[str, ...]) -> None:
+    """Search the orders of events beside the best design while its own order keeps it from a better one.
+
+    Parameters
+    ----------
+    orders : sequence of OrderSearch
+    beside : list of OrderSearch
+        Searches of other orders so far; those of this call are added.
+    names : tuple of str
+        Names of back ends.
+    """
+    while len(beside) < CROSSINGS * NEIGHBOURS:
+        winner = min((*orders, *beside), key=OrderSearch.rank)
+        best = min((found for name in names if (found := winner.best(name)) is not None), key=rank, default=None)
+        if best is None or best in winner.left or not at_edge(best):
+            return
+        winner.left.append(best)
+        for begin in neighbours(winner.nlp, best):
+            beside.append(OrderSearch(build_programme(winner.nlp.traced, begin), begin, names, insists=False))
+            beside[-1].advance(0)
 
 
 def reconcile_backends(nlp: CycleNLP, found: dict[str, Solution]) -> dict[str, Solution]:

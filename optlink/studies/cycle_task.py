@@ -27,6 +27,7 @@ from optlink.problem.file import ProblemFile, read
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of
 from optlink.solvers import multistart
+from optlink.solvers.cycle_search import at_edge
 from optlink.solvers.semi_infinite import exchange, peaks
 from optlink.studies.continuation import FOLLOWED
 from optlink.studies.grid import Grid
@@ -170,7 +171,7 @@ class CycleProgramme:
         return made
 
     def design(self, problem: ProblemFile, bounds: Mapping[str, float], near: Mapping[str, float]) -> CycleResult | None:
-        """Return the machine of a problem with other bounds; None if the motion reverses in a different order at the start.
+        """Return the machine of a problem with other bounds; None if another order of its events may allow a better one.
 
         Parameters
         ----------
@@ -190,6 +191,8 @@ class CycleProgramme:
         built = time.perf_counter()
         found = exchange(nlp, multistart.solve_from(nlp, x, self.backend))
         self.nlp.cache.update(nlp.cache)
+        if at_edge(found):
+            return None
         done = time.perf_counter()
         proof = validate_cycle(task_of(problem), found.design, found.objective)
         return CycleResult(

@@ -175,7 +175,9 @@ def _notes(
         yield f"only {most} of {count} starts: {why}"
     if result.usable:
         if not result.nlp.structure.like(result.orders[0].begin.structure):
-            yield "its motions reverse in another order than those of the initial machine"
+            rows = any(event.key[0] == "corner" for event in result.nlp.traced.events)
+            what = "reverse, or pass the rows of a load table," if rows else "reverse"
+            yield f"its motions {what} in another order than those of the initial machine"
         if equal is not None:
             yield _continuum_note(equal)
         made = analysis_of(task, winner.design)

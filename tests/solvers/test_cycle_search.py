@@ -238,3 +238,34 @@ def test_a_scale_continuum_is_named_and_listed_once():
 def test_a_single_optimum_is_no_continuum():
     assert not any("continuum" in note or "scaled" in note for note in pump().notes)
     assert optlink.load("press-toggle").model.free  # a machine whose lengths are held by loads and limits in millimetres
+
+
+# --- the edge of an order of events ---------------------------------------------------------------------------------------
+
+YOKE = """
+title = "Scotch yoke against a spring that it reaches with a long crank"
+[mechanism.ground]
+A = ["0 mm", "0 mm"]
+[mechanism.links]
+crank = { joints = ["A", "B"], length = { start = "68 mm", bounds = ["50 mm", "80 mm"] } }
+block = { joints = ["B"] }
+yoke = { joints = ["Y"] }
+[mechanism.guides]
+slot = { slider = "block", on = "yoke", direction = "90 deg" }
+rail = { slider = "yoke", through = "A" }
+[loads]
+spring = { on = "yoke", force = { over = "s", at = ["60 mm", "90 mm"], values = ["0 N", "-300 N"] } }
+[drive]
+speed = "10 rad/s"
+[objective]
+quantity = "acceleration"
+of = "Y"
+"""
+
+
+def test_a_row_of_a_load_table_that_the_slider_no_longer_reaches_ends_no_search():
+    """The acceleration of the yoke is the crank times the square of the speed, whether it touches the spring at 60 mm or not."""
+    result = solve(problem(YOKE), starts=1)
+    assert result.valid
+    assert result.values["crank.length"] == pytest.approx(0.05, rel=1e-6)
+    assert result.objective == pytest.approx(0.05 * 10.0**2, rel=1e-6)

@@ -294,6 +294,19 @@ def test_a_machine_without_loads_raises_no_alarm():
     assert Cycle(result.task, result.values).imbalance() < 0.1 * BALANCE
 
 
+def test_quadrature_beside_alignment_raises_no_alarm(monkeypatch):
+    """The coupler comes close to the line of the rocker, where the kinetic energy has a sharp peak; finer steps resolve it."""
+    lengths = {"crank": {"start": "60 mm", "bounds": ["50 mm", "70 mm"]}, "coupler": "170.003 mm", "rocker": "100 mm"}
+    mechanism = {"type": "four-bar", "frame": "210 mm", **lengths}
+    bodies = {name: {"mass": "3 kg", "inertia": "uniform bar"} for name in ("coupler", "rocker")}
+    file = read(
+        {"mechanism": mechanism, "bodies": bodies, "objective": {"quantity": "torque"}, "limits": {"alignment": "0.2 deg"}}
+    )
+    assert validate_cycle(file.model, {}).valid
+    monkeypatch.setattr("optlink.validation.cycle.FINER", 0)
+    assert not validate_cycle(file.model, {}).valid
+
+
 def test_a_wrong_power_does(monkeypatch):
     from optlink.dynamics.loads import Acting
 
