@@ -229,6 +229,9 @@ def tolerance(
         list[str] | None, option("NAME=C", "With --allocate: a tolerance t costs C/t. Default: 1. Repeatable.")
     ] = None,
     robust: Annotated[str | None, option("K|worst|margin|yield", ROBUST)] = None,
+    engine: Engine = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
     changes: Set = None,
     design: Annotated[
         list[str] | None, option("NAME=VALUE", "Design to analyse, instead of the optimum. Repeatable.", "--design")
@@ -263,6 +266,9 @@ def tolerance(
             costs=read_costs(cost or []),
             robust=None if robust is None else read_sigmas(robust),
             progress=progress,
+            engine=engine or "local",
+            workers=workers,
+            scheduler=scheduler,
         )
     console.deliver(result, "tolerance", as_json, out)
     if (result.allocation is not None and not result.allocation.achieved) or (

@@ -11,6 +11,7 @@ import os
 import queue
 import threading
 from collections.abc import Callable, Iterable, Iterator
+from typing import Any
 
 from optlink.errors import Fault, InputError
 from optlink.execution.process import Process
@@ -114,6 +115,31 @@ def pool(engine: str = "local", workers: int | None = None, scheduler: str | Non
         return
     with contextlib.ExitStack() as ends:
         yield _Processes(workers or cores(), ends)
+
+
+def in_order(task: ChunkTask, count: int, runs: Runs | None = None, done: Callable[[int], None] | None = None) -> list[Any]:
+    """Return the results of all chunks of a task in the order of their numbers.
+
+    Parameters
+    ----------
+    task : ChunkTask
+    count : int
+        Number of chunks.
+    runs : function, optional
+        From `pool`. Default: the present process.
+    done : function of the number of a completed chunk, optional
+    """
+    found: dict[int, Any] = {}
+    answers = ((index, answer.value) for index, answer in runs(task, range(count))) if runs else _here(task, count)
+    for index, value in answers:
+        found[index] = value
+        if done is not None:
+            done(index)
+    return [found[index] for index in range(count)]
+
+
+def _here(task: ChunkTask, count: int) -> Iterator[tuple[int, Any]]:
+    return ((index, task(index)) for index in range(count))
 
 
 def apart(todo: list[int], workers: int) -> list[int]:

@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 import optlink
 from optlink.cli.app import app
 from optlink.errors import InputError
+from optlink.execution.runner import pool
 from optlink.problem.tolerances import SHAPES, Deviation
 from optlink.studies.tolerance.allocation import least_cost
 from optlink.studies.tolerance.analysis import linear_analysis, tolerance
@@ -220,6 +221,29 @@ def test_memory_is_flat(problem):
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[2] < 1.2 * peaks[1] + 1e6
+
+
+def sums(found):
+    """All figures of the samples, to the last digit."""
+    arrays = found.mean, found.sigma, found.sigma_error, found.least, found.most, found.counts, found.edges
+    return [array.tobytes() for array in arrays], found.good, found.linear, found.stuck
+
+
+@pytest.mark.parametrize("engine", ["local", pytest.param("dask", marks=pytest.mark.slow)])
+def test_processes_change_no_digit(problem, monkeypatch, engine):
+    """Four pieces of work, the last one shorter; a block that is skipped wrongly would repeat or miss samples."""
+    found, done = study(problem, FOUR, "error", None, math.radians(2.32)), []
+    whole = monte_carlo(found, 3 * (1 << 13) + 700, 5)
+    monkeypatch.setattr("optlink.studies.tolerance.monte_carlo.CHUNK", 1 << 13)
+    alone = monte_carlo(found, whole.samples, 5)
+    with pool(engine, 2) as runs:
+        shared = monte_carlo(found, whole.samples, 5, done.append, runs)
+    assert sums(shared) == sums(alone)
+    assert len(done) == 4
+    assert done[-1] == 1.0
+    assert (alone.good, alone.linear, alone.counts.tolist()) == (whole.good, whole.linear, whole.counts.tolist())
+    np.testing.assert_allclose(alone.sigma, whole.sigma, rtol=1e-12)
+    assert sums(monte_carlo(found, whole.samples, 6)) != sums(alone)
 
 
 def test_measured_deviations(problem, tmp_path, monkeypatch):

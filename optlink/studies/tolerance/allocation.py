@@ -24,6 +24,7 @@ from optlink.problem.base_model import Record
 from optlink.studies.tolerance.monte_carlo import MonteCarlo, MonteCarloRecord, monte_carlo
 
 if TYPE_CHECKING:
+    from optlink.execution.runner import Runs
     from optlink.studies.tolerance.analysis import Tolerance
 
 Array = NDArray[np.float64]
@@ -123,7 +124,9 @@ def least_cost(weights: Array, costs: Array) -> tuple[Array, float]:
     return rough * np.sqrt(exact[found]), (own - dual) / own
 
 
-def allocate(study: Tolerance, target_yield: float, costs: Mapping[str, float], samples: int, seed: int) -> Allocation:
+def allocate(
+    study: Tolerance, target_yield: float, costs: Mapping[str, float], samples: int, seed: int, runs: Runs | None = None
+) -> Allocation:
     """Return the tolerances of least cost with which a study keeps its limit with a required yield.
 
     Parameters
@@ -138,6 +141,8 @@ def allocate(study: Tolerance, target_yield: float, costs: Mapping[str, float], 
         Samples of the final verification.
     seed : int
         Seed of the search; the verification uses the next one.
+    runs : function, optional
+        From `optlink.execution.runner.pool`, for the verification.
 
     Raises
     ------
@@ -207,6 +212,6 @@ def allocate(study: Tolerance, target_yield: float, costs: Mapping[str, float], 
         cost=float(np.sum(coefficients / found)),
         before=float(np.sum(coefficients / tolerances)),
         gap=gap,
-        monte_carlo=monte_carlo(final, samples, seed + 1),
+        monte_carlo=monte_carlo(final, samples, seed + 1, runs=runs),
         free=tuple(d.name for d, m in zip(study.deviations, moves, strict=True) if not m),
     )

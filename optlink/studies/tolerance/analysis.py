@@ -5,8 +5,9 @@ The crank angle, and with a motion law its start, stay nominal: the drive is set
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Any, Literal, Self
@@ -16,21 +17,23 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from optlink.errors import Fault, InputError
+from optlink.execution.runner import Runs, check, pool
 from optlink.problem.base_model import Column, Contradiction, Number, Record, Recorded, ResultRecord, absent, check_length
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import nearest
 from optlink.problem.tolerances import CHOICES, NORMAL, SHAPES, Deviation
 from optlink.studies.motion_sensitivity import output_sensitivity
 from optlink.studies.tolerance.allocation import Allocation, AllocationRecord
-from optlink.studies.tolerance.monte_carlo import MonteCarlo, MonteCarloRecord, Progress, monte_carlo
+from optlink.studies.tolerance.monte_carlo import CHUNK, MonteCarlo, MonteCarloRecord, Progress, monte_carlo
 from optlink.studies.tolerance.nominal import ERROR, Nominal, display_unit, nominal_design
 from optlink.studies.tolerance.options import read_deviations
-from optlink.studies.tolerance.robust_design import RobustDesign, RobustRecord
+from optlink.studies.tolerance.robust_design import YIELD, RobustDesign, RobustRecord, check_law
 from optlink.units import UnitProblem, parse
 
 Array = NDArray[np.float64]
 WORST, MARGIN = "worst", "margin"
 SAMPLES, MAX_SAMPLES = 1 << 17, 100_000_000
+MANY = 4 * CHUNK  # samples from which several processes are started: a process takes as long to start as it moves one chunk
 
 
 class DeviationRecord(Record):
@@ -236,6 +239,9 @@ def tolerance(
     costs: Mapping[str, float] | None = None,
     robust: float | str | None = None,
     progress: Progress | None = None,
+    engine: str = "local",
+    workers: int | None = None,
+    scheduler: str | None = None,
 ) -> Tolerance:
     """Analyse the effect of manufacturing tolerances on an output: worst case, scatter and yield.
 
@@ -270,6 +276,8 @@ def tolerance(
         number of standard deviations within the limit ("margin") or the largest yield ("yield"). The result also contains the
         nominal optimum; see `optlink.studies.tolerance.robust_design`.
     progress : function of the completed fraction of the samples, optional
+    engine, workers, scheduler
+        See `optlink.execution.runner.pool`; they change nothing in the result. By default few samples take one process.
 
     Returns
     -------
@@ -282,44 +290,70 @@ def tolerance(
         If an argument is invalid, or there is no validated design.
     """
     _check(samples, seed, shape, target_yield, limit)
-    file, again = problem, None
-    if robust is not None:
-        from optlink.studies.tolerance import robust_design as redesign
+    with _processes(samples, engine, workers, scheduler) as runs:
+        file, again = problem, None
+        if robust is not None:
+            check_law(problem)
+            if design is not None or output not in (None, ERROR):
+                remedy = "Leave --design and --quantity out, or --robust"
+                raise InputError(Fault("a robust design is searched, for its error", remedy, problem.file, "--robust"))
+            again = _robust_design(problem, tolerances, robust, limit, samples, seed, shape, runs)
+            file, design = again.result.problem, again.free  # with a definite assembly mode
+        nominal = nominal_design(file, output, crank_angles, design)
+        deviations = read_deviations(problem, nominal, tolerances, shape)
+        for name in costs or {}:
+            if name not in [d.name for d in deviations]:
+                raise InputError(Fault("no such tolerance", nearest(name, [d.name for d in deviations]), key=f"--cost {name}"))
+        found = replace(linear_analysis(problem, nominal, deviations, _limit(limit, angular=nominal.angular)), robust=again)
+        if samples and again is not None:
+            best = nominal_design(file, output, crank_angles, {name: again.nominal[name] for name in again.free})
+            other = linear_analysis(problem, best, deviations, found.limit)
+            found = replace(found, unrobust=monte_carlo(other, samples, seed, runs=runs))
+        if samples:
+            found = replace(found, monte_carlo=monte_carlo(found, samples, seed, progress, runs))
+        if target_yield is not None:
+            from optlink.studies.tolerance.allocation import allocate
 
-        redesign.check_law(problem)
-        if design is not None or output not in (None, ERROR):
-            remedy = "Leave --design and --quantity out, or --robust"
-            raise InputError(Fault("a robust design is searched, for its error", remedy, problem.file, "--robust"))
-        if robust == redesign.YIELD and not samples:
-            raise InputError(Fault("a yield is counted by samples", "Leave --samples out", key="--samples", value=samples))
-        allowed = _limit(limit, angular=True)
-        if robust not in (MARGIN, redesign.YIELD):
-            again = redesign.robust(problem, tolerances, None if robust == WORST else float(robust), shape=shape)
-        elif allowed is None:
-            raise InputError(Fault(f"a {robust} needs a limit", 'Add for example --limit "0.5 deg"', key="--robust"))
-        elif robust == MARGIN:
-            again = redesign.most_reliable(problem, tolerances, allowed, shape=shape)
-        else:
-            from optlink.studies.tolerance.maximum_yield import maximise_yield
+            found = replace(found, allocation=allocate(found, target_yield, costs or {}, samples or SAMPLES, seed, runs))
+        return found
 
-            again = maximise_yield(problem, tolerances, allowed, samples, seed, shape=shape)
-        file, design = again.result.problem, again.free  # with a definite assembly mode
-    nominal = nominal_design(file, output, crank_angles, design)
-    deviations = read_deviations(problem, nominal, tolerances, shape)
-    for name in costs or {}:
-        if name not in [d.name for d in deviations]:
-            raise InputError(Fault("no such tolerance", nearest(name, [d.name for d in deviations]), key=f"--cost {name}"))
-    found = replace(linear_analysis(problem, nominal, deviations, _limit(limit, angular=nominal.angular)), robust=again)
-    if samples and again is not None:
-        best = nominal_design(file, output, crank_angles, {name: again.nominal[name] for name in again.free})
-        found = replace(found, unrobust=monte_carlo(linear_analysis(problem, best, deviations, found.limit), samples, seed))
-    if samples:
-        found = replace(found, monte_carlo=monte_carlo(found, samples, seed, progress))
-    if target_yield is not None:
-        from optlink.studies.tolerance.allocation import allocate
 
-        found = replace(found, allocation=allocate(found, target_yield, costs or {}, samples or SAMPLES, seed))
-    return found
+@contextlib.contextmanager
+def _processes(samples: int, engine: str, workers: int | None, scheduler: str | None) -> Iterator[Runs | None]:
+    """Provide processes, by default only for work that takes longer than their start."""
+    check(engine, workers, scheduler)
+    if engine == "local" and workers is None and samples < MANY:
+        yield None
+        return
+    with pool(engine, workers, scheduler) as runs:
+        yield runs
+
+
+def _robust_design(
+    problem: ProblemFile,
+    tolerances: Sequence[str],
+    robust: float | str,
+    limit: str | None,
+    samples: int,
+    seed: int,
+    shape: str,
+    runs: Runs | None,
+) -> RobustDesign:
+    """Return the robust design for the error; see `tolerance`."""
+    from optlink.studies.tolerance import robust_design as redesign
+
+    if robust == YIELD and not samples:
+        raise InputError(Fault("a yield is counted by samples", "Leave --samples out", key="--samples", value=samples))
+    allowed = _limit(limit, angular=True)
+    if robust not in (MARGIN, YIELD):
+        return redesign.robust(problem, tolerances, None if robust == WORST else float(robust), shape=shape)
+    if allowed is None:
+        raise InputError(Fault(f"a {robust} needs a limit", 'Add for example --limit "0.5 deg"', key="--robust"))
+    if robust == MARGIN:
+        return redesign.most_reliable(problem, tolerances, allowed, shape=shape)
+    from optlink.studies.tolerance.maximum_yield import maximise_yield
+
+    return maximise_yield(problem, tolerances, allowed, samples, seed, shape=shape, runs=runs)
 
 
 def linear_analysis(problem: ProblemFile, nominal: Nominal, deviations: Sequence[Deviation], limit: float | None) -> Tolerance:

@@ -13,13 +13,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import InputError
+from optlink.execution.runner import Runs, in_order
 from optlink.optimization.nlp import NLP, build
-from optlink.problem.file import ProblemFile
+from optlink.problem.file import ProblemFile, read
 from optlink.problem.tolerances import NORMAL, Deviation
 from optlink.studies.tolerance.analysis import linear_analysis
 from optlink.studies.tolerance.monte_carlo import largest_errors, monte_carlo
@@ -46,6 +50,7 @@ def maximise_yield(
     seed: int,
     *,
     shape: str = NORMAL,
+    runs: Runs | None = None,
 ) -> RobustDesign:
     """Return the design with the largest yield, searched from the nominal optimum and a robust design and compared with both.
 
@@ -63,6 +68,8 @@ def maximise_yield(
         Seed of these samples; the search uses the next one.
     shape : str
         Default distribution of tolerances.
+    runs : function, optional
+        From `optlink.execution.runner.pool`, for the searches and the samples. Default: the present process.
 
     Raises
     ------
@@ -71,20 +78,43 @@ def maximise_yield(
     """
     redesign = RobustSearch(problem, tolerances, shape)
     file = redesign.problem.override({"requirement.robust": None})
-    nlp = build(file.override({"requirement.measure": "sum of squares"}).spec)
     first = redesign.least(SIGMAS)
     starts = [{name: redesign.nominal[name] for name in file.model.free}, first.free]
     deviations = read_deviations(problem, nominal_design(file, None, None, starts[0]), tolerances, shape)
 
     def share(design: Mapping[str, float]) -> float:
         nominal = nominal_design(file, None, None, design)
-        return monte_carlo(linear_analysis(file, nominal, deviations, limit), samples, seed).share
+        return monte_carlo(linear_analysis(file, nominal, deviations, limit), samples, seed, runs=runs).share
 
-    found = [_Search(file, nlp, deviations, limit, seed + 1, start).end() for start in starts]
+    task = YieldSearchTask(file.raw, file.name, file.file, file.folder, tuple(deviations), limit, seed + 1, tuple(starts))
+    found = in_order(task, len(starts), runs)
     able = [design for design in found if validate(file, design).valid]
     best = max([*starts, *able], key=share)
     result = validate(file, best)
     return RobustDesign(result, redesign.nominal, 0.0, validate(file, redesign.nominal).objective, by_yield=True)
+
+
+@dataclass(frozen=True)
+class YieldSearchTask:
+    """Searches from several designs [SI], each one a chunk for `optlink.execution.runner`.
+
+    `raw`, `name`, `file` and `folder` are the problem, as in `optlink.problem.file.read`.
+    """
+
+    raw: Mapping[str, Any]
+    name: str
+    file: str
+    folder: Path
+    deviations: tuple[Deviation, ...]
+    limit: float
+    seed: int
+    starts: tuple[Mapping[str, float], ...]
+
+    def __call__(self, index: int) -> dict[str, float]:
+        """Return the design [SI] that is found from a start."""
+        file = read(self.raw, self.name, self.file, self.folder)
+        nlp = build(file.override({"requirement.measure": "sum of squares"}).spec)
+        return _Search(file, nlp, self.deviations, self.limit, self.seed, self.starts[index]).end()
 
 
 class _Search:

@@ -13,6 +13,7 @@ from annotated_types import Gt
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from optlink.execution.runner import Runs, in_order
 from optlink.problem.base_model import Column, Contradiction, Number, Record
 from optlink.problem.tolerances import Deviation
 from optlink.studies.tolerance.nominal import Nominal
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 PORTION = 12_000  # positions per block, so that intermediate arrays fit in the processor cache
+CHUNK = 1 << 17  # samples that are one piece of work, a multiple of those of a batch
 BINS, ROOM = 400, 1.25  # of the histogram, which extends by that multiple of the worst case about the nominal value
 Progress = Callable[[float], None]
 
@@ -138,7 +140,91 @@ class MonteCarloRecord(Record):
         return super().of(result, stays_below=below, histogram=histogram, yield_interval_95_percent=interval, **values)
 
 
-def monte_carlo(study: Tolerance, samples: int, seed: int, progress: Progress | None = None) -> MonteCarlo:
+@dataclass
+class SampleSums:
+    """Sums over samples: counts as in `MonteCarlo`, `powers` (4, angles) of the change of the output less its mean shift."""
+
+    counts: NDArray[np.int64]
+    powers: Array
+    least: Array
+    most: Array
+    stuck: int = 0
+    good: int = 0
+    linear: int = 0
+
+    @classmethod
+    def none(cls, angles: int) -> Self:
+        """Return the sums over no samples."""
+        counts = np.zeros(BINS, dtype=np.int64)
+        return cls(counts, np.zeros((4, angles)), np.full(angles, math.inf), np.full(angles, -math.inf))
+
+    def add(self, other: SampleSums) -> None:
+        """Add the sums over other samples."""
+        self.counts += other.counts
+        self.powers += other.powers
+        np.minimum(self.least, other.least, out=self.least)
+        np.maximum(self.most, other.most, out=self.most)
+        self.stuck, self.good, self.linear = self.stuck + other.stuck, self.good + other.good, self.linear + other.linear
+
+
+@dataclass(frozen=True)
+class SampleTask:
+    """Moves the samples of a tolerance study, `chunk` of them in each chunk for `optlink.execution.runner`.
+
+    `shift`, `by` and `limit` are those of the study; the histogram has `bins` per unit from `bottom` [SI] on.
+    """
+
+    nominal: Nominal
+    deviations: tuple[Deviation, ...]
+    shift: Array
+    by: Array
+    limit: float | None
+    bottom: float
+    bins: float
+    samples: int
+    seed: int
+    chunk: int
+
+    @property
+    def chunks(self) -> int:
+        """Number of chunks."""
+        return -(-self.samples // self.chunk)
+
+    def __call__(self, index: int, advance: Callable[[int], None] | None = None) -> SampleSums:
+        """Return the sums over a chunk; `advance` receives the number of samples of every completed batch."""
+        found, begin = SampleSums.none(len(self.shift)), self.chunk * index
+        for batch in sample_deviations(self.deviations, min(begin + self.chunk, self.samples), self.seed, begin):
+            for part, change in _moved(self.nominal, self.deviations, batch):
+                self._count(found, part, change)
+            if advance is not None:
+                advance(len(batch))
+        return found
+
+    def _count(self, found: SampleSums, part: Array, change: Array) -> None:
+        """Add a block of deviations and the changes that they cause."""
+        base, whole = self.nominal.base, np.isfinite(change).all(axis=1)
+        if not whole.all():
+            found.stuck += int(np.sum(~whole))
+            change = change[whole]
+        largest = np.max(np.abs(base + change), axis=1)
+        places = np.clip((largest - self.bottom) * self.bins, 0, BINS - 1).astype(int)
+        found.counts += np.bincount(places, minlength=BINS)
+        if len(change):
+            np.minimum(found.least, np.min(change, axis=0), out=found.least)
+            np.maximum(found.most, np.max(change, axis=0), out=found.most)
+        if self.limit is not None:
+            found.good += int(np.sum(largest <= self.limit))
+            found.linear += int(np.sum(np.max(np.abs(base + part @ self.by), axis=1) <= self.limit))
+        change -= self.shift  # keeps the sums of powers accurate
+        power = change
+        for i in range(4):
+            found.powers[i] += np.sum(power, axis=0)
+            power = power * change
+
+
+def monte_carlo(
+    study: Tolerance, samples: int, seed: int, progress: Progress | None = None, runs: Runs | None = None
+) -> MonteCarlo:
     """Assemble and move random linkages exactly, and return their statistics; memory does not grow with their number.
 
     Parameters
@@ -148,54 +234,52 @@ def monte_carlo(study: Tolerance, samples: int, seed: int, progress: Progress | 
     seed : int
         Seed of the Sobol points.
     progress : function of the completed fraction, optional
+    runs : function, optional
+        From `optlink.execution.runner.pool`, which changes nothing in the result. Default: the present process.
     """
     begin = time.perf_counter()
-    nominal, shift, angles = study.nominal, study.shift, len(study.nominal.crank_angles)
-    limit, middle = study.limit, float(np.max(np.abs(nominal.base)))
+    nominal, limit = study.nominal, study.limit
+    middle = float(np.max(np.abs(nominal.base)))
     reach = ROOM * max(float(np.max(np.maximum(-study.worst[0], study.worst[1]))), 1e-15)
-    bottom, bins = max(0.0, middle - reach), BINS / (middle + reach - max(0.0, middle - reach))
-    counts = np.zeros(BINS, dtype=np.int64)
-    sums = np.zeros((4, angles))
-    least, most = np.full(angles, math.inf), np.full(angles, -math.inf)
-    stuck = good = linear = done = 0
-    for batch in sample_deviations(study.deviations, samples, seed):
-        for part, change in _moved(nominal, study.deviations, batch):
-            whole = np.isfinite(change).all(axis=1)
-            if not whole.all():
-                stuck += int(np.sum(~whole))
-                change = change[whole]
-            largest = np.max(np.abs(nominal.base + change), axis=1)
-            counts += np.bincount(np.clip((largest - bottom) * bins, 0, BINS - 1).astype(int), minlength=BINS)
-            if len(change):
-                np.minimum(least, np.min(change, axis=0), out=least)
-                np.maximum(most, np.max(change, axis=0), out=most)
-            if limit is not None:
-                good += int(np.sum(largest <= limit))
-                linear += int(np.sum(np.max(np.abs(nominal.base + part @ study.by), axis=1) <= limit))
-            change -= shift  # keeps the sums of powers accurate
-            power = change
-            for i in range(4):
-                sums[i] += np.sum(power, axis=0)
-                power = power * change
-        done += len(batch)
-        if progress is not None:
-            progress(done / samples)
-    mean, sigma, error = _moments(sums, samples - stuck)
+    bottom = max(0.0, middle - reach)
+    bins = BINS / (middle + reach - bottom)
+    task = SampleTask(nominal, study.deviations, study.shift, study.by, limit, bottom, bins, samples, seed, CHUNK)
+    total = SampleSums.none(len(study.shift))
+    for part in _parts(task, progress, runs):
+        total.add(part)
+    mean, sigma, error = _moments(total.powers, samples - total.stuck)
     return MonteCarlo(
         samples=samples,
         seed=seed,
-        stuck=stuck,
-        mean=mean + shift,
+        stuck=total.stuck,
+        mean=mean + study.shift,
         sigma=sigma,
         sigma_error=error,
-        least=least,
-        most=most,
-        counts=counts,
+        least=total.least,
+        most=total.most,
+        counts=total.counts,
         edges=np.linspace(bottom, middle + reach, BINS + 1),
-        good=-1 if limit is None else good,
-        linear=-1 if limit is None else linear,
+        good=-1 if limit is None else total.good,
+        linear=-1 if limit is None else total.linear,
         seconds=time.perf_counter() - begin,
     )
+
+
+def _parts(task: SampleTask, progress: Progress | None, runs: Runs | None) -> Iterator[SampleSums]:
+    """Yield the sums over the chunks in order, as the rounding of a total depends on it."""
+    done = 0
+
+    def advance(samples: int) -> None:
+        nonlocal done
+        done += samples
+        if progress is not None:
+            progress(done / task.samples)
+
+    if runs is None or task.chunks == 1:
+        yield from (task(index, advance) for index in range(task.chunks))
+    else:
+        size = task.chunk
+        yield from in_order(task, task.chunks, runs, lambda index: advance(min(size, task.samples - size * index)))
 
 
 def largest_errors(nominal: Nominal, deviations: Sequence[Deviation], batch: Array) -> Array:

@@ -17,16 +17,18 @@ TINY = 2.0**-31  # half of the last bit of scipy's Sobol points: avoids 0, where
 CONFIDENCE = 0.95
 
 
-def sample_deviations(deviations: Sequence[Deviation], samples: int, seed: int) -> Iterator[Array]:
+def sample_deviations(deviations: Sequence[Deviation], samples: int, seed: int, begin: int = 0) -> Iterator[Array]:
     """Yield deviations [SI] in batches (samples, deviations) of scrambled Sobol points; memory does not grow with their number.
 
     Parameters
     ----------
     deviations : sequence of Deviation
     samples : int
-        Total number.
+        Number of the last sample.
     seed : int
         Seed of the scrambling.
+    begin : int
+        Number of samples to skip, a multiple of `BATCH`.
 
     References
     ----------
@@ -35,7 +37,9 @@ def sample_deviations(deviations: Sequence[Deviation], samples: int, seed: int) 
     from scipy.stats import qmc
 
     sobol = qmc.Sobol(len(deviations), rng=np.random.default_rng(seed))
-    for first in range(0, samples, BATCH):
+    if begin:
+        sobol.fast_forward(begin)
+    for first in range(begin, samples, BATCH):
         share = np.asarray(sobol.random(BATCH), dtype=float)[: samples - first] + TINY
         yield np.stack([deviation.at(share[:, i]) for i, deviation in enumerate(deviations)], axis=1)
 
