@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
-from pydantic import AfterValidator
 from pydantic.fields import FieldInfo
 
 from optlink.io import Registry
@@ -33,7 +32,7 @@ from optlink.problem.interval import (
     NumberInterval,
     RatioOfStrokes,
 )
-from optlink.problem.quantity import FixedAngle, Number, Quantity, Unusable, nearest
+from optlink.problem.quantity import FixedAngle, Number, Quantity, Unusable, nearest, where
 
 MARGINS: dict[str, str | float] = {"alignment": f"{np.degrees(LEAST_ALIGNMENT):g} deg", "length_margin": LEAST_LENGTH_MARGIN}
 """Limits that every design problem has, as the file would state their defaults."""
@@ -41,27 +40,22 @@ MARGIN_KEYS = frozenset(f"limits.{key}" for key in MARGINS)
 MOST_ALIGNMENT, MOST_LENGTH_MARGIN = np.radians(45.0), 0.1
 
 
-def _alignment(value: Quantity) -> Quantity:
-    if not SMALLEST_ALIGNMENT * (1.0 - 1e-9) <= value.value <= MOST_ALIGNMENT:
-        raise Unusable(
-            "the least angle from alignment lies between 0.1 and 45 deg", 'Write "1 deg", the default, or leave it out'
-        )
-    return value
-
-
-def _length_margin(value: float) -> float:
-    if not SMALLEST_LENGTH_MARGIN <= value <= MOST_LENGTH_MARGIN:
-        raise Unusable(
-            "the length margin, a share of the longest link, lies between 1e-5 and 0.1",
-            "Write 1e-4, the default, or leave it out",
-        )
-    return value
+_LEAST_ALIGNMENT = where(
+    lambda angle: SMALLEST_ALIGNMENT * (1.0 - 1e-9) <= angle <= MOST_ALIGNMENT,
+    "the least angle from alignment lies between 0.1 and 45 deg",
+    'Write "1 deg", the default, or leave it out',
+)
+_LENGTH_MARGIN = where(
+    lambda share: SMALLEST_LENGTH_MARGIN <= share <= MOST_LENGTH_MARGIN,
+    "the length margin, a share of the longest link, lies between 1e-5 and 0.1",
+    "Write 1e-4, the default, or leave it out",
+)
 
 
 class Alignment(Section):
     """Least distance of a mechanism from positions where it locks or its assembly modes meet (see `optlink.linkage.margins`)."""
 
-    alignment: Annotated[FixedAngle, AfterValidator(_alignment)] = Quantity(LEAST_ALIGNMENT, "angle", "deg")
+    alignment: Annotated[FixedAngle, _LEAST_ALIGNMENT] = Quantity(LEAST_ALIGNMENT, "angle", "deg")
     """Least angle of the two links of a joint from alignment (0 and 180 deg) over the required motion; for a link and a slider,
     from the normal of the slider's line. A tighter transmission limit takes precedence."""
 
@@ -69,7 +63,7 @@ class Alignment(Section):
 class Margins(Alignment):
     """Least distance of a four-bar from such positions and from change points."""
 
-    length_margin: Annotated[Number, AfterValidator(_length_margin)] = LEAST_LENGTH_MARGIN
+    length_margin: Annotated[Number, _LENGTH_MARGIN] = LEAST_LENGTH_MARGIN
     """Least difference of lengths that must not be equal (Grashof's sums; crank and coupler at an inner dead centre), relative to
     the longest link."""
 

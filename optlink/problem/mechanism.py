@@ -9,11 +9,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
-from optlink.linkage.assur import CONTINUE, EITHER, StructureError, assemble
+from optlink.linkage.assur import CONTINUE, EITHER, assemble
 from optlink.linkage.fourbar import LENGTHS, four_bar
 from optlink.linkage.mechanism import FRAME, BodyPoint, Guide, Link, Mechanism, Size
 from optlink.problem.base_model import RESERVED, Name, Section
-from optlink.problem.quantity import Angle, Coordinate, Length, Number, Quantity, Unusable, nearest, read_quantity
+from optlink.problem.quantity import Angle, Coordinate, Friction, Length, Quantity, Unusable, below, nearest, read_quantity
 
 
 def _read_place(raw: object) -> tuple[Quantity, Quantity]:
@@ -193,7 +193,7 @@ class GuideSection(Section):
     """The point of the slider that moves on the line; default: its first joint."""
     tilt: Angle | None = None
     """Angle of the slider's x axis relative to the line; default: 0."""
-    friction: Number = 0.0
+    friction: Friction = 0.0
     """Coulomb friction coefficient, below 10."""
 
 
@@ -276,12 +276,9 @@ class DyadsSection(Section):
         if body not in self.links:
             raise Unusable("no such body", nearest(body, self.links), "drive.body", body)
         points = [point for _, own in self._links() for point in own]
-        try:
-            return assemble(name, self._ground(), links, points, list(self._guides()), body, self.assembly)
-        except StructureError as error:
-            raise Unusable(
-                error.message, error.remedy, f"mechanism.{error.key}" if error.key else "mechanism", error.value
-            ) from None
+        guides = list(self._guides())
+        with below("mechanism"):
+            return assemble(name, self._ground(), links, points, guides, body, self.assembly)
 
     def _ground(self) -> dict[str, tuple[Size, Size]]:
         return {point: (f"{point}.x", f"{point}.y") for point in self.ground}
@@ -323,10 +320,6 @@ class DyadsSection(Section):
                 through = self._point(guide.through, guide.on, f"{key}.through")
             at = self._point(guide.at, guide.slider, f"{key}.at") if guide.at else ""
             sizes = {k: f"{name}.{k}" if getattr(guide, k) is not None else 0.0 for k in ("direction", "offset", "tilt")}
-            if not 0.0 <= guide.friction < 10.0:
-                raise Unusable(
-                    "out of range", "A coefficient of friction lies between 0 and 10", f"{key}.friction", guide.friction
-                )
             yield Guide(name, guide.slider, guide.on, through, at=at, **sizes)
 
     def _point(self, point: str, body: str, key: str) -> str:

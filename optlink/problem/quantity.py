@@ -9,30 +9,37 @@ import difflib
 import functools
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator
+from pydantic import AfterValidator, BeforeValidator
 
 from optlink.errors import Fault, InputError, InvalidValue
-from optlink.units import KINDS, UnitProblem, display_unit, factor, parse, show
+from optlink.units import KINDS, display_unit, factor, parse, show
 
 SHORTEST, LONGEST = 1e-9, 1e6  # m; beyond them squares of ratios overflow
 
 
-class Unusable(InvalidValue):
-    """An invalid value: the reason, a remedy, and the key below the present one."""
+Unusable = InvalidValue
+"""An invalid value: the reason, a remedy, and the key below the present one."""
 
 
 @contextmanager
-def below(key: str) -> Iterator[None]:
-    """Prefix a key to the one that an `Unusable` names."""
+def below(key: str, value: object = None) -> Iterator[None]:
+    """Prefix a key to the one that an `Unusable` names, which has this value if it names none.
+
+    Parameters
+    ----------
+    key : str
+    value : object, optional
+    """
     try:
         yield
     except Unusable as error:
-        error.key = f"{key}.{error.key}" if error.key else key
+        error.key = f"{key}.{error.key}" if key and error.key else key or error.key
+        error.value = value if error.value is None else error.value
         raise
 
 
@@ -158,10 +165,8 @@ def read_scalar(text: object, kind: str, key: str = "") -> tuple[float, str]:
     Unusable
         when the value cannot be read or is out of range.
     """
-    try:
+    with below(key, text):
         value, unit = parse(text, kind)
-    except UnitProblem as problem:
-        raise Unusable(problem.message, problem.remedy, key, text) from None
     return _positive(value, text, kind, key), unit
 
 
@@ -295,6 +300,24 @@ def reader(function: Any, kind: str | None) -> BeforeValidator:
     return BeforeValidator(functools.partial(function, kind=kind))  # the key reference reads function and kind
 
 
+def where(condition: Callable[[Any], bool], message: str, remedy: str) -> AfterValidator:
+    """Return a condition on the number of a field [SI], or on any other value of it, as an annotation of the field.
+
+    Parameters
+    ----------
+    condition : function of the number or value
+    message, remedy : str
+        For the error of a value that does not fulfil it.
+    """
+
+    def check(value: Any) -> Any:
+        if not condition(value.value if isinstance(value, Quantity) else value):
+            raise Unusable(message, remedy)
+        return value
+
+    return AfterValidator(check)
+
+
 Length = Annotated[Quantity, reader(read_quantity, "length")]
 Angle = Annotated[Quantity, reader(read_quantity, "angle")]
 FixedLength = Annotated[Quantity, reader(read_fixed, "length")]
@@ -313,3 +336,6 @@ Damping = Annotated[Quantity, reader(read_positive, "damping")]
 TorsionalStiffness = Annotated[Quantity, reader(read_positive, "torsional stiffness")]
 TorsionalDamping = Annotated[Quantity, reader(read_positive, "torsional damping")]
 Number = Annotated[float, BeforeValidator(lambda raw: read_number(raw, ""))]
+Friction = Annotated[
+    Number, where(lambda value: 0.0 <= value < 10.0, "out of range", "A coefficient of friction lies between 0 and 10")
+]

@@ -15,9 +15,9 @@ from pydantic import BeforeValidator, ValidationInfo
 
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.problem.mechanism import DyadsSection, FourBarSection
-from optlink.problem.quantity import Quantity, Unusable, check_keys, nearest
+from optlink.problem.quantity import Quantity, Unusable, below, check_keys, nearest
 from optlink.problem.targets.law import read_columns
-from optlink.units import UnitProblem, parse, plain
+from optlink.units import parse, plain
 
 Array = NDArray[np.float64]
 NORMAL, CONTACT, MEASURED = "normal", "contact", "measured"
@@ -196,11 +196,8 @@ def _read_table(raw: object, info: ValidationInfo) -> dict[str, ToleranceEntry]:
     for name, entry in _flat(raw):
         if name in found:
             raise Unusable("a tolerance is given twice", "Give each once", name)
-        try:
+        with below(name, entry):
             found[name] = read_tolerance(entry, (info.context or {}).get("folder", Path()))
-        except Unusable as error:
-            below = f".{error.key}" if error.key else ""
-            raise Unusable(error.message, error.remedy, name + below, entry if error.value is None else error.value) from None
     return found
 
 
@@ -326,10 +323,8 @@ def _deviation(said: ToleranceEntry, name: str, size: str, kind: str, shape: str
         if len(values) < 2:
             raise Unusable("one deviation is no distribution", "Give at least two rows", name, said.text)
         return Deviation(name, size, kind, max(map(abs, values)), MEASURED, tuple(values), said.cost)
-    try:
+    with below(name, said.text):
         value, _ = parse(said.text, kind)
-    except UnitProblem as error:
-        raise Unusable(error.message, error.remedy, name, said.text) from None
     if not value > 0.0:
         raise Unusable("a tolerance is above zero: it goes to both sides", EXAMPLE, name, said.text)
     return Deviation(name, size, kind, value, said.shape or shape, cost=said.cost)

@@ -12,7 +12,7 @@ from optlink.linkage.mechanism import Mechanism
 from optlink.problem.base_model import Section
 from optlink.problem.cycle.quantities import GUIDE, QUANTITIES, QuantityType, guide_of, moving_points
 from optlink.problem.interval import STROKES, Interval, check_time_ratio
-from optlink.problem.quantity import FixedAngle, Number, Quantity, Unusable, nearest, read_scalar
+from optlink.problem.quantity import FixedAngle, Number, Quantity, Unusable, nearest, read_scalar, where
 
 Measure = Literal["peak", "rms", "mean", "largest", "least"]
 
@@ -152,7 +152,10 @@ def check_shape(term: Term) -> None:
 class Goal(Term):
     """A term of the objective: weight * value / scale."""
 
-    weight: Number = 1.0
+    weight: Annotated[
+        Number,
+        where(lambda w: w > 0.0, "a weight is positive", 'Give one above zero; what shall be large has sense = "maximise"'),
+    ] = 1.0
     """Weight of the term, positive."""
     scale: Any = None
     """Divisor that makes the term dimensionless, in the unit of the term; required with several terms."""
@@ -162,8 +165,6 @@ class Goal(Term):
     @model_validator(mode="after")
     def _one_sided(self) -> Self:
         check_sense(self)
-        if self.weight <= 0.0:
-            raise Unusable("a weight is positive", 'Give one above zero; what shall be large has sense = "maximise"', "weight")
         return self
 
 

@@ -13,9 +13,9 @@ from optlink.dynamics.counterweights import KINDS, BalanceMeasure, Counterweight
 from optlink.dynamics.machine import Machine
 from optlink.linkage.mechanism import FRAME
 from optlink.problem.base_model import RESERVED, Name, Section
-from optlink.problem.interval import Interval, LengthInterval, MassInterval, StiffnessInterval
+from optlink.problem.interval import LengthInterval, MassInterval, StiffnessInterval
 from optlink.problem.machine.loads import spring_ends
-from optlink.problem.quantity import Density, FixedForce, FixedLength, Unusable, below, nearest, read_fixed, read_scalar
+from optlink.problem.quantity import Density, FixedForce, FixedLength, Unusable, below, nearest, read_fixed, read_scalar, where
 
 MOST = 100_000
 EXAMPLES = '"rms shaking force", "largest driving torque", "rms shaking moment", "largest reaction at D"'
@@ -162,6 +162,13 @@ def _read_place(raw: object) -> Any:
 Place = Annotated[Any, BeforeValidator(_read_place)]
 
 
+_MASS = where(
+    lambda mass: min(mass.bounds[1], mass.low or 0.0) >= 0.0,
+    "a counterweight cannot have negative mass: removing material from a body is not a convex problem",
+    "Give zero or more, and take material away in [bodies]",
+)
+
+
 class CounterweightSection(Section):
     """A mass that can be added to a body: a disc, or one of any shape."""
 
@@ -169,7 +176,7 @@ class CounterweightSection(Section):
     """The body to which the counterweight is fixed."""
     kind: Literal["disc", "free"] = "disc"
     """A disc, or any shape with physically consistent mass properties."""
-    mass: MassInterval | None = None
+    mass: Annotated[MassInterval, _MASS] | None = None
     """Mass: one value or a range; default: from zero."""
     thickness: FixedLength | None = None
     """Thickness of a disc; its mass determines the radius."""
@@ -185,14 +192,6 @@ class CounterweightSection(Section):
     """Reference point of the body for `reach` and `extent`; default: its pivot on the frame, else its first joint."""
     at: Place = None
     """Fixed position: a point of the body, or coordinates along and across. One of `reach`, `extent`, `at` is required."""
-
-    @field_validator("mass", mode="after")
-    @classmethod
-    def _positive(cls, mass: Interval | None) -> Interval | None:
-        if mass is not None and ((mass.low or 0.0) < 0.0 or (mass.high is not None and mass.high < 0.0)):
-            message = "a counterweight cannot have negative mass: removing material from a body is not a convex problem"
-            raise Unusable(message, "Give zero or more, and take material away in [bodies]", "", str(mass))
-        return mass
 
     def counterweight(self, machine: Machine) -> Counterweight:
         """Return the counterweight for a machine.

@@ -26,6 +26,7 @@ from optlink.problem.quantity import (
     nearest,
     read_fixed,
     read_positive,
+    where,
 )
 
 # --- bodies ----------------------------------------------------------------------------------------------------------
@@ -110,6 +111,13 @@ class BodySection(Section):
 # --- the drive --------------------------------------------------------------------------------------------------------
 
 
+_SMALL = where(
+    lambda share: 0.0 < share < 2.0,
+    "out of range",
+    "Give the share of the mean speed by which it may vary, for example 0.02",
+)
+
+
 class DriveSection(Section):
     """Drive of the machine: a constant speed, or (for `simulate`) a torque or motor curve."""
 
@@ -127,7 +135,7 @@ class DriveSection(Section):
     """Initial crank speed for `optlink simulate` under a torque; default: `speed`."""
     duration: Duration | None = None
     """Duration of `optlink simulate`."""
-    fluctuation: Number | None = None
+    fluctuation: Annotated[Number, _SMALL] | None = None
     """Permitted speed fluctuation relative to the mean speed, 0.02 or "2 %"; `optlink analyze` computes the flywheel for it."""
 
     @field_validator("body", mode="before")
@@ -143,13 +151,6 @@ class DriveSection(Section):
         if raw is None:
             return None
         return read_size(raw, "torque", ("phi", "omega"), (info.context or {}).get("folder", Path()))
-
-    @field_validator("fluctuation", mode="after")
-    @classmethod
-    def _small(cls, share: float | None) -> float | None:
-        if share is not None and not 0.0 < share < 2.0:
-            raise Unusable("out of range", "Give the share of the mean speed by which it may vary, for example 0.02", "", share)
-        return share
 
     @model_validator(mode="after")
     def _turns(self) -> Self:

@@ -11,29 +11,18 @@ from optlink.clearance.joint import Gap
 from optlink.clearance.output import default_output, outputs
 from optlink.dynamics.machine import Machine
 from optlink.problem.base_model import Section
-from optlink.problem.quantity import Duration, FixedAngle, Frequency, Number, Quantity, Unusable, nearest, read_fixed
+from optlink.problem.quantity import Duration, FixedAngle, Frequency, Number, Quantity, Unusable, nearest, read_fixed, where
 
 
 class ServoSection(Section):
     """Servo drive that follows a reference angle and speed: second order, with bandwidth and damping ratio."""
 
-    bandwidth: Frequency
+    bandwidth: Annotated[Frequency, where(lambda f: f > 0.0, "a servo has a bandwidth", 'Give for example "300 Hz"')]
     """Undamped natural frequency."""
-    damping: Number = 0.7
+    damping: Annotated[
+        Number, where(lambda share: 0.0 < share <= 10.0, "a damping ratio lies above 0 and not above 10", "Give for example 0.7")
+    ] = 0.7
     """Damping ratio, above 0 and at most 10."""
-
-    def check(self) -> None:
-        """Check the bandwidth and damping ratio of the servo.
-
-        Raises
-        ------
-        Unusable
-            when a value is out of range, with the key below the section.
-        """
-        if not self.bandwidth.value > 0.0:
-            raise Unusable("a servo has a bandwidth", 'Give for example "300 Hz"', "bandwidth", str(self.bandwidth))
-        if not 0.0 < self.damping <= 10.0:
-            raise Unusable("a damping ratio lies above 0 and not above 10", "Give for example 0.7", "damping", self.damping)
 
 
 def _read_joints(raw: object) -> Any:
@@ -67,9 +56,14 @@ class ControlSection(Section):
     regularisation: Annotated[Quantity, BeforeValidator(_read_either)] | None = None
     """Regularisation of the inverse at dead centres: a length for a slider, an angle for a body; default: a tenth of the largest
     travel per radian of the crank."""
-    bandwidth: Frequency | None = None
+    bandwidth: Annotated[Frequency, where(lambda f: f > 0.0, "a bandwidth is positive", 'Give for example "200 Hz"')] | None = (
+        None
+    )
     """Highest frequency that the inverse model corrects; default: half of the servo's bandwidth."""
-    sample_time: Duration = Quantity(2.5e-4, "time", "s")
+    sample_time: Annotated[
+        Duration,
+        where(lambda t: t >= 1e-6, "a controller samples at intervals, of a microsecond at least", 'Give for example "0.25 ms"'),
+    ] = Quantity(2.5e-4, "time", "s")
     """Sample time of the PID, rounded to the nearest value that divides the revolution."""
     proportional: Number = 0.0
     """Proportional gain of the PID on the output error, referred to the crank [-]."""
@@ -77,7 +71,9 @@ class ControlSection(Section):
     """Integral gain of the PID [1/s]."""
     derivative: Number = 0.0
     """Derivative gain of the PID [s]."""
-    limit: FixedAngle = Quantity(0.08726646259971647, "angle", "deg")
+    limit: Annotated[
+        FixedAngle, where(lambda angle: angle > 0.0, "the PID may not move anything", 'Give for example "5 deg"')
+    ] = Quantity(0.08726646259971647, "angle", "deg")
     """Largest crank angle correction of the PID."""
 
     def check(self, machine: Machine, gaps: Sequence[Gap]) -> None:
@@ -109,10 +105,3 @@ class ControlSection(Section):
             if not given.value > 0.0:
                 message = "without it the inverse has no solution at a dead centre"
                 raise Unusable(message, f"Give for example {example}", "regularisation", str(given))
-        if not self.sample_time.value >= 1e-6:
-            message = "a controller samples at intervals, of a microsecond at least"
-            raise Unusable(message, 'Give for example "0.25 ms"', "sample_time", str(self.sample_time))
-        if self.bandwidth is not None and not self.bandwidth.value > 0.0:
-            raise Unusable("a bandwidth is positive", 'Give for example "200 Hz"', "bandwidth", str(self.bandwidth))
-        if not self.limit.value > 0.0:
-            raise Unusable("the PID may not move anything", 'Give for example "5 deg"', "limit", str(self.limit))

@@ -15,6 +15,7 @@ from optlink.problem.quantity import (
     ContactStiffness,
     Damping,
     FixedLength,
+    Friction,
     Number,
     Quantity,
     Unusable,
@@ -22,6 +23,7 @@ from optlink.problem.quantity import (
     nearest,
     read_positive,
     read_scalar,
+    where,
 )
 
 RADII_AGREE = 1e-6
@@ -85,15 +87,23 @@ class JointSection(Section):
     """Modulus of elasticity of both parts, or of journal and bearing; it determines the Hertz stiffness."""
     poisson: Annotated[Any, BeforeValidator(lambda raw: _read_pair(raw, ""))] = Field(default=(0.3, 0.3))
     """Poisson's ratio of both parts, or of journal and bearing."""
-    stiffness: ContactStiffness | None = None
+    stiffness: (
+        Annotated[ContactStiffness, where(lambda k: k > 0.0, "a contact needs a stiffness", 'Give for example "6.6e+10 N/m^1.5"')]
+        | None
+    ) = None
     """Instead of `modulus`: contact force divided by penetration to the power 1.5."""
-    restitution: Number = 0.9
+    restitution: Annotated[
+        Number,
+        where(lambda e: 0.0 < e <= 1.0, "a coefficient of restitution lies above 0 and not above 1", "Give for example 0.9"),
+    ] = 0.9
     """Coefficient of restitution, above 0 and at most 1."""
     law: str = "lankarani-nikravesh"
     """Contact law."""
-    friction: Number = 0.0
+    friction: Friction = 0.0
     """Coulomb friction coefficient, below 10."""
-    slip_speed: Velocity = Quantity(0.01, "velocity", "m/s")
+    slip_speed: Annotated[
+        Velocity, where(lambda v: v > 0.0, "friction changes its sign over some speed", 'Give for example "0.01 m/s"')
+    ] = Quantity(0.01, "velocity", "m/s")
     """The friction force is `friction` times normal force times tanh(slip / `slip_speed`)."""
     damping: Damping = Quantity(0.0, "damping", "N*s/m")
     """Tangential viscous damping during contact."""
@@ -126,16 +136,8 @@ class JointSection(Section):
         if journal not in bodies:
             raise Unusable("the joint is not one of that body", nearest(journal, bodies), "journal", journal)
         clearance, radius = self._radii()
-        if not 0.0 < self.restitution <= 1.0:
-            message = "a coefficient of restitution lies above 0 and not above 1"
-            raise Unusable(message, "Give for example 0.9", "restitution", self.restitution)
         if self.law not in NORMAL:
             raise Unusable("no such contact law", nearest(self.law, NORMAL), "law", self.law)
-        if not 0.0 <= self.friction < 10.0:
-            raise Unusable("out of range", "A coefficient of friction lies between 0 and 10", "friction", self.friction)
-        if self.slip_speed.value <= 0.0:
-            message = "friction changes its sign over some speed"
-            raise Unusable(message, 'Give for example "0.01 m/s"', "slip_speed", str(self.slip_speed))
         return Gap(
             point,
             journal,
@@ -179,10 +181,6 @@ class JointSection(Section):
             if self.modulus is not None:
                 message = "the contact has a stiffness and a modulus of elasticity"
                 raise Unusable(message, "Give one of the two", "stiffness", str(self.stiffness))
-            if self.stiffness.value <= 0.0:
-                raise Unusable(
-                    "a contact needs a stiffness", 'Give for example "6.6e+10 N/m^1.5"', "stiffness", str(self.stiffness)
-                )
             return self.stiffness.value
         if self.modulus is None:
             message = "the contact has no stiffness and no material"

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from optlink.linkage.vector2d import Value
-from optlink.problem.quantity import Unusable, nearest, read_scalar
-from optlink.problem.targets.expression import Expression, LawError, parse
+from optlink.problem.quantity import Unusable, below, check_keys, read_scalar
+from optlink.problem.targets.expression import Expression, parse
 from optlink.problem.targets.law import read_columns
-from optlink.units import UnitProblem, factor, show
+from optlink.units import factor, show
 
 OVER = {"phi": "angle", "s": "coordinate", "omega": "angular velocity"}
 """What a table of forces may run over: crank angle, slider position, crank speed."""
@@ -112,30 +112,22 @@ def read_size(raw: object, kind: str, names: Iterable[str], folder: Path) -> Siz
         return Constant(value, show(value, kind, own, digits=12))
     known = [name for name in names if name in OVER]
     if "expression" in raw:
-        for key in raw:
-            if key not in ("expression", "unit"):
-                raise Unusable("unknown key", nearest(str(key), ("expression", "unit")), str(key))
+        check_keys(raw, ("expression", "unit"))
         if not isinstance(raw["expression"], str):
             raise Unusable("an expression is text", 'Write expression = "1000 + 200*sin(phi)"', "expression", raw["expression"])
-        try:
+        with below("expression", raw["expression"]):
             expression = parse(raw["expression"], names)
-        except LawError as error:
-            raise Unusable(error.message, error.remedy, "expression", raw["expression"]) from None
         unit = raw.get("unit")
         if not isinstance(unit, str):
             raise Unusable(
                 "an expression gives a plain number", f'Add its unit: unit = "{"N" if kind == "force" else "N*m"}"', "unit", unit
             )
-        try:
+        with below("unit", unit):
             return Formula(expression, unit, factor(unit, kind))
-        except UnitProblem as problem:
-            raise Unusable(problem.message, problem.remedy, "unit", unit) from None
     over = raw.get("over")
     if over not in known:
         raise Unusable("a table needs what it runs over", f"Write over = one of: {', '.join(known)}", "over", over)
-    for key in raw:
-        if key not in ("over", "at", "values", "csv"):
-            raise Unusable("unknown key", nearest(str(key), ("over", "at", "values", "csv")), str(key))
+    check_keys(raw, ("over", "at", "values", "csv"))
     if "csv" in raw and ("at" in raw or "values" in raw):
         raise Unusable("the table is given twice", "Give csv, or at and values, not both", "csv", raw["csv"])
     if "csv" in raw:

@@ -168,11 +168,8 @@ class Problem(Section):
         if self.balance is not None:
             with below("balance"):
                 self.balance.build(machine)
-        if self.drive.servo is not None:
-            with below("drive.servo"):
-                self.drive.servo.check()
-            if self.drive.torque is not None:
-                raise Unusable("the drive has a torque and a servo", "Give one of the two", "drive.servo")
+        if self.drive.servo is not None and self.drive.torque is not None:
+            raise Unusable("the drive has a torque and a servo", "Give one of the two", "drive.servo")
 
     @cached_property
     def longest(self) -> float:

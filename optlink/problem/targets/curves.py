@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.problem.quantity import LONGEST, SHORTEST, Unusable
+from optlink.problem.quantity import LONGEST, SHORTEST, Unusable, below
 from optlink.problem.targets.expression import Expression, LawError, parse
 from optlink.problem.targets.point_table import PointRows, check_apart
 from optlink.problem.targets.target_points import COINCIDENT, HEAVIEST, TargetPoints, metres, pairs, read_count, shortened
@@ -139,10 +139,8 @@ def expression_curve(raw: Mapping[str, Any]) -> TargetPoints:
 def _expression(raw: object, names: Iterable[str], key: str) -> Expression:
     if not isinstance(raw, str):
         raise Unusable("an expression is text", f'Write {key} = "20*cos(t)", for example', key, raw)
-    try:
+    with below(key, shortened(raw)):
         return parse(raw, names)
-    except LawError as error:
-        raise Unusable(error.message, error.remedy, key, shortened(raw)) from None
 
 
 def _bound(raw: object, key: str) -> float:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from optlink.linkage.vector2d import Value
-from optlink.problem.quantity import Unusable, check_keys, read_scalar
+from optlink.problem.quantity import Unusable, below, check_keys, read_scalar
 from optlink.problem.targets.expression import Expression, LawError, parse
 
 KEYS = ("function", "x", "input", "output")
@@ -88,10 +88,8 @@ def read_function(raw: Mapping[str, Any], kind: str = "angle") -> Function:
             raise Unusable("the function needs it", f"Write {EXAMPLE}", key)
     if not isinstance(raw["function"], str):
         raise Unusable("a function is text", f"Write {EXAMPLE}", "function", raw["function"])
-    try:
+    with below("function", raw["function"]):
         expression = parse(raw["function"], ("x",))
-    except LawError as error:
-        raise Unusable(error.message, error.remedy, "function", raw["function"]) from None
     bounds = raw["x"]
     if not isinstance(bounds, list) or len(bounds) != 2:
         raise Unusable("the range of x is a list of two numbers", 'Write x = [1, 2], or x = ["0 deg", "90 deg"]', "x", bounds)

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Value
-from optlink.problem.quantity import Unusable, check_keys, read_scalar
-from optlink.problem.targets.expression import Expression, LawError, parse
+from optlink.problem.quantity import Unusable, below, check_keys, read_scalar
+from optlink.problem.targets.expression import Expression, parse
 from optlink.problem.targets.function import Function, read_function
 from optlink.problem.targets.target_points import csv_text
 from optlink.units import factor
@@ -179,10 +179,7 @@ def read_law(raw: object, folder: Path) -> Expression | Function | Table:
     if isinstance(raw, Expression | Function | Table):
         return raw
     if isinstance(raw, str):
-        try:
-            return parse(raw, NAMES)
-        except LawError as error:
-            raise Unusable(error.message, error.remedy) from None
+        return parse(raw, NAMES)
     if isinstance(raw, dict) and "function" in raw:
         return read_function(raw)
     if isinstance(raw, dict):
@@ -243,10 +240,8 @@ def _read_slide(raw: Mapping[str, Any]) -> SlideExpression:
     units = ("mm", "m", "cm", "in")
     if raw.get("unit") not in units:
         raise Unusable("the unit of the slide is missing or unknown", f"Write {SLIDE}", "unit", raw.get("unit"))
-    try:
+    with below("slide", raw["slide"]):
         return SlideExpression(parse(raw["slide"], SLIDE_NAMES), factor(raw["unit"], "coordinate"), raw["unit"])
-    except LawError as error:
-        raise Unusable(error.message, error.remedy, "slide", raw["slide"]) from None
 
 
 def _read_table(raw: Mapping[str, Any], folder: Path, output: str = "psi") -> Table:

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.problem.quantity import Unusable
-from optlink.units import UnitProblem, factor
+from optlink.problem.quantity import Unusable, below
+from optlink.units import factor
 
 Array = NDArray[np.float64]
 
@@ -80,10 +80,8 @@ def metres(raw: Mapping[str, Any]) -> float:
     """
     if not isinstance(raw["unit"], str):
         raise Unusable("expected a unit of length", 'Write unit = "mm"', "unit", raw["unit"])
-    try:
+    with below("unit", raw["unit"]):
         return factor(raw["unit"], "length")
-    except UnitProblem as problem:
-        raise Unusable(problem.message, problem.remedy, "unit", raw["unit"]) from None
 
 
 def diagonal(points: Array) -> float:
