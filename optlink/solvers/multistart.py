@@ -89,7 +89,9 @@ def infeasible_at(nlp: NLP, x: Array, message: str) -> Solution:
     return replace(solution_at(nlp, x, message), status=Status.INFEASIBLE)
 
 
-def solve_from(nlp: NLP, x: Array, name: str, *, track: bool = False, resume_infeasible: bool = True) -> Solution:
+def solve_from(
+    nlp: NLP, x: Array, name: str, *, track: bool = False, resume_infeasible: bool = True, continuations: int = CONTINUATIONS
+) -> Solution:
     """Run one local search from x.
 
     Parameters
@@ -103,6 +105,8 @@ def solve_from(nlp: NLP, x: Array, name: str, *, track: bool = False, resume_inf
         Record the iterates.
     resume_infeasible : bool
         Whether to restart where the back end converged to a locally least violation of the limits.
+    continuations : int
+        Largest number of restarts from an end that is not optimal.
     """
     start = repair(nlp, x, nlp.p)
     if start is None and not math.isfinite(nlp.values(x, nlp.p)[0]):
@@ -111,13 +115,15 @@ def solve_from(nlp: NLP, x: Array, name: str, *, track: bool = False, resume_inf
     run = backend(name)
     p = scaled_parameters(nlp, x)
     solution = _ended(nlp, run(nlp, x, p, track=track), p)
-    for _ in range(CONTINUATIONS):
+    for _ in range(continuations):
         fine = scaled_parameters(nlp, solution.x)
         if solution.status is Status.OPTIMAL and fine[0] >= RESCALE * p[0]:
             break
         if solution.message == LEAST_VIOLATION and not resume_infeasible:
             break
-        again = _ended(nlp, run(nlp, solution.x, fine, tight=True), fine)
+        again = _ended(nlp, Attempt(solution.x, 0, solution.message), fine)  # Newton's method alone may suffice
+        if again.status is not Status.OPTIMAL:
+            again = _ended(nlp, run(nlp, solution.x, fine, tight=True), fine)
         p = fine
         if not again.usable or (solution.usable and again.objective > solution.objective and again.status is not Status.OPTIMAL):
             break

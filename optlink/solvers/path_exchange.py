@@ -29,10 +29,12 @@ Array = NDArray[np.float64]
 ALONG = 1441  # positions along the required motion at which limits are sampled
 EXCEEDED = 2e-9  # permitted excess over a limit, in the unit of its row: less than the validator's tolerance
 EXCHANGES = 16  # rounds
-RADIUS, SMALLEST = 0.3, 1e-3  # scaled units: trust-region radius of the first round, and the one that ends the rounds
+RADIUS, SMALLEST, LARGEST = 0.3, 1e-3, 10.0  # scaled units: trust-region radius of the first round, and its range
+GROWTH, ALL_BUT = 2.5, 0.9  # of the radius after a step of at least that share of it
 NEAR = 0.1  # in the unit of the row: a peak this far below its limit may exceed it in the next round
 CLOSE = 0.02  # the same for peaks whose positions are unknowns of the NLP
-REACH = 0.02  # share of the motion by which such a position may move in a round
+REACH, FARTHEST = 0.02, 0.1  # share of the motion by which such a position may move in a round of the first radius, and at most
+PER_ROW = 2  # such positions of a row that the programme has at least
 EDGE = 1e-3  # share of the motion: this close to its ends the derivative at a peak need not vanish
 APART = 1e-4  # share of the motion; closer positions count as one
 MISSED = 1e3  # penalty of exceeding a limit by one, in multiples of the objective
@@ -69,8 +71,9 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
     nlp.set_exchange_points((np.arange(nlp.exchange_count) + 0.5) / nlp.exchange_count)
     found = local.solution_at(nlp, start.x, start.message)
     if not near and found.status is not Status.OPTIMAL:
-        found = local.solve_from(nlp, start.x, backend, resume_infeasible=False)
-    radius, tops = RADIUS, _tops(task, found)
+        found = local.solve_from(nlp, start.x, backend, resume_infeasible=False, continuations=0)
+    radius, tops, missed = RADIUS, _tops(task, found), list[RowPeak]()
+    worst = math.inf
     for _ in range(EXCHANGES):
         if not math.isfinite(found.objective):
             break
@@ -78,39 +81,70 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
         found = local.solution_at(nlp, found.x, found.message)
         if (found.status is Status.OPTIMAL and tops[0].height <= 0.0) or radius < SMALLEST:
             break
-        moved = _followed(nlp, found, len(task.free), radius, backend, tops)
+        moved, limited = _followed(nlp, found, len(task.free), radius, backend, tops, missed)
         there = _tops(task, moved)
         if _merit(moved, there) < _merit(found, tops):
-            found, tops = moved, there
+            found, tops, missed, worst = moved, there, [], math.inf
+            radius = min(GROWTH * radius, LARGEST) if limited else radius
+        elif 0.0 < there[0].height < worst:
+            missed, worst = [*there, *missed], 0.5 * there[0].height  # the step is repeated with these positions
         else:
-            radius *= 0.25
+            radius, missed, worst = 0.25 * radius, [], math.inf
     settled = tops[0].height <= 0.0 or not found.usable
     return found if settled else replace(found, status=Status.STALLED, message="limits are exceeded between the positions")
 
 
-def _followed(nlp: NLP, start: Solution, count: int, radius: float, backend: str, tops: list[RowPeak]) -> Solution:
-    """Return the optimum with the first `count` variables within a radius, the positions of active peaks being unknowns."""
-    chosen = [top for top in tops[: nlp.exchange_count] if top.height > -CLOSE and EDGE < top.at < 1.0 - EDGE]
-    chosen.sort(key=lambda top: (top.row, top.at))
-    rows = tuple(top.row for top in chosen)
-    key = f"following {rows}"
-    nlp.set_exchange_points(_places([*chosen, *tops], nlp.exchange_count))
+def _followed(
+    nlp: NLP, start: Solution, count: int, radius: float, backend: str, tops: list[RowPeak], missed: list[RowPeak]
+) -> tuple[Solution, bool]:
+    """Return the optimum with the first `count` variables within a radius, and whether the radius limits it.
+
+    `tops` are the peaks at the start, `missed` those of a rejected step. The positions of active peaks are unknowns; those that
+    no peak needs are fixed, so that one programme serves many sets of peaks.
+    """
+    each = nlp.exchange_rows[1]
+    chosen = [top for top in tops if top.height > -CLOSE and EDGE < top.at < 1.0 - EDGE]
+    own = [[top.at for top in chosen if top.row == row] for row in range(each)]
+    slots = PER_ROW
+    while slots < max(map(len, own)) and 2 * slots * each <= nlp.exchange_count:
+        slots *= 2
+    many = min(slots * each, nlp.exchange_count)
+    used = {i * each + row: at for row, places in enumerate(own) for i, at in enumerate(places[:slots]) if i * each + row < many}
+    others = iter(at for at in _places([*tops, *missed], nlp.exchange_count) if at not in used.values())
+    places = np.array([used[slot] if slot in used else next(others, 0.0) for slot in range(nlp.exchange_count)])
+    nlp.set_exchange_points(places)
+    key = f"following {many} peaks"
     if key not in nlp.cache:
-        first, each = nlp.exchange_rows
-        heights = {k: nlp.g_expression[first + k * each + row] for k, row in enumerate(rows)}
-        nlp.cache[key] = with_places(nlp, nlp.exchange_count, heights)
+        nlp.cache[key] = _with_moving_peaks(nlp, many)
     moving: NLP = nlp.cache[key]
     moving.p[:] = nlp.p
-    x, n = np.concatenate([start.x, [top.at for top in chosen]]), len(start.x)
-    low = np.concatenate([nlp.x_low, x[n:] - REACH])
-    high = np.concatenate([nlp.x_high, x[n:] + REACH])
+    n, fixed = len(start.x), np.array([slot not in used for slot in range(many)])
+    x, reach = np.concatenate([start.x, places[:many]]), min(REACH * max(1.0, radius / RADIUS), FARTHEST)
+    room = np.where(fixed, 0.0, reach)
+    low, high = np.concatenate([nlp.x_low, x[n:] - room]), np.concatenate([nlp.x_high, x[n:] + room])
     low[:count], high[:count] = np.maximum(low[:count], x[:count] - radius), np.minimum(high[:count], x[:count] + radius)
-    for i in range(len(x)):
-        moving.limit(i, low[i], upper=False)
-        moving.limit(i, high[i], upper=True)
+    first = len(moving.rows) - many
+    for i, (least, most) in enumerate(zip(low, high, strict=True)):
+        moving.limit(i, least, upper=False)
+        moving.limit(i, most, upper=True)
+    for k, free in enumerate(fixed):
+        moving.limit(len(x) + first + k, -math.inf if free else 0.0, upper=False)
+        moving.limit(len(x) + first + k, math.inf if free else 0.0, upper=True)
     p = local.scaled_parameters(moving, x)
     end = polish(moving, contract.backend(backend)(moving, x, p), p)
-    return local.solution_at(nlp, end.x[:n], end.message)
+    step = np.abs(end.x - x)
+    limited = bool(np.any(step[:count] > ALL_BUT * radius) or np.any(step[n:] > ALL_BUT * reach))
+    return local.solution_at(nlp, end.x[:n], end.message), limited
+
+
+def _with_moving_peaks(nlp: NLP, many: int) -> NLP:
+    """Return the NLP with the positions of peaks as unknowns, one row after the other, and without its fixed positions."""
+    first, each = nlp.exchange_rows
+    names = {(row.limit, row.label) for row in nlp.rows[first : first + each]}
+    keep = [j for j, row in enumerate(nlp.rows) if j >= first or (row.limit, row.label) not in names]
+    heights = {slot: nlp.g_expression[first + slot * each + slot % each] for slot in range(many)}
+    rows = tuple(nlp.rows[j] for j in keep)
+    return with_places(replace(nlp, rows=rows, g_expression=nlp.g_expression[keep], cache={}), nlp.exchange_count, heights)
 
 
 def _merit(found: Solution, tops: list[RowPeak]) -> float:
