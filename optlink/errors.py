@@ -12,6 +12,7 @@ from __future__ import annotations
 import enum
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 SHOWN = 80  # maximum number of characters shown of an invalid value
 
@@ -57,12 +58,23 @@ class OptlinkError(Exception):
 
 
 class InputError(OptlinkError):
-    """The input is not usable; `faults` has one entry for each error to correct."""
+    """The input is not usable; `faults` has one entry for each error to correct.
+
+    Parameters
+    ----------
+    faults : str, Fault or sequence of Fault
+        The faults, or the message of the only one.
+    *place
+        Of a message: remedy, file, key and value, as in `Fault`.
+    **named
+        The same by name.
+    """
 
     exit_code = 2
 
-    def __init__(self, faults: Fault | Sequence[Fault]) -> None:
-        self.faults: tuple[Fault, ...] = (faults,) if isinstance(faults, Fault) else tuple(faults)
+    def __init__(self, faults: str | Fault | Sequence[Fault], *place: Any, **named: Any) -> None:
+        found = Fault(faults, *place, **named) if isinstance(faults, str) else faults
+        self.faults: tuple[Fault, ...] = (found,) if isinstance(found, Fault) else tuple(found)
         super().__init__("\n".join(str(fault) for fault in self.faults))
 
 

@@ -25,7 +25,7 @@ from pydantic import (
     WithJsonSchema,
 )
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.io import Summary, finite
 from optlink.linkage.mechanism import FRAME
 from optlink.problem.quantity import Unusable
@@ -306,9 +306,9 @@ def read_document(path: Path) -> dict[str, Any]:
     except (OSError, ValueError, RecursionError) as error:
         reason = getattr(error, "strerror", None) or "it is not a JSON document"
         remedy = "Give a result.json that --out wrote, the folder it is in, or a problem"
-        raise InputError(Fault(f"cannot read a result: {reason}", remedy, str(path))) from None
+        raise InputError(f"cannot read a result: {reason}", remedy, str(path)) from None
     if not isinstance(found, dict):
-        raise InputError(Fault("not a result of optlink", "Give a result.json that --out wrote", str(path)))
+        raise InputError("not a result of optlink", "Give a result.json that --out wrote", str(path))
     return found
 
 
@@ -387,7 +387,7 @@ def damaged(error: ValidationError | Contradiction, path: Path) -> InputError:
 
 def _fault(message: str, key: str, value: object, path: Path) -> InputError:
     shown = None if isinstance(value, dict | list) else value
-    return InputError(Fault(f"the result is damaged: {message}", AGAIN, str(path), key or None, shown))
+    return InputError(f"the result is damaged: {message}", AGAIN, str(path), key or None, shown)
 
 
 def _key(place: Sequence[str | int]) -> str:

@@ -16,7 +16,7 @@ from typing import Any
 
 import pydantic
 
-from optlink.errors import Fault, InputError, shown
+from optlink.errors import InputError, shown
 from optlink.io import data_files, load_extensions
 from optlink.problem.base_model import SPELLED, SPELLINGS, with_ranges, with_spellings
 from optlink.problem.cycle.model import CycleProblem, StrokeProblem
@@ -65,7 +65,7 @@ class ProblemFile:
         if isinstance(self.model, DesignProblem):
             return self.model
         remedy = "Add one, or use `optlink analyze`, `study sweep --analyze`, `study sensitivity --quantity NAME`"
-        raise InputError(Fault("the problem has no [requirement], so there is nothing to solve", remedy, self.file))
+        raise InputError("the problem has no [requirement], so there is nothing to solve", remedy, self.file)
 
     @property
     def task(self) -> str:
@@ -167,16 +167,12 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
         if not text.endswith(".toml") and not os.path.exists(text):  # False for a name that is too long
             if text in data_files("templates"):
                 raise InputError(
-                    Fault(
-                        "this is a template, not a problem",
-                        f"Write a problem file from it: optlink new {text} --out {text}.toml",
-                        key="PROBLEM",
-                        value=text,
-                    )
+                    "this is a template, not a problem",
+                    f"Write a problem file from it: optlink new {text} --out {text}.toml",
+                    key="PROBLEM",
+                    value=text,
                 )
-            raise InputError(
-                Fault("no such problem", nearest(text, names) + ", or the path of a .toml file", key="PROBLEM", value=text)
-            )
+            raise InputError("no such problem", nearest(text, names) + ", or the path of a .toml file", key="PROBLEM", value=text)
     raw = with_ranges(with_spellings(_read_toml(path)), skip=WORDS)
     file = path.name if text in names else text
     _change(raw, overrides or {}, file)
@@ -222,14 +218,13 @@ def _model(raw: Mapping[str, Any], file: str) -> type[Problem]:
     registered = [model for section, model in SECTIONS.items() if section in raw]
     kind = requirement.get("kind", "function") if isinstance(requirement, dict) else None
     if kind is not None and kind not in REQUIREMENTS:
-        raise InputError(Fault("unknown kind", nearest(str(kind), REQUIREMENTS), file, "requirement.kind", kind))
+        raise InputError("unknown kind", nearest(str(kind), REQUIREMENTS), file, "requirement.kind", kind)
     if registered or kind == STROKE:
         return registered[0] if registered else StrokeProblem
     if kind is not None and (kind != "function" or of_dyads(raw)):
         if "robust" in requirement:
             message = "a robust design is found for motion laws of a four-bar only"
-            remedy = "Leave it out; `optlink study tolerance` judges any design"
-            raise InputError(Fault(message, remedy, file, "requirement.robust"))
+            raise InputError(message, "Leave it out; `optlink study tolerance` judges any design", file, "requirement.robust")
         return PathProblem
     if "objective" in raw and "requirement" not in raw:
         return CycleProblem
@@ -242,7 +237,7 @@ def _check_integers(raw: Mapping[str, Any], file: str) -> None:
     while todo:
         key, value = todo.pop()
         if isinstance(value, int) and value.bit_length() > 64:
-            raise InputError(Fault("the number is too large", "Write a number of at most 19 digits", file, key, value))
+            raise InputError("the number is too large", "Write a number of at most 19 digits", file, key, value)
         if isinstance(value, Mapping):
             todo += [(f"{key}.{name}" if key else str(name), item) for name, item in value.items()]
         elif isinstance(value, list | tuple):
@@ -295,12 +290,12 @@ def parse_assignment(text: str, option: str = "--set") -> tuple[str, object]:
     key, equals, value = text.partition("=")
     key, value = key.strip(), value.strip()
     if not equals or not key or not value:
-        raise InputError(Fault("expected KEY=VALUE", 'Write for example mechanism.frame="480 mm"', key=option, value=text))
+        raise InputError("expected KEY=VALUE", 'Write for example mechanism.frame="480 mm"', key=option, value=text)
     try:
         read_back = tomllib.loads(f"value = {value}")
         if len(read_back) == 1:
             return key, read_back["value"]
-        raise InputError(Fault("a value is one line", f"Repeat {option} for every key", key=key, value=value))
+        raise InputError("a value is one line", f"Repeat {option} for every key", key=key, value=value)
     except (tomllib.TOMLDecodeError, ValueError, RecursionError):
         repaired = _BARE.sub(_quoted, value) if value[0] in "[{" and len(value) <= MOST_BARE else plain(value)
         with contextlib.suppress(tomllib.TOMLDecodeError, ValueError, RecursionError):
@@ -308,7 +303,7 @@ def parse_assignment(text: str, option: str = "--set") -> tuple[str, object]:
                 return key, tomllib.loads(f"value = {repaired}")["value"]
         if value[0] in "[{\"'":
             remedy = f"""Put it into single quotes, and texts in it into double quotes: {option} '{key}=["40 deg", "140 deg"]'"""
-            raise InputError(Fault("the value is not valid TOML", remedy, key=key, value=value)) from None
+            raise InputError("the value is not valid TOML", remedy, key=key, value=value) from None
         return key, value
 
 
@@ -333,20 +328,20 @@ def _read_toml(path: Path) -> dict[str, Any]:
         with path.open("rb") as stream:
             data = stream.read(MAX_BYTES + 1)
     except FileNotFoundError:
-        raise InputError(Fault("no such file", "Check the path; `optlink list` names the shipped problems", file)) from None
+        raise InputError("no such file", "Check the path; `optlink list` names the shipped problems", file) from None
     except IsADirectoryError:
-        raise InputError(Fault("this is a folder", "Give the path of a .toml file", file)) from None
+        raise InputError("this is a folder", "Give the path of a .toml file", file) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(Fault(f"cannot read the file: {reason}", "Check the path and its permissions", shown(file))) from None
+        raise InputError(f"cannot read the file: {reason}", "Check the path and its permissions", shown(file)) from None
     if len(data) > MAX_BYTES:
-        raise InputError(Fault(f"the file is larger than {MAX_BYTES:,} bytes", "Put long tables into a CSV file", file))
+        raise InputError(f"the file is larger than {MAX_BYTES:,} bytes", "Put long tables into a CSV file", file)
     try:
         return tomllib.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
-        raise InputError(Fault(f"not UTF-8 text: byte {error.start}", "Save the file as UTF-8", file)) from None
+        raise InputError(f"not UTF-8 text: byte {error.start}", "Save the file as UTF-8", file) from None
     except RecursionError:
-        raise InputError(Fault("brackets are nested too deep", "Simplify the file", file)) from None
+        raise InputError("brackets are nested too deep", "Simplify the file", file) from None
     except ValueError as error:  # TOMLDecodeError, and integers of thousands of digits
         raise InputError(toml_fault(str(error), file)) from None
 
@@ -378,13 +373,13 @@ def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
                 remedy = nearest(step, known)
                 if not _fixed(path):
                     remedy += f". A new one is given whole: {'.'.join(steps[: depth + 1])}={{ ... }}"
-                raise InputError(Fault("unknown key", remedy, file, key))
+                raise InputError("unknown key", remedy, file, key)
             table[step] = {}
         table = table[step if place is None else place]
         following = steps[depth + 1]
         if not isinstance(table, dict) and _coordinate(tuple(steps[: depth + 1]), table, following) is None:
             above = ".".join(steps[: depth + 1])
-            raise InputError(Fault(f"{above} is one value, it has no {following}", f"Set {above} itself", file, key, value))
+            raise InputError(f"{above} is one value, it has no {following}", f"Set {above} itself", file, key, value)
     place = _coordinate(tuple(steps[:-1]), table, steps[-1])
     if place is not None:
         table[place] = value
@@ -422,7 +417,7 @@ def _whole(raw: Mapping[str, Any], key: str, value: object, file: str) -> tuple[
     if not isinstance(known, list):
         if above.startswith("mechanism."):
             message = f"{above.removeprefix('mechanism.')} is fixed at {known}, it has no bounds"
-            raise InputError(Fault(message, f"Name {above} itself, or free it", file, key, value))
+            raise InputError(message, f"Name {above} itself, or free it", file, key, value)
         if above.startswith("limits.pressure_angle") and side == "max":
             return above, value
         known = [known, known]  # an equality becomes a range

@@ -115,8 +115,7 @@ def _check_span(problem: PathProblem) -> None:
     if isinstance(task.law, Table):
         if task.span is not None and abs(task.span.value - task.law.span) > 1e-9:
             message = f"the span differs from that of the table, {math.degrees(task.law.span):.6g} deg"
-            remedy = "Leave span out: a table brings its own"
-            raise Unusable(message, remedy, "requirement.span", str(task.span))
+            raise Unusable(message, "Leave span out: a table brings its own", "requirement.span", str(task.span))
         if not task.law.from_start and task.start is not None:
             message = "a table measured from the frame brings its own start"
             raise Unusable(message, "Leave start out", "requirement.start", str(task.start))

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator
 
-from optlink.errors import Fault, InputError, InvalidValue
+from optlink.errors import InputError, InvalidValue
 from optlink.units import KINDS, display_unit, factor, parse, show
 
 SHORTEST, LONGEST = 1e-9, 1e6  # m; beyond them squares of ratios overflow
@@ -64,7 +64,7 @@ def input_of(file: str | None, key: str | None = None, value: object = None) -> 
         yield
     except Unusable as error:
         place = (error.key, error.value) if key is None else (key, value)
-        raise InputError(Fault(error.message, error.remedy, file, *place)) from None
+        raise InputError(error.message, error.remedy, file, *place) from None
 
 
 def nearest(key: str, known: Iterable[str]) -> str:

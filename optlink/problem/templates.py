@@ -10,7 +10,7 @@ import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.io import data_files
 
 NEXT = "# Next: "
@@ -50,7 +50,7 @@ def template(name: str, file: str | Path | None = None) -> Template:
     if name not in known:
         from optlink.problem.quantity import nearest
 
-        raise InputError(Fault("no such template", nearest(name, known), key="TEMPLATE", value=name))
+        raise InputError("no such template", nearest(name, known), key="TEMPLATE", value=name)
     path = Path(file or f"{name}.toml")
     named = {"FILE": shlex.quote(str(path)), "STEM": shlex.quote(str(path.with_suffix("")))}
     lines = known[name].read_text(encoding="utf-8").splitlines()

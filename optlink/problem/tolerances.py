@@ -344,7 +344,6 @@ def _stretched(mechanism: Mechanism, name: str, pin: str) -> str:
             if body not in held and isinstance(mechanism.bodies[body].length, str):
                 return str(mechanism.bodies[body].length)
         if not near:
-            message, remedy = "no link between moving pins has a length that its clearance could add to", "Leave it out"
-            raise Unusable(message, remedy, name)
+            raise Unusable("no link between moving pins has a length that its clearance could add to", "Leave it out", name)
         bodies.update(near)
         reached.update(p for p, owners in mechanism.pins.items() if any(body in owners for body in near))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from optlink.dynamics.columns import MotionColumns, slider_names
 from optlink.dynamics.machine import Machine
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.linkage.alignment import positions_text
 from optlink.linkage.stroke import Ranges, failure, reachable
 from optlink.problem.file import ProblemFile
@@ -91,7 +91,7 @@ class AnalysisTask(FiguresTask):
             elif name in single or (name.rpartition(".")[0] in columns and name.rpartition(".")[2] in FIGURES):
                 found[name] = None
             else:
-                raise InputError(Fault("no such column", nearest(name, (*columns, *single)), self.file, "--column", name))
+                raise InputError("no such column", nearest(name, (*columns, *single)), self.file, "--column", name)
         return tuple(found)
 
     def lines(self, index: int) -> list[list[str]]:
@@ -221,5 +221,5 @@ def quantity_of(problem: ProblemFile, axis: Axis) -> str:
     name = name.replace(".points.", ".").replace(".through.", ".")
     if name not in known:
         message = "only sizes of the mechanism can be varied without a new optimisation"
-        raise InputError(Fault(message, nearest(name, known), problem.file, f"--vary {axis.key}"))
+        raise InputError(message, nearest(name, known), problem.file, f"--vary {axis.key}")
     return name

@@ -15,7 +15,7 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.errors import Fault, InputError, Status
+from optlink.errors import InputError, Status
 from optlink.optimization.constraints import Scale
 from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
 from optlink.optimization.cycle_signals import TracedCycle
@@ -99,7 +99,7 @@ class CycleParameters:
         other = build_cycle(trace, nlp.structure, nlp.design(system.x), nlp.nodes, slots, nlp.scales)
         if [row.label for row in other.rows] != [row.label for row in nlp.rows]:
             message = "with a neighbouring value the machine moves in another way"
-            raise InputError(Fault(message, "Change it with --set", self.problem.file, parameter.key))
+            raise InputError(message, "Change it with --set", self.problem.file, parameter.key)
         prices = casadi.DM(system.multipliers[system.free :])
         whole = other.f_expression + casadi.dot(prices, other.g_expression)
         both = casadi.vertcat(other.x_symbol, other.p_symbol)

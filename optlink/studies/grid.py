@@ -13,7 +13,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.problem.base_model import Record
 from optlink.problem.file import ProblemFile
 from optlink.studies.toml_keys import Raw, exact_text
@@ -101,7 +101,7 @@ def read_axis(assignment: str) -> Axis:
     key, values = key.strip(), plain(values).strip().strip("\"'").strip()
 
     def fault(message: str, remedy: str = EXAMPLE) -> InputError:
-        return InputError(Fault(message, remedy, key=f"--vary {key}".strip(), value=values or None))
+        return InputError(message, remedy, key=f"--vary {key}".strip(), value=values or None)
 
     if not equals or not key or not values:
         raise fault("expected KEY=VALUES")
@@ -240,23 +240,21 @@ def read_grid(problem: ProblemFile, vary: Sequence[str]) -> Grid:
         For unknown keys, empty ranges, values that are no quantities, or too many points.
     """
     if not vary:
-        raise InputError(Fault("no parameter is varied", EXAMPLE, key="--vary"))
+        raise InputError("no parameter is varied", EXAMPLE, key="--vary")
     grid = Grid(tuple(read_axis(assignment) for assignment in vary))
     keys = [axis.key for axis in grid.axes]
     for key in keys:
         if keys.count(key) > 1:
-            raise InputError(Fault("varied twice", "Give every key once", key=f"--vary {key}"))
+            raise InputError("varied twice", "Give every key once", key=f"--vary {key}")
     if grid.count > MAX_POINTS:
         days, size = grid.count / POINTS_PER_SECOND / 86400.0, grid.count * ROW_BYTES / 1e9
         shape = " x ".join(f"{len(axis.values):,}" for axis in grid.axes)
         raise InputError(
-            Fault(
-                f"{shape} = {grid.count:,} points are more than a sweep takes, {MAX_POINTS:,}: "
-                f"about {days:z,.0f} days on one core and {size:z,.0f} GB",
-                "Give fewer points, or vary fewer parameters at a time",
-                problem.file,
-                "--vary",
-            )
+            f"{shape} = {grid.count:,} points are more than a sweep takes, {MAX_POINTS:,}: "
+            f"about {days:z,.0f} days on one core and {size:z,.0f} GB",
+            "Give fewer points, or vary fewer parameters at a time",
+            problem.file,
+            "--vary",
         )
     for axis in grid.axes:  # one by one, so that the error names the axis
         for at in {axis.values.index(end) for end in (min(axis.values), max(axis.values))}:

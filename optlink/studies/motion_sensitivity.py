@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.vector2d import unit
 from optlink.optimization.output_derivatives import output_derivatives
@@ -79,11 +79,11 @@ def output_sensitivity(
         For an unknown output or quantity.
     """
     if output not in output_names(mechanism):
-        raise InputError(Fault("unknown output", nearest(output, output_names(mechanism)), key="output", value=output))
+        raise InputError("unknown output", nearest(output, output_names(mechanism)), key="output", value=output)
     chosen = list(by or sizes)
     for name in chosen:
         if name not in sizes:
-            raise InputError(Fault("unknown size", nearest(name, sizes), key="by", value=name))
+            raise InputError("unknown size", nearest(name, sizes), key="by", value=name)
     names = list(sizes)
     symbols = {name: casadi.SX.sym(name) for name in names}
     crank = casadi.SX.sym("crank angle")

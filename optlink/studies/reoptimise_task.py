@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.errors import Fault, InputError, Status
+from optlink.errors import InputError, Status
 from optlink.linkage.assur import EITHER
 from optlink.optimization.batch_nlp import BatchNLP
 from optlink.optimization.constraints import rows as limit_rows
@@ -59,9 +59,9 @@ def check_backend(name: str) -> None:
     """
     if name == "both":
         remedy = "Give ipopt or slsqp, each in its own folder; `optlink solve --backend both` compares them for one design"
-        raise InputError(Fault("a study searches with one back end", remedy, key="--backend", value=name))
+        raise InputError("a study searches with one back end", remedy, key="--backend", value=name)
     if name not in selectable():
-        raise InputError(Fault("unknown back end of a study", nearest(name, selectable()), key="--backend", value=name))
+        raise InputError("unknown back end of a study", nearest(name, selectable()), key="--backend", value=name)
 
 
 def one_programme_suffices(problem: ProblemFile, keys: tuple[str, ...]) -> bool:

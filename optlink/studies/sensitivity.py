@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from optlink.errors import Fault, InputError, Status
+from optlink.errors import InputError, Status
 from optlink.optimization.cycle_nlp import CycleNLP
 from optlink.optimization.nlp import NLP
 from optlink.problem.base_model import Number, Record, Recorded, ResultRecord, absent
@@ -200,15 +200,14 @@ def sensitivities(
     """
     if problem.task == "balance":
         remedy = "`optlink balance` lists the shadow prices of its limits"
-        raise InputError(Fault("a balancing problem has no sensitivities to parameters", remedy, problem.file, "balance"))
+        raise InputError("a balancing problem has no sensitivities to parameters", remedy, problem.file, "balance")
     result = solve(problem, backend, starts, seed)
     assert not isinstance(result, Balance)
     solution, file = result.solution, result.definite
     interrupts.check()
     if solution is None or solution.status is not Status.OPTIMAL:
         how = "infeasible" if solution is None else solution.status.value
-        remedy = "`optlink solve` gives the reason"
-        raise InputError(Fault(f"there is no optimum to analyse: {how}", remedy, problem.file))
+        raise InputError(f"there is no optimum to analyse: {how}", "`optlink solve` gives the reason", problem.file)
     return of_solution(file, solution, backend, check=check, progress=progress)
 
 

@@ -21,7 +21,7 @@ from annotated_types import MinLen
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
-from optlink.errors import Fault, InputError, Status
+from optlink.errors import InputError, Status
 from optlink.execution.runner import run
 from optlink.execution.store import Progress, Store
 from optlink.problem.base_model import Recorded, ResultRecord, absent
@@ -308,7 +308,7 @@ def _task(
     stated = SweepTask.problem_fields(problem)
     if analyze:
         if not 2 <= points <= MOST_ANGLES:
-            raise InputError(Fault("out of range", f"Give 2 to {MOST_ANGLES:,} crank angles", key="--points", value=points))
+            raise InputError("out of range", f"Give 2 to {MOST_ANGLES:,} crank angles", key="--points", value=points)
         quantities = tuple(quantity_of(problem, axis) for axis in grid.axes)
         given = tuple((name, value) for name, value in (design or {}).items() if name not in quantities)
         whole = AnalysisTask(
@@ -318,13 +318,13 @@ def _task(
         replace(whole, grid=first).lines(0)  # detects invalid columns or dimensions early
         return whole
     if design is not None:
-        raise InputError(Fault("a given design is not optimised", "Leave --design out, or add --analyze", key="--design"))
+        raise InputError("a given design is not optimised", "Leave --design out, or add --analyze", key="--design")
     check_backend(backend)
     if problem.task not in ("path", "cycle"):
         problem.spec  # noqa: B018 - raises if there is nothing to solve
     task = optimum_task(problem, grid, backend, chunk_of(grid))
     if not task.free:
-        raise InputError(Fault("no design variables: every dimension is fixed", "Add --analyze, or free a size", problem.file))
+        raise InputError("no design variables: every dimension is fixed", "Add --analyze, or free a size", problem.file)
     return task
 
 

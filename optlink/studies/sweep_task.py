@@ -16,7 +16,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
-from optlink.errors import Fault, InputError, Status
+from optlink.errors import InputError, Status
 from optlink.problem.file import ProblemFile, read
 from optlink.problem.quantity import Quantity
 from optlink.studies.grid import Grid, column
@@ -87,10 +87,10 @@ class SweepTask(ABC):
         """
         if self.version != VERSION:
             message = f"this worker runs optlink {VERSION}, the study optlink {self.version}"
-            raise InputError(Fault(message, "Install one version everywhere", self.file))
+            raise InputError(message, "Install one version everywhere", self.file)
         problem = read(self.raw, self.name, self.file, self.folder)
         if problem.hash != self.hash:
-            raise InputError(Fault("a file that the problem refers to has changed", "Begin a new study", self.file))
+            raise InputError("a file that the problem refers to has changed", "Begin a new study", self.file)
         return problem
 
     @cached_property

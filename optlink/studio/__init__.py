@@ -38,7 +38,7 @@ def explore(
     InputError
         If a package of the notebook is not installed, or the problem cannot be used.
     """
-    from optlink.errors import Fault, InputError
+    from optlink.errors import InputError
     from optlink.problem.file import ProblemFile, dump
 
     if sliders or design is not None:
@@ -49,7 +49,7 @@ def explore(
         from optlink.studio.widget import Canvas
     except ImportError:
         remedy = 'Install it: pip install "optlink[notebook]"'
-        raise InputError(Fault("explore needs the package anywidget, which is not installed", remedy)) from None
+        raise InputError("explore needs the package anywidget, which is not installed", remedy) from None
     from optlink.studio.document import Document, named
 
     if isinstance(problem, ProblemFile):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.errors import Fault, InputError, Status
+from optlink.errors import InputError, Status
 from optlink.io import finite
 from optlink.problem.file import ProblemFile
 from optlink.studio.design import Design
@@ -50,17 +50,17 @@ def drawn(points: Any, *, closed: bool) -> Document:
         If there are too few or too many points, or they do not differ.
     """
     if not isinstance(points, list) or not 3 <= len(points) <= MOST_DRAWN:
-        raise InputError(Fault("a curve has from 3 to 10,000 points", "Draw it again", key="draw"))
+        raise InputError("a curve has from 3 to 10,000 points", "Draw it again", key="draw")
     try:
         line = np.array(points, dtype=float)
     except (TypeError, ValueError):
         line = np.zeros(0)
     if line.ndim != 2 or line.shape[1] != 2 or not np.all(np.abs(line) <= 1e6):
-        raise InputError(Fault("a point of a curve has two coordinates of at most 1e6 mm", "Draw it again", key="draw"))
+        raise InputError("a point of a curve has two coordinates of at most 1e6 mm", "Draw it again", key="draw")
     places = np.round(_along(line, closed=closed), 6)
     size, centre = float(np.max(np.ptp(places, axis=0))), places.mean(axis=0)
     if not size > SMALLEST:
-        raise InputError(Fault("the curve is smaller than 0.001 mm", "Draw a larger one", key="draw"))
+        raise InputError("the curve is smaller than 0.001 mm", "Draw a larger one", key="draw")
     far, least = f"{REACH * size:.4g}", f"{LEAST * size:.4g}"
     sides = [f'{{ bounds = ["{c - REACH * size:.6g} mm", "{c + REACH * size:.6g} mm"] }}' for c in centre]
     listed = ",\n".join(f'    ["{x!r} mm", "{y!r} mm"]' for x, y in places.tolist())
@@ -247,7 +247,7 @@ class CurveSearch:
             If there is none with this number.
         """
         if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < len(self.designs):
-            raise InputError(Fault("no such candidate", "Draw the curve again", key="candidate", value=index))
+            raise InputError("no such candidate", "Draw the curve again", key="candidate", value=index)
         one = self.designs[index]
         candidate = next((candidate for design, candidate in self._coarse if design is one), None)
         if candidate is not None:

@@ -13,7 +13,7 @@ from typing import Any
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.problem.base_model import with_ranges, with_spellings
 from optlink.problem.file import MAX_BYTES, WORDS, ProblemFile, load, read, shipped
 from optlink.problem.fixed_design import references
@@ -116,7 +116,7 @@ class Document:
 
         quantities = self.problem.model.mechanism.quantities
         if size not in quantities:
-            raise InputError(Fault("no such size", f"Sizes: {', '.join(quantities)}", self.file, "lock", size))
+            raise InputError("no such size", f"Sizes: {', '.join(quantities)}", self.file, "lock", size)
         return quantities[size], file_key(self.problem.raw["mechanism"], size)
 
 
@@ -145,7 +145,7 @@ def shipped_problem(name: str) -> Document:
         If there is none with this name.
     """
     if name not in shipped():
-        raise InputError(Fault("no such shipped problem", nearest(name, shipped()), key="name", value=name))
+        raise InputError("no such shipped problem", nearest(name, shipped()), key="name", value=name)
     return named(name)
 
 
@@ -178,12 +178,12 @@ def from_text(text: str, title: str) -> Document:
     name = "".join(sign for sign in Path(title).stem if sign.isalnum() or sign in "-_")[:60] or "problem"
     file = f"{name}.toml"
     if len(text.encode(errors="replace")) > MAX_BYTES:
-        raise InputError(Fault(f"the text is longer than {MAX_BYTES:,} bytes", "Open a shorter file", file))
+        raise InputError(f"the text is longer than {MAX_BYTES:,} bytes", "Open a shorter file", file)
     raw = tables(text, file)
     named = next((table[key] for table, key, _ in references(raw)), None)
     if named is not None:
         remedy = f"Open it from its folder: optlink studio {file}"
-        raise InputError(Fault("a problem that is opened in the page cannot read other files", remedy, file, value=named))
+        raise InputError("a problem that is opened in the page cannot read other files", remedy, file, value=named)
     made = Document(name, text, _nowhere())
     _ = made.problem
     return made
@@ -229,7 +229,7 @@ def tables(text: str, file: str) -> dict[str, Any]:
         raw: dict[str, Any] = with_ranges(with_spellings(tomllib.loads(text)), skip=WORDS)
     except (tomllib.TOMLDecodeError, ValueError, RecursionError) as error:
         reason = "nested too deeply" if isinstance(error, RecursionError) else str(error)
-        raise InputError(Fault(f"the text is not valid TOML: {reason}", "Correct the text", file)) from None
+        raise InputError(f"the text is not valid TOML: {reason}", "Correct the text", file) from None
     return raw
 
 

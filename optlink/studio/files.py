@@ -9,7 +9,7 @@ import zlib
 from pathlib import Path
 from typing import Any
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.problem.file import MAX_BYTES
 from optlink.studio.design import Design
 
@@ -34,9 +34,9 @@ def exported(design: Design, name: str, format: Any) -> dict[str, Any]:
         If the format is unknown, or the design cannot be drawn.
     """
     if format not in MEDIA:
-        raise InputError(Fault("unknown format", f"One of: {', '.join(MEDIA)}", key="format", value=format))
+        raise InputError("unknown format", f"One of: {', '.join(MEDIA)}", key="format", value=format)
     if design.result is None:
-        raise InputError(Fault("there is no verified design yet", "Release the handle, or wait for the search", key="export"))
+        raise InputError("there is no verified design yet", "Release the handle, or wait for the search", key="export")
     from optlink.report.export.export import export
     from optlink.report.html.page import page
     from optlink.report.report_model import report_model_of
@@ -70,9 +70,9 @@ def inflated(fragment: str) -> str:
         unpacker = zlib.decompressobj()
         text = unpacker.decompress(data, MAX_BYTES + 1)
         if len(text) > MAX_BYTES:
-            raise InputError(Fault(f"the problem of the link is longer than {MAX_BYTES:,} bytes", "Open its file instead"))
+            raise InputError(f"the problem of the link is longer than {MAX_BYTES:,} bytes", "Open its file instead")
         if not unpacker.eof:
             raise ValueError
         return text.decode()
     except (ValueError, binascii.Error, zlib.error):
-        raise InputError(Fault("the link holds no problem", "Copy the whole link")) from None
+        raise InputError("the link holds no problem", "Copy the whole link") from None

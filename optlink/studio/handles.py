@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.io import finite
 from optlink.linkage.mechanism import Arm
 from optlink.problem.file import ProblemFile
@@ -121,7 +121,7 @@ def _numbers(raw: Any, count: int) -> list[float]:
         found = [float(x) for x in raw if isinstance(x, int | float) and not isinstance(x, bool) and abs(x) <= LARGEST]
         if len(found) == count:
             return found
-    raise InputError(Fault("the message has no usable place or value", "Send numbers of at most 1e9", key="drag", value=raw))
+    raise InputError("the message has no usable place or value", "Send numbers of at most 1e9", key="drag", value=raw)
 
 
 def _moved(problem: ProblemFile, index: int, values: Mapping[str, float]) -> list[Any]:

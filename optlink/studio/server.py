@@ -26,7 +26,7 @@ from starlette.types import ASGIApp, Receive, Scope
 from starlette.types import Send as AsgiSend
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.studio.document import hello
 from optlink.studio.link import Link, Worker
 
@@ -290,7 +290,7 @@ def serve(opened: str | None = None, port: int = 0, ready: Callable[[str], None]
     except OSError as error:
         listening.close()
         remedy = "Leave --port out, or give another one"
-        raise InputError(Fault(f"cannot listen on the port: {error.strerror}", remedy, key="--port", value=port)) from None
+        raise InputError(f"cannot listen on the port: {error.strerror}", remedy, key="--port", value=port) from None
     studio = Studio(listening.getsockname()[1], opened)
     config = uvicorn.Config(
         studio.app,

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from optlink.errors import Fault, InputError, OptlinkError
+from optlink.errors import InputError, OptlinkError
 from optlink.problem.file import ProblemFile, parse_assignment
 from optlink.problem.fixed_design import references
 from optlink.studio import state
@@ -76,9 +76,9 @@ class Session:
         try:
             act = _ACTIONS.get(request["type"])
             if act is None:
-                raise InputError(Fault("unknown request", f"One of: {', '.join(_ACTIONS)}", key="type", value=request["type"]))
+                raise InputError("unknown request", f"One of: {', '.join(_ACTIONS)}", key="type", value=request["type"])
             if self._history is None and request["type"] not in OPENING:
-                raise InputError(Fault("no problem is open", "Open one, or draw a curve"))
+                raise InputError("no problem is open", "Open one, or draw a curve")
             act(self, request)
         except OptlinkError as error:
             self.fault(str(error))
@@ -134,9 +134,7 @@ class Session:
     def _drag(self, request: Mapping[str, Any]) -> None:
         handle = self._handles.get(_text(request, "handle"))
         if handle is None:
-            raise InputError(
-                Fault("no such handle", f"Handles: {', '.join(self._handles)}", key="handle", value=request["handle"])
-            )
+            raise InputError("no such handle", f"Handles: {', '.join(self._handles)}", key="handle", value=request["handle"])
         base = self._document.problem
         changes = handle.changes(base, request)
         if request.get("moving"):
@@ -160,9 +158,7 @@ class Session:
         for name in reversed(key.split(".")):
             nested = {name: nested}
         if any(references(nested)):
-            raise InputError(
-                Fault("a value that is set on the page cannot name a file", "Write it into the problem file", key=key)
-            )
+            raise InputError("a value that is set on the page cannot name a file", "Write it into the problem file", key=key)
         self._commit(self._document.with_changes({key: value}))
 
     def _lock(self, request: Mapping[str, Any]) -> None:
@@ -192,7 +188,7 @@ class Session:
         from optlink.studio.files import exported
 
         if self._last is None:
-            raise InputError(Fault("there is no design yet", "Wait for the search"))
+            raise InputError("there is no design yet", "Wait for the search")
         found = exported(self._last[0], self._document.name, request.get("format"))
         self._send({"type": "file", "id": self._id} | found)
 
@@ -204,11 +200,11 @@ class Session:
         self._interruptible(lambda: search.run(lambda done: self._send(search.message(self._id, done=done))))
         if not search.designs:
             remedy = "Draw a smoother curve, or one without sharp corners"
-            raise InputError(Fault("no four-bar was found for this curve within its limits", remedy))
+            raise InputError("no four-bar was found for this curve within its limits", remedy)
 
     def _choose(self, request: Mapping[str, Any]) -> None:
         if self._curve is None:
-            raise InputError(Fault("there are no candidates", "Draw a curve first"))
+            raise InputError("there are no candidates", "Draw a curve first")
         chosen = self._curve.design(request.get("candidate"))
         self._begin([self._curve.document], design=chosen)
 
@@ -438,5 +434,5 @@ def _text(request: Mapping[str, Any], key: str, default: str | None = None) -> s
     """Return a text of a request."""
     value = request.get(key, default)
     if not isinstance(value, str):
-        raise InputError(Fault("expected a text", f"Send {key} as a text", key=key, value=value))
+        raise InputError("expected a text", f"Send {key} as a text", key=key, value=value)
     return value

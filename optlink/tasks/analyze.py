@@ -14,7 +14,7 @@ from optlink.dynamics.flywheel import flywheel
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.strokes import acting_loads
 from optlink.dynamics.work import Work
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.linkage.alignment import AlignedPosition, positions_text
 from optlink.linkage.extrema import distinct, extremes, zeros
 from optlink.linkage.stroke import Ranges, Travel, range_end_reason, travels, within_cycle
@@ -121,12 +121,12 @@ def analyze(
 
 def _check(points: int, step: float | None, speed: float) -> None:
     if not 1 <= points <= MAX_POINTS:
-        raise InputError(Fault("out of range", f"Give a number from 1 to {MAX_POINTS:,}", key="points", value=points))
+        raise InputError("out of range", f"Give a number from 1 to {MAX_POINTS:,}", key="points", value=points)
     if step is not None and not TURN / MAX_POINTS <= step <= TURN:
-        raise InputError(Fault("out of range", "Give a step from 0.001 deg to 360 deg", key="step", value=f"{step:.6g} rad"))
+        raise InputError("out of range", "Give a step from 0.001 deg to 360 deg", key="step", value=f"{step:.6g} rad")
     if not 1e-9 <= abs(speed) <= 1e6:
         remedy = 'Give one between 1e-9 and 1e6 rad/s, for statics a low one such as "0.01 rpm"'
-        raise InputError(Fault("out of range", remedy, key="speed", value=f"{speed:.6g} rad/s"))
+        raise InputError("out of range", remedy, key="speed", value=f"{speed:.6g} rad/s")
 
 
 PLACES = ("_deg", "_rad", "_m", "time_s", "energy.potential_J")

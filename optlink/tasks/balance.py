@@ -18,7 +18,7 @@ from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.counterweights import Affine, BalanceMeasure, Effects, quantities, quantities_of, with_counterweight
 from optlink.dynamics.inertia import Inertia, Parameters
 from optlink.dynamics.machine import Machine
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.optimization.pareto_front import knee
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
@@ -74,7 +74,7 @@ class _Task:
         section = problem.model.balance
         if section is None:
             example = 'minimise = "rms shaking force" and [[balance.counterweights]] with body, thickness, density and reach'
-            raise InputError(Fault("the problem has no [balance]", f"Add it: {example}", problem.file, "balance"))
+            raise InputError("the problem has no [balance]", f"Add it: {example}", problem.file, "balance")
         self.problem, self.section = problem, section
         self.machine = machine_of(problem)
         self.speed = crank_speed(problem)
@@ -100,12 +100,10 @@ class _Task:
         if np.any(bad):
             where = ", ".join(f"{math.degrees(a):.6g}" for a in self.angles[bad][:3])
             raise InputError(
-                Fault(
-                    f"no finite reactions at crank angle {where} deg, so it cannot be balanced there",
-                    "`optlink analyze` gives the reason; keep away from singular positions",
-                    self.problem.file,
-                    "mechanism",
-                )
+                f"no finite reactions at crank angle {where} deg, so it cannot be balanced there",
+                "`optlink analyze` gives the reason; keep away from singular positions",
+                self.problem.file,
+                "mechanism",
             )
 
     def affine(self, measure: BalanceMeasure) -> Affine:
@@ -249,26 +247,20 @@ def _measure(text: str, option: str, task: _Task) -> BalanceMeasure:
 def _pair(text: str, task: _Task) -> tuple[BalanceMeasure, BalanceMeasure]:
     first, comma, second = text.partition(",")
     if not comma or "," in second:
-        raise InputError(
-            Fault("a trade-off is between two measures", "Write for example force,torque", key="--trade", value=text)
-        )
+        raise InputError("a trade-off is between two measures", "Write for example force,torque", key="--trade", value=text)
     return _measure(first, "--trade", task), _measure(second, "--trade", task)
 
 
 def _check(task: _Task, goal: Sequence[tuple[BalanceMeasure, float]], pair: Sequence[BalanceMeasure], points: int) -> None:
     """Refuse measures that are zero already: they cannot be reduced, and no relative value is defined."""
     if not 3 <= points <= 1000:
-        raise InputError(Fault("out of range", "Give a number from 3 to 1000", key="--points", value=points))
+        raise InputError("out of range", "Give a number from 3 to 1000", key="--points", value=points)
     if len(pair) == 2 and pair[0] == pair[1]:
-        raise InputError(
-            Fault("both measures are the same", "Name two, for example force,torque", key="--trade", value=str(pair[0]))
-        )
+        raise InputError("both measures are the same", "Name two, for example force,torque", key="--trade", value=str(pair[0]))
     for measure in [m for m, _ in goal] + list(pair):
         if not task.programme.before(measure) > 0.0:
             message = f"the {measure} of the initial machine is zero: there is nothing to balance"
-            raise InputError(
-                Fault(message, "Choose another measure, or give the bodies masses", task.problem.file, "balance.minimise")
-            )
+            raise InputError(message, "Choose another measure, or give the bodies masses", task.problem.file, "balance.minimise")
 
 
 def _before(task: _Task, goal: Sequence[tuple[BalanceMeasure, float]]) -> float:

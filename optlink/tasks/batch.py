@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.machine import Machine
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.linkage.alignment import near_singular, positions_text
 from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.extrema import extremes_of_rows
@@ -95,7 +95,7 @@ def analyze_batch(
     known = MotionColumns(machine_of(problem).moving(angles[:1], way)).columns
     for name in columns:
         if name not in known:
-            raise InputError(Fault("no such column", nearest(name, known), problem.file, "columns", name))
+            raise InputError("no such column", nearest(name, known), problem.file, "columns", name)
     found = Columns()
     found.update({name: np.empty((count, len(angles))) for name in columns})
     samples = angles if points >= SAMPLES else drive.start.value + TURN * np.arange(turns * SAMPLES) / SAMPLES
@@ -224,13 +224,13 @@ def _read(problem: ProblemFile, designs: Mapping[str, ArrayLike]) -> dict[str, A
     known = problem.model.mechanism.quantities
     arrays = {name: np.atleast_1d(np.asarray(values, dtype=float)) for name, values in designs.items()}
     if not arrays:
-        raise InputError(Fault("no quantity is varied", f"Name one of: {', '.join(known)}", problem.file, "designs"))
+        raise InputError("no quantity is varied", f"Name one of: {', '.join(known)}", problem.file, "designs")
     sizes = {len(values) for values in arrays.values()}
     for name, values in arrays.items():
         if name not in known:
-            raise InputError(Fault("unknown quantity", nearest(name, known), problem.file, "designs", name))
+            raise InputError("unknown quantity", nearest(name, known), problem.file, "designs", name)
         if values.ndim != 1 or len(sizes) > 1:
-            raise InputError(Fault("one value per design is needed", "Give arrays of one length", problem.file, name))
+            raise InputError("one value per design is needed", "Give arrays of one length", problem.file, name)
         if not np.all(np.isfinite(values)) or (known[name].kind == "length" and np.any(values <= 0.0)):
-            raise InputError(Fault("not a size", "Give finite values, lengths above zero", problem.file, name))
+            raise InputError("not a size", "Give finite values, lengths above zero", problem.file, name)
     return arrays

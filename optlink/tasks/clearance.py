@@ -27,7 +27,7 @@ from optlink.clearance.reference_signal import constant_speed
 from optlink.clearance.statistics import WATCHED, PredictabilityCheck, Statistics, table
 from optlink.dynamics.ending import Ending
 from optlink.dynamics.machine import Machine
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.linkage.vector2d import TURN
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import input_of, nearest
@@ -78,7 +78,7 @@ class _Setting:
         except Weightless as error:
             bar = ', inertia = "uniform bar"' if self.machine.mechanism.bodies[error.body].end else ""
             remedy = f'Give it a mass{" and a moment of inertia" if bar else ""}: {error.body} = {{ mass = "0.2 kg"{bar} }}'
-            raise InputError(Fault(str(error), remedy, self.file.file, f"bodies.{error.body}")) from None
+            raise InputError(str(error), remedy, self.file.file, f"bodies.{error.body}") from None
         if section is not None and sampled:
             angles = self.start + math.copysign(TURN, self.nominal) * np.arange(plant.samples) / plant.samples
             wanted = np.broadcast_to(np.asarray(self.output.ideal(self.machine.moving(angles))[0]), angles.shape)
@@ -208,7 +208,7 @@ def simulate_clearance(
         begun = read_checkpoint(ClearanceCheckpoint, resume, options)
         if begun.revolutions > revolutions:
             message = f"{begun.revolutions} revolutions are done already"
-            raise InputError(Fault(message, "Ask for more", key="revolutions", value=revolutions))
+            raise InputError(message, "Ask for more", key="revolutions", value=revolutions)
         try:
             plant.restore(begun.closed_loop)
             account.restore(begun.statistics)
@@ -371,9 +371,7 @@ def _setting(
     model, name = problem.model, problem.file
     if control not in [str(kind) for kind in Control]:
         raise InputError(
-            Fault(
-                "no such control", nearest(control, [*(str(kind) for kind in Control), "compare"]), key="control", value=control
-            )
+            "no such control", nearest(control, [*(str(kind) for kind in Control), "compare"]), key="control", value=control
         )
     machine = with_flywheel(machine_of(problem, design), flywheel)
     with input_of(name):
@@ -381,37 +379,35 @@ def _setting(
     if not gaps:
         pin = next(iter(machine.mechanism.pins))
         remedy = f'Add one: [joints.{pin}] clearance = "0.5 mm", bearing_radius = "10 mm", modulus = "207 GPa"'
-        raise InputError(Fault("no joint of the problem has a clearance", remedy, name, "joints"))
+        raise InputError("no joint of the problem has a clearance", remedy, name, "joints")
     if machine.friction:
         guide = next(iter(machine.friction))
         message = "friction in a guide and clearance in a pin are not simulated together"
         raise InputError(
-            Fault(message, "Take the friction of the guide out, or the clearance", name, f"mechanism.guides.{guide}.friction")
+            message, "Take the friction of the guide out, or the clearance", name, f"mechanism.guides.{guide}.friction"
         )
     if start is not None and not abs(start) <= 1e6:
-        raise InputError(Fault("out of range", "Give an angle", key="start", value=f"{start} rad"))
+        raise InputError("out of range", "Give an angle", key="start", value=f"{start} rad")
     drive, kind = model.drive, Control(control)
     begin = drive.start.value if start is None else start
     ranges, _, _ = motion_range(problem, machine, begin)
     check_regular(problem, ranges, "clearance is not simulated there")
     if not ranges.full:
         message = "the crank cannot turn fully; simulation with clearance needs full revolutions"
-        raise InputError(Fault(message, "Change the sizes so that it can", name, "mechanism"))
+        raise InputError(message, "Change the sizes so that it can", name, "mechanism")
     nominal = drive.speed.value if speed is None else speed
     if not math.isfinite(nominal) or nominal == 0.0 or abs(nominal) > 1e6:
-        raise InputError(Fault("out of range", "Give a speed other than zero", key="speed", value=f"{nominal:.6g} rad/s"))
+        raise InputError("out of range", "Give a speed other than zero", key="speed", value=f"{nominal:.6g} rad/s")
     servo = None if drive.servo is None else Servo(drive.servo.bandwidth.value, drive.servo.damping)
     if kind is not Control.NONE:
         if servo is None:
             remedy = 'Add servo = { bandwidth = "300 Hz", damping = 0.7 } below [drive]'
-            raise InputError(Fault(f"control {kind} needs a drive that follows a command", remedy, name, "drive.servo"))
+            raise InputError(f"control {kind} needs a drive that follows a command", remedy, name, "drive.servo")
         if model.control is None:
             remedy = 'Add [control] with regularisation = "5 mm", proportional = 0.05, integral = 10.0'
-            raise InputError(Fault(f"control {kind} needs the controlled joint", remedy, name, "control"))
+            raise InputError(f"control {kind} needs the controlled joint", remedy, name, "control")
         if kind.fed_back and not any((model.control.proportional, model.control.integral, model.control.derivative)):
-            raise InputError(
-                Fault("all gains of the PID are zero", "Give proportional = 0.05 or integral = 10.0", name, "control")
-            )
+            raise InputError("all gains of the PID are zero", "Give proportional = 0.05 or integral = 10.0", name, "control")
     first = nominal
     if drive.torque is not None:
         first = drive.initial_speed.value if drive.initial_speed is not None else 0.0
@@ -424,13 +420,13 @@ def _setting(
 def _check(revolutions: int, points: int, tolerance: float) -> None:
     for name, number in (("revolutions", revolutions), ("points", points)):
         if not math.isfinite(number) or int(number) != number:
-            raise InputError(Fault("not a whole number", "Give for example 360", key=name, value=number))
+            raise InputError("not a whole number", "Give for example 360", key=name, value=number)
     if not 1 <= revolutions <= 10_000_000:
-        raise InputError(Fault("out of range", "Give a number from 1 to 10,000,000", key="revolutions", value=revolutions))
+        raise InputError("out of range", "Give a number from 1 to 10,000,000", key="revolutions", value=revolutions)
     if not 12 <= points <= 100_000:
-        raise InputError(Fault("out of range", "Give a number from 12 to 100,000", key="points", value=points))
+        raise InputError("out of range", "Give a number from 12 to 100,000", key="points", value=points)
     if not 1e-13 <= tolerance <= 1e-4:
-        raise InputError(Fault("out of range", "Give a number from 1e-13 to 1e-4", key="tolerance", value=tolerance))
+        raise InputError("out of range", "Give a number from 1e-13 to 1e-4", key="tolerance", value=tolerance)
 
 
 def _state(plant: ClosedLoop) -> str:

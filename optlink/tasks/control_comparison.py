@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from optlink.clearance.compiled.choice import resumed
 from optlink.clearance.controller import Control
 from optlink.clearance.output import Output
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.execution.runner import Runs, pool
 from optlink.linkage.vector2d import TURN
 from optlink.problem.base_model import SPELLINGS
@@ -43,9 +43,9 @@ def random_crank_angles(count: int, seed: int) -> Array:
         If an argument is out of range.
     """
     if not 1 <= count <= 10_000:
-        raise InputError(Fault("out of range", "Give a number from 1 to 10,000", key="starts", value=count))
+        raise InputError("out of range", "Give a number from 1 to 10,000", key="starts", value=count)
     if seed < 0:
-        raise InputError(Fault("a seed is not negative", "Give zero or more", key="seed", value=seed))
+        raise InputError("a seed is not negative", "Give zero or more", key="seed", value=seed)
     return np.random.default_rng(seed).uniform(0.0, TURN, count)
 
 
@@ -257,9 +257,9 @@ def tune(
     names = [SPELLINGS.get(name, name) for name in names]
     unknown = [name for name in names if name not in RANGES]
     if unknown or not names:
-        raise InputError(Fault("no such parameter", f"Known: {', '.join(RANGES)}", key="names", value=", ".join(unknown)))
+        raise InputError("no such parameter", f"Known: {', '.join(RANGES)}", key="names", value=", ".join(unknown))
     if not 4 <= evaluations <= 100_000:
-        raise InputError(Fault("out of range", "Give a number from 4 to 100,000", key="evaluations", value=evaluations))
+        raise InputError("out of range", "Give a number from 4 to 100,000", key="evaluations", value=evaluations)
     angles = random_crank_angles(starts, seed)
     low, high = (np.log([RANGES[name][side] for name in names]) for side in (0, 1))
     generator = np.random.default_rng(seed)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from optlink.errors import Fault, InputError, Status
+from optlink.errors import InputError, Status
 from optlink.linkage.fourbar import LENGTHS
 from optlink.optimization.objectives import MEASURES
 from optlink.problem.base_model import Number, Record, absent
@@ -379,7 +379,7 @@ def _pairs(text: str, quantities: Mapping[str, Quantity]) -> list[tuple[str, obj
     except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         reason = getattr(error, "strerror", None) or f"no design in it ({type(error).__name__})"
         raise InputError(
-            Fault(f"cannot read a design: {reason}", "Give a result.json that `solve --out` wrote", text, "--design")
+            f"cannot read a design: {reason}", "Give a result.json that `solve --out` wrote", text, "--design"
         ) from None
 
 
@@ -408,15 +408,15 @@ def read_design(problem: ProblemFile, assignments: list[str], varied: Collection
     for key, value in (pair for text in assignments for pair in _pairs(text, quantities)):
         name = key.removeprefix("mechanism.")
         if name not in quantities:
-            raise InputError(Fault("unknown quantity of the design", nearest(name, quantities), problem.file, "--design", key))
+            raise InputError("unknown quantity of the design", nearest(name, quantities), problem.file, "--design", key)
         if isinstance(value, dict | list):
             remedy = f'Give one value, such as {name}="{show(quantities[name].value, quantities[name].kind)}"'
-            raise InputError(Fault("a given design has no bounds", remedy, problem.file, f"--design {name}", value))
+            raise InputError("a given design has no bounds", remedy, problem.file, f"--design {name}", value)
         with input_of(problem.file, f"--design {name}", value):
             given[name] = float(read_quantity(value, quantities[name].kind).value)
     missing = [name for name in problem.model.free if name not in given and name not in varied]
     if missing:
         starts = ((name, show(quantities[name].value, quantities[name].kind)) for name in missing)
         example = " ".join(f'--design {name}="{value}"' for name, value in starts)
-        raise InputError(Fault(f"the design lacks {', '.join(missing)}", f"Add for example {example}", problem.file, "--design"))
+        raise InputError(f"the design lacks {', '.join(missing)}", f"Add for example {example}", problem.file, "--design")
     return given

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from optlink.dynamics.inertia import Inertia
 from optlink.dynamics.machine import Machine
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.linkage.alignment import positions_text
 from optlink.linkage.stroke import Ranges, failure
 from optlink.linkage.vector2d import TURN, Value
@@ -81,7 +81,7 @@ def crank_speed(problem: ProblemFile) -> float:
     speed = problem.model.drive.speed
     if speed.value == 0.0:
         remedy = "Give another speed: a revolution at constant speed is simulated"
-        raise InputError(Fault("the crank speed is zero", remedy, problem.file, "drive.speed", str(speed)))
+        raise InputError("the crank speed is zero", remedy, problem.file, "drive.speed", str(speed))
     return speed.value
 
 
@@ -99,7 +99,7 @@ def with_flywheel(machine: Machine, inertia: float) -> Machine:
         If the inertia is out of range.
     """
     if not 0.0 <= inertia < 1e12:
-        raise InputError(Fault("out of range", "Give a moment of inertia from 0 to 1e12 kg*m^2", key="flywheel", value=inertia))
+        raise InputError("out of range", "Give a moment of inertia from 0 to 1e12 kg*m^2", key="flywheel", value=inertia)
     if inertia == 0.0:
         return machine
     crank = machine.mechanism.crank.body
@@ -137,7 +137,7 @@ def motion_range(problem: ProblemFile, machine: Machine, start: float) -> tuple[
             else "No crank angle can be reached: change the sizes"
         )
         message = f"{failed}" if failed else "the mechanism cannot be assembled"
-        raise InputError(Fault(message, remedy, problem.file, "drive.start", f"{math.degrees(start):.6g} deg"))
+        raise InputError(message, remedy, problem.file, "drive.start", f"{math.degrees(start):.6g} deg")
     low, high = holding
     return ranges, low, high
 
@@ -162,7 +162,7 @@ def check_regular(problem: ProblemFile, ranges: Ranges, what: str) -> None:
     if positions:
         message = f"singular position at crank angle {positions_text(positions)}, where reactions have no bound: {what}"
         remedy = "Change the lengths so that coupler and rocker, or a link and the normal of its guide, are never in line"
-        raise InputError(Fault(message, remedy, problem.file, "mechanism"))
+        raise InputError(message, remedy, problem.file, "mechanism")
 
 
 def table_angles(start: float, low: float, high: float, speed: float, full: bool, points: int, step: float | None) -> Array:

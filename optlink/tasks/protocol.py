@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, Generic, TypeVar
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.problem.file import ProblemFile
 from optlink.problem.machine.model import Problem
 from optlink.problem.quantity import nearest
@@ -51,7 +51,7 @@ def check_count(key: str, value: int | None, most: int) -> None:
         If it does not.
     """
     if value is not None and not 1 <= value <= most:
-        raise InputError(Fault("out of range", f"Give a number from 1 to {most}", key=key, value=value))
+        raise InputError("out of range", f"Give a number from 1 to {most}", key=key, value=value)
 
 
 def agreement(
@@ -199,7 +199,7 @@ class DesignTask(ABC, Generic[R]):
         self.check(problem)
         if designs is not None and self.designs is None:
             remedy = "Leave it out; --starts N lists the distinct optima of a law"
-            raise InputError(Fault("only points and poses have several designs", remedy, problem.file, "--designs", designs))
+            raise InputError("only points and poses have several designs", remedy, problem.file, "--designs", designs)
         check_count("designs", designs, MOST_DESIGNS)
         names = self._back_ends(problem, backend, starts, seed)
         return self.search(problem, Search(names, backend, starts, seed, progress, designs or self.designs or 1, track, begin))
@@ -208,17 +208,17 @@ class DesignTask(ABC, Generic[R]):
         """Check the options of the search, import its back ends and return their names."""
         if self.most_starts is None:
             if starts is not None:
-                raise InputError(Fault(self.no_starts, "Leave it out", problem.file, "--starts", starts))
+                raise InputError(self.no_starts, "Leave it out", problem.file, "--starts", starts)
             return ()
         known = [*contract.selectable(), *(["both"] if self.compares else [])]
         if backend not in known:
-            raise InputError(Fault("unknown back end", nearest(backend, known), key="backend", value=backend))
+            raise InputError("unknown back end", nearest(backend, known), key="backend", value=backend)
         check_count("starts", starts, self.most_starts)
         if seed < 0:
-            raise InputError(Fault("a seed is not negative", "Give 0 or more", key="seed", value=seed))
+            raise InputError("a seed is not negative", "Give 0 or more", key="seed", value=seed)
         if not problem.model.free:
             message = "no design variables: every dimension is fixed"
-            raise InputError(Fault(message, f"Free one: {self.free_example}, or {self.without_free}", problem.file, "mechanism"))
+            raise InputError(message, f"Free one: {self.free_example}, or {self.without_free}", problem.file, "mechanism")
         names = contract.BACKENDS if backend == "both" else (backend,)
         for name in names:
             contract.backend(name)  # imports do not count as solving time

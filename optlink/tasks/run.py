@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.io import Registry
 from optlink.problem.file import ProblemFile
 from optlink.problem.file_errors import SECTIONS
@@ -115,7 +115,7 @@ def solve(
     task = design_task(problem)
     if certify and not task.certified:
         message, remedy = "no certificate of the global optimum for this kind of problem", "Leave it out"
-        raise InputError(Fault(message, remedy, problem.file, "--certify"))
+        raise InputError(message, remedy, problem.file, "--certify")
     proof.check_options(gap, time_limit)
     if certify:
         proof.check_problem(problem)
@@ -186,7 +186,7 @@ class _BalanceTask(DesignTask["Balance"]):
 
     def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> Balance:
         remedy = "Run `optlink balance`: it verifies what it finds by inverse dynamics"
-        raise InputError(Fault("a balancing problem has no design to validate", remedy, problem.file, "balance"))
+        raise InputError("a balancing problem has no design to validate", remedy, problem.file, "balance")
 
 
 TASKS |= {"function": _function, "path": _path, "cycle": _cycle, "balance": _BalanceTask}

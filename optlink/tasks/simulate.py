@@ -15,7 +15,7 @@ from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.ending import Ending
 from optlink.dynamics.forward import Run, reduced_inertia, run
 from optlink.dynamics.machine import Machine
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.vector2d import TURN
 from optlink.problem.base_model import Columns, Contradiction, Number, Recorded, ResultRecord
@@ -163,7 +163,7 @@ def simulate(
     if duration is None:
         if drive.duration is None and drive.speed.value == 0.0:
             message = "how long the machine is simulated does not follow from a speed of zero"
-            raise InputError(Fault(message, 'Give drive.duration = "2 s"', problem.file, "drive.duration"))
+            raise InputError(message, 'Give drive.duration = "2 s"', problem.file, "drive.duration")
         duration = drive.duration.value if drive.duration is not None else TURN / abs(drive.speed.value)
     _check(duration, rows, speed, torque is not None)
     ranges, low, high = motion_range(problem, machine, start)
@@ -172,7 +172,7 @@ def simulate(
         inertia, _ = reduced_inertia(machine, np.linspace(low, high, 361)[1:-1])
         if not np.nanmin(inertia) > 0.0:
             message = "the machine has no inertia, so no torque can govern its motion"
-            raise InputError(Fault(message, "Give the bodies masses", problem.file, "bodies"))
+            raise InputError(message, "Give the bodies masses", problem.file, "bodies")
     limits = None if ranges.full else (low, high)
     singular = [position.crank_angle for position in ranges.singular]
     if singular:  # same motion up to there, without the rounding errors of 0/0 expressions
@@ -195,12 +195,12 @@ def simulate(
 
 def _check(duration: float, rows: int, speed: float, free: bool) -> None:
     if not 1e-9 <= duration <= 1e7:
-        raise InputError(Fault("out of range", "Give a time from 1e-9 s to 1e7 s", key="duration", value=f"{duration:.6g} s"))
+        raise InputError("out of range", "Give a time from 1e-9 s to 1e7 s", key="duration", value=f"{duration:.6g} s")
     if not 1 <= rows <= MAX_ROWS:
-        raise InputError(Fault("out of range", f"Give a number from 1 to {MAX_ROWS:,}", key="points", value=rows))
+        raise InputError("out of range", f"Give a number from 1 to {MAX_ROWS:,}", key="points", value=rows)
     if not math.isfinite(speed) or abs(speed) > 1e6 or (speed == 0.0 and not free):
         remedy = "Give a speed other than zero, or a torque under [drive]"
-        raise InputError(Fault("out of range", remedy, key="speed", value=f"{speed:.6g} rad/s"))
+        raise InputError("out of range", remedy, key="speed", value=f"{speed:.6g} rad/s")
 
 
 def _columns(machine: Machine, found: Run) -> tuple[dict[str, Array], dict[str, str]]:

@@ -284,8 +284,7 @@ class Limit(Term):
                 check_time_ratio(self.stroke, value, key, low and low[0], high and high[0])
             most = {"transmission angle": 180.0, "pressure angle": 90.0}.get(self.quantity)
             if most is not None and not 0.0 < value < math.radians(most):
-                remedy = f'Give an angle between 0 and {most:g} deg, for example "45 deg"'
-                raise Unusable("out of range", remedy, key, str(value))
+                raise Unusable("out of range", f'Give an angle between 0 and {most:g} deg, for example "45 deg"', key, str(value))
         first = next(iter(found.values()))
         return Interval(low[0] if low else None, high[0] if high else None, kind or None, first[1])
 

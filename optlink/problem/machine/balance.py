@@ -99,8 +99,7 @@ def _read_goal(raw: object) -> tuple[tuple[BalanceMeasure, float], ...]:
         if isinstance(weight, bool) or not isinstance(weight, int | float) or not math.isfinite(weight):
             raise Unusable("expected the weight of the measure", f'Write {{ "{text}" = 1.0 }}', "", weight)
         if weight <= 0.0:
-            message = "a weight must be positive"
-            raise Unusable(message, "Give a positive one, or take the measure out", "", f"{text} = {weight}")
+            raise Unusable("a weight must be positive", "Give a positive one, or take the measure out", "", f"{text} = {weight}")
         found.append((measure, float(weight)))
     return tuple(found)
 

@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any, get_args
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.problem.base_model import SPELLINGS
 from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.cycle.quantities import QUANTITIES
@@ -71,7 +71,7 @@ def cycle_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjec
         sense = -1 if limited.max is None and limited.exactly is None else 1
         if limited.exactly is not None or (limited.min is not None and limited.max is not None):
             remedy = f'Say which way: "minimise {limited.words}" or "maximise {limited.words}"'
-            raise InputError(Fault("the limit bounds the term on both sides", remedy, problem.file, OPTION, name))
+            raise InputError("the limit bounds the term on both sides", remedy, problem.file, OPTION, name)
         raw = {key: value for key, value in problem.raw["limits"][name.removeprefix("limits.")].items() if key not in SIDES}
         return _termed(problem, raw, sense, number, name)
     if name in task.quantities:
@@ -79,7 +79,7 @@ def cycle_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjec
     match = _parsed(name)
     if match is None:
         known = [*QUANTITIES, *(f"limits.{key}" for key in task.limits.named), *task.free, OWN]
-        raise InputError(Fault("unknown objective", nearest(name, known), problem.file, OPTION, name))
+        raise InputError("unknown objective", nearest(name, known), problem.file, OPTION, name)
     raw = {key: value for key, value in match.groupdict().items() if value is not None}
     for key in ("quantity", "measure", "stroke"):
         if key in raw:
@@ -99,7 +99,7 @@ def _termed(problem: ProblemFile, raw: dict[str, Any], sense: int, number: int, 
         found = read({**document, "objective": stated}, problem.name, problem.file, problem.folder)
     except InputError as error:
         fault = error.faults[0]
-        raise InputError(Fault(fault.message, fault.remedy, problem.file, OPTION, name)) from None
+        raise InputError(fault.message, fault.remedy, problem.file, OPTION, name) from None
     goal = _model(found).goals[0]
     kind = _model(found).kind(goal)
     unit = KINDS[kind].display if kind else ""

@@ -24,7 +24,7 @@ from annotated_types import Len
 from numpy.typing import NDArray
 from pydantic import Field
 
-from optlink.errors import Fault, InputError, Status
+from optlink.errors import InputError, Status
 from optlink.execution.runner import check
 from optlink.execution.store import Progress, Store
 from optlink.optimization.pareto_front import ends, knee, undominated
@@ -251,7 +251,7 @@ def pareto(
     first = min(range(len(aims)), key=lambda k: (bool(aims[k].key), bool(aims[k].span), k))
     if aims[first].span:
         message, remedy = "all objectives have ranges", "One of them is minimised: leave its range out"
-        raise InputError(Fault(message, remedy, problem.file, OPTION, objectives))
+        raise InputError(message, remedy, problem.file, OPTION, objectives)
     count = _points(points, len(aims) - 1)
     check_backend(backend)
     ranges = RANGES[problem.task](problem, aims, first, count, backend)
@@ -315,14 +315,14 @@ def pareto(
 def _points(points: int | None, held: int) -> int:
     count = POINTS[held] if points is None else points
     if count < 2:
-        raise InputError(Fault("out of range", "Give 2 points or more", key="--points", value=points))
+        raise InputError("out of range", "Give 2 points or more", key="--points", value=points)
     return count
 
 
 def _most(shape: Sequence[int]) -> None:
     if math.prod(shape) > MOST:
         size = " x ".join(f"{count:,}" for count in shape) + (f" = {math.prod(shape):,}" if len(shape) > 1 else "")
-        raise InputError(Fault(f"{size} points are more than a front takes, {MOST:,}", "Give fewer", key="--points"))
+        raise InputError(f"{size} points are more than a front takes, {MOST:,}", "Give fewer", key="--points")
 
 
 def _about(problem: ProblemFile, aims: tuple[ParetoObjective, ...], count: int, backend: str) -> dict[str, Any]:

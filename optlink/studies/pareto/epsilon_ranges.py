@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from optlink.errors import Fault, InputError, Status
+from optlink.errors import InputError, Status
 from optlink.optimization.nlp import build
 from optlink.problem.file import ProblemFile
 from optlink.solvers.infeasibility import Explanation, explain
@@ -169,13 +169,11 @@ class EpsilonRanges(ABC):
             yield
         except InputError as error:
             fault = error.faults[0]
-            raise InputError(Fault(fault.message, fault.remedy, self.problem.file, OPTION, said)) from None
+            raise InputError(fault.message, fault.remedy, self.problem.file, OPTION, said) from None
 
     def _no_end(self, aim: ParetoObjective, why: str) -> NoExtreme:
         remedy = f'Say where to walk: "{aim.text}=LOW..HIGH{" " + aim.unit if aim.unit else ""}"'
-        return NoExtreme(
-            Fault(f"the end with the {aim.best} cannot be found: {why}", remedy, self.problem.file, OPTION, aim.text)
-        )
+        return NoExtreme(f"the end with the {aim.best} cannot be found: {why}", remedy, self.problem.file, OPTION, aim.text)
 
 
 class _LawRanges(EpsilonRanges):

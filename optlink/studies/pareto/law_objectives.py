@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.optimization.constraints import rows as limit_rows
 from optlink.problem.file import SIDES, ProblemFile
 from optlink.problem.function import DesignProblem
@@ -66,12 +66,12 @@ def law_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjecti
         key, side = name.removeprefix("mechanism."), "max"
     if key not in task.mechanism.quantities:
         raise InputError(
-            Fault("unknown objective", nearest(name, [ERROR, *limits, *(f"{s}.max" for s in sizes)]), problem.file, OPTION, name)
+            "unknown objective", nearest(name, [ERROR, *limits, *(f"{s}.max" for s in sizes)]), problem.file, OPTION, name
         )
     quantity = task.quantities[key]
     if not quantity.free:
         remedy = f"Free it, for example: --set mechanism.{key}={range_example(quantity.kind)}"
-        raise InputError(Fault(f"{key} is fixed at {quantity}, it cannot move", remedy, problem.file, OPTION, name))
+        raise InputError(f"{key} is fixed at {quantity}, it cannot move", remedy, problem.file, OPTION, name)
     return ParetoObjective(name, key, quantity.display[1], 1 if side == "max" else -1, f"mechanism.{key}.{side}")
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.problem.file import ProblemFile
 from optlink.studies.pareto.epsilon_ranges import RANGES
 from optlink.studies.pareto.law_objectives import ERROR
@@ -43,24 +43,24 @@ def read_objectives(problem: ProblemFile, objectives: str) -> tuple[ParetoObject
         For unknown objectives, fewer than two or more than three, or objectives without a trade-off.
     """
     if not objectives.strip():
-        raise InputError(Fault("two or three objectives are missing", EXAMPLES, problem.file, OPTION))
+        raise InputError("two or three objectives are missing", EXAMPLES, problem.file, OPTION)
     parts = [part.strip() for part in objectives.split(",")]
     if not all(parts):
-        raise InputError(Fault("an objective is empty", EXAMPLES, problem.file, OPTION, objectives))
+        raise InputError("an objective is empty", EXAMPLES, problem.file, OPTION, objectives)
     if not 2 <= len(parts) <= 3:
         what = "one objective has no trade-off" if len(parts) == 1 else f"{len(parts)} objectives are more than a front shows"
-        raise InputError(Fault(what, f"Give two or three. {EXAMPLES}", problem.file, OPTION, objectives))
+        raise InputError(what, f"Give two or three. {EXAMPLES}", problem.file, OPTION, objectives)
     if problem.task not in RANGES:
         raise _no_front(problem)
     if not problem.model.free:
-        raise InputError(Fault("no design variables: every dimension is fixed", "Free a size", problem.file, "mechanism"))
+        raise InputError("no design variables: every dimension is fixed", "Free a size", problem.file, "mechanism")
     aims = tuple(_ranged(problem, part, k + 1) for k, part in enumerate(parts))
     for k, aim in enumerate(aims):
         if any(aim.name == other.name for other in aims[:k]):
-            raise InputError(Fault("the same objective twice", "Give each once", problem.file, OPTION, aim.text))
+            raise InputError("the same objective twice", "Give each once", problem.file, OPTION, aim.text)
     if problem.task != "cycle" and all(aim.key for aim in aims):
         remedy = f'One objective must be minimised directly: write "{ERROR}, {aims[0].text}"'
-        raise InputError(Fault("limits alone are no trade-off", remedy, problem.file, OPTION, objectives))
+        raise InputError("limits alone are no trade-off", remedy, problem.file, OPTION, objectives)
     return aims
 
 
@@ -71,20 +71,20 @@ def _no_front(problem: ProblemFile) -> InputError:
     if kind in PRESCRIBED:
         named = problem.file if Path(problem.file).is_file() else problem.name  # of a shipped one the name
         instead = f"to see how a limit changes the optimum: optlink study sweep {named} --vary KEY=LOW..HIGH:N"
-        return InputError(Fault(f"{PRESCRIBED[kind]} prescribed here", f"{whose}; {instead}", problem.file))
+        return InputError(f"{PRESCRIBED[kind]} prescribed here", f"{whose}; {instead}", problem.file)
     if getattr(problem.model, "balance", None) is not None:
         instead = f"that of two measures of balancing: optlink balance {problem.name} --trade force,torque"
-        return InputError(Fault("the problem has nothing to design", f"{whose}; {instead}", problem.file))
-    return InputError(Fault("the problem has nothing to design", f"{whose}; add an [objective] and free sizes", problem.file))
+        return InputError("the problem has nothing to design", f"{whose}; {instead}", problem.file)
+    return InputError("the problem has nothing to design", f"{whose}; add an [objective] and free sizes", problem.file)
 
 
 def _ranged(problem: ProblemFile, part: str, number: int) -> ParetoObjective:
     name, equals, span = (piece.strip() for piece in part.partition("="))
     if equals and not span:
-        raise InputError(Fault("the range is empty", "Write NAME=LOW..HIGH UNIT", problem.file, OPTION, part))
+        raise InputError("the range is empty", "Write NAME=LOW..HIGH UNIT", problem.file, OPTION, part)
     aim = RANGES[problem.task].objective(problem, name, number)
     if span and not aim.key:
-        raise InputError(Fault(f"{name} has no range: it is minimised", "Leave the range out", problem.file, OPTION, part))
+        raise InputError(f"{name} has no range: it is minimised", "Leave the range out", problem.file, OPTION, part)
     aim = replace(aim, span=span)
     if aim.key.startswith("mechanism."):
         _check_bounds(problem, aim)
@@ -103,6 +103,4 @@ def _check_bounds(problem: ProblemFile, aim: ParetoObjective) -> None:
     if (aim.sense > 0 and min(values) <= low) or (aim.sense < 0 and max(values) >= high):
         ends = " to ".join(f"{bound / factor(aim.unit, quantity.kind):g}" for bound in (low, high))
         message = f"the range leaves the bounds of {name}, {ends} {aim.unit}"
-        raise InputError(
-            Fault(message, "Stay between them, or change the bounds", problem.file, OPTION, f"{aim.text}={aim.span}")
-        )
+        raise InputError(message, "Stay between them, or change the bounds", problem.file, OPTION, f"{aim.text}={aim.span}")

@@ -19,7 +19,7 @@ import numpy as np
 from annotated_types import Gt
 from numpy.typing import NDArray
 
-from optlink.errors import Fault, InputError, SolverError
+from optlink.errors import InputError, SolverError
 from optlink.problem.base_model import Record
 from optlink.studies.tolerance.monte_carlo import MonteCarlo, MonteCarloRecord, monte_carlo
 
@@ -154,28 +154,26 @@ def allocate(
     measured = [d.name for d in study.deviations if d.values]
     if measured:
         remedy = "Give it a tolerance and a distribution, or leave --allocate out"
-        raise InputError(Fault("a measured deviation cannot be allocated", remedy, key="--tolerance", value=measured[0]))
+        raise InputError("a measured deviation cannot be allocated", remedy, key="--tolerance", value=measured[0])
     limit, nominal = study.limit, study.nominal
     if limit is None:
-        raise InputError(Fault("a yield needs a limit", 'Add for example --limit "0.5 deg"', key="--allocate"))
+        raise InputError("a yield needs a limit", 'Add for example --limit "0.5 deg"', key="--allocate")
     room = limit - np.abs(nominal.base)
     if np.min(room) <= 0.0:
         raise InputError(
-            Fault(
-                "the design breaks the limit as it is drawn, so no tolerances keep it",
-                "Give a wider --limit, or a better design",
-                key="--limit",
-            )
+            "the design breaks the limit as it is drawn, so no tolerances keep it",
+            "Give a wider --limit, or a better design",
+            key="--limit",
         )
     coefficients = np.array([costs.get(d.name, d.cost) for d in study.deviations], dtype=float)
     if not np.all(np.isfinite(coefficients)) or np.any(coefficients <= 0.0):
-        raise InputError(Fault("a cost coefficient is above zero", "Give for example --cost coupler=2", key="--cost"))
+        raise InputError("a cost coefficient is above zero", "Give for example --cost coupler=2", key="--cost")
     tolerances = np.array([d.tolerance for d in study.deviations])
     each = np.array([d.sigma / d.tolerance for d in study.deviations])  # standard deviation per tolerance
     weights = np.square((each[:, None] * study.by / room).T)
     moves = np.max(weights, axis=0) > 0.0
     if not np.any(moves):
-        raise InputError(Fault("no tolerance has an effect on the output", "Choose another --quantity", key="--allocate"))
+        raise InputError("no tolerance has an effect on the output", "Choose another --quantity", key="--allocate")
     unit, gap = least_cost(weights[:, moves], coefficients[moves])
     if gap > PROVEN:
         raise SolverError(f"the least cost of tolerances is not proven: {gap:.1e} of it is open")

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.execution.runner import Runs, check, pool
 from optlink.problem.base_model import Column, Contradiction, Number, Record, Recorded, ResultRecord, absent, check_length
 from optlink.problem.file import ProblemFile
@@ -296,14 +296,14 @@ def tolerance(
             check_law(problem)
             if design is not None or output not in (None, ERROR):
                 remedy = "Leave --design and --quantity out, or --robust"
-                raise InputError(Fault("a robust design is searched, for its error", remedy, problem.file, "--robust"))
+                raise InputError("a robust design is searched, for its error", remedy, problem.file, "--robust")
             again = _robust_design(problem, tolerances, robust, limit, samples, seed, shape, runs)
             file, design = again.result.problem, again.free  # with a definite assembly mode
         nominal = nominal_design(file, output, crank_angles, design)
         deviations = read_deviations(problem, nominal, tolerances, shape)
         for name in costs or {}:
             if name not in [d.name for d in deviations]:
-                raise InputError(Fault("no such tolerance", nearest(name, [d.name for d in deviations]), key=f"--cost {name}"))
+                raise InputError("no such tolerance", nearest(name, [d.name for d in deviations]), key=f"--cost {name}")
         found = replace(linear_analysis(problem, nominal, deviations, _limit(limit, angular=nominal.angular)), robust=again)
         if samples and again is not None:
             best = nominal_design(file, output, crank_angles, {name: again.nominal[name] for name in again.free})
@@ -343,12 +343,12 @@ def _robust_design(
     from optlink.studies.tolerance import robust_design as redesign
 
     if robust == YIELD and not samples:
-        raise InputError(Fault("a yield is counted by samples", "Leave --samples out", key="--samples", value=samples))
+        raise InputError("a yield is counted by samples", "Leave --samples out", key="--samples", value=samples)
     allowed = _limit(limit, angular=True)
     if robust not in (MARGIN, YIELD):
         return redesign.robust(problem, tolerances, None if robust == WORST else float(robust), shape=shape)
     if allowed is None:
-        raise InputError(Fault(f"a {robust} needs a limit", 'Add for example --limit "0.5 deg"', key="--robust"))
+        raise InputError(f"a {robust} needs a limit", 'Add for example --limit "0.5 deg"', key="--robust")
     if robust == MARGIN:
         return redesign.most_reliable(problem, tolerances, allowed, shape=shape)
     from optlink.studies.tolerance.maximum_yield import maximise_yield
@@ -374,17 +374,16 @@ def linear_analysis(problem: ProblemFile, nominal: Nominal, deviations: Sequence
 
 def _check(samples: int, seed: int, shape: str, target_yield: float | None, limit: str | None) -> None:
     if not 0 <= samples <= MAX_SAMPLES or samples == 1:
-        remedy = f"Give 0 (none), or 2 to {MAX_SAMPLES:,}"
-        raise InputError(Fault("out of range", remedy, key="--samples", value=samples))
+        raise InputError("out of range", f"Give 0 (none), or 2 to {MAX_SAMPLES:,}", key="--samples", value=samples)
     if seed < 0:
-        raise InputError(Fault("a seed is not negative", "Give 0 or more", key="--seed", value=seed))
+        raise InputError("a seed is not negative", "Give 0 or more", key="--seed", value=seed)
     if shape not in CHOICES:
         message = "clearances alone have this distribution, by themselves" if shape in SHAPES else "unknown distribution"
-        raise InputError(Fault(message, nearest(shape, CHOICES), key="--distribution", value=shape))
+        raise InputError(message, nearest(shape, CHOICES), key="--distribution", value=shape)
     if target_yield is not None and not 0.0 < target_yield < 1.0:
-        raise InputError(Fault("no yield", "Give one between 0 and 100 %", key="--allocate", value=target_yield))
+        raise InputError("no yield", "Give one between 0 and 100 %", key="--allocate", value=target_yield)
     if target_yield is not None and limit is None:
-        raise InputError(Fault("a yield needs a limit", 'Add for example --limit "0.5 deg"', key="--allocate"))
+        raise InputError("a yield needs a limit", 'Add for example --limit "0.5 deg"', key="--allocate")
 
 
 def _limit(text: str | None, *, angular: bool) -> float | None:
@@ -393,9 +392,7 @@ def _limit(text: str | None, *, angular: bool) -> float | None:
     try:
         value, _ = parse(text, "angle" if angular else "length")
     except UnitProblem as error:
-        raise InputError(Fault(error.message, error.remedy, key="--limit", value=text)) from None
+        raise InputError(error.message, error.remedy, key="--limit", value=text) from None
     if not value > 0.0:
-        raise InputError(
-            Fault("the limit must be positive; it applies to both sides", "Give a larger one", key="--limit", value=text)
-        )
+        raise InputError("the limit must be positive; it applies to both sides", "Give a larger one", key="--limit", value=text)
     return value

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import Value, cross, dot, unit
 from optlink.problem.file import ProblemFile
@@ -114,13 +114,13 @@ def nominal_design(
     known = [*([ERROR] if law else []), *output_names(mechanism)]
     chosen = ERROR if output is None and law else output
     if chosen is None:
-        raise InputError(Fault("the output to analyse is missing", f"One of: {', '.join(known)}", problem.file, "--quantity"))
+        raise InputError("the output to analyse is missing", f"One of: {', '.join(known)}", problem.file, "--quantity")
     if chosen not in known:
-        raise InputError(Fault("unknown output", nearest(chosen, known), problem.file, "--quantity", chosen))
+        raise InputError("unknown output", nearest(chosen, known), problem.file, "--quantity", chosen)
     if isinstance(file.model, DesignProblem) and chosen == ERROR:
         if crank_angles is not None:
             remedy = "Leave --angles out, or give --quantity rocker"
-            raise InputError(Fault("the error is that over the span of the law", remedy, problem.file, "--angles"))
+            raise InputError("the error is that over the span of the law", remedy, problem.file, "--angles")
         span = np.linspace(0.0, file.model.span, ALONG)
         at = values["phi0"] + span
         drawn_ = _placed(problem, mechanism, sizes, at, "rocker", ERROR, -1.0)
@@ -139,7 +139,7 @@ def _placed(
     if not np.all(np.isfinite(value)):
         angle = math.degrees(float(at[int(np.argmin(np.isfinite(value)))]))
         remedy = 'Give crank angles that it reaches: --angles "60..120 deg:13"'
-        raise InputError(Fault(f"the linkage cannot be assembled at {angle:.4g} deg", remedy, problem.file, "--angles"))
+        raise InputError(f"the linkage cannot be assembled at {angle:.4g} deg", remedy, problem.file, "--angles")
     return Nominal(mechanism, dict(sizes), at, output, name, value, np.zeros(len(at)), sign)
 
 
@@ -148,8 +148,7 @@ def _design(problem: ProblemFile, given: Mapping[str, float] | None) -> tuple[Pr
     model = problem.model
     if given is None and model.free:
         if problem.task in ("analysis", "balance"):
-            message = "the problem has design variables but no requirement"
-            raise InputError(Fault(message, "Add --design", problem.file, "mechanism"))
+            raise InputError("the problem has design variables but no requirement", "Add --design", problem.file, "mechanism")
         result = design_task(problem).solve(problem)
         interrupts.check()
     elif problem.task == "path":
@@ -166,4 +165,4 @@ def _design(problem: ProblemFile, given: Mapping[str, float] | None) -> tuple[Pr
 
 def _nothing(problem: ProblemFile) -> InputError:
     remedy = "See `optlink solve`, or give a design: --design NAME=VALUE"
-    return InputError(Fault("no design was proven, so there is none to build", remedy, problem.file))
+    return InputError("no design was proven, so there is none to build", remedy, problem.file)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import Unusable
 from optlink.problem.tolerances import CLEARANCE, EXAMPLE, NORMAL, Deviation, ToleranceEntry, deviations, read_tolerance
@@ -34,18 +34,18 @@ def read_tolerances(problem: ProblemFile, texts: Sequence[str], shape: str = NOR
     """
     found: dict[str, ToleranceEntry] = {} if texts else dict(problem.model.tolerances)
     if not texts and not found:
-        raise InputError(Fault("no tolerance is given", f"{EXAMPLE}, or give the file [tolerances]", problem.file, OPTION))
+        raise InputError("no tolerance is given", f"{EXAMPLE}, or give the file [tolerances]", problem.file, OPTION)
     for assignment in texts:
         name, equals, text = assignment.partition("=")
         name = name.strip().removeprefix("mechanism.")
         if not equals or not name or not text.strip():
-            raise InputError(Fault("expected NAME=TOLERANCE", EXAMPLE, key=OPTION, value=assignment))
+            raise InputError("expected NAME=TOLERANCE", EXAMPLE, key=OPTION, value=assignment)
         if name in found:
-            raise InputError(Fault("a tolerance is given twice", "Give each once", problem.file, OPTION, name))
+            raise InputError("a tolerance is given twice", "Give each once", problem.file, OPTION, name)
         try:
             found[name] = read_tolerance(text, Path())
         except Unusable as error:
-            raise InputError(Fault(error.message, error.remedy, key=f"{OPTION} {name}", value=error.value)) from None
+            raise InputError(error.message, error.remedy, key=f"{OPTION} {name}", value=error.value) from None
     said = {name: said.shape or (None if said.measured or name.endswith(CLEARANCE) else shape) for name, said in found.items()}
     return {name: replace(found[name], shape=own) for name, own in said.items()}
 
@@ -71,4 +71,4 @@ def read_deviations(problem: ProblemFile, nominal: Nominal, texts: Sequence[str]
         return deviations(said, nominal.mechanism, problem.model.mechanism.quantities, nominal.sizes, shape)
     except Unusable as error:
         key = f"{OPTION} {error.key}" if texts else f"tolerances.{error.key}"
-        raise InputError(Fault(error.message, error.remedy, problem.file, key, error.value)) from None
+        raise InputError(error.message, error.remedy, problem.file, key, error.value) from None

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.problem.tolerances import Deviation
 
 Array = NDArray[np.float64]
@@ -84,7 +84,7 @@ def read_yield(text: str) -> float:
     except ValueError:
         share = math.nan
     if not 0.0 < share < 1.0:
-        raise InputError(Fault("no yield", 'Give one between 0 and 100 %, such as "99.7 %"', key="--allocate", value=text))
+        raise InputError("no yield", 'Give one between 0 and 100 %, such as "99.7 %"', key="--allocate", value=text)
     return share
 
 
@@ -103,7 +103,7 @@ def read_sigmas(text: str) -> float | str:
         return float(text.strip().removesuffix("sigma"))
     except ValueError:
         raise InputError(
-            Fault("no number of standard deviations", "Write 3, or worst, margin or yield", key="--robust", value=text)
+            "no number of standard deviations", "Write 3, or worst, margin or yield", key="--robust", value=text
         ) from None
 
 
@@ -123,6 +123,6 @@ def read_costs(texts: Sequence[str]) -> dict[str, float]:
         except ValueError:
             number = math.nan
         if not (math.isfinite(number) and number > 0.0):
-            raise InputError(Fault("no cost coefficient", "Write NAME=NUMBER, for example coupler=2", key="--cost", value=text))
+            raise InputError("no cost coefficient", "Write NAME=NUMBER, for example coupler=2", key="--cost", value=text)
         found[name.strip().removeprefix("mechanism.")] = number
     return found

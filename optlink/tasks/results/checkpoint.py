@@ -7,7 +7,7 @@ from typing import Any, Literal, TypeVar, get_args
 
 from pydantic import Field, ValidationError
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.problem.base_model import Never, Number, Record
 
 C = TypeVar("C", bound="Checkpoint")
@@ -101,7 +101,7 @@ def read_checkpoint(kind: type[C], document: Mapping[str, Any], options: Mapping
             whose = "has another format" if name == "schema" else "is that of another command"
             message = f"the checkpoint {whose}: its {name} is {document.get(name)!r}, not {value!r}"
             remedy = "Resume with the command and version of optlink that wrote it, or start again without --resume"
-            raise InputError(Fault(message, remedy, key="resume"))
+            raise InputError(message, remedy, key="resume")
     try:
         return kind.model_validate(document)
     except ValidationError as error:
@@ -111,4 +111,4 @@ def read_checkpoint(kind: type[C], document: Mapping[str, Any], options: Mapping
 
 def damaged(place: str) -> InputError:
     """Return the error for a checkpoint that cannot be resumed because of an entry."""
-    return InputError(Fault(f"the checkpoint is damaged: {place} cannot be read", "Start again without --resume", key="resume"))
+    return InputError(f"the checkpoint is damaged: {place} cannot be read", "Start again without --resume", key="resume")
