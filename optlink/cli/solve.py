@@ -13,11 +13,13 @@ import typer
 from optlink.cli import console
 from optlink.cli.options import (
     Design,
+    Engine,
     Format,
     Json,
     Out,
     Problem,
     Quiet,
+    Scheduler,
     Searcher,
     Seed,
     Set,
@@ -62,6 +64,9 @@ def solve(
     time_limit: Annotated[
         str | None, option("TIME", '--certify: time for the proof, such as "5 min". Default: none.', "--time-limit")
     ] = None,
+    engine: Engine = None,
+    workers: Annotated[int | None, number("--certify: number of processes. Default: all cores.", "--workers")] = None,
+    scheduler: Scheduler = None,
     resume: Annotated[bool, flag("--certify: continue the proof interrupted in --out DIR.", "--resume")] = False,
     changes: Set = None,
     design: Design = None,
@@ -73,6 +78,7 @@ def solve(
     """Optimise a design, verify it independently, and report the shadow prices of the active constraints."""
     console.places(out, "solve", problem)
     limits: dict[str, object] = {"--gap": gap, "--time-limit": time_limit, "--resume": resume}
+    limits |= {"--engine": engine, "--workers": workers, "--scheduler": scheduler}
     if design:
         console.refuse({"--certify": certify} | limits, "a given design is validated, not optimised", "Leave it out")
         _validate(problem, design, changes, as_json, out)
@@ -106,6 +112,9 @@ def solve(
             time_limit=math.inf if seconds is None else seconds,
             folder=out if certify else None,
             resume=resume,
+            engine=engine or "local",
+            workers=workers,
+            scheduler=scheduler,
             proving=proving and (lambda share, gap: proving(share, f", gap {share_text(gap)}")),
         )
     if result.interrupted:

@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Fault, InputError
+from optlink.execution.runner import Runs, pool
 from optlink.optimization.box_models import DesignBoxes, box_problem
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.problem.path import PathProblem
-from optlink.solvers.global_search.branch_and_bound import BranchAndBound, joint_history
+from optlink.solvers.global_search.branch_and_bound import BATCH, Bounder, BranchAndBound, joint_history
 from optlink.solvers.global_search.checkpoint import FILE, Checkpoint
 from optlink.solvers.global_search.function_certificate import CLOSED, INTERRUPTED, certify_function, is_bounded
 from optlink.solvers.global_search.lagrangian import Guess, LagrangianBounds
@@ -112,6 +113,9 @@ def certify(
     folder: Path | None = None,
     *,
     resume: bool = False,
+    engine: str = "local",
+    workers: int | None = None,
+    scheduler: str | None = None,
 ) -> Certified:
     """Bound the objective over all designs from below by branch and bound; a better design that is found becomes the answer.
 
@@ -133,6 +137,8 @@ def certify(
         Where the state of a long search is kept, so that an interrupted one can continue.
     resume : bool
         Continue the search that was interrupted there, with the bound that it would have had.
+    engine, workers, scheduler
+        See `optlink.execution.runner.pool`; they change nothing in the result. Processes are started when the search is long.
 
     Returns
     -------
@@ -153,8 +159,9 @@ def certify(
         raise InputError(Fault("the proof of the largest error of a function cannot be resumed", "Leave it out", key="--resume"))
     about = {"optlink": VERSION, "problem_hash": problem.hash, "gap": gap}
     checkpoint = None if folder is None or of_function else Checkpoint(folder / FILE, about)
-    found: Certified = kind(result, problem, gap, seed, checkpoint, resume).run(time_limit, boxes, progress)
-    return found
+    with pool(engine, workers, scheduler) as runs:
+        found: Certified = kind(result, problem, gap, seed, checkpoint, resume, runs).run(time_limit, boxes, progress)
+        return found
 
 
 @dataclass
@@ -167,13 +174,12 @@ class _Search:
     seed: int
     checkpoint: Checkpoint | None = None
     resume: bool = False
+    runs: Runs | None = None
     improved: bool = False
 
     def run(self, seconds: float, boxes: float, progress: Progress | None) -> Any:
         """Search every assembly mode, each with the best design found so far."""
         begin = time.perf_counter()
-        share = INSIDE * self.gap
-        share = share * (2.0 - share) if self._square else share
         variants = self.stated.variants()
         searches: list[BranchAndBound] = []
         interrupted = False
@@ -181,7 +187,7 @@ class _Search:
             problems = [box_problem(variant) for variant in variants]
             for variant, problem in zip(variants, problems, strict=True):
                 better = functools.partial(self._improve, variant, problem)
-                searches.append(BranchAndBound(LagrangianBounds(problem), math.inf, share, better))
+                searches.append(self._branches(LagrangianBounds(problem), math.inf, better))
             if self.resume and self.checkpoint is not None:
                 self._continue(self.checkpoint.read(searches))
             for k, search in enumerate(searches):
@@ -198,6 +204,12 @@ class _Search:
         certificate = self._certificate(searches, variants) if len(searches) == len(variants) else None
         taken = self.result.seconds | {"certify": time.perf_counter() - begin}
         return replace(self.result, certificate=certificate, seconds=taken, interrupted=self.result.interrupted or interrupted)
+
+    def _branches(self, bounds: Bounder, best: float, better: Callable[[Array], float], batch: int = BATCH) -> BranchAndBound:
+        """Return a search in terms of squared deviations."""
+        share = INSIDE * self.gap
+        share = share * (2.0 - share) if self._square else share
+        return BranchAndBound(bounds, best, share, better, batch, divisible=True, runs=self.runs)
 
     # --- the best known design -------------------------------------------------------------------------------------
 
@@ -363,16 +375,9 @@ class _PathSearch(_Search):
     def run(self, seconds: float, boxes: float, progress: Progress | None) -> Any:
         """Search all assembly modes."""
         begin, interrupted = time.perf_counter(), False
-        share = INSIDE * self.gap
         assert isinstance(self.stated.model, PathProblem)
         bounds = TimedPathBounds(self.stated.model)
-        search = BranchAndBound(
-            bounds,
-            self._squared,
-            share * (2.0 - share) if self._square else share,
-            functools.partial(self._from_box, bounds),
-            batch=LARGE,
-        )
+        search = self._branches(bounds, self._squared, functools.partial(self._from_box, bounds), LARGE)
         try:
             if self.resume and self.checkpoint is not None:
                 self._continue(self.checkpoint.read([search]))
@@ -402,6 +407,7 @@ class _PathSearch(_Search):
 def _cover(search: BranchAndBound, variant: ProblemFile) -> Cover:
     leaves, bounds = search.leaves, search.bounder
     assert isinstance(bounds, LagrangianBounds)
+    bounds.problem.over(bounds.low[None], bounds.high[None])  # names its limits, also if other processes bounded every box
     return Cover(
         variant.raw["mechanism"].get("assembly", "left"),
         np.concatenate(leaves.low),

@@ -65,6 +65,9 @@ def solve(
     proving: Proving | None = None,
     folder: Path | None = None,
     resume: bool = False,
+    engine: str = "local",
+    workers: int | None = None,
+    scheduler: str | None = None,
 ) -> FunctionResult | PathResult | CycleResult | Balance:
     """Find the best design for a problem and validate it.
 
@@ -98,6 +101,8 @@ def solve(
         Where the state of a long proof is kept, so that an interrupted one can continue.
     resume : bool
         Continue the proof that was interrupted in `folder`.
+    engine, workers, scheduler
+        See `optlink.execution.runner.pool`: where a long proof is made. They change nothing in the result.
 
     Returns
     -------
@@ -110,6 +115,7 @@ def solve(
         If the problem has no requirement, objective or balancing section, if it has no design variables, or if an argument
         does not apply.
     """
+    from optlink.execution.runner import check
     from optlink.tasks import certify as proof
 
     task = design_task(problem)
@@ -117,6 +123,7 @@ def solve(
         message, remedy = "no certificate of the global optimum for this kind of problem", "Leave it out"
         raise InputError(message, remedy, problem.file, "--certify")
     proof.check_options(gap, time_limit)
+    check(engine, workers, scheduler)
     if certify:
         proof.check_problem(problem)
     found: FunctionResult | PathResult | CycleResult | Balance
@@ -126,8 +133,9 @@ def solve(
     if certify is None and not proof.automatic(problem):
         return found
     boxes = proof.BUDGET if certify is None else math.inf
+    where: dict[str, Any] = {"engine": engine, "workers": workers, "scheduler": scheduler}
     return proof.certify(  # type: ignore[type-var]
-        found, gap, time_limit, proving, seed, boxes, problem, folder, resume=resume
+        found, gap, time_limit, proving, seed, boxes, problem, folder, resume=resume, **where
     )
 
 

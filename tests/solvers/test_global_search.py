@@ -9,6 +9,7 @@ import pytest
 
 import optlink
 from optlink.errors import InputError
+from optlink.execution.runner import pool
 from optlink.linkage.taylor_model import TaylorModel, pairs
 from optlink.optimization.box_models import BoxModels, DesignBoxes, box_problem
 from optlink.solvers.global_search import branch_and_bound, lagrangian, quadratic
@@ -60,6 +61,37 @@ def test_three_unknowns(crank_rocker, change):
     result = certified(crank_rocker.override(change), 1e-4)
     assert result.certificate.status == WITHIN_GAP
     assert result.certificate.gap <= 1e-4
+
+
+@pytest.mark.parametrize("engine", ["local", pytest.param("dask", marks=pytest.mark.slow)])
+def test_processes_change_no_digit_of_a_long_proof(crank_rocker, monkeypatch, engine):
+    """Stopped and continued in between as well; steps of several batches are those of a long search."""
+    monkeypatch.setattr(branch_and_bound, "LONG", 512)
+    result = optlink.solve(crank_rocker.override(FREE_START), certify=False)
+    steps = []
+
+    def searched(runs, boxes, *, divisible=True):
+        bounds = LagrangianBounds(box_problem(result.problem))
+        search = BranchAndBound(bounds, result.objective, 1e-3, batch=50, divisible=divisible, runs=runs)
+        search.run(boxes=boxes)
+        search.run()
+        assert search.closed
+        return search
+
+    def figures(search):
+        leaves = search.leaves
+        parts = [part.tobytes() for each in (leaves.low, leaves.high, leaves.test, leaves.multipliers) for part in each]
+        return parts, search.boxes, search.lower, search.history
+
+    alone = searched(None, math.inf)
+    with pool(engine, 2) as runs:
+        shared = searched(lambda task, todo: steps.append(len(todo)) or runs(task, todo), 1000)
+    assert figures(shared) == figures(alone)
+    assert len(steps) > 3
+    assert max(steps) > 2
+    narrow = searched(None, math.inf, divisible=False)
+    assert figures(narrow) != figures(alone)
+    assert alone.lower == pytest.approx(narrow.lower, rel=1e-3)
 
 
 @pytest.mark.slow

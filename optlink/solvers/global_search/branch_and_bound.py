@@ -20,11 +20,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.execution.runner import Runs, in_order
 from optlink.solvers.global_search.lagrangian import CUT, OPEN, BoxRecord
 
 Array = NDArray[np.float64]
 
 BATCH = 256  # boxes that are bounded together
+LONG, WIDE = 10_000, 8  # boxes after which a search takes steps of several batches, for several processes; batches of a step
 FEW = 64  # open boxes below which they are divided once more: small batches take as long as larger ones
 RARELY = 1.3  # factor of the number of boxes after a search for a better design in vain until the next one
 SMALLEST = 1e-12  # width of a box, relative to the bounds, below which it is not divided
@@ -142,6 +144,22 @@ class Leaves:
                 part.clear()
 
 
+@dataclass(frozen=True)
+class BoundTask:
+    """Bounds boxes with corners (boxes, n), `batch` of them in each chunk for `optlink.execution.runner`."""
+
+    bounder: Bounder
+    low: Array
+    high: Array
+    threshold: float
+    batch: int
+
+    def __call__(self, index: int) -> BoxRecord:
+        """Bound the boxes of a chunk."""
+        part = slice(index * self.batch, (index + 1) * self.batch)
+        return self.bounder.bounded(self.low[part], self.high[part], self.threshold)
+
+
 @dataclass
 class BranchAndBound:
     """A search that can be stopped and continued at any batch.
@@ -158,6 +176,10 @@ class BranchAndBound:
         the best known design.
     batch : int
         Boxes that are bounded together.
+    divisible : bool
+        Whether batches may be bounded by copies of `bounder`: a long search then takes steps of several batches.
+    runs : function, optional
+        From `optlink.execution.runner.pool`, for these batches; it changes nothing in the result. Default: the present process.
 
     Attributes
     ----------
@@ -171,6 +193,8 @@ class BranchAndBound:
     gap: float
     improve: Callable[[Array], float] | None = None
     batch: int = BATCH
+    divisible: bool = False
+    runs: Runs | None = None
     boxes: int = 0
     discarded: float = math.inf  # least bound of the boxes that were discarded for their objective
     open: Boxes = field(init=False)
@@ -234,7 +258,7 @@ class BranchAndBound:
     def step(self) -> None:
         """Bound the next batch: the open boxes with the lowest bounds, and divide what is not discarded."""
         batch = self._next()
-        record = self.bounder.bounded(batch.low, batch.high, self.threshold)
+        record = self._bounded(batch)
         self.boxes += len(batch)
         batch = Boxes(batch.low, batch.high, np.maximum(batch.bound, record.bound))
         gone = record.test != OPEN
@@ -259,13 +283,21 @@ class BranchAndBound:
         self.open = Boxes.joined([self.open, halves])
 
     def _next(self) -> Boxes:
-        count = min(self.batch, len(self.open))
+        wide = WIDE if self.divisible and self.boxes >= LONG else 1
+        count = min(self.batch * wide, len(self.open))
         key = self.open.bound if len(self.open) <= MOST_OPEN else -self.open.bound
         order = np.argpartition(key, count - 1)[:count]
         chosen = np.zeros(len(self.open), dtype=bool)
         chosen[order] = True
         batch, self.open = self.open[chosen], self.open[~chosen]
         return batch
+
+    def _bounded(self, boxes: Boxes) -> BoxRecord:
+        """Bound boxes, in batches whose division does not depend on the number of processes."""
+        task = BoundTask(self.bounder, boxes.low, boxes.high, self.threshold, self.batch)
+        count = -(-len(boxes) // self.batch)
+        parts = in_order(task, count, self.runs if count > 1 else None)
+        return parts[0] if count == 1 else BoxRecord.joined(parts)
 
     def _better(self, batch: Boxes, record: BoxRecord) -> None:
         """Search for a better design from the best centre of the batch, if it is better than the best known design."""
