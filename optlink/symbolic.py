@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import itertools
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -24,6 +26,13 @@ def symbols_in_numpy() -> Iterator[None]:
         yield
     finally:
         casadi.GlobalOptions.setNumpyMode(before)
+
+
+def silent() -> contextlib.AbstractContextManager[object]:
+    """Return a context without casadi's reports on standard error, which is for optlink's messages; for the main thread only."""
+    if threading.current_thread() is not threading.main_thread():
+        return contextlib.nullcontext()
+    return contextlib.redirect_stderr(io.StringIO())
 
 
 def packed(state: Mapping[str, Any]) -> dict[str, Any]:

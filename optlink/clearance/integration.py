@@ -9,8 +9,6 @@ The path between two rows is checked by its values and slopes, so a contact shor
 
 from __future__ import annotations
 
-import contextlib
-import io
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -22,6 +20,7 @@ from optlink.clearance.contact_laws import SLOWEST
 from optlink.clearance.equations import Equations
 from optlink.clearance.hermite import crossing, summit
 from optlink.clearance.peaks import Peaks, Watched
+from optlink.symbolic import silent
 
 Array = NDArray[np.float64]
 CHUNKS = (1, 10, 64, 256, 2560)
@@ -194,8 +193,8 @@ class Integration:
     def _solve(self, state: Array, given: Array, count: int) -> tuple[Array, Array]:
         """States at the begin and after each of `count` equal steps of the span, and the works after each [J]."""
         self.calls += 1
-        try:  # casadi also reports failures on standard error, which is reserved for optlink's messages
-            with contextlib.redirect_stderr(io.StringIO()):
+        try:
+            with silent():
                 stiff = self._stiff(given[-len(self.equations.gaps) :])
                 states, works = self.equations.integrator(count, self.tolerance, stiff=stiff)(state, given)
         except RuntimeError:

@@ -21,7 +21,7 @@ import typer
 from optlink.cli import analyze, new, report, show, simulate, solve, studio, study
 from optlink.cli.command import App
 from optlink.cli.options import OVERVIEW
-from optlink.solvers import interrupts
+from optlink.execution import interrupts
 
 CLOSED = 141
 """Exit code where the reader of a pipe has left: 128 and the number of SIGPIPE, as shells have it."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from optlink.errors import Fault, InputError, OptlinkError, shown
-from optlink.solvers import interrupts
+from optlink.execution import interrupts
 
 if TYPE_CHECKING:
     from rich.progress import Progress, ProgressColumn, TaskID
@@ -44,12 +44,6 @@ def reported(as_json: bool) -> Iterator[None]:
                 yield
             finally:
                 _kept.remove(stack)
-    except KeyboardInterrupt:
-        message = "interrupted before there was a result"
-        print(f"Error: {message}", file=sys.stderr)
-        if as_json and not printed:
-            print_failure(message, [])
-        raise typer.Exit(interrupts.EXIT_CODE) from None
     except typer.Exit as end:
         raise typer.Exit(interrupts.EXIT_CODE if interrupts.interrupted() else end.exit_code) from None
     except OptlinkError as error:
@@ -63,6 +57,15 @@ def reported(as_json: bool) -> Iterator[None]:
             ]
             print_failure(str(error), listed)
         raise typer.Exit(error.exit_code) from None
+    except (Exception, KeyboardInterrupt) as error:
+        if not (interrupts.interrupted() or isinstance(error, KeyboardInterrupt)):
+            raise
+        interrupts.handled()  # other errors follow from it, as those of a module that was not loaded to its end
+        message = "interrupted before there was a result"
+        print(f"Error: {message}", file=sys.stderr)
+        if as_json and not printed:
+            print_failure(message, [])
+        raise typer.Exit(interrupts.EXIT_CODE) from None
     if interrupts.interrupted():
         raise typer.Exit(interrupts.EXIT_CODE)
 

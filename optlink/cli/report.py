@@ -13,7 +13,7 @@ import typer
 from optlink.cli import console
 from optlink.cli.options import Design, Json, Of, Quiet, Searcher, Seed, Set, Starts, Subjected, flag, number, option
 from optlink.errors import Fault, InputError
-from optlink.solvers import interrupts
+from optlink.execution import interrupts
 
 if TYPE_CHECKING:
     from optlink.report.report_model import ReportModel

@@ -34,6 +34,7 @@ from optlink.cli.options import (
     option,
 )
 from optlink.errors import Fault, InputError
+from optlink.execution import interrupts
 
 if TYPE_CHECKING:
     from optlink.dynamics.ending import Ending
@@ -188,6 +189,7 @@ def _kept(out: Path | None, resume: bool, parts: str, what: str) -> Iterator[dic
         with console.share(what) as progress:
             yield {"progress": progress, "checkpoint": keep, "resume": begun}
     except KeyboardInterrupt:
+        interrupts.handled()
         message = f"interrupted: {done} of {of} {parts} are complete" if of else f"interrupted: no {parts} are complete"
         if done and place is not None:
             message += f" and kept in {place}; add --resume to continue"

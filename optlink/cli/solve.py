@@ -118,7 +118,7 @@ def solve(
             proving=proving and (lambda share, gap: proving(share, f", gap {share_text(gap)}")),
         )
     if result.interrupted:
-        print(f"Interrupted: {_interrupted(result, starts)}.", file=sys.stderr)
+        print(f"Interrupted: {_interrupted(result)}.", file=sys.stderr)
     _show(result, as_json, out)
 
 
@@ -184,14 +184,14 @@ def _contradictions(design: list[str], file: ProblemFile, found: FunctionResult 
     return tuple(failed)
 
 
-def _interrupted(result: FunctionResult | PathResult | CycleResult | Balance, starts: int | None) -> str:
+def _interrupted(result: FunctionResult | PathResult | CycleResult | Balance) -> str:
     """Describe what an interrupted search or proof has reached."""
     certificate = getattr(result, "certificate", None)
     if certificate is not None:
         return f"the design is complete, the proof that it is the global optimum is {certificate.text}"
     if "certify" in result.seconds:
         return "the design is complete, the proof that it is the global optimum had not begun"
-    return f"the result is that of the first {result.starts} {'' if starts is None else f'of {starts} '}starts"
+    return f"the result is that of the first {result.starts} starts"
 
 
 def _show(result: FunctionResult | PathResult | CycleResult | Balance, as_json: bool, out: Path | None) -> None:

@@ -12,6 +12,7 @@ import typer
 from optlink.cli import console
 from optlink.cli.command import App
 from optlink.cli.options import Engine, Format, Json, Problem, Quiet, Scheduler, Set, flag, number, option
+from optlink.execution import interrupts
 from optlink.solvers.contract import selectable
 
 if TYPE_CHECKING:
@@ -115,13 +116,14 @@ def _output(file: ProblemFile, output: str, angles: str, design: list[str] | Non
     from optlink.problem.quantity import nearest
     from optlink.studies.motion_sensitivity import OutputSensitivityRecord, output_names, output_sensitivity
     from optlink.tasks.function import read_design, solve
+    from optlink.tasks.protocol import completed
 
     crank = _crank_angles(angles)
     sizes = {key: quantity.value for key, quantity in file.model.mechanism.quantities.items()}
     if design:
         sizes |= {key: value for key, value in read_design(file, design).items() if key in sizes}
     elif file.model.free and file.task != "path" and file.task != "cycle":
-        sizes |= {key: value for key, value in solve(file).design.items() if key in sizes}
+        sizes |= {key: value for key, value in completed(solve(file)).design.items() if key in sizes}
     known = output_names(file.model.linkage)
     if output not in known:
         raise InputError(Fault("unknown output", nearest(output, known), file.file, "--quantity", output))
@@ -328,6 +330,7 @@ def _resuming(out: Path | None, command: str, problem: str, what: str, *, resume
         with _points(what) as progress:
             yield progress
     except KeyboardInterrupt:
+        interrupts.handled()
         kept = "no results were kept: --out is not given" if out is None else "completed points are kept; "
         typer.echo(f"Interrupted: {kept}{'' if out is None else f'resume with --resume --out {out}'}.", err=True)
         raise typer.Exit(130) from None

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from optlink.errors import Fault, InputError
+from optlink.execution import interrupts
 from optlink.execution.process import Process
 from optlink.execution.worker import ChunkResult, ChunkTask, packed, run_chunk
 from optlink.problem.quantity import nearest
@@ -169,7 +170,9 @@ class _Processes:
         count = min(self.workers, len(waiting))
         if self.workers <= 1 or (count <= 1 and not self.idle):
             for index in waiting:
-                yield index, run_chunk(task, index).checked(index)
+                found = run_chunk(task, index).checked(index)
+                interrupts.check()
+                yield index, found
             return
         jobs: queue.SimpleQueue[int] = queue.SimpleQueue()
         for index in waiting:
@@ -186,6 +189,7 @@ class _Processes:
                     raise answer
                 yield index, answer.checked(index)
         except BaseException:
+            interrupts.handled()
             for hand in hands:
                 hand.stop()
             raise

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Status
+from optlink.execution import interrupts
 from optlink.optimization.cycle_constraints import EVENT
 from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
 from optlink.optimization.cycle_signals import EventOrder, Sample, TracedCycle
@@ -325,6 +326,7 @@ def search_all(
             count = k + 1
             done()
     except KeyboardInterrupt:
+        interrupts.handled()
         if not any(order.usable for order in (*orders, *(more or ()))):
             raise
         interrupted = True

@@ -8,9 +8,10 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.execution.interrupts import interrupted
 from optlink.optimization.nlp import NLP
-from optlink.solvers.interrupts import interrupted
 from optlink.solvers.solution import Attempt
+from optlink.symbolic import silent
 
 Array = NDArray[np.float64]
 
@@ -138,7 +139,8 @@ def ipopt(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = Fa
     own = {"iteration_callback": recorder} | (TIGHT if tight else {}) | (NEAR if close else {})
     solver = compiled(nlp, tight, close) if recorder is None else _solver(nlp, own)
     before = interrupted()
-    result = solver(x0=x, p=p, lbx=nlp.x_low, ubx=nlp.x_high, lbg=nlp.low, ubg=nlp.high)
+    with silent():
+        result = solver(x0=x, p=p, lbx=nlp.x_low, ubx=nlp.x_high, lbg=nlp.low, ubg=nlp.high)
     if interrupted() and not before:  # casadi stops at Ctrl-C, but returns
         raise KeyboardInterrupt
     statistics = solver.stats()

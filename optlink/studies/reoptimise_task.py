@@ -35,6 +35,7 @@ from optlink.studies.continuation import FOLLOWED, follow_optimum
 from optlink.studies.fast_overrides import FastOverride
 from optlink.studies.grid import Grid
 from optlink.studies.sweep_task import OptimumTask
+from optlink.tasks.protocol import completed
 from optlink.tasks.results.balance import Balance
 from optlink.tasks.run import solve
 from optlink.validation import Validation, validate, validate_batch
@@ -293,7 +294,7 @@ class ParametricProgramme:
 
 def _separately(task: ProblemFile, backend: str) -> _Optimum:
     """Return the optimum of a problem that is built and searched separately."""
-    result = solve(task, backend)
+    result = completed(solve(task, backend))
     assert not isinstance(result, Balance)
     failed = tuple(check.name for check in result.validation.checks if not check.passed)
     failed = tuple(item.name for item in result.conflict) or failed

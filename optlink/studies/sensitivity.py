@@ -20,13 +20,13 @@ from optlink.optimization.nlp import NLP
 from optlink.problem.base_model import Number, Record, Recorded, ResultRecord, absent
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
-from optlink.solvers import interrupts
 from optlink.solvers.semi_infinite import refine_peaks
 from optlink.solvers.solution import Solution
 from optlink.studies.cycle_parameters import CycleParameters, search_again
 from optlink.studies.kkt_derivatives import KKTSystem, ValidityEnd
 from optlink.studies.parameters import Parameter, parameters
 from optlink.studies.toml_keys import exact_text
+from optlink.tasks.protocol import completed
 from optlink.tasks.results.balance import Balance
 from optlink.tasks.run import solve
 
@@ -201,10 +201,9 @@ def sensitivities(
     if problem.task == "balance":
         remedy = "`optlink balance` lists the shadow prices of its limits"
         raise InputError("a balancing problem has no sensitivities to parameters", remedy, problem.file, "balance")
-    result = solve(problem, backend, starts, seed)
+    result = completed(solve(problem, backend, starts, seed))
     assert not isinstance(result, Balance)
     solution, file = result.solution, result.definite
-    interrupts.check()
     if solution is None or solution.status is not Status.OPTIMAL:
         how = "infeasible" if solution is None else solution.status.value
         raise InputError(f"there is no optimum to analyse: {how}", "`optlink solve` gives the reason", problem.file)
@@ -340,7 +339,7 @@ def _rebuilt(
     from optlink.tasks.function import solve
 
     other = problem.override({parameter.key: exact_text(value, parameter.unit)})
-    found = solve(other, backend, begin=solution.design)
+    found = completed(solve(other, backend, begin=solution.design))
     assert found.solution is not None
     nlp = found.solution.nlp
     return found.objective, {v.name: v.scale.to_display(x) for v, x in _shown(nlp, found.solution.x)}

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Fault, InputError
+from optlink.execution import interrupts
 from optlink.execution.runner import Runs, pool
 from optlink.optimization.box_models import DesignBoxes, box_problem
 from optlink.problem.file import ProblemFile
@@ -27,6 +28,7 @@ from optlink.solvers.global_search.quadratic import least_squares
 from optlink.solvers.global_search.timed_path import TimedPathBounds, unsuitable
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.function_search import certified_by_default
+from optlink.tasks.protocol import completed
 from optlink.tasks.results.certificate import GLOBAL, INFEASIBLE, NOT_CLOSED, STRICT, WITHIN_GAP, Certificate, Cover
 from optlink.tasks.results.path import PathResult
 from optlink.version import VERSION
@@ -199,6 +201,7 @@ class _Search:
                 report = functools.partial(self._report, progress, searches, k)
                 search.run(left, boxes - sum(one.boxes for one in searches), report)
         except KeyboardInterrupt:
+            interrupts.handled()
             interrupted = True
         self._keep(searches)
         certificate = self._certificate(searches, variants) if len(searches) == len(variants) else None
@@ -384,6 +387,7 @@ class _PathSearch(_Search):
             if not self._exact:  # else nothing is smaller
                 search.run(seconds, boxes, functools.partial(self._report, progress, [search], 0))
         except KeyboardInterrupt:
+            interrupts.handled()
             interrupted = True
         self._keep([search])
         taken = self.result.seconds | {"certify": time.perf_counter() - begin}
@@ -424,7 +428,7 @@ def _local(result: FunctionResult | PathResult, variant: ProblemFile, start: dic
         from optlink.tasks import function
 
         backend = result.backend if result.backend != "none" else "ipopt"
-        found = function.solve(variant, backend, seed=seed, begin=start)
+        found = completed(function.solve(variant, backend, seed=seed, begin=start))
         kept = {
             name: getattr(result, name)
             for name in ("starts", "optima", "counts", "notes")

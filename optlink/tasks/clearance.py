@@ -28,6 +28,7 @@ from optlink.clearance.statistics import WATCHED, PredictabilityCheck, Statistic
 from optlink.dynamics.ending import Ending
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError
+from optlink.execution import interrupts
 from optlink.linkage.vector2d import TURN
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import input_of, nearest
@@ -249,6 +250,7 @@ def simulate_clearance(
             f"{error.reason}, at {plant.time:.9g} s, crank angle {math.degrees(angle):.6g} deg, revolution {account.count + 1}"
         )
     except KeyboardInterrupt:
+        interrupts.handled()
         account.add_partial()
         ending, message = Ending.INTERRUPTED, f"interrupted after {account.count} of {revolutions} revolutions"
     if ending is not Ending.FINISHED:
@@ -340,6 +342,8 @@ def _interruptible(plants: Sequence[ClosedLoop]) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is not (
         signal.default_int_handler
     ):
+        for plant in plants:
+            plant.integration.stop = interrupts.interrupted
         yield
         return
     asked = False

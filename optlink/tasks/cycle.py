@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Fault, InputError, Status
+from optlink.execution import interrupts
 from optlink.problem.cycle.model import Bound, CycleProblem
 from optlink.problem.cycle.terms import Term
 from optlink.problem.file import ProblemFile
@@ -94,6 +95,7 @@ def _search(problem: ProblemFile, search: Search) -> CycleResult:
     if not firsts:
         timer.lap("solve")
         return _nowhere(problem, seed, count, timer.seconds)
+    interrupts.check()
     timer.lap("build")
     done = 0
 

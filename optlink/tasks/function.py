@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from optlink.errors import InputError, Status
+from optlink.execution import interrupts
 from optlink.linkage.fourbar import LENGTHS
 from optlink.optimization.objectives import MEASURES
 from optlink.problem.base_model import Number, Record, absent
@@ -288,6 +289,7 @@ def _search(problem: ProblemFile, search: Search) -> FunctionResult:
     nlp = build(spec)
     for name in search.names:
         multistart.prepare(nlp, name)
+    interrupts.check()
     search.timer.lap("build")
     points = start_sequence(spec, nlp, search.seed, search.begin)
     reason = functools.cache(lambda: _explained(nlp, search.seed))

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Status
+from optlink.execution import interrupts
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import TURN
 from optlink.optimization.nlp import NLP
@@ -273,6 +274,7 @@ class FunctionSearch:
                     break
                 self._advance(drawn, progress, total)
         except KeyboardInterrupt:
+            interrupts.handled()
             if self.best is None:
                 raise
             return True

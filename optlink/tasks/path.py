@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optlink.errors import Status
+from optlink.execution import interrupts
 from optlink.problem.file import ProblemFile
 from optlink.solvers.contract import MINIMAX
 from optlink.tasks.path_search import DesignCollection, Polisher, has_several_dyads, path_model
-from optlink.tasks.protocol import DesignTask, Search
+from optlink.tasks.protocol import DesignTask, Search, completed
 from optlink.tasks.results.common import shortest_link
 from optlink.tasks.results.evidence import evidence
 from optlink.tasks.results.path import PathDesign, PathResult
@@ -140,6 +141,7 @@ class _Search:
                 if progress:
                     progress(min(found.starts / starts if starts else found.rounds / self._most, 1.0))
         except KeyboardInterrupt:
+            interrupts.handled()
             if not self.collection.designs:
                 raise
             self.interrupted = True
@@ -167,7 +169,7 @@ class _Search:
             if path_model(self.problem).requirement.kind == "path":
                 self.notes.append(NO_FOUR_BAR.format(path_model(self.problem).requirement.point))
             return
-        four_bars = solve(part.file, self.backend, PART_STARTS, self.seed).designs
+        four_bars = completed(solve(part.file, self.backend, PART_STARTS, self.seed)).designs
         for design in designs_from_four_bar(part, four_bars, self.collection.polisher, self.seed):
             self.collection.insert(design)
         if four_bars and not self.collection.no_worse(four_bars[0]):

@@ -6,13 +6,14 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, Generic, TypeVar
+from typing import ClassVar, Generic, Protocol, TypeVar
 
 from optlink.errors import InputError
+from optlink.execution import interrupts
 from optlink.problem.file import ProblemFile
 from optlink.problem.machine.model import Problem
 from optlink.problem.quantity import nearest
-from optlink.solvers import contract, interrupts
+from optlink.solvers import contract
 from optlink.validation.check import Check
 
 R = TypeVar("R")
@@ -91,6 +92,31 @@ def part(progress: Progress, k: int, count: int) -> Progress:
     k, count : int
     """
     return None if progress is None else lambda share: progress((k + share) / count)
+
+
+class Interruptible(Protocol):
+    """A result that an interrupt may have ended early."""
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether Ctrl-C ended the search."""
+        ...
+
+
+Found = TypeVar("Found", bound=Interruptible)
+
+
+def completed(result: Found) -> Found:
+    """Return the result of a search that is a part of other work.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        If the search was interrupted: its best design so far is not the result.
+    """
+    if result.interrupted:
+        raise KeyboardInterrupt
+    return result
 
 
 @dataclass(frozen=True)

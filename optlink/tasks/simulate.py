@@ -16,6 +16,7 @@ from optlink.dynamics.ending import Ending
 from optlink.dynamics.forward import Run, reduced_inertia, run
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError
+from optlink.execution import interrupts
 from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.vector2d import TURN
 from optlink.problem.base_model import Columns, Contradiction, Number, Recorded, ResultRecord
@@ -183,6 +184,8 @@ def simulate(
         singular = [at + k * cycle for at in singular for k in range(round(mechanism.cycle / cycle))]
         machine = machine.with_(mechanism=mechanism)
     found = run(machine, np.linspace(0.0, duration, rows + 1), start, speed, torque, limits, progress, singular)
+    if found.ending is Ending.INTERRUPTED:
+        interrupts.handled()
     if found.ending is not Ending.FINISHED:
         last, cycle = float(found.crank_angle[-1]), machine.mechanism.cycle
         if found.ending is Ending.SINGULAR:

@@ -215,8 +215,9 @@ def test_ctrl_c_during_a_proof_keeps_the_design_and_the_bound(files):
 
 @posix
 def test_a_second_ctrl_c_kills_at_once(files):
-    script = "import time\nfrom optlink.solvers import interrupts\ninterrupts.listen()\n"
-    script += "try:\n    print('ready', flush=True)\n    time.sleep(60)\nexcept KeyboardInterrupt:\n    time.sleep(60)\n"
+    script = "import time\nfrom optlink.execution import interrupts\ninterrupts.listen()\n"
+    script += "try:\n    print('ready', flush=True)\n    time.sleep(60)\n"
+    script += "except KeyboardInterrupt:\n    interrupts.handled()\n    time.sleep(60)\n"
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen([sys.executable, "-c", script], **pipes) as process:
         assert process.stdout.readline() == "ready\n"
@@ -230,8 +231,19 @@ def test_a_second_ctrl_c_kills_at_once(files):
 
 
 @posix
+def test_an_interrupt_that_is_lost_is_raised_again():
+    """Python drops what is raised in a destructor, as casadi does in some of its callbacks."""
+    script = "import os, signal, time\nfrom optlink.execution import interrupts\ninterrupts.listen()\n"
+    script += "class Thing:\n    def __del__(self):\n        os.kill(os.getpid(), signal.SIGINT)\n        time.sleep(0.01)\n"
+    script += "Thing()\ntry:\n    print('lost', flush=True)\n    time.sleep(60)\n"
+    script += "except KeyboardInterrupt:\n    interrupts.handled()\n    time.sleep(0.6)\n    print('kept')\n"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "lost\nkept\n", "")
+
+
+@posix
 def test_compiled_code_that_does_not_return_is_ended():
-    script = "import hashlib, signal, threading, os\nfrom optlink.solvers import interrupts\ninterrupts.listen()\n"
+    script = "import hashlib, signal, threading, os\nfrom optlink.execution import interrupts\ninterrupts.listen()\n"
     script += "threading.Timer(0.5, os.kill, [os.getpid(), signal.SIGINT]).start()\n"
     script += "hashlib.pbkdf2_hmac('sha256', b'a', b'b', 10 ** 9)\n"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
@@ -241,7 +253,8 @@ def test_compiled_code_that_does_not_return_is_ended():
 
 @posix
 def test_ipopt_passes_an_interrupt_on(monkeypatch):
-    from optlink.solvers import interrupts, ipopt
+    from optlink.execution import interrupts
+    from optlink.solvers import ipopt
 
     class Solver:
         """Stops at Ctrl-C and returns, as casadi does."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.execution import interrupts
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import TURN
 from optlink.problem.function import DesignProblem
@@ -191,6 +192,7 @@ class _Search:
                 self.history.append((self.boxes, self.lower, self.best))
             self.status = CLOSED
         except KeyboardInterrupt:
+            interrupts.handled()
             self.status, self.seconds = INTERRUPTED, time.perf_counter() - begin
 
     def _searches(self, level: float) -> list[BranchAndBound]:

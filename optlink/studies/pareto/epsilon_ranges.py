@@ -31,6 +31,7 @@ from optlink.studies.reoptimise_task import one_programme_suffices
 from optlink.studies.toml_keys import Raw, exact_text
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.function import solve
+from optlink.tasks.protocol import completed
 
 Once = Callable[[str, Callable[[], Mapping[str, Any]]], Mapping[str, Any]]
 """(name, search) -> what the search finds, fit for JSON, done now or before"""
@@ -209,7 +210,7 @@ class _LawRanges(EpsilonRanges):
             return words, None
 
         def searched() -> dict[str, Any]:
-            result = solve(self.problem, self.backend)
+            result = completed(solve(self.problem, self.backend))
             return {"design": dict(result.design), "error": result.objective} if result.valid else {}
 
         best = once(words, searched)
@@ -229,7 +230,7 @@ class _LawRanges(EpsilonRanges):
         free = self.bare.override({aims[k].key: axis.raw(0) for k, axis in fixed.items()})  # with the loosest limits only
 
         def optimum(task: ProblemFile, blamed: ParetoObjective | None = None) -> dict[str, Any]:
-            found = solve(task, self.backend)
+            found = completed(solve(task, self.backend))
             if blamed is not None and not found.valid:
                 raise self._no_end(blamed, found.status.text)
             return {"design": dict(found.design) if found.valid else None}
@@ -255,7 +256,7 @@ class _LawRanges(EpsilonRanges):
     def _tight(self, free: ProblemFile, aim: ParetoObjective) -> dict[str, float]:
         """Return the tightest feasible value of a limit: the least relaxation of an infeasible one."""
         tight = free.override({aim.key: tightest_bound(free, aim)})
-        found = solve(tight, self.backend)
+        found = completed(solve(tight, self.backend))
         if found.solution is not None and found.solution.usable:  # feasible at the tightest bound that can be stated
             return {"limit": law_figure(tight.spec, aim, found.design)}
         sense, conflict = "<=" if aim.sense > 0 else ">=", found.conflict

@@ -18,8 +18,8 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.problem.quantity import nearest
 from optlink.problem.tolerances import with_deviating_pivots
-from optlink.solvers import interrupts
 from optlink.studies.motion_sensitivity import output_names, output_sensitivity
+from optlink.tasks.protocol import completed
 from optlink.tasks.run import design_task
 
 Array = NDArray[np.float64]
@@ -149,8 +149,7 @@ def _design(problem: ProblemFile, given: Mapping[str, float] | None) -> tuple[Pr
     if given is None and model.free:
         if problem.task in ("analysis", "balance"):
             raise InputError("the problem has design variables but no requirement", "Add --design", problem.file, "mechanism")
-        result = design_task(problem).solve(problem)
-        interrupts.check()
+        result = completed(design_task(problem).solve(problem))
     elif problem.task == "path":
         result = design_task(problem).validate(problem, given or {})
     else:

@@ -20,6 +20,7 @@ from optlink.problem.tolerances import NORMAL
 from optlink.studies.tolerance.monte_carlo import MonteCarloRecord
 from optlink.studies.tolerance.options import read_tolerances
 from optlink.tasks.function import FunctionResult, solve, validate
+from optlink.tasks.protocol import completed
 
 YIELD = "yield"
 STEPS, CLOSE = 12, 1e-5  # of the search for the largest number of standard deviations, and its relative accuracy
@@ -169,7 +170,7 @@ class RobustSearch:
     def __init__(self, problem: ProblemFile, tolerances: Sequence[str], shape: str) -> None:
         check_law(problem)
         said = {name: each.raw for name, each in read_tolerances(problem, tolerances, shape).items()}
-        first = solve(problem.override({"requirement.robust": None}))
+        first = completed(solve(problem.override({"requirement.robust": None})))
         if not first.valid:
             raise InputError(Fault("no design was proven, so there is none to begin with", "See `optlink solve`", problem.file))
         self.nominal = first.design
@@ -190,7 +191,7 @@ class RobustSearch:
             Starting design. Default: the nominal optimum.
         """
         problem = self.problem.override({"requirement.robust": WORST if sigmas is None else f"{sigmas!r} sigma"})
-        found = solve(problem, begin=self.nominal if start is None else start)
+        found = completed(solve(problem, begin=self.nominal if start is None else start))
         return RobustDesign(found, dict(self.nominal), sigmas, validate(problem, self.nominal).objective)
 
 
