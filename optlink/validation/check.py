@@ -24,6 +24,8 @@ POSITIONS = 1440  # per revolution: every quarter of a degree; dead centres and 
 ANGLE_TOLERANCE = 1e-6  # deg; solvers satisfy limits to 1e-8 of a radian
 LENGTH_TOLERANCE = 1e-9  # of the frame, or of the size of a curve
 RATIO_TOLERANCE = 1e-7
+LONG_STEP = math.tau / 3.0  # rad; a law with longer steps between its positions can be met by whole revolutions less
+FINE_STEP = math.radians(1.0)  # of the crank, at which an output is followed between positions
 
 
 @dataclass(frozen=True)
@@ -207,6 +209,43 @@ def length_check(worst: ArrayLike, size: ArrayLike) -> Checks:
     """
     worst, limit = np.asarray(worst) * 1e3, LENGTH_TOLERANCE * np.asarray(size) * 1e3
     return Checks("link lengths re-measured in motion", worst <= limit, worst, text("<= {:.1e}", limit), "mm")
+
+
+def finely(offsets: Array) -> tuple[Array, NDArray[np.intp]]:
+    """Return crank rotations between those of a law, and the indices of its own among them.
+
+    Parameters
+    ----------
+    offsets : array (positions,) [rad]
+        Monotonic.
+    """
+    steps = np.maximum(np.ceil(np.abs(np.diff(offsets)) / FINE_STEP), 1.0).astype(int)
+    index = np.concatenate([[0], np.cumsum(steps)])
+    return np.interp(np.arange(index[-1] + 1), index, offsets), index
+
+
+def revolutions_check(wanted: Array, moved: Callable[[], Array]) -> Iterator[Checks]:
+    """Yield the check that an output turns as its law, not by whole revolutions more or less, which angles alone do not show.
+
+    Positions where it is more than a quarter turn off do not count. Laws with short steps, which cannot be met so, have no check.
+
+    Parameters
+    ----------
+    wanted : array (designs, positions) [rad]
+        Prescribed angles.
+    moved : function
+        Returns the angles (designs, positions) [rad] of the output, continuous over its motion.
+    """
+    applies = np.max(np.abs(np.diff(wanted, axis=1)), axis=1, initial=0.0) > LONG_STEP
+    if not np.any(applies):
+        return
+    revolutions = (wanted - moved()) / math.tau
+    whole = np.round(revolutions)
+    some = np.abs(revolutions - whole) < 0.25
+    least, most = np.min(np.where(some, whole, np.inf), axis=1), np.max(np.where(some, whole, -np.inf), axis=1)
+    missed = np.where(np.any(some, axis=1), most - least, 0.0)
+    name = "output turns as the law, not by whole revolutions more or less"
+    yield Checks(name, missed == 0.0, missed, "= 0", "rev", applies)
 
 
 def limit_checks(name: str, value: float, interval: Interval, tolerance: float, factor: float, unit: str) -> Iterator[Check]:

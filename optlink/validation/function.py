@@ -28,8 +28,10 @@ from optlink.validation.check import (
     Validation,
     Validations,
     bound,
+    finely,
     joined,
     registered_checks,
+    revolutions_check,
     text,
     transmission_checks,
 )
@@ -159,6 +161,12 @@ class _Tested:
             wanted = np.asarray(law.target(at, tabulated, self.phi0, self.psi0) + 0.0 * at, dtype=float)
         error: Array = np.remainder(wanted - actual + np.pi, TURN) - np.pi
         return error
+
+    def rocker_along(self, at: Array) -> Array:
+        """Return rocker angles (designs, rotations) [rad], continuous, at crank rotations (rotations,) from the start."""
+        fine, index = finely(at)
+        _, c, d = self._placed(self.phi0 + fine)
+        return np.asarray(np.unwrap(np.arctan2(c[1] - d[1], c[0] - d[0]), axis=1)[:, index])
 
     def _rocker(self, at: Array, name: str, by: Array) -> Array:
         """Return rocker angles [rad] at crank rotations from the start, with one dimension or coordinate larger by `by` [m].
@@ -303,6 +311,11 @@ def _requirement(tested: _Tested) -> Iterator[Checks]:
         yield Checks("psi0 is the rocker's own angle", gap <= 1e-7, gap, "<= 1e-07", "deg")
     largest = np.degrees(np.max(np.abs(tested.target_minus_actual()), axis=1))
     yield Checks("output error has a value everywhere", np.isfinite(largest), largest, "finite", "deg")
+    own = problem.law.offsets
+    at = own if own[0] == 0.0 else np.concatenate([[0.0], own])
+    with np.errstate(all="ignore"):
+        wanted = np.broadcast_to(problem.law.curve(at, tested.phi0, tested.psi0), (tested.count, len(at)))
+    yield from revolutions_check(wanted, lambda: tested.rocker_along(at))
     if problem.requirement.robust is not None:
         middle, spread = tested.scattered()
         most = np.degrees(np.max(np.abs(middle) + spread, axis=1))

@@ -22,10 +22,12 @@ from optlink.validation.check import (
     Check,
     Validation,
     bound,
+    finely,
     limit_checks,
     link_lengths,
     nan_last,
     registered_checks,
+    revolutions_check,
     transmission_checks,
 )
 from optlink.validation.margins import alignment_checks, grashof_check
@@ -208,6 +210,12 @@ class _Tested:
         turned = {stroke.name: stroke.rotation for stroke in travel.strokes(self.way)}
         return travel.span, turned.get("forward", math.nan), turned.get("backward", math.nan)
 
+    def output_angle(self) -> Array:
+        """Return the angle of the output body (1, positions) [rad], continuous over the motion."""
+        at, index = finely(self.crank_angles)
+        angle = np.asarray(self.sweep(at).body_angle(str(self.problem.requirement.output)).value, dtype=float)
+        return np.asarray(np.unwrap(angle)[None, index])
+
     def limited_motion(self) -> Motion:
         """Return the motion over which the transmission angle is limited."""
         whole = self.problem.transmission_over == "revolution" and self.revolution is not None
@@ -303,6 +311,9 @@ def _points(tested: _Tested) -> Iterator[Check]:
     factor, unit = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg"), "": (1.0, "")}[tested.problem.unit]
     largest = float(np.max(distances)) * factor
     yield Check("the linkage has a position for every target", whole, largest, "finite", unit)
+    if tested.problem.requirement.kind == "function" and not tested.problem.slides:
+        wanted = tested.problem.prescribed_outputs(tested.design)[None, :]
+        yield from (check.of() for check in revolutions_check(wanted, tested.output_angle))
     if np.any(np.isfinite(tolerances)):
         used = np.max(distances / tolerances)
         yield Check("points met within their tolerances", bool(used <= 1.0 + 1e-6), float(used), "<= 1", "of the tolerance")

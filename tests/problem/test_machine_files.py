@@ -345,6 +345,11 @@ def test_sizes_that_close_nowhere():
     assert "six-bar.toml: drive.start" in str(caught.value)
 
 
+def test_a_slow_stroke_of_sizes_that_close_almost_nowhere():
+    with pytest.raises(InputError, match=r"loads\.cutting\.stroke: the crank does not turn fully, and in the range"):
+        load("whitworth", {"mechanism.links.arm.length": "50 m"})
+
+
 @pytest.mark.parametrize("speed", ["1e9 rad/s", "1e-12 rad/s"])
 def test_absurd_speeds(speed):
     with pytest.raises(InputError, match="out of range"):

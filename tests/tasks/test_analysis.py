@@ -560,6 +560,23 @@ def test_torsion_spring_across_the_branch_of_the_angle():
     np.testing.assert_allclose(np.remainder(found - rocker - math.radians(60.0) + 1.0, TURN), 1.0, atol=1e-9)
 
 
+def test_torsion_spring_across_the_branch_of_the_angle_in_a_batch():
+    """Turned by 70 degrees, the rocker swings across 180 degrees from +x; a batch has the torques of its single designs."""
+    x, y = 0.3 * math.cos(math.radians(70.0)), 0.3 * math.sin(math.radians(70.0))
+    links = {"crank": {"joints": ["A", "B"], "length": "40 mm"}, "coupler": {"joints": ["B", "C"], "length": "290 mm"}}
+    links["rocker"] = {"joints": ["D", "C"], "length": "160 mm"}
+    ground = {"A": ["0 m", "0 m"], "D": [f"{x!r} m", f"{y!r} m"]}
+    raw = {
+        "mechanism": {"ground": ground, "links": links, "assembly": {"C": "left of B-D"}},
+        "loads": {"spring": {"on": "rocker", "torsional_stiffness": "5 N*m/rad", "free_angle": "-170 deg"}},
+    }
+    problem, cranks = optlink.read(raw), [0.04, 0.045]
+    batch = optlink.analyze_batch(problem, {"crank.length": np.array(cranks)}, points=90)
+    for crank, torque in zip(cranks, batch["input.torque_Nm"], strict=True):
+        alone = optlink.analyze(problem.override({"mechanism.links.crank.length": f"{crank!r} m"}), points=90)
+        np.testing.assert_allclose(torque, alone["input.torque_Nm"][: len(torque)], atol=1e-12)
+
+
 def test_what_cannot_follow_or_does_not_move_is_refused():
     fault = {"loads.spring": {"on": "crank", "torsional_stiffness": "1 N*m/rad"}}
     with pytest.raises(optlink.InputError, match="turns fully against frame"):

@@ -19,7 +19,7 @@ from optlink.dynamics.strokes import slow_stroke_of
 from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.stroke import LEAST_DIFFERENCE, Direction
-from optlink.linkage.vector2d import Value, cross, dot
+from optlink.linkage.vector2d import TURN, Value, cross, dot
 from optlink.problem.base_model import RESERVED, Name, Section
 from optlink.problem.machine.balance import BalanceSection
 from optlink.problem.machine.bodies import BodySection, DriveSection, Gravity
@@ -365,6 +365,9 @@ class Revolution:
             return self._slow[load.name]
         sense = self.slow_senses(load)  # many designs share one machine only if they have the same slow stroke
         found: Direction | None = "forward" if np.all(sense > 0.0) else "backward" if np.all(sense < 0.0) else None
+        if not np.all(self.moving.motion.assembled) and found is None:
+            message = "the crank does not turn fully, and in the range that it reaches no stroke is the slow one"
+            raise Unusable(message, 'Change the sizes, or write stroke = "forward" or "backward"', "stroke")
         if found is None:
             least = f"{math.degrees(LEAST_DIFFERENCE):g} deg"
             message = f"both strokes take equally long (to {least} of crank rotation), so there is no slow stroke"
@@ -385,8 +388,9 @@ class Revolution:
         rate = np.broadcast_to(rate, np.shape(assembled)) + np.zeros(STROKES)
         rate = np.concatenate([rate, rate[..., :1]], axis=-1)
         size = np.abs(rate[..., 1:]) + np.abs(rate[..., :-1])
-        with np.errstate(all="ignore"):
-            difference = self.machine.mechanism.cycle * np.nanmean((rate[..., 1:] + rate[..., :-1]) / size, axis=-1)
+        with np.errstate(all="ignore"):  # 0 / 0 for a design that can be assembled nowhere
+            share = (rate[..., 1:] + rate[..., :-1]) / size
+            difference = self.machine.mechanism.cycle * np.nansum(share, axis=-1) / np.sum(np.isfinite(share), axis=-1)
         sense = np.where(np.abs(difference) >= LEAST_DIFFERENCE, np.sign(difference), 0.0)
         return np.asarray(sense, dtype=float).reshape(-1)
 
@@ -407,11 +411,15 @@ class Revolution:
             when the body makes a full turn, as no torsion spring allows.
         """
         one, other = (self.moving.state(name).axis for name in (body, against))
-        angle = np.arctan2(cross(other, one), dot(other, one)) + 0.0 * self.moving.motion.crank_angle
-        turned = np.unwrap(angle[np.isfinite(angle)]) if np.ndim(angle) == 1 else np.asarray(angle)[np.isfinite(angle)]
-        if turned.size == 0:
+        angle = np.atleast_2d(np.arctan2(cross(other, one), dot(other, one)) + 0.0 * self.moving.motion.crank_angle)
+        known = np.isfinite(angle)
+        swings = [np.unwrap(row[some]) for row, some in zip(angle, known, strict=True) if np.any(some)]
+        if not swings:
             return free
-        low, high = float(np.min(turned)), float(np.max(turned))
+        ends = np.array([[np.min(swing), np.max(swing)] for swing in swings])  # of every design, in the same revolution
+        middles = np.mean(ends, axis=-1, keepdims=True)
+        ends = ends - TURN * np.round((middles - middles[0]) / TURN)
+        low, high = float(np.min(ends)), float(np.max(ends))
         if high - low > 2.0 * np.pi - 0.02:
             message = f"{body} turns fully against {against}, which no torsion spring follows"
             raise Unusable(message, "Use torsional_damping, or a spring between two points", "on")

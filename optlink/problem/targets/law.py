@@ -145,16 +145,16 @@ class Law:
             return self.source({"phi": phi0 + offset, "phi0": phi0, "psi0": psi0})
         return tabulated + psi0 if self.source.from_start else tabulated
 
-    def curve(self, offsets: Array, phi0: float, psi0: float) -> Array:
-        """Return the prescribed output [rad or m] for one design.
+    def curve(self, offsets: Array, phi0: Value, psi0: Value) -> Array:
+        """Return the prescribed output [rad or m] for one design, or for several.
 
         Parameters
         ----------
         offsets : array (n,) [rad]
             Crank rotations from the start.
-        phi0 : float [rad]
+        phi0 : float or array (designs, 1) [rad]
             Crank angle at the start.
-        psi0 : float [rad or m]
+        psi0 : float or array (designs, 1) [rad or m]
             Output at the start.
         """
         tabulated = self.source.at(offsets) if isinstance(self.source, Table) else 0.0

@@ -1,0 +1,64 @@
+"""An output that meets the angles of its law alone, but not its revolutions, is not valid."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import optlink
+from optlink.tasks.run import validate
+
+CRANK_ROCKER = {"crank": 0.1, "coupler": 0.3, "rocker": 0.25, "frame": 0.28}
+DRAG_LINK = {"crank": 0.25, "coupler": 0.2, "rocker": 0.22, "frame": 0.1}
+BEGIN = 60.0  # deg
+NAME = "output turns as the law, not by whole revolutions more or less"
+
+
+def rockers(lengths: dict[str, float], crank: np.ndarray) -> np.ndarray:
+    """Continuous angles of the rocker [deg] with C to the left of B-D, by complex numbers and the cosine rule."""
+    b, d, fine = lengths["coupler"], lengths["rocker"], np.linspace(crank[0], crank[-1], 721)
+    z = lengths["frame"] - lengths["crank"] * np.exp(1j * np.radians(fine))
+    c = b * np.exp(1j * (np.angle(z) + np.arccos((b * b + np.abs(z) ** 2 - d * d) / (2.0 * b * np.abs(z))))) - z
+    way = math.copysign(1.0, fine[-1] - fine[0])
+    return np.interp(way * crank, way * fine, np.degrees(np.unwrap(np.angle(c))))
+
+
+def verdict(lengths: dict[str, float], cranks: list[float], more: list[float], *, dyads: bool) -> tuple[bool, set[str]]:
+    """Validate a linkage for its own angles at rotations of the crank, plus `more` [deg]; the names of checks of revolutions."""
+    psi = rockers(lengths, BEGIN + np.array(cranks)) + np.array(more)
+    sizes = {name: f"{1e3 * value!r} mm" for name, value in lengths.items()}
+    sizes["coupler"] = {"bounds": ["150 mm", "400 mm"]}  # type: ignore[assignment]
+    law = {"phi": [f"{angle} deg" for angle in cranks], "psi": [f"{angle!r} deg" for angle in (psi - psi[0]).tolist()]}
+    raw: dict[str, Any] = {"limits": {"crank": "double-crank" if lengths is DRAG_LINK else "full rotation"}}
+    raw |= {"requirement": {"kind": "function", "law": law, "from": f"{BEGIN} deg"}, "mechanism": sizes}
+    if dyads:
+        links = {"crank": {"joints": ["A", "B"]}, "coupler": {"joints": ["B", "C"]}, "rocker": {"joints": ["D", "C"]}}
+        links = {name: {**link, "length": sizes[name]} for name, link in links.items()}
+        ground = {"A": ["0 mm", "0 mm"], "D": [sizes["frame"], "0 mm"]}
+        raw["mechanism"] = {"ground": ground, "links": links, "assembly": {"C": "left of B-D"}}
+        requirement = {"output": "rocker", "start": f"{BEGIN} deg", "psi0": f"{math.remainder(float(psi[0]), 360.0)!r} deg"}
+        raw |= {"requirement": {"kind": "function", "law": law, **requirement}, "limits": {}}
+    result = validate(optlink.read(raw), {"coupler.length" if dyads else "coupler": lengths["coupler"]})
+    wrong = {check.name for check in result.best.validation.checks if not check.passed}  # type: ignore[union-attr]
+    assert result.objective < 1e-18  # the angles are those of the law
+    assert result.valid == (not wrong)
+    return any(check.name == NAME for check in result.best.validation.checks), wrong  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("dyads", [False, True])
+@pytest.mark.parametrize(
+    ("lengths", "cranks", "more", "there", "wrong"),
+    [
+        (CRANK_ROCKER, [0.0, 45.0, 90.0], [0.0, 0.0, 0.0], False, set()),
+        (CRANK_ROCKER, [0.0, 90.0], [0.0, 360.0], True, {NAME}),
+        (CRANK_ROCKER, [0.0, 45.0, 90.0], [0.0, -360.0, -720.0], True, {NAME}),
+        (CRANK_ROCKER, [0.0, -90.0], [0.0, 360.0], True, {NAME}),
+        (DRAG_LINK, [0.0, 180.0, 360.0], [0.0, 0.0, 0.0], True, set()),
+        (DRAG_LINK, [0.0, 180.0, 360.0], [0.0, -360.0, -360.0], True, {NAME}),
+    ],
+)
+def test_revolutions_of_a_law(lengths, cranks, more, there, wrong, dyads):
+    assert verdict(lengths, cranks, more, dyads=dyads) == (there, wrong)
