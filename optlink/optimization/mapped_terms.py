@@ -134,14 +134,20 @@ class MappedTerms:
         slope = casadi.mtimes(casadi.jacobian(values, own), chain).T
         function = casadi.Function("slope", [*inputs, rate], [values, casadi.densify(slope)])
         z, slopes = self._mapped("slopes", function, [*given, self._rates(x, p)])
-        flat = casadi.vec(self.z)
-        parts = [self.f, casadi.jacobian(self.f, self.x), casadi.jacobian(self.f, flat)]
-        parts += [self.g, casadi.jacobian(self.g, self.x), casadi.jacobian(self.g, flat)]
-        f, f_x, f_z, g, g_x, g_z = casadi.Function("parts", [self.x, self.p, self.z], parts)(x, p, z)
+        f, f_x, f_z = self._parts(self.f, z)
+        g, g_x, g_z = self._parts(self.g, z)
         by_x = slopes.T
         gradient = casadi.densify(f_x + casadi.mtimes(f_z, by_x) if f_z.nnz() else f_x).T
         depends = casadi.Function("rows", [x, p], [self.programme["g"]]).jac_sparsity(0, 0)
         return z, by_x, f, gradient, casadi.densify(g), casadi.project(g_x + casadi.mtimes(g_z, by_x), depends)
+
+    def _parts(self, expression: Any, z: Any) -> list[Any]:
+        """Return an expression and its derivatives by x and by z; what does not depend on z is computed without it."""
+        x, p, _ = self._given
+        by_z = casadi.jacobian(expression, casadi.vec(self.z))
+        parts = [expression, casadi.jacobian(expression, self.x), by_z]
+        symbols, values = ([self.x, self.p, self.z], [x, p, z]) if by_z.nnz() else ([self.x, self.p], [x, p])
+        return list(casadi.Function("parts", symbols, parts).call(values))
 
     @cached_property
     def values(self) -> CompiledFunction:

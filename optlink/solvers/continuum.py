@@ -85,6 +85,7 @@ def _shifted(nlp: CycleNLP, solution: Solution, lead: int, name: str) -> Solutio
     step = SHIFT * (high - low)
     target = at + step if high - at >= at - low else at - step
     places = nlp.p[len(nlp.p) - nlp.slots :].copy()
+    nlp.set_exchange_points(solution.p[len(nlp.p) - nlp.slots :])
     try:
         nlp.limit(lead, target, upper=False)
         nlp.limit(lead, target, upper=True)

@@ -3,7 +3,7 @@
 Where a design ends at the edge of its order of events, and a better one would have another order, that order is searched as well.
 
 A larger number of starting points never worsens the result: the starting points of a smaller number come first in the same
-sequence, every search starts from the state of the searches before it, and the best design is returned.
+sequence, no search depends on the others, and the best design is returned.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class StartSequence:
         task = trace.problem
         given = {name: task.quantities[name].value for name in task.free}
         low, high = np.array([task.quantities[name].bounds for name in task.free]).T
-        drawn = (dict(zip(task.free, x.tolist(), strict=True)) for x in multistart.sobol(low, high, seed))
+        drawn = (dict(zip(task.free, x.tolist(), strict=True)) for x in multistart.latin_hypercubes(low, high, seed))
         self._next = itertools.chain([given], drawn)
 
     def first(self, count: int) -> Iterator[Sample]:
@@ -201,8 +201,8 @@ def build_programme(trace: TracedCycle, begin: StartGroup) -> CycleNLP:
 class OrderSearch:
     """The searches of one NLP, one starting point after the other.
 
-    `runs`: for each back end, one solution per starting point so far, refined by the exchange method. The exchange points of
-    the NLP are those of the best design so far, so that a solution depends only on the starting points before it.
+    `runs`: for each back end, one solution per starting point so far, refined by the exchange method. Every search begins with
+    the same exchange points; searches that end at the same design are refined once.
     """
 
     nlp: CycleNLP
@@ -214,30 +214,39 @@ class OrderSearch:
 
     def __post_init__(self) -> None:
         self.runs = {name: [] for name in self.names}
-        self._places = {name: self._exchange_points() for name in self.names}
-
-    def _exchange_points(self) -> Array:
-        return self.nlp.p[len(self.nlp.p) - self.nlp.slots :].copy()
+        self._places = self.nlp.p[len(self.nlp.p) - self.nlp.slots :].copy()
+        self._refined: dict[str, list[tuple[Array, Solution]]] = {name: [] for name in self.names}
 
     def advance(self, k: int) -> None:
         """Search from the k-th starting point with every back end."""
         for name in self.names:
-            self.nlp.set_exchange_points(self._places[name])
+            self.nlp.set_exchange_points(self._places)
             best = self.best(name)
             found = self._from(self.nlp.x_of(self.begin.starts[k]), name, insist=self.insists and k == 0)
             worse = best is not None and found.status is not Status.OPTIMAL and rank(best) < rank(found)
-            if found.usable and not worse:
-                found = exchange(self.nlp, found)
-            self.runs[name].append(found)
-            if best is None or rank(found) < rank(best):
-                self._places[name] = self._exchange_points()
+            self.runs[name].append(self._exchanged(found, name) if found.usable and not worse else found)
+
+    def _exchanged(self, found: Solution, name: str) -> Solution:
+        """Return the end of a search refined by the exchange method; an optimum that is known is not refined again."""
+        free = len(self.nlp.free)
+        for x, known in self._refined[name]:
+            if found.status is Status.OPTIMAL and np.max(np.abs(x - found.x)[:free]) <= multistart.SAME_DESIGN:
+                return known
+        refined = exchange(self.nlp, found)
+        if found.status is Status.OPTIMAL:
+            self._refined[name].append((found.x, refined))
+        return refined
 
     def _from(self, x: Array, name: str, *, insist: bool) -> Solution:
-        """Search locally from a feasible point near x; with `insist`, if there is none, from the end of a run of the back end."""
+        """Search locally from a feasible point near x; with `insist`, if there is none, from x itself."""
         nlp = self.nlp
         start = repair(nlp, x, nlp.p)
         if start is None and insist and math.isfinite(nlp.values(x, nlp.p)[0]):
-            x = backend(name)(nlp, nlp.lifted(x), multistart.scaled_parameters(nlp, x)).x
+            p = multistart.scaled_parameters(nlp, x)
+            end = multistart.conclude(nlp, backend(name)(nlp, nlp.lifted(x), p), p)
+            x = end.x
+            if end.status is Status.OPTIMAL and multistart.scaled_parameters(nlp, x)[0] >= multistart.RESCALE * p[0]:
+                return end
             start = repair(nlp, x, nlp.p, inside=0.0)
         if start is None:
             missed = multistart.solution_at(nlp, x, "no feasible point was found beside the start")

@@ -26,6 +26,7 @@ CONTINUATIONS = 3  # number of restarts, with tighter tolerances, from an end th
 NEARLY = 1e-3  # a violation up to this, in scaled units, is attributed to the solver's tolerance and repaired
 LEAST_VIOLATION = "Infeasible_Problem_Detected"  # message of IPOPT at a locally least violation
 SOBOL_BLOCK = 64
+HYPERCUBE = 64  # points of a Latin hypercube sample
 RESCALE = 1e-3  # if the objective fell below this share of its start, the search is repeated with a new scale
 
 
@@ -114,16 +115,16 @@ def solve_from(
     x = nlp.lifted(x if start is None else start)
     run = backend(name)
     p = scaled_parameters(nlp, x)
-    solution = _ended(nlp, run(nlp, x, p, track=track), p)
+    solution = conclude(nlp, run(nlp, x, p, track=track), p)
     for _ in range(continuations):
         fine = scaled_parameters(nlp, solution.x)
         if solution.status is Status.OPTIMAL and fine[0] >= RESCALE * p[0]:
             break
         if solution.message == LEAST_VIOLATION and not resume_infeasible:
             break
-        again = _ended(nlp, Attempt(solution.x, 0, solution.message), fine)  # Newton's method alone may suffice
+        again = conclude(nlp, Attempt(solution.x, 0, solution.message), fine)  # Newton's method alone may suffice
         if again.status is not Status.OPTIMAL:
-            again = _ended(nlp, run(nlp, solution.x, fine, tight=True), fine)
+            again = conclude(nlp, run(nlp, solution.x, fine, tight=True), fine)
         p = fine
         if not again.usable or (solution.usable and again.objective > solution.objective and again.status is not Status.OPTIMAL):
             break
@@ -132,8 +133,16 @@ def solve_from(
     return solution
 
 
-def _ended(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
-    """Return the result of a back end as a Solution, after repair of a small violation and Newton refinement."""
+def conclude(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
+    """Return the result of a back end as a Solution, after repair of a small violation and Newton refinement.
+
+    Parameters
+    ----------
+    nlp : NLP
+    attempt : Attempt
+    p : array
+        Parameters of the NLP.
+    """
     x = nlp.lifted(attempt.x)
     if FEASIBLE < violation(nlp, x, nlp.values(x, p)[1]) <= NEARLY:
         mended = repair(nlp, x, p, inside=0.0)
@@ -174,6 +183,28 @@ def sobol(low: Array, high: Array, seed: int) -> Iterator[Array]:
     high = np.where(np.isfinite(high), high, 1.0)
     while True:
         yield from low + points.random(SOBOL_BLOCK) * (high - low)
+
+
+def latin_hypercubes(low: Array, high: Array, seed: int) -> Iterator[Array]:
+    """Generate points within bounds, without end: one Latin hypercube sample after the other.
+
+    They need no import of `scipy.stats`, which takes longer than many a search.
+
+    Parameters
+    ----------
+    low, high : array (n,)
+    seed : int
+        Seed of the permutations and of the positions within the strata.
+
+    References
+    ----------
+    M. D. McKay, R. J. Beckman, W. J. Conover, A comparison of three methods for selecting values of input variables in the
+    analysis of output from a computer code, Technometrics 21 (1979) 239-245.
+    """
+    rng = np.random.default_rng(seed)
+    while True:
+        strata = rng.permuted(np.tile(np.arange(HYPERCUBE), (len(low), 1)), axis=1).T
+        yield from low + (strata + rng.random(strata.shape)) / HYPERCUBE * (high - low)
 
 
 def best(solutions: list[Solution]) -> Solution:

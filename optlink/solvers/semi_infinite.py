@@ -18,7 +18,7 @@ from optlink.optimization.cycle_constraints import WatchedTerm
 from optlink.optimization.cycle_nlp import CycleNLP
 from optlink.optimization.nlp import NLP, Variable
 from optlink.solvers import multistart
-from optlink.solvers.contract import backend
+from optlink.solvers.contract import CLOSE, backend
 from optlink.solvers.newton import polish
 from optlink.solvers.solution import FEASIBLE, STATIONARY, Attempt, Solution, stationarity, verified_solution, violation
 
@@ -30,7 +30,7 @@ SETTLED = 1e-8  # the same after the last round
 PEAK = "place of a peak"
 REACH = 0.25  # share of a stroke by which the position of a peak may move in one round
 EDGE = 1e-6  # share of a stroke: a peak this close to its end is due to a jump of a force, not a vanishing derivative
-CLOSE = 0.05  # share of its level by which a peak may be lower and its position still be an unknown
+MOVABLE = 0.05  # share of its level by which a peak may be lower and its position still be an unknown
 RADIUS, SMALLEST = 0.1, 1e-7  # scaled units: trust-region radius of the first round, and the one that ends the rounds
 MISSED = 100.0  # penalty of a limit violated by its own size, in multiples of the objective
 SAME = 1e-9  # share of a stroke: closer peaks count as one
@@ -61,7 +61,7 @@ def exchange(nlp: CycleNLP, solution: Solution) -> Solution:
 
     With fixed positions the NLP does not account for the shift of a peak with the design: where the limits alone do not determine
     the design, steps overshoot alternately. Therefore the positions of the peaks are unknowns too, the design variables move
-    within a radius, and a step is accepted only if the merit at the peaks decreases. These steps use SLSQP for every back end.
+    within a radius, and a step is accepted only if the merit at the peaks decreases. These steps use IPOPT for every back end.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def _levelled(nlp: CycleNLP, x: Array, found: Peaks, radius: float) -> Solution 
     return near if near.status is Status.OPTIMAL and _distance(nlp, near.x, x) <= radius else None
 
 
-def _followed(nlp: CycleNLP, x: Array, found: Peaks, radius: float, name: str = "slsqp") -> Solution | None:
+def _followed(nlp: CycleNLP, x: Array, found: Peaks, radius: float, name: str = CLOSE) -> Solution | None:
     """Return the optimum within a radius, the positions of the peaks being unknowns; None if there is none."""
     n, count = len(nlp.variables), len(nlp.free)
     moving, start = _moving(nlp, x, found)
@@ -319,7 +319,7 @@ def peaks(nlp: CycleNLP, x: Array) -> Peaks:
             if excess < -NEAR or len(chosen) == slots:
                 break
             if all(abs(at - other) > SAME for other in chosen):
-                if excess > -CLOSE and EDGE < at < 1.0 - EDGE:
+                if excess > -MOVABLE and EDGE < at < 1.0 - EDGE:
                     inner.append((j * slots + len(chosen), index))
                 chosen.append(at)
         for other in (*shares[j * slots : (j + 1) * slots].tolist(), *np.linspace(0.0, 1.0, 2 * slots).tolist()):

@@ -14,6 +14,7 @@ import optlink
 from optlink.errors import InputError
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.problem.file import ProblemFile, read
+from optlink.solvers import multistart
 from optlink.solvers.cycle_search import StartSequence, start_groups
 from optlink.tasks.cycle import solve, validate
 from optlink.tasks.results.cycle import CycleResult, task_of
@@ -168,6 +169,20 @@ def test_starting_points_of_a_smaller_number_come_first():
         assert same.starts[: len(own.starts)] == own.starts
 
 
+def test_random_starting_points_are_latin_hypercubes():
+    """Each block has one point in each stratum of every coordinate, whatever the seed, and another seed has other points."""
+    low, high = np.array([-2.0, 5.0, 0.0]), np.array([1.0, 5.5, 40.0])
+    points, same, other = (
+        np.array(list(itertools.islice(multistart.latin_hypercubes(low, high, seed), 2 * multistart.HYPERCUBE)))
+        for seed in (7, 7, 8)
+    )
+    assert np.array_equal(points, same)
+    assert not np.any(points == other)
+    for block in np.split((points - low) / (high - low), 2):
+        strata = np.sort(np.floor(block * multistart.HYPERCUBE), axis=0)
+        assert np.array_equal(strata, np.tile(np.arange(multistart.HYPERCUBE)[:, None], (1, 3)))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_more_starting_points_are_never_worse(seed):
@@ -191,8 +206,6 @@ def test_more_starting_points_are_never_worse(seed):
 @pytest.mark.slow
 def test_without_a_feasible_point_no_objective_is_searched(monkeypatch):
     """A stroke longer than any crank makes: the conflict is named although no local search of the objective ran."""
-    from optlink.solvers import multistart
-
     monkeypatch.setattr(multistart, "solve_from", lambda *_, **__: pytest.fail("an objective was searched"))
     result = solve(problem(PUMP, limits__stroke__exactly="300 mm"), starts=3)
     assert not result.valid
