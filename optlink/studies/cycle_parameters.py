@@ -25,8 +25,8 @@ from optlink.problem.limits import MARGIN_KEYS
 from optlink.solvers.semi_infinite import refine_peaks
 from optlink.solvers.solution import Solution
 from optlink.studies.cycle_task import with_starting_values
-from optlink.studies.kkt_derivatives import KKTPerturbation, KKTSystem
-from optlink.studies.parameters import Parameter, parameters
+from optlink.studies.kkt_derivatives import KKTPerturbation
+from optlink.studies.parameters import Optimum, OptimumParameters, Parameter, design_variables, displayed, parameters
 from optlink.studies.toml_keys import exact_text, read_figure, value_at
 from optlink.symbolic import CompiledFunction
 from optlink.tasks.cycle import solve as solve_cycle
@@ -43,12 +43,14 @@ CLOSE = "slsqp"  # continues from its starting point
 WHOLE = "%"  # unit of a table whose values are scaled together
 
 
-class CycleParameters:
-    """Parameters of a machine, and their effect on the optimality system at its optimum."""
+class CycleParameters(OptimumParameters):
+    """Parameters of a machine, and their effect on the optimality system at its optimum.
 
-    def __init__(self, problem: ProblemFile, system: KKTSystem) -> None:
-        assert isinstance(system.nlp, CycleNLP)
-        self.problem, self.system, self.nlp = problem, system, system.nlp
+    Its optima are less accurate than those of other programmes, and more strongly curved.
+    """
+
+    share, most = 3e-4, 0.02
+    nlp: CycleNLP
 
     @cached_property
     def parameters(self) -> list[Parameter]:
@@ -74,6 +76,36 @@ class CycleParameters:
         return KKTPerturbation(
             (high - low) / (2.0 * step), (above - below)[self.system.unknown] / (2.0 * step), entries, still, still
         )
+
+    def optimum_at(
+        self, solution: Solution, parameter: Parameter, value: float, change: Mapping[str, float], backend: str
+    ) -> Optimum | None:
+        """Return the machine with another value, built anew and searched from the optimum; see `OptimumParameters.optimum_at`.
+
+        Parameters
+        ----------
+        solution : Solution
+        parameter : Parameter
+        value : float [parameter.unit]
+        change : mapping of str to float [display units]
+        backend : str
+            Not used: the search continues from the optimum.
+        """
+        try:
+            start = with_starting_values(with_parameter(self.problem, parameter, value), solution.design)
+            found = solve_cycle(start, CLOSE, starts=1).solution
+        except InputError:
+            return None
+        if found is None or found.status is not Status.OPTIMAL:
+            return None
+        away = max(abs(found.design[name] - own) for name, own in solution.design.items()) / self.nlp.scales[0]
+        start_at = design_variables(self.nlp, self.nlp.x_start)
+        predicted = max(abs(change[v.name] / v.scale.slope(x)) for v, x in start_at)
+        if away > 10.0 * predicted and away > ELSEWHERE:
+            return None
+        assert isinstance(found.nlp, CycleNLP)
+        end = refine_peaks(found.nlp, found)
+        return end.objective, displayed(found.nlp, end.x)
 
     def _key(self, parameter: Parameter) -> str:
         """Return the key in the problem file; empty for a row that the file does not state."""
@@ -164,42 +196,3 @@ def with_parameter(problem: ProblemFile, parameter: Parameter, value: float) -> 
     if parameter.equal and not parameter.key.endswith(".exactly"):
         return problem.override({f"{parameter.key}.{side}": written for side in ("min", "max")})
     return problem.override({parameter.key: written})
-
-
-def search_again(
-    problem: ProblemFile, solution: Solution, parameter: Parameter, value: float, moved: float
-) -> tuple[float, dict[str, float]] | None:
-    """Return objective and design variables of the machine with another value, built anew and searched from the optimum.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-    solution : Solution
-        Optimum with the present value.
-    parameter : Parameter
-    value : float [parameter.unit]
-    moved : float
-        Predicted change of the dimensions relative to the longest one.
-
-    Returns
-    -------
-    tuple of float [SI] and mapping of str to float [display units], or None
-        None if there is no optimum, or a different one is found.
-    """
-    assert isinstance(solution.nlp, CycleNLP)
-    try:
-        found = solve_cycle(
-            with_starting_values(with_parameter(problem, parameter, value), solution.design), CLOSE, starts=1
-        ).solution
-    except InputError:
-        return None
-    if found is None or found.status is not Status.OPTIMAL:
-        return None
-    nlp = found.nlp
-    assert isinstance(nlp, CycleNLP)
-    away = max(abs(found.design[name] - own) for name, own in solution.design.items()) / solution.nlp.scales[0]
-    if away > 10.0 * moved and away > ELSEWHERE:
-        return None
-    end = refine_peaks(nlp, found)
-    free = zip(nlp.variables, end.x, strict=True)
-    return end.objective, {v.name: v.scale.to_display(float(x)) for v, x in free if v.name not in nlp.helpers}

@@ -3,12 +3,24 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from optlink.optimization.constraints import Scale
 from optlink.optimization.nlp import NLP
+from optlink.problem.file import ProblemFile
 from optlink.problem.limits import MARGIN_KEYS
-from optlink.solvers.solution import key_of
+from optlink.solvers.solution import Solution, key_of
+from optlink.studies.toml_keys import exact_text
+from optlink.tasks.protocol import completed
+
+if TYPE_CHECKING:
+    from optlink.studies.kkt_derivatives import KKTPerturbation, KKTSystem
 
 ROUNDING = 1e-14  # of a scaled quantity: smaller values count as zero
 SHARE = 0.01
@@ -69,6 +81,111 @@ class Parameter:
                 nlp.limit(entry, own, upper=True)
             if not self.upper or self.equal:
                 nlp.limit(entry, own, upper=False)
+
+
+Optimum = tuple[float, dict[str, float]]
+"""Objective [SI] and design variables in display units."""
+
+
+class OptimumParameters:
+    """The parameters of an optimum, which are those of its programme, and the optima beside it.
+
+    `share`, `most`: step of central differences relative to the value, and its largest share of the range of validity.
+    """
+
+    share, most = 3e-5, 0.4
+
+    def __init__(self, problem: ProblemFile, system: KKTSystem) -> None:
+        self.problem, self.system, self.nlp = problem, system, system.nlp
+
+    @cached_property
+    def parameters(self) -> list[Parameter]:
+        """All parameters."""
+        return parameters(self.nlp)
+
+    def push(self, parameter: Parameter) -> KKTPerturbation:
+        """Return the change of the optimality system per unit of a parameter.
+
+        Raises
+        ------
+        InputError
+            If the value cannot be changed to both sides.
+        """
+        return self.system.push(parameter)
+
+    def optimum_at(
+        self, solution: Solution, parameter: Parameter, value: float, change: Mapping[str, float], backend: str
+    ) -> Optimum | None:
+        """Return the optimum with another value of a parameter; None if there is none, or a different one is found.
+
+        Parameters
+        ----------
+        solution : Solution
+            Optimum with the present value.
+        parameter : Parameter
+        value : float [parameter.unit]
+        change : mapping of str to float [display units]
+            Predicted change of the design variables.
+        backend : "slsqp" or "ipopt"
+        """
+        from optlink.solvers import multistart
+
+        nlp = solution.nlp
+        try:
+            parameter.place(nlp, value)
+            found = multistart.solve_from(nlp, solution.x, backend)
+        finally:
+            parameter.place(nlp, parameter.value)
+        return found.objective, displayed(nlp, found.x)
+
+
+class FunctionParameters(OptimumParameters):
+    """The parameters of a function synthesis, whose file is read, built and searched anew with another value."""
+
+    def optimum_at(
+        self, solution: Solution, parameter: Parameter, value: float, change: Mapping[str, float], backend: str
+    ) -> Optimum | None:
+        """Return the optimum with another value; see `OptimumParameters.optimum_at`.
+
+        Parameters
+        ----------
+        solution : Solution
+        parameter : Parameter
+        value : float [parameter.unit]
+        change : mapping of str to float [display units]
+        backend : "slsqp" or "ipopt"
+        """
+        from optlink.tasks.function import solve
+
+        if not parameter.in_file:
+            return super().optimum_at(solution, parameter, value, change, backend)
+        other = self.problem.override({parameter.key: exact_text(value, parameter.unit)})
+        found = completed(solve(other, backend, begin=solution.design))
+        assert found.solution is not None
+        return found.objective, displayed(found.solution.nlp, found.solution.x)
+
+
+def displayed(nlp: NLP, x: Sequence[float] | NDArray[np.float64]) -> dict[str, float]:
+    """Return the design variables (no auxiliary variables) in display units.
+
+    Parameters
+    ----------
+    nlp : NLP
+    x : array (n,)
+        Scaled.
+    """
+    return {v.name: v.scale.to_display(float(value)) for v, value in design_variables(nlp, x)}
+
+
+def design_variables(nlp: NLP, x: Sequence[float] | NDArray[np.float64]) -> list[tuple[Any, float]]:
+    """Return the design variables (no auxiliary variables) of a programme with their scaled values.
+
+    Parameters
+    ----------
+    nlp : NLP
+    x : array (n,)
+    """
+    return [(v, float(value)) for v, value in zip(nlp.variables, x, strict=False) if v.name not in nlp.helpers]
 
 
 GENERAL = ("limits.transmission_angle", "limits.pressure_angle")

@@ -6,7 +6,7 @@ The method is described in `optlink.studies.kkt_derivatives`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, Self
 
@@ -16,16 +16,13 @@ from pydantic import Field
 
 from optlink.errors import InputError, Status
 from optlink.optimization.cycle_nlp import CycleNLP
-from optlink.optimization.nlp import NLP
 from optlink.problem.base_model import Number, Record, Recorded, ResultRecord, absent
 from optlink.problem.file import ProblemFile
-from optlink.problem.function import DesignProblem
 from optlink.solvers.semi_infinite import refine_peaks
 from optlink.solvers.solution import Solution
-from optlink.studies.cycle_parameters import CycleParameters, search_again
+from optlink.studies.cycle_parameters import CycleParameters
 from optlink.studies.kkt_derivatives import KKTSystem, ValidityEnd
-from optlink.studies.parameters import Parameter, parameters
-from optlink.studies.toml_keys import exact_text
+from optlink.studies.parameters import FunctionParameters, OptimumParameters, Parameter, design_variables, displayed
 from optlink.tasks.protocol import completed
 from optlink.tasks.results.balance import Balance
 from optlink.tasks.run import solve
@@ -34,8 +31,6 @@ Array = NDArray[np.float64]
 SMALL = 1e-2  # least reference of relative differences: of the objective, per parameter change of its own value
 SLIGHT = 1e-3  # the same for the design
 ROUNDING = 1e-13  # relative to the objective, or in scaled units: changes that count as zero
-STEP, ROOM = 3e-5, 0.4  # step of the check relative to the value, and its largest share of the range of validity
-MACHINE_STEP, MACHINE_ROOM = 3e-4, 0.02  # the same for a machine: less accurate optima, stronger curvature
 
 
 @dataclass(frozen=True)
@@ -154,7 +149,7 @@ class Sensitivities(Recorded):
     @property
     def values(self) -> dict[str, float]:
         """Design variables of the optimum, in their units."""
-        return {v.name: v.scale.to_display(float(x)) for v, x in _shown(self.solution.nlp, self.solution.x)}
+        return displayed(self.solution.nlp, self.solution.x)
 
     @property
     def status(self) -> str:
@@ -162,9 +157,8 @@ class Sensitivities(Recorded):
         return self.solution.status.value
 
 
-def _shown(nlp: NLP, x: Sequence[float] | Array) -> list[tuple[Any, float]]:
-    """Return the design variables (no auxiliary variables) with their values."""
-    return [(v, float(value)) for v, value in zip(nlp.variables, x, strict=False) if v.name not in nlp.helpers]
+PARAMETERS: dict[str, type[OptimumParameters]] = {"function": FunctionParameters, "cycle": CycleParameters}
+"""Parameters of an optimum by the kind of problem; of all others, those of the programme."""
 
 
 def sensitivities(
@@ -236,12 +230,12 @@ def of_solution(
     if isinstance(nlp, CycleNLP):
         solution = refine_peaks(nlp, solution)
     system = KKTSystem(solution)
-    machine = CycleParameters(problem, system) if problem.task == "cycle" else None
-    factors = {v.name: v.scale.slope(x) for v, x in _shown(nlp, solution.x)}
+    known = PARAMETERS.get(problem.task, OptimumParameters)(problem, system)
+    factors = {v.name: v.scale.slope(x) for v, x in design_variables(nlp, solution.x)}
     notes, rows = _notes(system, solution), []
-    for parameter in parameters(nlp) if machine is None else machine.parameters:
+    for parameter in known.parameters:
         try:
-            push = system.push(parameter) if machine is None else machine.push(parameter)
+            push = known.push(parameter)
         except InputError as error:  # at the end of the valid range of input values
             notes.append(f"{parameter.name} is left out, as it cannot be changed to both sides: {error.faults[0].message}")
             continue
@@ -253,13 +247,13 @@ def of_solution(
         if abs(objective * parameter.step) <= ROUNDING * abs(solution.objective):
             objective = 0.0
         moved = np.where(np.abs(moved) <= ROUNDING * abs(parameter.rate()), 0.0, moved)
-        design = {v.name: float(change * factors[v.name]) for v, change in _shown(nlp, moved)}
+        design = {v.name: float(change * factors[v.name]) for v, change in design_variables(nlp, moved)}
         rows.append(Sensitivity(parameter, objective, design, below, above))
     rows.sort(key=lambda row: -abs(row.effect))
     if check:
         asked = [row for row in rows if row.moves]
         for done, row in enumerate(asked):
-            found = _searched_again(problem, solution, row, backend, loose=system.singular)
+            found = _searched_again(known, solution, row, backend, loose=system.singular)
             rows[rows.index(row)] = replace(row, check=found)
             if progress is not None:
                 progress((done + 1) / len(asked))
@@ -273,7 +267,7 @@ def of_solution(
         solution=solution,
         unit=nlp.measure.unit.replace("**", "^"),
         rows=tuple(rows),
-        units={v.name: v.scale.unit for v, _ in _shown(nlp, solution.x)},
+        units={v.name: v.scale.unit for v, _ in design_variables(nlp, solution.x)},
         notes=tuple(notes),
     )
 
@@ -290,7 +284,7 @@ def _notes(system: KKTSystem, solution: Solution) -> list[str]:
 
 
 def _searched_again(
-    problem: ProblemFile, solution: Solution, row: Sensitivity, backend: str, *, loose: bool
+    known: OptimumParameters, solution: Solution, row: Sensitivity, backend: str, *, loose: bool
 ) -> DifferenceCheck | None:
     """Return central differences between optima on either side, or None.
 
@@ -301,19 +295,12 @@ def _searched_again(
     parameter = row.parameter
     size = abs(parameter.value) or 1.0
     room = min(parameter.value - row.below.value, row.above.value - parameter.value)
-    share, most = (MACHINE_STEP, MACHINE_ROOM) if problem.task == "cycle" else (STEP, ROOM)
-    step = min(share * size, most * room)
+    step = min(known.share * size, known.most * room)
     if step <= 1e-9 * size:
         return None
-    found: list[tuple[float, dict[str, float]] | None] = []
-    for value in (parameter.value - step, parameter.value + step):
-        if problem.task == "cycle":
-            found.append(search_again(problem, solution, parameter, value, step * _pace(solution.nlp, row)))
-        elif isinstance(problem.model, DesignProblem) and parameter.in_file:
-            found.append(_rebuilt(problem, solution, parameter, value, backend))
-        else:
-            found.append(_moved(problem, solution, parameter, value, backend))
-    here, there = found
+    change = {name: step * rate for name, rate in row.design.items()}
+    sides = (parameter.value - step, parameter.value + step)
+    here, there = (known.optimum_at(solution, parameter, value, change, backend) for value in sides)
     if here is None or there is None:
         return None
     (low, below), (high, above) = here, there
@@ -321,43 +308,10 @@ def _searched_again(
     design = {name: (above[name] - below[name]) / (2.0 * step) for name in row.design}
     small = SMALL * abs(solution.objective) / size
     gaps = [abs(objective - row.objective) / max(abs(objective), abs(row.objective), small, 1e-300)]
-    slight = SLIGHT * max(abs(v.scale.to_display(x)) for v, x in _shown(solution.nlp, solution.x)) / size
+    slight = SLIGHT * max(abs(v.scale.to_display(x)) for v, x in design_variables(solution.nlp, solution.x)) / size
     largest = max(*(abs(d) for d in (*design.values(), *row.design.values())), slight, 1e-300)
     gaps += [abs(design[name] - row.design[name]) / largest for name in design if not loose]
     return DifferenceCheck(step, objective, design, max(gaps))
-
-
-def _pace(nlp: NLP, row: Sensitivity) -> float:
-    """Return the rate of change of the design variables with a parameter: scaled units per unit."""
-    return float(max(abs(row.design[v.name] / v.scale.slope(x)) for v, x in _shown(nlp, nlp.x_start)))
-
-
-def _rebuilt(
-    problem: ProblemFile, solution: Solution, parameter: Parameter, value: float, backend: str
-) -> tuple[float, dict[str, float]]:
-    """Return objective and design of the problem file with another value: built, scaled and searched anew."""
-    from optlink.tasks.function import solve
-
-    other = problem.override({parameter.key: exact_text(value, parameter.unit)})
-    found = completed(solve(other, backend, begin=solution.design))
-    assert found.solution is not None
-    nlp = found.solution.nlp
-    return found.objective, {v.name: v.scale.to_display(x) for v, x in _shown(nlp, found.solution.x)}
-
-
-def _moved(
-    problem: ProblemFile, solution: Solution, parameter: Parameter, value: float, backend: str
-) -> tuple[float, dict[str, float]]:
-    """Return objective and design of the same programme with another value, which is reset afterwards."""
-    from optlink.solvers import multistart
-
-    nlp = solution.nlp
-    try:
-        parameter.place(nlp, value)
-        found = multistart.solve_from(nlp, solution.x, backend)
-    finally:
-        parameter.place(nlp, parameter.value)
-    return found.objective, {v.name: v.scale.to_display(x) for v, x in _shown(nlp, found.x)}
 
 
 __all__ = ["DifferenceCheck", "Sensitivities", "Sensitivity", "ValidityEnd", "of_solution", "sensitivities"]
