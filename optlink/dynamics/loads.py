@@ -143,11 +143,12 @@ class Force(_Process):
 
 @dataclass(frozen=True)
 class Torque(_Process):
-    """A torque on a body."""
+    """A torque on a body; `middle` [rad]: the angle of the body that the magnitude sees is at most half a revolution from it."""
 
     name: str
     body: str
     magnitude: Magnitude
+    middle: Value = 0.0
 
     def reversing(self, moving: Moving) -> tuple[Value, Value]:
         """Return the angular velocity and acceleration of the body relative to the other."""
@@ -157,7 +158,11 @@ class Torque(_Process):
     def act(self, moving: Moving) -> Iterator[Acting]:
         """Yield the torque, and its reaction on the other body."""
         state = moving.state(self.body)
-        known = {**moving.variables, "theta": angle_from((1.0, 0.0), state.axis), "w": self.reversing(moving)[0]}
+        known = {
+            **moving.variables,
+            "theta": self.middle + angle_from(unit(self.middle), state.axis),
+            "w": self.reversing(moving)[0],
+        }
         torque = self.magnitude(known) * _sense(self, moving)
         yield Acting(self.body, state.start, (0.0, 0.0), torque)
         if self.against != FRAME:

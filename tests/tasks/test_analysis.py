@@ -560,6 +560,22 @@ def test_torsion_spring_across_the_branch_of_the_angle():
     np.testing.assert_allclose(np.remainder(found - rocker - math.radians(60.0) + 1.0, TURN), 1.0, atol=1e-9)
 
 
+@pytest.mark.parametrize("direction", [0.0, 70.0, 100.0])
+def test_a_torque_over_theta_is_continuous_where_its_body_swings_across_180_degrees(direction):
+    """A torque proportional to theta is that of a torsion spring: it has no work over a revolution, in any direction."""
+    x, y = 300.0 * math.cos(math.radians(direction)), 300.0 * math.sin(math.radians(direction))
+    links = {"crank": {"joints": ["A", "B"], "length": "40 mm"}, "coupler": {"joints": ["B", "C"], "length": "290 mm"}}
+    links["rocker"] = {"joints": ["D", "C"], "length": "160 mm"}
+    mechanism = {"ground": {"A": ["0 mm", "0 mm"], "D": [f"{x!r} mm", f"{y!r} mm"]}, "links": links}
+    mechanism |= {"assembly": {"C": "left of B-D"}}
+    load = {"on": "rocker", "torque": {"expression": "-5*theta", "unit": "N*m"}}
+    result = optlink.analyze(optlink.read({"mechanism": mechanism, "loads": {"spring": load}}), points=90)
+    torque, rocker = result["spring.torque_Nm"], np.unwrap(result["rocker.angle_rad"])
+    np.testing.assert_allclose(np.diff(torque), -5.0 * np.diff(rocker), atol=1e-12)
+    assert abs(-np.mean(torque) / 5.0) < math.pi
+    assert abs(result.work) < 1e-9
+
+
 def test_torsion_spring_across_the_branch_of_the_angle_in_a_batch():
     """Turned by 70 degrees, the rocker swings across 180 degrees from +x; a batch has the torques of its single designs."""
     x, y = 0.3 * math.cos(math.radians(70.0)), 0.3 * math.sin(math.radians(70.0))

@@ -49,6 +49,10 @@ class SlideSamples(Protocol):
         """
         ...
 
+    def branch(self, body: str) -> float:
+        """Return the middle of the swing of a body across 180 deg from +x [rad]; 0 for any other motion."""
+        ...
+
 
 def spring_ends(mechanism: Mechanism, between: tuple[str, str]) -> list[tuple[str, str]]:
     """Return body and point of both ends of a spring or damper.
@@ -155,7 +159,8 @@ class LoadSection(Section):
             body = self._body(mechanism, self.on, "on")
             twist = Torque(name, body, self.torque, opposing=self.acts == "opposing")
             self._check_against(mechanism)
-            twist = replace(twist, against=self.against or FRAME)
+            angular = isinstance(self.torque, Formula) and "theta" in self.torque.expression.names
+            twist = replace(twist, against=self.against or FRAME, middle=motion.branch(body) if angular else 0.0)
             return replace(twist, **self._stroke(twist, motion))
         if self.between is not None:
             ends = spring_ends(mechanism, self.between)

@@ -32,6 +32,7 @@ from optlink.problem.tolerances import Deviation, Tolerances, deviations, with_d
 
 Array = NDArray[np.float64]
 STROKES = 720  # positions of a revolution at which the motion of a load is sampled
+FULL_TURN = TURN - 0.02  # rad; a sampled swing that is wider is a full turn
 _SENSE: dict[Direction | None, float] = {"forward": 1.0, "backward": -1.0, None: 0.0}
 
 
@@ -410,18 +411,33 @@ class Revolution:
         Unusable
             when the body makes a full turn, as no torsion spring allows.
         """
+        swing = self._swing(body, against)
+        if swing is None:
+            return free
+        low, high = swing
+        if high - low > FULL_TURN:
+            message = f"{body} turns fully against {against}, which no torsion spring follows"
+            raise Unusable(message, "Use torsional_damping, or a spring between two points", "on")
+        middle = 0.5 * (low + high)
+        return middle - TURN * round((middle - free) / TURN)
+
+    def branch(self, body: str) -> float:
+        """Return the middle [rad] of the swing of a body across 180 deg from +x, within that range; 0 for any other motion."""
+        swing = self._swing(body, FRAME)
+        if swing is None or swing[1] - swing[0] > FULL_TURN:
+            return 0.0
+        middle = math.remainder(0.5 * (swing[0] + swing[1]), TURN)
+        return middle if abs(middle) + 0.5 * (swing[1] - swing[0]) >= math.pi else 0.0
+
+    def _swing(self, body: str, against: str) -> tuple[float, float] | None:
+        """Return the ends of the swing of a body relative to another [rad]; None if no position is reached."""
         one, other = (self.moving.state(name).axis for name in (body, against))
         angle = np.atleast_2d(np.arctan2(cross(other, one), dot(other, one)) + 0.0 * self.moving.motion.crank_angle)
         known = np.isfinite(angle)
         swings = [np.unwrap(row[some]) for row, some in zip(angle, known, strict=True) if np.any(some)]
         if not swings:
-            return free
+            return None
         ends = np.array([[np.min(swing), np.max(swing)] for swing in swings])  # of every design, in the same revolution
         middles = np.mean(ends, axis=-1, keepdims=True)
         ends = ends - TURN * np.round((middles - middles[0]) / TURN)
-        low, high = float(np.min(ends)), float(np.max(ends))
-        if high - low > 2.0 * np.pi - 0.02:
-            message = f"{body} turns fully against {against}, which no torsion spring follows"
-            raise Unusable(message, "Use torsional_damping, or a spring between two points", "on")
-        middle = 0.5 * (low + high)
-        return middle - 2.0 * np.pi * round((middle - free) / (2.0 * np.pi))
+        return float(np.min(ends)), float(np.max(ends))
