@@ -223,9 +223,9 @@ class NumpyEvaluator:
                     if full and places:
                         place = places[to]
                         if second < 0:
-                            ufunc(held[first], out=place)
+                            ufunc(held[first], place)
                         else:
-                            ufunc(held[first], held[second], out=place)
+                            ufunc(held[first], held[second], place)
                         held[to] = place
                     else:
                         held[to] = ufunc(held[first]) if second < 0 else ufunc(held[first], held[second])

@@ -27,6 +27,7 @@ MISSED = 1e-3  # weighted squares of limit violations up to which the NLP refine
 FEW = 18  # points in the first descent; the second uses all
 NEAR, STRAGGLERS = 1e-17, 0.1  # cost at which the first descent stops; share of designs that it leaves unconverged
 FINISHED = 60  # best distinct designs of a round that are refined to full precision
+GOOD = 3  # of them must reach it; poorer ones may stop where they hardly improve
 VALLEY, FINISH = 200, 200  # steps with variable projection, then full steps
 AFTER = 5  # remaining steps of all designs once one of them passes all points
 KEPT = 200  # distinct candidates, best first
@@ -189,9 +190,9 @@ class Searcher:
             parts.append((ends.x[first], ends.t[first]))
             counts.append(count)
         if self.fit.applies:
-            found = self._minimise(self.batch, parts, VALLEY, self.fit, slow=1e-7, left=STRAGGLERS, after=AFTER)
+            found = self._minimise(self.batch, parts, VALLEY, self.fit, slow=1e-7, left=STRAGGLERS, after=AFTER, good=GOOD)
             parts = [(ends.x, ends.t) for ends in found]
-        found = self._minimise(self.batch, parts, FINISH if self.fit.applies else VALLEY, None, slow=1e-9, after=AFTER)
+        found = self._minimise(self.batch, parts, FINISH if self.fit.applies else VALLEY, None, slow=1e-9, after=AFTER, good=GOOD)
         return [replace(ends, count=count) for ends, count in zip(found, counts, strict=True)]
 
     def _repaired(self, variant: int, ends: FinalDesigns) -> Iterator[Candidate]:

@@ -11,6 +11,7 @@ arXiv:1201.5885 (2012), section 4: the second-order correction of the step (geod
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -26,6 +27,7 @@ FIRST_DAMPING = 1e-2
 LEAST_DAMPING, MOST_DAMPING = 1e-14, 1e9
 SLOW = 1e-5  # relative decrease of the cost below which a step counts as slow
 PATIENCE = 4  # consecutive slow steps that terminate a design
+POOR, HOPELESS = 4.0, 1e-3  # times the cost of a good design: a poor one, and the decrease that counts as slow for it
 LONGEST_TURN = 0.5  # rad per step of a crank angle
 PROBE = 0.1  # share of a step at which the residuals show their second derivative
 MOST_BEND = 0.75  # largest correction of a step by the second derivative, relative to the step
@@ -94,6 +96,7 @@ def minimise(
     zero: float = ZERO,
     left: float = 0.0,
     after: int | None = None,
+    good: int | None = None,
 ) -> FinalDesigns:
     """Minimise the sum of squares of residuals and limit violations for every design separately.
 
@@ -123,6 +126,9 @@ def minimise(
         Share of the designs of a group that may remain unconverged: all stop once no more than this share remains.
     after : int, optional
         Steps that remain for all designs of a group once one has reached `zero`.
+    good : int, optional
+        Number of designs of a group that matter: one with more than `POOR` times the cost of the last of them ends as soon as its
+        cost falls by less than `HOPELESS` per step, because the steps that are left cannot make it one of them.
     """
     n = x.shape[1]
     variant = np.zeros(len(x), dtype=int) if variant is None else variant
@@ -138,6 +144,7 @@ def minimise(
     state = _State(np.arange(len(x)), variant, group, x, t, r, by_x, by_t, h, by_h, cost, damping, steady).take(np.isfinite(cost))
     members = np.bincount(group)
     last = np.full(len(members), steps)
+    every, poor = np.where(np.isfinite(cost), cost, np.inf), np.full(len(members), np.inf)
     for step in range(steps + 1):
         none_left = state.cost <= zero
         if after is not None and none_left.any():
@@ -153,12 +160,20 @@ def minimise(
             state = state.take(~done)
         if not len(state.index):
             break
+        if good is not None:
+            every[state.index] = state.cost
+            poor = np.array([_poor(every[group == k], good) for k in range(len(members))])
         with np.errstate(all="ignore"):  # a step to an undefined position is rejected
-            _advance(batch, state, weight, fit, slow)
+            _advance(batch, state, weight, fit, np.where(state.cost > poor[state.group], HOPELESS, slow))
     return FinalDesigns(end_x, end_t, end_cost, end_missed, np.ones(len(x), dtype=int))
 
 
-def _advance(batch: Batch, state: _State, weight: Array, fit: Fit | None, slow: float) -> None:
+def _poor(costs: Array, good: int) -> float:
+    """Return the cost beyond which a design of a group is poor."""
+    return POOR * float(np.partition(costs, good - 1)[good - 1]) if len(costs) > good else math.inf
+
+
+def _advance(batch: Batch, state: _State, weight: Array, fit: Fit | None, slow: Array) -> None:
     """Make one step for every design; accept it where it lowers the cost."""
     step, turn = _step(batch, state, weight)
     x = np.clip(state.x + step, batch.low, batch.high)
