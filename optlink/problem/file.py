@@ -86,7 +86,7 @@ class ProblemFile:
         law = getattr(task, "law", getattr(task, "points", None))
         read = [repr(part) for part in (self.model.loads, self.model.drive)] if self._tabled else []  # from CSV files
         read += [repr(deviation.values) for deviation in self.model.deviations if deviation.values]
-        stated = _stated({key: value for key, value in self.raw.items() if key not in WORDS})
+        stated = _without_defaults({key: value for key, value in self.raw.items() if key not in WORDS})
         text = json.dumps([stated, repr(law), *read], sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -122,7 +122,7 @@ class ProblemFile:
 WORDS = ("title", "source", "about", "report", "expected")
 
 
-def _stated(raw: dict[str, Any]) -> dict[str, Any]:
+def _without_defaults(raw: dict[str, Any]) -> dict[str, Any]:
     """Remove limits that equal their defaults."""
     limits = raw.get("limits")
     if not isinstance(limits, dict) or not any(limits.get(key) == value for key, value in MARGINS.items()):

@@ -296,7 +296,7 @@ def deviations(
     """
     pins = {f"{pin}{CLEARANCE}": pin for pin in mechanism.pins}
     found: list[Deviation] = []
-    for name, said in stated.items():
+    for name, entry in stated.items():
         size = "frame" if name == "D.x" and "D.y" in sizes and "D.x" not in sizes else name
         if name in pins:
             size = _stretched(mechanism, name, pins[name])
@@ -306,28 +306,28 @@ def deviations(
             raise Unusable("a tolerance is given twice", "Give each once", name)
         quantity = quantities.get(size)
         kind = "angle" if quantity is not None and quantity.kind == "angle" else "length"
-        found.append(_deviation(said, name, size, kind, CONTACT if name in pins else shape))
+        found.append(_deviation(entry, name, size, kind, CONTACT if name in pins else shape))
         low, _ = found[-1].ends
         if quantity is not None and quantity.kind == "length" and -low > LARGEST * sizes[size]:
-            raise Unusable("more than half of the size itself", "Check its unit", name, said.text)
+            raise Unusable("more than half of the size itself", "Check its unit", name, entry.text)
     return tuple(found)
 
 
-def _deviation(said: ToleranceEntry, name: str, size: str, kind: str, shape: str) -> Deviation:
-    if said.measured:
+def _deviation(entry: ToleranceEntry, name: str, size: str, kind: str, shape: str) -> Deviation:
+    if entry.measured:
         try:
-            (values,) = read_columns({"csv": said.text}, said.folder, {name: "angle" if kind == "angle" else "coordinate"})
+            (values,) = read_columns({"csv": entry.text}, entry.folder, {name: "angle" if kind == "angle" else "coordinate"})
         except Unusable as error:
-            remedy = error.remedy.replace("the problem file", "the working folder") if said.folder == Path() else error.remedy
-            raise Unusable(error.message, remedy, name, said.text if error.value is None else error.value) from None
+            remedy = error.remedy.replace("the problem file", "the working folder") if entry.folder == Path() else error.remedy
+            raise Unusable(error.message, remedy, name, entry.text if error.value is None else error.value) from None
         if len(values) < 2:
-            raise Unusable("one deviation is no distribution", "Give at least two rows", name, said.text)
-        return Deviation(name, size, kind, max(map(abs, values)), MEASURED, tuple(values), said.cost)
-    with below(name, said.text):
-        value, _ = parse(said.text, kind)
+            raise Unusable("one deviation is no distribution", "Give at least two rows", name, entry.text)
+        return Deviation(name, size, kind, max(map(abs, values)), MEASURED, tuple(values), entry.cost)
+    with below(name, entry.text):
+        value, _ = parse(entry.text, kind)
     if not value > 0.0:
-        raise Unusable("a tolerance is above zero: it goes to both sides", EXAMPLE, name, said.text)
-    return Deviation(name, size, kind, value, said.shape or shape, cost=said.cost)
+        raise Unusable("a tolerance is above zero: it goes to both sides", EXAMPLE, name, entry.text)
+    return Deviation(name, size, kind, value, entry.shape or shape, cost=entry.cost)
 
 
 def _stretched(mechanism: Mechanism, name: str, pin: str) -> str:

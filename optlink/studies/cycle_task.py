@@ -59,8 +59,8 @@ class CycleTask(OptimumTask):
         named = [f"limits.{name}" for name in task_of(self.problem).limits.named]
         if not all(limit in named and side in BOUNDS for limit, _, side in limits):
             return None
-        made = CycleProgramme(self.problem.override(self.grid.changes(0)), self.backend)
-        return made if made.possible else None
+        common = CycleProgramme(self.problem.override(self.grid.changes(0)), self.backend)
+        return common if common.possible else None
 
     def lines(self, index: int) -> list[list[str]]:
         """Return the rows of a chunk."""
@@ -70,7 +70,7 @@ class CycleTask(OptimumTask):
             task = self.problem.override(self.grid.changes(point))
             near = done.get(point - 1 if point % self.grid.row else point - self.grid.row)
             begin = [near.design] if near is not None else [dict(sizes) for sizes in self.anchors]
-            found = min((self.begun(point, task, sizes) for sizes in begin), key=_rank, default=None)
+            found = min((self.searched_from(point, task, sizes) for sizes in begin), key=_rank, default=None)
             how = FOLLOWED
             if found is None or not found.valid:
                 found, how = self.searched(task), SEARCHED
@@ -79,7 +79,7 @@ class CycleTask(OptimumTask):
             rows.append(self._row(point, found, how))
         return rows
 
-    def begun(self, point: int, task: ProblemFile, sizes: Mapping[str, float]) -> CycleResult:
+    def searched_from(self, point: int, task: ProblemFile, sizes: Mapping[str, float]) -> CycleResult:
         """Return the machine of a point, searched from given dimensions.
 
         Parameters
@@ -165,10 +165,10 @@ class CycleProgramme:
         task = self.trace.problem
         start = {name: task.quantities[name].value for name in task.free}
         # solved many times: derivatives of the whole cycle take longer to build and half as long to evaluate
-        made = replace(build_cycle(self.trace, self.structure, start), mapped=None)
-        multistart.prepare(made, self.backend)
-        made.lifted(made.x_start)
-        return made
+        programme = replace(build_cycle(self.trace, self.structure, start), mapped=None)
+        multistart.prepare(programme, self.backend)
+        programme.lifted(programme.x_start)
+        return programme
 
     def design(self, problem: ProblemFile, bounds: Mapping[str, float], near: Mapping[str, float]) -> CycleResult | None:
         """Return the machine of a problem with other bounds; None if another order of its events may allow a better one.
@@ -242,11 +242,11 @@ def with_bounds(nlp: CycleNLP, bounds: Mapping[str, float]) -> CycleNLP:
 
 def _rebound(nlp: N, rows: tuple[ConstraintRow, ...], p: Array, **changes: Any) -> N:
     """Return a programme with other bounds and parameters, and all compiled parts."""
-    made = replace(nlp, rows=rows, p=p, **changes)
+    changed = replace(nlp, rows=rows, p=p, **changes)
     for name in COMPILED:
         if name in vars(nlp):
-            vars(made)[name] = vars(nlp)[name]
-    return made
+            vars(changed)[name] = vars(nlp)[name]
+    return changed
 
 
 def with_starting_values(problem: ProblemFile, values: Mapping[str, float]) -> ProblemFile:
@@ -261,16 +261,16 @@ def with_starting_values(problem: ProblemFile, values: Mapping[str, float]) -> P
     for name, value in values.items():
         low, high = problem.model.quantities[name].bounds
         sizes[name] = min(max(value, low), high)
-    begun = _begun(problem.raw["mechanism"], fixed_design(problem, sizes).raw["mechanism"])
-    return read({**problem.raw, "mechanism": begun}, problem.name, problem.file, problem.folder)
+    mechanism = _with_starts(problem.raw["mechanism"], fixed_design(problem, sizes).raw["mechanism"])
+    return read({**problem.raw, "mechanism": mechanism}, problem.name, problem.file, problem.folder)
 
 
-def _begun(free: Any, fixed: Any) -> Any:
+def _with_starts(free: Any, fixed: Any) -> Any:
     """Return a part of the file with fixed values as the starting values of design variables."""
     if isinstance(free, Mapping) and "bounds" in free:
         return {**free, "start": fixed}
     if isinstance(free, Mapping):
-        return {key: _begun(value, fixed[key]) for key, value in free.items()}
+        return {key: _with_starts(value, fixed[key]) for key, value in free.items()}
     if isinstance(free, list):
-        return [_begun(value, other) for value, other in zip(free, fixed, strict=True)]
+        return [_with_starts(value, other) for value, other in zip(free, fixed, strict=True)]
     return free

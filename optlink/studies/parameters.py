@@ -198,7 +198,7 @@ def parameters(nlp: NLP) -> list[Parameter]:
     Rows that share a limit and a label are one limit, with one bound; so are those of one value for several joints.
     """
     found = [
-        Parameter(key_of(c.name), c.name, _told(float(nlp.p[1 + i]), c.scale), c.scale.unit, c.scale, constant=i)
+        Parameter(key_of(c.name), c.name, _displayed(float(nlp.p[1 + i]), c.scale), c.scale.unit, c.scale, constant=i)
         for i, c in enumerate(nlp.constants)
     ]
     n = len(nlp.variables)
@@ -221,11 +221,13 @@ def parameters(nlp: NLP) -> list[Parameter]:
             stated = entry < n or (key.startswith("limits.") and key not in ("limits.crank", *MARGIN_KEYS))
             bounds = f"{name}, {'largest' if side == 'max' else 'smallest'} allowed" if entry < n else name
             whole = f"{key}.{side}" if side and stated else key
-            limits[mark] = Parameter(whole, bounds, _told(bound, scale), scale.unit, scale, -1, (entry,), upper, not side, stated)
+            limits[mark] = Parameter(
+                whole, bounds, _displayed(bound, scale), scale.unit, scale, -1, (entry,), upper, not side, stated
+            )
     return found + list(limits.values())
 
 
-def _told(own: float, scale: Scale) -> float:
+def _displayed(own: float, scale: Scale) -> float:
     """Return a number of the programme in display units, without rounding errors of scaling."""
     value, size = scale.to_display(own), abs(scale.to_display(1.0) - scale.to_display(0.0))
     return 0.0 if abs(value) <= ROUNDING * size else float(f"{value:.14g}")

@@ -251,12 +251,12 @@ def of_solution(
         rows.append(Sensitivity(parameter, objective, design, below, above))
     rows.sort(key=lambda row: -abs(row.effect))
     if check:
-        asked = [row for row in rows if row.moves]
-        for done, row in enumerate(asked):
+        moving = [row for row in rows if row.moves]
+        for done, row in enumerate(moving):
             found = _searched_again(known, solution, row, backend, loose=system.singular)
             rows[rows.index(row)] = replace(row, check=found)
             if progress is not None:
-                progress((done + 1) / len(asked))
+                progress((done + 1) / len(moving))
         missing = [row.parameter.name for row in rows if row.moves and row.check is None]
         if missing:
             notes.append(f"no optimum to compare with beside this one: {', '.join(missing)}")

@@ -331,14 +331,14 @@ def measure_changes(asked: Sequence[BalanceMeasure], given: Sequence[Array], now
     return tuple(MeasureChange(one, one.value(old), one.value(new)) for pair, old, new in every for one in pair)
 
 
-def _disagreement(task: _Task, asked: Sequence[BalanceMeasure], now: Sequence[Array], parameters: Array) -> float:
+def _disagreement(task: _Task, measured: Sequence[BalanceMeasure], amounts: Sequence[Array], parameters: Array) -> float:
     """Return the largest difference of the affine functions from the inverse dynamics, relative to the largest contribution."""
     worst = 0.0
-    for quantity, amount in zip(asked, now, strict=True):
+    for quantity, amount in zip(measured, amounts, strict=True):
         affine = task.affine(quantity)
-        said = affine.at(parameters)
+        predicted = affine.at(parameters)
         size = max(float(np.max(np.abs(affine.offset))), float(np.max(np.abs(affine.matrix * parameters), initial=0.0)), 1e-300)
-        worst = max(worst, float(np.max(np.abs(said - amount))) / size)
+        worst = max(worst, float(np.max(np.abs(predicted - amount))) / size)
     return worst
 
 

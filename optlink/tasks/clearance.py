@@ -227,7 +227,7 @@ def simulate_clearance(
             checkpoint(state.model_dump())
 
     kept_at, saved = time.monotonic(), save()
-    ending, message, notes = Ending.FINISHED, f"{revolutions} revolutions were simulated", list(_told(setting, plant))
+    ending, message, notes = Ending.FINISHED, f"{revolutions} revolutions were simulated", list(_sample_time_note(setting, plant))
     try:
         with _interruptible(plants):
             for k in range(account.count, revolutions):
@@ -346,16 +346,16 @@ def _interruptible(plants: Sequence[ClosedLoop]) -> Iterator[None]:
             plant.integration.stop = interrupts.interrupted
         yield
         return
-    asked = False
+    requested = False
 
     def ask(*_: object) -> None:
-        nonlocal asked
-        if asked:
+        nonlocal requested
+        if requested:
             raise KeyboardInterrupt
-        asked = True
+        requested = True
 
     for plant in plants:
-        plant.integration.stop = lambda: asked
+        plant.integration.stop = lambda: requested
     signal.signal(signal.SIGINT, ask)
     try:
         yield
@@ -441,7 +441,7 @@ def _state(plant: ClosedLoop) -> str:
     return "; ".join(f"{c.name} {q:.6g} {units[c.kind]}, {v:.6g} {units[c.kind]}/s" for c, q, v in pairs)
 
 
-def _told(setting: _Setting, plant: ClosedLoop) -> list[str]:
+def _sample_time_note(setting: _Setting, plant: ClosedLoop) -> list[str]:
     section = setting.file.model.control
     if plant.controller and section is not None and abs(plant.sample_time / section.sample_time.value - 1.0) > 1e-9:
         return [f"The sample time is {plant.sample_time * 1e3:.6g} ms, so that it fits the revolution and its rows"]

@@ -134,13 +134,15 @@ def _elements(data: bytes, name: str) -> tuple[_Element, list[_Element], str]:
 
 def _chosen(shapes: Sequence[_Element], raw: Mapping[str, Any], name: str) -> _Element:
     """Return the shape with the id `path`, or the path of that number (another shape if there are no paths)."""
-    asked = raw.get("path", 1)
-    if isinstance(asked, bool) or not isinstance(asked, int | str):
-        raise Unusable("expected an id or a number", 'Write path = "curve", or path = 1', "path", asked)
-    if isinstance(asked, str) and asked:
-        named = [shape for shape in shapes if shape.id == asked]
+    requested = raw.get("path", 1)
+    if isinstance(requested, bool) or not isinstance(requested, int | str):
+        raise Unusable("expected an id or a number", 'Write path = "curve", or path = 1', "path", requested)
+    if isinstance(requested, str) and requested:
+        named = [shape for shape in shapes if shape.id == requested]
         if len(named) > 1:
-            raise Unusable(f"{name} has {len(named)} shapes of that id", "Give each its own, or name it by number", "path", asked)
+            raise Unusable(
+                f"{name} has {len(named)} shapes of that id", "Give each its own, or name it by number", "path", requested
+            )
         if named:
             return named[0]
     drawn = [shape for shape in shapes if shape.drawn]
@@ -151,9 +153,9 @@ def _chosen(shapes: Sequence[_Element], raw: Mapping[str, Any], name: str) -> _E
     remedy = f"It has, by number: {listing}{', ...' if len(numbered) > 8 else ''}"
     if "path" not in raw and len(numbered) != 1:
         raise Unusable(f"{name} has {len(numbered)} paths; name one of them", remedy, "path")
-    number = asked if isinstance(asked, int) else int(asked) if re.fullmatch("[0-9]{1,7}", asked) else 0
+    number = requested if isinstance(requested, int) else int(requested) if re.fullmatch("[0-9]{1,7}", requested) else 0
     if not 1 <= number <= len(numbered):
-        raise Unusable(f"{name} has no such path", remedy, "path", shortened(asked))
+        raise Unusable(f"{name} has no such path", remedy, "path", shortened(requested))
     return numbered[number - 1]
 
 

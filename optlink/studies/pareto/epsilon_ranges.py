@@ -165,12 +165,12 @@ class EpsilonRanges(ABC):
     @contextlib.contextmanager
     def _blamed(self, aim: ParetoObjective) -> Iterator[None]:
         """Attribute errors to the objective."""
-        said = f"{aim.text}={aim.span}" if aim.span else aim.text
+        text = f"{aim.text}={aim.span}" if aim.span else aim.text
         try:
             yield
         except InputError as error:
             fault = error.faults[0]
-            raise InputError(fault.message, fault.remedy, self.problem.file, OPTION, said) from None
+            raise InputError(fault.message, fault.remedy, self.problem.file, OPTION, text) from None
 
     def _no_end(self, aim: ParetoObjective, why: str) -> NoExtreme:
         remedy = f'Say where to walk: "{aim.text}=LOW..HIGH{" " + aim.unit if aim.unit else ""}"'
@@ -350,9 +350,9 @@ def _axis(aim: ParetoObjective, tight: float, loose: float, count: int) -> Axis:
     return Axis(aim.key, aim.unit, tuple(float(f"{value:.12g}") for value in np.linspace(loose, tight, count)))
 
 
-def _requested(aim: ParetoObjective, count: int, made: Callable[[Raw], ProblemFile]) -> Axis:
-    """Return the requested range from its loose end; `made` gives the problem with a value of the limit."""
+def _requested(aim: ParetoObjective, count: int, problem_with: Callable[[Raw], ProblemFile]) -> Axis:
+    """Return the requested range from its loose end; `problem_with` gives the problem with a value of the limit."""
     axis = range_values(aim, count)
     for at in (0, len(axis.values) - 1):
-        made(axis.raw(at))
+        problem_with(axis.raw(at))
     return replace(axis, values=tuple(sorted(axis.values, reverse=aim.sense > 0)))

@@ -66,9 +66,9 @@ def read_deviations(problem: ProblemFile, nominal: Nominal, texts: Sequence[str]
     InputError
         If there are no tolerances, or one is invalid.
     """
-    said = read_tolerances(problem, texts, shape)
+    entries = read_tolerances(problem, texts, shape)
     try:
-        return deviations(said, nominal.mechanism, problem.model.mechanism.quantities, nominal.sizes, shape)
+        return deviations(entries, nominal.mechanism, problem.model.mechanism.quantities, nominal.sizes, shape)
     except Unusable as error:
         key = f"{OPTION} {error.key}" if texts else f"tolerances.{error.key}"
         raise InputError(error.message, error.remedy, problem.file, key, error.value) from None

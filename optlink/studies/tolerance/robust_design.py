@@ -169,15 +169,15 @@ class RobustSearch:
 
     def __init__(self, problem: ProblemFile, tolerances: Sequence[str], shape: str) -> None:
         check_law(problem)
-        said = {name: each.raw for name, each in read_tolerances(problem, tolerances, shape).items()}
+        entries = {name: each.raw for name, each in read_tolerances(problem, tolerances, shape).items()}
         first = completed(solve(problem.override({"requirement.robust": None})))
         if not first.valid:
             raise InputError(Fault("no design was proven, so there is none to begin with", "See `optlink solve`", problem.file))
         self.nominal = first.design
         try:
-            self.problem = first.problem.override({"requirement.measure": "max", "tolerances": said})
+            self.problem = first.problem.override({"requirement.measure": "max", "tolerances": entries})
         except InputError as error:
-            faults = [_told(fault, tolerances) for fault in error.faults]
+            faults = [_with_option(fault, tolerances) for fault in error.faults]
             raise InputError(faults) from None
 
     def least(self, sigmas: float | None, start: Mapping[str, float] | None = None) -> RobustDesign:
@@ -195,7 +195,7 @@ class RobustSearch:
         return RobustDesign(found, dict(self.nominal), sigmas, validate(problem, self.nominal).objective)
 
 
-def _told(fault: Fault, tolerances: Sequence[str]) -> Fault:
+def _with_option(fault: Fault, tolerances: Sequence[str]) -> Fault:
     """Return an error of a tolerance with the key under which it was stated."""
     if not tolerances:
         return fault

@@ -345,9 +345,9 @@ class Balance(Recorded):
         found = {"crank_angle_deg": np.degrees(self.angles)}
         machines = {"before": self.machine} | ({"after": self.heavier} if self.heavier is not None else {})
         for when, machine in machines.items():
-            asked = quantities(machine)
+            measures = quantities(machine)
             for quantity, values in zip(
-                asked, quantities_of(machine.moving(self.angles, self.speed), asked, self.about), strict=True
+                measures, quantities_of(machine.moving(self.angles, self.speed), measures, self.about), strict=True
             ):
                 unit = quantity.unit.replace(" ", "")
                 for axis, part in zip(("",) if values.shape[1] == 1 else ("_x", "_y"), values.T, strict=True):

@@ -128,10 +128,10 @@ class CycleResult(SingleResult):
 
     def _analysed(self, values: Mapping[str, float]) -> Analysis | None:
         try:
-            made = analyze(fixed_design(self.problem, values))
+            analysis = analyze(fixed_design(self.problem, values))
         except InputError:
             return None
-        return made if made.full else None
+        return analysis if analysis.full else None
 
     @cached_property
     def built(self) -> Machine | None:
@@ -176,20 +176,22 @@ class CycleResult(SingleResult):
     @cached_property
     def figures(self) -> tuple[CycleFigure, ...]:
         """Terms of the objective, then the limits, of the initial machine and of the result."""
-        given, found = (analysis_of(self.task, values) for values in ({}, self.design))
-        told = []
+        start, end = (analysis_of(self.task, values) for values in ({}, self.design))
+        rows = []
         for k, goal in enumerate(self.task.goals):
             name = "objective" if self.task.single else f"objective {k + 1}"
-            told.append(self._told(name, goal, given, found, f"{goal.sense}d"))
+            rows.append(self._figure(name, goal, start, end, f"{goal.sense}d"))
         for item in self.task.bounds:
-            told.append(self._told(item.name, item.term, given, found, str(item.interval), item.interval.unit))
-        return tuple(told)
+            rows.append(self._figure(item.name, item.term, start, end, str(item.interval), item.interval.unit))
+        return tuple(rows)
 
-    def _told(self, name: str, term: Term, given: Cycle | None, found: Cycle | None, limit: str, unit: str = "") -> CycleFigure:
+    def _figure(
+        self, name: str, term: Term, initial: Cycle | None, final: Cycle | None, limit: str, unit: str = ""
+    ) -> CycleFigure:
         kind = self.task.kind(term)
         unit = unit or (KINDS[kind].display if kind else "")
         size = 1.0 / factor(unit, kind) if kind else 1.0
-        values = [math.nan if cycle is None else cycle.figure(term) * size for cycle in (given, found)]
+        values = [math.nan if cycle is None else cycle.figure(term) * size for cycle in (initial, final)]
         return CycleFigure(name, term.words, values[0], values[1], limit, unit)
 
     def displayed(self, design: Mapping[str, float]) -> dict[str, float]:

@@ -310,10 +310,10 @@ def _rotating(task: PathProblem, values: Mapping[str, float]) -> Iterator[PoorFi
     angle = np.asarray(sweep(task.linkage, values, np.linspace(0.0, TURN, ALONG)).body_angle(task.body).value, dtype=float)
     if not np.all(np.isfinite(angle)):
         return
-    turned, asked = float(np.ptp(np.unwrap(angle))), _rotation(task)
-    if asked > turned:
+    turned, needed = float(np.ptp(np.unwrap(angle))), _rotation(task)
+    if needed > turned:
         kind = _four_bar(task, values) or "linkage"
-        reason = f"the poses turn through {_degrees(asked)}, the {task.body} of this {kind} through {_degrees(turned)} at most"
+        reason = f"the poses turn through {_degrees(needed)}, the {task.body} of this {kind} through {_degrees(turned)} at most"
         other = 'allow double-cranks, whose coupler turns fully (limits.crank = "double-crank"), or ' * (kind == "crank-rocker")
         yield PoorFitReason(reason, f'{other}drive it over a part of a turn (limits.crank = "span")')
 
