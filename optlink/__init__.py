@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from optlink.linkage.motion import sweep
     from optlink.problem.file import ProblemFile, load, read, shipped
     from optlink.problem.templates import new
-    from optlink.report.html.explore import Explorer
+    from optlink.report.html.notebook import Explorer
     from optlink.studio import explore
     from optlink.tasks.analyze import analyze
     from optlink.tasks.balance import balance
@@ -59,7 +59,7 @@ _HOME = {
     "ProblemFile": "optlink.problem.file",
     "load": "optlink.problem.file",
     "new": "optlink.problem.templates",
-    "Explorer": "optlink.report.html.explore",
+    "Explorer": "optlink.report.html.notebook",
     "explore": "optlink.studio",
     "read": "optlink.problem.file",
     "shipped": "optlink.problem.file",

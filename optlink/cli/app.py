@@ -18,7 +18,7 @@ from typing import Annotated, TextIO
 
 import typer
 
-from optlink.cli import analyze, new, report, show, simulate, solve, studio, study
+from optlink.cli import report, show, simulate, solve, studio, study
 from optlink.cli.command import App
 from optlink.cli.options import OVERVIEW
 from optlink.execution import interrupts
@@ -39,7 +39,7 @@ app = App(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (show, new, solve, analyze, simulate, report, study, studio):
+for command in (show, solve, simulate, report, study, studio):
     command.register(app)
 
 

@@ -1,4 +1,4 @@
-"""The commands `solve` and `validate`: parse, call one library function, print, exit code."""
+"""The commands `solve`, `validate`, `analyze` and `balance`: parse, call one library function, print, exit code."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import typer
 
 from optlink.cli import console
 from optlink.cli.options import (
+    Csv,
     Design,
     Engine,
     Format,
@@ -23,6 +24,7 @@ from optlink.cli.options import (
     Searcher,
     Seed,
     Set,
+    Speed,
     Starts,
     flag,
     number,
@@ -39,7 +41,6 @@ if TYPE_CHECKING:
     from optlink.tasks.results.path import PathResult
     from optlink.validation.check import Check
 
-
 CERTIFY = (
     "Prove that no better design exists within the bounds, or find it. Default: motion laws of at most two design variables."
 )
@@ -51,6 +52,8 @@ def register(app: typer.Typer) -> None:
     """Register the commands."""
     app.command()(solve)
     app.command()(validate)
+    app.command()(analyze)
+    app.command()(balance)
 
 
 def solve(
@@ -202,3 +205,58 @@ def _show(result: FunctionResult | PathResult | CycleResult | Balance, as_json: 
         raise typer.Exit(3)
     if not result.valid:
         raise typer.Exit(1)
+
+
+def analyze(
+    problem: Problem,
+    points: Annotated[int, number("Steps of the table per revolution.")] = 360,
+    step: Annotated[str | None, option("ANGLE", 'Step of the table, instead of --points: --step "5 deg".')] = None,
+    speed: Speed = None,
+    changes: Set = None,
+    design: Design = None,
+    csv: Csv = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    picture: Format = "png",
+    out: Out = None,
+) -> None:
+    """Analyse a machine: motion, joint reactions, driving torque and work over the cycle."""
+    from optlink.tasks.analyze import analyze as run
+
+    file = console.load(problem, changes)
+    given = console.read_design_option(file, design)
+    console.places(out, "analyze", problem, csv)
+    turn, rate = console.quantity(step, "angle", "--step"), console.quantity(speed, "angular velocity", "--speed")
+    result = run(file, points, turn, rate, given)
+    console.deliver(result, "analysis", as_json, out, csv)
+    if not result.sound:
+        raise typer.Exit(1)
+
+
+MINIMISED = 'Measure to minimise, instead of that of the problem: "rms force", "largest reaction at D".'
+
+
+def balance(
+    problem: Problem,
+    minimise: Annotated[str | None, option("MEASURE", MINIMISED)] = None,
+    trade: Annotated[str | None, option("A,B", "Compute the trade-off between two measures: --trade force,torque.")] = None,
+    points: Annotated[int, number("Points of the trade-off.")] = 25,
+    changes: Set = None,
+    design: Design = None,
+    csv: Csv = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    picture: Format = "png",
+    out: Out = None,
+) -> None:
+    """Optimise counterweights and springs: least shaking force, torque or reactions, with proof and shadow prices."""
+    from optlink.tasks.balance import balance as run
+
+    file = console.load(problem, changes)
+    given = console.read_design_option(file, design)
+    console.places(out, "balance", problem, csv)
+    with console.share("balancing") as progress:
+        result = run(file, minimise, trade, points, progress, given)
+    console.deliver(result, "balance", as_json, out, csv)
+    if not result.valid:
+        raise typer.Exit(3 if result.status == "stalled" else 1)

@@ -11,6 +11,8 @@ from matplotlib.lines import Line2D
 from PIL import Image
 
 from optlink.linkage.motion import Motion
+from optlink.report.chart_mpl import into
+from optlink.report.chart_spec import ChartSpec
 from optlink.report.drawing import Sketch
 from optlink.report.shapes import Array
 from optlink.report.style import CRANK, figure, heading, one_palette, styled
@@ -22,7 +24,7 @@ WIDE = 0.42  # ratio of height to width below which the curve is drawn below the
 def film(
     sketch: Sketch,
     steps: Motion,
-    curve: Callable[[Axes], object],
+    curve: ChartSpec | Callable[[Axes], object],
     marks: Array,
     title: str,
     *,
@@ -35,8 +37,8 @@ def film(
     sketch : Sketch
     steps : Motion
         The positions, one frame each.
-    curve : callable
-        Draws the curve and its labels into axes.
+    curve : ChartSpec or callable
+        The curve, or a function that draws it and its labels into axes.
     marks : array (frames, 2)
         Position of the marker in the axes of the curve; NaN for no marker.
     title : str
@@ -60,7 +62,7 @@ def film(
     sketch.stage(stage)
     if more:
         more(stage)
-    curve(strip)
+    into(strip, curve) if isinstance(curve, ChartSpec) else curve(strip)
     mark = Line2D([], [], linestyle="none", marker="o", markersize=7, color=CRANK, zorder=8, animated=True)
     strip.add_artist(mark)
     drawn.suptitle(heading(title, drawn.get_figwidth(), 10.0), fontsize=10)

@@ -16,22 +16,26 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFormatter
 
-from optlink.report.chart_spec import INK, Axis, Band, Bars, Boxes, ChartSpec, Curve, HeatMap, Line, Mark, Panel, Trace, cells
+from optlink.report.chart_spec import (
+    INK,
+    SYMBOLS,
+    Axis,
+    Band,
+    Bars,
+    Boxes,
+    ChartSpec,
+    Curve,
+    HeatMap,
+    Line,
+    Mark,
+    Panel,
+    Trace,
+    cells,
+)
 from optlink.report.labels import Label, place_labels
 from optlink.report.style import HALO, LIMIT, QUIET, figure, heading, styled
 
 DASHES: dict[str, Any] = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}
-MARKERS = {
-    "circle": "o",
-    "open circle": "o",
-    "square": "s",
-    "cross": "x",
-    "plus": "+",
-    "star": "*",
-    "diamond": "D",
-    "triangle": "^",
-    "dash": "_",
-}
 EMPTY = "#e4e4e4"  # colour of the cells of a heat map without a value
 TITLE, FONT = 10.5, 8.5
 FLAT, TALL = 0.45, 1.1  # ratios of height to width that a chart with equal scales may have in a picture
@@ -226,7 +230,7 @@ def _curve(axes: Axes, trace: Curve) -> None:
         axes.figure.colorbar(shaded, ax=axes, label=trace.shade_name, pad=0.02)
         style |= {"color": "none", "label": None}  # unseen, so that labels keep clear of the points
     line = DASHES[trace.dash] if "lines" in trace.mode else "none"
-    marker = MARKERS[trace.symbol] if "markers" in trace.mode else ""
+    marker = SYMBOLS[trace.symbol][0] if "markers" in trace.mode else ""
     edge = 0.0 if trace.symbol == "circle" else 1.2
     open_: dict[str, Any] = {"markerfacecolor": "none"} if trace.symbol == "open circle" else {}
     axes.plot(
@@ -274,7 +278,7 @@ def _cut(axes: Axes, trace: Bars) -> None:
 def _mark(axes: Axes, mark: Mark, *, inside: bool) -> None:
     """Draw a marked point, whole at the edge of the axes unless it may be `inside` only."""
     drawn = axes.plot([mark.x], [mark.y], linestyle="none", color=mark.colour, markersize=mark.size, clip_on=inside, zorder=5)[0]
-    look: Any = (3, 0, mark.angle) if mark.symbol == "triangle" else MARKERS[mark.symbol]
+    look: Any = (3, 0, mark.angle) if mark.symbol == "triangle" else SYMBOLS[mark.symbol][0]
     drawn.set_marker(look)
     drawn.set_markerfacecolor("none" if mark.symbol == "open circle" else mark.colour)
     drawn.set_markeredgewidth(0.0 if mark.symbol == "circle" else 1.0)

@@ -30,6 +30,18 @@ from optlink.report.shapes import Array as Array
 
 Dash = Literal["solid", "dash", "dot", "dashdot"]
 Symbol = Literal["circle", "open circle", "square", "cross", "plus", "star", "diamond", "triangle", "dash"]
+SYMBOLS: dict[Symbol, tuple[str, str]] = {
+    "circle": ("o", "circle"),
+    "open circle": ("o", "circle-open"),
+    "square": ("s", "square"),
+    "cross": ("x", "x"),
+    "plus": ("+", "cross-thin-open"),
+    "star": ("*", "star"),
+    "diamond": ("D", "diamond"),
+    "triangle": ("^", "triangle-up"),
+    "dash": ("_", "line-ew-open"),
+}
+"""Names of the symbols in matplotlib and in plotly."""
 CRANK_ANGLE = "crank angle φ [deg]"
 TIME = "time [s]"
 INK = "#111111"

@@ -29,6 +29,8 @@ from optlink.report.style import BODIES, CRANK, GROUND, QUIET, Scale, figure, sc
 
 FAR = 8.0  # positions beyond this multiple of the median distance from the crank pivot do not set the scale
 SHARE = 0.035  # height of a ground pivot
+FACES = {"plate": (0.22, 2.2, 2.8, "round"), "slot": (0.13, 1.1, 2.6, "miter"), "block": (None, 1.5, 3.2, "round")}
+"""Opacity (None: a tint without), line width, order and corners of the parts of bodies."""
 
 
 class Sketch:
@@ -298,21 +300,14 @@ class Sketch:
                 xy = self.placed(motion, body, part.outline)[k]
                 if not np.all(np.isfinite(xy)):
                     continue
-                drawn: Line2D | Polygon
                 if part.kind == "bar":
-                    drawn = Line2D(xy[:, 0], xy[:, 1], color=color, linewidth=3.8 if first else 3.0, solid_capstyle="round")
-                    drawn.set_zorder(3.4 if first else 3.0)
-                elif part.kind == "plate":
-                    drawn = Polygon(xy, closed=True, facecolor=(*to_rgb(color), 0.22), edgecolor=color, linewidth=2.2)
-                    drawn.set(joinstyle="round", zorder=2.8)
-                elif part.kind == "slot":
-                    drawn = Polygon(xy, closed=True, facecolor=(*to_rgb(color), 0.13), edgecolor=color, linewidth=1.1)
-                    drawn.set_zorder(2.6)
-                else:
-                    drawn = Polygon(xy, closed=True, facecolor=tint, edgecolor=color, linewidth=1.5)
-                    drawn.set(joinstyle="round", zorder=3.2)
-                drawn.set_gid(body)
-                found.append(drawn)
+                    width, above = (3.8, 3.4) if first else (3.0, 3.0)
+                    found.append(Line2D(*xy.T, color=color, linewidth=width, solid_capstyle="round", zorder=above, gid=body))
+                    continue
+                opacity, width, above, joint = FACES[part.kind]
+                face = tint if opacity is None else (*to_rgb(color), opacity)
+                look: dict[str, Any] = {"facecolor": face, "edgecolor": color, "linewidth": width, "joinstyle": joint}
+                found.append(Polygon(xy, closed=True, zorder=above, gid=body, **look))
         found += self._springs(motion, k)
         found += self._markers(motion, k)
         for artist in found:

@@ -7,7 +7,7 @@ import csv
 import itertools
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from optlink.problem.file import ProblemFile, dump
 from optlink.problem.fixed_design import with_files_beside
 from optlink.problem.quantity import input_of
 
-__all__ = ["Stream", "checkpoint", "folder", "stream", "whole", "write_csv", "write_design", "write_json"]
+__all__ = ["checkpoint", "folder", "stream", "whole", "write_csv", "write_design", "write_json"]
 
 
 def write_design(directory: Path, machine: ProblemFile, comment: str) -> list[Path]:
@@ -84,23 +84,11 @@ def _cell(value: float | str) -> str:
     return repr(float(value)) if math.isfinite(value) else ""
 
 
-class Stream:
-    """CSV file that is written in portions and replaces the target once it is complete."""
-
-    def __init__(self, file: Any, *, begun: bool = False) -> None:
-        self._writer, self._begun = csv.writer(file, lineterminator="\n"), begun
-
-    def __call__(self, columns: Mapping[str, Iterable[float]]) -> None:
-        """Append rows; the first call also writes the header."""
-        if not self._begun:
-            self._writer.writerow(columns)
-            self._begun = True
-        _write_rows(self._writer, columns)
-
-
 @contextlib.contextmanager
-def stream(path: Path, keep: int = 0) -> Iterator[Stream]:
-    """Open a CSV file for writing in portions, starting with rows of the existing file.
+def stream(path: Path, keep: int = 0) -> Iterator[Callable[[Mapping[str, Iterable[float]]], None]]:
+    """Open a CSV file that is written in portions and replaces the target once it is complete.
+
+    It starts with rows of the existing file. The function appends rows; its first call also writes the header.
 
     Parameters
     ----------
@@ -109,7 +97,16 @@ def stream(path: Path, keep: int = 0) -> Iterator[Stream]:
         Number of rows to keep, if the existing file has them.
     """
     with whole(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        yield Stream(file, begun=bool(keep) and _copied(path, file, keep))
+        writer, begun = csv.writer(file, lineterminator="\n"), bool(keep) and _copied(path, file, keep)
+
+        def append(columns: Mapping[str, Iterable[float]]) -> None:
+            nonlocal begun
+            if not begun:
+                writer.writerow(columns)
+            begun = True
+            _write_rows(writer, columns)
+
+        yield append
 
 
 def _copied(path: Path, file: Any, rows: int) -> bool:

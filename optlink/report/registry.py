@@ -54,18 +54,14 @@ def table_of(kind: str) -> Callable[[Any], Summary]:
             from optlink.report.views import clearance_tables as simulated
 
             tables = {"clearance": simulated.simulation, "control comparison": simulated.comparison, "tuning": simulated.tuning}
-        case "sensitivity" | "sweep":
+        case "sensitivity" | "sweep" | "pareto":
             from optlink.report.views import study_tables as studied
 
-            tables = {"sensitivity": studied.sensitivities, "sweep": studied.sweep}
+            tables = {"sensitivity": studied.sensitivities, "sweep": studied.sweep, "pareto": studied.pareto_front}
         case "tolerance":
             from optlink.report.views.tolerance_tables import tolerances as tolerance_table
 
             return tolerance_table
-        case "pareto":
-            from optlink.report.views.pareto_tables import pareto_front as pareto_table
-
-            return pareto_table
     return tables[kind]
 
 

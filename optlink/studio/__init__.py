@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from optlink.problem.file import ProblemFile
-    from optlink.report.html.explore import Explorer
+    from optlink.report.html.notebook import Explorer
     from optlink.studio.widget import Canvas
 
 
@@ -26,7 +26,7 @@ def explore(
         Initial design of the sliders.
     sliders : bool
         Show a slider for every dimension and limit instead of the canvas; a slider of a design variable validates the design
-        that it makes (see `optlink.report.html.explore.Explorer`). A given `design` implies it.
+        that it makes (see `optlink.report.html.notebook.Explorer`). A given `design` implies it.
 
     Returns
     -------
@@ -42,7 +42,7 @@ def explore(
     from optlink.problem.file import ProblemFile, dump
 
     if sliders or design is not None:
-        from optlink.report.html.explore import explore as with_sliders
+        from optlink.report.html.notebook import explore as with_sliders
 
         return with_sliders(problem, design)
     try:

@@ -11,7 +11,7 @@ import pytest
 
 import optlink
 from optlink.errors import InputError
-from optlink.report.html import explore as module
+from optlink.report.html import notebook as module
 
 pytest.importorskip("ipywidgets")
 LIMIT = "limits.transmission_angle.max"

@@ -6,7 +6,7 @@ import inspect
 
 import pytest
 
-from optlink.cli import analyze, simulate, solve, study
+from optlink.cli import simulate, solve, study
 from optlink.report.style import figure, save
 from tests.cli.test_cli import run
 
@@ -44,7 +44,7 @@ def test_a_command_writes_pictures_in_the_format_of_the_option(tmp_path):
 def test_every_command_with_pictures_has_the_option():
     commands = [
         one
-        for module in (analyze, simulate, solve, study)
+        for module in (simulate, solve, study)
         for name, one in vars(module).items()
         if inspect.isfunction(one) and not name.startswith("_") and "as_json" in inspect.signature(one).parameters
     ]

@@ -162,10 +162,8 @@ def _swings(cycle: Analysis, drawn: Scene) -> Iterator[tuple[str, float, float, 
         if pivot is None or other is None:
             continue
         arm = (drawn.points[other][0] - drawn.points[pivot][0]) * FLIP
-        here, angle = (
-            math.atan2(arm[1], arm[0]),
-            -math.radians(float(next(b for b in drawn.bodies if b.name == body).poses[0, 2])),
-        )
+        here = math.atan2(arm[1], arm[0])
+        angle = -math.radians(float(next(b for b in drawn.bodies if b.name == body).poses[0, 2]))
         if body == mechanism.crank.body:
             known = np.radians(cycle["crank_angle_deg"])
             low, high = (0.0, TURN) if cycle.full else (float(np.min(known)), float(np.max(known)))
@@ -236,16 +234,14 @@ class _Sheet:
         along /= span
         normal = np.array([along[1], -along[0]])
         half = 0.5 * LETTER * self.font * len(one.text)
-        best: tuple[float, Array, Array] | None = None
-        for away, side in itertools.product(OFFSETS, (1.0, -1.0)):
-            shift = side * away * self.size * normal
+
+        def placed(way: tuple[float, float]) -> tuple[float, Array, Array]:
+            shift = way[1] * way[0] * self.size * normal
             middle = 0.5 * (p + q) + shift
             covered = self._sampled(middle - half * along, middle + half * along, 9)
-            cost = self._cost(covered) + 0.15 * self._cost(self._sampled(p + shift, q + shift)) + 0.3 * away
-            if best is None or cost < best[0]:
-                best = cost, shift, covered
-        assert best is not None
-        _, shift, covered = best
+            return self._cost(covered) + 0.15 * self._cost(self._sampled(p + shift, q + shift)) + 0.3 * way[0], shift, covered
+
+        _, shift, covered = min(map(placed, itertools.product(OFFSETS, (1.0, -1.0))), key=lambda one: one[0])
         a, b = p + shift, q + shift
         self.taken += [covered, self._sampled(a, b, 12)]
         over = 0.35 * self.size * shift / np.linalg.norm(shift)
@@ -265,18 +261,15 @@ class _Sheet:
     def angle(self, centre: Array, start: float, low: float, high: float, text: str, colour: str) -> None:
         """Draw the range of an angle as an arc with arrows, from the direction `start` [rad] on."""
         half = 0.5 * LETTER * self.font * len(text)
-        best: tuple[float, float, Array] | None = None
-        for radius in (2.2, 3.2, 4.4, 5.6):
-            turn = high - low
-            for share in (0.5, 0.25, 0.75):
-                way = start + share * turn
-                middle = centre + (radius * self.size + 0.2 * half + 0.6 * self.font) * np.array([math.cos(way), -math.sin(way)])
-                covered = self._around(middle, half)
-                cost = self._cost(covered) + 0.25 * radius
-                if best is None or cost < best[0]:
-                    best = cost, radius * self.size, covered
-        assert best is not None
-        _, radius, covered = best
+
+        def placed(radius: float, share: float) -> tuple[float, float, Array]:
+            way = start + share * (high - low)
+            middle = centre + (radius * self.size + 0.2 * half + 0.6 * self.font) * np.array([math.cos(way), -math.sin(way)])
+            covered = self._around(middle, half)
+            return self._cost(covered) + 0.25 * radius, radius * self.size, covered
+
+        places = itertools.product((2.2, 3.2, 4.4, 5.6), (0.5, 0.25, 0.75))
+        _, radius, covered = min(itertools.starmap(placed, places), key=lambda one: one[0])
         turn = min(high - low, math.radians(300.0))
         ways = start + np.linspace(0.0, turn, max(8, math.ceil(math.degrees(turn) / 4)))
         arc = centre + radius * np.stack([np.cos(ways), -np.sin(ways)], axis=1)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from optlink.io import finite
-from optlink.report.chart_spec import Array, Axis, Band, Bars, Boxes, ChartSpec, Curve, HeatMap, Mark, Panel, Picks
+from optlink.report.chart_spec import SYMBOLS, Array, Axis, Band, Bars, Boxes, ChartSpec, Curve, HeatMap, Mark, Panel, Picks
 from optlink.report.export.dimensions import Drawing
 from optlink.report.format import pretty
 from optlink.report.html.theme import readable
@@ -25,17 +25,6 @@ FONT = "system-ui, -apple-system, 'Segoe UI', 'DejaVu Sans', sans-serif"
 LONG = 1200  # number of points from which a curve is thinned, about two per pixel of a wide page
 CELLS = 150  # largest number of rows and columns of a map
 DOTS = 4.0 / 3.0  # pixels per point
-SYMBOLS = {
-    "circle": "circle",
-    "open circle": "circle-open",
-    "square": "square",
-    "cross": "x",
-    "plus": "cross-thin-open",
-    "star": "star",
-    "diamond": "diamond",
-    "triangle": "triangle-up",
-    "dash": "line-ew-open",
-}
 LAYOUT = {
     "margin": {"l": 70, "r": 20, "t": 24, "b": 50},
     "font": {"family": FONT, "size": 12, "color": "#22262b"},
@@ -120,9 +109,7 @@ def chart(spec: ChartSpec) -> Chart:
     if picks is not None:
         picks = replace(picks, x=np.round(picks.x, _decimals(picks.x)), y=np.round(picks.y, _decimals(picks.y)))
         data.append(_picked(picks, "#ffffff" if HeatMap in kinds else WANTED))
-    remark = "; ".join(
-        filter(None, [spec.remark, *(panel.note for panel in spec.panels)])
-    )  # in a narrow window, lines are broken
+    remark = "; ".join(filter(None, [spec.remark, *(panel.note for panel in spec.panels)]))
     return Chart(spec.title, {"data": data, "layout": layout}, spec.cursor, picks, remark, spec.words)
 
 
@@ -200,15 +187,14 @@ def thinned(x: Array, y: Array, most: int = LONG) -> tuple[Array, Array]:
 def _across(spec: ChartSpec) -> list[dict[str, Any]]:
     """Return the vertical lines and shaded ranges of a chart."""
     whole = {"yref": "paper", "y0": 0, "y1": 1, "layer": "below"}
-    lines = [
-        {"type": "line", "x0": one.at, "x1": one.at, "line": {"color": one.colour, "width": one.width, "dash": one.dash}}
-        for one in spec.lines
-    ]
-    spans = [
-        {"type": "rect", "x0": one.low, "x1": one.high, "fillcolor": one.colour, "opacity": one.opacity, "line": {"width": 0}}
-        for one in spec.spans
-    ]
-    return [shape | whole for shape in (*spans, *lines)]
+    found: list[dict[str, Any]] = []
+    for one in spec.spans:
+        look: dict[str, Any] = {"fillcolor": one.colour, "opacity": one.opacity, "line": {"width": 0}}
+        found.append({"type": "rect", "x0": one.low, "x1": one.high, **look, **whole})
+    for line in spec.lines:
+        look = {"line": {"color": line.colour, "width": line.width, "dash": line.dash}}
+        found.append({"type": "line", "x0": line.at, "x1": line.at, **look, **whole})
+    return found
 
 
 def _traces(spec: ChartSpec, panel: Panel) -> list[Trace]:
@@ -229,19 +215,13 @@ def _traces(spec: ChartSpec, panel: Panel) -> list[Trace]:
     for one in panel.lines:
         found.append(_curve(Curve(ends, np.full(2, one.at), one.name, one.colour, one.width, one.dash, hover=bool(one.name))))
     if panel is spec.panels[0]:
-        found += [
-            _entry(one.name, {"mode": "lines", "line": {"color": one.colour, "dash": one.dash}}) for one in spec.lines if one.name
+        square, entry = {"symbol": "square", "size": 11, "opacity": 0.8}, {"x": [None], "y": [None], "hoverinfo": "skip"}
+        looks: list[tuple[str, Trace]] = [
+            *((one.name, {"mode": "lines", "line": {"color": one.colour, "dash": one.dash}}) for one in spec.lines),
+            *((one.name, {"mode": "markers", "marker": square | {"color": one.colour}}) for one in spec.spans),
         ]
-        square = {"symbol": "square", "size": 11, "opacity": 0.8}
-        found += [
-            _entry(one.name, {"mode": "markers", "marker": square | {"color": one.colour}}) for one in spec.spans if one.name
-        ]
+        found += [{"type": "scatter", "name": escape(name)} | entry | look for name, look in looks if name]
     return found + _marks(spec, panel)
-
-
-def _entry(name: str, look: Trace) -> Trace:
-    """Return a legend entry without points."""
-    return {"type": "scatter", "name": escape(name), "x": [None], "y": [None], "hoverinfo": "skip"} | look
 
 
 def _curve(trace: Curve) -> Trace:
@@ -252,7 +232,7 @@ def _curve(trace: Curve) -> Trace:
     if "lines" in trace.mode:
         drawn["line"] = {"color": trace.colour, "width": round(DOTS * trace.width, 2), "dash": trace.dash, "simplify": False}
     if "markers" in trace.mode:
-        drawn["marker"] = {"color": trace.colour, "size": round(DOTS * trace.size, 1), "symbol": SYMBOLS[trace.symbol]}
+        drawn["marker"] = {"color": trace.colour, "size": round(DOTS * trace.size, 1), "symbol": SYMBOLS[trace.symbol][1]}
         if trace.symbol in ("open circle", "plus", "dash"):
             drawn["marker"]["line"] = {"width": 1.7, "color": trace.colour}
     if trace.shade is not None:
@@ -284,13 +264,8 @@ def _band(trace: Band) -> list[Trace]:
 def _boxes(trace: Boxes) -> Trace:
     """Return rectangles as one filled line with gaps."""
     around = np.concatenate([trace.corners, trace.corners[:, :1], np.full((len(trace.x), 1, 2), np.nan)], axis=1).reshape(-1, 2)
-    look: Trace = {
-        "type": "scatter",
-        "mode": "lines",
-        "name": escape(trace.name),
-        "x": short(around[:, 0]),
-        "y": short(around[:, 1]),
-    }
+    x, y = map(short, around.T)
+    look: Trace = {"type": "scatter", "mode": "lines", "name": escape(trace.name), "x": x, "y": y}
     look |= {"fill": "toself", "fillcolor": f"{trace.colour}{round(255 * trace.opacity):02x}", "hoverinfo": "skip"}
     return look | {"line": {"width": 0.7, "color": trace.colour}, "showlegend": bool(trace.name)}
 
@@ -330,16 +305,12 @@ def _marks(spec: ChartSpec, panel: Panel) -> list[Trace]:
     found = []
     for own in groups.values():
         first = own[0]
-        look: dict[str, Any] = {"color": first.colour, "size": round(DOTS * first.size, 1), "symbol": SYMBOLS[first.symbol]}
+        look: dict[str, Any] = {"color": first.colour, "size": round(DOTS * first.size, 1), "symbol": SYMBOLS[first.symbol][1]}
         if any(one.angle for one in own):
             look["angle"] = [-one.angle for one in own]
-        drawn: Trace = {
-            "type": "scatter",
-            "mode": "markers+text" if first.written else "markers",
-            "name": "",
-            "showlegend": False,
-        }
-        drawn |= {"marker": look, "x": [one.x for one in own], "y": [one.y for one in own]}
+        mode = "markers+text" if first.written else "markers"
+        drawn: Trace = {"type": "scatter", "mode": mode, "name": "", "showlegend": False, "marker": look}
+        drawn |= {"x": [one.x for one in own], "y": [one.y for one in own]}
         drawn |= {"text": [escape(one.text).replace("\n", "<br>") for one in own], "hovertemplate": "%{text}<extra></extra>"}
         if first.written:
             ups = [one.prefer[1] or middle[1] - one.y for one in own]  # sideways inwards, so that no label leaves the chart

@@ -13,7 +13,7 @@ from optlink.dynamics.columns import MotionColumns, slider_names
 from optlink.io import finite
 from optlink.report.export.svg import svg
 from optlink.report.format import pretty
-from optlink.report.scene import Scene
+from optlink.report.scene import Scene, scene
 from optlink.report.shapes import Array, zigzag
 from optlink.report.style import Scale, scale
 from optlink.tasks.results.analysis import Analysis
@@ -59,11 +59,6 @@ class Stops:
     def text(self, k: int = 0) -> str:
         """Format position `k`."""
         return f"{self.values[k]:z.{self.decimals}f}{self.unit}".replace("-", "−")
-
-
-def crank_stops(scene: Scene) -> Stops:
-    """Return the crank angles of a scene [deg] as slider positions."""
-    return Stops("crank angle", "°", scene.angles, 1, 360.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,16 +116,27 @@ def decimals_of(values: Array) -> int:
     return min(6, max(0, math.ceil(-math.log10(step)))) if 0.0 < step < math.inf else 3
 
 
-def readouts(cycle: Analysis, angles: Array, *, forces: bool) -> list[Readout]:
-    """Return the quantities shown beside the moving linkage: slides, transmission angles, and driving torque.
+def turning(cycle: Analysis, steps: int) -> Moving:
+    """Return the animation of a machine over its crank angle.
+
+    Parameters
+    ----------
+    cycle : Analysis
+    steps : int
+        Number of positions per revolution.
+    """
+    drawn = scene(cycle, steps)
+    return Moving(drawn, Stops("crank angle", "°", drawn.angles, 1, 360.0), readouts(cycle, drawn.angles))
+
+
+def readouts(cycle: Analysis, angles: Array) -> list[Readout]:
+    """Return the quantities shown beside the moving linkage: slides, transmission angles; with masses or loads, driving torque.
 
     Parameters
     ----------
     cycle : Analysis
     angles : array (positions,) [deg]
         Crank angles.
-    forces : bool
-        Include the driving torque.
     """
     machine = cycle.machine
     record = MotionColumns(machine.moving(np.radians(angles), cycle.speed))
@@ -142,7 +148,7 @@ def readouts(cycle: Analysis, angles: Array, *, forces: bool) -> list[Readout]:
     for name in record.columns:
         if name.endswith(".transmission_rad"):
             asked.append((name, f"transmission angle at {name.partition('.')[0]}", "deg"))
-    if forces:
+    if machine.inertias or machine.loads:
         asked.append(("input.torque_Nm", "driving torque", "N m"))
     found = []
     for column, words, unit in asked:

@@ -1,23 +1,35 @@
-"""HTML of a result for notebooks: its table, its linkage with a slider, and the first chart of a study."""
+"""Results and problems in a notebook: table, linkage and chart of a result, sliders for dimensions and limits of a problem."""
 
 from __future__ import annotations
 
+import asyncio
 import io
 import json
 import re
-from collections.abc import Iterable
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
-from optlink.errors import InputError
+from optlink.errors import Fault, InputError, OptlinkError
 from optlink.problem.base_model import Contradiction
+from optlink.problem.file import ProblemFile, load
 from optlink.report.chart_spec import ChartSpec
+from optlink.report.export.svg import svg
 from optlink.report.html.moving_linkage import Moving
 from optlink.report.html.page import moved
 from optlink.report.html.shell import asset, fragment, templates
 from optlink.report.registry import table_of, view_of
 from optlink.report.report_model import Outcome, report_model_of
 from optlink.report.stored.loader import KNOWN, STUDIES
+from optlink.report.table_spec import Part, TableSpec
+from optlink.report.views import analysis_forces, function_tables
+from optlink.report.views.analysis_curves import CycleCurves
+from optlink.studies.toml_keys import Knob, exact_text, knobs
+from optlink.tasks.analyze import analyze
+from optlink.tasks.results.analysis import Analysis
+from optlink.tasks.run import solve, validate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -93,3 +105,253 @@ def _svg(figure: Figure) -> str:
         figure.savefig(text, format="svg")
     shown = text.getvalue()[text.getvalue().index("<svg") :]
     return re.sub(r' d="[^"]*"', lambda path: re.sub(r"(\.\d\d)\d+", r"\1", path[0]), shown)  # a hundredth of a point is enough
+
+
+PAUSE = 0.15  # s without a change of a slider before anything is computed
+NOTCHES = 20_000  # steps of a slider: its front end rounds to them, so that they are finer than what is shown
+SHOWN = ("These limits", "Objective", "Working and return")  # tables of the current design
+QUICK = ("function",)  # kinds of problems that are optimised again in about a tenth of a second
+STYLE = "<style>.optlink-bad,.optlink-figures .bad{color:#b3261e}.optlink-figures .good{color:#1e7b34}</style>"
+
+
+def explore(problem: ProblemFile | str | Path, design: Mapping[str, float] | None = None) -> Explorer:
+    """Show a problem with a slider for every dimension and limit, its linkage in motion, and the checks of the current design.
+
+    A slider of a design variable changes the design, which is validated. A slider of a fixed dimension or of a limit changes
+    the problem, which is optimised again: at once for a function of a four-bar, else at the button. Machines without design
+    variables are analysed.
+
+    Parameters
+    ----------
+    problem : ProblemFile, str or Path
+        Problem, name of a shipped problem, or path of a problem file.
+    design : mapping of str to float [m, rad], optional
+        Initial design. Default: the optimum of a function, path or motion problem, and the starting values of a machine.
+
+    Returns
+    -------
+    Explorer
+        Shown by a notebook; `problem` and `result` are the current ones.
+
+    Raises
+    ------
+    InputError
+        If the package ipywidgets is not installed, or the problem cannot be solved.
+    """
+    return Explorer(problem if isinstance(problem, ProblemFile) else load(problem), design)
+
+
+class Explorer:
+    """Sliders of a problem, and its current result.
+
+    Attributes
+    ----------
+    sliders : dict
+        Sliders by the name of a design variable, or by the key of a fixed dimension or limit.
+    panel : ipywidgets.Box
+        What a notebook shows.
+    """
+
+    def __init__(self, problem: ProblemFile, design: Mapping[str, float] | None = None) -> None:
+        self._widgets = _ipywidgets()
+        self._file, self._problem = problem, problem
+        self._designed = problem.task not in ("analysis", "balance")
+        self._changes: dict[str, str | float] = {}
+        self._timer: asyncio.TimerHandle | None = None
+        self._setting = self._moved = False
+        self._rest: dict[str, float] = {}  # exact values of the sliders
+        free = problem.model.quantities
+        self._design = {name: free[name].value for name in problem.model.free} | dict(design or {})
+        self.knobs = {knob.key or knob.name: knob for knob in knobs(problem)}
+        self.sliders = {key: self._slider(key, knob) for key, knob in self.knobs.items()}
+        self._build()
+        if self._designed and design is None and problem.task != "cycle":
+            self.optimise()
+        else:
+            self.update()
+
+    @property
+    def problem(self) -> ProblemFile:
+        """The problem with the values of the sliders."""
+        self._finish()
+        return self._problem
+
+    @property
+    def result(self) -> Any:
+        """The current design."""
+        self._finish()
+        return self._result
+
+    def _finish(self) -> None:
+        """Compute at once what waits for the sliders to rest."""
+        if self._timer is not None:
+            self.update()
+
+    # --- the widgets ---------------------------------------------------------------------------------------------------------
+
+    def _slider(self, key: str, knob: Knob) -> Any:
+        self._rest[key] = knob.value
+        made = self._widgets.FloatSlider(
+            value=knob.value,
+            min=knob.low,
+            max=knob.high,
+            step=(knob.high - knob.low) / NOTCHES,
+            description=f"{knob.name} [{knob.unit}]" if knob.unit else knob.name,
+            readout_format=".5g",
+            style={"description_width": "220px"},
+            layout={"width": "490px"},
+        )
+        made.observe(lambda change: self._change(key, change["new"]), names="value")
+        return made
+
+    def _build(self) -> None:
+        widgets, title = self._widgets, self._widgets.HTML
+        self.status, self.drawing, self.angle, self.chart = title(), title(), title(), title()
+        self.crank = widgets.IntSlider(max=STEPS, description="crank", readout=False, layout={"width": "360px"})
+        self.crank.observe(lambda _: self._draw(), names="value")
+        self.play = widgets.Play(max=STEPS, interval=50, repeat=True)
+        self.link = widgets.jslink((self.play, "value"), (self.crank, "value"))
+        self.live = widgets.Checkbox(
+            value=self._file.task in QUICK,
+            description="optimise at every change of a fixed dimension or limit",
+            indent=False,
+            layout={"width": "auto"},
+        )
+        self.button = widgets.Button(description="Optimise", button_style="primary", tooltip="Search the best design")
+        self.button.on_click(lambda _: self.optimise())
+        groups: dict[str, list[Any]] = {}
+        for key, knob in self.knobs.items():
+            group = "Design variables" if not knob.key else "Limits" if knob.key.startswith("limits.") else "Fixed dimensions"
+            groups.setdefault(group if self._designed else "Dimensions", []).append(self.sliders[key])
+        rows = [row for name, sliders in groups.items() for row in (title(f"<b>{name}</b>"), *sliders)]
+        rows += [self.button, self.live] if self._designed else []
+        left = widgets.VBox(rows, layout={"max_height": "620px", "overflow": "auto", "min_width": "520px"})
+        stage = widgets.VBox([self.drawing, widgets.HBox([self.play, self.crank]), self.angle, self.status])
+        self.panel = widgets.VBox([widgets.HBox([left, stage]), self.chart])
+
+    def _repr_mimebundle_(self, **options: Any) -> dict[str, Any]:
+        """Return the widgets, and the current result for a notebook without a kernel."""
+        shown = self.panel._repr_mimebundle_(**options)
+        return {**shown, "text/html": notebook_html(self.result), "text/plain": repr(self)}
+
+    def __repr__(self) -> str:
+        return f"<Explorer of {self.result!r}>"
+
+    # --- changes -------------------------------------------------------------------------------------------------------------
+
+    def _change(self, key: str, value: float) -> None:
+        """Take the new value of a slider, and compute once the sliders rest."""
+        knob = self.knobs[key]
+        if self._setting or abs(value - self._rest[key]) <= 0.51 * self.sliders[key].step:  # the echo of a rounded value
+            return
+        self._rest[key] = value
+        if knob.key:
+            self._changes[knob.key] = exact_text(value, knob.unit)
+            self._moved = True
+        else:
+            self._design[knob.name] = value * knob.size
+        self._later(self.update)
+
+    def _later(self, action: Callable[[], None]) -> None:
+        """Call an action after a pause without further calls; at once where no event loop runs."""
+        if self._timer is not None:
+            self._timer.cancel()
+        try:
+            loop = asyncio.get_running_loop()
+        except RuntimeError:
+            action()
+            return
+        self._timer = loop.call_later(PAUSE, action)
+
+    def update(self) -> None:
+        """Compute the result for the values of the sliders."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        again, self._moved = self._moved and self._designed and self.live.value, False
+        if again:
+            self.optimise()
+        else:
+            self._compute(self._current)
+
+    def optimise(self) -> None:
+        """Search the best design of the current problem, and set the sliders to it."""
+        self._compute(lambda problem: solve(problem))
+        if self._designed and self._result.design:
+            self._design = {name: self._result.design[name] for name in self._file.model.free}
+            self._setting = True
+            for name, value in self._design.items():
+                self._rest[name] = self.sliders[name].value = value / self.knobs[name].size
+            self._setting = False
+
+    def _current(self, problem: ProblemFile) -> Any:
+        return validate(problem, self._design) if self._designed else analyze(problem)
+
+    def _compute(self, compute: Callable[[ProblemFile], Any]) -> None:
+        """Show the result of the changed problem; on bad input show the reason and keep the last one."""
+        begin = time.perf_counter()
+        try:
+            problem = self._file.override(self._changes) if self._changes else self._file
+            result = compute(problem)
+        except OptlinkError as error:
+            if not hasattr(self, "_result"):
+                raise
+            self.status.value = f'{STYLE}<p class="optlink-bad">{_escaped(str(error))}</p>'
+            return
+        self._problem, self._result, self._seconds = problem, result, time.perf_counter() - begin
+        self._show()
+
+    # --- what is shown -------------------------------------------------------------------------------------------------------
+
+    def _show(self) -> None:
+        kind = "analysis" if isinstance(self._result, Analysis) else self._problem.task
+        shown = table_of(kind)(self._result)
+        self.status.value = f'{STYLE}<div class="optlink-figures">{fragment(shown.status, *self._figures(shown.parts))}</div>'
+        self._moving: Moving | None = moved(report_model_of(self._problem, self._result), STEPS)
+        if self._moving is not None:
+            self.crank.max = self.play.max = len(self._moving.stops.values) - 1
+        self._draw()
+        if kind == "analysis":
+            torque = analysis_forces.torque(CycleCurves(self._result))
+            charts = torque or view_of(kind).charts(CycleCurves(self._result))
+        else:
+            charts = view_of(kind).charts(view_of(kind).model(self._result))
+        self.chart.value = chart_svg(charts)
+
+    def _figures(self, parts: tuple[Part, ...]) -> Iterator[Part]:
+        """Yield the failed checks and the conflicting limits of a design, its objective, and strokes."""
+        proof = getattr(getattr(self._result, "best", self._result), "validation", None)
+        checks = () if proof is None else proof.checks
+        failed = [check for check in checks if not check.passed]
+        if failed:
+            title = f"{len(failed)} of {len(checks)} checks fail"
+            yield replace(function_tables.checks(failed), title=title, appendix=False)
+        for part in parts:
+            if isinstance(part, TableSpec) and part.title.startswith(SHOWN):
+                yield part
+
+    def _draw(self) -> None:
+        """Draw the linkage at the crank angle of the slider."""
+        moving = self._moving
+        if moving is None:
+            self.drawing.value = f'{STYLE}<p class="optlink-bad">This linkage cannot be assembled.</p>'
+            self.angle.value = ""
+            return
+        k = min(self.crank.value, len(moving.stops.values) - 1)
+        drawn = svg(moving.scene, self._problem.model.title, k=k)
+        self.drawing.value = f'<div style="width:560px;background:#fff;color:#222">{drawn}</div>'
+        values = (f"{one.name} {one.text(k)} {one.shown_unit}" for one in moving.readouts)
+        self.angle.value = _escaped(" · ".join((moving.stops.text(k), *values)))
+
+
+def _escaped(text: str) -> str:
+    return text.replace("&", "&amp;").replace("<", "&lt;")
+
+
+def _ipywidgets() -> Any:
+    try:
+        import ipywidgets
+    except ImportError:
+        remedy = 'Install it: pip install "optlink[notebook]"'
+        raise InputError(Fault("explore needs the package ipywidgets, which is not installed", remedy)) from None
+    return ipywidgets

@@ -11,11 +11,10 @@ from optlink.report.chart_spec import ChartSpec
 from optlink.report.files import whole
 from optlink.report.format import single_units
 from optlink.report.html import chart_plotly
-from optlink.report.html.moving_linkage import Moving, crank_stops, readouts
+from optlink.report.html.moving_linkage import Moving, turning
 from optlink.report.html.shell import LARGEST, PageSection
 from optlink.report.registry import table_of, view_of
 from optlink.report.report_model import Outcome, ReportModel
-from optlink.report.scene import scene
 from optlink.report.stored.stored_study import StoredStudy, study_page
 from optlink.report.table_spec import Paragraph, Part, Summary, TableSpec
 from optlink.report.views import (
@@ -89,10 +88,7 @@ def moved(subject: ReportModel, steps: int) -> Moving | None:
     steps : int
         Number of positions per revolution.
     """
-    if subject.cycle is None:
-        return None
-    drawn = scene(subject.cycle, steps)
-    return Moving(drawn, crank_stops(drawn), readouts(subject.cycle, drawn.angles, forces=subject.forces))
+    return None if subject.cycle is None else turning(subject.cycle, steps)
 
 
 # --- layout ------------------------------------------------------------------------------------------------------------------

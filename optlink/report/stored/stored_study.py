@@ -15,10 +15,10 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of
 from optlink.report.export.dimensions import Drawing, dimensioned
+from optlink.report.html import moving_linkage
 from optlink.report.html.chart_plotly import Chart
-from optlink.report.html.moving_linkage import Moving, crank_stops, readouts
+from optlink.report.html.moving_linkage import Moving
 from optlink.report.html.shell import PageContent, PageSection, arranged, fitted, linkage_sections
-from optlink.report.scene import scene
 from optlink.report.shapes import even
 from optlink.report.table_spec import Line, Paragraph
 from optlink.report.views import function_tables
@@ -147,11 +147,7 @@ def turning(file: ProblemFile, design: Mapping[str, float]) -> Callable[[int], M
 
     def made(steps: int) -> Moving | None:
         cycle = cycle_of(file, design)
-        if cycle is None:
-            return None
-        drawn = scene(cycle, steps)
-        forces = bool(cycle.machine.inertias or cycle.machine.loads)
-        return Moving(drawn, crank_stops(drawn), readouts(cycle, drawn.angles, forces=forces))
+        return None if cycle is None else moving_linkage.turning(cycle, steps)
 
     return made
 

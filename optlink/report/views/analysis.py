@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 
 import numpy as np
@@ -16,7 +15,6 @@ from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN
 from optlink.report.animation import film, there_and_back
-from optlink.report.chart_mpl import into
 from optlink.report.chart_spec import ChartSpec
 from optlink.report.drawing import Sketch, merged_positions
 from optlink.report.labels import Label, place_labels
@@ -174,13 +172,7 @@ def frames(course: CycleCurves, count: int = FRAMES) -> list[Image.Image]:
     traces = analysis_charts.curves(course, name, unit, "", CRANK)
     strip = analysis_charts.chart(course, "", "", [analysis_charts.panel(course, f"{word} [{unit.unit}]", traces)])
     marks = np.array([[math.degrees(at), course.at(at, name) * unit.factor] for at in steps])
-    return film(
-        sketch,
-        sweep(machine.mechanism, machine.sizes, steps),
-        functools.partial(into, spec=strip),
-        marks,
-        result.problem.model.title,
-    )
+    return film(sketch, sweep(machine.mechanism, machine.sizes, steps), strip, marks, result.problem.model.title)
 
 
 VIEW = View(

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import decimal
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -39,14 +40,8 @@ def certificate_table(certificate: Certificate, factor: float, unit: str, second
     if math.isfinite(bound):
         rows.append(("lower bound", strong(rounded_down(bound * factor, digits)), unit, quiet(INCLUDED)))
     if math.isfinite(known) and not certificate.exact:
-        rows.append(
-            (
-                "gap",
-                share_text(certificate.gap),
-                "",
-                quiet(f"largest share by which a design could be better{_asked(certificate)}"),
-            )
-        )
+        asked = "" if certificate.proven else f", {share_text(certificate.asked)} was required"
+        rows.append(("gap", share_text(certificate.gap), "", quiet(f"largest share by which a design could be better{asked}")))
     left = f", {certificate.open_boxes:,} of them left" if certificate.open_boxes else ""
     if certificate.boxes:
         rows.append(("boxes", f"{certificate.boxes:,}", "", quiet(f"parts of the bounds that were examined{left}")))
@@ -58,10 +53,6 @@ def certificate_table(certificate: Certificate, factor: float, unit: str, second
     if not certificate.closed:
         notes.append(CONTINUE)
     return table("Global optimum", "<><<", rows, notes=[quiet(note) for note in notes], exact=True)
-
-
-def _asked(certificate: Certificate) -> str:
-    return "" if certificate.proven else f", {share_text(certificate.asked)} was required"
 
 
 def rounded_down(value: float, digits: int) -> str:
@@ -99,6 +90,9 @@ def clause(certificate: Certificate | None) -> str:
 
 # --- charts ------------------------------------------------------------------------------------------------------------------
 
+Design = Mapping[str, float]
+Display = Callable[[str], tuple[float, str]]
+"""Returns factor and display unit of a design variable."""
 FEW = 256  # boxes up to which the bounds are not drawn: about one batch of the search
 SCHEME = {
     "limits": ("limit violated", "#c0392b"),
@@ -110,13 +104,7 @@ SCHEME = {
 
 
 def certificate_charts(
-    certificate: Certificate | None,
-    title: str,
-    factor: float,
-    unit: str,
-    design: Mapping[str, float],
-    assembly: Any,
-    display: Callable[[str], tuple[float, str]],
+    certificate: Certificate | None, title: str, scale: tuple[float, str], design: Design, assembly: Any, display: Display
 ) -> list[ChartSpec]:
     """Return the boxes of two design variables, and the bounds of the objective against the number of boxes.
 
@@ -125,10 +113,8 @@ def certificate_charts(
     certificate : Certificate or None
     title : str
         Of the problem.
-    factor : float
-        Of the objective from SI to its display unit.
-    unit : str
-        Display unit of the objective.
+    scale : (float, str)
+        Factor of the objective from SI to its display unit, and that unit.
     design : mapping of str to float [SI]
         Of the best design; empty if there is none.
     assembly : object
@@ -143,23 +129,15 @@ def certificate_charts(
         for k, cover in enumerate(certificate.covers):
             at = design if certificate.proven and str(cover.assembly) == str(assembly) else {}
             mode = f", assembly {cover.assembly}" if len(certificate.covers) > 1 else ""
-            found.append(_boxes(certificate, cover, title, mode, at, display, k))
+            found.append(replace(_boxes(cover, certificate.unknowns, title, mode, at, display), remark=certificate.text, row=k))
     if certificate.boxes > FEW and np.isfinite(certificate.history[-1:, 2]).any():
-        found.append(_bounds(certificate, title, factor, unit))
+        found.append(_bounds(certificate, title, *scale))
     return found
 
 
-def _boxes(
-    certificate: Certificate,
-    cover: Cover,
-    about: str,
-    mode: str,
-    design: Mapping[str, float],
-    display: Callable[[str], tuple[float, str]],
-    row: int,
-) -> ChartSpec:
+def _boxes(cover: Cover, unknowns: Sequence[str], about: str, mode: str, design: Design, display: Display) -> ChartSpec:
     """Return the boxes of one assembly mode, coloured by the tests that discarded them."""
-    scales = [display(name) for name in certificate.unknowns]
+    scales = [display(name) for name in unknowns]
     factors = np.array([factor for factor, _ in scales])
     low, high = cover.low * factors, cover.high * factors
     x, y = (np.stack([low[:, k], high[:, k]], axis=1) for k in range(2))
@@ -170,16 +148,15 @@ def _boxes(
             traces.append(Boxes(x[own], y[own], f"{name} ({int(own.sum())})", colour, gid=f"boxes {key}"))
     marks = []
     if design:
-        at_x, at_y = (design[name] * factor for name, factor in zip(certificate.unknowns, factors, strict=True))
+        at_x, at_y = (design[name] * factor for name, factor in zip(unknowns, factors, strict=True))
         marks.append(Mark(at_x, at_y, "design", "#111111", "star", 11.0, prefer=(1.0, 1.0), gid="design"))
     axes = [
         Axis(f"{name} [{unit}]", (float(ends.min()), float(ends.max())))
-        for name, (_, unit), ends in zip(certificate.unknowns, scales, (x, y), strict=True)
+        for name, (_, unit), ends in zip(unknowns, scales, (x, y), strict=True)
     ]
     panel = Panel(axes[1], traces, 2.1, marks=marks)
     title = f"Global search: boxes of designs and the test that discarded each{mode}"
-    heading = f"{about}: boxes of the global search"
-    return ChartSpec("boxes", title, [panel], axes[0], heading, certificate.text, cursor=False, row=row)
+    return ChartSpec("boxes", title, [panel], axes[0], f"{about}: boxes of the global search", cursor=False)
 
 
 def _bounds(certificate: Certificate, title: str, factor: float, unit: str) -> ChartSpec:

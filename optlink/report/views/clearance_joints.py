@@ -171,25 +171,14 @@ def force(turns: RevolutionCurves) -> list[ChartSpec]:
         limits, cut = crown(turns, normal * unit.factor, min(0.0, float(np.min(rub[last])) * unit.factor), 0.0)
         limits_below, cut_below = crown(turns, depth * small.factor, 0.0, deepest * small.factor)
         share = float(np.mean(result[f"{gap.point}.contact"][last][-turns.points :]))
-        found.append(
-            ChartSpec(
-                "force",
-                f"Contact force at {named(gap)}, {turns.overlaid}",
-                [
-                    Panel(Axis(f"force [{unit.unit}]{cut}", limits), forces, 1.5),
-                    Panel(Axis(f"penetration [{small.unit}]{cut_below}", limits_below), depths),
-                ],
-                turns.crank_axis,
-                turns.title("contact forces", turns.overlaid),
-                f"in contact {share:z.0%}, at most {rough(strongest, 'N')}",
-                spans=turns.bands(
-                    result[f"{gap.point}.contact"], last, "in contact" + (", last revolution" if turns.shown > 1 else "")
-                ),
-                cursor=False,
-                row=k // columns,
-                width=7.6 if columns == 1 else 5.4,
-            )
-        )
+        above = Panel(Axis(f"force [{unit.unit}]{cut}", limits), forces, 1.5)
+        panels = [above, Panel(Axis(f"penetration [{small.unit}]{cut_below}", limits_below), depths)]
+        phase = "in contact" + (", last revolution" if turns.shown > 1 else "")
+        spans = turns.bands(result[f"{gap.point}.contact"], last, phase)
+        title, heading = f"Contact force at {named(gap)}, {turns.overlaid}", turns.title("contact forces", turns.overlaid)
+        told, width = f"in contact {share:z.0%}, at most {rough(strongest, 'N')}", 7.6 if columns == 1 else 5.4
+        spec = partial(ChartSpec, "force", title, panels, turns.crank_axis, heading, told)
+        found.append(spec(spans=spans, cursor=False, row=k // columns, width=width))
     return found
 
 
@@ -286,20 +275,9 @@ def poincare_map(turns: RevolutionCurves) -> list[ChartSpec]:
 
     def points(x: Array, y: Array, *, legend: bool = False) -> list[Curve]:
         early = numbers < turns.begin
-        return [
-            ring(x[early], y[early], "running-in", QUIET, size=size, legend=legend and bool(early.any()), gid="early"),
-            Curve(
-                x[~early],
-                y[~early],
-                "end of a revolution",
-                FOUND,
-                mode="markers",
-                size=size,
-                opacity=0.7,
-                legend=legend,
-                gid="late",
-            ),
-        ]
+        first = ring(x[early], y[early], "running-in", QUIET, size=size, legend=legend and bool(early.any()), gid="early")
+        late = partial(Curve, mode="markers", size=size, opacity=0.7, legend=legend, gid="late")
+        return [first, late(x[~early], y[~early], "end of a revolution", FOUND)]
 
     y = Axis(f"deviation [{unit.unit}]", hold(values * unit.factor, least=0.02))
     ends = "at the ends of the revolutions"

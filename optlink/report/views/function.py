@@ -21,7 +21,6 @@ from optlink.optimization.output_derivatives import ErrorResiduals
 from optlink.problem.file import ProblemFile
 from optlink.problem.targets.function import Function
 from optlink.report.animation import film, there_and_back
-from optlink.report.chart_mpl import into
 from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line, Mark, Panel, Span, Trace, crank_angle
 from optlink.report.drawing import Sketch, merged_positions
 from optlink.report.files import verdict
@@ -121,16 +120,9 @@ def charts(result: FunctionResult) -> list[ChartSpec]:
 
 def certified(result: FunctionResult) -> list[ChartSpec]:
     """Return the charts of the certificate of the global optimum."""
-    scales = {name: display_value(name, 1.0) for name in result.problem.spec.free}
-    return certificate_charts(
-        result.certificate,
-        result.problem.spec.title,
-        1.0,
-        unit_of(result),
-        {} if result.conflict else result.design,
-        result.assembly,
-        scales.__getitem__,
-    )
+    scale, design = (1.0, unit_of(result)), {} if result.conflict else result.design
+    display = functools.partial(display_value, value=1.0)
+    return certificate_charts(result.certificate, result.problem.spec.title, scale, design, result.assembly, display)
 
 
 def function_values(result: FunctionResult) -> list[ChartSpec]:
@@ -258,9 +250,7 @@ def frames(result: FunctionResult, count: int = 90) -> list[Image.Image]:
         axes.add_patch(Arc((0.0, 0.0), size, size, color=QUIET, linewidth=1.3, **ends))
 
     marks = np.stack([at, np.interp(at, crank, psi)], axis=-1)
-    return film(
-        sketch, _moved(result, steps), functools.partial(into, spec=strip), marks, result.problem.spec.title, more=required
-    )
+    return film(sketch, _moved(result, steps), strip, marks, result.problem.spec.title, more=required)
 
 
 def _design(result: FunctionResult) -> tuple[ProblemFile, str] | None:

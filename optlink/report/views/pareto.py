@@ -18,7 +18,7 @@ from optlink.report.html.shell import PageSection
 from optlink.report.stored.stored_study import StoredStudy, named_si, still, turning, with_drawings
 from optlink.report.style import FOUND, LIMIT, QUIET, WANTED
 from optlink.report.view import View
-from optlink.report.views import conclusions, pareto_tables
+from optlink.report.views import conclusions, study_tables
 from optlink.studies import grid
 from optlink.studies.pareto.epsilon_constraint import Pareto, ParetoPoint, ParetoRecord
 from optlink.studies.pareto.objective import ParetoObjective
@@ -107,7 +107,7 @@ def stored_study(record: ParetoRecord, file: ProblemFile, path: Path) -> StoredS
         If the record is damaged.
     """
     found = read(record, file, path)
-    shown = pareto_tables.pareto_front(found)
+    shown = study_tables.pareto_front(found)
     chosen = _chosen(found)
     words = f"The design of point {chosen + 1}: {found.points[chosen].mark or 'the first'}." if chosen is not None else ""
     drawn = [
@@ -208,7 +208,7 @@ def _words(result: Pareto, point: ParetoPoint) -> str:
     """Return the label of a marked point with its change from the reference design."""
     words = point.mark.replace(", ", ",\n")
     if len(result.objectives) == 2 and result.reference is not None:
-        changes = [pareto_tables.against(value, before) for value, before in zip(point.values, result.reference, strict=True)]
+        changes = [study_tables.against(value, before) for value, before in zip(point.values, result.reference, strict=True)]
         words += f"\n{', '.join(filter(None, changes))}"
     return words
 
@@ -230,7 +230,7 @@ def _picks(found: Pareto, x: Array, y: Array) -> Picks:
         for k, value in enumerate(point.values):
             told.append(number(value, 7))
             if found.reference is not None:
-                told.append(pareto_tables.against(value, found.reference[k]))
+                told.append(study_tables.against(value, found.reference[k]))
         told += [number(value, 7) for value in point.design.values()]
         rows.append((*told, point.active or "nothing", point.mark or "–"))
     told_words = (

@@ -52,15 +52,9 @@ def charts(result: PathResult) -> list[ChartSpec]:
         return []
     own = [Close(track).chart(), errors(track)] if track.task.pointed else [curve(track), *function_values(track)]
     task, design = track.task, track.design
-    proof = certificate_charts(
-        result.certificate,
-        task.title,
-        *objective_scale(task),
-        design.values if design.valid else {},
-        design.assembly,
-        lambda name: task.quantities[name].display,
-    )
-    return own + proof
+    values, scale = design.values if design.valid else {}, objective_scale(task)
+    display = {name: quantity.display for name, quantity in task.quantities.items()}
+    return own + certificate_charts(result.certificate, task.title, scale, values, design.assembly, display.__getitem__)
 
 
 def columns(design: PathDesign) -> dict[str, Array]:

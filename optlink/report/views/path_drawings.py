@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +18,6 @@ from optlink.linkage.vector2d import TURN
 from optlink.problem.path import PathProblem
 from optlink.problem.targets.function import Function
 from optlink.report.animation import film, there_and_back
-from optlink.report.chart_mpl import into
 from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Panel, crank_angle
 from optlink.report.labels import Label, place_labels
 from optlink.report.shapes import even
@@ -282,4 +280,4 @@ def output_film(track: PathView, count: int) -> list[Image.Image]:
     marks = np.stack([np.degrees(steps), height], axis=-1)
     strip = ChartSpec("", "", [_outputs(shown)], _crank(track, shown))
     title = track.task.title if track.design.valid else f"NOT VALID: {track.task.title}"
-    return film(track.sketch, track.sweep(steps), partial(into, spec=strip), marks, title)
+    return film(track.sketch, track.sweep(steps), strip, marks, title)
