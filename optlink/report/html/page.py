@@ -178,11 +178,8 @@ def charts(subject: ReportModel) -> list[ChartSpec]:
     found = [*view.charts(view.model(outcome))]
     if subject.cycle is not None and kind != "analysis":
         course, cycle = CycleCurves(subject.cycle), isinstance(outcome, CycleResult)
-        given = (
-            CycleCurves(outcome.initial_analysis)
-            if isinstance(outcome, CycleResult) and outcome.initial_analysis is not None
-            else None
-        )
+        initial = outcome.initial_analysis if isinstance(outcome, CycleResult) else None
+        given = None if initial is None else CycleCurves(initial)
         if cycle or subject.forces:
             found += analysis_charts.motion(course, given)
         if cycle or (isinstance(outcome, PathResult) and outcome.best is not None and outcome.best.task.pointed):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -211,17 +211,7 @@ def extremes(course: CycleCurves, name: str, shown: Scale, colour: str = WANTED,
 
 
 def chart(
-    course: CycleCurves,
-    file: str,
-    title: str,
-    panels: Sequence[Panel],
-    *,
-    heading: str = "",
-    remark: str = "",
-    lines: Sequence[Line] = (),
-    spans: Sequence[Span] = (),
-    row: int = 0,
-    width: float = 7.6,
+    course: CycleCurves, file: str, title: str, panels: Sequence[Panel], *, lines: Sequence[Line] = (), **more: Any
 ) -> ChartSpec:
     """Return a chart over the crank angle with its singular positions.
 
@@ -232,15 +222,16 @@ def chart(
         Name of the picture.
     title : str
     panels : sequence of Panel
-    heading, remark, lines, spans, row, width
-        As in `ChartSpec`.
+    lines : sequence of Line, optional
+        Further vertical lines.
+    **more
+        Further attributes of `ChartSpec`; default of the heading: that of the machine with the title.
     """
     ends = sorted((math.degrees(course.start), math.degrees(course.end)))
     x = crank_angle(clockwise=course.way < 0.0, limits=(ends[0], ends[1]))
     places = [math.degrees(course.inside(position.crank_angle)) for position in course.result.ranges.singular]
     found = [Line(at, "" if k else "not determined beyond", LIMIT, 1.2, gid="singular position") for k, at in enumerate(places)]
-    heading = heading or titled(course, title)
-    return ChartSpec(file, title, panels, x, heading, remark, [*found, *lines], spans, row=row, width=width)
+    return ChartSpec(file, title, panels, x, **{"heading": titled(course, title), "lines": [*found, *lines], **more})
 
 
 def titled(course: CycleCurves, words: str) -> str:

@@ -28,13 +28,7 @@ def forces(course: CycleCurves, given: CycleCurves | None = None) -> list[ChartS
     given : CycleCurves or None, optional
         Initial machine, drawn in grey.
     """
-    return [
-        *torque(course, given),
-        *reactions(course),
-        *guides(course),
-        *work(course, given),
-        *shaking(course, given),
-    ]
+    return [*torque(course, given), *reactions(course), *guides(course), *work(course, given), *shaking(course, given)]
 
 
 def torque(course: CycleCurves, given: CycleCurves | None = None) -> list[ChartSpec]:
@@ -91,14 +85,8 @@ def reactions(course: CycleCurves) -> list[ChartSpec]:
     marks = extremes(course, x, unit, FOUND) + extremes(course, y, unit, CRANK)
     told = course.result.meanings.get(x, "").removesuffix(" in x")
     heading = titled(course, "joint reactions")
-    one = chart(
-        course,
-        "reactions",
-        f"Crank pivot {crank.start}: {told}",
-        [panel(course, f"force [{unit.unit}]", pair, 1.6, marks)],
-        heading=heading,
-        width=6.2,
-    )
+    force = [panel(course, f"force [{unit.unit}]", pair, 1.6, marks)]
+    one = chart(course, "reactions", f"Crank pivot {crank.start}: {told}", force, heading=heading, width=6.2)
     around = hodograph(course, x, y, unit, "reactions", "Hodograph of this force, crank angle marked")
     unit = scale(course.peak(*amounts.values()), "N")
     shown = _together(course, {label: name for label, name in amounts.items() if course.has(name, list(amounts.values()))})
@@ -224,13 +212,8 @@ def guides(course: CycleCurves) -> list[ChartSpec]:
         name = f"{guide.name}.moment_Nm"
         if name in turned:
             unit = scale(course.peak(name), "N m")
-            moment = panel(
-                course,
-                f"moment [{unit.unit}]",
-                curves(course, name, unit, "", BODIES[3]),
-                1.1,
-                extremes(course, name, unit),
-            )
+            marks = extremes(course, name, unit)
+            moment = panel(course, f"moment [{unit.unit}]", curves(course, name, unit, "", BODIES[3]), 1.1, marks)
             title = f"Guide moment in {guide.name} on {guide.slider}"
             found.append(chart(course, "guides", title, [moment], heading=heading, row=row, width=4.8))
     return found
@@ -296,10 +279,8 @@ def shaking(course: CycleCurves, given: CycleCurves | None = None) -> list[Chart
     unit = scale(course.peak(moment), "N m")
     traces = curves(course, moment, unit, "", BODIES[3], given=given)
     panels.append(panel(course, f"moment [{unit.unit}]", traces, 1.0, extremes(course, moment, unit)))
-    title = f"Shaking moment about the crank pivot {course.result.machine.mechanism.crank.start}"
-    title = (
-        f"Shaking of the frame, moment about the crank pivot {course.result.machine.mechanism.crank.start}" if forced else title
-    )
+    about = f"moment about the crank pivot {course.result.machine.mechanism.crank.start}"
+    title = f"Shaking of the frame, {about}" if forced else f"Shaking {about}"
     remark = "" if forced else "force-balanced: no shaking force"
     found.append(chart(course, "shaking", title, panels, heading=heading, remark=remark, width=5.8 if forced else 7.6))
     return found

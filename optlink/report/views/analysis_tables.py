@@ -47,15 +47,10 @@ def machine(file: ProblemFile) -> Iterator[TableSpec]:
         order.append((group.kind, bodies, f"joint {group.joint}", quiet(modes.get(group.joint, ""))))
     yield table("Order of solution", "<<<<", order)
     if built.inertias:
-        masses = [
-            (
-                name,
-                number(inertia.mass),
-                f"({number(inertia.along * 1e3)}, {number(inertia.across * 1e3)})",
-                number(inertia.moment),
-            )
-            for name, inertia in built.inertias.items()
-        ]
+        masses = []
+        for name, inertia in built.inertias.items():
+            place = f"({number(inertia.along * 1e3)}, {number(inertia.across * 1e3)})"
+            masses.append((name, number(inertia.mass), place, number(inertia.moment)))
         yield table("[bodies]", ["body", ">mass kg", ">centroid mm", ">inertia kg m^2"], masses)
     gravity = math.hypot(*built.gravity)
     drive = [("drive", f"{mechanism.crank.body} at {model.drive.speed}, from {model.drive.start}")]

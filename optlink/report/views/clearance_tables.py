@@ -57,19 +57,12 @@ def _error(outcome: ClearanceSimulation) -> TableSpec:
 
 def _contacts(outcome: ClearanceSimulation) -> TableSpec:
     found = outcome.figures
-    rows = [
-        (
-            gap.point,
-            gap.journal,
-            gap.bearing,
-            number(gap.clearance * 1e3),
-            str(sum(impact.gap == k for impact in outcome.impacts)),
-            f"{float(np.mean(outcome.per_revolution[f'{gap.point}.contact_share'])):z.1%}",
-            number(found[f"{gap.point}.normal_max_N"], 5),
-            fixed(found[f"{gap.point}.penetration_max_m"] * 1e6, 2),
-        )
-        for k, gap in enumerate(outcome.gaps)
-    ]
+    rows = []
+    for k, gap in enumerate(outcome.gaps):
+        count = str(sum(impact.gap == k for impact in outcome.impacts))
+        share = f"{float(np.mean(outcome.per_revolution[f'{gap.point}.contact_share'])):z.1%}"
+        most = number(found[f"{gap.point}.normal_max_N"], 5), fixed(found[f"{gap.point}.penetration_max_m"] * 1e6, 2)
+        rows.append((gap.point, gap.journal, gap.bearing, number(gap.clearance * 1e3), count, share, *most))
     columns = ["joint", "journal", "bearing", ">gap mm", ">contacts", ">share", ">force N", ">depth um"]
     return table("Contacts: share of the time, largest force and penetration", columns, rows)
 

@@ -314,14 +314,11 @@ def objective_map(result: FunctionResult) -> Figure | None:
     flat: dict[str, Any] = {**fixed, x_name: x, y_name: y}
     with np.errstate(all="ignore"):
         objective = ErrorResiduals(problem).objective({**fixed, x_name: x[..., None], y_name: y[..., None]})
-        inside = np.ones_like(x, dtype=bool)
-        size = fixed["frame"]
-        edges: list[tuple[str, Array]] = []
-        for row in limit_rows(problem, flat, problem.reach(flat), size):
+        slacks = []
+        for row in limit_rows(problem, flat, problem.reach(flat), fixed["frame"]):
             value = np.broadcast_to(np.asarray(row.value, dtype=float), x.shape)
-            slack = np.fmin(value - row.low, row.high - value)
-            inside &= slack >= 0.0
-            edges.append((row.label, slack))
+            slacks.append(np.fmin(value - row.low, row.high - value))
+        inside = np.all([slack >= 0.0 for slack in slacks] or [np.ones_like(x, dtype=bool)], axis=0)
     figure = new_figure(7.0, 5.8)
     axes = figure.subplots()
     scale_x, scale_y = (1e3 if name in LENGTHS else math.degrees(1.0) for name in problem.free)
@@ -332,25 +329,21 @@ def objective_map(result: FunctionResult) -> Figure | None:
     if not np.any(np.isfinite(shown)):
         return None
     low, high = max(float(np.nanmin(shown)), 1e-12), float(np.nanmax(shown))
-    levels = np.geomspace(low * 1.0001, high, 22)
-    filled = axes.contourf(x * scale_x, y * scale_y, np.log10(shown), levels=np.log10(levels), cmap="Blues_r", alpha=0.9)
-    axes.contour(
-        x * scale_x, y * scale_y, np.log10(shown), levels=np.log10(levels), colors="white", linewidths=0.4, linestyles="solid"
-    )
+    levels, height = np.log10(np.geomspace(low * 1.0001, high, 22)), np.log10(shown)
+    x, y = x * scale_x, y * scale_y
+    filled = axes.contourf(x, y, height, levels=levels, cmap="Blues_r", alpha=0.9)
+    axes.contour(x, y, height, levels=levels, colors="white", linewidths=0.4, linestyles="solid")
     if inside.any() and not inside.all():
-        outside = np.where(inside, np.nan, 1.0)
-        axes.contourf(x * scale_x, y * scale_y, outside, levels=[0.5, 1.5], colors=["white"], alpha=0.62)
-        worst = np.min([slack for _, slack in edges], axis=0)
-        axes.contour(x * scale_x, y * scale_y, worst, levels=[0.0], colors=[LIMIT], linewidths=1.5)
+        axes.contourf(x, y, np.where(inside, np.nan, 1.0), levels=[0.5, 1.5], colors=["white"], alpha=0.62)
+        axes.contour(x, y, np.min(slacks, axis=0), levels=[0.0], colors=[LIMIT], linewidths=1.5)
         axes.plot([], [], color=LIMIT, linewidth=1.5, label="edge of the feasible region")
     _iterations(axes, result, scale_x, scale_y)
     at = (result.design[x_name] * scale_x, result.design[y_name] * scale_y)
     axes.plot(*at, "*", color="#f1c40f", markeredgecolor=WANTED, markersize=15, zorder=6, label="design")
-    axes.set_xlim(x_low * scale_x, x_high * scale_x)
-    axes.set_ylim(y_low * scale_y, y_high * scale_y)
+    names = (f"{name} [{'mm' if name in LENGTHS else 'deg'}]" for name in problem.free)
+    axes.set(xlim=(x_low * scale_x, x_high * scale_x), ylim=(y_low * scale_y, y_high * scale_y))
+    axes.set(**dict(zip(("xlabel", "ylabel"), names, strict=True)))
     axes.grid(False)
-    axes.set_xlabel(f"{x_name} [{'mm' if x_name in LENGTHS else 'deg'}]")
-    axes.set_ylabel(f"{y_name} [{'mm' if y_name in LENGTHS else 'deg'}]")
     axes.legend(frameon=True, framealpha=0.9, fontsize=8.5, loc="upper right")
     bar = figure.colorbar(filled, ax=axes, pad=0.02)
     ticks = [t for t in range(math.floor(np.log10(low)), math.ceil(np.log10(high)) + 1) if np.log10(low) <= t <= np.log10(high)]

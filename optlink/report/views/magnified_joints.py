@@ -277,11 +277,7 @@ def _circle(at: Array, radius: float, face: Any, edge: str, width: float, above:
 
 
 def _exaggerated(sketch: MagnifiedMachine) -> str:
-    return (
-        f"deviations of the bodies drawn {sketch.factor:g}-fold"
-        if sketch.factor > 1.0
-        else "deviations of the bodies as they are"
-    )
+    return f"deviations of the bodies {f'drawn {sketch.factor:g}-fold' if sketch.factor > 1.0 else 'as they are'}"
 
 
 @styled
@@ -309,10 +305,8 @@ def mechanism(result: ClearanceSimulation) -> Figure | None:
     words = turns.title("play in the joints", place).split("\n")
     made.suptitle("\n".join(heading(line, width - 0.4, TITLE) for line in words), fontsize=TITLE)
     stage.set_title(_exaggerated(sketch), fontsize=9.5)
-    strip.set_title(
-        heading("journals, their paths, contact forces on them", width if strip.get_position().x0 < 0.5 else 3.0, 9.5),
-        fontsize=9.5,
-    )
+    caption = heading("journals, their paths, contact forces on them", width if strip.get_position().x0 < 0.5 else 3.0, 9.5)
+    strip.set_title(caption, fontsize=9.5)
     sketch.add_legend(made, int(width))
     made.draw_without_rendering()
     place_labels(made, sketch.letters(stage, sketch.steps))

@@ -164,13 +164,8 @@ def _front(result: Pareto, values: Array, x: int, y: int) -> ChartSpec:
         shade: dict[str, Any] = {"shade": values[:, third], "shade_name": _named(result.objectives[third])}
         traces = [Curve(along, up, "front", FOUND, mode="markers", picks=numbers, legend=False, **shade, gid="front")]
     outward = (0.7 * result.objectives[x].sense, 0.7 * result.objectives[y].sense)  # away from the unattainable side of the front
-    look: dict[str, Any] = {
-        "symbol": "circle" if two else "open circle",
-        "size": 7.0,
-        "prefer": outward,
-        "font": 8.5 if two else 7.5,
-    }
-    look |= {"size": 7.0, "prefer": outward, "written": True}
+    look: dict[str, Any] = {"symbol": "circle" if two else "open circle", "size": 7.0, "prefer": outward}
+    look |= {"font": 8.5 if two else 7.5, "written": True}
     marks = [
         Mark(float(along[k]), float(up[k]), _words(result, point), LIMIT, gid=point.mark, **look)
         for k, point in enumerate(result.points)
@@ -179,23 +174,13 @@ def _front(result: Pareto, values: Array, x: int, y: int) -> ChartSpec:
     if result.reference is not None:
         place = result.reference[x], result.reference[y]
         marks.append(Mark(*place, result.reference_label, WANTED, "square", 6.0, written=True, gid="reference"))
-    axes = [
-        Axis(
-            _named(result.objectives[k]), _widened([*values[:, k], *([] if result.reference is None else [result.reference[k]])])
-        )
-        for k in (x, y)
-    ]
+    every = values if result.reference is None else np.vstack([values, result.reference])
+    axes = [Axis(_named(result.objectives[k]), _widened(every[:, k].tolist())) for k in (x, y)]
     title = f"{result.objectives[x].name} against {result.objectives[y].name}"
-    return ChartSpec(
-        "front",
-        title[0].upper() + title[1:],
-        [Panel(axes[1], traces, 2.0, marks=marks)],
-        axes[0],
-        heading=f"{result.problem.model.title}: {', '.join(aim.name for aim in result.objectives)}",
-        picks=_picks(result, along, up) if first else None,
-        cursor=False,
-        width=7.6 if two else 4.4,
-    )
+    panel, picks = Panel(axes[1], traces, 2.0, marks=marks), _picks(result, along, up) if first else None
+    heading = f"{result.problem.model.title}: {', '.join(aim.name for aim in result.objectives)}"
+    title, width = title[0].upper() + title[1:], 7.6 if two else 4.4
+    return ChartSpec("front", title, [panel], axes[0], heading, picks=picks, cursor=False, width=width)
 
 
 def _widened(values: Sequence[float]) -> tuple[float, float]:
@@ -233,10 +218,9 @@ def _picks(found: Pareto, x: Array, y: Array) -> Picks:
                 told.append(study_tables.against(value, found.reference[k]))
         told += [number(value, 7) for value in point.design.values()]
         rows.append((*told, point.active or "nothing", point.mark or "–"))
-    told_words = (
-        f"point (changes: against {OTHERS.get(found.reference_label, found.reference_label)})" if found.reference else "point"
-    )
-    return Picks(told_words, (*names, "active constraints", "mark"), tuple(rows), x, y, _chosen(found) or 0, range(len(rows)))
+    against = OTHERS.get(found.reference_label, found.reference_label)
+    what = f"point (changes: against {against})" if found.reference else "point"
+    return Picks(what, (*names, "active constraints", "mark"), tuple(rows), x, y, _chosen(found) or 0, range(len(rows)))
 
 
 VIEW = View(charts=charts, tables=lambda result: {"front": result.columns}, page=stored_study)

@@ -139,10 +139,9 @@ class Close:
         track, factor, unit = self.track, self.unit.factor, self.unit.unit
         whole, run = (track.position(motion) * factor for motion in (track.motion, track.run))
         wanted, found = track.targets * factor, track.generated * factor
+        rest = "" if self.once else "rest of the curve"
         traces = [
-            Curve.through(
-                whole, "" if self.once else "rest of the curve", track.colour, 1.2, opacity=0.55, hover=False, gid="curve"
-            ),
+            Curve.through(whole, rest, track.colour, 1.2, opacity=0.55, hover=False, gid="curve"),
             Curve.through(run, "generated curve", track.colour, 2.0, gid="run"),
         ]
         if magnified is not None:
@@ -183,9 +182,8 @@ class Close:
         circles = track.targets[known][:, None] + magnified * track.tolerances[known][:, None, None] * CIRCLE
         opacity = 0.9 if len(circles) <= 100 else 0.25
         places = circles.reshape(-1, 2) * self.unit.factor
-        return [
-            Curve.through(places, f"tolerance{_fold(magnified)}", ALLOWED, 0.9, opacity=opacity, hover=False, gid="tolerances")
-        ]
+        name = f"tolerance{_fold(magnified)}"
+        return [Curve.through(places, name, ALLOWED, 0.9, opacity=opacity, hover=False, gid="tolerances")]
 
     def _deviations(self, magnified: float) -> list[Curve]:
         """Return the deviations as lines from the prescribed points."""

@@ -181,10 +181,8 @@ def squares(value: float, unit: Scale) -> str:
     unit : Scale
         Unit of the figure.
     """
-    units = [
-        unit,
-        *(smaller for smaller in (Scale(1e3, "mm"), Scale(1e6, "µm"), Scale(1e9, "nm")) if smaller.factor > unit.factor),
-    ]
+    small = Scale(1e3, "mm"), Scale(1e6, "µm"), Scale(1e9, "nm")
+    units = [unit, *(smaller for smaller in small if smaller.factor > unit.factor)]
     shown = next((each for each in units if value * each.factor**2 >= 1e-4), units[-1])
     return f"{_digits(value * shown.factor**2, 4)} {shown.unit}²"
 

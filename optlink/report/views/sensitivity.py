@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -27,36 +28,19 @@ def charts(result: Sensitivities) -> list[ChartSpec]:
     effects = np.array([factor * row.effect for row in rows])
     places = np.arange(len(rows), 0.0, -1.0)
     shown = [(row, f"{row.parameter.value:.5g} {row.parameter.unit}".rstrip()) for row in rows]
-    bars = [
-        Bars(
-            places - (1.0 - sign) * 0.17,
-            sign * effects,
-            words,
-            [LIMIT if sign * effect > 0.0 else FOUND for effect in effects],
-            width,
-            horizontal=True,
-            opacity=opacity,
-            legend=False,
-            text=[f"{row.parameter.name}: {value} {'+' if sign > 0.0 else '−'} {step(row)}" for row, value in shown],
-        )
-        for sign, words, width, opacity in ((1.0, "one step more", 0.34, 1.0), (-1.0, "one step less", 0.26, 0.45))
-    ]
+    bars = []
+    for sign, words, width, opacity in ((1.0, "one step more", 0.34, 1.0), (-1.0, "one step less", 0.26, 0.45)):
+        colours = [LIMIT if sign * effect > 0.0 else FOUND for effect in effects]
+        text = [f"{row.parameter.name}: {value} {'+' if sign > 0.0 else '−'} {step(row)}" for row, value in shown]
+        look: dict[str, Any] = {"horizontal": True, "opacity": opacity, "legend": False, "text": text}
+        bars.append(Bars(places - (1.0 - sign) * 0.17, sign * effects, words, colours, width, **look))
     names = [f"{row.parameter.name}\n{value}, {step(row)}" for row, value in shown]
     y = Axis(ticks=[(float(place) - 0.15, name) for place, name in zip(places, names, strict=True)])
-    x = Axis(f"change of the objective [{unit}]")
-    return [
-        ChartSpec(
-            "tornado",
-            "Effect of one step more or less: 1 deg of an angle, else 1 %",
-            [Panel(y, bars, 0.25 * len(rows) + 0.15)],
-            x,
-            heading=f"{result.problem.model.title}: what matters",
-            lines=[Line(0.0, colour=QUIET, width=1.0, dash="solid")],
-            cursor=False,
-            width=8.0,
-            remark="To first order; solid: one step more, pale: one step less; left is better",
-        )
-    ]
+    x, zero = Axis(f"change of the objective [{unit}]"), Line(0.0, colour=QUIET, width=1.0, dash="solid")
+    title, heading = "Effect of one step more or less: 1 deg of an angle, else 1 %", f"{result.problem.model.title}: what matters"
+    remark = "To first order; solid: one step more, pale: one step less; left is better"
+    panel = Panel(y, bars, 0.25 * len(rows) + 0.15)
+    return [ChartSpec("tornado", title, [panel], x, heading, remark, lines=[zero], cursor=False, width=8.0)]
 
 
 def table(result: Sensitivities) -> Mapping[str, list[float | str]]:

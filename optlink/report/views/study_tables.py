@@ -96,14 +96,10 @@ def _movers(result: Sensitivities, row: Sensitivity) -> str:
 
 def _prices(result: Sensitivities) -> TableSpec:
     """Tabulate the derivatives of the objective."""
-    rows = [
-        (
-            row.parameter.key,
-            f"{row.objective:+.6g}" if row.objective else "0",
-            quiet(f"{result.unit} per {row.parameter.unit or 'unit'}".strip()),
-        )
-        for row in result.moving
-    ]
+    rows = []
+    for row in result.moving:
+        per = quiet(f"{result.unit} per {row.parameter.unit or 'unit'}".strip())
+        rows.append((row.parameter.key, f"{row.objective:+.6g}" if row.objective else "0", per))
     return table("Change of the objective if the value is raised by one unit", "<><", rows)
 
 

@@ -22,6 +22,7 @@ from optlink.report.stored.stored_sweep import read
 from optlink.report.style import BODIES, FOUND, LIMIT, QUIET, beside
 from optlink.report.view import View
 from optlink.report.views import conclusions, study_tables
+from optlink.report.views.revolutions import runs
 from optlink.studies.analysis_task import FIGURES
 from optlink.studies.grid import Axis
 from optlink.studies.sweep import CHANGED, TEXT, Sweep, SweepRecord
@@ -260,42 +261,26 @@ def _curves(table: Table) -> ChartSpec:
     panels: list[Panel] = []
     for label, curves in _analysis_panels(table) if table.result.evaluated else _design_panels(table):
         colours = (FOUND, *BODIES[1:]) * len(curves)
-        traces = [
-            Curve(
-                x[kept],
-                column[kept],
-                name,
-                colour,
-                mode="lines+markers" if len(x) <= 30 else "lines",
-                legend=len(curves) > 1,
-                picks=() if panels else picks,
-            )
-            for (name, column), colour in zip(curves.items(), colours, strict=False)
-        ]
+        look: dict[str, Any] = {"mode": "lines+markers" if len(x) <= 30 else "lines", "picks": () if panels else picks}
+        look["legend"] = len(curves) > 1
+        own = zip(curves.items(), colours, strict=False)
+        traces = [Curve(x[kept], column[kept], name, colour, **look) for (name, column), colour in own]
         panels.append(Panel(chart_spec.Axis(label), traces, 1.2))
     if np.any(missed & there):
-        crosses = Curve(
-            x[missed & there], values[missed & there], "not proven", LIMIT, mode="markers", symbol="cross", gid="not proven"
-        )
+        crosses = _marked(x, values, missed & there, "not proven", LIMIT, symbol="cross")
         panels[0] = replace(panels[0], traces=[*panels[0].traces, crosses])
     lines = [Line(at, "" if k else OTHER, QUIET, 1.0, "dot") for k, at in enumerate(x[there & changed][:LINES].tolist())]
     edges = cells(x, log=_spread(axis) == "log")
-    runs = np.flatnonzero(np.diff(np.concatenate([[False], ~there, [False]]).astype(int))).reshape(-1, 2)
-    spans = [
-        Span(edges[low], edges[high], "" if k else table.empty, EMPTY, 1.0, "no design") for k, (low, high) in enumerate(runs)
-    ]
-    return ChartSpec(
-        "sweep",
-        f"Over {axis.key}",
-        panels,
-        _axis_of(axis, (edges[0], edges[-1]) if spans else None),
-        heading=_heading(table, f"over {axis.key}"),
-        lines=lines,
-        spans=spans,
-        picks=_picks(table, picked, x[at], values[at]),
-        cursor=False,
-        width=8.0,
-    )
+    empty = [(edges[first], edges[last + 1], "" if k else table.empty) for k, (first, last) in enumerate(runs(~there))]
+    spans = [Span(*ends, EMPTY, 1.0, "no design") for ends in empty]
+    across, picks_ = _axis_of(axis, (edges[0], edges[-1]) if spans else None), _picks(table, picked, x[at], values[at])
+    heading, more = _heading(table, f"over {axis.key}"), dict[str, Any](lines=lines, spans=spans, picks=picks_)
+    return ChartSpec("sweep", f"Over {axis.key}", panels, across, heading, cursor=False, width=8.0, **more)
+
+
+def _marked(x: Array, y: Array, mask: NDArray[np.bool_], name: str, colour: str, **look: Any) -> Curve:
+    """Return markers at the places of a mask."""
+    return Curve(x[mask][:MOST], y[mask][:MOST], name, colour, mode="markers", gid=name, **look)
 
 
 def _design_panels(table: Table) -> Iterator[tuple[str, dict[str, Array]]]:
@@ -362,10 +347,7 @@ def _map(
     )
     for mask, word, colour, symbol, size in looks:
         if np.any(mask):
-            dots = Curve(
-                x[mask][:MOST], y[mask][:MOST], word, colour, mode="markers", symbol=symbol, size=size, hover=False, gid=word
-            )
-            traces.append(dots)
+            traces.append(_marked(x, y, mask, word, colour, symbol=symbol, size=size, hover=False))
     if not np.all(there):
         traces.append(Curve.entry(table.empty, EMPTY, mode="markers", symbol="square", size=7.0, hover=False))
     return Panel(_axis_of(up), traces, height)

@@ -132,9 +132,8 @@ def _band(record: ToleranceRecord) -> ChartSpec:
     what = record.output if error else f"change of {record.output}"
     panel = Panel(Axis(f"{what} [{record.display_unit}]", ends_of_y), traces, 1.7, lines)
     output = f"the {record.output}" if error else record.output
-    return ChartSpec(
-        "band", f"Scatter of {record.output}", [panel], crank_angle(), f"{record.title}: {output} as built", width=8.0
-    )
+    title, heading = f"Scatter of {record.output}", f"{record.title}: {output} as built"
+    return ChartSpec("band", title, [panel], crank_angle(), heading, width=8.0)
 
 
 def _heights(trace: Trace) -> tuple[Array, ...]:
@@ -160,17 +159,10 @@ def _histogram(record: ToleranceRecord, sampled: MonteCarloRecord) -> ChartSpec:
     remark = f"Yield {percent(sampled.share)}, with 95 % confidence {percent(low)} ... {percent(high)}." if limited else ""
     what = judged_value(record) if np.any(record.judged_as_drawn) else f"change of {record.output}"
     title = f"{sampled.samples:,} linkages with their tolerances"
-    return ChartSpec(
-        "histogram",
-        title,
-        [Panel(Axis("share of the samples [%]"), bars, 1.4)],
-        Axis(f"largest {what} at any of the crank angles [{record.display_unit}]"),
-        f"{record.title}: {title}",
-        remark,
-        [Line(limit, f"limit {limit:.5g} {record.display_unit}", LIMIT, 1.6, "solid")] if limited else (),
-        cursor=False,
-        width=8.0,
-    )
+    panel, x = Panel(Axis("share of the samples [%]"), bars, 1.4), f"largest {what} at any of the crank angles"
+    text, unit = (f"{record.title}: {title}", remark), record.display_unit
+    lines = [Line(limit, f"limit {limit:.5g} {unit}", LIMIT, 1.6, "solid")] if limited else []
+    return ChartSpec("histogram", title, [panel], Axis(f"{x} [{unit}]"), *text, lines, cursor=False, width=8.0)
 
 
 VIEW = View(model=ToleranceRecord.of, charts=charts, tables=lambda result: {"tolerance": result.columns}, page=stored_study)
