@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from optlink.report.stored.stored_study import StoredStudy
 
 SCHEMA = "optlink/written/1"
+Words = list[str] | None
 
 
 def register(app: typer.Typer) -> None:
@@ -53,7 +54,7 @@ def report(
     facts = {"title": title, "company": company, "author": author, "part": part, "revision": revision, "date": date}
     changes = [*(changes or []), *(f"report.{key}={json.dumps(text)}" for key, text in facts.items() if text is not None)]
     with console.working("Reading or solving the problem"):
-        about = _subject(subject, output, problem, backend, starts, seed, changes, design)
+        about = _subject(subject, output, problem, (backend, starts, seed), changes, design)
         interrupts.check()
     from optlink.report.html.page import write_page
 
@@ -91,7 +92,7 @@ def export(
     angle = console.quantity(at, "angle", "--at")
     options = Options(angle, console.quantity(hole, "length", "--hole"), console.quantity(width, "length", "--width"), points)
     with console.working("Reading or solving the problem"):
-        about = _subject(subject, output, problem, backend, starts, seed, changes, design)
+        about = _subject(subject, output, problem, (backend, starts, seed), changes, design)
         interrupts.check()
     from optlink.report.stored.stored_study import StoredStudy
 
@@ -105,14 +106,7 @@ def export(
 
 
 def _subject(
-    text: str,
-    output: Path,
-    problem: str | None,
-    backend: str,
-    starts: int | None,
-    seed: int,
-    changes: list[str] | None,
-    design: list[str] | None,
+    text: str, output: Path, problem: str | None, search: tuple[str, int | None, int], changes: Words, design: Words
 ) -> ReportModel | StoredStudy:
     """Return the subject of the command: a stored result, or a problem with its solution."""
     from optlink.report.report_model import report_model_of, solve_or_validate
@@ -122,12 +116,12 @@ def _subject(
         raise InputError(Fault("this would overwrite what it is made of", "Choose another name", key="--out", value=str(output)))
     if is_result(text):
         remedy = "Leave it out, or name the problem instead of its result"
-        console.refuse({"--design": design, "--starts": starts}, "a result has its design already", remedy, text)
+        console.refuse({"--design": design, "--starts": search[1]}, "a result has its design already", remedy, text)
         return load_stored(text, problem, changes or ())
     remedy = "Leave it out, or name a result.json first"
     console.refuse({"--problem": problem}, "only a RESULT belongs to another problem", remedy, text)
     file = console.load(text, changes)
-    return report_model_of(file, solve_or_validate(file, backend, starts, seed, console.read_design_option(file, design)))
+    return report_model_of(file, solve_or_validate(file, *search, console.read_design_option(file, design)))
 
 
 def _refuse(about: ReportModel, as_json: bool) -> None:

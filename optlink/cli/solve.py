@@ -6,7 +6,7 @@ import json
 import math
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -102,24 +102,11 @@ def solve(
         )
     seconds = console.quantity(time_limit, "time", "--time-limit")
     with console.share("searching") as progress, console.share("proving") as proving:
-        result = search(
-            file,
-            backend,
-            starts,
-            seed,
-            progress,
-            designs=designs,
-            track=out is not None,
-            certify=certify,
-            gap=STRICT if gap is None else gap,
-            time_limit=math.inf if seconds is None else seconds,
-            folder=out if certify else None,
-            resume=resume,
-            engine=engine or "local",
-            workers=workers,
-            scheduler=scheduler,
-            proving=proving and (lambda share, gap: proving(share, f", gap {share_text(gap)}")),
-        )
+        stated: dict[str, Any] = {"certify": certify, "gap": STRICT if gap is None else gap, "resume": resume}
+        stated |= {"time_limit": math.inf if seconds is None else seconds, "folder": out if certify else None}
+        stated |= console.given(engine=engine, workers=workers, scheduler=scheduler)
+        stated["proving"] = proving and (lambda share, gap: proving(share, f", gap {share_text(gap)}"))
+        result = search(file, backend, starts, seed, progress, designs=designs, track=out is not None, **stated)
     if result.interrupted:
         print(f"Interrupted: {_interrupted(result)}.", file=sys.stderr)
     _show(result, as_json, out)

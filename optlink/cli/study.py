@@ -12,6 +12,7 @@ import typer
 from optlink.cli import console
 from optlink.cli.command import App
 from optlink.cli.options import Engine, Format, Json, Problem, Quiet, Scheduler, Set, flag, number, option
+from optlink.errors import Fault, InputError
 from optlink.execution import interrupts
 from optlink.solvers.contract import selectable
 
@@ -74,8 +75,6 @@ def sensitivity(
         return
     console.refuse({"--angles": angles}, "crank angles are those of an output", "Add for example --quantity rocker", file.file)
     if design:
-        from optlink.errors import Fault, InputError
-
         remedy = "Leave --design out; --quantity takes one"
         raise InputError(Fault("sensitivities are those of the optimum, which is searched", remedy, key="--design"))
     from optlink.studies.sensitivity import sensitivities
@@ -93,7 +92,6 @@ def _crank_angles(text: str) -> Any:
     """Read crank angles [rad] such as "0 deg, 60 deg" or "0..330 deg:12"."""
     import numpy as np
 
-    from optlink.errors import Fault, InputError
     from optlink.studies.grid import read_axis
     from optlink.units import UnitProblem, factor
 
@@ -112,7 +110,6 @@ def _output(file: ProblemFile, output: str, angles: str, design: list[str] | Non
     """Print the derivatives of an output by every dimension."""
     import numpy as np
 
-    from optlink.errors import Fault, InputError
     from optlink.problem.quantity import nearest
     from optlink.studies.motion_sensitivity import OutputSensitivityRecord, output_names, output_sensitivity
     from optlink.tasks.function import read_design, solve
@@ -178,7 +175,6 @@ def sweep(
     out: Kept = None,
 ) -> None:
     """Solve, analyse or simulate a problem at every point of a grid, on one machine or a cluster; resumable."""
-    from optlink.errors import Fault, InputError
     from optlink.studies.sweep import sweep as run
 
     file = console.load(problem, changes)
@@ -192,23 +188,11 @@ def sweep(
     if not analyze and not simulate:
         remedy = "Add --analyze; the number of swept values is part of --vary KEY=LOW..HIGH UNIT:N"
         console.refuse({"--points": points}, "crank angles are those of the analysis", remedy, file.file)
-    with _resuming(out, "sweep", problem, "sweeping", resume=resume) as progress:
-        result = run(
-            file,
-            vary or [],
-            out,
-            resume=resume,
-            analyze=analyze,
-            columns=column or ("input.torque_Nm",),
-            points=360 if points is None else points,
-            design=given,
-            simulate=console.given(revolutions=revolutions, control=control, points=points) if simulate else None,
-            backend=backend,
-            engine=engine or "local",
-            workers=workers,
-            scheduler=scheduler,
-            progress=progress,
-        )
+    mode: dict[str, Any] = {"analyze": analyze, "columns": column or ("input.torque_Nm",), "design": given}
+    mode["simulate"] = console.given(revolutions=revolutions, control=control, points=points) if simulate else None
+    many: dict[str, Any] = {"backend": backend, "engine": engine, "workers": workers, "scheduler": scheduler}
+    with _resuming(out, "sweep", problem, "sweeping", resume=resume, **many) as options:
+        result = run(file, vary or [], out, points=360 if points is None else points, **mode, **options)
     console.deliver(result, "sweep", as_json, out)
     if not result.successful:
         raise typer.Exit(1)
@@ -245,7 +229,6 @@ def tolerance(
 ) -> None:
     """Tolerance analysis: worst case, statistical scatter, yield, tolerance allocation, robust design."""
     console.places(out, "tolerance", problem)
-    from optlink.errors import Fault, InputError
     from optlink.studies.tolerance.analysis import tolerance as run
     from optlink.studies.tolerance.sampling import read_costs, read_sigmas, read_yield
 
@@ -253,25 +236,13 @@ def tolerance(
     given = console.read_design_option(file, design)
     if cost and allocate is None:
         raise InputError(Fault("costs are those of an allocation", 'Add for example --allocate "99 %"', key="--cost"))
+    crank = None if angles is None else _crank_angles(angles)
+    drawn: dict[str, Any] = {"samples": samples, "seed": seed, "shape": distribution, "design": given}
+    goals: dict[str, Any] = {"target_yield": None if allocate is None else read_yield(allocate), "costs": read_costs(cost or [])}
+    goals["robust"] = None if robust is None else read_sigmas(robust)
+    many = console.given(engine=engine, workers=workers, scheduler=scheduler)
     with console.share("building") as progress:
-        result = run(
-            file,
-            tolerances or [],
-            output,
-            None if angles is None else _crank_angles(angles),
-            limit,
-            samples=samples,
-            seed=seed,
-            shape=distribution,
-            design=given,
-            target_yield=None if allocate is None else read_yield(allocate),
-            costs=read_costs(cost or []),
-            robust=None if robust is None else read_sigmas(robust),
-            progress=progress,
-            engine=engine or "local",
-            workers=workers,
-            scheduler=scheduler,
-        )
+        result = run(file, tolerances or [], output, crank, limit, progress=progress, **drawn, **goals, **many)
     console.deliver(result, "tolerance", as_json, out)
     if (result.allocation is not None and not result.allocation.achieved) or (
         result.robust is not None and not result.robust.valid
@@ -299,36 +270,26 @@ def pareto(
     from optlink.studies.pareto.epsilon_constraint import pareto as run
 
     file = console.load(problem, changes)
-    with _resuming(out, "pareto", problem, "computing the front", resume=resume) as progress:
-        result = run(
-            file,
-            objectives,
-            out,
-            points=points,
-            resume=resume,
-            backend=backend,
-            engine=engine or "local",
-            workers=workers,
-            scheduler=scheduler,
-            progress=progress,
-        )
+    many: dict[str, Any] = {"backend": backend, "engine": engine, "workers": workers, "scheduler": scheduler}
+    with _resuming(out, "pareto", problem, "computing the front", resume=resume, **many) as options:
+        result = run(file, objectives, out, points=points, **options)
     console.deliver(result, "pareto", as_json, out)
     if not result.complete:
         raise typer.Exit(1)
 
 
 @contextlib.contextmanager
-def _resuming(out: Path | None, command: str, problem: str, what: str, *, resume: bool) -> Iterator[Callable[[int, int], None]]:
-    """Lock the folder of a study, show its progress, and report on interruption what is kept of it."""
-    from optlink.errors import Fault, InputError
-
+def _resuming(
+    out: Path | None, command: str, problem: str, what: str, *, resume: bool, **options: Any
+) -> Iterator[dict[str, Any]]:
+    """Lock the folder of a study, provide its options with its progress, and report on interruption what is kept of it."""
     if resume and out is None:
         raise InputError(Fault("needs the folder of the run", "Add --out DIR", key="--resume"))
     if out is not None and out.is_dir():
         console.study_place(out, command, problem)
     try:
         with _points(what) as progress:
-            yield progress
+            yield console.given(**options) | {"resume": resume, "progress": progress}
     except KeyboardInterrupt:
         interrupts.handled()
         kept = "no results were kept: --out is not given" if out is None else "completed points are kept; "

@@ -165,19 +165,19 @@ def stroke_table(named: Mapping[str, Travel], speed: float, acting: tuple[Stroke
 
 
 WORTH = {
-    ".v_m_s": "m/s",
-    ".a_m_s2": "m/s^2",
-    ".transmission_rad": "deg",
-    ".f_N": "N",
-    ".normal_N": "N",
-    ".moment_Nm": "N m",
-    "input.torque_Nm": "N m",
-    "input.power_W": "W",
-    "frame.shaking_fx_N": "N",
-    "frame.shaking_fy_N": "N",
-    "frame.shaking_moment_Nm": "N m",
+    ".v_m_s": ("velocity", "m/s"),
+    ".a_m_s2": ("acceleration", "m/s^2"),
+    ".transmission_rad": ("transmission angle", "deg"),
+    ".f_N": ("force", "N"),
+    ".normal_N": ("normal force", "N"),
+    ".moment_Nm": ("moment", "N m"),
+    "input.torque_Nm": ("torque", "N m"),
+    "input.power_W": ("power", "W"),
+    "frame.shaking_fx_N": ("shaking force x", "N"),
+    "frame.shaking_fy_N": ("shaking force y", "N"),
+    "frame.shaking_moment_Nm": ("shaking moment", "N m"),
 }
-"""Endings of the columns whose extremes are worth a line, and their display units."""
+"""Endings of the columns whose extremes are worth a line, with their names and display units."""
 
 LONGEST = 24
 """Letters up to which the name of an output stays on one line."""
@@ -188,22 +188,6 @@ ROUNDING = 1e-10
 UNITS = ("s", "s2", "rad", "N", "Nm", "W")
 """Last parts of the names of columns that share a scale."""
 
-WORDS = {
-    "v_m_s": "velocity",
-    "a_m_s2": "acceleration",
-    "transmission_rad": "transmission angle",
-    "f_N": "force",
-    "normal_N": "normal force",
-    "moment_Nm": "moment",
-    "torque_Nm": "torque",
-    "power_W": "power",
-    "shaking_fx_N": "shaking force x",
-    "shaking_fy_N": "shaking force y",
-    "shaking_moment_Nm": "shaking moment",
-    "omega_rad_s": "angular velocity",
-    "alpha_rad_s2": "angular acceleration",
-}
-
 
 def _extremes(outcome: Analysis) -> TableSpec:
     sizes = {name: max(abs(extreme.least), abs(extreme.largest)) for name, extreme in outcome.extremes.items()}
@@ -211,17 +195,16 @@ def _extremes(outcome: Analysis) -> TableSpec:
     moving = {name for name, size in sizes.items() if size > 1e-9 * scale.get(name.rpartition("_")[2], 0.0)}  # else rounding
     rows = []
     for name, extreme in outcome.extremes.items():
-        unit = next((unit for ending, unit in WORTH.items() if name.endswith(ending)), None)
-        if unit is None or name not in moving or not math.isfinite(extreme.least):
+        word, unit = next((shown for ending, shown in WORTH.items() if name.endswith(ending)), ("", ""))
+        if not word or name not in moving or not math.isfinite(extreme.least):
             continue
         factor = math.degrees(1.0) if unit == "deg" else 1.0
-        owner, _, what = name.rpartition(".")
         ends = ((extreme.least, extreme.least_at), (extreme.largest, extreme.largest_at))
         cells = [
             (number(factor * (0.0 if abs(value) <= ROUNDING * sizes[name] else value), 7), fixed(math.degrees(at), 4))
             for value, at in ends
         ]
-        rows.append((f"{owner}: {WORDS.get(what, what)}", *cells[0], *cells[1], quiet(unit)))
+        rows.append((f"{name.rpartition('.')[0]}: {word}", *cells[0], *cells[1], quiet(unit)))
     columns = ["", ">least", ">at deg", ">largest", ">at deg", ""]
     return table("Extremes over the motion, at their exact crank angles", columns, rows)
 
