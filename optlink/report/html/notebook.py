@@ -9,6 +9,7 @@ import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -296,7 +297,7 @@ class Explorer:
         except OptlinkError as error:
             if not hasattr(self, "_result"):
                 raise
-            self.status.value = f'{STYLE}<p class="optlink-bad">{_escaped(str(error))}</p>'
+            self.status.value = f'{STYLE}<p class="optlink-bad">{escape(str(error))}</p>'
             return
         self._problem, self._result, self._seconds = problem, result, time.perf_counter() - begin
         self._show()
@@ -341,11 +342,7 @@ class Explorer:
         drawn = svg(moving.scene, self._problem.model.title, k=k)
         self.drawing.value = f'<div style="width:560px;background:#fff;color:#222">{drawn}</div>'
         values = (f"{one.name} {one.text(k)} {one.shown_unit}" for one in moving.readouts)
-        self.angle.value = _escaped(" · ".join((moving.stops.text(k), *values)))
-
-
-def _escaped(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;")
+        self.angle.value = escape(" · ".join((moving.stops.text(k), *values)))
 
 
 def _ipywidgets() -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,37 +20,27 @@ from optlink.report.view import View
 from optlink.version import VERSION
 
 RESULT = "result.json"
-SOLVED = {
-    "optlink/function/2": ("solve", "function"),
-    "optlink/path/2": ("solve", "path"),
-    "optlink/cycle/2": ("solve", "cycle"),
-    "optlink/analysis/2": ("analyze", "analysis"),
-    "optlink/sensitivity/2": ("study sensitivity", "sensitivity"),
-}
+
+
+def _by_schema(commands: Mapping[str, str]) -> dict[str, tuple[str, str]]:
+    """Return command and kind of results by their schema, from the commands by kind."""
+    return {f"optlink/{kind.replace(' ', '-')}/2": (command, kind) for kind, command in commands.items()}
+
+
+COMPARED = "simulate --control compare"
+SOLVED = _by_schema(dict.fromkeys(("function", "path", "cycle"), "solve") | {"analysis": "analyze"})
+SOLVED |= _by_schema({"sensitivity": "study sensitivity"})
 """Schemas of results whose figures are computed anew: the command that writes them, and their kind."""
-STUDIES = {
-    "optlink/simulation/2": ("simulate", "simulation"),
-    "optlink/clearance/2": ("simulate", "clearance"),
-    "optlink/control-comparison/2": ("simulate --control compare", "control comparison"),
-    "optlink/balance/2": ("balance", "balance"),
-    "optlink/sweep/2": ("study sweep", "sweep"),
-    "optlink/tolerance/2": ("study tolerance", "tolerance"),
-    "optlink/pareto/2": ("study pareto", "pareto"),
-}
+STUDIES = _by_schema({"simulation": "simulate", "clearance": "simulate", "control comparison": COMPARED, "balance": "balance"})
+STUDIES |= _by_schema({kind: f"study {kind}" for kind in ("sweep", "tolerance", "pareto")})
 """Schemas of results that are shown as stored: the command that writes them, and the kind of their page."""
 KNOWN = {**SOLVED, **STUDIES}
-EARLIER = {
-    "optlink/result": "solve",
-    "optlink/generation": "solve",
-    "optlink/machine-design": "solve",
-    "optlink/compensation": "simulate --control compare",
-}
+EARLIER = dict.fromkeys(("optlink/result", "optlink/generation", "optlink/machine-design"), "solve")
+EARLIER |= {"optlink/compensation": COMPARED}
 """Names of schemas of earlier versions: the command that writes the present one."""
+DERIVATIVES = "Read the derivatives of an output in the sensitivity.csv beside it"
 PAGELESS = {
-    "optlink/output-sensitivity/2": (
-        "study sensitivity --quantity",
-        "Read the derivatives of an output in the sensitivity.csv beside it",
-    ),
+    "optlink/output-sensitivity/2": ("study sensitivity --quantity", DERIVATIVES),
     "optlink/tuning/2": ("simulate --tune", "Read the best parameters in it, under best"),
 }
 """Schemas of results that are not drawn: the command that writes them, and where to read them."""
