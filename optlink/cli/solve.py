@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 CERTIFY = (
     "Prove that no better design exists within the bounds, or find it. Default: motion laws of at most two design variables."
 )
+WORKERS = "Laws and functions, --certify: processes that share many starting points or a long proof. Default: all cores."
 GAP = "--certify: share of the objective by which a better design may be missed. Default: 1e-6."
 CERTIFICATE = "Check the proof of the global optimum that solve --certify --out wrote: certificate.json, or its folder."
 
@@ -68,7 +69,7 @@ def solve(
         str | None, option("TIME", '--certify: time for the proof, such as "5 min". Default: none.', "--time-limit")
     ] = None,
     engine: Engine = None,
-    workers: Annotated[int | None, number("--certify: number of processes. Default: all cores.", "--workers")] = None,
+    workers: Annotated[int | None, number(WORKERS, "--workers")] = None,
     scheduler: Scheduler = None,
     resume: Annotated[bool, flag("--certify: continue the proof interrupted in --out DIR.", "--resume")] = False,
     changes: Set = None,
@@ -81,9 +82,9 @@ def solve(
     """Optimise a design, verify it independently, and report the shadow prices of the active constraints."""
     console.places(out, "solve", problem)
     limits: dict[str, object] = {"--gap": gap, "--time-limit": time_limit, "--resume": resume}
-    limits |= {"--engine": engine, "--workers": workers, "--scheduler": scheduler}
+    where: dict[str, object] = {"--engine": engine, "--workers": workers, "--scheduler": scheduler}
     if design:
-        console.refuse({"--certify": certify} | limits, "a given design is validated, not optimised", "Leave it out")
+        console.refuse({"--certify": certify} | limits | where, "a given design is validated, not optimised", "Leave it out")
         _validate(problem, design, changes, as_json, out)
         return
     from optlink.tasks.certify import automatic
@@ -95,6 +96,8 @@ def solve(
     if not (automatic(file) if certify is None else certify):
         possible = certify is None and design_task(file).certified
         remedy = "Add --certify, or leave it out" if possible else "Leave it out"
+        if file.task != "function":
+            console.refuse(where, "only searches of laws and functions, and proofs, use several processes", remedy, file.file)
         console.refuse(limits, "there is no proof of a global optimum that it applies to", remedy, file.file)
     if resume and (out is None or not certify):
         raise InputError(

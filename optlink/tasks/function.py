@@ -296,7 +296,7 @@ def _search(problem: ProblemFile, search: Search) -> FunctionResult:
     searches = {name: FunctionSearch(spec, nlp, name, track=search.track) for name in search.names}
     count, interrupted = search.starts, False
     for k, one in enumerate(searches.values()):
-        if one.run(points, count, lambda: reason()[0], part(search.progress, k, len(searches))):
+        if one.run(points, count, lambda: reason()[0], part(search.progress, k, len(searches)), search.runs):
             count, interrupted = one.starts, True  # the other solver then uses as many starting points
     conflict: Conflict = ((), ())
     chosen = min(searches.values(), key=lambda one: one.result.rank)

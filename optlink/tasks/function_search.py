@@ -6,15 +6,18 @@ starts are never worse.
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Status
 from optlink.execution import interrupts
+from optlink.execution.runner import Runs, in_order
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import TURN
 from optlink.optimization.nlp import NLP
@@ -35,6 +38,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[float], None] | None
 
 ROUND, MOST = 24, 144  # random starts between evaluations of the evidence, and their largest number by default
+PIECE, BLOCK = 6, 240  # random starts of a piece for one process, and of all pieces at a time if their number is prescribed
 MISSED = 0.025  # estimated chance of a missed better optimum at which a search ends by default
 CERTIFIED = 2  # design variables of a motion law up to which the global optimum is certified by default, without random starts
 NEARBY = 2.0  # times the best objective, up to which an optimum at the design positions is refined over the whole range
@@ -139,6 +143,20 @@ def _alike(one: Solution, other: Solution) -> bool:
     return float(np.max(np.abs(away), initial=0.0)) <= multistart.SAME_DESIGN
 
 
+@dataclass(frozen=True)
+class LocalSearchTask:
+    """Searches at the design positions from points, with the solver beside each; a piece of them is a chunk for the runner."""
+
+    nlp: NLP
+    pieces: tuple[list[tuple[Array, str]], ...]
+
+    def __call__(self, index: int) -> list[dict[str, Any]]:
+        """Return the fields of the solutions of a piece, without the programme."""
+        self.nlp.set_exchange_points(np.zeros(self.nlp.exchange_count))
+        found = [multistart.solve_from(self.nlp, self.nlp.lifted(x), name) for x, name in self.pieces[index]]
+        return [{one.name: getattr(each, one.name) for one in fields(each) if one.name != "nlp"} for each in found]
+
+
 class FunctionSearch:
     """Search with one solver: distinct `optima` in the order of their discovery, and the `best` candidate."""
 
@@ -149,12 +167,20 @@ class FunctionSearch:
         self.starts = 0
         self.validating = 0.0  # s
 
-    def advance(self, start: SearchStart) -> None:
-        """Search from a start; refine the solution over the whole range and validate it."""
+    def advance(self, start: SearchStart, found: Solution | None = None) -> None:
+        """Search from a start, refine the solution over the whole range and validate it.
+
+        Parameters
+        ----------
+        start : SearchStart
+        found : Solution, optional
+            The solution at the design positions, if it is known already.
+        """
         nlp = self.nlp
         nlp.set_exchange_points(np.zeros(nlp.exchange_count))
         method = self._method(start)
-        found = multistart.solve_from(nlp, nlp.lifted(start.x), method, track=self.track and self.starts == 0)
+        if found is None:
+            found = multistart.solve_from(nlp, nlp.lifted(start.x), method, track=self.track and self.starts == 0)
         known = next((one for one in self.optima if _alike(one.coarse, found)), None)
         if known is None:
             if method == CLOSE and self.backend != "ipopt" and found.usable:
@@ -170,8 +196,8 @@ class FunctionSearch:
             known.drawn += start.drawn
         self.starts += 1
 
-    def _advance(self, start: SearchStart, progress: Progress, total: int) -> None:
-        self.advance(start)
+    def _advance(self, start: SearchStart, progress: Progress, total: int, found: Solution | None = None) -> None:
+        self.advance(start, found)
         if progress is not None:
             progress(min(self.starts / total, 1.0))
 
@@ -242,7 +268,14 @@ class FunctionSearch:
         groups.sort(key=lambda group: (not group[2], group[0].objective))
         return [max(1, drawn) for _, drawn, _ in groups]
 
-    def run(self, starts: StartSequence, count: int | None, rescue: Callable[[], Array | None], progress: Progress) -> bool:
+    def run(
+        self,
+        starts: StartSequence,
+        count: int | None,
+        rescue: Callable[[], Array | None],
+        progress: Progress,
+        runs: Runs | None = None,
+    ) -> bool:
         """Search from the first starts and random ones.
 
         Parameters
@@ -253,6 +286,8 @@ class FunctionSearch:
         rescue : function
             Returns a feasible point (n,) if no first start led to one, or None.
         progress : function of the completed fraction, optional
+        runs : function, optional
+            From `optlink.execution.runner.pool`, for the searches from random starts. Default: the present process.
 
         Returns
         -------
@@ -268,17 +303,34 @@ class FunctionSearch:
                 self.advance(SearchStart(x, drawn=False, close=False))
                 self.starts -= 1
             rest = starts.rest() if self.usable or count is not None else iter(())
-            while not self._enough(self.starts - len(starts.first), len(starts.first), count):
-                drawn = next(rest, None)
-                if drawn is None:
+            while not self._enough(drawn := self.starts - len(starts.first), len(starts.first), count):
+                block = ROUND if count is None else min(BLOCK, count - len(starts.first) - drawn)
+                some = list(itertools.islice(rest, 1 if runs is None else block))
+                if not some:
                     break
-                self._advance(drawn, progress, total)
+                for start, found in zip(some, self.coarse(some, runs), strict=True):
+                    self._advance(start, progress, total, found)
         except KeyboardInterrupt:
             interrupts.handled()
             if self.best is None:
                 raise
             return True
         return False
+
+    def coarse(self, starts: list[SearchStart], runs: Runs | None) -> list[Solution | None]:
+        """Return the solutions at the design positions from starts; None for each without processes.
+
+        Parameters
+        ----------
+        starts : list of SearchStart
+        runs : function, optional
+            From `optlink.execution.runner.pool`.
+        """
+        if runs is None:
+            return [None] * len(starts)
+        points = [(start.x, self._method(start)) for start in starts]
+        task = LocalSearchTask(self.nlp, tuple(points[k : k + PIECE] for k in range(0, len(points), PIECE)))
+        return [Solution(nlp=self.nlp, **part) for part in itertools.chain(*in_order(task, len(task.pieces), runs))]
 
     @property
     def _most(self) -> int:

@@ -10,6 +10,7 @@ from typing import ClassVar, Generic, Protocol, TypeVar
 
 from optlink.errors import InputError
 from optlink.execution import interrupts
+from optlink.execution.runner import Runs
 from optlink.problem.file import ProblemFile
 from optlink.problem.machine.model import Problem
 from optlink.problem.quantity import nearest
@@ -121,7 +122,10 @@ def completed(result: Found) -> Found:
 
 @dataclass(frozen=True)
 class Search:
-    """Checked options of a search, see `DesignTask.solve`; `names`: the back ends to use; `timer`: begun with the search."""
+    """Checked options of a search, see `DesignTask.solve`; `names`: the back ends to use; `timer`: begun with the search.
+
+    `runs`: processes for independent parts, from `optlink.execution.runner.pool`, that change nothing in the result.
+    """
 
     names: tuple[str, ...]
     backend: str
@@ -131,6 +135,7 @@ class Search:
     designs: int
     track: bool
     begin: Mapping[str, float] | None
+    runs: Runs | None = None
     timer: Timer = field(default_factory=Timer)
 
 
@@ -195,6 +200,7 @@ class DesignTask(ABC, Generic[R]):
         designs: int | None = None,
         track: bool = False,
         begin: Mapping[str, float] | None = None,
+        runs: Runs | None = None,
     ) -> R:
         """Check the options, search, and validate the result.
 
@@ -215,6 +221,8 @@ class DesignTask(ABC, Generic[R]):
             Keep the iterates of the first search (laws and functions).
         begin : mapping of str to float [SI], optional
             Design variables of the only starting point (laws and functions).
+        runs : function, optional
+            From `optlink.execution.runner.pool`: processes that share the starting points (laws and functions).
 
         Raises
         ------
@@ -228,7 +236,8 @@ class DesignTask(ABC, Generic[R]):
             raise InputError("only points and poses have several designs", remedy, problem.file, "--designs", designs)
         check_count("designs", designs, MOST_DESIGNS)
         names = self._back_ends(problem, backend, starts, seed)
-        return self.search(problem, Search(names, backend, starts, seed, progress, designs or self.designs or 1, track, begin))
+        count = designs or self.designs or 1
+        return self.search(problem, Search(names, backend, starts, seed, progress, count, track, begin, runs))
 
     def _back_ends(self, problem: ProblemFile, backend: str, starts: int | None, seed: int) -> tuple[str, ...]:
         """Check the options of the search, import its back ends and return their names."""

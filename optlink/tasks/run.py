@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 Proving = Callable[[float, float], None]
 """Receives the share of the bounds that is done, and the present gap."""
 
+MANY = 500  # starting points that several processes share by default; fewer take no longer than the start of the processes
 TASKS: Registry[Callable[[], DesignTask[Any]]] = Registry()
 """Functions that import and return the tasks, by the kind of problem (`ProblemFile.task`)."""
 
@@ -102,7 +103,8 @@ def solve(
     resume : bool
         Continue the proof that was interrupted in `folder`.
     engine, workers, scheduler
-        See `optlink.execution.runner.pool`: where a long proof is made. They change nothing in the result.
+        See `optlink.execution.runner.pool`: where many starting points (of laws and functions) are searched from, and a long
+        proof is made. They change nothing in the result.
 
     Returns
     -------
@@ -115,7 +117,7 @@ def solve(
         If the problem has no requirement, objective or balancing section, if it has no design variables, or if an argument
         does not apply.
     """
-    from optlink.execution.runner import check
+    from optlink.execution.runner import pool
     from optlink.tasks import certify as proof
 
     task = design_task(problem)
@@ -123,11 +125,13 @@ def solve(
         message, remedy = "no certificate of the global optimum for this kind of problem", "Leave it out"
         raise InputError(message, remedy, problem.file, "--certify")
     proof.check_options(gap, time_limit)
-    check(engine, workers, scheduler)
     if certify:
         proof.check_problem(problem)
     found: FunctionResult | PathResult | CycleResult | Balance
-    found = task.solve(problem, backend, starts, seed, progress, designs=designs, track=track)
+    shared = workers is not None or engine != "local" or (starts or 0) >= MANY
+    with pool(engine, workers, scheduler) as runs:
+        kept: dict[str, Any] = {"designs": designs, "track": track, "runs": runs if shared else None}
+        found = task.solve(problem, backend, starts, seed, progress, **kept)
     if not task.certified or certify is False or found.interrupted:
         return found
     if certify is None and not proof.automatic(problem):

@@ -15,7 +15,10 @@ REFUSED = {
         ("path-bean", "--time-limit", "2 s"),
         "there is no proof of a global optimum that it applies to. Add --certify, or leave it out",
     ),
-    "processes without a proof": (("crank-rocker", "--no-certify", "--workers", "2"), '--workers = "2": there is no proof'),
+    "processes without a proof": (
+        ("path-bean", "--workers", "2"),
+        "only searches of laws and functions, and proofs, use several processes. Add --certify",
+    ),
     "an unknown engine": (("crank-rocker", "--engine", "cluster"), '--engine = "cluster": unknown engine'),
     "a machine": (
         ("shaper-design", "--gap", "0.1"),

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import optlink
+from optlink.execution.runner import pool
 from optlink.optimization.nlp import build
 from optlink.solvers import contract, multistart
 from optlink.tasks.function_search import FunctionSearch, SearchStart, start_sequence
@@ -32,6 +33,29 @@ def test_starts_of_a_smaller_number_are_the_first_ones_of_a_larger_one(file: opt
         np.testing.assert_array_equal(a.x, b.x)
     assert not any(start.drawn for start in one.first)
     assert len({tuple(start.x[:3]) for start in many}) > 190
+
+
+def test_processes_search_as_this_one_does() -> None:
+    file = optlink.load("crank-rocker")
+    nlp = build(file.spec)
+    points = list(itertools.islice(start_sequence(file.spec, nlp, 5, None).rest(), 20))
+    with pool("local", 2) as runs:
+        shared = FunctionSearch(file.spec, nlp, "ipopt").coarse(points, runs)
+    alone = [multistart.solve_from(nlp, nlp.lifted(point.x), "ipopt") for point in points]
+    assert [one.iterations for one in shared] == [one.iterations for one in alone]
+    for one, other in zip(shared, alone, strict=True):
+        np.testing.assert_array_equal([*one.x, *one.g, *one.proof.multipliers], [*other.x, *other.g, *other.proof.multipliers])
+    assert len({one.iterations for one in alone}) > 3  # of which the order matters
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("starts", "engine"), [(None, "local"), (40, "dask")])
+def test_processes_change_no_digit_of_a_search(starts: int | None, engine: str) -> None:
+    file = optlink.load("function-sin")
+    one, other = (optlink.solve(file, "ipopt", starts, certify=False, **how) for how in ({}, {"workers": 2, "engine": engine}))
+    assert (other.starts, other.counts, other.optima, other.design) == (one.starts, one.counts, one.optima, one.design)
+    assert other.solution.proof.multipliers.tobytes() == one.solution.proof.multipliers.tobytes()
+    assert len(one.optima) > 1
 
 
 def test_convex_first_steps_and_the_given_start_are_searched_whatever_the_number() -> None:
