@@ -61,7 +61,7 @@ def exchange(nlp: CycleNLP, solution: Solution) -> Solution:
 
     With fixed positions the NLP does not account for the shift of a peak with the design: where the limits alone do not determine
     the design, steps overshoot alternately. Therefore the positions of the peaks are unknowns too, the design variables move
-    within a radius, and a step is accepted only if the merit at the peaks decreases. These steps use IPOPT for every back end.
+    within a radius, and a step is accepted only if the merit at the peaks decreases. These steps do not depend on the back end.
 
     Parameters
     ----------
@@ -161,8 +161,12 @@ def _levelled(nlp: CycleNLP, x: Array, found: Peaks, radius: float) -> Solution 
     return near if near.status is Status.OPTIMAL and _distance(nlp, near.x, x) <= radius else None
 
 
-def _followed(nlp: CycleNLP, x: Array, found: Peaks, radius: float, name: str = CLOSE) -> Solution | None:
-    """Return the optimum within a radius, the positions of the peaks being unknowns; None if there is none."""
+def _followed(nlp: CycleNLP, x: Array, found: Peaks, radius: float, name: str = "") -> Solution | None:
+    """Return the optimum within a radius, the positions of the peaks being unknowns; None if there is none.
+
+    Without a name, IPOPT searches it; SLSQP if second derivatives would first have to be generated for the whole cycle.
+    """
+    name = name or (CLOSE if nlp.mapped is not None else "slsqp")
     n, count = len(nlp.variables), len(nlp.free)
     moving, start = _moving(nlp, x, found)
     low, high = np.maximum(nlp.x_low, x - radius), np.minimum(nlp.x_high, x + radius)
