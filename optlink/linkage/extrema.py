@@ -280,6 +280,7 @@ STILL = 1e-11
 
 
 NEWTON = 12  # steps
+NOISE = 1024  # units of the last place: shorter steps that no longer shrink are due to rounding of the function
 Slope = Callable[[int, float], tuple[float, float]]
 
 
@@ -336,15 +337,16 @@ def sign_changes(values: Array, *, still: bool = False) -> tuple[NDArray[np.bool
 
 def _newton(slope: Slope, k: int, low: float, high: float, at_low: float, at_high: float) -> float:
     """Return the zero of a function within a bracket, to rounding; NaN if Newton's method leaves it or does not converge."""
-    at = low + (high - low) * abs(at_low) / (abs(at_low) + abs(at_high))
+    at, last, place = low + (high - low) * abs(at_low) / (abs(at_low) + abs(at_high)), math.inf, math.ulp(high)
     for _ in range(NEWTON):
         value, rate = slope(k, at)
         step = value / rate if rate else math.inf
         at -= step
         if not low <= at <= high:
             return math.nan
-        if abs(step) <= 2.0 * math.ulp(high):
+        if abs(step) <= 2.0 * place or (abs(step) <= NOISE * place and abs(step) > 0.5 * last):
             return at
+        last = abs(step)
     return math.nan
 
 

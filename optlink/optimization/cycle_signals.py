@@ -146,25 +146,11 @@ class TracedCycle:
         inputs = casadi.SX.sym("inputs", len(self.names) + 1)
         with symbols_in_numpy():
             moving = self._moving(inputs)
-            self.widths: list[int] = []
-            outputs: list[Any] = []
-            for signal in self._signals(moving):
-                self.widths.append(len(signal))
-                outputs += signal
-            begin = len(outputs)
-            outputs += [jet_parts(group.alignment(moving.pose))[0] - group.least for group in self.mechanism.groups]
-            margins = outputs[begin:]
+            margins = [jet_parts(group.alignment(moving.pose))[0] - group.least for group in self.mechanism.groups]
             ends = [part for term in self.ended for part in self._output(term, moving)]
             found = [event.value(moving) for event in self.events]
-            senses = [self.direction * sign(of(moving)[0] / self.speed) for of, _ in moving.asked]
-        symbols = casadi.vertcat(*[symbol for _, symbol in moving.asked])
-        self.senses = len(moving.asked)
-        self._known = casadi.vertcat(inputs, symbols)
-        self._outputs = casadi.vertcat(*outputs)
-        self.at = casadi.Function("at", [inputs, symbols], [self._outputs])
-        self.sensed = casadi.Function("sensed", [inputs], [casadi.vertcat(*senses)])
         self.at_event = casadi.Function("event", [inputs], [casadi.vertcat(*found, *ends)])
-        self._inputs, self._found, self._margins = inputs, found, margins
+        self._inputs, self._machine, self._found, self._margins = inputs, moving, found, margins
 
     def __reduce__(self) -> tuple[Any, ...]:
         return TracedCycle, (self.problem, self.values, self.slow)
@@ -203,6 +189,38 @@ class TracedCycle:
             return moving.axis(name)
         assert term.direction is not None
         return (dot(unit(term.direction.value), moving.position(name)),)
+
+    @cached_property
+    def _traced(self) -> tuple[list[int], Any, Any, Any]:
+        """Numbers of components, signals and margins, symbols for the senses, and these senses; events need no forces."""
+        moving, inputs = self._machine, self._inputs
+        with symbols_in_numpy():
+            signals = self._signals(moving)
+            senses = [self.direction * sign(of(moving)[0] / self.speed) for of, _ in moving.asked]
+        outputs = casadi.vertcat(*[part for signal in signals for part in signal], *self._margins)
+        symbols = casadi.vertcat(*[symbol for _, symbol in moving.asked])
+        return (
+            [len(signal) for signal in signals],
+            outputs,
+            symbols,
+            casadi.Function("sensed", [inputs], [casadi.vertcat(*senses)]),
+        )
+
+    @property
+    def widths(self) -> list[int]:
+        """Number of components of each signal."""
+        return self._traced[0]
+
+    @cached_property
+    def at(self) -> Any:
+        """(quantities and crank angle, senses) -> signals, then margins."""
+        _, outputs, symbols, _ = self._traced
+        return casadi.Function("at", [self._inputs, symbols], [outputs])
+
+    @property
+    def sensed(self) -> Any:
+        """(quantities and crank angle) -> senses of motion."""
+        return self._traced[3]
 
     # --- events ----------------------------------------------------------------------------------------------------------
 
@@ -285,7 +303,8 @@ class TracedCycle:
     @cached_property
     def signals(self) -> NumpyEvaluator:
         """Signals, then margins, as functions of (quantities, crank angle, senses)."""
-        return NumpyEvaluator([self._known], [self._outputs])
+        _, outputs, symbols, _ = self._traced
+        return NumpyEvaluator([casadi.vertcat(self._inputs, symbols)], [outputs])
 
     def inputs(self, values: Mapping[str, float]) -> list[float]:
         """Return the quantities in the order of the inputs; values of the file for missing ones."""
