@@ -108,13 +108,27 @@ def write(mechanism: dict[str, Any], name: str, value: object) -> None:
     value : object
         New value as in a TOML file.
     """
+    table, key = place_of(mechanism, name)
+    table[key] = value
+
+
+def place_of(mechanism: dict[str, Any], name: str) -> tuple[Any, str | int]:
+    """Return the table or list of the section [mechanism] that contains a quantity, and its key or index there.
+
+    Parameters
+    ----------
+    mechanism : dict
+        Section [mechanism] as nested tables; a pivot that is not stated is added.
+    name : str
+        Name of the quantity.
+    """
     *steps, last = key_path(mechanism, name)
     if steps == ["pivot"]:
         mechanism["pivot"] = list(mechanism.get("pivot") or ["0 mm", "0 mm"])
-    section: Any = mechanism
+    table: Any = mechanism
     for step in steps:
-        section = section[step]
-    section[last] = value
+        table = table[step]
+    return table, last
 
 
 def key_path(mechanism: Mapping[str, Any], name: str) -> list[str | int]:

@@ -7,6 +7,7 @@ random dimensions, so that no chunk depends on another. Every machine is validat
 
 from __future__ import annotations
 
+import copy
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -24,15 +25,14 @@ from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.nlp import NLP
 from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.file import ProblemFile, read
-from optlink.problem.fixed_design import fixed_design
-from optlink.problem.mechanism import sizes_of
+from optlink.problem.fixed_design import place_of
 from optlink.solvers import multistart
 from optlink.solvers.cycle_search import at_edge
 from optlink.solvers.semi_infinite import exchange, peaks
 from optlink.studies.continuation import FOLLOWED
 from optlink.studies.grid import Grid
 from optlink.studies.reoptimise_task import SEARCHED, SLOW_CHUNK, ReoptimiseTask, active, one_programme_suffices
-from optlink.studies.sweep_task import OptimumTask, SweepTask
+from optlink.studies.sweep_task import FoundOptimum, OptimumTask, SweepTask
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.results.common import optimality
 from optlink.tasks.results.cycle import CycleResult, task_of
@@ -108,16 +108,9 @@ class CycleTask(OptimumTask):
     def _row(self, point: int, found: CycleResult, how: str) -> list[str]:
         usable = found.solution is not None and found.status in (Status.OPTIMAL, Status.STALLED)
         missed = [item.name for item in found.conflict] or [check.name for check in found.validation.checks if not check.passed]
-        return self.optimum(
-            point,
-            found.design,
-            found.objective,
-            found.status,
-            valid=found.valid,
-            failed=dict.fromkeys(missed),
-            active=active(found.solution) if usable and found.solution is not None else (),
-            method=how,
-        )
+        held = active(found.solution) if usable and found.solution is not None else ()
+        row = FoundOptimum(found.design, found.objective, found.status, found.valid, dict.fromkeys(missed), held, how)
+        return self.optimum(point, row)
 
 
 def optimum_task(
@@ -257,20 +250,12 @@ def with_starting_values(problem: ProblemFile, values: Mapping[str, float]) -> P
     problem : ProblemFile
     values : mapping of str to float [SI]
     """
-    sizes = sizes_of(problem.model.mechanism.quantities)
+    mechanism = copy.deepcopy(problem.raw["mechanism"])
     for name, value in values.items():
-        low, high = problem.model.quantities[name].bounds
-        sizes[name] = min(max(value, low), high)
-    mechanism = _with_starts(problem.raw["mechanism"], fixed_design(problem, sizes).raw["mechanism"])
+        quantity = problem.model.quantities[name]
+        low, high = quantity.bounds
+        start = f"{min(max(value, low), high) / quantity.si_per_unit!r} {quantity.display[1]}"
+        if quantity.free:
+            table, key = place_of(mechanism, name)
+            table[key] = {**table[key], "start": start}
     return read({**problem.raw, "mechanism": mechanism}, problem.name, problem.file, problem.folder)
-
-
-def _with_starts(free: Any, fixed: Any) -> Any:
-    """Return a part of the file with fixed values as the starting values of design variables."""
-    if isinstance(free, Mapping) and "bounds" in free:
-        return {**free, "start": fixed}
-    if isinstance(free, Mapping):
-        return {key: _with_starts(value, fixed[key]) for key, value in free.items()}
-    if isinstance(free, list):
-        return [_with_starts(value, other) for value, other in zip(free, fixed, strict=True)]
-    return free

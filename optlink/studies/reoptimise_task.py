@@ -8,7 +8,7 @@ single one. A row depends on the grid alone.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -34,7 +34,7 @@ from optlink.studies.batch.optima import GridSearch
 from optlink.studies.continuation import FOLLOWED, follow_optimum
 from optlink.studies.fast_overrides import FastOverride
 from optlink.studies.grid import Grid
-from optlink.studies.sweep_task import OptimumTask
+from optlink.studies.sweep_task import FoundOptimum, OptimumTask
 from optlink.tasks.protocol import completed
 from optlink.tasks.results.balance import Balance
 from optlink.tasks.run import solve
@@ -86,19 +86,6 @@ def chunk_of(grid: Grid) -> int:
 
 
 @dataclass(frozen=True)
-class _Optimum:
-    """Contents of a row; `design` [SI] by design variable."""
-
-    design: Mapping[str, float]
-    objective: float
-    status: Status
-    valid: bool
-    failed: tuple[str, ...]
-    active: tuple[str, ...]
-    method: str
-
-
-@dataclass(frozen=True)
 class ReoptimiseTask(OptimumTask):
     """Optimum at every point."""
 
@@ -130,12 +117,12 @@ class ReoptimiseTask(OptimumTask):
         """Return the rows of a chunk."""
         if self.programme is None:
             found = (_separately(self.problem.override(self.grid.changes(point)), self.backend) for point in self.span(index))
-            return [self.optimum(point, **vars(one)) for point, one in zip(self.span(index), found, strict=True)]
+            return [self.optimum(point, one) for point, one in zip(self.span(index), found, strict=True)]
         rows: dict[int, list[str]] = {}
         points = np.array(self.span(index))
         for first in range(0, len(points), BATCH):
             rows |= self._followed(points[first : first + BATCH])
-        return [rows[point] if point in rows else self.optimum(point, **vars(self._again(point))) for point in self.span(index)]
+        return [rows[point] if point in rows else self.optimum(point, self._again(point)) for point in self.span(index)]
 
     def model(self, point: int) -> DesignProblem:
         """Return the problem at a point of the grid."""
@@ -192,7 +179,7 @@ class ReoptimiseTask(OptimumTask):
             for k, point in enumerate(points.tolist())
         }
 
-    def _again(self, point: int) -> _Optimum:
+    def _again(self, point: int) -> FoundOptimum:
         """Return the optimum at a point that is searched, from that of a neighbour if there is one."""
         assert self.programme is not None
         programme, near = self.programme, self.grid_search.nearest(point)
@@ -208,8 +195,8 @@ class ReoptimiseTask(OptimumTask):
         valid = solution.status is Status.OPTIMAL and not failed
         if solution.status is Status.INFEASIBLE:
             missed, against = conflicting(solution)
-            return _Optimum(solution.design, solution.objective, solution.status, valid, missed or failed, against, found)
-        return _Optimum(solution.design, solution.objective, solution.status, valid, failed, active(solution), found)
+            return FoundOptimum(solution.design, solution.objective, solution.status, valid, missed or failed, against, found)
+        return FoundOptimum(solution.design, solution.objective, solution.status, valid, failed, active(solution), found)
 
 
 def _failed(proof: Validation) -> tuple[str, ...]:
@@ -292,14 +279,14 @@ class ParametricProgramme:
         return multistart.best(tries), SEARCHED
 
 
-def _separately(task: ProblemFile, backend: str) -> _Optimum:
+def _separately(task: ProblemFile, backend: str) -> FoundOptimum:
     """Return the optimum of a problem that is built and searched separately."""
     result = completed(solve(task, backend))
     assert not isinstance(result, Balance)
     failed = tuple(check.name for check in result.validation.checks if not check.passed)
     failed = tuple(item.name for item in result.conflict) or failed
     held = () if result.solution is None else active(result.solution)
-    return _Optimum(result.design, result.objective, result.status, result.valid, failed, held, SEARCHED)
+    return FoundOptimum(result.design, result.objective, result.status, result.valid, failed, held, SEARCHED)
 
 
 def conflicting(solution: Solution) -> tuple[tuple[str, ...], tuple[str, ...]]:

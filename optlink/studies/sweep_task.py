@@ -150,6 +150,19 @@ class FiguresTask(SweepTask):
 
 
 @dataclass(frozen=True)
+class FoundOptimum:
+    """Contents of a row: `design` [SI] by design variable, names of `failed` checks and of `active` limits, how it was found."""
+
+    design: Mapping[str, float]
+    objective: float
+    status: Status
+    valid: bool
+    failed: Iterable[str]
+    active: Iterable[str]
+    method: str
+
+
+@dataclass(frozen=True)
 class OptimumTask(SweepTask):
     """A task whose rows are optima."""
 
@@ -185,34 +198,16 @@ class OptimumTask(SweepTask):
         model: Any = self.template.model
         return column("objective", model.objective_unit)
 
-    def optimum(
-        self,
-        point: int,
-        design: Mapping[str, float],
-        objective: float,
-        status: Status,
-        *,
-        valid: bool,
-        failed: Iterable[str],
-        active: Iterable[str],
-        method: str,
-    ) -> list[str]:
-        """Return the row of an optimum.
+    def optimum(self, point: int, found: FoundOptimum) -> list[str]:
+        """Return the row of an optimum; design and objective of other than optimal and stalled searches are left out.
 
         Parameters
         ----------
         point : int
-        design : mapping of str to float [SI]
-        objective : float [SI]
-        status : Status
-            Design and objective of other than optimal and stalled searches are left out.
-        valid : bool
-        failed, active : iterable of str
-            Names of failed checks and of active limits.
-        method : str
-            How the optimum was found.
+        found : FoundOptimum
         """
-        usable = status in (Status.OPTIMAL, Status.STALLED)
-        sizes = [design.get(name, math.nan) / q.si_per_unit for name, q in self.free.items()]
-        figures = [value if usable else math.nan for value in (*sizes, objective)]
-        return self.row(point, figures, status.value, str(valid).lower(), "; ".join(failed), "; ".join(active), method)
+        usable = found.status in (Status.OPTIMAL, Status.STALLED)
+        sizes = [found.design.get(name, math.nan) / q.si_per_unit for name, q in self.free.items()]
+        figures = [value if usable else math.nan for value in (*sizes, found.objective)]
+        words = (found.status.value, str(found.valid).lower(), "; ".join(found.failed), "; ".join(found.active), found.method)
+        return self.row(point, figures, *words)
