@@ -14,10 +14,12 @@ from optlink.studies.grid import Grid
 Index = NDArray[np.intp]
 MOST = 100
 """Points of a block, at most."""
+FEWEST = 3
+"""Blocks of a grid, about: each has a search of its own, so that a small grid does not depend on a single one."""
 
 
 class Blocks:
-    """Blocks of at most `MOST` points of a grid, about as long along every axis; they depend on the grid alone.
+    """Blocks of at most `MOST` points, fewer in small grids, about as long along every axis; they depend on the grid alone.
 
     Parameters
     ----------
@@ -26,7 +28,7 @@ class Blocks:
 
     def __init__(self, grid: Grid) -> None:
         self.shape = tuple(len(axis.values) for axis in grid.axes)
-        edges, left = dict.fromkeys(range(len(self.shape)), 1), MOST
+        edges, left = dict.fromkeys(range(len(self.shape)), 1), max(1, min(MOST, math.prod(self.shape) // FEWEST))
         for done, axis in enumerate(sorted(edges, key=lambda k: self.shape[k])):
             edge = math.floor(left ** (1.0 / (len(edges) - done)) + 1e-9)
             edges[axis] = max(1, min(self.shape[axis], edge))
