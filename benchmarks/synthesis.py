@@ -1,6 +1,7 @@
 """Synthesis: paths against differential evolution, pylinkage and fourbarhinge; round trips; convex first steps; shipped problems.
 
-`python benchmarks/synthesis.py [--parts evolution,peers,first,cases,trips] [--seeds N] [--linkages N] [--laws N] [--json FILE]`
+`python benchmarks/synthesis.py [--parts evolution,peers,first,cases,six-bars,trips] [--seeds N] [--linkages N] [--laws N]
+[--json FILE]`
 
 Every measurement runs in a process of its own on one thread (`python synthesis.py NAME ARGUMENTS` prints its figures), after one
 small search that imports and compiles. Seconds are processor seconds, those that a clock on the wall shows if nobody else is at
@@ -59,6 +60,8 @@ PASSES, NEAR = 1e-8, 0.05  # of the points' size: error that is none; pylinkage'
 README_POINTS = ((0.0, 0.0), (1.0, 1.0), (2.0, 1.0), (3.0, 0.0))  # of pylinkage
 README_HINGE = ((90, 10), (92, 25), (88, 40), (78, 54), (62, 64), (42, 70), (22, 70))  # of fourbarhinge
 HINGE_LENGTHS, HINGE_PIVOT, HINGE_STARTS = (15.0, 120.0), (40.0, -10.0), 60
+
+SIX_BARS, SIX_BAR_POINTS = 2, 12  # random paths for free six-bars, Watt I and Stephenson III in turn
 
 STEPS, FEW, MANY = 5, 5, 48  # per assembly mode: convex first steps, as many random starts, and those of the large search
 SAME = 1e-3  # share of the best error, and with it the best design
@@ -456,6 +459,19 @@ def case(name: str, seeds: str) -> Figures:
     return figures
 
 
+def six_bar(seed: str) -> Figures:
+    """Rms error [mm], and seconds, of a six-bar for a random path, every dimension free."""
+    import optlink
+    from tests.random_six_bars import random_six_bar
+
+    task = random_six_bar(int(seed), SIX_BAR_POINTS)
+    file = task.file
+    warm()
+    found, seconds, wall = clocked(lambda: optlink.solve(file))
+    error = math.sqrt(found.objective / SIX_BAR_POINTS) / 1e-3 if found.valid else math.inf  # mm
+    return {"seconds": seconds, "wall": wall, "error": error, "watt": task.watt, "starts": found.starts}
+
+
 MEASUREMENTS: dict[str, Callable[..., Figures]] = {
     "evolution": evolution,
     "ours": ours,
@@ -464,6 +480,7 @@ MEASUREMENTS: dict[str, Callable[..., Figures]] = {
     "trips": trips,
     "first": first,
     "case": case,
+    "six_bar": six_bar,
 }
 
 
@@ -623,6 +640,19 @@ def case_rows(seeds: int = SEEDS) -> list[Row]:
     return result
 
 
+def six_bar_rows(count: int = SIX_BARS) -> list[Row]:
+    """Six-bars for random paths, every dimension free."""
+    result = []
+    for seed in range(count):
+        found = measured("six_bar", seed) or {}
+        name = "Watt I" if found["watt"] else "Stephenson III"
+        note = f"{found['starts']} starts; rms error {digits(found['error'])} mm; by the wall {found['wall']:.1f} s"
+        figures = finite(ours=found["seconds"], wall=found["wall"], error=found["error"])
+        what = f"free six-bar {name}, random path of {SIX_BAR_POINTS} points"
+        result.append(Row(what, took(found["seconds"]), "", note=note, figures=figures))
+    return result
+
+
 def trip_rows(linkages: int = LINKAGES) -> list[Row]:
     """Round trips: a linkage's own points, given back to the search."""
     result = []
@@ -646,6 +676,7 @@ def rows(seeds: int = SEEDS, linkages: int = LINKAGES, laws: int = LAWS, parts: 
         "peers": lambda: peer_rows(linkages),
         "first": lambda: first_rows(laws),
         "cases": lambda: case_rows(seeds),
+        "six-bars": six_bar_rows,
         "trips": lambda: trip_rows(linkages),
     }
     return [row for name in (parts or every) for row in every[name]()]
@@ -657,7 +688,7 @@ def main() -> None:
     from rich.console import Console
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--parts", default="", help="evolution, peers, first, cases, trips; left out: all")
+    parser.add_argument("--parts", default="", help="evolution, peers, first, cases, six-bars, trips; left out: all")
     for name, value in (("seeds", SEEDS), ("linkages", LINKAGES), ("laws", LAWS)):
         parser.add_argument(f"--{name}", type=int, default=value)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there as well")

@@ -181,6 +181,7 @@ class Searcher:
         Near-circular curves have curved and narrow valleys. Variable projection (the fit) shortens them; full Levenberg-Marquardt
         steps give the last digits.
         """
+        good = GOOD if len(self.batch.problem.linkage.groups) == 1 else None  # with more dyads few designs converge in time
         parts, counts = [], []
         for ends in firsts:
             proper = pass_in_order(self.batch, ends)[0] & (ends.missed <= MISSED) & np.isfinite(ends.cost)
@@ -190,9 +191,9 @@ class Searcher:
             parts.append((ends.x[first], ends.t[first]))
             counts.append(count)
         if self.fit.applies:
-            found = self._minimise(self.batch, parts, VALLEY, self.fit, slow=1e-7, left=STRAGGLERS, after=AFTER, good=GOOD)
+            found = self._minimise(self.batch, parts, VALLEY, self.fit, slow=1e-7, left=STRAGGLERS, after=AFTER, good=good)
             parts = [(ends.x, ends.t) for ends in found]
-        found = self._minimise(self.batch, parts, FINISH if self.fit.applies else VALLEY, None, slow=1e-9, after=AFTER, good=GOOD)
+        found = self._minimise(self.batch, parts, FINISH if self.fit.applies else VALLEY, None, slow=1e-9, after=AFTER, good=good)
         return [replace(ends, count=count) for ends, count in zip(found, counts, strict=True)]
 
     def _repaired(self, variant: int, ends: FinalDesigns) -> Iterator[Candidate]:

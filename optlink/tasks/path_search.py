@@ -294,7 +294,7 @@ def _rank(design: PathDesign) -> tuple[float, float]:
 
 
 STARTS = 12  # per design of the four-bar and combination of assembly modes
-POLISHED = 4  # candidates refined, in total
+POLISHED, ENOUGH = 4, 2  # candidates refined, and designs with the same error, no worse than the four-bar, that suffice
 STEPS = 120
 
 
@@ -337,12 +337,21 @@ def designs_from_four_bar(
     for near, candidates in ((False, ended), (True, begun)):
         if best is None or not any(design.valid and no_worse_fit(design, best) for design in polished):
             candidates.sort(key=lambda candidate: candidate.cost)
-            polished += [polisher.polish(c, near=near) for c in candidates[:POLISHED]]
+            for candidate in candidates[:POLISHED]:
+                polished.append(polisher.polish(candidate, near=near))
+                if best is not None and _agree([design for design in polished if design.valid and no_worse_fit(design, best)]):
+                    break
     found = [design for design in polished if design.valid]
     if best is not None and not any(no_worse_fit(design, best) for design in found):
         found += [design for end in polished if (design := feasible(end)).valid]
         found += itertools.islice(filter(lambda start: start.valid, map(polisher.unpolished, begun)), 1)
     return sorted(found, key=lambda design: design.objective)
+
+
+def _agree(designs: Sequence[PathDesign]) -> bool:
+    """Return whether the best of some designs was reached several times."""
+    least = min((design.error for design in designs), default=math.inf)
+    return sum(design.error <= least * (1.0 + SAME) for design in designs) >= ENOUGH
 
 
 def _candidates(variant: int, batch: Batch, x: np.ndarray, t: np.ndarray) -> list[Candidate]:

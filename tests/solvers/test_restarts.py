@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import optlink
+from optlink.errors import Status
 from optlink.optimization.path_nlp import build_path_nlp
 from optlink.solvers import multistart
 from optlink.solvers.ipopt import compiled
@@ -31,6 +32,24 @@ def test_a_search_is_not_resumed_from_a_least_violation(
     monkeypatch.setattr(multistart, "repair", lambda _nlp, x, _p, **_: x)
     solve_from(nlp, nlp.x_start, "ipopt", resume_infeasible=resume)
     assert len(called) == runs
+
+
+def test_an_optimum_far_below_the_start_is_not_searched_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Newton's method confirms it at the new scale of the objective; from a point beside it the back end runs again."""
+    nlp = build_path_nlp(optlink.load("path-arc5").variants()[0].model)  # type: ignore[arg-type]
+    best = solve_from(nlp, nlp.x_start, "ipopt")
+    assert best.status is Status.OPTIMAL
+    assert best.objective < 1e-3 * multistart.solution_at(nlp, nlp.x_start, "").objective
+    for beside, runs in ((0.0, 1), (1e-2, 4)):
+        called = []
+
+        def search(_nlp: object, _x: object, _p: object, beside: float = beside, **options: bool) -> Attempt:
+            called.append(options)  # noqa: B023
+            return Attempt(best.x + beside, 1, "")
+
+        monkeypatch.setattr(multistart, "backend", lambda _name, search=search: search)
+        solve_from(nlp, nlp.x_start, "ipopt")
+        assert len(called) == runs
 
 
 def test_the_hessian_taken_from_ipopt_is_that_of_the_programme() -> None:

@@ -15,7 +15,7 @@ from optlink.linkage.fourbar import LENGTHS, Inversion, grashof
 from optlink.linkage.vector2d import unit
 from optlink.optimization.path_nlp import build_path_nlp
 from optlink.problem.path import STEP
-from optlink.synthesis import random_starts
+from optlink.synthesis import levenberg_marquardt, random_starts
 from optlink.synthesis.batch import INSIDE, WEIGHT, Batch
 from optlink.synthesis.batch_search import Searcher
 from optlink.synthesis.levenberg_marquardt import minimise
@@ -354,6 +354,28 @@ def test_descent_ends_where_scipy_does(name: str) -> None:
         assert again.cost[0] <= aim * (1.0 + 1e-4) + 1e-9
         checked += 1
     assert checked == 4
+
+
+def test_poor_designs_end_early_and_change_no_good_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    batch = Batch(model(TASKS["slider-crank, from start"]))
+    x, t = sample(batch, 30, seed=5)
+    steps: list[int] = []
+    advance = levenberg_marquardt._advance
+
+    def counted(*given: Any) -> None:
+        steps[-1] += len(given[1].index)
+        advance(*given)
+
+    monkeypatch.setattr(levenberg_marquardt, "_advance", counted)
+    ends = []
+    for good in (None, 3):
+        steps.append(0)
+        ends.append(minimise(batch, x, t, 150, slow=1e-9, good=good))
+    assert steps[1] < 0.9 * steps[0]
+    best = np.argsort(ends[0].cost)[:3]
+    np.testing.assert_allclose(ends[1].x[best], ends[0].x[best], rtol=1e-12)
+    late = ends[1].cost > ends[0].cost
+    assert np.all(ends[1].cost[late] > levenberg_marquardt.POOR * ends[0].cost[best[-1]])
 
 
 @pytest.mark.parametrize("name", [*DESCENDED, "span", "six-bar, free", "slider-crank, free"])
