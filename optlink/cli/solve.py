@@ -87,13 +87,12 @@ def solve(
         console.refuse({"--certify": certify} | limits | where, "a given design is validated, not optimised", "Leave it out")
         _validate(problem, design, changes, as_json, out)
         return
-    from optlink.tasks.certify import automatic
     from optlink.tasks.results.certificate import STRICT, share_text
     from optlink.tasks.run import design_task
     from optlink.tasks.run import solve as search
 
     file = console.load(problem, changes)
-    if not (automatic(file) if certify is None else certify):
+    if not (_automatic(file) if certify is None else certify):
         possible = certify is None and design_task(file).certified
         remedy = "Add --certify, or leave it out" if possible else "Leave it out"
         if file.task != "function":
@@ -113,6 +112,17 @@ def solve(
     if result.interrupted:
         print(f"Interrupted: {_interrupted(result)}.", file=sys.stderr)
     _show(result, as_json, out)
+
+
+def _automatic(file: ProblemFile) -> bool:
+    """Return whether the optimum of a problem is certified without being asked for; see `optlink.tasks.certify.automatic`."""
+    from optlink.tasks.run import design_task
+
+    if not design_task(file).certified:
+        return False
+    from optlink.tasks.certify import automatic
+
+    return automatic(file)
 
 
 def validate(

@@ -113,10 +113,11 @@ def _search(problem: ProblemFile, search: Search) -> CycleResult:
     chosen = next(name for name, solution in found.items() if solution is winner)
     equal = continuum(nlp, winner, chosen) if result.usable else None
     timer.lap("solve")
-    proof = validate_cycle(task, winner.design, winner.objective)
+    measured = analysis_of(task, winner.design)
+    proof = validate_cycle(task, winner.design, winner.objective, measured)
     checks = (*proof.checks, *optimality(winner), *(_agreement(found) if len(found) > 1 else ()))
     timer.lap("validate")
-    return CycleResult(
+    made = CycleResult(
         problem=problem,
         status=winner.status,
         backend=chosen,
@@ -134,6 +135,8 @@ def _search(problem: ProblemFile, search: Search) -> CycleResult:
         notes=tuple(_notes(problem, result, winner, count, equal)),
         interrupted=result.interrupted,
     )
+    vars(made)["measured"] = measured  # its figures are shown too
+    return made
 
 
 def _firsts(problem: ProblemFile, samples: StartSequence, count: int) -> list[StartGroup]:

@@ -118,13 +118,15 @@ def solve(
         does not apply.
     """
     from optlink.execution.runner import pool
-    from optlink.tasks import certify as proof
 
     task = design_task(problem)
     if certify and not task.certified:
         message, remedy = "no certificate of the global optimum for this kind of problem", "Leave it out"
         raise InputError(message, remedy, problem.file, "--certify")
-    proof.check_options(gap, time_limit)
+    if task.certified or (gap, time_limit) != (1e-6, math.inf):  # its import takes time
+        from optlink.tasks import certify as proof
+
+        proof.check_options(gap, time_limit)
     if certify:
         proof.check_problem(problem)
     found: FunctionResult | PathResult | CycleResult | Balance

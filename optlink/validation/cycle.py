@@ -85,6 +85,7 @@ class Cycle:
         self.mechanism, self.speed = self.machine.mechanism, problem.drive.speed.value
         ranges = reachable(self.mechanism, self.design)
         self.full, self.singular = ranges.full, ranges.singular
+        self._figures: dict[int, tuple[Term, float]] = {}  # by the identity of the term, which is kept with its value
 
     @cached_property
     def work(self) -> Work:
@@ -107,7 +108,12 @@ class Cycle:
         return strokes.get(name) if kind == "guide" else swings.get(name)
 
     def figure(self, term: Term) -> float:
-        """Return the value of a term [SI]; NaN if it is undefined."""
+        """Return the value of a term [SI], measured once; NaN if it is undefined."""
+        if id(term) not in self._figures:
+            self._figures[id(term)] = term, self._figure(term)
+        return self._figures[id(term)][1]
+
+    def _figure(self, term: Term) -> float:
         if term.quantity == "total length":
             return math.fsum(self.design[name] for name in self.problem.lengths)
         if not self.full:
@@ -257,7 +263,9 @@ class Cycle:
         return abs(math.fsum(whole(power) for power in powers)) / max(fed + stored, 1e-300)
 
 
-def validate_cycle(problem: CycleProblem, design: Mapping[str, float], objective: float | None = None) -> Validation:
+def validate_cycle(
+    problem: CycleProblem, design: Mapping[str, float], objective: float | None = None, tested: Cycle | None = None
+) -> Validation:
     """Validate a design, or show where it fails.
 
     Parameters
@@ -267,9 +275,11 @@ def validate_cycle(problem: CycleProblem, design: Mapping[str, float], objective
         Quantities; those not named have their value in the file.
     objective : float, optional
         Objective of the optimiser, compared with the measured one.
+    tested : Cycle, optional
+        The design in motion, with what was measured already.
     """
     try:
-        tested = Cycle(problem, design)
+        tested = Cycle(problem, design) if tested is None else tested
     except Unusable as error:
         return Validation((Check(f"the machine can be made: {error.message}", False, math.nan, "yes", ""),), math.nan)
     found = tested.objective()

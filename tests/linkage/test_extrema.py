@@ -1,5 +1,6 @@
 """Extremes and zeros of many functions at once, against dense sampling and SciPy; work and memory of large machines."""
 
+import itertools
 import math
 import tracemalloc
 
@@ -196,3 +197,17 @@ def test_zeros_with_derivatives_are_those_without(phase: float) -> None:
 
     found = zeros(lambda angles: np.sin(3.1 * angles - phase)[None], np.array([0.0, 1.0]), slope=slope)
     assert found[0] == pytest.approx([phase / 3.1], abs=1e-15)
+
+
+def test_newton_ends_at_rounding_noise_of_the_function():
+    """A rate rounded to 1e-14 never lets the steps fall below a few units of the last place; no bracketing round follows."""
+    root, noise, calls = 1.2345678901234567, itertools.cycle([3e-15, -3e-15]), []
+
+    def values(angles):
+        calls.append(len(angles))
+        return np.sin(angles - root)[None, :]
+
+    grid = np.linspace(0.0, 2.0, 11)
+    (found,) = zeros(values, grid, slope=lambda _, at: (math.sin(at - root) + next(noise), math.cos(at - root)))
+    assert found == pytest.approx([root], abs=1e-14)
+    assert sum(calls) == len(grid)

@@ -259,6 +259,20 @@ def test_positions_beside_a_peak_hold_nothing(name):
     assert all(check.passed for check in validate_cycle(task, found.design).checks)
 
 
+def test_a_result_measures_each_term_of_a_machine_once(monkeypatch):
+    measured, measure = [], Cycle._figure
+
+    def counted(cycle, term):
+        measured.append((tuple(cycle.design.values()), id(term)))
+        return measure(cycle, term)
+
+    monkeypatch.setattr(Cycle, "_figure", counted)
+    result = solve(machine("press"), starts=1)
+    assert result.figures[0].result == pytest.approx(result.objective, rel=1e-9)
+    assert result.initial.objective == pytest.approx(result.figures[0].initial, rel=1e-12)
+    assert len(measured) == len(set(measured)) == 2 * len(result.figures)  # of the initial machine and of the result
+
+
 # --- limits that conflict ----------------------------------------------------------------------------------------------------
 
 

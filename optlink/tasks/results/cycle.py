@@ -134,15 +134,24 @@ class CycleResult(SingleResult):
         return analysis if analysis.full else None
 
     @cached_property
+    def measured(self) -> Cycle | None:
+        """This design in motion; None if it cannot be built."""
+        return analysis_of(self.task, self.design)
+
+    @cached_property
+    def _measured_initial(self) -> Cycle | None:
+        return analysis_of(self.task, self.complete({}))
+
+    @cached_property
     def built(self) -> Machine | None:
         """Machine of this design; None if its crank cannot turn fully."""
-        cycle = analysis_of(self.task, self.design)
+        cycle = self.measured
         return cycle.machine if cycle is not None and cycle.full else None
 
     @cached_property
     def initial(self) -> Validation:
         """Checks and objective of the initial design of the file."""
-        return validate_cycle(self.task, self.complete({}))
+        return validate_cycle(self.task, self.complete({}), tested=self._measured_initial)
 
     @property
     def comparison(self) -> str:
@@ -167,7 +176,7 @@ class CycleResult(SingleResult):
         goal = self.task.goals[0]
         if not self.task.single or goal.quantity not in ("transmission angle", "pressure angle"):
             return None
-        cycle = analysis_of(self.task, self.design)
+        cycle = self.measured
         angle = math.nan if cycle is None else cycle.figure(goal)
         angle = 0.5 * math.pi - angle if goal.quantity == "pressure angle" else angle
         limits = () if self.solution is None else self.solution.limits
@@ -176,7 +185,7 @@ class CycleResult(SingleResult):
     @cached_property
     def figures(self) -> tuple[CycleFigure, ...]:
         """Terms of the objective, then the limits, of the initial machine and of the result."""
-        start, end = (analysis_of(self.task, values) for values in ({}, self.design))
+        start, end = self._measured_initial, self.measured
         rows = []
         for k, goal in enumerate(self.task.goals):
             name = "objective" if self.task.single else f"objective {k + 1}"
