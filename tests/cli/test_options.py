@@ -209,7 +209,8 @@ def test_completion(line, offered, tmp_path, monkeypatch):
     assert completed(line) == offered
 
 
-def test_completion_can_be_installed():
+def test_completion_can_be_installed(monkeypatch):
+    monkeypatch.setattr("shellingham.detect_shell", lambda *_: ("bash", "/bin/bash"))  # the tests may run without a shell
     shown = run("--help").stdout
     assert "--install-completion" in shown
     assert "COMP_WORDS" in CliRunner().invoke(app, ["--show-completion", "bash"], prog_name="optlink").stdout

@@ -901,9 +901,9 @@ class Doctored:
     def at(self, x, p):
         point = self.nlp.at(x, p)
         if self.part == "gradient":
-            return replace(point, gradient=point.gradient * np.where(np.arange(len(x)) == 0, -1.0, 1.0))
+            return point._replace(gradient=point.gradient * np.where(np.arange(len(x)) == 0, -1.0, 1.0))
         if self.part == "jacobian":
-            return replace(point, jacobian=point.jacobian * (1.0 + 1e-6))
+            return point._replace(jacobian=point.jacobian * (1.0 + 1e-6))
         return point
 
     def hessian(self, x, p, multipliers):
