@@ -77,6 +77,10 @@ class InputError(OptlinkError):
         self.faults: tuple[Fault, ...] = (found,) if isinstance(found, Fault) else tuple(found)
         super().__init__("\n".join(str(fault) for fault in self.faults))
 
+    def __reduce__(self) -> tuple[type[InputError], tuple[tuple[Fault, ...]]]:
+        """Return what copies and pickles are made from."""
+        return type(self), (self.faults,)
+
 
 class SolverError(OptlinkError):
     """A solver broke down without returning a usable point."""

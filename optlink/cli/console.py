@@ -111,14 +111,19 @@ def deliver(result: Any, kind: str, as_json: bool, out: Path | None, csv: Path |
         from optlink.report.files import write_csv
 
         write_csv(csv, result.columns)
-    if out is not None and interrupts.interrupted():
+    lacking = "has result.json alone, no pictures" if interrupts.interrupted() else ""
+    if out is not None and not lacking:
+        try:
+            with working(f"Drawing into {out}"):
+                view_of(kind).write(result, out, pictures)
+        except KeyboardInterrupt:
+            interrupts.handled()
+            lacking = "has result.json, but not all pictures"
+    if out is not None and lacking:
         from optlink.io import write_json
 
         write_json(out / "result.json", {**result.to_dict(), "interrupted": True})
-        print(f"Interrupted: {out} has result.json alone, no pictures", file=sys.stderr)
-    elif out is not None:
-        with working(f"Drawing into {out}"):
-            view_of(kind).write(result, out, pictures)
+        print(f"Interrupted: {out} {lacking}", file=sys.stderr)
     if as_json:
         print_json(result.to_dict())
     else:

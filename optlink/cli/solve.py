@@ -93,7 +93,7 @@ def solve(
 
     file = console.load(problem, changes)
     if not (_automatic(file) if certify is None else certify):
-        possible = certify is None and design_task(file).certified
+        possible = certify is None and file.task != "analysis" and design_task(file).certified
         remedy = "Add --certify, or leave it out" if possible else "Leave it out"
         if file.task != "function":
             console.refuse(where, "only searches of laws and functions, and proofs, use several processes", remedy, file.file)

@@ -261,6 +261,7 @@ def run(
     limits: tuple[float, float] | None = None,
     progress: Callable[[float], None] | None = None,
     singular: Sequence[float] = (),
+    interrupted: Callable[[], None] | None = None,
 ) -> Run:
     """Simulate the motion of a machine.
 
@@ -278,6 +279,8 @@ def run(
     progress : function of the completed share, optional
     singular : sequence of float [rad]
         Crank angles at which the motion ends because it is not determined beyond, repeated every cycle.
+    interrupted : function, optional
+        Called at once on Ctrl-C, which ends the motion early.
 
     Returns
     -------
@@ -285,7 +288,7 @@ def run(
     """
     journey = _Journey(_Plant(machine, torque), times, angle, speed, limits, np.array(singular))
     with np.errstate(all="ignore"):
-        journey.travel(progress)
+        journey.travel(progress, interrupted)
         return journey.result()
 
 
@@ -303,7 +306,7 @@ class _Journey:
         self.blocks, self.ways, self.recent = [self.state[None]], [plant.direction], list[Step]()
         self.steps, self.mark, self.ending = 0, 0.0, Ending.FINISHED
 
-    def travel(self, progress: Callable[[float], None] | None) -> None:
+    def travel(self, progress: Callable[[float], None] | None, interrupted: Callable[[], None] | None) -> None:
         """Integrate until the end of the duration, or until the machine stops."""
         if self.state[1] == 0.0 and self.plant.drive is not None and not _set_off(self.plant, float(self.state[0])):
             self.ending = Ending.AT_REST
@@ -316,6 +319,8 @@ class _Journey:
                 finally:
                     self.keep()
         except KeyboardInterrupt:
+            if interrupted is not None:
+                interrupted()
             self.ending = Ending.INTERRUPTED
 
     def stops(self) -> list[tuple[str, float]]:

@@ -169,9 +169,11 @@ class _Processes:
         waiting = list(todo)
         count = min(self.workers, len(waiting))
         if self.workers <= 1 or (count <= 1 and not self.idle):
+            before = interrupts.interrupted()  # and handled by the caller, who goes on
             for index in waiting:
                 found = run_chunk(task, index).checked(index)
-                interrupts.check()
+                if not before:
+                    interrupts.check()
                 yield index, found
             return
         jobs: queue.SimpleQueue[int] = queue.SimpleQueue()

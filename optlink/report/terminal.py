@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator, Sequence
 from typing import Literal
 
@@ -32,7 +33,8 @@ class _Console(Console):
 def console(*, stderr: bool = False) -> Console:
     """Return a console that prints text verbatim, without markup or highlighting."""
     colours: Literal["auto"] | None = None if os.environ.get("NO_COLOR") else "auto"
-    made = _Console(stderr=stderr, highlight=False, markup=False, emoji=False, color_system=colours)
+    place = sys.stderr if stderr else None  # kept, so that a bar is drawn while casadi's reports are suppressed
+    made = _Console(file=place, stderr=stderr, highlight=False, markup=False, emoji=False, color_system=colours)
     columns = os.environ.get("COLUMNS", "")  # rich does not ask for it where TERM is dumb
     made.size = ConsoleDimensions(max(int(columns) if columns.isdigit() else made.width, NARROWEST), made.height)
     return made

@@ -30,6 +30,7 @@ from optlink.studies.parameters import Optimum, OptimumParameters, Parameter, de
 from optlink.studies.toml_keys import exact_text, read_figure, value_at
 from optlink.symbolic import CompiledFunction
 from optlink.tasks.cycle import solve as solve_cycle
+from optlink.tasks.protocol import completed
 from optlink.tasks.results.cycle import task_of
 from optlink.units import UnitProblem, factor
 
@@ -93,7 +94,7 @@ class CycleParameters(OptimumParameters):
         """
         try:
             start = with_starting_values(with_parameter(self.problem, parameter, value), solution.design)
-            found = solve_cycle(start, CLOSE, starts=1).solution
+            found = completed(solve_cycle(start, CLOSE, starts=1)).solution
         except InputError:
             return None
         if found is None or found.status is not Status.OPTIMAL:

@@ -34,6 +34,7 @@ from optlink.studies.grid import Grid
 from optlink.studies.reoptimise_task import SEARCHED, SLOW_CHUNK, ReoptimiseTask, active, one_programme_suffices
 from optlink.studies.sweep_task import FoundOptimum, OptimumTask, SweepTask
 from optlink.tasks.cycle import solve as solve_cycle
+from optlink.tasks.protocol import completed
 from optlink.tasks.results.common import optimality
 from optlink.tasks.results.cycle import CycleResult, task_of
 from optlink.validation.check import Validation
@@ -95,14 +96,14 @@ class CycleTask(OptimumTask):
         if self.programme is not None:
             bounds = {axis.key: value for axis, value in zip(self.grid.axes, self.grid.values(point), strict=True)}
             found = self.programme.design(task, bounds, sizes)
-        return solve_cycle(with_starting_values(task, sizes), self.backend, starts=1) if found is None else found
+        return completed(solve_cycle(with_starting_values(task, sizes), self.backend, starts=1)) if found is None else found
 
     def searched(self, task: ProblemFile) -> CycleResult:
         """Return the machine of a separate search, repeated once from its result if the peak exchange did not converge."""
-        found = solve_cycle(task, self.backend)
+        found = completed(solve_cycle(task, self.backend))
         if found.valid or found.status is not Status.OPTIMAL:
             return found
-        again = solve_cycle(with_starting_values(task, found.design), self.backend, starts=1)
+        again = completed(solve_cycle(with_starting_values(task, found.design), self.backend, starts=1))
         return again if again.valid else found
 
     def _row(self, point: int, found: CycleResult, how: str) -> list[str]:

@@ -183,7 +183,15 @@ class DesignTask(ABC, Generic[R]):
         problem : ProblemFile
         design : mapping of str to float [m, rad]
             All design variables; see `read_design`.
+
+        Raises
+        ------
+        InputError
+            If a design is given of a kind that has no check of one.
         """
+        if design:
+            message = "a given design of this kind of problem cannot be validated"
+            raise InputError(message, "State its dimensions in the file", problem.file, "--design", ", ".join(design))
         return self.solve(problem)
 
     def check(self, problem: ProblemFile) -> None:

@@ -183,9 +183,9 @@ def simulate(
         )
         singular = [at + k * cycle for at in singular for k in range(round(mechanism.cycle / cycle))]
         machine = machine.with_(mechanism=mechanism)
-    found = run(machine, np.linspace(0.0, duration, rows + 1), start, speed, torque, limits, progress, singular)
-    if found.ending is Ending.INTERRUPTED:
-        interrupts.handled()
+    found = run(
+        machine, np.linspace(0.0, duration, rows + 1), start, speed, torque, limits, progress, singular, interrupts.handled
+    )
     if found.ending is not Ending.FINISHED:
         last, cycle = float(found.crank_angle[-1]), machine.mechanism.cycle
         if found.ending is Ending.SINGULAR:

@@ -942,3 +942,16 @@ def test_one_point_is_told_as_one(tmp_path):
     assert done.exit_code == 0
     assert "\n1 point of the front" in done.stdout
     assert "\n2 points done" in done.stdout
+
+
+def test_no_part_of_a_search_becomes_a_row(monkeypatch):
+    """A search that Ctrl-C ended with its best design so far ends the study: nothing of it is kept as the optimum."""
+    from types import SimpleNamespace
+
+    from optlink.studies import cycle_task
+
+    monkeypatch.setattr(cycle_task, "solve_cycle", lambda *_, **__: SimpleNamespace(interrupted=True))
+    file = optlink.load("shaper-design")
+    task = cycle_task.optimum_task(file, read_grid(file, ["drive.speed=50,60 rpm"]), "ipopt", 1)
+    with pytest.raises(KeyboardInterrupt):
+        task.searched(file)

@@ -18,6 +18,7 @@ import pytest
 
 import optlink
 from optlink import load
+from optlink.errors import Fault
 from optlink.problem.base_model import Recorded, read_record
 from optlink.report.html.page import page
 from optlink.report.registry import view_of
@@ -86,6 +87,16 @@ def pool() -> Any:
 
 def test_a_result_pickles(result: Any) -> None:
     assert document(pickle.loads(pickle.dumps(result))) == document(result)
+
+
+def test_an_error_pickles_and_copies_with_its_faults() -> None:
+    """A process pool passes errors on by pickling them; one that cannot be read breaks the pool."""
+    for error in (
+        optlink.InputError("a message", "a remedy", "file.toml", "a.key", 3.0),
+        optlink.InputError([Fault("one", "do this"), Fault("two", "do that")]),
+    ):
+        for other in (pickle.loads(pickle.dumps(error)), copy.copy(error), copy.deepcopy(error)):
+            assert (type(other), other.faults, str(other)) == (type(error), error.faults, str(error))
 
 
 def test_a_result_copies(result: Any) -> None:

@@ -300,9 +300,11 @@ class _CycleRanges(EpsilonRanges):
         asked_for = [k for k in range(len(aims)) if k not in bounds]
 
         def searched(k: int, task: ProblemFile, near: Mapping[str, float] | None) -> dict[str, Any]:
-            found = solve_cycle(with_starting_values(task, near), self.backend, starts=1) if near is not None else None
+            found = None
+            if near is not None:
+                found = completed(solve_cycle(with_starting_values(task, near), self.backend, starts=1))
             if found is None or found.status is not Status.OPTIMAL:
-                found = solve_cycle(task, self.backend)
+                found = completed(solve_cycle(task, self.backend))
             measured = cycle_figures(problem, aims, found.design)
             if found.status not in (Status.OPTIMAL, Status.STALLED) or not np.all(np.isfinite(measured)):
                 raise self._no_end(aims[k], found.status.text)

@@ -147,8 +147,10 @@ def _design(problem: ProblemFile, given: Mapping[str, float] | None) -> tuple[Pr
     """Return the problem with definite assembly modes, all quantities of the design [SI], and its crank angles, if any."""
     model = problem.model
     if given is None and model.free:
-        if problem.task in ("analysis", "balance"):
-            raise InputError("the problem has design variables but no requirement", "Add --design", problem.file, "mechanism")
+        if problem.task not in ("function", "path", "cycle"):
+            none = problem.task in ("analysis", "balance")
+            message = "the problem has design variables " + ("but no requirement" if none else "that are not searched here")
+            raise InputError(message, "Add --design", problem.file, "mechanism")
         result = completed(design_task(problem).solve(problem))
     elif problem.task == "path":
         result = design_task(problem).validate(problem, given or {})

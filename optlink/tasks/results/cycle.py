@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field
 
@@ -25,9 +25,6 @@ from optlink.tasks.results.fit import Fit, transmission_fit
 from optlink.units import KINDS, display_unit, factor
 from optlink.validation.check import Validation
 from optlink.validation.cycle import Cycle, validate_cycle
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True)
