@@ -593,6 +593,26 @@ def test_torsion_spring_across_the_branch_of_the_angle_in_a_batch():
         np.testing.assert_allclose(torque, alone["input.torque_Nm"][: len(torque)], atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    "load", [{"torque": {"expression": "5*theta", "unit": "N*m"}}, {"torsional_stiffness": "5 N*m/rad", "free_angle": "-60 deg"}]
+)
+def test_a_design_of_a_batch_has_the_branch_of_the_angle_that_it_has_alone(load):
+    """The swings lie on both sides of 180 degrees from +x and across it; one design cannot be assembled."""
+    sizes = {"crank": "100 mm", "coupler": "400 mm", "rocker": "300 mm", "frame": "400 mm"}
+    mechanism = {"type": "four-bar", **sizes, "direction": "0 deg"}
+    problem = optlink.read({"mechanism": mechanism, "loads": {"load": {"on": "rocker", **load}}})
+    directions, rockers = [0.0, 30.0, 75.0, 170.0, 170.0, 250.0, 340.0], [0.3, 0.3, 0.3, 0.3, 2.0, 0.48, 0.22]
+    columns, designs = ("load.torque_Nm", "input.torque_Nm"), {"direction": np.radians(directions), "rocker": np.array(rockers)}
+    batch = optlink.analyze_batch(problem, designs, columns, points=36)
+    for row, (direction, rocker) in enumerate(zip(directions, rockers, strict=True)):
+        if row == 4:
+            assert np.all(np.isnan(batch["input.torque_Nm"][row]))
+            continue
+        alone = optlink.analyze(problem, 36, design={"direction": math.radians(direction), "rocker": rocker})
+        for name in columns:
+            np.testing.assert_allclose(batch[name][row], alone[name][:36], atol=1e-12, err_msg=f"{name}, {direction} deg")
+
+
 def test_what_cannot_follow_or_does_not_move_is_refused():
     fault = {"loads.spring": {"on": "crank", "torsional_stiffness": "1 N*m/rad"}}
     with pytest.raises(optlink.InputError, match="turns fully against frame"):

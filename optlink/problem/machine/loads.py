@@ -11,6 +11,7 @@ from pydantic import ValidationInfo, field_validator
 from optlink.dynamics.loads import Force, Load, SlideDamper, Spring, Torque, TorsionSpring
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.stroke import OTHER, Direction
+from optlink.linkage.vector2d import Value
 from optlink.problem.base_model import Section
 from optlink.problem.machine.load_curves import Curve, Formula, Size, read_size
 from optlink.problem.quantity import (
@@ -36,8 +37,8 @@ class SlideSamples(Protocol):
         """Refuse a load that opposes a motion that does not exist."""
         ...
 
-    def middle(self, body: str, against: str, free: float) -> float:
-        """Return the middle of the swing of a body relative to another [rad], within half a revolution of `free`.
+    def middle(self, body: str, against: str, free: float) -> Value:
+        """Return the middle of the swing of a body relative to another [rad] of each design, within half a revolution of `free`.
 
         Parameters
         ----------
@@ -49,8 +50,8 @@ class SlideSamples(Protocol):
         """
         ...
 
-    def branch(self, body: str) -> float:
-        """Return the middle of the swing of a body across 180 deg from +x [rad]; 0 for any other motion."""
+    def branch(self, body: str) -> Value:
+        """Return the middle of the swing of a body across 180 deg from +x [rad] of each design; 0 for any other motion."""
         ...
 
 

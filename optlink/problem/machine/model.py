@@ -395,8 +395,10 @@ class Revolution:
         sense = np.where(np.abs(difference) >= LEAST_DIFFERENCE, np.sign(difference), 0.0)
         return np.asarray(sense, dtype=float).reshape(-1)
 
-    def middle(self, body: str, against: str, free: float) -> float:
+    def middle(self, body: str, against: str, free: float) -> Value:
         """Return the middle of the swing of a body relative to another [rad], within half a revolution of `free`.
+
+        A number, or an array (designs, 1) if the swing differs from design to design.
 
         Parameters
         ----------
@@ -409,35 +411,39 @@ class Revolution:
         Raises
         ------
         Unusable
-            when the body makes a full turn, as no torsion spring allows.
+            when the body makes a full turn, as no torsion spring allows, in any design.
         """
-        swing = self._swing(body, against)
-        if swing is None:
-            return free
-        low, high = swing
-        if high - low > FULL_TURN:
+        low, high = self._swing(body, against)
+        if np.any(high - low > FULL_TURN):
             message = f"{body} turns fully against {against}, which no torsion spring follows"
             raise Unusable(message, "Use torsional_damping, or a spring between two points", "on")
         middle = 0.5 * (low + high)
-        return middle - TURN * round((middle - free) / TURN)
+        return _per_design(np.where(np.isnan(middle), free, _near(middle, free)))
 
-    def branch(self, body: str) -> float:
-        """Return the middle [rad] of the swing of a body across 180 deg from +x, within that range; 0 for any other motion."""
-        swing = self._swing(body, FRAME)
-        if swing is None or swing[1] - swing[0] > FULL_TURN:
-            return 0.0
-        middle = math.remainder(0.5 * (swing[0] + swing[1]), TURN)
-        return middle if abs(middle) + 0.5 * (swing[1] - swing[0]) >= math.pi else 0.0
+    def branch(self, body: str) -> Value:
+        """Return the middle [rad] of the swing of a body across 180 deg from +x, within that range; 0 for any other motion.
 
-    def _swing(self, body: str, against: str) -> tuple[float, float] | None:
-        """Return the ends of the swing of a body relative to another [rad]; None if no position is reached."""
+        A number, or an array (designs, 1) if the swing differs from design to design.
+        """
+        low, high = self._swing(body, FRAME)
+        middle, width = _near(0.5 * (low + high), 0.0), high - low
+        return _per_design(np.where((width <= FULL_TURN) & (np.abs(middle) + 0.5 * width >= 0.5 * FULL_TURN), middle, 0.0))
+
+    def _swing(self, body: str, against: str) -> tuple[Array, Array]:
+        """Return the ends [rad] of the swing of a body relative to another for one or many designs; NaN: no position is reached."""
         one, other = (self.moving.state(name).axis for name in (body, against))
-        angle = np.atleast_2d(np.arctan2(cross(other, one), dot(other, one)) + 0.0 * self.moving.motion.crank_angle)
-        known = np.isfinite(angle)
-        swings = [np.unwrap(row[some]) for row, some in zip(angle, known, strict=True) if np.any(some)]
-        if not swings:
-            return None
-        ends = np.array([[np.min(swing), np.max(swing)] for swing in swings])  # of every design, in the same revolution
-        middles = np.mean(ends, axis=-1, keepdims=True)
-        ends = ends - TURN * np.round((middles - middles[0]) / TURN)
-        return float(np.min(ends)), float(np.max(ends))
+        angle = np.asarray(np.arctan2(cross(other, one), dot(other, one)) + 0.0 * self.moving.motion.crank_angle)
+        reached = [np.unwrap(row[np.isfinite(row)]) for row in np.atleast_2d(angle)]
+        ends = np.array([[np.min(swing), np.max(swing)] if swing.size else [np.nan, np.nan] for swing in reached])
+        low, high = ends.T.reshape(2, *np.shape(angle)[:-1])
+        return low, high
+
+
+def _near(angle: Array, reference: float) -> Array:
+    """Return angles less whole revolutions: at most half a revolution from a reference, ahead of it in the case of a tie."""
+    return np.asarray(angle - TURN * np.ceil((angle - reference) / TURN - 0.5 - 1e-9))
+
+
+def _per_design(values: Array) -> Value:
+    """Return the value of one design as a number, those of many designs as an array (designs, 1)."""
+    return values[:, None] if values.ndim else float(values)
