@@ -263,3 +263,14 @@ def test_percent_is_a_fraction():
     for text, reason in (("2,5 %", "plain number"), (f"{'9' * 400} %", "finite")):
         with pytest.raises(Unusable, match=reason):
             _read_interval({"max": text}, None)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "start", "kept"), [(["0.06 m", "0.208 m"], "208 mm", 0.208), (["1.1 cm", "20 cm"], "11.0 mm", 1.1 * 0.01)]
+)
+def test_a_start_at_a_bound_may_be_written_in_another_unit(bounds, start, kept):
+    """Rounding puts the start an ulp outside; a millionth of a millimetre outside is refused."""
+    assert read_quantity({"bounds": bounds, "start": start}, "length").value == kept
+    way = 1e-6 if start == "208 mm" else -1e-6
+    with pytest.raises(Unusable, match="outside the bounds"):
+        read_quantity({"bounds": bounds, "start": f"{float(start.split()[0]) + way!r} mm"}, "length")
