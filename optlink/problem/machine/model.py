@@ -430,7 +430,7 @@ class Revolution:
         return _per_design(np.where((width <= FULL_TURN) & (np.abs(middle) + 0.5 * width >= 0.5 * FULL_TURN), middle, 0.0))
 
     def _swing(self, body: str, against: str) -> tuple[Array, Array]:
-        """Return the ends [rad] of the swing of a body relative to another for one or many designs; NaN: no position is reached."""
+        """Return the ends [rad] of the swing of a body relative to another, of each design; NaN: no position is reached."""
         one, other = (self.moving.state(name).axis for name in (body, against))
         angle = np.asarray(np.arctan2(cross(other, one), dot(other, one)) + 0.0 * self.moving.motion.crank_angle)
         reached = [np.unwrap(row[np.isfinite(row)]) for row in np.atleast_2d(angle)]
