@@ -38,21 +38,6 @@ TOGETHER = 500  # steps whose rows are interpolated together
 STEADY = 1e-13  # share of the larger torque by which a resting machine may be out of balance and still stay at rest
 
 
-def reduced_inertia(machine: Machine, crank_angle: Array) -> tuple[Array, Array]:
-    """Return the inertia reduced to the crank [kg m^2] and its derivative with respect to the crank angle [kg m^2/rad].
-
-    Parameters
-    ----------
-    machine : Machine
-    crank_angle : array (n,) [rad]
-    """
-    with np.errstate(all="ignore"):
-        moving = machine.moving(crank_angle, 1.0)
-        weightless = required_wrench(moving, gravity=False, loads=False)
-        inertia = np.broadcast_to(2.0 * np.asarray(moving.kinetic), crank_angle.shape)
-        return inertia, np.broadcast_to(2.0 * np.asarray(virtual_torque(weightless, moving)), crank_angle.shape)
-
-
 def required_torque(moving: Moving, geared: Moving) -> tuple[Value, Reactions | None]:
     """Return the torque on the crank that a motion requires [N m], and the reactions if friction requires them (else None).
 

@@ -16,12 +16,15 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from optlink.dynamics.dyad_balances import BALANCES, GroupForces
 from optlink.dynamics.inertia import UNITS, Wrench, wrench
 from optlink.dynamics.machine import Machine, Moving
 from optlink.linkage.mechanism import FRAME, Group, Guide, Link
 from optlink.linkage.vector2d import Value, Vector, cross, dot, minus, plus
+
+Array = NDArray[np.float64]
 
 ROUNDING = 1e-9
 """Share of the forces of a group below which a normal force is zero."""
@@ -386,3 +389,18 @@ def regressor(moving: Moving) -> dict[str, tuple[Reactions, ...]]:
         body: tuple(reactions(smooth, {**nothing, body: wrench(unit, moving.state(body), gravity)}) for unit in UNITS)
         for body in nothing
     }
+
+
+def reduced_inertia(machine: Machine, crank_angle: Array) -> tuple[Array, Array]:
+    """Return the inertia reduced to the crank [kg m^2] and its derivative with respect to the crank angle [kg m^2/rad].
+
+    Parameters
+    ----------
+    machine : Machine
+    crank_angle : array (n,) [rad]
+    """
+    with np.errstate(all="ignore"):
+        moving = machine.moving(crank_angle, 1.0)
+        weightless = required_wrench(moving, gravity=False, loads=False)
+        inertia = np.broadcast_to(2.0 * np.asarray(moving.kinetic), crank_angle.shape)
+        return inertia, np.broadcast_to(2.0 * np.asarray(virtual_torque(weightless, moving)), crank_angle.shape)

@@ -13,7 +13,8 @@ from pydantic import Field, model_validator
 
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.ending import Ending
-from optlink.dynamics.forward import Run, reduced_inertia, run
+from optlink.dynamics.forward import Run, run
+from optlink.dynamics.inverse import reduced_inertia
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError
 from optlink.execution import interrupts

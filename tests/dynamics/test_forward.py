@@ -15,9 +15,9 @@ from optlink.cli.app import app
 from optlink.dynamics import forward as drive_module
 from optlink.dynamics.ending import Ending
 from optlink.dynamics.flywheel import Fluctuation, flywheel
-from optlink.dynamics.forward import crank_acceleration, reduced_inertia
+from optlink.dynamics.forward import crank_acceleration
 from optlink.dynamics.inertia import Inertia
-from optlink.dynamics.inverse import reactions
+from optlink.dynamics.inverse import reactions, reduced_inertia
 from optlink.tasks.machine import machine_of
 
 TURN = 2.0 * math.pi
