@@ -44,7 +44,10 @@ if TYPE_CHECKING:
 CERTIFY = (
     "Prove that no better design exists within the bounds, or find it. Default: motion laws of at most two design variables."
 )
-WORKERS = "Laws and functions, --certify: processes that share many starting points or a long proof. Default: all cores."
+WORKERS = (
+    "Laws and functions, --certify: processes that share many starting points or a long proof (not of a largest error, "
+    "which uses one). Default: all cores."
+)
 GAP = "--certify: share of the objective by which a better design may be missed. Default: 1e-6."
 CERTIFICATE = "Check the proof of the global optimum that solve --certify --out wrote: certificate.json, or its folder."
 

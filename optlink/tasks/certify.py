@@ -190,8 +190,7 @@ class _Search:
             for variant, problem in zip(variants, problems, strict=True):
                 better = functools.partial(self._improve, variant, problem)
                 searches.append(self._branches(LagrangianBounds(problem), math.inf, better))
-            if self.resume and self.checkpoint is not None:
-                self._continue(self.checkpoint.read(searches))
+            self._resume(searches)
             for k, search in enumerate(searches):
                 if self._exact or search.closed:  # nothing is smaller than zero
                     continue
@@ -204,7 +203,7 @@ class _Search:
             interrupts.handled()
             interrupted = True
         self._keep(searches)
-        certificate = self._certificate(searches, variants) if len(searches) == len(variants) else None
+        certificate = self._certificate(searches, variants)
         taken = self.result.seconds | {"certify": time.perf_counter() - begin}
         return replace(self.result, certificate=certificate, seconds=taken, interrupted=self.result.interrupted or interrupted)
 
@@ -235,19 +234,21 @@ class _Search:
         return exact(self.result.problem, self._known)
 
     def _keep(self, searches: list[BranchAndBound]) -> None:
-        """Write the state of searches that are not closed where it is kept, remove it where they are."""
-        if self.checkpoint is None or not searches:
+        """Write the state of searches that are not closed where it is kept, unless it is still to be read; else remove it."""
+        if self.checkpoint is None or not searches or self.resume:
             return
         if self._exact or all(search.closed for search in searches):
             self.checkpoint.path.unlink(missing_ok=True)
         else:
             self.checkpoint.write(searches, self.result.design)
 
-    def _continue(self, design: dict[str, float]) -> None:
-        """Take the better design that the interrupted search had found."""
-        for variant in self.stated.variants():
+    def _resume(self, searches: list[BranchAndBound]) -> None:
+        """Restore interrupted searches, and take the better design that they had found; `resume` holds until that is complete."""
+        design = self.checkpoint.read(searches) if self.resume and self.checkpoint is not None else {}
+        for variant in self.stated.variants() if design else ():
             if all(name in design for name in variant.model.free):
                 self._try(variant, {name: design[name] for name in variant.model.free})
+        self.resume = False
 
     def _try(self, variant: ProblemFile, start: dict[str, float]) -> bool:
         """Search locally from a design [SI]; return whether the answer is a better one now."""
@@ -316,11 +317,10 @@ class _Search:
         share = (known - lower) / known if known > 0.0 else 0.0
         return GLOBAL if self._exact or share <= STRICT * (1.0 + 1e-9) else WITHIN_GAP
 
-    def _certificate(
-        self,
-        searches: list[BranchAndBound],
-        variants: list[ProblemFile],
-    ) -> Certificate:
+    def _certificate(self, searches: list[BranchAndBound], variants: list[ProblemFile]) -> Certificate | None:
+        """Return what the searches prove; None if interrupted before they began, or restored in part."""
+        if self.resume or len(searches) < len(variants):
+            return None
         lower = 0.0 if self._exact else min(self._value(search.lower) for search in searches)
         closed = self._exact or all(search.closed for search in searches)
         kept = all(search.leaves.test and isinstance(search.bounder, LagrangianBounds) for search in searches)
@@ -382,8 +382,7 @@ class _PathSearch(_Search):
         bounds = TimedPathBounds(self.stated.model)
         search = self._branches(bounds, self._squared, functools.partial(self._from_box, bounds), LARGE)
         try:
-            if self.resume and self.checkpoint is not None:
-                self._continue(self.checkpoint.read([search]))
+            self._resume([search])
             if not self._exact:  # else nothing is smaller
                 search.run(seconds, boxes, functools.partial(self._report, progress, [search], 0))
         except KeyboardInterrupt:

@@ -228,22 +228,26 @@ def revolutions_check(wanted: Array, moved: Callable[[], Array]) -> Iterator[Che
     """Yield the check that an output turns as its law, not by whole revolutions more or less, which angles alone do not show.
 
     Positions where it is more than a quarter turn off do not count. Laws with short steps, which cannot be met so, have no check.
+    Where a law with long steps or the output has no value, the check fails. (That any law has values is checked with the error.)
 
     Parameters
     ----------
     wanted : array (designs, positions) [rad]
-        Prescribed angles.
+        Prescribed angles. NaN at the first position: the law of that design begins at the second.
     moved : function
         Returns the angles (designs, positions) [rad] of the output, continuous over its motion.
     """
-    applies = np.max(np.abs(np.diff(wanted, axis=1)), axis=1, initial=0.0) > LONG_STEP
+    begun = np.isfinite(wanted) | (np.arange(wanted.shape[1]) > 0)
+    with np.errstate(invalid="ignore"):
+        applies = np.any(np.abs(np.diff(wanted, axis=1)) > LONG_STEP, axis=1)
     if not np.any(applies):
         return
     revolutions = (wanted - moved()) / math.tau
-    whole = np.round(revolutions)
+    whole = np.round(np.where(np.isfinite(revolutions), revolutions, np.nan))
     some = np.abs(revolutions - whole) < 0.25
     least, most = np.min(np.where(some, whole, np.inf), axis=1), np.max(np.where(some, whole, -np.inf), axis=1)
     missed = np.where(np.any(some, axis=1), most - least, 0.0)
+    missed = np.where(np.all(np.isfinite(revolutions) | ~begun, axis=1), missed, np.nan)
     name = "output turns as the law, not by whole revolutions more or less"
     yield Checks(name, missed == 0.0, missed, "= 0", "rev", applies)
 

@@ -22,6 +22,7 @@ from optlink.linkage.vector2d import TURN, Vector, unit
 from optlink.problem.function import DEAD_CENTRES, DesignProblem
 from optlink.problem.limits import limits_in_file
 from optlink.problem.robust import EXPECTED, WORST
+from optlink.problem.targets.law import Table
 from optlink.validation.check import (
     POSITIONS,
     Checks,
@@ -161,6 +162,19 @@ class _Tested:
             wanted = np.asarray(law.target(at, tabulated, self.phi0, self.psi0) + 0.0 * at, dtype=float)
         error: Array = np.remainder(wanted - actual + np.pi, TURN) - np.pi
         return error
+
+    def prescribed_from_start(self) -> tuple[Array, Array]:
+        """Return crank rotations (rotations,) from the start on and the prescribed angles (designs, rotations) [rad] there.
+
+        At the start and the design positions. NaN at the start where the law is not defined; a table is not extrapolated.
+        """
+        law = self.problem.law
+        at = law.offsets if law.offsets[0] == 0.0 else np.concatenate([[0.0], law.offsets])
+        with np.errstate(all="ignore"):
+            wanted = np.array(np.broadcast_to(law.curve(at, self.phi0, self.psi0), (self.count, len(at))))
+        if isinstance(law.source, Table) and law.source.from_start and not min(law.source.phi) <= 0.0 <= max(law.source.phi):
+            wanted[:, :1] = self.psi0 if self.problem.tied else np.nan  # its rows are relative to the rocker's own angle
+        return at, wanted
 
     def rocker_along(self, at: Array) -> Array:
         """Return rocker angles (designs, rotations) [rad], continuous, at crank rotations (rotations,) from the start."""
@@ -311,10 +325,7 @@ def _requirement(tested: _Tested) -> Iterator[Checks]:
         yield Checks("psi0 is the rocker's own angle", gap <= 1e-7, gap, "<= 1e-07", "deg")
     largest = np.degrees(np.max(np.abs(tested.target_minus_actual()), axis=1))
     yield Checks("output error has a value everywhere", np.isfinite(largest), largest, "finite", "deg")
-    own = problem.law.offsets
-    at = own if own[0] == 0.0 else np.concatenate([[0.0], own])
-    with np.errstate(all="ignore"):
-        wanted = np.broadcast_to(problem.law.curve(at, tested.phi0, tested.psi0), (tested.count, len(at)))
+    at, wanted = tested.prescribed_from_start()
     yield from revolutions_check(wanted, lambda: tested.rocker_along(at))
     if problem.requirement.robust is not None:
         middle, spread = tested.scattered()

@@ -10,6 +10,7 @@ import pytest
 
 import optlink
 from optlink.tasks.run import validate
+from optlink.validation.check import revolutions_check
 
 CRANK_ROCKER = {"crank": 0.1, "coupler": 0.3, "rocker": 0.25, "frame": 0.28}
 DRAG_LINK = {"crank": 0.25, "coupler": 0.2, "rocker": 0.22, "frame": 0.1}
@@ -19,19 +20,25 @@ NAME = "output turns as the law, not by whole revolutions more or less"
 
 def rockers(lengths: dict[str, float], crank: np.ndarray) -> np.ndarray:
     """Continuous angles of the rocker [deg] with C to the left of B-D, by complex numbers and the cosine rule."""
-    b, d, fine = lengths["coupler"], lengths["rocker"], np.linspace(crank[0], crank[-1], 721)
+    b, d, way = lengths["coupler"], lengths["rocker"], int(math.copysign(1.0, crank[-1] - crank[0]))
+    fine = np.unique(np.concatenate([np.linspace(crank[0], crank[-1], 721), crank]))[::way]
     z = lengths["frame"] - lengths["crank"] * np.exp(1j * np.radians(fine))
     c = b * np.exp(1j * (np.angle(z) + np.arccos((b * b + np.abs(z) ** 2 - d * d) / (2.0 * b * np.abs(z))))) - z
-    way = math.copysign(1.0, fine[-1] - fine[0])
     return np.interp(way * crank, way * fine, np.degrees(np.unwrap(np.angle(c))))
 
 
-def verdict(lengths: dict[str, float], cranks: list[float], more: list[float], *, dyads: bool) -> tuple[bool, set[str]]:
-    """Validate a linkage for its own angles at rotations of the crank, plus `more` [deg]; the names of checks of revolutions."""
+def verdict(
+    lengths: dict[str, float], cranks: list[float], more: list[float], *, dyads: bool, skipped: int = 0
+) -> tuple[bool, set[str]]:
+    """Validate a linkage for its own angles at rotations of the crank, plus `more` [deg], without the first rows of the table.
+
+    Return whether revolutions are checked, and the names of the checks that fail.
+    """
     psi = rockers(lengths, BEGIN + np.array(cranks)) + np.array(more)
     sizes = {name: f"{1e3 * value!r} mm" for name, value in lengths.items()}
     sizes["coupler"] = {"bounds": ["150 mm", "400 mm"]}  # type: ignore[assignment]
-    law = {"phi": [f"{angle} deg" for angle in cranks], "psi": [f"{angle!r} deg" for angle in (psi - psi[0]).tolist()]}
+    rows = list(zip(cranks, (psi - psi[0]).tolist(), strict=True))[skipped:]
+    law = {"phi": [f"{phi} deg" for phi, _ in rows], "psi": [f"{angle!r} deg" for _, angle in rows]}
     raw: dict[str, Any] = {"limits": {"crank": "double-crank" if lengths is DRAG_LINK else "full rotation"}}
     raw |= {"requirement": {"kind": "function", "law": law, "from": f"{BEGIN} deg"}, "mechanism": sizes}
     if dyads:
@@ -62,3 +69,46 @@ def verdict(lengths: dict[str, float], cranks: list[float], more: list[float], *
 )
 def test_revolutions_of_a_law(lengths, cranks, more, there, wrong, dyads):
     assert verdict(lengths, cranks, more, dyads=dyads) == (there, wrong)
+
+
+@pytest.mark.parametrize(
+    ("cranks", "more", "there", "wrong"),
+    [
+        ([0.0, 180.0, 181.0, 182.0, 183.0], [0.0] * 5, False, set()),  # its cubic is at 400 deg at the start
+        ([0.0, -180.0, -181.0, -182.0, -183.0], [0.0] * 5, False, set()),
+        ([0.0, 90.0, 180.0], [0.0, 360.0, 360.0], True, {NAME}),  # relative to the rocker's own angle at the start
+        ([0.0, 90.0, 180.0], [0.0, 0.0, 360.0], True, {NAME}),
+    ],
+)
+def test_a_table_that_begins_later_is_not_extrapolated(cranks, more, there, wrong):
+    assert verdict(CRANK_ROCKER, cranks, more, dyads=False, skipped=1) == (there, wrong)
+
+
+def test_with_a_free_angle_at_the_start_a_table_begins_with_its_first_row():
+    sizes = {name: f"{1e3 * value!r} mm" for name, value in CRANK_ROCKER.items()} | {"coupler": {"bounds": ["150 mm", "400 mm"]}}
+    for more, valid in ((0.0, True), (360.0, False)):
+        psi = rockers(CRANK_ROCKER, BEGIN + np.array([0.0, 90.0, 180.0])) + np.array([0.0, 360.0, 360.0 + more])
+        law = {"phi": ["90 deg", "180 deg"], "psi": [f"{angle!r} deg" for angle in (psi - psi[0]).tolist()[1:]]}
+        requirement = {"kind": "function", "law": law, "from": f"{BEGIN} deg", "psi0": f"{float(psi[0])!r} deg"}
+        raw = {"mechanism": sizes, "requirement": requirement, "limits": {"crank": "full rotation"}}
+        assert validate(optlink.read(raw), {"coupler": CRANK_ROCKER["coupler"]}).valid == valid
+
+
+@pytest.mark.parametrize(
+    ("wanted", "moved", "passed"),
+    [
+        ([math.nan, 0.0, 3.0], [0.0, 0.0, 3.0], True),  # the law begins at the second position
+        ([math.nan, 0.0, 3.0], [0.0, 0.0, 3.0 - math.tau], False),
+        ([math.nan, 0.0, 1.0], [0.0, 0.0, 1.0], None),
+        ([0.0, 3.0, math.nan], [0.0, 3.0, 3.0], False),
+        ([0.0, math.inf, math.inf], [0.0, 0.0, 0.1], False),
+        ([0.0, 3.0, 6.0], [0.0, math.nan, math.nan], False),
+    ],
+)
+def test_positions_without_a_value_do_not_drop_the_check(wanted, moved, passed):
+    """Of one design among others, to which the check applies."""
+    other = [0.0, 3.0, 6.0]
+    [check] = revolutions_check(np.array([wanted, other]), lambda: np.array([moved, other]))
+    assert check.passed[1]
+    assert check.applies[0] == (passed is not None)
+    assert passed is None or check.passed[0] == passed
