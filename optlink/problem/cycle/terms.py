@@ -154,7 +154,7 @@ class Goal(Term):
 
     weight: Annotated[
         Number,
-        where(lambda w: w > 0.0, "a weight is positive", 'Give one above zero; what shall be large has sense = "maximise"'),
+        where(lambda w: w > 0.0, "a weight is positive", 'Give one above zero; to make a quantity large, add sense = "maximise"'),
     ] = 1.0
     """Weight of the term, positive."""
     scale: Any = None
