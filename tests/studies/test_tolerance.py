@@ -259,6 +259,9 @@ def test_measured_deviations(problem, tmp_path, monkeypatch):
     carlo = monte_carlo(found, 1 << 14, 0)
     assert carlo.mean[0] == pytest.approx(found.shift[0], rel=2e-3)
     assert carlo.sigma[0] == pytest.approx(found.sigma[0], rel=2e-3)
+    (tmp_path / "parts.csv").write_text("coupler_mm\n0,05\n0,07\n0,06\n")
+    with pytest.raises(InputError, match=r"row 2 of parts\.csv has 2 cells, the title row has 1.*decimals have a point"):
+        study(problem, ["coupler=parts.csv"], angles=(60.0,))
 
 
 # --- other linkages ----------------------------------------------------------------------------------------------------

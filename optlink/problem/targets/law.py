@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -16,9 +14,9 @@ from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Value
 from optlink.problem.quantity import Unusable, below, check_keys, read_scalar
+from optlink.problem.targets.csv_table import CsvTable, read_csv
 from optlink.problem.targets.expression import Expression, parse
 from optlink.problem.targets.function import Function, read_function
-from optlink.problem.targets.target_points import csv_text
 from optlink.units import factor
 
 Array = NDArray[np.float64]
@@ -229,8 +227,7 @@ def _has_slide(raw: Mapping[str, Any], folder: Path) -> bool:
     """Return whether the CSV file of a table has a column of a slide."""
     if "csv" not in raw:
         return False
-    header = csv_text(raw, folder)[1].partition("\n")[0].split(",")
-    return bool({cell.strip() for cell in header} & {f"s_{ending}" for ending in _UNITS["coordinate"]})
+    return not {f"s_{ending}" for ending in _UNITS["coordinate"]}.isdisjoint(read_csv(raw, folder, MAX_ROWS).titles)
 
 
 def _read_slide(raw: Mapping[str, Any]) -> SlideExpression:
@@ -291,13 +288,10 @@ def read_columns(raw: Mapping[str, Any], folder: Path, kinds: Mapping[str, str])
     Unusable
         with the file, and the row of the error.
     """
-    title, text = csv_text(raw, folder)
-    try:
-        rows = [row for row in csv.reader(io.StringIO(text, newline="")) if any(cell.strip() for cell in row)]
-    except csv.Error as error:
-        raise Unusable(f"{title} is not a CSV text file: {error}", "Save it as CSV, UTF-8", "csv", title) from None
-    header = [cell.strip() for cell in rows[0]] if rows else []
-    return [_column(rows, header, name, kind, title) for name, kind in kinds.items()]
+    table = read_csv(raw, folder, MAX_ROWS)
+    found = [_column(table, name, kind) for name, kind in kinds.items()]
+    values = [[table.number(number, cells, index) * size for index, size in found] for number, cells in table.rows]
+    return [list(column) for column in zip(*values, strict=True)] or [[] for _ in kinds]
 
 
 _UNITS = {
@@ -309,31 +303,13 @@ _UNITS = {
 }  # suffixes of column names
 
 
-def _column(rows: Sequence[Sequence[str]], header: list[str], name: str, kind: str, file: str) -> list[float]:
-    titles = {f"{name}_{ending}": unit for ending, unit in _UNITS[kind].items()}
-    title = next((title for title in header if title in titles), None)
-    if title is None:
-        raise Unusable(
-            f"{file} has no column {' or '.join(titles)}",
-            f"Name the columns in the first row, one of them {next(iter(titles))}",
-            "csv",
-        )
-    if len(rows) - 1 > MAX_ROWS:
-        raise Unusable(f"{file} has {len(rows) - 1:,} rows, more than {MAX_ROWS:,}", "Thin them out", "csv")
-    index, size = header.index(title), factor(titles[title], kind)
-    values = []
-    for number, row in enumerate(rows[1:], start=2):
-        try:
-            value = float(row[index]) * size
-        except (ValueError, IndexError):
-            value = math.nan
-        if not math.isfinite(value):
-            found = row[index] if index < len(row) else "nothing"
-            raise Unusable(
-                f"row {number} of {file} has no finite number in column {title}",
-                "Correct or remove the row",
-                "csv",
-                found,
-            )
-        values.append(value)
-    return values
+def _column(table: CsvTable, name: str, kind: str) -> tuple[int, float]:
+    """Return the index of a column and its unit [SI]."""
+    units = {f"{name}_{ending}": unit for ending, unit in _UNITS[kind].items()}
+    found = [index for index, title in enumerate(table.titles) if title in units]
+    if not found:
+        message = f"{table.name} has no column {' or '.join(units)}"
+        raise Unusable(message, f"Name the columns in the first row, one of them {next(iter(units))}", "csv")
+    if len(found) > 1:
+        raise Unusable(f"{table.name} has two columns of {name}", "Keep one of them", "csv")
+    return found[0], factor(units[table.titles[found[0]]], kind)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from array import array
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.problem.quantity import LONGEST, SHORTEST, Unusable, nearest, read_scalar
+from optlink.problem.targets.csv_table import CsvTable, read_csv
 from optlink.problem.targets.target_points import (
     COINCIDENT,
     HEAVIEST,
     MAX_POINTS,
     TargetPoints,
-    csv_text,
     diagonal,
     pairs,
     shortened,
@@ -158,7 +156,7 @@ _TITLES = {
 
 
 def read_csv_rows(raw: Mapping[str, Any], folder: Path) -> PointRows:
-    """Read rows of a CSV file; unlike `law.read_columns` it allows missing columns and empty cells.
+    """Read rows of a CSV file; unlike `law.read_columns` it allows only known columns, and empty cells.
 
     Parameters
     ----------
@@ -172,55 +170,25 @@ def read_csv_rows(raw: Mapping[str, Any], folder: Path) -> PointRows:
     Unusable
         with the file, and the row of the error.
     """
-    name, text = csv_text(raw, folder)
-    first = text[:10_000].lstrip().partition("\n")[0]
-    delimiter = next((sign for sign in ";\t" if sign in first and "," not in first), ",")
-    read: list[tuple[str, str, int, float | None, array[float]]] = []
-    width, numbers = 0, array("q")
-    try:
-        for number, cells in enumerate(csv.reader(io.StringIO(text, newline=""), delimiter=delimiter), start=1):
-            if not "".join(cells).strip():
-                continue
-            if not read:
-                titles = _titles(cells, name)
-                width = len(titles)
-                read = [
-                    (column, title, titles.index(title), _LEFT_OUT.get(column), array("d"))
-                    for title, (column, _) in _TITLES.items()
-                    if title in titles
-                ]
-                continue
-            if len(numbers) == MAX_ROWS:
-                raise Unusable(f"{name} has more than {MAX_ROWS:,} rows", "Thin them out", "csv", name)
-            numbers.append(number)
-            for _, title, index, left_out, values in read:
-                cell = cells[index] if index < len(cells) else ""
-                if left_out is not None and not cell.strip():
-                    values.append(left_out)
-                    continue
-                try:
-                    value = float(cell)
-                except ValueError:
-                    value = math.nan
-                if not math.isfinite(value):
-                    raise Unusable(
-                        f"row {number} of {name} has no finite number in column {title}",
-                        "Leave the cell empty where there is none"
-                        if left_out is not None
-                        else "Correct or remove the row; decimals have a point",
-                        "csv",
-                        shortened(cell) or "nothing",
-                    )
-                values.append(value)
-            if len(cells) > width and "".join(cells[width:]).strip():
-                raise Unusable(
-                    f"row {number} of {name} has {len(cells)} cells, and there are {width} columns",
-                    "Correct the row; decimals have a point",
-                    "csv",
-                    shortened(cells[width]),
-                )
-    except csv.Error as error:
-        raise Unusable(f"{name} is not a CSV text file: {error}", "Save it as CSV, UTF-8", "csv", name) from None
+    table = read_csv(raw, folder, MAX_ROWS)
+    name = table.name
+    if table.titles:
+        _check_titles(table)
+    read: list[tuple[str, str, int, float | None, array[float]]] = [
+        (column, title, table.titles.index(title), _LEFT_OUT.get(column), array("d"))
+        for title, (column, _) in _TITLES.items()
+        if title in table.titles
+    ]
+    numbers = array("q")
+    for number, cells in table.rows:
+        numbers.append(number)
+        for _, _, index, left_out, values in read:
+            if left_out is None:
+                values.append(table.number(number, cells, index))
+            elif index < len(cells) and cells[index].strip():
+                values.append(table.number(number, cells, index, "Leave the cell empty where there is none"))
+            else:
+                values.append(left_out)
     if not numbers:
         raise Unusable(f"{name} has no rows", "Give the columns x_mm and y_mm, and at least one row below them", "csv", name)
     columns = {}
@@ -231,11 +199,9 @@ def read_csv_rows(raw: Mapping[str, Any], folder: Path) -> PointRows:
     return PointRows(columns, unit, name, numbers, "csv")
 
 
-def _titles(cells: Iterable[str], name: str) -> list[str]:
-    """Return the column names, each known and unique; empty ones at the end are dropped."""
-    titles = [cell.strip() for cell in cells]
-    while titles and not titles[-1]:
-        titles.pop()
+def _check_titles(table: CsvTable) -> None:
+    """Check that each column is known and unique."""
+    name, titles = table.name, table.titles
     for title in titles:
         if title not in _TITLES:
             shown = [known for known in _TITLES if not known.endswith(("_cm", "_in"))]
@@ -249,7 +215,6 @@ def _titles(cells: Iterable[str], name: str) -> list[str]:
     for column in columns:
         if columns.count(column) > 1:
             raise Unusable(f"{name} has two columns of {column}", "Keep one of them", "csv", name)
-    return titles
 
 
 def check_and_reduce(rows: PointRows, asked: int | None) -> TargetPoints:

@@ -129,28 +129,6 @@ def read_file(raw: Mapping[str, Any], key: str, folder: Path) -> tuple[str, byte
     return shortened(name), data
 
 
-def csv_text(raw: Mapping[str, Any], folder: Path) -> tuple[str, str]:
-    """Return the display name and the text of a CSV file.
-
-    Parameters
-    ----------
-    raw : mapping
-        Its key csv names the file.
-    folder : Path
-        Folder to which the name is relative.
-
-    Raises
-    ------
-    Unusable
-        when the file cannot be read or is not UTF-8.
-    """
-    name, data = read_file(raw, "csv", folder)
-    try:
-        return name, data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise Unusable(f"{name} is not a CSV text file: {error.reason}", "Save it as CSV, UTF-8", "csv", name) from None
-
-
 def pairs(points: Array) -> tuple[tuple[float, float], ...]:
     """Return points (n, 2) as plain numbers."""
     return tuple((x, y) for x, y in points.tolist())
