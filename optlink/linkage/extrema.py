@@ -26,6 +26,7 @@ POINTS = 9  # of a bracket, per round
 ROUNDS = 12  # each shrinks the brackets to two of the eight steps: 6e-8 of a grid step at the end
 EXACT, ROUNDING = 1e-9, 1e-13  # shares of the range of its samples, and of their size, by which an interpolant may be wrong
 SMOOTH = 1e-6  # share of that range which the last term of an interpolant may add half-way between samples
+BEFORE = 1e-9  # rad before a jump at which the value before it is sampled
 ZERO = 1e-13  # share of the largest value of its kind below which a function is rounding error
 PORTION, VALUES = 512, 1_000_000  # angles, and values of all functions, per portion
 HALFWAY = float(np.prod(np.arange(0.5, POINTS // 2) ** 2))
@@ -57,7 +58,7 @@ def extremes(
     grid : array (n,) [rad], rising
         Fine enough that each extremum lies beside the best grid point.
     breaks : sequence of float [rad]
-        Crank angles where the functions may jump; no bracket reaches across one.
+        Crank angles where the functions may jump, to the value that they have there; no bracket reaches across one.
     kinds : sequence of hashable, one for each function, optional
         Functions of one kind have the same unit: a function that is rounding error compared with the others is not refined.
     periodic : bool
@@ -67,16 +68,48 @@ def extremes(
     -------
     angles, values : arrays (functions, 2), of the least and of the largest value; NaN where a function has none
     """
+    return _refined_extremes(function, grid, breaks, kinds, periodic, (1.0, -1.0))
+
+
+def maxima(function: Function, grid: Array, breaks: Sequence[float] = (), *, periodic: bool = False) -> tuple[Array, Array]:
+    """Compute the largest value of every function as `extremes` does, without refining the least one.
+
+    Parameters
+    ----------
+    function, grid, breaks, periodic
+        See `extremes`.
+
+    Returns
+    -------
+    angles, values : arrays (functions,); NaN where a function has none
+    """
+    angles, values = _refined_extremes(function, grid, breaks, None, periodic, (-1.0,))
+    return angles[:, 0], values[:, 0]
+
+
+def _refined_extremes(
+    function: Function,
+    grid: Array,
+    breaks: Sequence[float],
+    kinds: Sequence[Hashable] | None,
+    periodic: bool,
+    signs: tuple[float, ...],
+) -> tuple[Array, Array]:
+    """Angles and values (functions, signs) of the least value of every function times each sign."""
+    edges = np.asarray(breaks, dtype=float)
     if periodic:
-        period = grid[-1] - grid[0]
-        breaks = [edge + shift for edge in breaks for shift in (-period, 0.0, period)]
+        edges = (edges + (grid[-1] - grid[0]) * np.array([[-1.0], [0.0], [1.0]])).ravel()
         grid = _continued(grid)
+    edges = edges[(edges > grid[0]) & (edges < grid[-1])]
+    if edges.size:
+        apart = np.min(np.abs(grid[:, None] - edges), axis=1) > BEFORE
+        grid = distinct(np.concatenate([grid[apart], edges - BEFORE, edges]))
     values = in_portions(function, grid)
 
     def own(points: Array, which: Index) -> Array:
-        return in_portions(function, points.ravel(), (which // 2).repeat(points.shape[1])).reshape(points.shape)
+        return in_portions(function, points.ravel(), (which // len(signs)).repeat(points.shape[1])).reshape(points.shape)
 
-    return _extremes(values, grid, breaks, _zero(values, kinds), own, int(periodic))
+    return _extremes(values, grid, edges, _zero(values, kinds), own, int(periodic), signs)
 
 
 def extremes_of_rows(function: Function, grid: Array) -> Array:
@@ -100,7 +133,7 @@ def extremes_of_rows(function: Function, grid: Array) -> Array:
         each[which] = points
         return function(each.reshape(len(values), -1)).reshape(each.shape)[which]
 
-    return _extremes(values, grid, (), np.zeros(len(values), dtype=bool), own, 1)[1]
+    return _extremes(values, grid, np.zeros(0), np.zeros(len(values), dtype=bool), own, 1)[1]
 
 
 def _continued(grid: Array) -> Array:
@@ -111,35 +144,39 @@ def _continued(grid: Array) -> Array:
 def _extremes(
     values: Array,
     grid: Array,
-    breaks: Sequence[float],
+    breaks: Array,
     zero: NDArray[np.bool_],
     own: Callable[[Array, Index], Array],
     beyond: int,
+    signs: tuple[float, ...] = (1.0, -1.0),
 ) -> tuple[Array, Array]:
-    """Angles and values (functions, 2) of the extrema near the best of the values (functions, n) on a grid.
+    """Angles and values (functions, signs) of the least of the values (functions, n) on a grid times each sign, refined.
 
-    `own` returns the values (m, k) at crank angles (m, k) for the extrema number (m,): twice the function's number, plus one
-    for the largest value. The first and the last `beyond` points of the grid only continue it: no extremum is sought there.
+    `own` returns the values (m, k) at crank angles (m, k) for the extrema number (m,): those of the first function come first,
+    in the order of the signs. The first and the last `beyond` points of the grid only continue it: no extremum is sought there.
     """
     known = np.isfinite(values)
     known[:, [*range(beyond), *range(len(grid) - beyond, len(grid))]] = False
-    best = np.stack([np.argmin(np.where(known, sign * values, np.inf), axis=-1) for sign in (1.0, -1.0)], axis=-1).ravel()
-    rows, signs = np.arange(len(values)).repeat(2), np.tile([1.0, -1.0], len(values))
-    angle, value = grid[best], signs * values[rows, best]
+    best = np.stack([np.argmin(np.where(known, one * values, np.inf), axis=-1) for one in signs], axis=-1).ravel()
+    rows, sign = np.arange(len(values)).repeat(len(signs)), np.tile(signs, len(values))
+    angle, value = grid[best], sign * values[rows, best]
     low, high = grid[np.maximum(best - 1, 0)], grid[np.minimum(best + 1, len(grid) - 1)]
     for edge in breaks:
-        low, high = np.where((low < edge) & (edge < angle), edge, low), np.where((angle < edge) & (edge < high), edge, high)
+        low, high = (
+            np.where((low < edge) & (edge <= angle), edge, low),
+            np.where((angle < edge) & (edge <= high), edge - BEFORE, high),
+        )
     some = np.flatnonzero(np.isfinite(value) & ~zero[rows])  # extrema still to be refined
     nodes, samples = _beside(values, rows[some], grid, best[some], breaks)
     angle, value = refined_minima(
-        lambda points, which: signs[which, None] * own(points, which),
+        lambda points, which: sign[which, None] * own(points, which),
         (angle, value, low, high),
         some,
         nodes,
-        signs[some, None] * samples,
+        sign[some, None] * samples,
     )
-    shape = (len(values), 2)
-    return np.where(np.isfinite(value), angle, np.nan).reshape(shape), (signs * value).reshape(shape)
+    shape = (len(values), len(signs))
+    return np.where(np.isfinite(value), angle, np.nan).reshape(shape), (sign * value).reshape(shape)
 
 
 def refined_minima(
@@ -216,9 +253,9 @@ def _refined(curves: Function, low: Array, high: Array, angle: Array, value: Arr
     return angle, value
 
 
-def _beside(values: Array, rows: Index, grid: Array, best: Index, breaks: Sequence[float]) -> tuple[Array, Array]:
+def _beside(values: Array, rows: Index, grid: Array, best: Index, breaks: Array) -> tuple[Array, Array]:
     """Grid points (n, points) beside the best ones, none across a break, and the values of `rows` there; NaN if too few."""
-    ends = distinct(np.concatenate([[0, len(grid)], np.searchsorted(grid, np.asarray(breaks, dtype=float))])).astype(int)
+    ends = distinct(np.concatenate([[0, len(grid)], np.searchsorted(grid, breaks)])).astype(int)
     part = np.searchsorted(ends, best, side="right")
     first, last = ends[part - 1], ends[part]
     begin = np.clip(best - POINTS // 2, first, np.maximum(last - POINTS, first))

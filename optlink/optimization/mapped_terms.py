@@ -14,8 +14,6 @@ import casadi
 
 from optlink.symbolic import CompiledFunction
 
-GROUP = 20  # positions whose second derivatives are one function
-
 
 @dataclass(frozen=True)
 class MappedTerms:
@@ -176,26 +174,16 @@ class MappedTerms:
         return casadi.Function("hessian", [x, p, *symbols], [casadi.triu(casadi.densify(total))])
 
     def _bent(self, given: list[Any], prices: Any) -> tuple[Any, Any]:
-        """Return the second derivatives by x of all values times their prices, and the derivatives of these by the angles.
-
-        Positions are differentiated in groups, as expressions that do not depend on each other are evaluated faster.
-        """
-        positions, others = self.angles.shape[1], self.x.shape[0] - self.local
-        size = next(k for k in range(GROUP, 0, -1) if positions % k == 0)
-        (own, p, *each), values, _ = self._one
-        each = [*each, casadi.SX.sym("price", values.shape[0])]
-        priced = casadi.Function("priced", [own, p, *each], [casadi.dot(each[-1], values)])
-        angles, *group = (casadi.SX.sym("group", part.shape[0] * size) for part in each)
-        parts = [casadi.horzsplit(casadi.reshape(part, -1, size)) for part in (angles, *group)]
-        bent, slope = casadi.hessian(sum(priced(own, p, *one) for one in zip(*parts, strict=True)), casadi.vertcat(own, angles))
-        rates = casadi.SX.sym("rates", others * size)
-        chain = casadi.diagcat(casadi.SX.eye(self.local), casadi.reshape(rates, others, size).T)
+        """Return the second derivatives by x of all values times their prices, and the derivatives of these by the angles."""
+        inputs, values, own = self._one
+        price = casadi.SX.sym("price", values.shape[0])
+        bent, slope = casadi.hessian(casadi.dot(price, values), own)
+        rate, chain = self._chain()
         outputs = [casadi.densify(casadi.mtimes([chain.T, bent, chain])), slope[self.local :]]
-        function = casadi.Function("bent", [own, p, angles, *group, rates], outputs)
-        many = function.map("bent", "serial", positions // size, [0, 1], [0])
-        columns = [casadi.reshape(part, -1, positions // size) for part in (*given[2:], prices, self._rates(*self._given[:2]))]
-        found, by_angle = many(*given[:2], *columns)
-        return found, casadi.reshape(by_angle, 1, positions)
+        function = casadi.Function("bent", [*inputs, price, rate], outputs)
+        many = function.map("bent", "serial", self.angles.shape[1], [0, 1], [0])
+        found, by_angle = many(*given, prices, self._rates(*self._given[:2]))
+        return found, by_angle
 
     @property
     def options(self) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Status
-from optlink.linkage.extrema import extremes
+from optlink.linkage.extrema import maxima
 from optlink.linkage.motion import sweep
 from optlink.optimization.nlp import NLP
 from optlink.problem.function import DesignProblem
@@ -99,8 +99,8 @@ def _peaks(size: Callable[[Array], Array], grid: Array, most: int) -> list[tuple
     found = []
     for k in tops[np.argsort(-heights[tops])][:most]:
         bracket = np.linspace(grid[max(int(k) - 1, 0)], grid[min(int(k) + 1, len(grid) - 1)], 9)
-        at, height = extremes(lambda angles: size(angles)[None, :], bracket)
-        found.append((float(at[0, 1]), float(height[0, 1])))
+        at, height = maxima(lambda angles: size(angles)[None, :], bracket)
+        found.append((float(at[0]), float(height[0])))
     return found
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Status
-from optlink.linkage.extrema import Function, extremes
+from optlink.linkage.extrema import Function, maxima
 from optlink.optimization.nlp import NLP
 from optlink.optimization.path_nlp import has_sampled_objective, limit_excesses, objective_excess, solved_values
 from optlink.problem.path import PathProblem
@@ -204,7 +204,7 @@ def peaks(heights: Function, grid: Array, near: float = 0.0) -> list[RowPeak]:
     found: list[RowPeak] = []
     for row, k in np.argwhere(top).tolist():
         bracket = np.linspace(grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)], 9)
-        at, value = extremes(lambda u: heights(u)[row : row + 1], bracket)  # noqa: B023
-        found.append(RowPeak(float(at[0, 1]), float(value[0, 1]), row))
+        at, value = maxima(lambda u: heights(u)[row : row + 1], bracket)  # noqa: B023
+        found.append(RowPeak(float(at[0]), float(value[0]), row))
     found.sort(key=lambda peak: -peak.height)
     return [peak for k, peak in enumerate(found) if all(abs(peak.at - other.at) > APART for other in found[:k])]

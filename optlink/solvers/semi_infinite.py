@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Status
-from optlink.linkage.extrema import extremes
+from optlink.linkage.extrema import maxima
 from optlink.optimization.constraints import PLAIN, ConstraintRow
 from optlink.optimization.cycle_constraints import WatchedTerm
 from optlink.optimization.cycle_nlp import CycleNLP
@@ -341,5 +341,5 @@ def _local(
     left, right = np.insert(score[:-1], 0, -np.inf), np.append(score[1:], -np.inf)
     for k in np.flatnonzero((score >= left) & (score > right) & (score >= least)).tolist():
         bracket = np.linspace(grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)], 9)
-        at, values = extremes(lambda u: watched.score(signals(u))[None, :], bracket)
-        yield float(values[0, 1]), float(at[0, 1])
+        at, values = maxima(lambda u: watched.score(signals(u))[None, :], bracket)
+        yield float(values[0]), float(at[0])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -14,7 +14,7 @@ from optlink.dynamics.inertia import Parameters
 from optlink.dynamics.loads import Acting
 from optlink.dynamics.machine import Machine, Moving
 from optlink.dynamics.work import NODES, WEIGHTS, Work, gauss_points
-from optlink.linkage.extrema import extremes
+from optlink.linkage.extrema import extremes, maxima
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.stroke import Travel, reachable, travels
 from optlink.linkage.vector2d import TURN, Value, turn
@@ -176,20 +176,30 @@ class Cycle:
         return self._still if term.static else self.machine, lambda record: read(record, term)
 
     def _cyclic(self, term: Term) -> float:
+        """Return the value of a cyclic term; extremes of the same machine are all measured on the same positions."""
         machine, read = self.history(term)
-        if term.how in ("rms", "mean"):
+        if not term.extreme:
             return self._average(machine, read, square=term.how == "rms")
-        jumps = self.work.jumps
+        terms = [term, *self.problem.goals, *(item.term for item in self.problem.bounds)]
+        alike = [other for other in terms if other.extreme and other.static == term.static]
+        for each, value in zip(alike, self._extremes(machine, alike), strict=True):
+            self._figures[id(each)] = each, float(value)
+        return self._figures[id(term)][1]
+
+    def _extremes(self, machine: Machine, terms: Sequence[Term]) -> Array:
+        """Return the values (terms,) of terms that a single position decides, one-sided at load jumps."""
+        scores: dict[str, Callable[[Array], Array]] = {"peak": np.abs, "largest": np.positive, "least": np.negative}
+        reads = [(scores[term.how], self.history(term)[1]) for term in terms]
+        jumps = np.remainder(self.work.jumps, TURN)
 
         def values(angles: Array, side: int = 1) -> Array:
-            return read(MotionColumns(machine.moving(angles, self.speed, side=side)))[None, :]
+            record = MotionColumns(machine.moving(angles, self.speed, side=side))
+            return np.array([score(read(record)) for score, read in reads])
 
-        grid = np.unique(np.concatenate([np.linspace(0.0, TURN, POSITIONS + 1), np.remainder(jumps, TURN)]))
-        least, largest = extremes(values, grid, tuple(np.remainder(jumps, TURN)), periodic=True)[1][0]
+        found = maxima(values, np.linspace(0.0, TURN, POSITIONS + 1), tuple(jumps), periodic=True)[1]
         if jumps.size:
-            before = values(np.remainder(jumps, TURN), side=-1)
-            least, largest = min(least, float(np.nanmin(before))), max(largest, float(np.nanmax(before)))
-        return float({"least": least, "largest": largest, "peak": max(-least, largest)}[term.how])
+            found = np.maximum(found, np.nanmax(values(jumps, side=-1), axis=1))
+        return np.where([term.how == "least" for term in terms], -found, found)
 
     def _average(self, machine: Machine, read: Callable[[MotionColumns], Array], *, square: bool) -> float:
         """Return the mean, or root mean square, over the revolution by Gauss quadrature between the knots of the work."""

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from optlink.linkage.extrema import extremes
+from optlink.linkage.extrema import maxima
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.motion import Motion, sweep
@@ -227,7 +227,7 @@ class _Tested:
         measure = self.problem.measure
         if self.problem.everywhere:
             grid = np.sort(np.linspace(0.0, self.problem.span, POSITIONS + 1))
-            return np.asarray(np.max(extremes(sides, grid)[1][:, 1].reshape(2, -1), axis=0))
+            return np.asarray(np.max(maxima(sides, grid)[1].reshape(2, -1), axis=0))
         middle, spread = self.scattered()
         if measure == "max":
             return np.asarray(np.max(np.abs(middle) + spread, axis=1))

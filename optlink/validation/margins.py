@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from optlink.linkage.dyad_types import RPR, RRR
-from optlink.linkage.extrema import extremes
+from optlink.linkage.extrema import maxima
 from optlink.linkage.fourbar import LENGTHS, grashof
 from optlink.linkage.mechanism import Group
 from optlink.linkage.motion import Motion
@@ -138,7 +138,7 @@ def alignment_checks(sweep: Callable[[Array], Motion], grid: Array, limits: Alig
     """
     groups = sweep(grid[:1]).mechanism.groups
     turns = math.isclose(grid[-1] - grid[0], math.tau)
-    least = extremes(lambda angles: squared_sines(sweep(angles)), grid, periodic=turns)[1][:, 0] if groups else ()
+    least = -maxima(lambda angles: -squared_sines(sweep(angles)), grid, periodic=turns)[1] if groups else ()
     closed = np.all(np.isfinite(squared_sines(sweep(grid))), axis=1)
     for group, value, whole in zip(groups, least, closed, strict=True):
         yield alignment_check(group, len(groups) == 1, value if whole else math.nan, limits, where).of()

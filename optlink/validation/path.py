@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.dyad_types import RPR, RRP, RRR, transmitting
-from optlink.linkage.extrema import extremes
+from optlink.linkage.extrema import extremes, maxima
 from optlink.linkage.mechanism import FRAME, Guide, Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.stroke import travels
@@ -105,7 +105,7 @@ def _worst_cosine(problem: PathProblem, design: Mapping[str, float]) -> float:
         return np.asarray(np.sqrt(np.sum(cosines**2, axis=1)))[None, :]
 
     grid = np.linspace(0.0, TURN, POSITIONS + 1)
-    return float(extremes(size, grid, periodic=True)[1][0, 1]) if np.all(np.isfinite(size(grid))) else math.nan
+    return float(maxima(size, grid, periodic=True)[1][0]) if np.all(np.isfinite(size(grid))) else math.nan
 
 
 def transmission_angles(motion: Motion, mechanism: Mechanism) -> Array:

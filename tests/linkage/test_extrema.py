@@ -10,7 +10,7 @@ from scipy.optimize import brentq, minimize_scalar
 
 import optlink
 from optlink.linkage import extrema
-from optlink.linkage.extrema import distinct, extremes, zeros
+from optlink.linkage.extrema import distinct, extremes, maxima, zeros
 
 TURN = 2.0 * math.pi
 GRID = np.linspace(0.0, TURN, 1441)
@@ -96,6 +96,30 @@ def test_no_interpolant_reaches_across_a_jump_or_a_gap():
     assert values[2, 1] == pytest.approx(math.sin(1.8), abs=1e-4)
     assert values[2, 1] <= math.sin(1.8)
     assert values[2, 0] == pytest.approx(-1.0, abs=1e-12)
+
+
+def test_a_jump_beside_an_extremum_costs_no_further_rounds():
+    calls = []
+
+    def function(angles):
+        calls.append(len(angles))
+        after = angles >= 2.0
+        return np.array([np.where(after, -1.0, 1.0) * np.exp(-((angles - 2.0) ** 2)), np.where(after, np.cos(angles - 2.0), 0.0)])
+
+    angles, values = extremes(function, GRID, (2.0,))
+    assert values[0] == pytest.approx([-1.0, 1.0], abs=1e-12)
+    assert angles[0] == pytest.approx([2.0, 2.0], abs=2e-9)
+    assert function(angles[0])[0].tolist() == values[0].tolist()  # each on its side of the jump
+    assert (angles[1, 1], values[1, 1]) == (2.0, 1.0)
+    assert len(calls) < 6
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_maxima_are_the_larger_extremes(seed):
+    function, breaks = family(seed), (1.0, 2.5)
+    angles, values = extremes(function, GRID, breaks, periodic=True)
+    for one, both in zip(maxima(function, GRID, breaks, periodic=True), (angles, values), strict=True):
+        np.testing.assert_allclose(one, both[:, 1], rtol=1e-12)
 
 
 def test_a_function_without_values_has_no_extremes():

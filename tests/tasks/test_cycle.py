@@ -12,6 +12,7 @@ import pytest
 from scipy.optimize import brentq
 
 import optlink
+from optlink.dynamics.columns import MotionColumns
 from optlink.problem.cycle.terms import Limit
 from optlink.tasks.cycle import CycleResult, solve, validate
 from optlink.validation.cycle import Cycle, validate_cycle
@@ -121,6 +122,20 @@ def test_validation_fails_on_planted_defects():
         assert any(words in check.name for check in proof.checks if not check.passed), words
     wrong = validate_cycle(result.task, good, result.objective * (1.0 + 1e-5))
     assert [check.name for check in wrong.checks if not check.passed] == ["objective measured in motion"]
+
+
+def test_the_extremes_of_a_design_share_the_positions_at_which_they_are_measured(monkeypatch):
+    task = shaper().task
+    terms = [*task.goals, *(item.term for item in task.bounds)]
+    cycle, records = Cycle(task, {}), []
+    fine = np.concatenate([np.linspace(0.0, 2.0 * np.pi, 20_001), cycle.work.jumps])
+    monkeypatch.setattr("optlink.validation.cycle.MotionColumns", lambda moving: records.append(moving) or MotionColumns(moving))
+    for term in (term for term in terms if term.extreme):
+        machine, read = cycle.history(term)
+        dense = float(np.max(np.abs(read(MotionColumns(machine.moving(fine, cycle.speed))))))
+        assert dense == pytest.approx(cycle.figure(term), rel=1e-6)
+        assert dense <= cycle.figure(term)
+    assert len(records) < 6  # once round, at the peaks, before jumps; for three terms
 
 
 def test_largest_values_between_the_positions_are_met():

@@ -296,7 +296,6 @@ def _largest_shaking(course: CycleCurves) -> tuple[float, float, float]:
         return np.broadcast_to(np.asarray(wrench[0]), angles.shape), np.broadcast_to(np.asarray(wrench[1]), angles.shape)
 
     grid = np.unique(course.angles)
-    at, _ = extrema.extremes(lambda angles: np.hypot(*force(angles))[None, :], grid)
-    place = np.array([at[0, 1]])
+    place, _ = extrema.maxima(lambda angles: np.hypot(*force(angles))[None, :], grid)
     fx, fy = force(place)
     return float(fx[0]), float(fy[0]), float(place[0])
