@@ -22,6 +22,7 @@ from pydantic import (
     Field,
     PlainValidator,
     ValidationError,
+    ValidationInfo,
     WithJsonSchema,
 )
 
@@ -42,6 +43,21 @@ class Section(BaseModel):
     """A table of the problem file."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, defer_build=True)  # most unused
+
+
+def folder_of(info: ValidationInfo) -> Path:
+    """Return the folder of the problem file that is read; the working folder for a table that is not in a file."""
+    return (info.context or {}).get("folder", Path())  # type: ignore[no-any-return]
+
+
+def in_folder(function: Callable[[object, Path], Any]) -> BeforeValidator:
+    """Return a reading function as the annotation of a field.
+
+    Parameters
+    ----------
+    function : function of (raw value, folder to which the names of files are relative)
+    """
+    return BeforeValidator(lambda raw, info: None if raw is None else function(raw, folder_of(info)))
 
 
 LIMITED = (("requirement", "stroke"), ("requirement", "time_ratio"))

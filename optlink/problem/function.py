@@ -6,16 +6,15 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
+from pydantic import BeforeValidator, Field
 
 from optlink.linkage.assur import EITHER
 from optlink.linkage.fourbar import dead_centre, lengths_of
 from optlink.linkage.vector2d import TURN, Value, Vector, angle, unit
-from optlink.problem.base_model import Section
+from optlink.problem.base_model import Section, in_folder
 from optlink.problem.limits import COUPLER_JOINT, Limits, Reach, check_limits
 from optlink.problem.machine.model import Expected, Problem
 from optlink.problem.mechanism import FourBarSection, check_one_mode
@@ -23,7 +22,7 @@ from optlink.problem.quantity import Angle, FixedAngle, Quantity, Unusable, near
 from optlink.problem.robust import Robustness, check_robust
 from optlink.problem.targets.expression import Expression
 from optlink.problem.targets.function import Function
-from optlink.problem.targets.law import Law, Table, read_law
+from optlink.problem.targets.law import Law, Table, check_rotation, read_law, rotation
 
 MAX_POINTS = 10_000
 POSITIONS = 60  # default number of design positions of a function
@@ -45,7 +44,7 @@ class Requirement(Section):
 
     kind: Literal["function"] = "function"
     """Kind of requirement."""
-    law: Any
+    law: Annotated[Any, in_folder(read_law)]
     """Rocker angle over crank angle: an expression in phi, phi0, psi0; a table of angles or a CSV file; or a function y(x)."""
     start: Annotated[Any, BeforeValidator(_read_start), Field(alias="from")] = DEAD_CENTRES[0]
     """Start of the span: a dead centre of the rocker, or the crank angle phi0, fixed or free."""
@@ -60,11 +59,6 @@ class Requirement(Section):
     robust: Robustness = None
     """Effect of `[tolerances]` on the objective: `"3 sigma"` or `"worst case"` with the measure `max`, `"expected value"` with
     the sum of squares or rms; default: none."""
-
-    @field_validator("law", mode="before")
-    @classmethod
-    def _law(cls, raw: object, info: ValidationInfo) -> Expression | Function | Table:
-        return read_law(raw, (info.context or {}).get("folder", Path()))
 
 
 @dataclass(frozen=True)
@@ -118,12 +112,7 @@ class DesignProblem(Problem):
     @cached_property
     def span(self) -> float:
         """Crank rotation [rad] of the requirement, negative clockwise."""
-        if isinstance(self.requirement.law, Table):
-            return self.requirement.law.span
-        if isinstance(self.requirement.law, Function):
-            return self.requirement.law.input
-        assert self.requirement.span is not None
-        return self.requirement.span.value
+        return rotation(self.requirement.law, self.requirement.span)
 
     @property
     def sense(self) -> int:
@@ -237,46 +226,18 @@ class DesignProblem(Problem):
         if self.mechanism.assembly == EITHER and function is None:
             remedy = 'Write "left" or "right"'
             raise Unusable("a motion law is designed for one assembly mode", remedy, "mechanism.assembly", EITHER)
-        table = requirement.law if isinstance(requirement.law, Table) else None
-        if function is not None and requirement.span is not None:
-            raise Unusable(
-                "a function brings its own span, the input", "Leave span out", "requirement.span", str(requirement.span)
-            )
-        if function is not None and "start" in requirement.model_fields_set and not isinstance(requirement.start, Quantity):
+        stated = requirement.start if "start" in requirement.model_fields_set else None
+        check_rotation(requirement.law, requirement.span, "from", stated)
+        if function is not None and stated is not None and not isinstance(stated, Quantity):
             raise Unusable(
                 "a function starts at an angle, given or to be found",
                 'Write from = { start = "50 deg", bounds = ["0 deg", "180 deg"] }, or leave it out: then the search finds it',
                 "requirement.from",
                 requirement.start,
             )
-        if table is None:
-            if function is None and requirement.span is None:
-                raise Unusable("an expression as the law needs it", 'Add span = "90 deg"', "requirement.span")
-        elif requirement.span is not None and abs(requirement.span.value - table.span) > 1e-9:
-            raise Unusable(
-                f"the span differs from that of the table, {np.degrees(table.span):.6g} deg",
-                "Leave span out: a table brings its own",
-                "requirement.span",
-                str(requirement.span),
-            )
-        elif not table.from_start and "start" in requirement.model_fields_set:
-            raise Unusable(
-                "a table measured from the frame brings its own start",
-                "Leave from out",
-                "requirement.from",
-                str(requirement.start),
-            )
-        if table is not None and not table.from_start and requirement.psi0 is not None:
-            raise Unusable(
-                "a table measured from the frame has no psi0", "Leave psi0 out", "requirement.psi0", str(requirement.psi0)
-            )
-        if not 1e-6 <= abs(self.span) <= TURN * (1.0 + 1e-9):
-            raise Unusable(
-                "the span must not be zero, nor exceed one revolution",
-                'Give one such as "90 deg" (negative: clockwise)',
-                "requirement.span",
-                f"{np.degrees(self.span):.6g} deg",
-            )
+        if isinstance(requirement.law, Table) and not requirement.law.from_start and requirement.psi0 is not None:
+            message = "a table measured from the frame has no psi0"
+            raise Unusable(message, "Leave psi0 out", "requirement.psi0", str(requirement.psi0))
         turns = self.quantities.get("phi0")
         if turns is not None and max(abs(bound) for bound in turns.bounds) > TURN * (1.0 + 1e-9):
             raise Unusable(

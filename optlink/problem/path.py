@@ -9,7 +9,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -19,14 +18,13 @@ from pydantic import BeforeValidator, ValidationInfo, field_validator
 from optlink.linkage.dyad_types import RRR, Transmitting, transmitting
 from optlink.linkage.mechanism import FRAME, Pose
 from optlink.linkage.vector2d import TURN, Value, angle_from, dot, minus, turn, unit
-from optlink.problem.base_model import Section
+from optlink.problem.base_model import Section, folder_of, in_folder
 from optlink.problem.interval import CoordinateInterval
 from optlink.problem.limits import Limits
 from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.quantity import Angle, Coordinate, FixedAngle, FixedLength, Quantity, Unusable, nearest
-from optlink.problem.targets.function import Function
-from optlink.problem.targets.law import Law, Source, Table, read_output_law
+from optlink.problem.targets.law import Law, Table, read_output_law, rotation
 from optlink.problem.targets.points import TargetPoints, closed, read_points
 
 Array = NDArray[np.float64]
@@ -60,7 +58,7 @@ class PathRequirement(Section):
     """The moving point that takes the positions; its body takes the angles."""
     points: Any = None
     """Points or poses: a list, a CSV file, a drawing or expressions; for a function the number of positions (60)."""
-    law: Any = None
+    law: Annotated[Any, in_folder(read_output_law)] = None
     """Law of the output: a function y(x), with x proportional to the crank angle; an expression in phi, phi0, psi0, for a slide
     `{ slide = "s0 + 40*(1 - cos(phi))", unit = "mm" }`; or a table of phi and psi, or phi and s, or a CSV file."""
     span: FixedAngle | None = None
@@ -98,12 +96,7 @@ class PathRequirement(Section):
                 remedy = "Leave points out" if kind == "transmission" else "Give a whole number from 2 to 400, or leave it out"
                 raise Unusable(f"no points belong to a {kind}" if kind == "transmission" else "no number of positions", remedy)
             return raw
-        return read_points(raw, (info.context or {}).get("folder", Path()))
-
-    @field_validator("law", mode="before")
-    @classmethod
-    def _law(cls, raw: object, info: ValidationInfo) -> Source | None:
-        return None if raw is None else read_output_law(raw, (info.context or {}).get("folder", Path()))
+        return read_points(raw, folder_of(info))
 
 
 SLIDES = 'law = { function = "sqrt(x)", x = [0.1, 1], input = "90 deg", output = "40 mm" }'
@@ -201,13 +194,7 @@ class PathProblem(Problem):
     @property
     def rotation_of_law(self) -> float:
         """Crank rotation [rad] of the law, negative clockwise."""
-        source = self.requirement.law
-        if isinstance(source, Table):
-            return source.span
-        if isinstance(source, Function):
-            return source.input
-        assert self.requirement.span is not None
-        return self.requirement.span.value
+        return rotation(self.requirement.law, self.requirement.span)
 
     @cached_property
     def travel(self) -> float:

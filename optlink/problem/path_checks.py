@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.mechanism import FRAME, Mechanism
-from optlink.linkage.vector2d import TURN
 from optlink.problem.limits import LIMITS, check_limits
 from optlink.problem.mechanism import FourBarSection, check_one_mode
 from optlink.problem.path import FINE, SLIDES, PathProblem
 from optlink.problem.quantity import Unusable, nearest
-from optlink.problem.targets.function import Function
-from optlink.problem.targets.law import SLIDE, Table
+from optlink.problem.targets.law import SLIDE, Table, check_rotation
 
 MAX_SHIFT = 1e6  # largest distance of the curve from the origin, in multiples of its size
 
@@ -103,31 +99,8 @@ def _check_output(problem: PathProblem, mechanism: Mechanism) -> None:
         if getattr(task, key) is not None and not problem.based:
             remedy = f"Leave it out, or add {'s0' if key == 'zero' else 'psi0'} to the law"
             raise Unusable("the law does not depend on it", remedy, f"requirement.{key}", str(getattr(task, key)))
-    _check_span(problem)
+    check_rotation(task.law, task.span, "start", task.start)
     _check_values(problem)
-
-
-def _check_span(problem: PathProblem) -> None:
-    """Check the span of a law: required for an expression, defined by a table or a function."""
-    task = problem.requirement
-    if isinstance(task.law, Function) and task.span is not None:
-        raise Unusable("a function brings its own span, the input", "Leave span out", "requirement.span", str(task.span))
-    if isinstance(task.law, Table):
-        if task.span is not None and abs(task.span.value - task.law.span) > 1e-9:
-            message = f"the span differs from that of the table, {math.degrees(task.law.span):.6g} deg"
-            raise Unusable(message, "Leave span out: a table brings its own", "requirement.span", str(task.span))
-        if not task.law.from_start and task.start is not None:
-            message = "a table measured from the frame brings its own start"
-            raise Unusable(message, "Leave start out", "requirement.start", str(task.start))
-    elif not isinstance(task.law, Function) and task.span is None:
-        raise Unusable("an expression as the law needs it", 'Add span = "90 deg"', "requirement.span")
-    if not 1e-6 <= abs(problem.rotation_of_law) <= TURN * (1.0 + 1e-9):
-        raise Unusable(
-            "the span must not be zero, nor exceed one revolution",
-            'Give one such as "90 deg" (negative: clockwise)',
-            "requirement.span",
-            f"{math.degrees(problem.rotation_of_law):.6g} deg",
-        )
 
 
 def _check_values(problem: PathProblem) -> None:

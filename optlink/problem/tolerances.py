@@ -11,9 +11,9 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, ValidationInfo
 
 from optlink.linkage.mechanism import FRAME, Mechanism
+from optlink.problem.base_model import in_folder
 from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.quantity import Quantity, Unusable, below, check_keys, nearest
 from optlink.problem.targets.law import read_columns
@@ -189,7 +189,7 @@ def _flat(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]
             yield f"{above}{key}", entry
 
 
-def _read_table(raw: object, info: ValidationInfo) -> dict[str, ToleranceEntry]:
+def _read_table(raw: object, folder: Path) -> dict[str, ToleranceEntry]:
     if not isinstance(raw, dict):
         raise Unusable("expected a table", "Begin it with [tolerances]", "", raw)
     found: dict[str, ToleranceEntry] = {}
@@ -197,11 +197,11 @@ def _read_table(raw: object, info: ValidationInfo) -> dict[str, ToleranceEntry]:
         if name in found:
             raise Unusable("a tolerance is given twice", "Give each once", name)
         with below(name, entry):
-            found[name] = read_tolerance(entry, (info.context or {}).get("folder", Path()))
+            found[name] = read_tolerance(entry, folder)
     return found
 
 
-Tolerances = Annotated[dict[str, Any], BeforeValidator(_read_table)]
+Tolerances = Annotated[dict[str, Any], in_folder(_read_table)]
 """By the name of a size, what is said of it (`ToleranceEntry`)."""
 
 

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
+from functools import partial
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import BeforeValidator, ValidationInfo, field_validator, model_validator
+from pydantic import BeforeValidator, field_validator, model_validator
 
 from optlink.dynamics.inertia import Inertia
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import Value
-from optlink.problem.base_model import Section
+from optlink.problem.base_model import Section, in_folder
 from optlink.problem.machine.control import ServoSection
-from optlink.problem.machine.load_curves import Size, read_size
+from optlink.problem.machine.load_curves import read_size
 from optlink.problem.quantity import (
     Duration,
     FixedAngle,
@@ -127,7 +127,7 @@ class DriveSection(Section):
     """Crank angle of the first row."""
     speed: Speed = Quantity(1.0, "angular velocity", "rad/s")
     """Constant speed of the crank, negative clockwise."""
-    torque: Any = None
+    torque: Annotated[Any, in_folder(partial(read_size, kind="torque", names=("phi", "omega")))] = None
     """For `optlink simulate`, instead of the constant speed: a torque, or a table or expression over phi or omega."""
     servo: ServoSection | None = None
     """For `optlink simulate` with clearance: the crank follows a reference signal; not together with `torque`."""
@@ -144,13 +144,6 @@ class DriveSection(Section):
         if isinstance(raw, list):
             raise Unusable("one body is driven, the others follow", 'Name one: body = "crank"', "", raw)
         return raw
-
-    @field_validator("torque", mode="before")
-    @classmethod
-    def _size(cls, raw: object, info: ValidationInfo) -> Size | None:
-        if raw is None:
-            return None
-        return read_size(raw, "torque", ("phi", "omega"), (info.context or {}).get("folder", Path()))
 
     @model_validator(mode="after")
     def _turns(self) -> Self:

@@ -86,19 +86,19 @@ class Curve:
 Size = Constant | Formula | Curve
 
 
-def read_size(raw: object, kind: str, names: Iterable[str], folder: Path) -> Size:
+def read_size(raw: object, folder: Path, kind: str, names: Iterable[str]) -> Size:
     """Read a force or torque: a quantity, an expression with its unit, or a table over phi, s or omega.
 
     Parameters
     ----------
     raw : object
         Value as read from the file.
+    folder : Path
+        Folder to which the name of a CSV file is relative.
     kind : str
         "force" or "torque".
     names : iterable of str
         Variables of an expression; a table may run over those of them in `OVER`.
-    folder : Path
-        Folder to which the name of a CSV file is relative.
 
     Raises
     ------

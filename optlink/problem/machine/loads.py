@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
-from typing import Any, Literal, Protocol
+from functools import partial
+from typing import Annotated, Any, Literal, Protocol
 
-from pydantic import ValidationInfo, field_validator
+from pydantic import field_validator
 
 from optlink.dynamics.loads import Force, Load, SlideDamper, Spring, Torque, TorsionSpring
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.stroke import OTHER, Direction
 from optlink.linkage.vector2d import Value
-from optlink.problem.base_model import Section
-from optlink.problem.machine.load_curves import Curve, Formula, Size, read_size
+from optlink.problem.base_model import Section, in_folder
+from optlink.problem.machine.load_curves import Curve, Formula, read_size
 from optlink.problem.quantity import (
     Damping,
     FixedAngle,
@@ -85,9 +85,9 @@ class LoadSection(Section):
     """The body on which the load acts."""
     at: str | None = None
     """Point of that body where a force acts; default: the point of a slider on its guide."""
-    force: Any = None
+    force: Annotated[Any, in_folder(partial(read_size, kind="force", names=("phi", "omega", "s", "v")))] = None
     """Magnitude of the force: a quantity, a table over phi, omega or s, or an expression."""
-    torque: Any = None
+    torque: Annotated[Any, in_folder(partial(read_size, kind="torque", names=("phi", "omega", "theta", "w")))] = None
     """Magnitude of the torque: a quantity, a table over phi or omega, or an expression."""
     direction: FixedAngle | None = None
     """Direction of the force, from +x; default: along the guide of a slider."""
@@ -116,14 +116,6 @@ class LoadSection(Section):
     @classmethod
     def _older_word(cls, raw: object) -> object:
         return "quick" if raw == "fast" else raw
-
-    @field_validator("force", "torque", mode="before")
-    @classmethod
-    def _size(cls, raw: object, info: ValidationInfo) -> Size | None:
-        if raw is None:
-            return None
-        names = ("phi", "omega", "s", "v") if info.field_name == "force" else ("phi", "omega", "theta", "w")
-        return read_size(raw, str(info.field_name), names, (info.context or {}).get("folder", Path()))
 
     def build(self, name: str, mechanism: Mechanism, motion: SlideSamples) -> Load:
         """Return the load of a machine.

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.vector2d import Value
-from optlink.problem.quantity import Unusable, below, check_keys, read_scalar
+from optlink.linkage.vector2d import TURN, Value
+from optlink.problem.quantity import Quantity, Unusable, below, check_keys, read_scalar
 from optlink.problem.targets.csv_table import CsvTable, read_csv
 from optlink.problem.targets.expression import Expression, parse
 from optlink.problem.targets.function import Function, read_function
@@ -108,6 +108,59 @@ class SlideExpression:
 
 
 Source = Expression | SlideExpression | Function | Table
+
+
+def rotation(law: Source, span: Quantity | None) -> float:
+    """Return the crank rotation of a law [rad], negative clockwise: that of a table or function, else the span of the file.
+
+    Parameters
+    ----------
+    law : Expression, SlideExpression, Function or Table
+    span : Quantity, optional
+    """
+    own = law.span if isinstance(law, Table) else law.input if isinstance(law, Function) else None
+    if own is not None:
+        return own
+    assert span is not None
+    return span.value
+
+
+def check_rotation(law: Source, span: Quantity | None, key: str, start: object) -> None:
+    """Refuse a span or a start that a law brings itself, and a span that is missing or out of range.
+
+    Parameters
+    ----------
+    law : Expression, SlideExpression, Function or Table
+    span : Quantity, optional
+        Span that the file states.
+    key : str
+        Key of the start in the requirement.
+    start : object, optional
+        Start that the file states.
+
+    Raises
+    ------
+    Unusable
+        with the full key of the cause.
+    """
+    if isinstance(law, Function) and span is not None:
+        raise Unusable("a function brings its own span, the input", "Leave span out", "requirement.span", str(span))
+    if isinstance(law, Table):
+        if span is not None and abs(span.value - law.span) > 1e-9:
+            message = f"the span differs from that of the table, {math.degrees(law.span):.6g} deg"
+            raise Unusable(message, "Leave span out: a table brings its own", "requirement.span", str(span))
+        if not law.from_start and start is not None:
+            message = "a table measured from the frame brings its own start"
+            raise Unusable(message, f"Leave {key} out", f"requirement.{key}", str(start))
+    elif not isinstance(law, Function) and span is None:
+        raise Unusable("an expression as the law needs it", 'Add span = "90 deg"', "requirement.span")
+    turned = rotation(law, span)
+    if not 1e-6 <= abs(turned) <= TURN * (1.0 + 1e-9):
+        message, remedy = (
+            "the span must not be zero, nor exceed one revolution",
+            'Give one such as "90 deg" (negative: clockwise)',
+        )
+        raise Unusable(message, remedy, "requirement.span", f"{math.degrees(turned):.6g} deg")
 
 
 @dataclass(frozen=True, eq=False)
