@@ -85,7 +85,7 @@ class Cycle:
         self.mechanism, self.speed = self.machine.mechanism, problem.drive.speed.value
         ranges = reachable(self.mechanism, self.design)
         self.full, self.singular = ranges.full, ranges.singular
-        self._figures: dict[int, tuple[Term, float]] = {}  # by the identity of the term, which is kept with its value
+        self._figures: dict[Term, float] = {}
 
     @cached_property
     def work(self) -> Work:
@@ -109,9 +109,9 @@ class Cycle:
 
     def figure(self, term: Term) -> float:
         """Return the value of a term [SI], measured once; NaN if it is undefined."""
-        if id(term) not in self._figures:
-            self._figures[id(term)] = term, self._figure(term)
-        return self._figures[id(term)][1]
+        if term not in self._figures:
+            self._figures[term] = self._figure(term)
+        return self._figures[term]
 
     def _figure(self, term: Term) -> float:
         if term.quantity == "total length":
@@ -183,8 +183,8 @@ class Cycle:
         terms = [term, *self.problem.goals, *(item.term for item in self.problem.bounds)]
         alike = [other for other in terms if other.extreme and other.static == term.static]
         for each, value in zip(alike, self._extremes(machine, alike), strict=True):
-            self._figures[id(each)] = each, float(value)
-        return self._figures[id(term)][1]
+            self._figures[each] = float(value)
+        return self._figures[term]
 
     def _extremes(self, machine: Machine, terms: Sequence[Term]) -> Array:
         """Return the values (terms,) of terms that a single position decides, one-sided at load jumps."""

@@ -47,15 +47,44 @@ def test_a_batch_that_is_interrupted_stays_open(solved, stop):
     with pytest.raises(KeyboardInterrupt):
         search.run()
     assert not search.closed
-    volume = sum(float(((part.high - part.low).prod(axis=1)).sum()) for part in (search.open, search.tiny))
-    gone = sum(float((high - low).prod(axis=1).sum()) for low, high in zip(search.leaves.low, search.leaves.high, strict=True))
-    assert volume + gone == pytest.approx(0.8 * 0.8, rel=1e-9)
+    assert volume(search) == pytest.approx(0.8 * 0.8, rel=1e-9)
     before = search.lower
     object.__setattr__(problem, "stop", -1)
     search.run()  # goes on where it stopped
     assert search.closed
     assert before <= search.lower <= solved.objective
     assert search.lower >= solved.objective * (1.0 - 1.1e-6)
+
+
+def volume(search):
+    """All boxes of a search, open or discarded."""
+    kept = ((part.low, part.high) for part in (search.open, search.tiny))
+    gone = zip(search.leaves.low, search.leaves.high, strict=True)
+    return sum(float((high - low).prod(axis=1).sum()) for low, high in [*kept, *gone])
+
+
+@pytest.mark.parametrize("stop", [0, 2])
+def test_an_interrupt_while_a_better_design_is_searched_counts_no_box_twice(solved, stop):
+    """The discarded boxes of such a batch are not open beside, so that a proof that goes on covers each design once."""
+    calls = []
+
+    def improve(_at):
+        calls.append(search.boxes)
+        if len(calls) > stop:
+            raise KeyboardInterrupt
+        return float("inf")
+
+    search = BranchAndBound(LagrangianBounds(box_problem(solved.problem)), 1.5 * solved.objective, 1e-6, improve)
+    with pytest.raises(KeyboardInterrupt):
+        search.run()
+    assert len(search.leaves.low) > 0
+    assert volume(search) == pytest.approx(0.8 * 0.8, rel=1e-9)
+    assert search.boxes < calls[-1]
+    assert search.leaves.count == sum(map(len, search.leaves.low))
+    search.improve, search.best = None, solved.objective
+    search.run(boxes=100_000)
+    assert search.closed
+    assert volume(search) == pytest.approx(0.8 * 0.8, rel=1e-9)
 
 
 def test_an_interrupted_proof_keeps_the_design(solved, monkeypatch):

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -31,6 +32,7 @@ FEW = 64  # open boxes below which they are divided once more: small batches tak
 RARELY = 1.3  # factor of the number of boxes after a search for a better design in vain until the next one
 SMALLEST = 1e-12  # width of a box, relative to the bounds, below which it is not divided
 MOST_OPEN = 1_000_000  # open boxes beyond which those with the highest bounds are taken first, so that memory is limited
+CHANGING = ("open", "tiny", "leaves", "boxes", "discarded")  # what a batch changes
 MOST_LEAVES = 200_000  # discarded boxes that are kept for the certificate
 
 
@@ -143,6 +145,10 @@ class Leaves:
             for part in (self.low, self.high, self.test, self.multipliers):
                 part.clear()
 
+    def __copy__(self) -> Leaves:
+        """Return these boxes, to which others can be added without changing them here."""
+        return Leaves([*self.low], [*self.high], [*self.test], [*self.multipliers], self.count)
+
 
 @dataclass(frozen=True)
 class BoundTask:
@@ -244,11 +250,11 @@ class BranchAndBound:
         """
         begin = time.perf_counter()
         while len(self.open) and self.boxes < boxes and time.perf_counter() - begin < seconds:
-            whole = self.open, self.tiny
+            before = {name: copy(value) for name, value in vars(self).items() if name in CHANGING}
             try:
                 self.step()
-            except BaseException:  # a box that was taken but not bounded is still open: the bound holds after an interrupt
-                self.open, self.tiny = whole
+            except BaseException:  # the boxes of an interrupted batch are still open, each once: the bound and the volume hold
+                vars(self).update(before)
                 raise
             if not self.history or self.boxes >= 1.2 * self.history[-1][0] or not len(self.open):
                 self.history.append((self.boxes, self.lower, self.best))
