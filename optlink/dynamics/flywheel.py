@@ -1,14 +1,17 @@
-"""Speed fluctuation in the steady state, and flywheel sizing."""
+"""Speed fluctuation in the steady state and at the end of a simulation, and flywheel sizing."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optlink.dynamics.machine import Machine
+from optlink.dynamics.runge_kutta import Step, between
 from optlink.dynamics.work import Work
+from optlink.linkage.vector2d import TURN
 
 Array = NDArray[np.float64]
 POSITIONS = 2880
@@ -129,3 +132,46 @@ def flywheel(machine: Machine, speed: float, allowed: float, start: float = 0.0)
         if high - low <= 1e-12 * high:
             break
     return Flywheel(speed, balance.mean_torque, alone, allowed, high)
+
+
+class LastTurn:
+    """Speed of a simulated crank over its last revolution, from places within the steps of the integrator.
+
+    Parameters
+    ----------
+    angle, speed : float [rad], [rad/s]
+        Initial crank angle and speed.
+    """
+
+    def __init__(self, angle: float, speed: float) -> None:
+        self.blocks = [np.array([[0.0, angle, speed]])]  # time, crank angle, speed
+
+    def add(self, steps: Sequence[Step], until: float) -> None:
+        """Add consecutive steps, and drop what lies more than a revolution before their end.
+
+        Parameters
+        ----------
+        steps : sequence of Step
+            Of a state that begins with crank angle and speed.
+        until : float [s]
+            Where the last step counts as ended.
+        """
+        self.blocks.append(np.column_stack(between(steps, until, 2)))
+        end = self.blocks[-1][-1, 1]
+        while len(self.blocks) > 2 and abs(end - self.blocks[1][-1, 1]) >= TURN:
+            del self.blocks[0]
+
+    @property
+    def speed(self) -> tuple[float, float] | None:
+        """Mean over time [rad/s], and (largest - least) / mean; None if the crank has not turned a revolution in one sense."""
+        time, angle, speed = np.concatenate(self.blocks).T
+        turned = np.abs(angle - angle[-1])
+        before = np.flatnonzero(turned >= TURN)
+        if not before.size or np.any(np.diff(turned[before[-1] :]) > 0.0):
+            return None
+        k = int(before[-1])
+        share = (turned[k] - TURN) / (turned[k] - turned[k + 1])
+        speeds = np.abs(np.append(speed[k + 1 :], speed[k] + share * (speed[k + 1] - speed[k])))  # the last: where it begins
+        duration = time[-1] - time[k + 1] + (TURN - turned[k + 1]) / (0.5 * (speeds[0] + speeds[-1]))
+        mean = TURN / float(duration)
+        return mean, float(np.ptp(speeds)) / mean

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from optlink.dynamics.dop853 import ALL
 from optlink.dynamics.ending import Ending, first_event, marks_ahead, nearest
+from optlink.dynamics.flywheel import LastTurn
 from optlink.dynamics.inertia import kinetic, potential
 from optlink.dynamics.inverse import Reactions, reactions, required_wrench, virtual_torque
 from optlink.dynamics.loads import Magnitude
@@ -92,6 +93,7 @@ class Run:
 
     `works`: of the drive, of each load, of friction; `energy`: kinetic + gravity. `drift` [m]: largest distance between the
     twice integrated and the closed-loop positions of the bodies; `imbalance` [J]: largest error of the energy balance.
+    `last_turn`: mean speed [rad/s] and its fluctuation over the last revolution (`LastTurn.speed`).
     """
 
     time: Array
@@ -109,6 +111,7 @@ class Run:
     evaluations: int
     ending: Ending
     stopped: float
+    last_turn: tuple[float, float] | None = None
 
     @property
     def turnover(self) -> float:
@@ -289,6 +292,7 @@ class _Journey:
         self.may_rest = plant.drive is not None and plant.machine.switching
         self.time, self.state = 0.0, plant.start(angle, speed)
         self.blocks, self.ways, self.recent = [self.state[None]], [plant.direction], list[Step]()
+        self.last_turn = LastTurn(angle, speed)
         self.steps, self.mark, self.ending = 0, 0.0, Ending.FINISHED
 
     def travel(self, progress: Callable[[float], None] | None, interrupted: Callable[[], None] | None) -> None:
@@ -356,6 +360,8 @@ class _Journey:
         if count > 0 and self.recent:
             self.blocks.append(states_at(self.times[len(self.ways) : len(self.ways) + count], self.recent))
             self.ways += [self.plant.direction] * count
+        if self.recent:
+            self.last_turn.add(self.recent, self.time)
         self.recent = []
 
     def crawls(self, time: float) -> bool:
@@ -369,7 +375,9 @@ class _Journey:
     def result(self) -> Run:
         """Return the result so far."""
         states = np.concatenate(self.blocks)
-        return _result(self.plant, self.times[: len(states)], states, np.array(self.ways), self.steps, self.ending, self.time)
+        times, ways = self.times[: len(states)], np.array(self.ways)
+        found = _result(self.plant, times, states, ways, self.steps, self.ending, self.time)
+        return replace(found, last_turn=self.last_turn.speed)
 
 
 def _set_off(plant: _Plant, angle: float) -> bool:

@@ -126,6 +126,28 @@ def states_at(times: Array, steps: Sequence[Step]) -> Array:
     return dense((times - starts[places]) / sizes, sizes, before, after, rates)
 
 
+def between(steps: Sequence[Step], until: float, parts: int, count: int = 16) -> tuple[Array, Array]:
+    """Return times (m,) at even places within consecutive steps, and the first elements of the state (m, parts) there.
+
+    Parameters
+    ----------
+    steps : sequence of Step
+    until : float [s]
+        Where the last step counts as ended.
+    parts : int
+        Number of elements of the state.
+    count : int
+        Places in each step; the last one is its end.
+    """
+    starts, sizes = (np.array([step[k] for step in steps]) for k in (0, 2))
+    reached = np.array([min(step.end, until) for step in steps]) - starts
+    shares = ((reached / sizes)[:, None] * np.arange(1.0, count + 1.0) / count).ravel()
+    states = [(step.before[:parts], step.after[:parts], step.rates[:, :parts]) for step in steps]
+    before, after, rates = (np.array(column).repeat(count, axis=0) for column in zip(*states, strict=True))
+    sizes = sizes.repeat(count)
+    return starts.repeat(count) + shares * sizes, dense(shares, sizes, before, after, rates)
+
+
 class Stepper:
     """Integration from a state on, one accepted step at a time.
 

@@ -97,20 +97,9 @@ class Simulation(Recorded):
             "imbalance_J": self.run.imbalance,
             "turnover_J": self.run.turnover,
         }
-        last = self._last_turn()
-        if last is not None:
-            mean = abs(float(self.run.crank_angle[last[-1]] - self.run.crank_angle[last[0]])) / float(
-                self.run.time[last[-1]] - self.run.time[last[0]]
-            )
-            found["last_turn.mean_speed_rad_s"] = mean
-            found["last_turn.fluctuation"] = float(np.ptp(self.run.speed[last])) / mean
+        if self.run.last_turn is not None:
+            found["last_turn.mean_speed_rad_s"], found["last_turn.fluctuation"] = self.run.last_turn
         return found
-
-    def _last_turn(self) -> NDArray[np.intp] | None:
-        """Return the rows of the last whole revolution, if there is one."""
-        turned = np.abs(self.run.crank_angle - self.run.crank_angle[-1])
-        rows = np.flatnonzero(turned <= TURN)
-        return rows if len(rows) > 2 and turned[0] >= TURN else None
 
     @property
     def sizes(self) -> dict[str, float]:

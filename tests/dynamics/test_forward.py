@@ -380,6 +380,18 @@ def test_flywheel_keeps_the_fluctuation_in_the_simulation():
     assert found.run.speed[np.argmin(turns)] == pytest.approx(start, rel=1e-4)  # periodic
 
 
+@pytest.mark.parametrize("rows", [7, 400])
+def test_last_revolution_is_measured_between_the_rows_of_the_table(rows):
+    """A pendulum that turns over: speed and period from the energy integral."""
+    w0, g = 12.0, 3.0 * 9.81 / (2.0 * 0.5)  # uniform bar of 0.5 m on its end, started horizontally: w^2 = w0^2 - 2 g sin(phi)
+    problem = crank_alone(gravity="9.81 m/s^2").override({"drive.initial_speed": f"{w0} rad/s"})
+    found = optlink.simulate(problem, rows=rows).figures
+    fastest, slowest = math.sqrt(w0**2 + 2.0 * g), math.sqrt(w0**2 - 2.0 * g)
+    period = quad(lambda phi: 1.0 / math.sqrt(w0**2 - 2.0 * g * math.sin(phi)), 0.0, TURN)[0]
+    assert found["last_turn.mean_speed_rad_s"] == pytest.approx(TURN / period, rel=1e-6)
+    assert found["last_turn.fluctuation"] == pytest.approx((fastest - slowest) * period / TURN, rel=1e-4)
+
+
 def test_machine_that_runs_evenly_needs_no_flywheel():
     machine = machine_of(slider_crank())
     assert flywheel(machine, 10.0, 1.9).inertia == 0.0
