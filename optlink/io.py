@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.version import VERSION
 
 GROUP = "optlink.extensions"
@@ -64,7 +64,7 @@ def folder(path: Path, option: str = "--out") -> Path:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise InputError(
-            Fault(f"cannot write there: {reason}", "Give a folder that you may write to", key=option, value=str(path))
+            f"cannot write there: {reason}", "Give a folder that you may write to", key=option, value=str(path)
         ) from None
     return path
 
@@ -85,7 +85,7 @@ def whole(path: Path) -> Iterator[Path]:
         try:
             yield path
         except OSError as error:
-            raise InputError(Fault(f"cannot write there: {error.strerror}", "Choose another place", str(path))) from None
+            raise InputError(f"cannot write there: {error.strerror}", "Choose another place", str(path)) from None
         return
     temporary = None
     try:
@@ -99,7 +99,7 @@ def whole(path: Path) -> Iterator[Path]:
             record.add(path)
     except OSError as error:
         raise InputError(
-            Fault(f"cannot write the file: {error.strerror}", "Free some space or choose another folder", str(path))
+            f"cannot write the file: {error.strerror}", "Free some space or choose another folder", str(path)
         ) from None
     finally:
         if temporary is not None:
@@ -172,11 +172,8 @@ def _opened(path: Path, place: Path) -> int:
         try:
             handle = os.open(place, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
         except OSError as error:
-            raise InputError(
-                Fault(
-                    f"cannot write there: {error.strerror}", "Give a folder that you may write to", key="--out", value=str(path)
-                )
-            ) from None
+            message, remedy = f"cannot write there: {error.strerror}", "Give a folder that you may write to"
+            raise InputError(message, remedy, key="--out", value=str(path)) from None
         if not _taken(handle):
             number = ""
             with contextlib.suppress(OSError, UnicodeDecodeError):
@@ -184,7 +181,7 @@ def _opened(path: Path, place: Path) -> int:
             os.close(handle)
             who = f" (process {number})" if number.isdigit() else ""
             message = f"another run of optlink{who} is writing into this folder"
-            raise InputError(Fault(message, "Wait until it has ended, or choose another folder", key="--out", value=str(path)))
+            raise InputError(message, "Wait until it has ended, or choose another folder", key="--out", value=str(path))
         with contextlib.suppress(OSError):
             if os.path.samestat(os.fstat(handle), os.stat(place)):  # the file has not just been removed by its owner
                 os.ftruncate(handle, 0)

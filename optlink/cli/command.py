@@ -10,7 +10,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from optlink.cli.console import reported
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -115,12 +115,12 @@ def _failure(error: Any) -> BaseException:
     if param is not None:
         key = (param.metavar or param.name.upper()) if param.param_type_name == "argument" else max(param.opts, key=len)
         message, _, better = error.message.rstrip(".").partition(". ")
-        return InputError(Fault(message or "it is missing", better or remedy, command, key))
+        return InputError(message or "it is missing", better or remedy, command, key)
     possible, option = getattr(error, "possibilities", None), getattr(error, "option_name", None)
     message, _, better = error.message.rstrip(".").partition(". ")
     message = message[:1].lower() + message[1:].removesuffix(f": {option}").replace(f" '{option}'", "")
     better = f"Did you mean {' or '.join(sorted(possible))}?" if possible else better
-    return InputError(Fault(message, better or remedy, command, option))
+    return InputError(message, better or remedy, command, option)
 
 
 class App(typer.Typer):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from optlink.errors import Fault, InputError, OptlinkError, shown
+from optlink.errors import InputError, OptlinkError, shown
 from optlink.execution import interrupts
 
 if TYPE_CHECKING:
@@ -262,7 +262,7 @@ def quantity(text: str | None, kind: str, option: str) -> float | None:
     try:
         return parse(text, kind)[0]
     except UnitProblem as error:
-        raise InputError(Fault(error.message, error.remedy, key=option, value=text)) from None
+        raise InputError(error.message, error.remedy, key=option, value=text) from None
 
 
 def given(**options: Any) -> dict[str, Any]:
@@ -289,7 +289,7 @@ def refuse(options: Mapping[str, object], message: str, remedy: str, file: str |
     """
     for option, value in options.items():
         if value is not None and value is not False:
-            raise InputError(Fault(message, remedy, file, option, None if value is True else str(value)))
+            raise InputError(message, remedy, file, option, None if value is True else str(value))
 
 
 # --- output folders ----------------------------------------------------------------------------------------------------------
@@ -317,7 +317,7 @@ def places(out: Path | None, command: str, problem: str, csv: Path | None = None
 
     if csv is not None and csv.is_dir():
         remedy = "Give the name of a file, for example motion.csv"
-        raise InputError(Fault("this is a folder", remedy, key="--csv", value=str(csv)))
+        raise InputError("this is a folder", remedy, key="--csv", value=str(csv))
     if out is not None:
         _kept[-1].enter_context(_result_folder(out, command, problem))
     if csv is not None:
@@ -356,7 +356,7 @@ def _no_study(out: Path) -> None:
     whose = f" of {problem}" if isinstance(problem, str) else ""
     what = "a front" if isinstance(about, dict) and "objectives" in about else "a sweep"
     message = f"the folder holds {what}{whose}; another result cannot be written there"
-    raise InputError(Fault(message, "Choose another folder; nothing was overwritten", str(out), "--out"))
+    raise InputError(message, "Choose another folder; nothing was overwritten", str(out), "--out")
 
 
 @contextlib.contextmanager

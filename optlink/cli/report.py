@@ -12,7 +12,7 @@ import typer
 
 from optlink.cli import console
 from optlink.cli.options import Design, Json, Of, Quiet, Searcher, Seed, Set, Starts, Subjected, flag, number, option
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.execution import interrupts
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def export(
 
     if isinstance(about, StoredStudy):
         remedy = f"Export the problem, with the design that you want: optlink export {about.problem.name} --design NAME=VALUE"
-        raise InputError(Fault(f"a {about.kind} is no one design that could be drawn", remedy, subject))
+        raise InputError(f"a {about.kind} is no one design that could be drawn", remedy, subject)
     if not (about.valid or even_invalid):
         _refuse(about, as_json)
     write(about, output, options)
@@ -113,7 +113,7 @@ def _subject(
     from optlink.report.stored.loader import is_result, load_stored
 
     if output.exists() and os.path.exists(text) and os.path.samefile(output, text):
-        raise InputError(Fault("this would overwrite what it is made of", "Choose another name", key="--out", value=str(output)))
+        raise InputError("this would overwrite what it is made of", "Choose another name", key="--out", value=str(output))
     if is_result(text):
         remedy = "Leave it out, or name the problem instead of its result"
         console.refuse({"--design": design, "--starts": search[1]}, "a result has its design already", remedy, text)

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.io import locked, write_json, written_files
 
 MANIFEST = ".optlink-run.json"
@@ -45,7 +45,7 @@ def check_owner(path: Path, command: str, problem: str) -> None:
     if (commands and command not in commands) or other != stem:
         message = f"the folder holds the result of `{' or '.join(commands) or 'optlink'}` for {other}"
         remedy = "Choose another folder, or remove this one; nothing was overwritten"
-        raise InputError(Fault(message, remedy, str(path), "--out"))
+        raise InputError(message, remedy, str(path), "--out")
 
 
 @contextlib.contextmanager

@@ -14,7 +14,7 @@ import typer
 from optlink.cli import console
 from optlink.cli.completion import problem_names, template_names
 from optlink.cli.options import PROBLEM_HELP, Json, Quiet, Set, flag, option
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
@@ -66,7 +66,7 @@ def show(
         console.print_json(json_schema(schema))
         return
     if not problem:
-        raise InputError(Fault("no problem is named", "Name one, see `optlink list`; or give --schema", key="PROBLEM"))
+        raise InputError("no problem is named", "Name one, see `optlink list`; or give --schema", key="PROBLEM")
     file = console.load(problem, changes)
     if as_json:
         document = {"schema": "optlink/problem/1", "name": file.name, "problem_hash": file.hash}
@@ -191,9 +191,9 @@ def new(
 
 def _check(out: Path, force: bool) -> None:
     """Refuse a file that cannot be written, and one that exists unless it may be overwritten."""
-    from optlink.errors import Fault, InputError
+    from optlink.errors import InputError
     from optlink.report.export.export import target
 
     target(out, (".toml",), "mine.toml")
     if out.exists() and not force:
-        raise InputError(Fault("the file exists", "Choose another name, or add --force", key="--out", value=str(out)))
+        raise InputError("the file exists", "Choose another name, or add --force", key="--out", value=str(out))

@@ -33,7 +33,7 @@ from optlink.cli.options import (
     number,
     option,
 )
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.execution import interrupts
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def simulate(
     comparing = control == COMPARE
     if comparing and tune:
         message, remedy = "a comparison of all kinds of control tunes none", "Name the kind to tune: --control inverse+pid"
-        raise InputError(Fault(message, remedy, file.file, "--tune"))
+        raise InputError(message, remedy, file.file, "--tune")
     if not tune:
         message, remedy = "only a search for parameters has evaluations", "Add --tune NAME, or leave it out"
         console.refuse({"--evaluations": evaluations}, message, remedy, file.file)
@@ -204,7 +204,7 @@ def _kept(out: Path | None, resume: bool, parts: str, what: str) -> Iterator[dic
 def _revolutions(file: ProblemFile, revolutions: int | None, duration: float | None, speed: float | None) -> int:
     """Return the number of revolutions."""
     if revolutions is not None and duration is not None:
-        raise InputError(Fault("revolutions and a duration are given", "Give one of the two", key="--duration"))
+        raise InputError("revolutions and a duration are given", "Give one of the two", key="--duration")
     if duration is None and revolutions is None and file.model.drive.duration is not None:
         duration = file.model.drive.duration.value
     if duration is None:

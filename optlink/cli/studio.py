@@ -11,7 +11,7 @@ import typer
 from optlink.cli import console
 from optlink.cli.completion import problem_names
 from optlink.cli.options import Quiet, flag, option
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 
 NAMED_HELP = "Name of a shipped problem, or path of a .toml file. Default: choose on the page."
 Named = Annotated[str, typer.Argument(metavar="PROBLEM", autocompletion=problem_names, help=NAMED_HELP, show_default=False)]
@@ -33,7 +33,7 @@ def studio(
     missing = [name for name in NEEDED if importlib.util.find_spec(name) is None]
     if missing:
         remedy = "Install them: pip install 'optlink[studio]'"
-        raise InputError(Fault(f"the studio needs packages that are not installed: {', '.join(missing)}", remedy))
+        raise InputError(f"the studio needs packages that are not installed: {', '.join(missing)}", remedy)
     if problem:
         console.load(problem, None)
     from optlink.studio.server import serve

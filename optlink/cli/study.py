@@ -12,7 +12,7 @@ import typer
 from optlink.cli import console
 from optlink.cli.command import App
 from optlink.cli.options import Engine, Format, Json, Problem, Quiet, Scheduler, Set, flag, number, option
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.execution import interrupts
 from optlink.solvers.contract import selectable
 
@@ -76,7 +76,7 @@ def sensitivity(
     console.refuse({"--angles": angles}, "crank angles are those of an output", "Add for example --quantity rocker", file.file)
     if design:
         remedy = "Leave --design out; --quantity takes one"
-        raise InputError(Fault("sensitivities are those of the optimum, which is searched", remedy, key="--design"))
+        raise InputError("sensitivities are those of the optimum, which is searched", remedy, key="--design")
     from optlink.studies.sensitivity import sensitivities
 
     with console.share("searching again" if check else "searching") as progress:
@@ -97,13 +97,13 @@ def _crank_angles(text: str) -> Any:
 
     remedy = 'Write for example "0 deg, 60 deg" or "0..330 deg:12"'
     if not text.strip():
-        raise InputError(Fault("no crank angle is given", remedy, key="--angles", value=text))
+        raise InputError("no crank angle is given", remedy, key="--angles", value=text)
     try:
         axis = read_axis(f"angles={text}")
         return np.asarray(axis.values) * factor(axis.unit, "angle")
     except (InputError, UnitProblem) as error:
         message = error.faults[0].message if isinstance(error, InputError) else error.message
-        raise InputError(Fault(message, remedy, key="--angles", value=text)) from None
+        raise InputError(message, remedy, key="--angles", value=text) from None
 
 
 def _output(file: ProblemFile, output: str, angles: str, design: list[str] | None, as_json: bool, out: Path | None) -> None:
@@ -123,7 +123,7 @@ def _output(file: ProblemFile, output: str, angles: str, design: list[str] | Non
         sizes |= {key: value for key, value in completed(solve(file)).design.items() if key in sizes}
     known = output_names(file.model.linkage)
     if output not in known:
-        raise InputError(Fault("unknown output", nearest(output, known), file.file, "--quantity", output))
+        raise InputError("unknown output", nearest(output, known), file.file, "--quantity", output)
     found = output_sensitivity(file.model.linkage, sizes, crank, output)
     about = {"problem": file.name, "title": file.model.title, "problem_hash": file.hash, "status": "done"}
     document = OutputSensitivityRecord.of(found, **about, sizes_SI=sizes, crank_angles_deg=np.degrees(crank)).document()
@@ -181,9 +181,9 @@ def sweep(
     varied = {text.partition("=")[0].strip().removeprefix("mechanism.") for text in vary or []}
     given = console.read_design_option(file, design, varied)
     if column and not analyze:
-        raise InputError(Fault("columns are those of the analysis", "Add --analyze", key="--column", value=column[0]))
+        raise InputError("columns are those of the analysis", "Add --analyze", key="--column", value=column[0])
     if analyze and simulate:
-        raise InputError(Fault("designs are analysed or simulated", "Give --analyze or --simulate", key="--simulate"))
+        raise InputError("designs are analysed or simulated", "Give --analyze or --simulate", key="--simulate")
     console.refuse({} if simulate else {"--revolutions": revolutions, "--control": control}, *SIMULATED, file.file)
     if not analyze and not simulate:
         remedy = "Add --analyze; the number of swept values is part of --vary KEY=LOW..HIGH UNIT:N"
@@ -235,7 +235,7 @@ def tolerance(
     file = console.load(problem, changes)
     given = console.read_design_option(file, design)
     if cost and allocate is None:
-        raise InputError(Fault("costs are those of an allocation", 'Add for example --allocate "99 %"', key="--cost"))
+        raise InputError("costs are those of an allocation", 'Add for example --allocate "99 %"', key="--cost")
     crank = None if angles is None else _crank_angles(angles)
     drawn: dict[str, Any] = {"samples": samples, "seed": seed, "shape": distribution, "design": given}
     goals: dict[str, Any] = {"target_yield": None if allocate is None else read_yield(allocate), "costs": read_costs(cost or [])}
@@ -284,7 +284,7 @@ def _resuming(
 ) -> Iterator[dict[str, Any]]:
     """Lock the folder of a study, provide its options with its progress, and report on interruption what is kept of it."""
     if resume and out is None:
-        raise InputError(Fault("needs the folder of the run", "Add --out DIR", key="--resume"))
+        raise InputError("needs the folder of the run", "Add --out DIR", key="--resume")
     if out is not None and out.is_dir():
         console.study_place(out, command, problem)
     try:

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import CancelledError
 from typing import TYPE_CHECKING, Any
 
-from optlink.errors import Fault, InputError, SolverError
+from optlink.errors import InputError, SolverError
 from optlink.execution.process import Process
 from optlink.execution.worker import ChunkResult, ChunkTask, packed, run_chunk
 
@@ -41,7 +41,7 @@ def import_dask() -> tuple[Any, Any]:
         import distributed
     except ImportError:
         remedy = 'Install it: pip install "optlink[dask]", or use --engine local'
-        raise InputError(Fault("Dask is not installed", remedy, key="--engine", value="dask")) from None
+        raise InputError("Dask is not installed", remedy, key="--engine", value="dask") from None
     return dask, distributed
 
 
@@ -160,13 +160,13 @@ def _client(distributed: Any, where: Any, scheduler: str | None, patience: float
         start = "Start one (dask scheduler; dask worker ADDRESS), check address and port, or leave --scheduler out"
         why = "" if isinstance(error, OSError) else f": {error}"
         message = f"no scheduler answers there within {patience:g} s{why}"
-        raise InputError(Fault(message, start, key="--scheduler", value=scheduler or LOCAL)) from None
+        raise InputError(message, start, key="--scheduler", value=scheduler or LOCAL) from None
     try:
         client.wait_for_workers(1, timeout=patience)
     except TimeoutError:
         client.close()
         remedy = "Start one: dask worker ADDRESS"
-        raise InputError(Fault("the scheduler has no workers", remedy, key="--scheduler", value=scheduler or LOCAL)) from None
+        raise InputError("the scheduler has no workers", remedy, key="--scheduler", value=scheduler or LOCAL) from None
     return client
 
 

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.execution import interrupts
 from optlink.execution.process import Process
 from optlink.execution.worker import ChunkResult, ChunkTask, packed, run_chunk
@@ -48,11 +48,11 @@ def check(engine: str, workers: int | None, scheduler: str | None) -> None:
         For an unknown engine, a missing Dask installation, or an invalid number of workers.
     """
     if engine not in ENGINES:
-        raise InputError(Fault("unknown engine", nearest(engine, ENGINES), key="--engine", value=engine))
+        raise InputError("unknown engine", nearest(engine, ENGINES), key="--engine", value=engine)
     if workers is not None and not 1 <= workers <= MAX_WORKERS:
-        raise InputError(Fault("out of range", f"Give 1 to {MAX_WORKERS} processes", key="--workers", value=workers))
+        raise InputError("out of range", f"Give 1 to {MAX_WORKERS} processes", key="--workers", value=workers)
     if scheduler is not None and engine != "dask":
-        raise InputError(Fault("only the engine dask has a scheduler", "Add --engine dask", key="--scheduler", value=scheduler))
+        raise InputError("only the engine dask has a scheduler", "Add --engine dask", key="--scheduler", value=scheduler)
     if engine == "dask":
         from optlink.execution.cluster import import_dask
 

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Self
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.execution.runner import run
 from optlink.execution.worker import ChunkTask
 from optlink.io import LOCK, folder, locked, whole, write_json
@@ -82,12 +82,12 @@ class Store:
         if known is None and resume and all(one.name == LOCK for one in path.iterdir()):
             raise _nothing(path)
         if known is None and self.table.exists():
-            raise InputError(Fault("the folder holds a table of another study", "Choose another folder", str(path), "--out"))
+            raise InputError("the folder holds a table of another study", "Choose another folder", str(path), "--out")
         if known is not None:
             self._compare(known, about)
             if not resume:
                 remedy = "Add --resume to continue it (completed points are kept), or choose another folder"
-                raise InputError(Fault("this very study is in the folder already", remedy, str(path), "--out"))
+                raise InputError("this very study is in the folder already", remedy, str(path), "--out")
         self._mine: list[Path] = []  # files written by this run; the first is the definition if it began the study
         self._begun = known is None
         if self._begun:
@@ -128,7 +128,7 @@ class Store:
         found = _read(path)
         if found is None:
             raise InputError(
-                Fault("the description of the study in the folder cannot be read", "Choose another folder", str(path), "--out")
+                "the description of the study in the folder cannot be read", "Choose another folder", str(path), "--out"
             )
         return found
 
@@ -140,7 +140,7 @@ class Store:
                 shown = "" if isinstance(here, list | dict) else f", there {there}, here {here}"
                 message = f"the folder holds another study: the {what} differs{shown}"
                 remedy = "Choose another folder; nothing was overwritten"
-                raise InputError(Fault(message, remedy, str(self.path), "--out"))
+                raise InputError(message, remedy, str(self.path), "--out")
 
     # --- documents ----------------------------------------------------------------------------------------------------------
 
@@ -185,7 +185,7 @@ class Store:
             path.mkdir(exist_ok=True)
         except OSError as error:
             remedy = "Free some space or choose another folder"
-            raise InputError(Fault(f"cannot make the folder: {error.strerror}", remedy, str(path), "--out")) from None
+            raise InputError(f"cannot make the folder: {error.strerror}", remedy, str(path), "--out") from None
 
     def missing(self) -> list[int]:
         """Return the numbers of the chunks that are not complete."""
@@ -265,7 +265,7 @@ class Store:
             lines = self._lines(index)
             if lines is None:
                 remedy = "Go on with --resume: it is done again"
-                raise InputError(Fault("a chunk has been changed", remedy, str(self._file(index)), "--out"))
+                raise InputError("a chunk has been changed", remedy, str(self._file(index)), "--out")
             yield from csv.reader(io.StringIO(lines, newline=""))
 
     def finish(self, columns: list[str], rows: Rows) -> None:
@@ -307,11 +307,11 @@ class Store:
                 if number == wanted:
                     return
         remedy = "Remove the folder and begin again, or choose another one"
-        raise InputError(Fault("the finished table has been changed or truncated", remedy, str(self.table), "--out"))
+        raise InputError("the finished table has been changed or truncated", remedy, str(self.table), "--out")
 
 
 def _nothing(path: Path) -> InputError:
-    return InputError(Fault("there is no study to resume", "Begin without --resume", str(path), "--resume"))
+    return InputError("there is no study to resume", "Begin without --resume", str(path), "--resume")
 
 
 def _read(path: Path) -> dict[str, Any] | None:

@@ -38,7 +38,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.linkage.dyads import rrr
 from optlink.linkage.fourbar import Inversion, grashof, reachable
 from optlink.linkage.vector2d import Value, Vector, angle, cross, dot, minus, plus, turn, unit
@@ -114,11 +114,11 @@ class CouplerLinkage:
         for name in ("crank", "coupler", "rocker", "frame", "along", "across", "x", "y", "direction"):
             value = getattr(self, name)
             if not math.isfinite(value):
-                raise InputError(Fault("not a finite number", "Give a number in SI units", key=name, value=value))
+                raise InputError("not a finite number", "Give a number in SI units", key=name, value=value)
             if name in ("crank", "coupler", "rocker", "frame") and value <= 0.0:
-                raise InputError(Fault("a link length is positive", "Give it in m, above 0", key=name, value=value))
+                raise InputError("a link length is positive", "Give it in m, above 0", key=name, value=value)
         if self.side not in (1, -1):
-            raise InputError(Fault("not an assembly mode", "Give 1 or -1", key="side", value=self.side))
+            raise InputError("not an assembly mode", "Give 1 or -1", key="side", value=self.side)
 
     @property
     def lengths(self) -> tuple[float, float, float, float]:
@@ -310,10 +310,10 @@ def cognates(linkage: CouplerLinkage, at: float | None = None) -> Cognates:
     ranges = reachable(*linkage.lengths)
     if not ranges:
         raise InputError(
-            Fault("the four-bar cannot be assembled so that it moves", "Make the longest link shorter", value=linkage.lengths)
+            "the four-bar cannot be assembled so that it moves", "Make the longest link shorter", value=linkage.lengths
         )
     if at is not None and not any(_within(at, low, high) for low, high in ranges):
-        raise InputError(Fault("the four-bar is not assembled there", f"It is in {ranges} rad", key="at", value=at))
+        raise InputError("the four-bar is not assembled there", f"It is in {ranges} rad", key="at", value=at)
     smallest = DEGENERATE * max(linkage.lengths)
     first = second = None
     if math.hypot(linkage.along, linkage.across) > smallest:

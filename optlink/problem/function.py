@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, Field
@@ -15,7 +15,7 @@ from optlink.linkage.assur import EITHER
 from optlink.linkage.fourbar import dead_centre, lengths_of
 from optlink.linkage.vector2d import TURN, Value, Vector, angle, unit
 from optlink.problem.base_model import Section, in_folder
-from optlink.problem.limits import COUPLER_JOINT, Limits, Reach, check_limits
+from optlink.problem.limits import COUPLER_JOINT, MARGIN_KEYS, Limits, Reach, check_limits
 from optlink.problem.machine.model import Expected, Problem
 from optlink.problem.mechanism import FourBarSection, check_one_mode
 from optlink.problem.quantity import Angle, FixedAngle, Quantity, Unusable, nearest, read_quantity
@@ -25,6 +25,10 @@ from optlink.problem.targets.function import Function
 from optlink.problem.targets.law import Law, Table, check_rotation, read_law, rotation
 
 MAX_POINTS = 10_000
+NUMBERS = ("mechanism.", "limits.", "tolerances.", "requirement.from", "requirement.psi0")
+"""Beginnings of the keys whose values are parameters of a programme."""
+CHOICES = ("limits.crank", "limits.transmission_over", *MARGIN_KEYS)
+"""Keys with such a beginning that change the programme itself."""
 POSITIONS = 60  # default number of design positions of a function
 DEAD_CENTRES = ("outer dead centre", "inner dead centre")
 EPIGRAPH = "largest error"  # name of the extra variable of a minimax NLP, and of its rows
@@ -79,6 +83,7 @@ class DesignProblem(Problem):
     """The law for the rocker."""
     limits: Limits = Limits()
     """Limits of the design."""
+    has_error: ClassVar[bool] = True
     expected: Expected | None = None
     """Reference values from a trusted source; the tests check them for every shipped problem."""
 
@@ -164,6 +169,12 @@ class DesignProblem(Problem):
     def objective_unit(self) -> str:
         """SI unit of the objective."""
         return "rad^2" if self.measure == "sum of squares" else "rad"
+
+    def shares_programme(self, keys: Sequence[str]) -> bool:
+        """Return whether one programme serves all values of keys of the file, including the side of a limit."""
+        if self.everywhere or self.mechanism.assembly == EITHER:
+            return False
+        return all(key.startswith(NUMBERS) and key not in CHOICES for key in keys)
 
     @property
     def everywhere(self) -> bool:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.io import folder, whole, write_json
 from optlink.problem.file import ProblemFile, dump
 from optlink.problem.fixed_design import with_files_beside
@@ -130,12 +130,12 @@ def checkpoint(out: Path | None) -> dict[str, Any]:
         If no folder is given or its checkpoint cannot be read.
     """
     if out is None:
-        raise InputError(Fault("needs the folder of the run", "Add --out DIR", key="--resume"))
+        raise InputError("needs the folder of the run", "Add --out DIR", key="--resume")
     path = out / "checkpoint.json"
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         found = None
     if not isinstance(found, dict):
-        raise InputError(Fault("there is no checkpoint that can be read", "Begin without --resume", str(path), "--resume"))
+        raise InputError("there is no checkpoint that can be read", "Begin without --resume", str(path), "--resume")
     return found

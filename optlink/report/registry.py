@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.report.view import View
 
 if TYPE_CHECKING:
@@ -160,7 +160,7 @@ def json_schema(kind: str) -> dict[str, Any]:
 
     known = records()
     if kind not in (*known, "result"):
-        raise InputError(Fault("no such kind of result", nearest(kind, ["result", *known]), key="--schema", value=kind))
+        raise InputError("no such kind of result", nearest(kind, ["result", *known]), key="--schema", value=kind)
     chosen = list(known.values()) if kind == "result" else [known[kind]]
     places, schema = models_json_schema([(one, "validation") for one in chosen], title=f"optlink {kind}")
     return {

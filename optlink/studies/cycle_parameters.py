@@ -53,6 +53,18 @@ class CycleParameters(OptimumParameters):
     share, most = 3e-4, 0.02
     nlp: CycleNLP
 
+    @staticmethod
+    def refined(solution: Solution) -> Solution:
+        """Return an optimum at the exact positions of its peaks."""
+        assert isinstance(solution.nlp, CycleNLP)
+        return refine_peaks(solution.nlp, solution)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Note on the sign of a maximised quantity."""
+        maximised = any(goal.sense == "maximise" for goal in self.nlp.traced.problem.goals)
+        return ("a maximised quantity is listed with the opposite sign: its negative is minimised",) * maximised
+
     @cached_property
     def parameters(self) -> list[Parameter]:
         """Dimensions and limits of the programme under their keys in the file, then the other parameters."""
@@ -104,8 +116,7 @@ class CycleParameters(OptimumParameters):
         predicted = max(abs(change[v.name] / v.scale.slope(x)) for v, x in start_at)
         if away > 10.0 * predicted and away > ELSEWHERE:
             return None
-        assert isinstance(found.nlp, CycleNLP)
-        end = refine_peaks(found.nlp, found)
+        end = self.refined(found)
         return end.objective, displayed(found.nlp, end.x)
 
     def _key(self, parameter: Parameter) -> str:

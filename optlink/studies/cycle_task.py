@@ -23,7 +23,6 @@ from optlink.optimization.constraints import ConstraintRow
 from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.nlp import NLP
-from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.file import ProblemFile, read
 from optlink.problem.fixed_design import place_of
 from optlink.solvers import multistart
@@ -31,7 +30,7 @@ from optlink.solvers.cycle_search import at_edge
 from optlink.solvers.semi_infinite import exchange, peaks
 from optlink.studies.continuation import FOLLOWED
 from optlink.studies.grid import Grid
-from optlink.studies.reoptimise_task import SEARCHED, SLOW_CHUNK, ReoptimiseTask, active, one_programme_suffices
+from optlink.studies.reoptimise_task import SEARCHED, SLOW_CHUNK, ReoptimiseTask, active
 from optlink.studies.sweep_task import FoundOptimum, OptimumTask, SweepTask
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.protocol import completed
@@ -133,7 +132,7 @@ def optimum_task(
     if problem.task == "cycle":
         return CycleTask(**common, chunk=SLOW_CHUNK, anchors=tuple(tuple(sizes.items()) for sizes in anchors))
     task = ReoptimiseTask(**common, chunk=chunk)
-    shared = one_programme_suffices(task.template, tuple(axis.key for axis in grid.axes))
+    shared = task.template.model.shares_programme([axis.key for axis in grid.axes])
     return task if shared else replace(task, chunk=SLOW_CHUNK)
 
 
@@ -146,8 +145,7 @@ class CycleProgramme:
     """One programme for many bounds of its limits, traced and compiled once."""
 
     def __init__(self, problem: ProblemFile, backend: str) -> None:
-        task = problem.model
-        assert isinstance(task, CycleProblem)
+        task = task_of(problem)
         self.backend, self.trace = backend, TracedCycle(task)
         self.structure = self.trace.structure({name: task.quantities[name].value for name in task.free})
         self.possible = self.structure is not None and not any(term.integral for term in self.trace.terms)

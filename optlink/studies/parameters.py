@@ -98,6 +98,16 @@ class OptimumParameters:
     def __init__(self, problem: ProblemFile, system: KKTSystem) -> None:
         self.problem, self.system, self.nlp = problem, system, system.nlp
 
+    @staticmethod
+    def refined(solution: Solution) -> Solution:
+        """Return an optimum with all digits."""
+        return solution
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes on the derivatives."""
+        return ()
+
     @cached_property
     def parameters(self) -> list[Parameter]:
         """All parameters."""

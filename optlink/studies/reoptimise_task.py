@@ -17,13 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import InputError, Status
-from optlink.linkage.assur import EITHER
 from optlink.optimization.batch_nlp import BatchNLP
 from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.nlp import NLP, SPAN, build
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
-from optlink.problem.limits import MARGIN_KEYS
 from optlink.problem.quantity import nearest
 from optlink.solvers import multistart
 from optlink.solvers.contract import selectable
@@ -45,7 +43,6 @@ Index = NDArray[np.intp]
 CHUNK, SLOW_CHUNK = 100, 4  # points per chunk; the second if every point needs a separate search
 LARGEST_CHUNK, CHUNKS = 10_000, 10  # points of the chunks of a large grid, and the least number of chunks
 BATCH = 2_000  # points that are worked on at a time
-NUMBERS = ("mechanism.", "limits.", "tolerances.", "requirement.from", "requirement.psi0")  # keys of parameters of a programme
 SEARCHED = "searched"
 OTHER = 3.0  # ratio of sizes beyond which the scaling of the programme is unsuitable
 
@@ -65,21 +62,6 @@ def check_backend(name: str) -> None:
         raise InputError("unknown back end of a study", nearest(name, selectable()), key="--backend", value=name)
 
 
-def one_programme_suffices(problem: ProblemFile, keys: tuple[str, ...]) -> bool:
-    """Return whether one programme serves all values of these keys.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-    keys : tuple of str
-        Keys of the file, including the side of a limit.
-    """
-    task = problem.model
-    if not isinstance(task, DesignProblem) or task.everywhere or task.mechanism.assembly == EITHER:
-        return False
-    return all(key.startswith(NUMBERS) and key not in ("limits.crank", "limits.transmission_over", *MARGIN_KEYS) for key in keys)
-
-
 def chunk_of(grid: Grid) -> int:
     """Return the number of points per chunk of a grid with one programme: large grids have large chunks."""
     return CHUNK * max(1, min(LARGEST_CHUNK // CHUNK, -(-grid.count // (CHUNKS * CHUNK))))
@@ -92,8 +74,8 @@ class ReoptimiseTask(OptimumTask):
     @cached_property
     def programme(self) -> ParametricProgramme | None:
         """Common programme of all points; None if every point needs its own."""
-        keys = tuple(axis.key for axis in self.grid.axes)
-        return ParametricProgramme(self.template) if one_programme_suffices(self.template, keys) else None
+        shared = self.template.model.shares_programme([axis.key for axis in self.grid.axes])
+        return ParametricProgramme(self.template) if shared else None
 
     @cached_property
     def fast_override(self) -> FastOverride | None:

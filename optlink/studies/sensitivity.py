@@ -15,10 +15,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from optlink.errors import InputError, Status
-from optlink.optimization.cycle_nlp import CycleNLP
 from optlink.problem.base_model import Number, Record, Recorded, ResultRecord, absent
 from optlink.problem.file import ProblemFile
-from optlink.solvers.semi_infinite import refine_peaks
 from optlink.solvers.solution import Solution
 from optlink.studies.cycle_parameters import CycleParameters
 from optlink.studies.kkt_derivatives import KKTSystem, ValidityEnd
@@ -226,13 +224,12 @@ def of_solution(
         Whether to verify each parameter with an effect by re-optimisation on both sides.
     progress : function of the completed fraction of the check, optional
     """
-    nlp = solution.nlp
-    if isinstance(nlp, CycleNLP):
-        solution = refine_peaks(nlp, solution)
+    kind, nlp = PARAMETERS.get(problem.task, OptimumParameters), solution.nlp
+    solution = kind.refined(solution)
     system = KKTSystem(solution)
-    known = PARAMETERS.get(problem.task, OptimumParameters)(problem, system)
+    known = kind(problem, system)
     factors = {v.name: v.scale.slope(x) for v, x in design_variables(nlp, solution.x)}
-    notes, rows = _notes(system, solution), []
+    notes, rows = [*_notes(system, solution), *known.notes], []
     for parameter in known.parameters:
         try:
             push = known.push(parameter)
@@ -278,8 +275,6 @@ def _notes(system: KKTSystem, solution: Solution) -> list[str]:
         found.append("several designs are equally good, or limits depend on one another: the smallest change is shown")
     if solution.objective == 0.0 or float(np.max(np.abs(solution.nlp.residuals(solution.x)), initial=0.0)) <= solution.nlp.exact:
         found.append("the requirement is met exactly, so all shadow prices are rounding errors")
-    if isinstance(solution.nlp, CycleNLP) and any(goal.sense == "maximise" for goal in solution.nlp.traced.problem.goals):
-        found.append("a maximised quantity is listed with the opposite sign: its negative is minimised")
     return found
 
 

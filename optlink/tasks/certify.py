@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.execution import interrupts
 from optlink.execution.runner import Runs, pool
 from optlink.optimization.box_models import DesignBoxes, box_problem
@@ -98,10 +98,10 @@ def check_options(gap: float, time_limit: float) -> None:
         If the gap is not from 1e-12 to less than 1, or the time limit is not above zero.
     """
     if not 1e-12 <= gap < 1.0:
-        raise InputError(Fault("out of range", "Give a share from 1e-12 to less than 1, such as 1e-6", key="--gap", value=gap))
+        raise InputError("out of range", "Give a share from 1e-12 to less than 1, such as 1e-6", key="--gap", value=gap)
     if not time_limit > 0.0:
         remedy = 'Give a time above zero, such as "5 min"'
-        raise InputError(Fault("out of range", remedy, key="--time-limit", value=f"{time_limit:g} s"))
+        raise InputError("out of range", remedy, key="--time-limit", value=f"{time_limit:g} s")
 
 
 def certify(
@@ -158,7 +158,7 @@ def certify(
     of_path = isinstance(model, PathProblem) and not unsuitable(model)
     kind = _ErrorSearch if of_function else _PathSearch if of_path else _Search
     if resume and of_function:
-        raise InputError(Fault("the proof of the largest error of a function cannot be resumed", "Leave it out", key="--resume"))
+        raise InputError("the proof of the largest error of a function cannot be resumed", "Leave it out", key="--resume")
     about = {"optlink": VERSION, "problem_hash": problem.hash, "gap": gap}
     checkpoint = None if folder is None or of_function else Checkpoint(folder / FILE, about)
     with pool(engine, workers, scheduler) as runs:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.errors import Fault, InputError, Status
+from optlink.errors import InputError, Status
 from optlink.execution import interrupts
 from optlink.problem.cycle.model import Bound, CycleProblem
 from optlink.problem.cycle.terms import Term
@@ -55,7 +55,72 @@ class CycleTask(DesignTask[CycleResult]):
         problem : ProblemFile
         search : Search
         """
-        return _search(problem, search)
+        from optlink.optimization.cycle_signals import TracedCycle
+        from optlink.solvers.continuum import continuum
+        from optlink.solvers.cycle_search import (
+            STARTS,
+            StartSequence,
+            explain_infeasibility,
+            further_start_groups,
+            rank,
+            search_all,
+        )
+
+        names, seed, timer, progress = search.names, search.seed, search.timer, search.progress
+        task, count = task_of(problem), STARTS if search.starts is None else search.starts
+        with input_of(problem.file):
+            trace = TracedCycle(task, slow=task.slow_assumed)
+        samples = StartSequence(trace, seed)
+
+        def fits(structure: EventOrder) -> bool:
+            return _strokeless(task, trace, structure) is None
+
+        firsts = _firsts(problem, samples, count)
+        if not firsts:
+            timer.lap("solve")
+            return _nowhere(problem, seed, count, timer.seconds)
+        interrupts.check()
+        timer.lap("build")
+        done = 0
+
+        def advance() -> None:
+            nonlocal done
+            done += 1
+            if progress:
+                progress(min(done / count, 1.0))
+
+        result = search_all(trace, firsts, names, advance, lambda: further_start_groups(samples, firsts, count, fits))
+        if not result.usable:
+            result = explain_infeasibility(result, names)
+        nlp, found = _dense(result.nlp, result.best)
+        winner = min(found.values(), key=rank)
+        chosen = next(name for name, solution in found.items() if solution is winner)
+        equal = continuum(nlp, winner, chosen) if result.usable else None
+        timer.lap("solve")
+        measured = analysis_of(task, winner.design)
+        proof = validate_cycle(task, winner.design, winner.objective, measured)
+        checks = (*proof.checks, *optimality(winner), *(_agreement(found) if len(found) > 1 else ()))
+        timer.lap("validate")
+        made = CycleResult(
+            problem=problem,
+            status=winner.status,
+            backend=chosen,
+            design=dict(winner.design),
+            objective=winner.objective,
+            validation=Validation(checks, proof.objective),
+            seconds=timer.seconds,
+            seed=seed,
+            starts=result.starts,
+            solution=winner,
+            backends=found,
+            optima=_optima(task, winner, result.solutions, equal) if result.usable else (),
+            conflict=result.conflict,
+            together=result.together,
+            notes=tuple(_notes(problem, result, winner, count, equal)),
+            interrupted=result.interrupted,
+        )
+        vars(made)["measured"] = measured  # its figures are shown too
+        return made
 
     def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> CycleResult:
         """Validate given dimensions; those not named have their value in the file.
@@ -74,69 +139,6 @@ class CycleTask(DesignTask[CycleResult]):
 
 TASK = CycleTask()
 solve, validate = TASK.solve, TASK.validate
-
-
-def _search(problem: ProblemFile, search: Search) -> CycleResult:
-    """Return the dimensions that minimise the objective within the limits."""
-    from optlink.optimization.cycle_signals import TracedCycle
-    from optlink.solvers.continuum import continuum
-    from optlink.solvers.cycle_search import STARTS, StartSequence, explain_infeasibility, further_start_groups, rank, search_all
-
-    names, seed, timer, progress = search.names, search.seed, search.timer, search.progress
-    task, count = task_of(problem), STARTS if search.starts is None else search.starts
-    with input_of(problem.file):
-        trace = TracedCycle(task, slow=task.slow_assumed)
-    samples = StartSequence(trace, seed)
-
-    def fits(structure: EventOrder) -> bool:
-        return _strokeless(task, trace, structure) is None
-
-    firsts = _firsts(problem, samples, count)
-    if not firsts:
-        timer.lap("solve")
-        return _nowhere(problem, seed, count, timer.seconds)
-    interrupts.check()
-    timer.lap("build")
-    done = 0
-
-    def advance() -> None:
-        nonlocal done
-        done += 1
-        if progress:
-            progress(min(done / count, 1.0))
-
-    result = search_all(trace, firsts, names, advance, lambda: further_start_groups(samples, firsts, count, fits))
-    if not result.usable:
-        result = explain_infeasibility(result, names)
-    nlp, found = _dense(result.nlp, result.best)
-    winner = min(found.values(), key=rank)
-    chosen = next(name for name, solution in found.items() if solution is winner)
-    equal = continuum(nlp, winner, chosen) if result.usable else None
-    timer.lap("solve")
-    measured = analysis_of(task, winner.design)
-    proof = validate_cycle(task, winner.design, winner.objective, measured)
-    checks = (*proof.checks, *optimality(winner), *(_agreement(found) if len(found) > 1 else ()))
-    timer.lap("validate")
-    made = CycleResult(
-        problem=problem,
-        status=winner.status,
-        backend=chosen,
-        design=dict(winner.design),
-        objective=winner.objective,
-        validation=Validation(checks, proof.objective),
-        seconds=timer.seconds,
-        seed=seed,
-        starts=result.starts,
-        solution=winner,
-        backends=found,
-        optima=_optima(task, winner, result.solutions, equal) if result.usable else (),
-        conflict=result.conflict,
-        together=result.together,
-        notes=tuple(_notes(problem, result, winner, count, equal)),
-        interrupted=result.interrupted,
-    )
-    vars(made)["measured"] = measured  # its figures are shown too
-    return made
 
 
 def _firsts(problem: ProblemFile, samples: StartSequence, count: int) -> list[StartGroup]:
@@ -163,7 +165,7 @@ def _firsts(problem: ProblemFile, samples: StartSequence, count: int) -> list[St
         key, term, reversals = wrong[0]
         message = f"{term.of} reverses {reversals} times in a revolution" if reversals else f"{term.of} never reverses"
         remedy = "Name an output that goes to and fro, or start from other sizes"
-        raise InputError(Fault(message, remedy, problem.file, f"{key}.of", term.of))
+        raise InputError(message, remedy, problem.file, f"{key}.of", term.of)
     return found
 
 

@@ -60,7 +60,37 @@ class PathTask(DesignTask[PathResult]):
         problem : ProblemFile
         search : Search
         """
-        return _search(problem, search)
+        backend, seed, timer = search.backend, search.seed, search.timer
+        rounds = _Search(problem, backend, seed, search.designs)
+        timer.lap("build")
+        rounds.run(search.starts, search.progress)
+        timer.lap("search, polish and validate")
+        found, told = rounds.collection, rounds.collection.evidence()
+        task = path_model(problem)
+        notes = [*([task.target_points.note] if task.target_points.note else []), *rounds.notes]
+        reason = None if found.designs or rounds.interrupted else rounds.conflict(seed)
+        limits = () if reason is None else reason.conflict
+        if rounds.better is not None and not found.no_worse(rounds.better):
+            error = math.sqrt(float(np.mean(rounds.better.measured.distances**2)))
+            notes.append(FOUR_BAR_BETTER.format(1e3 * error))
+        notes += () if found.designs else shortest_link(task.quantities, task.limits.crank)
+        if found.designs and told.missed > SMALL:
+            count = rounds.searcher.exploration.starts
+            notes.append(f"search incomplete: {count} starts, {told.chance}; use --starts {min(4 * count, PathTask.most_starts)}")
+        return PathResult(
+            problem=problem,
+            designs=tuple(found.designs),
+            nearest=found.nearest,
+            backend=MINIMAX if task.measure == "max" else backend,
+            seed=seed,
+            starts=rounds.searcher.exploration.starts,
+            evidence=told,
+            seconds=timer.seconds,
+            interrupted=rounds.interrupted,
+            notes=tuple(notes),
+            conflict=limits,
+            together=() if reason is None else reason.together,
+        )
 
     def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> PathResult:
         """Validate a given design; with free timing, at the crank angles with the least deviation.
@@ -73,46 +103,32 @@ class PathTask(DesignTask[PathResult]):
         design : mapping of str to float [m, rad]
             All design variables; further quantities replace those of the file.
         """
-        return _validated(problem, design)
+        from optlink.validation.timing import passing
+
+        clock = time.perf_counter()
+        found = []
+        for file in problem.variants():
+            task = path_model(file)
+            values = {name: float(design.get(name, quantity.value)) for name, quantity in task.quantities.items()}
+            angles = passing(task, values)
+            proof = validate_path(task, values, angles)
+            found.append(PathDesign(file, values, angles, proof.objective, Status.NOT_SEARCHED, proof))
+        best = min(found, key=lambda each: (not each.valid, each.objective if math.isfinite(each.objective) else math.inf))
+        return PathResult(
+            problem=problem,
+            designs=(best,) if best.valid else (),
+            nearest=None if best.valid else best,
+            backend="none",
+            seed=0,
+            starts=0,
+            evidence=evidence(()),
+            seconds={"validate": time.perf_counter() - clock},
+            notes=tuple(filter(None, [path_model(problem).target_points.note])),
+        )
 
 
 TASK = PathTask()
 solve, validate = TASK.solve, TASK.validate
-
-
-def _search(problem: ProblemFile, options: Search) -> PathResult:
-    """Return linkages that pass the points or poses."""
-    backend, starts, seed, timer = options.backend, options.starts, options.seed, options.timer
-    search = _Search(problem, backend, seed, options.designs)
-    timer.lap("build")
-    search.run(starts, options.progress)
-    timer.lap("search, polish and validate")
-    found, told = search.collection, search.collection.evidence()
-    task = path_model(problem)
-    notes = [*([task.target_points.note] if task.target_points.note else []), *search.notes]
-    reason = None if found.designs or search.interrupted else search.conflict(seed)
-    limits = () if reason is None else reason.conflict
-    if search.better is not None and not found.no_worse(search.better):
-        error = math.sqrt(float(np.mean(search.better.measured.distances**2)))
-        notes.append(FOUR_BAR_BETTER.format(1e3 * error))
-    notes += () if found.designs else shortest_link(task.quantities, task.limits.crank)
-    if found.designs and told.missed > SMALL:
-        count = search.searcher.exploration.starts
-        notes.append(f"search incomplete: {count} starts, {told.chance}; use --starts {min(4 * count, PathTask.most_starts)}")
-    return PathResult(
-        problem=problem,
-        designs=tuple(found.designs),
-        nearest=found.nearest,
-        backend=MINIMAX if task.measure == "max" else backend,
-        seed=seed,
-        starts=search.searcher.exploration.starts,
-        evidence=told,
-        seconds=timer.seconds,
-        interrupted=search.interrupted,
-        notes=tuple(notes),
-        conflict=limits,
-        together=() if reason is None else reason.together,
-    )
 
 
 class _Search:
@@ -194,29 +210,3 @@ class _Search:
             return False
         small = SMALL_IN_ORDER if collection.ordered else SMALL
         return rounds >= self._most or collection.evidence().missed <= small
-
-
-def _validated(problem: ProblemFile, given: Mapping[str, float]) -> PathResult:
-    """Return the validation of a given design."""
-    from optlink.validation.timing import passing
-
-    clock = time.perf_counter()
-    found = []
-    for file in problem.variants():
-        task = path_model(file)
-        values = {name: float(given.get(name, quantity.value)) for name, quantity in task.quantities.items()}
-        angles = passing(task, values)
-        proof = validate_path(task, values, angles)
-        found.append(PathDesign(file, values, angles, proof.objective, Status.NOT_SEARCHED, proof))
-    design = min(found, key=lambda each: (not each.valid, each.objective if math.isfinite(each.objective) else math.inf))
-    return PathResult(
-        problem=problem,
-        designs=(design,) if design.valid else (),
-        nearest=None if design.valid else design,
-        backend="none",
-        seed=0,
-        starts=0,
-        evidence=evidence(()),
-        seconds={"validate": time.perf_counter() - clock},
-        notes=tuple(filter(None, [path_model(problem).target_points.note])),
-    )

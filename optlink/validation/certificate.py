@@ -151,16 +151,14 @@ def read_certificate(problem: ProblemFile, path: Path) -> CertificateFile:
     path = path / "certificate.json" if path.is_dir() else path
     remedy = "Give the certificate.json that optlink solve --certify --out wrote"
     if not path.is_file():
-        raise InputError(Fault("there is no such file", remedy, str(path), "--certificate"))
+        raise InputError("there is no such file", remedy, str(path), "--certificate")
     document = read_document(path)
     if document.get("schema") != SCHEMA:
-        raise InputError(Fault("this is no certificate", remedy, str(path), "schema", document.get("schema")))
+        raise InputError("this is no certificate", remedy, str(path), "schema", document.get("schema"))
     found = read_record(CertificateFile, document, path)
     if found.problem_hash != problem.hash:
         message = f"this is the certificate of another problem, or of this one before it was changed (here {problem.hash})"
-        raise InputError(
-            Fault(message, "Make it again: optlink solve --certify --out", str(path), "problem_hash", found.problem_hash)
-        )
+        raise InputError(message, "Make it again: optlink solve --certify --out", str(path), "problem_hash", found.problem_hash)
     try:
         _check_shapes(found, problem)
     except Contradiction as error:

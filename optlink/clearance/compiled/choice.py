@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from optlink.clearance.closed_loop import ClosedLoop
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 
 
 class IntegratorKind(enum.StrEnum):
@@ -69,9 +69,7 @@ def chosen(integrator: str, plant: ClosedLoop, revolutions: float) -> Integrator
         The integrator is unknown or not installed, or cannot compile this machine.
     """
     if integrator not in list(IntegratorKind):
-        raise InputError(
-            Fault("no such integrator", f"Take one of {', '.join(IntegratorKind)}", key="integrator", value=integrator)
-        )
+        raise InputError("no such integrator", f"Take one of {', '.join(IntegratorKind)}", key="integrator", value=integrator)
     wanted = IntegratorKind(integrator)
     seconds = revolutions * len(plant.equations.gaps) * (REVOLUTION + ROW * plant.rows)
     if wanted is IntegratorKind.CVODES or (wanted is IntegratorKind.AUTO and (plant.integration.slow or seconds < WORTH)):
@@ -80,7 +78,7 @@ def chosen(integrator: str, plant: ClosedLoop, revolutions: float) -> Integrator
         if wanted is IntegratorKind.AUTO:
             return IntegratorKind.CVODES
         raise InputError(
-            Fault("numba is not installed, or does not support the installed numpy", INSTALL, key="integrator", value=integrator)
+            "numba is not installed, or does not support the installed numpy", INSTALL, key="integrator", value=integrator
         )
     from optlink.clearance.compiled.machine import code_of
     from optlink.clearance.compiled.source import Unsupported
@@ -91,5 +89,5 @@ def chosen(integrator: str, plant: ClosedLoop, revolutions: float) -> Integrator
         if wanted is IntegratorKind.AUTO:
             return IntegratorKind.CVODES
         message = f"a formula of the machine cannot be compiled: {error}"
-        raise InputError(Fault(message, "Take the integrator cvodes", key="integrator", value=integrator)) from None
+        raise InputError(message, "Take the integrator cvodes", key="integrator", value=integrator) from None
     return IntegratorKind.COMPILED

@@ -3,37 +3,32 @@
 from __future__ import annotations
 
 import datetime
-import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
 from optlink.clearance.joint import Gap
-from optlink.dynamics.loads import Force, Load
-from optlink.dynamics.machine import Machine, Moving
-from optlink.dynamics.strokes import slow_stroke_of
+from optlink.dynamics.machine import Machine
 from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.mechanism import FRAME, Mechanism
-from optlink.linkage.stroke import LEAST_DIFFERENCE, Direction
-from optlink.linkage.vector2d import TURN, Value, cross, dot
+from optlink.linkage.stroke import Direction
+from optlink.linkage.vector2d import Value
 from optlink.problem.base_model import RESERVED, Name, Section
 from optlink.problem.machine.balance import BalanceSection
 from optlink.problem.machine.bodies import BodySection, DriveSection, Gravity
 from optlink.problem.machine.control import ControlSection
 from optlink.problem.machine.joints import JointSection
 from optlink.problem.machine.loads import LoadSection
+from optlink.problem.machine.revolution import Revolution
 from optlink.problem.mechanism import DyadsSection, FourBarSection, sizes_of
 from optlink.problem.quantity import FixedAngle, FixedLength, Number, Quantity, Unusable, below, nearest
 from optlink.problem.tolerances import Deviation, Tolerances, deviations, with_deviating_pivots
 
 Array = NDArray[np.float64]
-STROKES = 720  # positions of a revolution at which the motion of a load is sampled
-FULL_TURN = TURN - 0.02  # rad; a sampled swing that is wider is a full turn
-_SENSE: dict[Direction | None, float] = {"forward": 1.0, "backward": -1.0, None: 0.0}
 
 
 class Expected(Section):
@@ -150,6 +145,13 @@ class Problem(Section):
     def start(self, values: Mapping[str, float]) -> float:
         """Return the crank angle [rad] at which the motion of a design begins."""
         return float(self.drive.start.value)
+
+    has_error: ClassVar[bool] = False
+    """Whether a design has an error over the span of a motion law."""
+
+    def shares_programme(self, keys: Sequence[str]) -> bool:
+        """Return whether one programme serves all values of keys of the file, including the side of a limit."""
+        return False
 
     def check(self) -> None:
         """Check that the sections are consistent.
@@ -292,159 +294,3 @@ class Problem(Section):
         if found:
             Revolution(machine).check_clearances(found)
         return tuple(found)
-
-
-class Revolution:
-    """Samples of a machine's motion over a revolution, as far as it can be assembled."""
-
-    def __init__(self, machine: Machine, slow: Mapping[str, Direction] | None = None) -> None:
-        self.machine, self._slow = machine, slow or {}
-
-    @cached_property
-    def moving(self) -> Moving:
-        """The machine at evenly spaced crank angles."""
-        return self.machine.moving(np.linspace(0.0, self.machine.mechanism.cycle, STROKES, endpoint=False) + 1e-4)
-
-    def check_clearances(self, gaps: Sequence[Gap]) -> None:
-        """Refuse clearances that allow a group of the mechanism to disassemble or to change its assembly mode.
-
-        Raises
-        ------
-        Unusable
-            If there are such clearances, with the key of the first one.
-        """
-        mechanism, assembled = self.machine.mechanism, self.moving.motion.assembled
-        with np.errstate(all="ignore"):
-            pose = mechanism.at(self.machine.sizes, self.moving.motion.crank_angle)
-        for group in mechanism.groups if np.all(assembled) else ():
-            own = {link.body for link in group.links}
-            loose = [gap for gap in gaps if own & {gap.journal, gap.bearing}]
-            with np.errstate(all="ignore"):
-                gap = group.gap(pose)
-            spare = -np.broadcast_to(np.asarray(gap, dtype=float), assembled.shape)[assembled]
-            if not loose or not spare.size or not np.any(spare > 0.0):
-                continue
-            play, least = sum(gap.clearance for gap in loose), float(np.min(spare))
-            if play >= least:
-                at = float(np.degrees(self.moving.motion.crank_angle[assembled][int(np.argmin(spare))]))
-                message = (
-                    f"the clearance lets the mechanism come apart: at a crank angle of {at:z.0f} deg the group of {group.joint} "
-                    f"closes with {least * 1e3:.4g} mm to spare, and its joints have {play * 1e3:.4g} mm of play"
-                )
-                raise Unusable(message, "Give a smaller clearance, or other lengths", f"joints.{loose[0].point}.clearance")
-
-    def _rates(self, load: Load) -> Array:
-        velocity = load.reversing(self.moving)
-        shape = np.shape(self.moving.motion.assembled)
-        rate = np.broadcast_to(np.asarray(velocity[0] if velocity else 0.0, dtype=float), shape)
-        known: Array = rate[np.isfinite(rate)]
-        return known
-
-    def check_moves(self, load: Load) -> None:
-        """Refuse a load that opposes a motion that does not exist.
-
-        Raises
-        ------
-        Unusable
-            If the load is one.
-        """
-        rates = self._rates(load)
-        size = float(np.max(self.machine.size)) if isinstance(load, Force) else 1.0
-        moves = np.count_nonzero(np.abs(rates) > 1e-12 * size)
-        if rates.size and moves < 0.5 * rates.size:  # near singular positions rounding errors are larger
-            what = "does not move in this direction" if isinstance(load, Force) else "does not turn"
-            raise Unusable(f"what it opposes {what}", 'Take the load out, or write acts = "constant"', "acts")
-
-    def slow(self, load: Load) -> Direction:
-        """Return the stroke of a load's motion that takes longer at constant counter-clockwise crank speed.
-
-        Raises
-        ------
-        Unusable
-            when both take equally long.
-        """
-        if load.name in self._slow:
-            return self._slow[load.name]
-        sense = self.slow_senses(load)  # many designs share one machine only if they have the same slow stroke
-        found: Direction | None = "forward" if np.all(sense > 0.0) else "backward" if np.all(sense < 0.0) else None
-        if not np.all(self.moving.motion.assembled) and found is None:
-            message = "the crank does not turn fully, and in the range that it reaches no stroke is the slow one"
-            raise Unusable(message, 'Change the sizes, or write stroke = "forward" or "backward"', "stroke")
-        if found is None:
-            least = f"{math.degrees(LEAST_DIFFERENCE):g} deg"
-            message = f"both strokes take equally long (to {least} of crank rotation), so there is no slow stroke"
-            raise Unusable(message, 'Write stroke = "forward" or "backward", or change the sizes', "stroke")
-        return found
-
-    def slow_senses(self, load: Load) -> Array:
-        """Return the slow stroke of a load's motion for one or many designs: 1 forward, -1 backward, 0 for equal strokes.
-
-        For one design with full crank rotation the exact crank angles of the reversals are used, else the sampled positions that
-        can be reached, with interpolated reversals.
-        """
-        assembled = self.moving.motion.assembled
-        if np.ndim(assembled) == 1 and np.all(assembled):
-            return np.array([_SENSE[slow_stroke_of(self.machine, load)]])
-        velocity = load.reversing(self.moving)
-        rate = np.asarray(velocity[0] if velocity else 0.0, dtype=float)
-        rate = np.broadcast_to(rate, np.shape(assembled)) + np.zeros(STROKES)
-        rate = np.concatenate([rate, rate[..., :1]], axis=-1)
-        size = np.abs(rate[..., 1:]) + np.abs(rate[..., :-1])
-        with np.errstate(all="ignore"):  # 0 / 0 for a design that can be assembled nowhere
-            share = (rate[..., 1:] + rate[..., :-1]) / size
-            difference = self.machine.mechanism.cycle * np.nansum(share, axis=-1) / np.sum(np.isfinite(share), axis=-1)
-        sense = np.where(np.abs(difference) >= LEAST_DIFFERENCE, np.sign(difference), 0.0)
-        return np.asarray(sense, dtype=float).reshape(-1)
-
-    def middle(self, body: str, against: str, free: float) -> Value:
-        """Return the middle of the swing of a body relative to another [rad], within half a revolution of `free`.
-
-        A number, or an array (designs, 1) if the swing differs from design to design.
-
-        Parameters
-        ----------
-        body : str
-        against : str
-            The other body.
-        free : float [rad]
-            Reference angle.
-
-        Raises
-        ------
-        Unusable
-            when the body makes a full turn, as no torsion spring allows, in any design.
-        """
-        low, high = self._swing(body, against)
-        if np.any(high - low > FULL_TURN):
-            message = f"{body} turns fully against {against}, which no torsion spring follows"
-            raise Unusable(message, "Use torsional_damping, or a spring between two points", "on")
-        middle = 0.5 * (low + high)
-        return _per_design(np.where(np.isnan(middle), free, _near(middle, free)))
-
-    def branch(self, body: str) -> Value:
-        """Return the middle [rad] of the swing of a body across 180 deg from +x, within that range; 0 for any other motion.
-
-        A number, or an array (designs, 1) if the swing differs from design to design.
-        """
-        low, high = self._swing(body, FRAME)
-        middle, width = _near(0.5 * (low + high), 0.0), high - low
-        return _per_design(np.where((width <= FULL_TURN) & (np.abs(middle) + 0.5 * width >= 0.5 * FULL_TURN), middle, 0.0))
-
-    def _swing(self, body: str, against: str) -> tuple[Array, Array]:
-        """Return the ends [rad] of the swing of a body relative to another, of each design; NaN: no position is reached."""
-        one, other = (self.moving.state(name).axis for name in (body, against))
-        angle = np.asarray(np.arctan2(cross(other, one), dot(other, one)) + 0.0 * self.moving.motion.crank_angle)
-        reached = [np.unwrap(row[np.isfinite(row)]) for row in np.atleast_2d(angle)]
-        ends = np.array([[np.min(swing), np.max(swing)] if swing.size else [np.nan, np.nan] for swing in reached])
-        low, high = ends.T.reshape(2, *np.shape(angle)[:-1])
-        return low, high
-
-
-def _near(angle: Array, reference: float) -> Array:
-    """Return angles less whole revolutions: at most half a revolution from a reference, ahead of it in the case of a tie."""
-    return np.asarray(angle - TURN * np.ceil((angle - reference) / TURN - 0.5 - 1e-9))
-
-
-def _per_design(values: Array) -> Value:
-    """Return the value of one design as a number, those of many designs as an array (designs, 1)."""
-    return values[:, None] if values.ndim else float(values)

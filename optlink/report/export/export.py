@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.io import finite, head
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import sweep
@@ -60,16 +60,16 @@ def target(path: Path, endings: tuple[str, ...], example: str) -> Path:
     """
     key = "--out"
     if len(os.fsencode(path.name)) > LONGEST:
-        raise InputError(Fault("the name is too long", f"Give a shorter one, for example {example}", key=key, value=str(path)))
+        raise InputError("the name is too long", f"Give a shorter one, for example {example}", key=key, value=str(path))
     if path.is_dir():
-        raise InputError(Fault("this is a folder", f"Give the name of a file, for example {example}", key=key, value=str(path)))
+        raise InputError("this is a folder", f"Give the name of a file, for example {example}", key=key, value=str(path))
     if path.suffix.lower() not in endings:
         message = f'cannot write "{path.suffix}" files' if path.suffix else "the name has no ending"
         remedy = nearest(path.suffix, endings) if path.suffix else f"Write one of {', '.join(endings)}"
-        raise InputError(Fault(message, remedy, key=key, value=str(path)))
+        raise InputError(message, remedy, key=key, value=str(path))
     if not path.parent.is_dir():
         message = f"there is no folder {path.parent}"
-        raise InputError(Fault(message, "Make it first, or choose another place", key=key, value=str(path)))
+        raise InputError(message, "Make it first, or choose another place", key=key, value=str(path))
     folder(path.parent, key)
     return path
 
@@ -94,14 +94,14 @@ def export(subject: ReportModel, path: Path, options: Options | None = None) -> 
     target(path, tuple(FORMATS), "drawing.dxf")
     if subject.cycle is None:
         remedy = "Look at it with optlink validate, and export another design"
-        raise InputError(Fault(f"the design cannot be drawn: {subject.unmoved}", remedy, subject.problem.file))
+        raise InputError(f"the design cannot be drawn: {subject.unmoved}", remedy, subject.problem.file)
     for name in ("hole", "width"):
         size = getattr(options, name)
         if size is not None and not 0.0 < size < math.inf:
-            raise InputError(Fault("a size is positive", 'Give one such as "8 mm"', key=f"--{name}", value=f"{size:g} m"))
+            raise InputError("a size is positive", 'Give one such as "8 mm"', key=f"--{name}", value=f"{size:g} m")
     if options.hole is not None and options.width is not None and options.width <= options.hole:
         remedy = "Give a width greater than the hole"
-        raise InputError(Fault("no link is narrower than its holes", remedy, key="--width", value=f"{options.width:g} m"))
+        raise InputError("no link is narrower than its holes", remedy, key="--width", value=f"{options.width:g} m")
     FORMATS[path.suffix.lower()](subject, subject.cycle, path, options)
 
 
@@ -129,7 +129,7 @@ def place_of(subject: ReportModel, cycle: Analysis, at: float | None) -> float:
         reach = ", ".join(f"{math.degrees(low):.6g} ... {math.degrees(high):.6g} deg" for low, high in cycle.ranges.ranges)
         message = str(failed) if failed else "the mechanism cannot be assembled there"
         shown = f"{math.degrees(at):.6g} deg"
-        raise InputError(Fault(message, f"Give an angle within {reach}", subject.problem.file, "--at", shown))
+        raise InputError(message, f"Give an angle within {reach}", subject.problem.file, "--at", shown)
     return at
 
 
@@ -150,7 +150,7 @@ def _csv(subject: ReportModel, cycle: Analysis, path: Path, options: Options) ->
     """Write the motion as a table, without force columns if there are no masses and loads."""
     if not 1 <= options.points <= MAX_POINTS:
         remedy = f"Give a number from 1 to {MAX_POINTS:,}"
-        raise InputError(Fault("out of range", remedy, key="--points", value=options.points))
+        raise InputError("out of range", remedy, key="--points", value=options.points)
     rows = cycle if options.points == len(cycle["time_s"]) - 1 else analyze(cycle.problem, options.points, speed=cycle.speed)
     columns = {name: values for name, values in rows.columns.items() if subject.forces or not name.endswith(FORCES)}
     write_csv(path, columns)

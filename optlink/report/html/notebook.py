@@ -13,7 +13,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
-from optlink.errors import Fault, InputError, OptlinkError
+from optlink.errors import InputError, OptlinkError
 from optlink.problem.base_model import Contradiction
 from optlink.problem.file import ProblemFile, load
 from optlink.report.chart_spec import ChartSpec
@@ -350,5 +350,5 @@ def _ipywidgets() -> Any:
         import ipywidgets
     except ImportError:
         remedy = 'Install it: pip install "optlink[notebook]"'
-        raise InputError(Fault("explore needs the package ipywidgets, which is not installed", remedy)) from None
+        raise InputError("explore needs the package ipywidgets, which is not installed", remedy) from None
     return ipywidgets

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.problem.base_model import Contradiction, Record, damaged, read_document, read_record
 from optlink.problem.file import ProblemFile, load, parse_assignment, shipped
 from optlink.report.format import single_units
@@ -81,7 +81,7 @@ def load_stored(text: str, problem: str | None = None, changes: Sequence[str] = 
     path = Path(text) / RESULT if folder else Path(text)
     if folder and not path.exists():
         remedy = "Give a folder that --out wrote; resume an interrupted study with --resume"
-        raise InputError(Fault(f"the folder holds no {RESULT}", remedy, text))
+        raise InputError(f"the folder holds no {RESULT}", remedy, text)
     document = read_document(path)
     schema = document.get("schema")
     further = next((view for view in REGISTERED.values() if view.schema and view.schema == schema), None)
@@ -118,15 +118,15 @@ def _further(view: View, document: dict[str, Any], path: Path, problem: str | No
 def _unknown(schema: object, path: Path) -> InputError:
     """Return the error for a document of an unknown schema."""
     if not isinstance(schema, str) or not schema.startswith("optlink/"):
-        return InputError(Fault("not a result of optlink", "Give a result.json that --out wrote", str(path), "schema", schema))
+        return InputError("not a result of optlink", "Give a result.json that --out wrote", str(path), "schema", schema)
     if schema in PAGELESS:
-        return InputError(Fault("a result of this kind has no page", PAGELESS[schema][1], str(path), "schema", schema))
+        return InputError("a result of this kind has no page", PAGELESS[schema][1], str(path), "schema", schema)
     if command := COMMANDS.get(schema.rpartition("/")[0]):
         remedy = f"Run `{command}` again, or use the version that wrote it"
-        return InputError(Fault("the result is of another version of its format", remedy, str(path), "schema", schema))
+        return InputError("the result is of another version of its format", remedy, str(path), "schema", schema)
     commands = ", ".join(dict.fromkeys(command for command, _ in KNOWN.values()))
     remedy = f"Give what --out of one of these wrote: {commands}; or the problem itself"
-    return InputError(Fault("not a result that can be shown here", remedy, str(path), "schema", schema))
+    return InputError("not a result that can be shown here", remedy, str(path), "schema", schema)
 
 
 def problem_of(name: str, wanted: str, path: Path, problem: str | None = None, changes: Sequence[str] = ()) -> ProblemFile:
@@ -160,10 +160,10 @@ def problem_of(name: str, wanted: str, path: Path, problem: str | None = None, c
         hashes.append(file.hash)
     if not places:
         remedy = f"Name its problem file: --problem {name}.toml"
-        raise InputError(Fault(f"the problem {name} of this result is not found", remedy, str(path), "problem", name))
+        raise InputError(f"the problem {name} of this result is not found", remedy, str(path), "problem", name)
     told = f"its problem has the hash {wanted}, {places[0]} has {hashes[0]}"
     remedy = "Name the problem file: --problem FILE, and repeat the --set of the search; or solve again"
-    raise InputError(Fault(f"the result is that of another problem or version: {told}", remedy, str(path), "problem_hash"))
+    raise InputError(f"the result is that of another problem or version: {told}", remedy, str(path), "problem_hash")
 
 
 def _places(name: str, path: Path) -> Iterator[str]:

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.execution.store import TABLE
 from optlink.problem.base_model import AGAIN, LARGEST, Contradiction
 from optlink.problem.file import ProblemFile
@@ -46,9 +46,9 @@ def read(record: SweepRecord, file: ProblemFile, place: Path) -> Sweep:
             columns = list(zip(*rows, strict=True))
     except (OSError, ValueError, csv.Error) as error:
         reason = getattr(error, "strerror", None) or "its rows differ in length"
-        raise InputError(Fault(f"cannot read the table of the sweep: {reason}", AGAIN, str(path))) from None
+        raise InputError(f"cannot read the table of the sweep: {reason}", AGAIN, str(path)) from None
     if tuple(head) != names or len(columns) != len(names) or len(columns[0]) != count:
-        raise InputError(Fault("the table is not that of this sweep", AGAIN, str(path)))
+        raise InputError("the table is not that of this sweep", AGAIN, str(path))
     table = dict(zip(names, map(list, columns), strict=True))
     for name in names:
         if name not in TEXT + FLAGS:
@@ -81,7 +81,7 @@ def _check_numbers(path: Path, name: str, texts: list[str]) -> None:
         except ValueError:
             sound = False
         if not sound:
-            raise InputError(Fault(f"row {row + 1} of the table holds no number", AGAIN, str(path), name, text))
+            raise InputError(f"row {row + 1} of the table holds no number", AGAIN, str(path), name, text)
 
 
 def _axis(record: AxisRecord, k: int, table: Mapping[str, list[str]]) -> Axis:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from optlink.errors import Fault, InputError
+from optlink.errors import InputError
 from optlink.io import whole
 from optlink.solvers.global_search.branch_and_bound import Boxes, BranchAndBound
 
@@ -94,11 +94,11 @@ class Checkpoint:
                 return {str(name): float(value) for name, value in document["design"].items()}
         except FileNotFoundError:
             message = "there is no interrupted proof in this folder"
-            raise InputError(Fault(message, REMEDY, str(self.path.parent), "--resume")) from None
+            raise InputError(message, REMEDY, str(self.path.parent), "--resume") from None
         except (OSError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile):
-            raise InputError(Fault("the checkpoint of the proof is damaged", REMEDY, str(self.path), "--resume")) from None
+            raise InputError("the checkpoint of the proof is damaged", REMEDY, str(self.path), "--resume") from None
         message = f"the interrupted proof is that of another command: its {other} is {document.get(other)!r}"
-        raise InputError(Fault(message, f"{REMEDY}, or with {other} {self.about[other]!r}", str(self.path), "--resume"))
+        raise InputError(message, f"{REMEDY}, or with {other} {self.about[other]!r}", str(self.path), "--resume")
 
 
 _NAMES = [*(f"{name}.{part}" for name in ("open", "tiny") for part in ("low", "high", "bound")), *(f"leaves.{p}" for p in PARTS)]

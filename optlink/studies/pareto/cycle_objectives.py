@@ -10,13 +10,13 @@ from typing import Any, get_args
 
 from optlink.errors import InputError
 from optlink.problem.base_model import SPELLINGS
-from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.cycle.quantities import QUANTITIES
 from optlink.problem.cycle.terms import Limit, Measure, Term
 from optlink.problem.file import SIDES, ProblemFile, read
 from optlink.problem.quantity import nearest
 from optlink.studies.pareto.objective import OPTION, ParetoObjective
 from optlink.studies.toml_keys import Raw, exact_text
+from optlink.tasks.results.cycle import task_of
 from optlink.units import KINDS, factor
 from optlink.validation.cycle import Cycle
 
@@ -38,11 +38,6 @@ def _parsed(name: str) -> re.Match[str] | None:
     )
 
 
-def _model(problem: ProblemFile) -> CycleProblem:
-    assert isinstance(problem.model, CycleProblem)
-    return problem.model
-
-
 def cycle_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjective:
     """Return the objective of a name.
 
@@ -59,7 +54,7 @@ def cycle_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjec
     InputError
         If there is no such objective.
     """
-    task = _model(problem)
+    task = task_of(problem)
     if name == OWN:
         if not task.single:
             return ParetoObjective(name, "sum of the objective", "", 1)
@@ -100,8 +95,8 @@ def _termed(problem: ProblemFile, raw: dict[str, Any], sense: int, number: int, 
     except InputError as error:
         fault = error.faults[0]
         raise InputError(fault.message, fault.remedy, problem.file, OPTION, name) from None
-    goal = _model(found).goals[0]
-    kind = _model(found).kind(goal)
+    goal = task_of(found).goals[0]
+    kind = task_of(found).kind(goal)
     unit = KINDS[kind].display if kind else ""
     side = "min" if sense < 0 else "max"
     return ParetoObjective(name, goal.words, unit, sense, f"limits.front_{number}.{side}", tuple(raw.items()))
@@ -124,7 +119,7 @@ def epsilon_problem(
         Constrained objectives: index, and bound.
     """
     raw = {key: copy.deepcopy(value) for key, value in problem.raw.items() if key != "expected"}
-    given = _model(problem)
+    given = task_of(problem)
     way = {name for name, limit in given.limits.named.items() if any(_gives_way(limit, aim) for aim in aims)}
     limits = {name: value for name, value in raw.get("limits", {}).items() if name not in way}
     for name in way:
@@ -163,7 +158,7 @@ def _gives_way(limit: Limit, aim: ParetoObjective) -> bool:
 
 def _rest(problem: ProblemFile, name: str, aims: Sequence[ParetoObjective]) -> dict[str, Any] | None:
     """Return the other side of a limit that is removed, or None."""
-    limit, raw = _model(problem).limits.named[name], dict(problem.raw["limits"][name])
+    limit, raw = task_of(problem).limits.named[name], dict(problem.raw["limits"][name])
     raw.pop("exactly", None)
     for aim in aims:
         if _gives_way(limit, aim):
@@ -185,7 +180,7 @@ def cycle_figures(problem: ProblemFile, aims: Sequence[ParetoObjective], values:
     -------
     tuple of float, each in the unit of its objective
     """
-    task = _model(problem)
+    task = task_of(problem)
     cycle = Cycle(task, values)
     found = []
     for aim in aims:

@@ -27,7 +27,6 @@ from optlink.studies.pareto.law_objectives import (
     without_varied_limits,
 )
 from optlink.studies.pareto.objective import OPTION, ParetoObjective, range_values
-from optlink.studies.reoptimise_task import one_programme_suffices
 from optlink.studies.toml_keys import Raw, exact_text
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.function import solve
@@ -191,7 +190,7 @@ class _LawRanges(EpsilonRanges):
     def fixed(self) -> dict[int, Axis]:
         found = super().fixed
         for aim in (self.objectives[k] for k in self.constrained if k not in found):
-            if not one_programme_suffices(self.bare, (aim.key,)):
+            if not self.bare.model.shares_programme([aim.key]):
                 raise self._no_end(aim, "a function has many optima, its ends are not searched")
         return found
 

@@ -15,7 +15,6 @@ from optlink.errors import InputError
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import Value, cross, dot, unit
 from optlink.problem.file import ProblemFile
-from optlink.problem.function import DesignProblem
 from optlink.problem.quantity import nearest
 from optlink.problem.tolerances import with_deviating_pivots
 from optlink.studies.motion_sensitivity import output_names, output_sensitivity
@@ -110,22 +109,23 @@ def nominal_design(
     file, values, angles = _design(problem, design)
     mechanism, pivots = with_deviating_pivots(file.model.mechanism, file.model.linkage)
     sizes = {name: values[name] for name in file.model.mechanism.quantities} | pivots
-    law = isinstance(file.model, DesignProblem)
+    law = file.model.has_error
     known = [*([ERROR] if law else []), *output_names(mechanism)]
     chosen = ERROR if output is None and law else output
     if chosen is None:
         raise InputError("the output to analyse is missing", f"One of: {', '.join(known)}", problem.file, "--quantity")
     if chosen not in known:
         raise InputError("unknown output", nearest(chosen, known), problem.file, "--quantity", chosen)
-    if isinstance(file.model, DesignProblem) and chosen == ERROR:
+    if law and chosen == ERROR:
         if crank_angles is not None:
             remedy = "Leave --angles out, or give --quantity rocker"
             raise InputError("the error is that over the span of the law", remedy, problem.file, "--angles")
-        span = np.linspace(0.0, file.model.span, ALONG)
+        task = file.spec
+        span = np.linspace(0.0, task.span, ALONG)
         at = values["phi0"] + span
         drawn_ = _placed(problem, mechanism, sizes, at, "rocker", ERROR, -1.0)
-        wanted = file.model.law.curve(span, values["phi0"], values["psi0"])
-        error = np.remainder(wanted - drawn_.value + math.pi, 2.0 * math.pi) - math.pi
+        target = task.law.curve(span, values["phi0"], values["psi0"])
+        error = np.remainder(target - drawn_.value + math.pi, 2.0 * math.pi) - math.pi
         return replace(drawn_, base=error)
     if crank_angles is None:
         crank_angles = 2.0 * math.pi * np.arange(AROUND) / AROUND if angles is None else angles

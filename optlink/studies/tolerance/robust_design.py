@@ -14,7 +14,6 @@ from typing import Annotated
 from optlink.errors import Fault, InputError, Status
 from optlink.problem.base_model import Record, absent
 from optlink.problem.file import ProblemFile
-from optlink.problem.function import DesignProblem
 from optlink.problem.robust import MOST, WORST
 from optlink.problem.tolerances import NORMAL
 from optlink.studies.tolerance.monte_carlo import MonteCarloRecord
@@ -110,7 +109,7 @@ def robust(problem: ProblemFile, tolerances: Sequence[str], sigmas: float | None
     """
     if sigmas is not None and not 0.0 <= sigmas <= MOST:
         remedy = f"Give 0 to {MOST:g} standard deviations, or worst, margin or yield"
-        raise InputError(Fault("out of range", remedy, key="--robust", value=sigmas))
+        raise InputError("out of range", remedy, key="--robust", value=sigmas)
     return RobustSearch(problem, tolerances, shape).least(sigmas)
 
 
@@ -140,7 +139,7 @@ def most_reliable(problem: ProblemFile, tolerances: Sequence[str], limit: float,
     if before.value > limit:
         least = f"{math.degrees(before.value):.4g} deg"
         message = f"no design keeps the limit, not even as drawn: the least largest error that was found is {least}"
-        raise InputError(Fault(message, f"Give more than {least}", problem.file, "--limit", f"{math.degrees(limit):.4g} deg"))
+        raise InputError(message, f"Give more than {least}", problem.file, "--limit", f"{math.degrees(limit):.4g} deg")
     here, sigmas = redesign.least(1.0, before.free), 1.0
     for _ in range(STEPS):  # secant method: the minimum is nearly linear in them
         rise = (here.value - before.value) / (sigmas - (before.sigmas or 0.0))
@@ -159,9 +158,9 @@ def check_law(problem: ProblemFile) -> None:
     InputError
         If it is no motion law of a four-bar.
     """
-    if not isinstance(problem.model, DesignProblem):
+    if not problem.model.has_error:
         message = "a robust design is found for motion laws of a four-bar only"
-        raise InputError(Fault(message, "Judge designs of it without --robust", problem.file, "--robust"))
+        raise InputError(message, "Judge designs of it without --robust", problem.file, "--robust")
 
 
 class RobustSearch:
@@ -172,7 +171,7 @@ class RobustSearch:
         entries = {name: each.raw for name, each in read_tolerances(problem, tolerances, shape).items()}
         first = completed(solve(problem.override({"requirement.robust": None})))
         if not first.valid:
-            raise InputError(Fault("no design was proven, so there is none to begin with", "See `optlink solve`", problem.file))
+            raise InputError("no design was proven, so there is none to begin with", "See `optlink solve`", problem.file)
         self.nominal = first.design
         try:
             self.problem = first.problem.override({"requirement.measure": "max", "tolerances": entries})
