@@ -119,6 +119,15 @@ def write_json(path: Path, document: dict[str, Any]) -> None:
         temporary.write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
+def read_object(path: Path) -> dict[str, Any] | None:
+    """Return the JSON object of a file; None if there is none that can be read."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
 @contextlib.contextmanager
 def written_files() -> Iterator[set[Path]]:
     """Collect the paths of all files that `whole` writes within the context."""

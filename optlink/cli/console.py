@@ -344,17 +344,15 @@ def study_place(out: Path, command: str, problem: str) -> None:
 def _no_study(out: Path) -> None:
     """Refuse a folder that holds a sweep or a Pareto front: its table would remain beside another result."""
     from optlink.execution.store import ABOUT
+    from optlink.io import read_object
 
     place = out / ABOUT
     if not os.path.lexists(place):
         return
-    try:
-        about = json.loads(place.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        about = None
-    problem = about.get("problem") if isinstance(about, dict) else None
+    about = read_object(place) or {}
+    problem = about.get("problem")
     whose = f" of {problem}" if isinstance(problem, str) else ""
-    what = "a front" if isinstance(about, dict) and "objectives" in about else "a sweep"
+    what = "a front" if "objectives" in about else "a sweep"
     message = f"the folder holds {what}{whose}; another result cannot be written there"
     raise InputError(message, "Choose another folder; nothing was overwritten", str(out), "--out")
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from optlink.errors import InputError
-from optlink.io import locked, write_json, written_files
+from optlink.io import locked, read_object, write_json, written_files
 
 MANIFEST = ".optlink-run.json"
 """What an earlier run in the folder was, and the files that it wrote with their check sums."""
@@ -33,14 +32,14 @@ def check_owner(path: Path, command: str, problem: str) -> None:
     InputError
         If it does.
     """
-    about = _read(path / MANIFEST)
+    about = read_object(path / MANIFEST) or {}
     if not (path / RESULT).is_file():
         return
     stem = Path(problem).stem
     if isinstance(about.get("command"), str) and isinstance(about.get("problem"), str):
         commands, other = [about["command"]], about["problem"]
     else:
-        result = _read(path / RESULT)
+        result = read_object(path / RESULT) or {}
         commands, other = _writers(str(result.get("schema", ""))), Path(str(result.get("problem", stem))).stem
     if (commands and command not in commands) or other != stem:
         message = f"the folder holds the result of `{' or '.join(commands) or 'optlink'}` for {other}"
@@ -68,7 +67,7 @@ def run_folder(path: Path, command: str, problem: str) -> Iterator[None]:
     """
     with locked(path):
         check_owner(path, command, problem)
-        before = _read(path / MANIFEST).get("files")
+        before = (read_object(path / MANIFEST) or {}).get("files")
         with written_files() as written:
             try:
                 yield
@@ -101,12 +100,3 @@ def _sum(path: Path) -> str | None:
         return f"{zlib.crc32(path.read_bytes()):08x}"
     except OSError:
         return None
-
-
-def _read(path: Path) -> dict[str, Any]:
-    """Return a JSON object; empty if none can be read."""
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return {}
-    return found if isinstance(found, dict) else {}

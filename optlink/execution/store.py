@@ -19,7 +19,7 @@ from typing import Any, Self
 from optlink.errors import InputError
 from optlink.execution.runner import run
 from optlink.execution.worker import ChunkTask
-from optlink.io import LOCK, folder, locked, whole, write_json
+from optlink.io import LOCK, folder, locked, read_object, whole, write_json
 
 ABOUT, TABLE, CHUNKS = "study.json", "sweep.csv", "chunks"
 SPREAD = 1000  # chunks per folder
@@ -125,7 +125,7 @@ class Store:
         path = self.path / ABOUT
         if not path.exists():
             return None
-        found = _read(path)
+        found = read_object(path)
         if found is None:
             raise InputError(
                 "the description of the study in the folder cannot be read", "Choose another folder", str(path), "--out"
@@ -146,7 +146,7 @@ class Store:
 
     def document(self, name: str) -> dict[str, Any]:
         """Return a document of the study; empty if there is none that can be read."""
-        return _read(self.path / name) or {}
+        return read_object(self.path / name) or {}
 
     def keep(self, name: str, document: Mapping[str, Any]) -> None:
         """Write a document of the study.
@@ -312,12 +312,3 @@ class Store:
 
 def _nothing(path: Path) -> InputError:
     return InputError("there is no study to resume", "Begin without --resume", str(path), "--resume")
-
-
-def _read(path: Path) -> dict[str, Any] | None:
-    """Return a document; None if there is none that can be read."""
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return found if isinstance(found, dict) else None

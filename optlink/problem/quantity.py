@@ -140,6 +140,24 @@ def check_keys(raw: Iterable[object], known: Sequence[str]) -> None:
             raise Unusable("unknown key", nearest(str(key), known), str(key))
 
 
+def check_range(key: str, value: float, low: float, high: float) -> None:
+    """Check that an option lies within its range.
+
+    Parameters
+    ----------
+    key : str
+        Option, for the error.
+    value, low, high : int or float
+
+    Raises
+    ------
+    InputError
+        If it does not.
+    """
+    if not low <= value <= high:
+        raise InputError("out of range", f"Give a number from {low:,} to {high:,}", key=key, value=value)
+
+
 def _positive(value: float, text: object, kind: str, key: str = "") -> float:
     if kind == "length" and value <= 0.0:
         raise Unusable("a length must be positive", f'Give one above zero, for example "{KINDS[kind].example}"', key, text)

@@ -5,14 +5,13 @@ from __future__ import annotations
 import contextlib
 import csv
 import itertools
-import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from optlink.errors import InputError
-from optlink.io import folder, whole, write_json
+from optlink.io import folder, read_object, whole, write_json
 from optlink.problem.file import ProblemFile, dump
 from optlink.problem.fixed_design import with_files_beside
 from optlink.problem.quantity import input_of
@@ -132,10 +131,7 @@ def checkpoint(out: Path | None) -> dict[str, Any]:
     if out is None:
         raise InputError("needs the folder of the run", "Add --out DIR", key="--resume")
     path = out / "checkpoint.json"
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        found = None
-    if not isinstance(found, dict):
+    found = read_object(path)
+    if found is None:
         raise InputError("there is no checkpoint that can be read", "Begin without --resume", str(path), "--resume")
     return found

@@ -20,6 +20,7 @@ from optlink.linkage.extrema import distinct, extremes, zeros
 from optlink.linkage.stroke import Ranges, Travel, range_end_reason, travels, within_cycle
 from optlink.linkage.vector2d import TURN
 from optlink.problem.file import ProblemFile
+from optlink.problem.quantity import check_range
 from optlink.tasks.machine import MARGIN, crank_speed, machine_of, motion_range, table_angles
 from optlink.tasks.results.analysis import Analysis, Extreme
 
@@ -120,8 +121,7 @@ def analyze(
 
 
 def _check(points: int, step: float | None, speed: float) -> None:
-    if not 1 <= points <= MAX_POINTS:
-        raise InputError("out of range", f"Give a number from 1 to {MAX_POINTS:,}", key="points", value=points)
+    check_range("points", points, 1, MAX_POINTS)
     if step is not None and not TURN / MAX_POINTS <= step <= TURN:
         raise InputError("out of range", "Give a step from 0.001 deg to 360 deg", key="step", value=f"{step:.6g} rad")
     if not 1e-9 <= abs(speed) <= 1e6:

@@ -24,7 +24,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.machine.balance import check_measure, read_measure
 from optlink.problem.mechanism import sizes_of
-from optlink.problem.quantity import input_of
+from optlink.problem.quantity import check_range, input_of
 from optlink.tasks.machine import check_regular, crank_speed, machine_of, motion_range, table_angles
 from optlink.tasks.results.balance import (
     AddedCounterweight,
@@ -253,8 +253,7 @@ def _pair(text: str, task: _Task) -> tuple[BalanceMeasure, BalanceMeasure]:
 
 def _check(task: _Task, goal: Sequence[tuple[BalanceMeasure, float]], pair: Sequence[BalanceMeasure], points: int) -> None:
     """Refuse measures that are zero already: they cannot be reduced, and no relative value is defined."""
-    if not 3 <= points <= 1000:
-        raise InputError("out of range", "Give a number from 3 to 1000", key="--points", value=points)
+    check_range("--points", points, 3, 1000)
     if len(pair) == 2 and pair[0] == pair[1]:
         raise InputError("both measures are the same", "Name two, for example force,torque", key="--trade", value=str(pair[0]))
     for measure in [m for m, _ in goal] + list(pair):

@@ -31,7 +31,7 @@ from optlink.errors import InputError
 from optlink.execution import interrupts
 from optlink.linkage.vector2d import TURN
 from optlink.problem.file import ProblemFile
-from optlink.problem.quantity import input_of, nearest
+from optlink.problem.quantity import check_range, input_of, nearest
 from optlink.tasks.machine import check_regular, machine_of, motion_range, with_flywheel
 from optlink.tasks.results.checkpoint import ClearanceCheckpoint, damaged, read_checkpoint
 from optlink.tasks.results.clearance import SETTLED, ClearanceSimulation
@@ -425,10 +425,8 @@ def _check(revolutions: int, points: int, tolerance: float) -> None:
     for name, number in (("revolutions", revolutions), ("points", points)):
         if not math.isfinite(number) or int(number) != number:
             raise InputError("not a whole number", "Give for example 360", key=name, value=number)
-    if not 1 <= revolutions <= 10_000_000:
-        raise InputError("out of range", "Give a number from 1 to 10,000,000", key="revolutions", value=revolutions)
-    if not 12 <= points <= 100_000:
-        raise InputError("out of range", "Give a number from 12 to 100,000", key="points", value=points)
+    check_range("revolutions", revolutions, 1, 10_000_000)
+    check_range("points", points, 12, 100_000)
     if not 1e-13 <= tolerance <= 1e-4:
         raise InputError("out of range", "Give a number from 1e-13 to 1e-4", key="tolerance", value=tolerance)
 

@@ -17,6 +17,7 @@ from optlink.execution.runner import Runs, pool
 from optlink.linkage.vector2d import TURN
 from optlink.problem.base_model import SPELLINGS
 from optlink.problem.file import ProblemFile
+from optlink.problem.quantity import check_range
 from optlink.tasks.clearance import checked
 from optlink.tasks.machine import machine_of
 from optlink.tasks.parallel_runs import RunResult, job_of, run_jobs
@@ -42,8 +43,7 @@ def random_crank_angles(count: int, seed: int) -> Array:
     InputError
         If an argument is out of range.
     """
-    if not 1 <= count <= 10_000:
-        raise InputError("out of range", "Give a number from 1 to 10,000", key="starts", value=count)
+    check_range("starts", count, 1, 10_000)
     if seed < 0:
         raise InputError("a seed is not negative", "Give zero or more", key="seed", value=seed)
     return np.random.default_rng(seed).uniform(0.0, TURN, count)
@@ -258,8 +258,7 @@ def tune(
     unknown = [name for name in names if name not in RANGES]
     if unknown or not names:
         raise InputError("no such parameter", f"Known: {', '.join(RANGES)}", key="names", value=", ".join(unknown))
-    if not 4 <= evaluations <= 100_000:
-        raise InputError("out of range", "Give a number from 4 to 100,000", key="evaluations", value=evaluations)
+    check_range("evaluations", evaluations, 4, 100_000)
     angles = random_crank_angles(starts, seed)
     low, high = (np.log([RANGES[name][side] for name in names]) for side in (0, 1))
     generator = np.random.default_rng(seed)

@@ -13,7 +13,7 @@ from optlink.execution import interrupts
 from optlink.execution.runner import Runs
 from optlink.problem.file import ProblemFile
 from optlink.problem.machine.model import Problem
-from optlink.problem.quantity import nearest
+from optlink.problem.quantity import check_range, nearest
 from optlink.solvers import contract
 from optlink.validation.check import Check
 
@@ -34,26 +34,6 @@ class Timer:
         """End a stage."""
         now = time.perf_counter()
         self.seconds[stage], self._last = now - self._last, now
-
-
-def check_count(key: str, value: int | None, most: int) -> None:
-    """Check that a number lies between 1 and `most`.
-
-    Parameters
-    ----------
-    key : str
-        Argument, for the error.
-    value : int or None
-        None: the default.
-    most : int
-
-    Raises
-    ------
-    InputError
-        If it does not.
-    """
-    if value is not None and not 1 <= value <= most:
-        raise InputError("out of range", f"Give a number from 1 to {most}", key=key, value=value)
 
 
 def agreement(
@@ -242,7 +222,7 @@ class DesignTask(ABC, Generic[R]):
         if designs is not None and self.designs is None:
             remedy = "Leave it out; --starts N lists the distinct optima of a law"
             raise InputError("only points and poses have several designs", remedy, problem.file, "--designs", designs)
-        check_count("designs", designs, MOST_DESIGNS)
+        check_range("designs", 1 if designs is None else designs, 1, MOST_DESIGNS)
         names = self._back_ends(problem, backend, starts, seed)
         count = designs or self.designs or 1
         return self.search(problem, Search(names, backend, starts, seed, progress, count, track, begin, runs))
@@ -256,7 +236,7 @@ class DesignTask(ABC, Generic[R]):
         known = [*contract.selectable(), *(["both"] if self.compares else [])]
         if backend not in known:
             raise InputError("unknown back end", nearest(backend, known), key="backend", value=backend)
-        check_count("starts", starts, self.most_starts)
+        check_range("starts", 1 if starts is None else starts, 1, self.most_starts)
         if seed < 0:
             raise InputError("a seed is not negative", "Give 0 or more", key="seed", value=seed)
         if not problem.model.free:

@@ -22,6 +22,7 @@ from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.vector2d import TURN
 from optlink.problem.base_model import Columns, Contradiction, Number, Recorded, ResultRecord
 from optlink.problem.file import ProblemFile
+from optlink.problem.quantity import check_range
 from optlink.tasks.machine import machine_of, motion_range, with_flywheel
 
 Array = NDArray[np.float64]
@@ -189,8 +190,7 @@ def simulate(
 def _check(duration: float, rows: int, speed: float, free: bool) -> None:
     if not 1e-9 <= duration <= 1e7:
         raise InputError("out of range", "Give a time from 1e-9 s to 1e7 s", key="duration", value=f"{duration:.6g} s")
-    if not 1 <= rows <= MAX_ROWS:
-        raise InputError("out of range", f"Give a number from 1 to {MAX_ROWS:,}", key="points", value=rows)
+    check_range("points", rows, 1, MAX_ROWS)
     if not math.isfinite(speed) or abs(speed) > 1e6 or (speed == 0.0 and not free):
         remedy = "Give a speed other than zero, or a torque under [drive]"
         raise InputError("out of range", remedy, key="speed", value=f"{speed:.6g} rad/s")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from optlink.problem.quantity import Unusable, nearest
+from optlink.problem.quantity import Unusable, check_keys
 from optlink.problem.targets.curves import expression_curve
 from optlink.problem.targets.point_table import check_and_reduce, read_csv_rows, read_rows
 from optlink.problem.targets.svg_path import svg_points
@@ -50,16 +50,11 @@ def read_points(raw: object, folder: Path) -> TargetPoints:
         raise Unusable("points are a list or a table", _FORMS, "", raw)
     forms = [form for form, keys in (("csv", ("csv",)), ("svg", ("svg",)), ("x", ("x", "y"))) if any(key in raw for key in keys)]
     if not forms:
-        known = {name for form in _KEYS.values() for name in form}
-        for key in raw:
-            if key not in known:
-                raise Unusable("unknown key", nearest(str(key), sorted(known)), str(key))
+        check_keys(raw, sorted({name for form in _KEYS.values() for name in form}))
         raise Unusable("the points are missing", _FORMS, "", raw)
     if len(forms) > 1:
         raise Unusable(f"the points are given twice, by {' and by '.join(forms)}", "Keep one of them", forms[1], raw[forms[1]])
-    for key in raw:
-        if key not in _KEYS[forms[0]]:
-            raise Unusable("unknown key", nearest(str(key), _KEYS[forms[0]]), str(key))
+    check_keys(raw, _KEYS[forms[0]])
     if forms == ["csv"]:
         count = read_count(raw) if "points" in raw else None
         return check_and_reduce(read_csv_rows(raw, folder), count)

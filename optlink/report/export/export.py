@@ -17,7 +17,7 @@ from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import sweep
 from optlink.linkage.stroke import failure
 from optlink.linkage.vector2d import Vector
-from optlink.problem.quantity import nearest
+from optlink.problem.quantity import check_range, nearest
 from optlink.report.export.dxf import travelled, write_dxf
 from optlink.report.export.svg import svg
 from optlink.report.files import folder, whole, write_csv, write_json
@@ -148,9 +148,7 @@ def _svg(subject: ReportModel, cycle: Analysis, path: Path, options: Options) ->
 
 def _csv(subject: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
     """Write the motion as a table, without force columns if there are no masses and loads."""
-    if not 1 <= options.points <= MAX_POINTS:
-        remedy = f"Give a number from 1 to {MAX_POINTS:,}"
-        raise InputError("out of range", remedy, key="--points", value=options.points)
+    check_range("--points", options.points, 1, MAX_POINTS)
     rows = cycle if options.points == len(cycle["time_s"]) - 1 else analyze(cycle.problem, options.points, speed=cycle.speed)
     columns = {name: values for name, values in rows.columns.items() if subject.forces or not name.endswith(FORCES)}
     write_csv(path, columns)
