@@ -245,24 +245,21 @@ class NLP:
         """Set the last exchange points (at most `exchange_count`): crank rotations [rad], or shares of the motion or stroke."""
         self.p[len(self.p) - len(offsets) :] = offsets
 
-    def limit(self, entry: int, bound: float, *, upper: bool) -> None:
-        """Move a bound of a component of x or of a row in place; `rows` keep their original bounds.
+    def limit(self, entry: int, low: float | None, high: float | None) -> None:
+        """Move the bounds of a component of x or of a row in place; `rows` keep their original bounds.
 
         Parameters
         ----------
         entry : int
             Index of the component of x, or n plus the index of the row.
-        bound : float
-            New bound, scaled.
-        upper : bool
-            Whether the upper bound is moved.
+        low, high : float or None
+            New bounds, scaled; None leaves a bound where it is.
         """
-        both, own, rows = (self.upper, self.x_high, self.high) if upper else (self.lower, self.x_low, self.low)
-        both[entry] = bound
-        if entry < len(own):
-            own[entry] = bound
-        else:
-            rows[entry - len(own)] = bound
+        ends = (low, self.lower, self.x_low, self.low), (high, self.upper, self.x_high, self.high)
+        for bound, both, own, rows in ends:
+            if bound is not None:
+                place, index = (own, entry) if entry < len(own) else (rows, entry - len(own))
+                both[entry] = place[index] = bound
 
     def lifted(self, x: Array) -> Array:
         """Return the same design with the epigraph variable (if there is one) at the largest residual."""

@@ -87,15 +87,13 @@ def _shifted(nlp: CycleNLP, solution: Solution, lead: int, name: str) -> Solutio
     places = nlp.p[len(nlp.p) - nlp.slots :].copy()
     nlp.set_exchange_points(solution.p[len(nlp.p) - nlp.slots :])
     try:
-        nlp.limit(lead, target, upper=False)
-        nlp.limit(lead, target, upper=True)
+        nlp.limit(lead, target, target)
         x = solution.x.copy()
         x[lead] = target
         other = multistart.solve_from(nlp, nlp.lifted(x), name)
         other = exchange(nlp, other) if other.usable else other
     finally:
-        nlp.limit(lead, low, upper=False)
-        nlp.limit(lead, high, upper=True)
+        nlp.limit(lead, low, high)
         nlp.set_exchange_points(places)
     same = abs(other.objective - solution.objective) <= EQUAL * max(abs(solution.objective), 1e-300)
     return other if other.usable and same else None

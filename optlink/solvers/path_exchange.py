@@ -125,11 +125,9 @@ def _followed(
     low[:count], high[:count] = np.maximum(low[:count], x[:count] - radius), np.minimum(high[:count], x[:count] + radius)
     first = len(moving.rows) - many
     for i, (least, most) in enumerate(zip(low, high, strict=True)):
-        moving.limit(i, least, upper=False)
-        moving.limit(i, most, upper=True)
+        moving.limit(i, least, most)
     for k, free in enumerate(fixed):
-        moving.limit(len(x) + first + k, -math.inf if free else 0.0, upper=False)
-        moving.limit(len(x) + first + k, math.inf if free else 0.0, upper=True)
+        moving.limit(len(x) + first + k, -math.inf if free else 0.0, math.inf if free else 0.0)
     p = local.scaled_parameters(moving, x)
     end = polish(moving, contract.backend(backend)(moving, x, p), p)
     step = np.abs(end.x - x)

@@ -172,8 +172,7 @@ def _followed(nlp: CycleNLP, x: Array, found: Peaks, radius: float, name: str = 
     low, high = np.maximum(nlp.x_low, x - radius), np.minimum(nlp.x_high, x + radius)
     for i in range(len(start)):
         if i < count or i >= n:
-            moving.limit(i, low[i] if i < n else max(start[i] - REACH, 0.0), upper=False)
-            moving.limit(i, high[i] if i < n else min(start[i] + REACH, 1.0), upper=True)
+            moving.limit(i, low[i] if i < n else max(start[i] - REACH, 0.0), high[i] if i < n else min(start[i] + REACH, 1.0))
     p = multistart.scaled_parameters(moving, start)
     end = backend(name)(moving, start, p, tight=True)
     for attempt in (polish(moving, end, p), end):
@@ -224,8 +223,7 @@ def _moving(nlp: CycleNLP, x: Array, found: Peaks) -> tuple[NLP, Array]:
     moving: NLP = nlp.cache[key]
     count = len(found.inner)
     for i, (low, high) in enumerate(zip((*nlp.x_low, *[0.0] * count), (*nlp.x_high, *[1.0] * count), strict=True)):
-        moving.limit(i, low, upper=False)
-        moving.limit(i, high, upper=True)
+        moving.limit(i, low, high)
     return moving, np.concatenate([x, [found.shares[slot] for slot, _ in found.inner]])
 
 

@@ -77,10 +77,7 @@ class Parameter:
         if self.constant >= 0:
             nlp.p[1 + self.constant] = own
         for entry in self.entries:
-            if self.upper or self.equal:
-                nlp.limit(entry, own, upper=True)
-            if not self.upper or self.equal:
-                nlp.limit(entry, own, upper=False)
+            nlp.limit(entry, own if self.equal or not self.upper else None, own if self.equal or self.upper else None)
 
 
 Optimum = tuple[float, dict[str, float]]

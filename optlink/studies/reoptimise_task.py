@@ -235,8 +235,7 @@ class ParametricProgramme:
         nlp, own = self.nlp, self.parameters(task)
         nlp.p[:] = own.p[0]
         for entry, (low, high) in enumerate(zip(own.lower[0], own.upper[0], strict=True)):
-            nlp.limit(entry, low, upper=False)
-            nlp.limit(entry, high, upper=True)
+            nlp.limit(entry, low, high)
 
     def solve(self, near: Solution | None, backend: str) -> tuple[Solution, str]:
         """Return the optimum for the present parameters, and how it was found.

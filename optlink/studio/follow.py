@@ -147,13 +147,11 @@ class PathFollower:
         for i, v in enumerate(nlp.variables):
             if v.name not in nlp.helpers:
                 low, high = task.quantities[v.name].bounds
-                nlp.limit(i, v.scaled(low), upper=False)
-                nlp.limit(i, v.scaled(high), upper=True)
+                nlp.limit(i, v.scaled(low), v.scaled(high))
         for j, own in enumerate(nlp.rows):
             row = rows[j] if j < len(rows) else anywhere.get((own.limit, own.label))
             if row is not None:
-                nlp.limit(n + j, row.low, upper=False)
-                nlp.limit(n + j, row.high, upper=True)
+                nlp.limit(n + j, row.low, row.high)
         return True
 
 
@@ -251,8 +249,7 @@ class CycleFollower:
             nlp.p[1 + i] = (quantities[constant.name].value - constant.origin) / constant.size
         for i, v in enumerate(nlp.variables[: len(nlp.free)]):
             low, high = quantities[v.name].bounds
-            nlp.limit(i, v.scaled(low), upper=False)
-            nlp.limit(i, v.scaled(high), upper=True)
+            nlp.limit(i, v.scaled(low), v.scaled(high))
         return nlp
 
 
