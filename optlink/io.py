@@ -244,7 +244,7 @@ def finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def head(schema: str, problem: Any, status: str, seed: int | None = None) -> dict[str, Any]:
+def head(schema: str, problem: Any, status: str) -> dict[str, Any]:
     """Return the common first entries of every JSON document about a problem file.
 
     Parameters
@@ -253,8 +253,6 @@ def head(schema: str, problem: Any, status: str, seed: int | None = None) -> dic
         Name of the document's schema.
     problem : ProblemFile
     status : str
-    seed : int, optional
-        Seed of the random numbers.
     """
     return {
         "schema": schema,
@@ -262,7 +260,7 @@ def head(schema: str, problem: Any, status: str, seed: int | None = None) -> dic
         "problem": problem.name,
         "title": problem.model.title,
         "problem_hash": problem.hash,
-        "seed": seed,
+        "seed": None,
         "status": status,
     }
 

@@ -216,7 +216,7 @@ class TradeOff:
         return bool(np.all(np.diff(one) >= -AGREES * self.before[0]) and np.all(np.diff(other) <= AGREES * self.before[1]))
 
 
-Above = Annotated[float, Gt(0.0)]
+Above = Annotated[float, Gt(0)]
 
 
 class TradeRecord(Record):
