@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.errors import SolverError
+from optlink.linkage.vector2d import Array
 
-Array = NDArray[np.float64]
 GAP = 1e-7
 """Duality gap, relative, up to which an optimum counts as proven."""
 

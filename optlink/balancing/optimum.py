@@ -8,14 +8,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.balancing.certificate import GAP, Certificate, solved
 from optlink.balancing.socp import FITS, BalancingProgramme, Bound, Price
 from optlink.dynamics.counterweights import BalanceMeasure
 from optlink.errors import SolverError
+from optlink.linkage.vector2d import Array
 
-Array = NDArray[np.float64]
 Goal = Sequence[tuple[BalanceMeasure, float]]
 NEGLIGIBLE = 1e-10
 """Share of the largest singular value below which parameters do nothing to a measure."""

@@ -13,12 +13,11 @@ from importlib import metadata
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.counterweights import BalanceMeasure, Counterweight, Effects, FreeSpring
 from optlink.dynamics.inertia import Parameters
+from optlink.linkage.vector2d import Array
 
-Array = NDArray[np.float64]
 NOTHING = 1e-9
 """Scaled mass or stiffness below which there is none."""
 

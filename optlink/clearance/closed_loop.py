@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.clearance.columns import ClearanceColumns
 from optlink.clearance.contact_laws import EXPONENT
@@ -17,10 +16,9 @@ from optlink.clearance.integration import Block, Impact, Integration
 from optlink.clearance.joint import Gap
 from optlink.clearance.output import Output
 from optlink.dynamics.machine import Machine, jet_parts
-from optlink.linkage.vector2d import TURN, Value
+from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.symbolic import CompiledFunction, symbols_in_numpy
 
-Array = NDArray[np.float64]
 DENSE, DENSEST = 360, 50_000
 """Rows of a revolution that are looked at, at least and at most; within one a contact is found by values and slopes."""
 

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.clearance.equations import Equations
 from optlink.clearance.integration import Block
@@ -17,9 +16,7 @@ from optlink.dynamics.columns import Column, slider_names
 from optlink.dynamics.inertia import Wrench
 from optlink.dynamics.inverse import acting_on
 from optlink.linkage.mechanism import FRAME, Guide
-from optlink.linkage.vector2d import Value, Vector, cross, minus, plus
-
-Array = NDArray[np.float64]
+from optlink.linkage.vector2d import Array, Value, Vector, cross, minus, plus
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,8 @@ import enum
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from optlink.linkage.vector2d import Array
 
 
 class Control(enum.StrEnum):

@@ -21,7 +21,6 @@ from typing import Any
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.clearance.joint import Gap, Touch, acting, touch
 from optlink.clearance.reference_signal import ReferenceSignal
@@ -30,9 +29,9 @@ from optlink.clearance.state import ClearanceState
 from optlink.dynamics.loads import Magnitude
 from optlink.dynamics.machine import Machine, jet_parts
 from optlink.linkage.jet import Jet
+from optlink.linkage.vector2d import Array
 from optlink.symbolic import BufferedFunction, CompiledFunction, symbols_in_numpy
 
-Array = NDArray[np.float64]
 LEAST_FORCE = 1e-300
 """Force [N] that keeps a ratio of forces finite where there are none."""
 

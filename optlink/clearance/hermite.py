@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from optlink.linkage.vector2d import Array
 
 
 def _quintic(begin: Sequence[float], end: Sequence[float], span: float) -> Array:

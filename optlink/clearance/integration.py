@@ -14,15 +14,14 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.clearance.contact_laws import SLOWEST
 from optlink.clearance.equations import Equations
 from optlink.clearance.hermite import crossing, summit
 from optlink.clearance.peaks import Peaks, Watched
+from optlink.linkage.vector2d import Array
 from optlink.symbolic import silent
 
-Array = NDArray[np.float64]
 CHUNKS = (1, 10, 64, 256, 2560)
 """Rows that one call of the integrator may cover; the most where the machine is slow and in contact only."""
 

@@ -24,9 +24,9 @@ from optlink.clearance.state import ClearanceState
 from optlink.dynamics.inverse import reactions
 from optlink.dynamics.machine import Machine, jet_parts
 from optlink.linkage.jet import Jet
+from optlink.linkage.vector2d import Array
 from optlink.symbolic import CompiledFunction, symbols_in_numpy
 
-Array = NDArray[np.float64]
 POINTS = 720
 ROUNDS = 60
 HIGHEST = 60  # maximum harmonic of a correction

@@ -12,12 +12,11 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.clearance.contact_laws import NORMAL
 from optlink.clearance.joint import Gap
+from optlink.linkage.vector2d import Array
 
-Array = NDArray[np.float64]
 PARTS = 16
 """Steps into which an interval is divided, twice: a cubic on the last of them is exact to 1e-11 of the value."""
 

@@ -9,13 +9,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.clearance.closed_loop import ClosedLoop, Revolution
 from optlink.clearance.columns import ClearanceColumns
 from optlink.clearance.integration import Impact, Stalled
+from optlink.linkage.vector2d import Array
 
-Array = NDArray[np.float64]
 KEPT = 30
 """Revolutions whose rows stay in memory; all rows are streamed to whoever takes them."""
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.machine import Machine
 from optlink.linkage.alignment import AlignedPosition
+from optlink.linkage.vector2d import Array
 
-Array = NDArray[np.float64]
 NEAR, NEARER, ASIDE = 1e-4, 1e-5, 1e-2
 """Distances from a change point [rad] at which reactions are compared with one another, and with what they usually are."""
 

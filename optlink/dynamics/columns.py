@@ -13,9 +13,8 @@ from optlink.dynamics.inverse import Reactions, acting_on, reactions, shaking, t
 from optlink.dynamics.machine import Machine, Moving
 from optlink.linkage.dyad_types import RRR
 from optlink.linkage.mechanism import FRAME
-from optlink.linkage.vector2d import Value, cross, dot, magnitude, minus
+from optlink.linkage.vector2d import Array, Value, cross, dot, magnitude, minus
 
-Array = NDArray[np.float64]
 SINGULAR = 1e-7
 """Sine below which a group counts as singular: its reactions are rounding errors."""
 

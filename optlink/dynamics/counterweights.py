@@ -20,9 +20,8 @@ from optlink.dynamics.inertia import UNITS, Inertia, Parameters, Wrench, wrench
 from optlink.dynamics.inverse import Reactions, reactions, regressor, reported_on, shaking
 from optlink.dynamics.loads import Spring
 from optlink.dynamics.machine import Machine, Moving
-from optlink.linkage.vector2d import Value, Vector, minus
+from optlink.linkage.vector2d import Array, Value, Vector, minus
 
-Array = NDArray[np.float64]
 Kind = Literal["shaking force", "shaking moment", "driving torque", "reaction"]
 KINDS: tuple[Kind, ...] = ("shaking force", "shaking moment", "driving torque", "reaction")
 

@@ -13,9 +13,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from optlink.linkage.vector2d import Array
+
 ALL = 16  # stages of a step, with its end and those of the dense output
 
 STAGES = """

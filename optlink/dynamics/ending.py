@@ -5,11 +5,10 @@ from __future__ import annotations
 import enum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.runge_kutta import Step
+from optlink.linkage.vector2d import Array
 
-Array = NDArray[np.float64]
 EDGE = 1e-6  # share of a limited range excluded at each end: speeds are infinite at a dead position
 NEAR = 1e-9  # rad: a jump of a load nearer than this counts as passed
 

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.runge_kutta import Step, between
 from optlink.dynamics.work import Work
-from optlink.linkage.vector2d import TURN
+from optlink.linkage.vector2d import TURN, Array
 
-Array = NDArray[np.float64]
 POSITIONS = 2880
 
 

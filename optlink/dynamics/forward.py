@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.dop853 import ALL
 from optlink.dynamics.ending import Ending, first_event, marks_ahead, nearest
@@ -30,9 +29,8 @@ from optlink.dynamics.runge_kutta import Attempt, Step, Stepper, attempt, states
 from optlink.dynamics.work import jumps
 from optlink.linkage.jet import Jet
 from optlink.linkage.motion import Motion
-from optlink.linkage.vector2d import TURN, Value
+from optlink.linkage.vector2d import TURN, Array, Value
 
-Array = NDArray[np.float64]
 STOP = 1e-6  # rad: distance before a singular position at which a simulation ends
 LEAST, PATIENCE = 1e-4, 2000  # least share of the duration per so many steps; less is a stall
 TOGETHER = 500  # steps whose rows are interpolated together

@@ -16,15 +16,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.dyad_balances import BALANCES, GroupForces
 from optlink.dynamics.inertia import UNITS, Wrench, wrench
 from optlink.dynamics.machine import Machine, Moving
 from optlink.linkage.mechanism import FRAME, Group, Guide, Link
-from optlink.linkage.vector2d import Value, Vector, cross, dot, minus, plus
-
-Array = NDArray[np.float64]
+from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, minus, plus
 
 ROUNDING = 1e-9
 """Share of the forces of a group below which a normal force is zero."""

@@ -15,11 +15,10 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.dop853 import ALL, COEFFICIENTS
+from optlink.linkage.vector2d import Array
 
-Array = NDArray[np.float64]
 RELATIVE, ABSOLUTE = 1e-11, 1e-12  # tolerances
 STAGES = 12  # stages of a step
 SAFETY, LEAST, MOST = 0.9, 0.2, 10.0  # of the change of the step size

@@ -7,7 +7,6 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.columns import slider_names
 from optlink.dynamics.loads import Force, Load, Torque
@@ -15,9 +14,8 @@ from optlink.dynamics.machine import Machine
 from optlink.linkage.extrema import zeros
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.stroke import OTHER, Direction, Pace, StrokeRange, Travel, pace_of, slow_stroke
-from optlink.linkage.vector2d import TURN
+from optlink.linkage.vector2d import TURN, Array
 
-Array = NDArray[np.float64]
 GRID = 720  # crank angles among which reversals are bracketed
 AHEAD = 1e-6  # rad beyond a reversal at which the direction of motion is read
 SAME = 1e-6  # rad; crank angles that near to one another are one

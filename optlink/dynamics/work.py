@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.inverse import reactions
 from optlink.dynamics.machine import Machine
 from optlink.linkage.extrema import distinct, zeros
+from optlink.linkage.vector2d import Array
 
-Array = NDArray[np.float64]
 PANELS = 180  # per range or revolution: 2 degrees each in a revolution
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 

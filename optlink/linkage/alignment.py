@@ -17,9 +17,8 @@ from optlink.linkage.extrema import in_portions, zeros
 from optlink.linkage.jet import Jet
 from optlink.linkage.margins import NEAR_ALIGNMENT, SINGULAR_ALIGNMENT
 from optlink.linkage.mechanism import Group, Mechanism, Pose
-from optlink.linkage.vector2d import TURN, Value
+from optlink.linkage.vector2d import TURN, Array, Value
 
-Array = NDArray[np.float64]
 GRID = 1440
 """Positions per revolution between which each least alignment is bracketed."""
 

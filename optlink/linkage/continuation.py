@@ -25,7 +25,6 @@ from optlink.linkage.passage import GroupPassages, Passage
 from optlink.linkage.stroke import reachable
 from optlink.linkage.vector2d import TURN, Value, turn
 
-Array = NDArray[np.float64]
 NODES = 64
 """Points of a circle; the series has half as many terms."""
 

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from optlink.linkage.vector2d import Array
+
 Index = NDArray[np.intp]
 Function = Callable[[Array], Array]
 """Crank angles (n,) [rad] -> values (functions, n)."""

@@ -12,9 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import Mechanism, Pose
-from optlink.linkage.vector2d import Value, angle, unit
-
-Array = NDArray[np.float64]
+from optlink.linkage.vector2d import Array, Value, angle, unit
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.linkage.jet import Jet
-from optlink.linkage.vector2d import Value, Vector
-
-Array = NDArray[np.float64]
+from optlink.linkage.vector2d import Array, Value, Vector
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.linkage.alignment import AlignedPosition, alignment_margin, least_alignments, lesser
 from optlink.linkage.dyad_types import PRP
@@ -16,9 +15,8 @@ from optlink.linkage.extrema import distinct, zeros
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import Group, Mechanism, Pose
 from optlink.linkage.motion import sweep
-from optlink.linkage.vector2d import TURN, Value
+from optlink.linkage.vector2d import TURN, Array, Value
 
-Array = NDArray[np.float64]
 GRID = 1440
 """Positions per revolution among which everything is bracketed."""
 SEAM = 1e-6

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from optlink.linkage.vector2d import Array
 
 UNIT = 2.0**-53  # largest relative error of a rounded operation
 ROUNDING = 64.0 * UNIT  # bounds the rounding errors of all coefficients of one operation, relative to the sum of their sizes

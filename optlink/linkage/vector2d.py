@@ -6,6 +6,10 @@ import math
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
+
+Array: TypeAlias = NDArray[np.float64]
+"""An array of floats."""
 
 Value: TypeAlias = Any
 """A float, an array of any broadcastable shape, a casadi symbol or a Jet: the formulas do not care."""

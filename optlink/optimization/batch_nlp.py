@@ -11,14 +11,12 @@ from typing import Any
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 
+from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
 from optlink.problem.function import EPIGRAPH
 from optlink.problem.targets.law import Law
 from optlink.symbolic import NumpyEvaluator
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.errors import Fault, InputError
 from optlink.linkage.fourbar import lengths_of, transmission_cosine
 from optlink.linkage.taylor_model import TaylorModel, pairs
-from optlink.linkage.vector2d import TURN, unit
+from optlink.linkage.vector2d import TURN, Array, unit
 from optlink.optimization.constraints import FOUR_BAR, GENERAL, ConstraintRow, position_rows
 from optlink.optimization.objectives import output_error
 from optlink.problem.file import ProblemFile
@@ -24,8 +23,6 @@ from optlink.problem.function import DesignProblem, StartPosition
 from optlink.problem.limits import Reach
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import START, PathProblem
-
-Array = NDArray[np.float64]
 
 GRID = 36  # crank angles at which limits of single positions apply
 TRIALS = np.random.default_rng(7).uniform(-3.0, 3.0, (2, 16))  # start positions at which the period of a law is tested

@@ -11,10 +11,9 @@ from typing import Any
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.linkage.stroke import LEAST_DIFFERENCE
-from optlink.linkage.vector2d import TURN
+from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale, SquareRootScale, alignment_row
 from optlink.optimization.cycle_signals import EventOrder, TracedCycle
 from optlink.optimization.mapped_terms import MappedTerms
@@ -24,8 +23,6 @@ from optlink.problem.cycle.terms import Goal, Term
 from optlink.problem.function import EPIGRAPH
 from optlink.problem.quantity import Quantity
 from optlink.units import KINDS, factor
-
-Array = NDArray[np.float64]
 
 EVENT = "end of a stroke"
 """Name of the rows that define the crank angles at which motions reverse."""

@@ -14,9 +14,9 @@ from typing import Any
 
 import casadi
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from optlink.linkage.vector2d import TURN
+from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.cycle_constraints import EVENT, CycleTerms, WatchedTerm
 from optlink.optimization.cycle_signals import EventOrder, TracedCycle
 from optlink.optimization.nlp import NLP, boxed
@@ -24,8 +24,6 @@ from optlink.optimization.objectives import ErrorMeasure
 from optlink.problem.function import EPIGRAPH
 from optlink.symbolic import CompiledFunction, symbols_in_numpy
 from optlink.units import KINDS
-
-Array = NDArray[np.float64]
 
 NODES = 48  # per revolution with integral terms; half of it with maxima only
 EXCHANGE_POINTS = 24  # positions that are moved to the maxima of terms, shared among the strokes ...

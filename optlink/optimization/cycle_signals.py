@@ -14,7 +14,6 @@ from typing import Any
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.inverse import Reactions, reactions, required_wrench
 from optlink.dynamics.loads import Force, Load
@@ -23,7 +22,7 @@ from optlink.linkage.extrema import sign_changes, zeros
 from optlink.linkage.jet import Jet
 from optlink.linkage.motion import Motion
 from optlink.linkage.stroke import Direction, slow_stroke
-from optlink.linkage.vector2d import TURN, Value, dot, sign, unit
+from optlink.linkage.vector2d import TURN, Array, Value, dot, sign, unit
 from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.cycle.quantities import guide_of
 from optlink.problem.cycle.terms import Term, output_of
@@ -31,7 +30,6 @@ from optlink.problem.machine.load_curves import Curve
 from optlink.problem.mechanism import sizes_of
 from optlink.symbolic import CompiledFunction, NumpyEvaluator, symbols_in_numpy
 
-Array = NDArray[np.float64]
 GRID = 240  # crank angles among which events are bracketed
 AHEAD = 1e-6  # rad beyond an event at which its sense (rising or falling) is determined
 

@@ -13,10 +13,9 @@ from typing import Any, NamedTuple
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.linkage.fourbar import LENGTHS
-from optlink.linkage.vector2d import turn, unit
+from optlink.linkage.vector2d import Array, turn, unit
 from optlink.optimization.constraints import DEGREES, ConstraintRow, Scale
 from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.mapped_terms import MappedTerms
@@ -28,8 +27,6 @@ from optlink.problem.quantity import Quantity
 from optlink.problem.robust import EXPECTED, residuals
 from optlink.problem.targets.expression import Expression
 from optlink.symbolic import BufferedFunction, CompiledFunction, packed, symbols_in_numpy, unpacked
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

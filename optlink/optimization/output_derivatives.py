@@ -7,18 +7,15 @@ from typing import Any
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.linkage.mechanism import Mechanism
-from optlink.linkage.vector2d import Value, Vector, cross, turn, unit
+from optlink.linkage.vector2d import Array, Value, Vector, cross, turn, unit
 from optlink.optimization.objectives import output_error
 from optlink.problem.function import DesignProblem
 from optlink.problem.robust import EXPECTED, residuals, sizes_of
 from optlink.problem.targets.law import Table
 from optlink.problem.tolerances import Deviation, with_deviating_pivots
 from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
-
-Array = NDArray[np.float64]
 
 
 def output_derivatives(

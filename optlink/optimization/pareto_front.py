@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from optlink.linkage.vector2d import Array
+
 SAME = 1e-6  # share of a front's extent (or magnitude): closer designs count as one
 STRAIGHT = 1e-3  # share of a front's extent: least bulge of a front with a knee
 

@@ -13,9 +13,8 @@ from typing import Any
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 
-from optlink.linkage.vector2d import TURN, Value, unit
+from optlink.linkage.vector2d import TURN, Array, Value, unit
 from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale, position_rows
 from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.nlp import NLP, Variable, boxed
@@ -25,8 +24,6 @@ from optlink.problem.limits import Reach
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import START, STEP, PathProblem
 from optlink.symbolic import symbols_in_numpy
-
-Array = NDArray[np.float64]
 
 GRID = 36  # crank angles at which the assembly of a mechanism other than a four-bar is checked
 EXCHANGE_POINTS = 24  # further ones, moved by the exchange method to where a limit is exceeded

@@ -12,12 +12,11 @@ from functools import cached_property
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BeforeValidator, ValidationInfo, field_validator
 
 from optlink.linkage.dyad_types import RRR, Transmitting, transmitting
 from optlink.linkage.mechanism import FRAME, Pose
-from optlink.linkage.vector2d import TURN, Value, angle_from, dot, minus, turn, unit
+from optlink.linkage.vector2d import TURN, Array, Value, angle_from, dot, minus, turn, unit
 from optlink.problem.base_model import Section, folder_of, in_folder
 from optlink.problem.interval import CoordinateInterval
 from optlink.problem.limits import Limits
@@ -27,7 +26,6 @@ from optlink.problem.quantity import Angle, Coordinate, FixedAngle, FixedLength,
 from optlink.problem.targets.law import Law, Table, read_output_law, rotation
 from optlink.problem.targets.points import TargetPoints, closed, read_points
 
-Array = NDArray[np.float64]
 START, MARK, ZERO = "start", "mark", "zero"
 """Names of the quantities that a task adds to those of the mechanism."""
 

@@ -10,16 +10,15 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.linkage.mechanism import FRAME, Mechanism
+from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import in_folder
 from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.quantity import Quantity, Unusable, below, check_keys, nearest
 from optlink.problem.targets.law import read_columns
 from optlink.units import parse, plain
 
-Array = NDArray[np.float64]
 NORMAL, CONTACT, MEASURED = "normal", "contact", "measured"
 SIGMAS = 3.0  # standard deviations of a normal distribution within its tolerance
 CLEARANCE = ".clearance"

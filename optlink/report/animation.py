@@ -11,10 +11,10 @@ from matplotlib.lines import Line2D
 from PIL import Image
 
 from optlink.linkage.motion import Motion
+from optlink.linkage.vector2d import Array
 from optlink.report.chart_mpl import into
 from optlink.report.chart_spec import ChartSpec
 from optlink.report.drawing import Sketch
-from optlink.report.shapes import Array
 from optlink.report.style import CRANK, figure, heading, one_palette, styled
 
 WIDE = 0.42  # ratio of height to width below which the curve is drawn below the mechanism

@@ -26,7 +26,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from optlink.report.shapes import Array as Array
+from optlink.linkage.vector2d import Array as Array
 
 Dash = Literal["solid", "dash", "dot", "dashdot"]
 Symbol = Literal["circle", "open circle", "square", "cross", "plus", "star", "diamond", "triangle", "dash"]

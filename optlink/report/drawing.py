@@ -22,9 +22,9 @@ from optlink.dynamics.loads import Spring
 from optlink.dynamics.machine import Machine, jet_parts
 from optlink.linkage.mechanism import FRAME, Guide
 from optlink.linkage.motion import Motion
-from optlink.linkage.vector2d import TURN, Vector
+from optlink.linkage.vector2d import TURN, Array, Vector
 from optlink.report.labels import Label
-from optlink.report.shapes import Array, Part, finite, hatching, hull, rectangle, spread, stem, zigzag
+from optlink.report.shapes import Part, finite, hatching, hull, rectangle, spread, stem, zigzag
 from optlink.report.style import BODIES, CRANK, GROUND, QUIET, Scale, figure, scale
 
 FAR = 8.0  # positions beyond this multiple of the median distance from the crank pivot do not set the scale

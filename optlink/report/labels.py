@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import FancyArrowPatch, Polygon
 from numpy.typing import NDArray
 
-from optlink.report.shapes import Array
+from optlink.linkage.vector2d import Array
 from optlink.report.style import HALO, WANTED
 
 WAYS = np.array([[np.cos(t), np.sin(t)] for t in np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)])

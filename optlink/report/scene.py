@@ -14,9 +14,9 @@ import numpy as np
 
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import Motion, sweep
-from optlink.linkage.vector2d import TURN
+from optlink.linkage.vector2d import TURN, Array
 from optlink.report.drawing import Sketch
-from optlink.report.shapes import Array, Part
+from optlink.report.shapes import Part
 from optlink.tasks.results.analysis import Analysis
 
 FLIP = np.array([1.0, -1.0])

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.errors import Status
+from optlink.linkage.vector2d import Array
 from optlink.optimization.cycle_nlp import CycleNLP
 from optlink.solvers import multistart
 from optlink.solvers.semi_infinite import exchange
 from optlink.solvers.solution import Solution, tangent_space
-
-Array = NDArray[np.float64]
 
 STRONG = 1e-9  # share of the largest multiplier above which a limit counts as determining the design
 FLAT = 1e-6  # share of the largest curvature below which a direction is tried

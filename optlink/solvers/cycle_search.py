@@ -15,10 +15,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.errors import Status
 from optlink.execution import interrupts
+from optlink.linkage.vector2d import Array
 from optlink.optimization.cycle_constraints import EVENT
 from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
 from optlink.optimization.cycle_signals import EventOrder, Sample, TracedCycle
@@ -29,8 +29,6 @@ from optlink.solvers.feasibility import repair
 from optlink.solvers.infeasibility import Explanation, explain
 from optlink.solvers.semi_infinite import exchange, peaks, restart_from
 from optlink.solvers.solution import ACTIVE, LEAST_PRICE, Relaxation, Solution
-
-Array = NDArray[np.float64]
 
 STARTS = 8  # default number of starting points
 SAMPLES = 64  # random designs per starting point; only those with the structure of the initial design are used

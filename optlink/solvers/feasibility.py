@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
 from optlink.problem.function import EPIGRAPH
 from optlink.solvers.solution import FEASIBLE, violation
-
-Array = NDArray[np.float64]
 
 INSIDE = 1e-3  # distance (scaled units) to aim for inside a limit: at the limit a dead centre may have no derivative
 MAX_STEPS = 60

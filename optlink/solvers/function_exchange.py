@@ -6,18 +6,16 @@ import math
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.errors import Status
 from optlink.linkage.extrema import maxima
 from optlink.linkage.motion import sweep
+from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
 from optlink.problem.function import DesignProblem
 from optlink.solvers import multistart
 from optlink.solvers.contract import MINIMAX
 from optlink.solvers.solution import Solution
-
-Array = NDArray[np.float64]
 
 ALONG = 2001  # positions along the span at which the error is sampled
 EXCHANGES, LEVELLED = 12, 1e-8  # rounds, and the share by which an error may exceed those at the positions of the NLP

@@ -21,14 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.fourbar import LENGTHS
+from optlink.linkage.vector2d import Array
 from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale
 from optlink.optimization.nlp import NLP, Variable
 from optlink.problem.function import EPIGRAPH
 from optlink.solvers.contract import BACKENDS, backend
 from optlink.solvers.multistart import starts
 from optlink.solvers.solution import Relaxation, key_of
-
-Array = NDArray[np.float64]
 
 MET = 1e-6  # total slack, in scaled units, below which a set of limits counts as feasible
 STARTS, LOOKED_AT = 6, 256  # starting points used, of those sampled: the first at which every limit is finite

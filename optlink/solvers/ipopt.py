@@ -6,14 +6,12 @@ from typing import Any
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.execution.interrupts import interrupted
+from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
 from optlink.solvers.solution import Attempt
 from optlink.symbolic import silent
-
-Array = NDArray[np.float64]
 
 OPTIONS: dict[str, Any] = {
     "print_time": False,

@@ -18,14 +18,12 @@ from dataclasses import dataclass, replace
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 
+from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
 from optlink.problem.function import EPIGRAPH
 from optlink.solvers.solution import Attempt
 from optlink.symbolic import CompiledFunction
-
-Array = NDArray[np.float64]
 
 MOST_STEPS = 100
 FIRST_REACH, LEAST_REACH, MOST_REACH = 0.1, 1e-9, 1.0  # trust-region radius, in scaled units

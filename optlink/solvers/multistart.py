@@ -8,16 +8,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.errors import Status
+from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP, SMALLEST_SCALE
 from optlink.solvers.contract import SOLVERS, backend
 from optlink.solvers.feasibility import repair
 from optlink.solvers.newton import polish
 from optlink.solvers.solution import FEASIBLE, Attempt, Solution, verified_solution, violation
-
-Array = NDArray[np.float64]
 
 SAME_OBJECTIVE = 1e-6  # relative
 SAME_ERROR = 1e-8  # rad; errors that differ by less count as equal

@@ -11,10 +11,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP, NLPValues
 from optlink.solvers.solution import FEASIBLE, Attempt, stationarity, violation
-
-Array = NDArray[np.float64]
 
 NEAR = 1e-4  # a limit this close (scaled units), with a multiplier of the right sign, counts as active
 MAX_STEPS = 6

@@ -11,10 +11,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.errors import Status
 from optlink.linkage.extrema import Function, maxima
+from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
 from optlink.optimization.path_nlp import has_sampled_objective, limit_excesses, objective_excess, solved_values
 from optlink.problem.path import PathProblem
@@ -23,8 +23,6 @@ from optlink.solvers import multistart as local
 from optlink.solvers.newton import polish
 from optlink.solvers.semi_infinite import with_places
 from optlink.solvers.solution import Solution
-
-Array = NDArray[np.float64]
 
 ALONG = 1441  # positions along the required motion at which limits are sampled
 EXCEEDED = 2e-9  # permitted excess over a limit, in the unit of its row: less than the validator's tolerance

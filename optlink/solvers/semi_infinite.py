@@ -9,10 +9,10 @@ from typing import Any
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.errors import Status
 from optlink.linkage.extrema import maxima
+from optlink.linkage.vector2d import Array
 from optlink.optimization.constraints import PLAIN, ConstraintRow
 from optlink.optimization.cycle_constraints import WatchedTerm
 from optlink.optimization.cycle_nlp import CycleNLP
@@ -21,8 +21,6 @@ from optlink.solvers import multistart
 from optlink.solvers.contract import CLOSE, backend
 from optlink.solvers.newton import polish
 from optlink.solvers.solution import FEASIBLE, STATIONARY, Attempt, Solution, stationarity, verified_solution, violation
-
-Array = NDArray[np.float64]
 
 ALONG = 241  # sampled positions per stroke
 EXCHANGES, LEVELLED = 40, 1e-10  # rounds, and the share by which a peak may exceed the values at the positions of the NLP

@@ -6,14 +6,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import fmin_slsqp
 
+from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP, NLPValues
 from optlink.problem.function import EPIGRAPH
 from optlink.solvers.solution import Attempt
-
-Array = NDArray[np.float64]
 
 # SLSQP cannot handle undefined values: a very large finite one makes its line search step back
 UNDEFINED = 1e20

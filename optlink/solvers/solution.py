@@ -12,17 +12,16 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.errors import Status
 from optlink.io import Summary
+from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import Number
 
 if TYPE_CHECKING:
     from optlink.optimization.constraints import Scale
     from optlink.optimization.nlp import NLP, NLPValues
 
-Array = NDArray[np.float64]
 
 FEASIBLE = 1e-8  # largest violation, in scaled units, that counts as satisfied
 STATIONARY = 1e-6  # largest KKT residual, for an objective scaled to 1 at the start, that counts as optimal

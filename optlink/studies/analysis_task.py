@@ -13,13 +13,13 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.columns import MotionColumns, slider_names
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError
 from optlink.linkage.alignment import positions_text
 from optlink.linkage.stroke import Ranges, failure, reachable
+from optlink.linkage.vector2d import Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import nearest
 from optlink.studies.grid import Axis
@@ -29,8 +29,6 @@ from optlink.tasks.batch import analyze_batch, batch_extremes, reaction_parts
 from optlink.tasks.machine import crank_speed, machine_of
 from optlink.tasks.results.analysis import Analysis
 from optlink.units import factor
-
-Array = NDArray[np.float64]
 
 MANY = 2000  # designs per chunk
 FIGURES = ("min", "max", "rms")

@@ -7,14 +7,12 @@ differs, the end is no optimum, which its examination detects: then a search is 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.errors import Status
 from optlink.optimization.nlp import NLP
 from optlink.solvers.newton import newton
 from optlink.solvers.solution import Attempt, Solution, verified_solution
 
-Array = NDArray[np.float64]
 MAX_STEPS = 8
 LONGEST = 0.3  # scaled units; largest distance of a neighbour
 CONVERGED = 1e-10

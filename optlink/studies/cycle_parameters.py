@@ -13,9 +13,9 @@ from typing import Any
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.errors import InputError, Status
+from optlink.linkage.vector2d import Array
 from optlink.optimization.constraints import Scale
 from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
 from optlink.optimization.cycle_signals import TracedCycle
@@ -34,7 +34,6 @@ from optlink.tasks.protocol import completed
 from optlink.tasks.results.cycle import task_of
 from optlink.units import UnitProblem, factor
 
-Array = NDArray[np.float64]
 SECTIONS = ("bodies", "loads")  # joint parameters do not affect an ideal machine
 ALONE = ("drive.speed", "gravity")
 STEP = 1e-4  # relative step of central differences: most parameters enter linearly, the speed by its square

@@ -15,10 +15,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from optlink.errors import Status
+from optlink.linkage.vector2d import Array
 from optlink.optimization.constraints import ConstraintRow
 from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
 from optlink.optimization.cycle_signals import TracedCycle
@@ -40,7 +38,6 @@ from optlink.validation.check import Validation
 from optlink.validation.cycle import validate_cycle
 
 N = TypeVar("N", bound=NLP)
-Array = NDArray[np.float64]
 
 BOUNDS = ("min", "max", "exactly")
 COMPILED = ("_values", "_all", "_residuals", "_hessian", "_levels")  # compiled parts of a programme independent of bounds

@@ -19,13 +19,13 @@ import casadi
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
 from optlink.problem.function import EPIGRAPH
 from optlink.solvers.solution import STATIONARY, Solution, stationarity
 from optlink.studies.parameters import Parameter
 from optlink.symbolic import CompiledFunction
 
-Array = NDArray[np.float64]
 TIGHT = 1e-9  # scaled units; tolerance of active limits, less than the distance of neighbours in a finely divided span
 STRONG = 1e-8  # relative to the scale of the objective; smaller multipliers count as zero
 STILL = 1e-11  # scaled units; slower changes are rounding errors

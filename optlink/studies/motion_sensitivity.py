@@ -11,18 +11,16 @@ from typing import Annotated, Literal
 
 import casadi
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field
 
 from optlink.errors import InputError
 from optlink.linkage.mechanism import FRAME, Mechanism
-from optlink.linkage.vector2d import unit
+from optlink.linkage.vector2d import Array, unit
 from optlink.optimization.output_derivatives import output_derivatives
 from optlink.problem.base_model import Column, Columns, ResultRecord
 from optlink.problem.quantity import nearest
 from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
-
-Array = NDArray[np.float64]
 
 
 class OutputSensitivityRecord(ResultRecord):

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import InputError, Status
+from optlink.linkage.vector2d import Array
 from optlink.optimization.batch_nlp import BatchNLP
 from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.nlp import NLP, SPAN, build
@@ -38,7 +39,6 @@ from optlink.tasks.results.balance import Balance
 from optlink.tasks.run import solve
 from optlink.validation import Validation, validate, validate_batch
 
-Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 CHUNK, SLOW_CHUNK = 100, 4  # points per chunk; the second if every point needs a separate search
 LARGEST_CHUNK, CHUNKS = 10_000, 10  # points of the chunks of a large grid, and the least number of chunks

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from optlink.errors import InputError, Status
@@ -25,7 +24,6 @@ from optlink.tasks.protocol import completed
 from optlink.tasks.results.balance import Balance
 from optlink.tasks.run import solve
 
-Array = NDArray[np.float64]
 SMALL = 1e-2  # least reference of relative differences: of the objective, per parameter change of its own value
 SLIGHT = 1e-3  # the same for the design
 ROUNDING = 1e-13  # relative to the objective, or in scaled units: changes that count as zero

@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.errors import InputError, Status
 from optlink.io import finite
+from optlink.linkage.vector2d import Array
 from optlink.problem.file import ProblemFile
 from optlink.studio.design import Design
 from optlink.studio.document import Document, from_text
@@ -20,8 +20,6 @@ from optlink.synthesis.batch_search import Candidate
 from optlink.tasks.path_search import DesignCollection, Polisher, path_model
 from optlink.tasks.results.path import PathDesign
 from optlink.validation.path import validate_path
-
-Array = NDArray[np.float64]
 
 MOST_DRAWN = 10_000  # points of a curve
 POINTS = 16  # target points along it

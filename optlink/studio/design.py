@@ -7,11 +7,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError, OptlinkError, Status
+from optlink.linkage.vector2d import Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import sizes_of
 from optlink.report.views import conclusions
@@ -22,8 +20,6 @@ from optlink.tasks.machine import machine_of
 from optlink.tasks.results.analysis import Analysis
 from optlink.tasks.results.balance import Balance
 from optlink.validation.check import Check
-
-Array = NDArray[np.float64]
 
 UNVERIFIED = "not verified"
 MOVING = "Optimised from the last design; it is verified when the handle is released."

@@ -11,9 +11,8 @@ from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from optlink.linkage.vector2d import unit
+from optlink.linkage.vector2d import Array, unit
 from optlink.optimization.constraints import position_rows
 from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.cycle_nlp import CycleNLP
@@ -35,8 +34,6 @@ from optlink.studies.reoptimise_task import ParametricProgramme
 from optlink.tasks.path_search import path_model
 from optlink.tasks.results.cycle import task_of
 from optlink.units import factor
-
-Array = NDArray[np.float64]
 
 BACKEND = "ipopt"
 EXCESS = 1e-4  # share of its level by which a peak may exceed the values at the fixed positions while a hand moves

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.io import Registry
+from optlink.linkage.vector2d import Array
 from optlink.optimization.objectives import MEASURES
 from optlink.optimization.path_nlp import solved_values
 from optlink.problem.file import WORDS as PROSE
@@ -28,7 +28,6 @@ from optlink.validation.path import deviations
 if TYPE_CHECKING:
     from optlink.studio.design import Design
 
-Array = NDArray[np.float64]
 
 ALONG = 60  # positions of the error curve
 WORDS = ("crank", "transmission_over", *MARGINS)  # limits that change the structure of a programme

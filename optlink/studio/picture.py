@@ -12,10 +12,8 @@ from optlink.dynamics.machine import Machine
 from optlink.io import finite
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import Motion, sweep
-from optlink.linkage.vector2d import TURN
+from optlink.linkage.vector2d import TURN, Array
 from optlink.report.drawing import Sketch
-
-Array = NDArray[np.float64]
 
 STEPS = 72  # positions per revolution
 EDGE = 24  # halvings of the crank angle at which a limited motion ends

@@ -7,11 +7,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.columns import MotionColumns
 from optlink.io import finite
 from optlink.linkage.dyad_types import transmitting
+from optlink.linkage.vector2d import Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.limits import Limits
 from optlink.problem.path import PathProblem
@@ -21,8 +21,6 @@ from optlink.studio.design import Design
 from optlink.studio.kinds import kind_of
 from optlink.studio.picture import Picture
 from optlink.validation.path import deviations, transmission_angles
-
-Array = NDArray[np.float64]
 
 AT_BOUND = 1e-6  # share of the range of a variable
 DIGITS = 6

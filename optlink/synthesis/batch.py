@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from optlink.linkage.dyad_types import ModalDyad
 from optlink.linkage.mechanism import Mechanism
-from optlink.linkage.vector2d import TURN, unit
+from optlink.linkage.vector2d import TURN, Array, unit
 from optlink.optimization.constraints import position_rows
 from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.path_nlp import scaled_variable
@@ -23,7 +23,6 @@ from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import START, PathProblem
 from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 
-Array = NDArray[np.float64]
 Variant = int | NDArray[np.int_]
 
 GRID = 24  # crank angles at which the closure of mechanisms other than four-bars is evaluated

@@ -9,14 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.vector2d import TURN
+from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.path import STEP, PathProblem
 from optlink.synthesis import random_starts as starts
 from optlink.synthesis.batch import Batch
 from optlink.synthesis.levenberg_marquardt import FinalDesigns, minimise
 from optlink.synthesis.variable_projection import SimilarityFit
-
-Array = NDArray[np.float64]
 
 FIRST_ROUND, PER_ROUND = 60, 240  # starting points per round over all assembly modes: doubled from the first to the second number
 POOL = 6  # samples per starting point; half of the starting points are the best samples, the others random ones

@@ -16,13 +16,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from optlink.linkage.vector2d import Array
 from optlink.synthesis.freudenstein_convex import CLOSE, Refinement
 from optlink.synthesis.freudenstein_fit import Cells, FitProblem, Keep, distinct_cells, fit, scan, step_of, zoom
 from optlink.synthesis.loop_equations import EXACT, LoopEquation, linear_form
-
-Array = NDArray[np.float64]
 
 MEASURES = ("sum of squares", "rms", "max")
 UNLIMITED = (1e-3, 1e3)  # ratios beyond a thousand are not practical

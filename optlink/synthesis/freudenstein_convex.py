@@ -23,12 +23,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from optlink.linkage.vector2d import Array
 from optlink.synthesis.freudenstein_fit import Cells, FitProblem, fit_error
 from optlink.synthesis.loop_equations import EXACT, linear_form
-
-Array = NDArray[np.float64]
 
 CLOSE = 1e-4  # relative gap of the output error at which it counts as proven optimal
 STEPS = 12  # convex programmes per start position

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from optlink.linkage.vector2d import Array
 from optlink.synthesis.loop_equations import EXACT, LoopEquation
 
-Array = NDArray[np.float64]
 Keep = Callable[[Array, Array, Array, Array, Array, Array], Any]
 """Which linkages are wanted, elementwise: (crank, coupler, rocker, phi0, psi0, side), all (m,), to (m,) bool."""
 

@@ -10,13 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.fourbar import LENGTHS, transmission_cosine
-from optlink.linkage.vector2d import TURN, unit
+from optlink.linkage.vector2d import TURN, Array, unit
 from optlink.problem.function import DesignProblem
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.function import Function
 from optlink.synthesis.freudenstein import FirstStep, first_steps, fit_pairs
-
-Array = NDArray[np.float64]
 
 COUNT = 5  # first designs used as starting points
 BLOCK, BLOCKS = 1024, 8  # random start angles per block, and number of blocks

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from optlink.linkage.dyad_types import RRR
 from optlink.linkage.mechanism import FRAME, Link, Mechanism
-from optlink.linkage.vector2d import unit
+from optlink.linkage.vector2d import Array, unit
 from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.path_nlp import limit_excesses
 from optlink.problem.file import ProblemFile, read
@@ -33,7 +33,6 @@ from optlink.synthesis import random_starts
 from optlink.synthesis.batch import Batch
 from optlink.synthesis.inner_four_bar import InnerFourBar, inner_four_bars
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Values = dict[str, Array]
 

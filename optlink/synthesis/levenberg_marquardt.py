@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.linkage.vector2d import Array
 from optlink.synthesis.batch import Batch
 
-Array = NDArray[np.float64]
 Fit = Callable[[Array, Array, NDArray[np.int_]], tuple[Array, Array]]
 
 FIRST_DAMPING = 1e-2

@@ -15,9 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.vector2d import TURN, root
-
-Array = NDArray[np.float64]
+from optlink.linkage.vector2d import TURN, Array, root
 
 EXACT = 1e-9  # negligible output error [rad]
 

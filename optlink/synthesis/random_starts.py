@@ -8,12 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.fourbar import LENGTHS
-from optlink.linkage.vector2d import TURN, unit
+from optlink.linkage.vector2d import TURN, Array, unit
 from optlink.problem.path import MARK, START, STEP
 from optlink.synthesis.batch import Batch
 from optlink.synthesis.inner_four_bar import inner_four_bars
-
-Array = NDArray[np.float64]
 
 SPREAD = 0.35  # relative standard deviation of a dimension about its value in the file
 

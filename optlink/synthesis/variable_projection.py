@@ -20,13 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.mechanism import FRAME
-from optlink.linkage.vector2d import minus, unit
+from optlink.linkage.vector2d import Array, minus, unit
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import START
 from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 from optlink.synthesis.batch import Batch, Variant
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 

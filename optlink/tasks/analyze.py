@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.change_points import pin_columns, unbounded_reactions
 from optlink.dynamics.columns import MotionColumns, slider_names
@@ -18,13 +17,12 @@ from optlink.errors import InputError
 from optlink.linkage.alignment import AlignedPosition, positions_text
 from optlink.linkage.extrema import distinct, extremes, zeros
 from optlink.linkage.stroke import Ranges, Travel, range_end_reason, travels, within_cycle
-from optlink.linkage.vector2d import TURN
+from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range
 from optlink.tasks.machine import MARGIN, crank_speed, machine_of, motion_range, table_angles
 from optlink.tasks.results.analysis import Analysis, Extreme
 
-Array = NDArray[np.float64]
 MAX_POINTS = 1_000_000
 GRID = 720  # positions among which extremes are bracketed
 ROUNDED = 1e-5  # rad from a passed change point: reactions are inaccurate there

@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.balancing import optimum as search
 from optlink.balancing.certificate import GAP
@@ -19,6 +18,7 @@ from optlink.dynamics.counterweights import Affine, BalanceMeasure, Effects, qua
 from optlink.dynamics.inertia import Inertia, Parameters
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError
+from optlink.linkage.vector2d import Array
 from optlink.optimization.pareto_front import knee
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
@@ -36,7 +36,6 @@ from optlink.tasks.results.balance import (
 )
 from optlink.tasks.results.balance_limits import active_limit, relaxed_limit
 
-Array = NDArray[np.float64]
 Progress = Callable[[float], None]
 
 

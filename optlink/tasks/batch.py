@@ -17,14 +17,13 @@ from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.extrema import extremes_of_rows
 from optlink.linkage.motion import sweep
 from optlink.linkage.stroke import reachable
-from optlink.linkage.vector2d import TURN, Value
+from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import nearest
 from optlink.tasks.analyze import GRID
 from optlink.tasks.machine import crank_speed, machine_of
 
-Array = NDArray[np.float64]
 PORTION = 12_000
 """Positions that are worked on at a time: a few dozen intermediate arrays of them stay in the processor's cache."""
 

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.errors import InputError
 from optlink.execution import interrupts
 from optlink.execution.runner import Runs, pool
+from optlink.linkage.vector2d import Array
 from optlink.optimization.box_models import DesignBoxes, box_problem
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
@@ -33,7 +33,6 @@ from optlink.tasks.results.certificate import GLOBAL, INFEASIBLE, NOT_CLOSED, ST
 from optlink.tasks.results.path import PathResult
 from optlink.version import VERSION
 
-Array = NDArray[np.float64]
 Certified = TypeVar("Certified", FunctionResult, PathResult)
 Progress = Callable[[float, float], None]
 """Receives the share of the bounds that is done, and the present gap (NaN without a design)."""

@@ -13,7 +13,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.clearance.closed_loop import ClosedLoop
 from optlink.clearance.compiled.choice import IntegratorKind, chosen, resumed
@@ -29,14 +28,13 @@ from optlink.dynamics.ending import Ending
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError
 from optlink.execution import interrupts
-from optlink.linkage.vector2d import TURN
+from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range, input_of, nearest
 from optlink.tasks.machine import check_regular, machine_of, motion_range, with_flywheel
 from optlink.tasks.results.checkpoint import ClearanceCheckpoint, damaged, read_checkpoint
 from optlink.tasks.results.clearance import SETTLED, ClearanceSimulation
 
-Array = NDArray[np.float64]
 EVERY = 5.0
 """Seconds between checkpoints."""
 

@@ -7,14 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.clearance.compiled.choice import resumed
 from optlink.clearance.controller import Control
 from optlink.clearance.output import Output
 from optlink.errors import InputError
 from optlink.execution.runner import Runs, pool
-from optlink.linkage.vector2d import TURN
+from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.base_model import SPELLINGS
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range
@@ -24,7 +23,6 @@ from optlink.tasks.parallel_runs import RunResult, job_of, run_jobs
 from optlink.tasks.results.checkpoint import ComparisonCheckpoint, RunRecord, TuningCheckpoint, damaged, read_checkpoint
 from optlink.tasks.results.control_comparison import Comparison, Trials, Tuning
 
-Array = NDArray[np.float64]
 KINDS = tuple(str(kind) for kind in Control)
 
 

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.errors import InputError, Status
 from optlink.execution import interrupts
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
     from optlink.solvers.continuum import Continuum
     from optlink.solvers.cycle_search import CycleSearchResult, StartGroup, StartSequence
 
-Array = NDArray[np.float64]
 
 ALIKE = 1e-6  # relative, of the objectives of two designs of one continuum
 MOST_NODES, EXACT = 400, 1e-7  # positions per revolution, and relative accuracy of integrals against the fine sweep

@@ -13,13 +13,12 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.errors import Status
 from optlink.execution import interrupts
 from optlink.execution.runner import Runs, in_order
 from optlink.linkage.fourbar import LENGTHS
-from optlink.linkage.vector2d import TURN
+from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.nlp import NLP
 from optlink.problem.function import DesignProblem
 from optlink.problem.targets.function import Function
@@ -34,7 +33,6 @@ from optlink.tasks.results.evidence import evidence, tally
 from optlink.validation import Validation
 from optlink.validation import validate as prove
 
-Array = NDArray[np.float64]
 Progress = Callable[[float], None] | None
 
 ROUND, MOST = 24, 144  # random starts between evaluations of the evidence, and their largest number by default

@@ -8,20 +8,16 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.inertia import Inertia
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError
 from optlink.linkage.alignment import positions_text
 from optlink.linkage.stroke import Ranges, failure
-from optlink.linkage.vector2d import TURN, Value
+from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.quantity import input_of
-
-Array = NDArray[np.float64]
-
 
 _machines: dict[int, Machine] = {}
 """Machines at fixed and starting values by the identity of their problem, with their ranges and compiled functions."""

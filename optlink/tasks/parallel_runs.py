@@ -9,16 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.ending import Ending
 from optlink.execution.runner import Runs
+from optlink.linkage.vector2d import Array
 from optlink.problem.file import ProblemFile, read
 from optlink.tasks.clearance import revolutions_counted, simulate_clearance
 from optlink.tasks.machine import machine_of
 from optlink.tasks.results.clearance import ClearanceSimulation
-
-Array = NDArray[np.float64]
 
 
 class ErrorLimitExceeded(Exception):

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from optlink.dynamics.columns import MotionColumns
@@ -19,13 +18,12 @@ from optlink.dynamics.machine import Machine
 from optlink.errors import InputError
 from optlink.execution import interrupts
 from optlink.linkage.continuation import continue_through_singularities
-from optlink.linkage.vector2d import TURN
+from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.base_model import Columns, Contradiction, Number, Recorded, ResultRecord
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range
 from optlink.tasks.machine import machine_of, motion_range, with_flywheel
 
-Array = NDArray[np.float64]
 MAX_ROWS = 1_000_000
 
 

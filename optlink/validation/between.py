@@ -11,13 +11,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.linkage.motion import sweep
-from optlink.linkage.vector2d import TURN
+from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.path import PathProblem
-
-Array = NDArray[np.float64]
 
 FEWEST = 3  # points: two have no curvature
 BETWEEN = 32  # positions between two points

@@ -9,14 +9,12 @@ from typing import Any
 
 import numpy as np
 from flint import arb
-from numpy.typing import NDArray
 
+from optlink.linkage.vector2d import Array
 from optlink.problem.function import DesignProblem
 from optlink.problem.path import PathProblem
 from optlink.validation.ball_formulas import BallProblem, Deviation
 from optlink.validation.balls import Ball, box_minimum, lower_bound, positive_definite, tangent_bound
-
-Array = NDArray[np.float64]
 
 DEPTH = 40  # times that a box is halved at most
 PIECES = 20_000  # parts of one box that are bounded at most

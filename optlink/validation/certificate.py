@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from optlink.errors import Fault, InputError
@@ -35,7 +34,6 @@ if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
     from optlink.validation.box_proofs import Prover
 
-Array = NDArray[np.float64]
 Progress = Callable[[float], None]
 """Receives the share of the boxes that are checked."""
 

@@ -13,12 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from optlink.linkage.mechanism import Link
 from optlink.linkage.motion import Motion
+from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import Number
 from optlink.problem.interval import Interval
 from optlink.problem.limits import Limits, Moved, TransmissionLimit, limits_in_file
 from optlink.problem.quantity import Quantity
-
-Array = NDArray[np.float64]
 
 POSITIONS = 1440  # per revolution: every quarter of a degree; dead centres and extremes are refined
 ANGLE_TOLERANCE = 1e-6  # deg; solvers satisfy limits to 1e-8 of a radian

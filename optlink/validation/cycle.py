@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.columns import MotionColumns, slider_names
 from optlink.dynamics.inertia import Parameters
@@ -17,7 +16,7 @@ from optlink.dynamics.work import NODES, WEIGHTS, Work, gauss_points
 from optlink.linkage.extrema import extremes, maxima
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.stroke import Travel, reachable, travels
-from optlink.linkage.vector2d import TURN, Value, turn
+from optlink.linkage.vector2d import TURN, Array, Value, turn
 from optlink.problem.cycle.model import Bound, CycleProblem
 from optlink.problem.cycle.quantities import guide_of
 from optlink.problem.cycle.terms import Term, output_of
@@ -27,8 +26,6 @@ from optlink.problem.quantity import Unusable
 from optlink.units import KINDS, factor
 from optlink.validation.check import POSITIONS, Check, Validation, bound, link_lengths
 from optlink.validation.margins import alignment_checks
-
-Array = NDArray[np.float64]
 
 AGREE = 1e-6  # relative difference of a value computed by two methods
 MEET = 1e-6  # relative violation permitted for a limit

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from optlink.linkage.extrema import POINTS, refined_minima, refined_roots
 from optlink.linkage.mechanism import Mechanism
-from optlink.linkage.vector2d import TURN, Value, Vector, cross, dot, minus
+from optlink.linkage.vector2d import TURN, Array, Value, Vector, cross, dot, minus
 from optlink.validation.check import Checks, length_check, worst_miss
 from optlink.validation.margins import included_cosine
 
-Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 BLOCK = 24_000  # positions that are worked on at a time

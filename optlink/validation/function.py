@@ -18,7 +18,7 @@ from optlink.linkage.extrema import maxima
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.motion import Motion, sweep
-from optlink.linkage.vector2d import TURN, Vector, unit
+from optlink.linkage.vector2d import TURN, Array, Vector, unit
 from optlink.problem.function import DEAD_CENTRES, DesignProblem
 from optlink.problem.limits import limits_in_file
 from optlink.problem.robust import EXPECTED, WORST
@@ -38,8 +38,6 @@ from optlink.validation.check import (
 )
 from optlink.validation.four_bar_motion import FourBarMotion
 from optlink.validation.margins import alignment_check, at_least, grashof_check
-
-Array = NDArray[np.float64]
 
 ROUNDING = 1e-12  # rad; absolute agreement required of nearly zero errors
 STEP = 1e-5  # of the frame; step of central differences by dimensions

@@ -10,17 +10,16 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from optlink.linkage.dyad_types import RPR, RRR
 from optlink.linkage.extrema import maxima
 from optlink.linkage.fourbar import LENGTHS, grashof
 from optlink.linkage.mechanism import Group
 from optlink.linkage.motion import Motion
+from optlink.linkage.vector2d import Array
 from optlink.problem.limits import Alignment, Limits
 from optlink.validation.check import Check, Checks, Text, text
-
-Array = NDArray[np.float64]
 
 SHORT = 5e-3
 """Share by which a design may fall short of a least margin: solvers meet the cosine of 0.1 deg to 1e-8, which is 3e-3 of it."""

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from optlink.linkage.vector2d import Array
 
 
 def uncovered(low: Array, high: Array, within: tuple[Array, Array]) -> tuple[Array, Array] | None:

@@ -7,14 +7,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.linkage.dyad_types import RPR, RRP, RRR, transmitting
 from optlink.linkage.extrema import extremes, maxima
 from optlink.linkage.mechanism import FRAME, Guide, Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.stroke import travels
-from optlink.linkage.vector2d import TURN
+from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import MARK, STEP, ZERO, PathProblem
 from optlink.validation.check import (
@@ -31,8 +30,6 @@ from optlink.validation.check import (
     transmission_checks,
 )
 from optlink.validation.margins import alignment_checks, grashof_check
-
-Array = NDArray[np.float64]
 
 ROUNDING = 1e-11  # of the size of the curve; absolute agreement required of nearly zero deviations
 

@@ -10,13 +10,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.linkage.motion import sweep
-from optlink.linkage.vector2d import TURN
+from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.path import MARK, STEP, PathProblem
-
-Array = NDArray[np.float64]
 
 GRID = 720  # crank angles of the coarse search
 NEAR = 25  # crank angles per point and round of the refinement

@@ -6,14 +6,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.clearance.compiled import motion
 from optlink.clearance.compiled.machine import code_of, engine
 from optlink.clearance.contact_laws import SLOWEST
 from optlink.clearance.integration import BUSY, DEEPEST, Block, Impact, Integration, Stalled
+from optlink.linkage.vector2d import Array
 
-Array = NDArray[np.float64]
 ROWS = 4096
 """Most rows of a call."""
 

@@ -15,13 +15,11 @@ from types import ModuleType
 from typing import Any
 
 import casadi
-import numpy as np
-from numpy.typing import NDArray
 
 from optlink.clearance.compiled.source import written
 from optlink.clearance.equations import Equations
+from optlink.linkage.vector2d import Array
 
-Array = NDArray[np.float64]
 FOLDER = "OPTLINK_CACHE"
 """Environment variable with the cache folder; default: that of the user."""
 

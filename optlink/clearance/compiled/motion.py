@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from optlink.clearance.compiled.dop853 import (
     CONSTANTS,
@@ -32,8 +31,8 @@ from optlink.clearance.compiled.dop853 import (
 )
 from optlink.clearance.compiled.maxima import PARTS, maxima, quantity
 from optlink.clearance.compiled.switches import SUBINTERVALS, first_switch, may_switch, nodes_of, parts_of, to_switch
+from optlink.linkage.vector2d import Array
 
-Array = NDArray[np.float64]
 FIRST = 0.05
 """Share of a row that is the first trial step at the begin of a contact."""
 

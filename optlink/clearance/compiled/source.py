@@ -12,9 +12,9 @@ from typing import Any
 
 import casadi
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from optlink.linkage.vector2d import Array
+
 LITERALS = (0.0, 0.5, 1.0, 2.0)
 """Magnitudes of constants that stay literals: casadi creates them itself when it differentiates and simplifies."""
 

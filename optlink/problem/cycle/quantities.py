@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.columns import MotionColumns, slider_names
 from optlink.dynamics.inverse import Reactions, reported_on, shaking
@@ -19,12 +18,11 @@ from optlink.dynamics.machine import Moving
 from optlink.io import Registry
 from optlink.linkage.dyad_types import RPR, RRP, RRR, Transmitting, transmitting
 from optlink.linkage.mechanism import FRAME, Mechanism
-from optlink.linkage.vector2d import Value, cross, dot, magnitude, minus
+from optlink.linkage.vector2d import Array, Value, cross, dot, magnitude, minus
 
 if TYPE_CHECKING:
     from optlink.problem.cycle.terms import Term
 
-Array = NDArray[np.float64]
 Signal = Callable[[Moving, Reactions, "Term"], tuple[Value, ...]]
 Course = Callable[[MotionColumns, "Term"], Array]
 

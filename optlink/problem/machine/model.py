@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
 from optlink.clearance.joint import Gap
@@ -16,7 +15,7 @@ from optlink.dynamics.machine import Machine
 from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.stroke import Direction
-from optlink.linkage.vector2d import Value
+from optlink.linkage.vector2d import Array, Value
 from optlink.problem.base_model import RESERVED, Name, Section
 from optlink.problem.machine.balance import BalanceSection
 from optlink.problem.machine.bodies import BodySection, DriveSection, Gravity
@@ -27,8 +26,6 @@ from optlink.problem.machine.revolution import Revolution
 from optlink.problem.mechanism import DyadsSection, FourBarSection, sizes_of
 from optlink.problem.quantity import FixedAngle, FixedLength, Number, Quantity, Unusable, below, nearest
 from optlink.problem.tolerances import Deviation, Tolerances, deviations, with_deviating_pivots
-
-Array = NDArray[np.float64]
 
 
 class Expected(Section):

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.clearance.joint import Gap
 from optlink.dynamics.loads import Force, Load
@@ -15,10 +14,9 @@ from optlink.dynamics.machine import Machine, Moving
 from optlink.dynamics.strokes import slow_stroke_of
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.stroke import LEAST_DIFFERENCE, Direction
-from optlink.linkage.vector2d import TURN, Value, cross, dot
+from optlink.linkage.vector2d import TURN, Array, Value, cross, dot
 from optlink.problem.quantity import Unusable
 
-Array = NDArray[np.float64]
 STROKES = 720  # positions of a revolution at which the motion of a load is sampled
 FULL_TURN = TURN - 0.02  # rad; a sampled swing that is wider is a full turn
 _SENSE: dict[Direction | None, float] = {"forward": 1.0, "backward": -1.0, None: 0.0}

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from optlink.linkage.vector2d import Array
 from optlink.problem.quantity import LONGEST, SHORTEST, Unusable, below
 from optlink.problem.targets.expression import Expression, LawError, parse
 from optlink.problem.targets.point_table import PointRows, check_apart
 from optlink.problem.targets.target_points import COINCIDENT, HEAVIEST, TargetPoints, metres, pairs, read_count, shortened
 from optlink.units import show
-
-Array = NDArray[np.float64]
 
 FINE = 100_000  # chords that approximate a curve; for a full circle the length error is 2e-10
 

@@ -10,16 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from optlink.linkage.vector2d import TURN, Value
+from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.quantity import Quantity, Unusable, below, check_keys, read_scalar
 from optlink.problem.targets.csv_table import CsvTable, read_csv
 from optlink.problem.targets.expression import Expression, parse
 from optlink.problem.targets.function import Function, read_function
 from optlink.units import factor
 
-Array = NDArray[np.float64]
 NAMES = ("phi", "phi0", "psi0")
 SLIDE_NAMES = ("phi", "phi0", "s0")
 SLIDE = 'law = { slide = "s0 + 40*(1 - cos(phi - phi0))", unit = "mm" }'

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.linkage.vector2d import Array
 from optlink.problem.quantity import LONGEST, SHORTEST, Unusable, nearest, read_scalar
 from optlink.problem.targets.csv_table import CsvTable, read_csv
 from optlink.problem.targets.target_points import (
@@ -24,8 +25,6 @@ from optlink.problem.targets.target_points import (
     shortened,
 )
 from optlink.units import factor, show
-
-Array = NDArray[np.float64]
 
 MAX_ROWS = 1_000_000
 

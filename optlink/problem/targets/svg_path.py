@@ -14,12 +14,12 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.linkage.vector2d import Array
 from optlink.problem.quantity import Unusable
 from optlink.problem.targets.curves import FINE, CurvePiece, resample, sampled_targets
 from optlink.problem.targets.target_points import TargetPoints, metres, read_count, read_file, shortened
 from optlink.units import show
 
-Array = NDArray[np.float64]
 Drawn = NDArray[np.complex128]
 
 MAX_ELEMENTS = 1_000_000

@@ -9,12 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from optlink.linkage.vector2d import Array
 from optlink.problem.quantity import Unusable, below
 from optlink.units import factor
-
-Array = NDArray[np.float64]
 
 MAX_POINTS = 400
 MAX_BYTES = 50_000_000

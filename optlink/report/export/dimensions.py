@@ -14,11 +14,11 @@ import numpy as np
 from optlink.dynamics.columns import slider_names
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import sweep
-from optlink.linkage.vector2d import TURN
+from optlink.linkage.vector2d import TURN, Array
 from optlink.report.export.svg import svg
 from optlink.report.html.theme import readable
 from optlink.report.scene import FLIP, Scene, scene
-from optlink.report.shapes import Array, finite, hull
+from optlink.report.shapes import finite, hull
 from optlink.report.style import GROUND
 from optlink.tasks.results.analysis import Analysis
 

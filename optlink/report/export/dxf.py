@@ -17,9 +17,10 @@ import numpy as np
 from optlink.dynamics.columns import slider_names
 from optlink.linkage.mechanism import FRAME, Guide
 from optlink.linkage.motion import Motion, sweep
+from optlink.linkage.vector2d import Array
 from optlink.report.files import whole
 from optlink.report.scene import scene
-from optlink.report.shapes import Array, hull
+from optlink.report.shapes import hull
 from optlink.tasks.results.analysis import Analysis
 
 if TYPE_CHECKING:

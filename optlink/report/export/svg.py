@@ -8,8 +8,9 @@ from html import escape
 
 import numpy as np
 
+from optlink.linkage.vector2d import Array
 from optlink.report.scene import Body, Scene
-from optlink.report.shapes import Array, Part, zigzag
+from optlink.report.shapes import Part, zigzag
 from optlink.report.style import GROUND, QUIET
 
 POINT = 1.0 / 8.0  # size of a typographic point, as a share of the size of a ground pivot, as in the other figures

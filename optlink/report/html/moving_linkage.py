@@ -11,10 +11,11 @@ import numpy as np
 
 from optlink.dynamics.columns import MotionColumns, slider_names
 from optlink.io import finite
+from optlink.linkage.vector2d import Array
 from optlink.report.export.svg import svg
 from optlink.report.format import pretty
 from optlink.report.scene import Scene, scene
-from optlink.report.shapes import Array, zigzag
+from optlink.report.shapes import zigzag
 from optlink.report.style import Scale, scale
 from optlink.tasks.results.analysis import Analysis
 

@@ -14,13 +14,12 @@ from typing import Any
 import numpy as np
 
 from optlink.errors import Status
-from optlink.linkage.vector2d import TURN
+from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.nlp import NLP
 from optlink.problem.base_model import Contradiction, ResultRecord, check_length
 from optlink.problem.file import ProblemFile
 from optlink.problem.path import PathProblem
 from optlink.report.report_model import Outcome, ReportModel, report_model_of
-from optlink.report.shapes import Array
 from optlink.report.stored.stored_study import named_si
 from optlink.solvers.solution import LimitState, Solution
 from optlink.studies.sensitivity import SensitivitiesRecord

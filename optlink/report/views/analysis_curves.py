@@ -8,7 +8,7 @@ import numpy as np
 
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.work import Work
-from optlink.report.shapes import Array
+from optlink.linkage.vector2d import Array
 from optlink.tasks.results.analysis import Analysis
 
 POINTS = 720

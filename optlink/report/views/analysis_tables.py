@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.strokes import StrokeLoad, acting_loads, travels_by_use, use_of, working_stroke
 from optlink.linkage.stroke import Travel
+from optlink.linkage.vector2d import Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import DyadsSection
 from optlink.report.format import fixed, number
-from optlink.report.shapes import Array
 from optlink.report.table_spec import (
     Column,
     Paragraph,

@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from optlink.linkage.motion import sweep
+from optlink.linkage.vector2d import Array
 from optlink.report.drawing import Sketch
 from optlink.report.labels import Label, in_points, place_labels
-from optlink.report.shapes import Array
 from optlink.report.style import figure, heading, scale, styled
 from optlink.tasks.results.balance import AddedCounterweight, Balance
 

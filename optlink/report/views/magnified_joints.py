@@ -20,11 +20,11 @@ from PIL import Image
 from optlink.clearance.joint import Gap
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import Motion, sweep
+from optlink.linkage.vector2d import Array
 from optlink.report.animation import WIDE, film
 from optlink.report.chart_mpl import FONT, TITLE
 from optlink.report.drawing import Sketch
 from optlink.report.labels import Label, in_points, place_labels
-from optlink.report.shapes import Array
 from optlink.report.style import GROUND, QUIET, WANTED, degrees, figure, heading, styled
 from optlink.report.views.revolutions import FULL, RevolutionCurves, named, rough, round_below
 from optlink.tasks.results.clearance import ClearanceSimulation

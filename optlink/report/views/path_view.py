@@ -10,10 +10,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from optlink.linkage.motion import Motion, sweep
-from optlink.linkage.vector2d import TURN
+from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.path import MARK
 from optlink.report.drawing import Sketch
-from optlink.report.shapes import Array, finite, spread
+from optlink.report.shapes import finite, spread
 from optlink.report.style import LIMIT, WANTED, Scale, degrees, heading, scale
 from optlink.report.views.path_tables import exact, exact_places, measure, words
 from optlink.report.views.revolutions import round_below

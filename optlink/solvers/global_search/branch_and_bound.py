@@ -22,9 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.execution.runner import Runs, in_order
+from optlink.linkage.vector2d import Array
 from optlink.solvers.global_search.lagrangian import CUT, OPEN, BoxRecord
-
-Array = NDArray[np.float64]
 
 BATCH = 256  # boxes that are bounded together
 LONG, WIDE = 10_000, 8  # boxes after which a search takes steps of several batches, for several processes; batches of a step

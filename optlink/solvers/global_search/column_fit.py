@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.taylor_model import TINY, UNIT, pairs
+from optlink.linkage.vector2d import Array
 from optlink.solvers.global_search.quadratic import quadratic_bound
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 FEWEST = 9  # points from which on positions may be left out

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.linkage.vector2d import Array
 from optlink.solvers.global_search.function_rows import (
     LinkageSet,
     Rows,
@@ -24,8 +25,6 @@ from optlink.solvers.global_search.function_rows import (
 )
 from optlink.solvers.global_search.interior_point import least_violation
 from optlink.solvers.global_search.lagrangian import OPEN, BoxRecord
-
-Array = NDArray[np.float64]
 
 PROVEN = 1  # index of the test "objective" of `lagrangian.TESTS`
 PLACES = 7  # positions of the rows of the coupler at first

@@ -8,18 +8,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.execution import interrupts
 from optlink.linkage.fourbar import LENGTHS
-from optlink.linkage.vector2d import TURN
+from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.function import DesignProblem
 from optlink.problem.targets.function import Function
 from optlink.solvers.global_search.branch_and_bound import Boxes, BranchAndBound
 from optlink.solvers.global_search.function_bounds import FunctionBounds, followed
 from optlink.solvers.global_search.function_rows import LinkageSet
 
-Array = NDArray[np.float64]
 Improve = Callable[[dict[str, float], int], float]
 """Receives a design [m, rad] that seems better than the best known one, and its assembly mode (+1 or -1); returns the objective
 of the valid design found from there."""

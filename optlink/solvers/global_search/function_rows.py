@@ -45,9 +45,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.linkage.vector2d import Array
 from optlink.solvers.global_search.quadratic import quadratic_bound
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 STEEPEST = 5.0  # largest |kappa|

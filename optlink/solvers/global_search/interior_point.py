@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from optlink.linkage.vector2d import Array
 
 STEPS = 40  # iterations at most
 ENOUGH = 1e-12  # sum of the duality gap and of the dual infeasibility at which a programme counts as solved

@@ -32,10 +32,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.taylor_model import ROUNDING, TINY, UNIT, UPWARD, TaylorModel, pairs
+from optlink.linkage.vector2d import Array
 from optlink.optimization.box_models import BoxModels
 from optlink.solvers.global_search.quadratic import box_minimum, cut_box, quadratic_bound
-
-Array = NDArray[np.float64]
 
 ROUNDS = 3  # multipliers that are raised for a box, one after the other
 LAWSON = 6  # steps of the weights

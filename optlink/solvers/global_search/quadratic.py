@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.linkage.taylor_model import ROUNDING, TINY, UNIT, UPWARD, pairs
-
-Array = NDArray[np.float64]
+from optlink.linkage.vector2d import Array
 
 DESCENT = 8  # rounds of coordinate descent towards the minimum of a convex quadratic form
 WORTH = 0.15  # share of the width of a box that must be cut off

@@ -29,13 +29,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.taylor_model import TINY, UNIT, UPWARD, TaylorModel, pairs
+from optlink.linkage.vector2d import Array
 from optlink.optimization.constraints import transmission_sides
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import START, PathProblem
 from optlink.solvers.global_search.column_fit import SLACK, ColumnFit, Complex, as_real, changes
 from optlink.solvers.global_search.lagrangian import OPEN, TESTS, BoxRecord
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 WIDE = 0.126  # share of the bounds beyond which a box is halved along its widest unknown

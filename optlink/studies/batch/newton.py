@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.linkage.vector2d import Array
 from optlink.optimization.batch_nlp import BatchNLP, BatchValues
 from optlink.solvers.newton import newton
 from optlink.solvers.solution import ACTIVE, FEASIBLE
 from optlink.studies.continuation import CONVERGED, LONGEST, MAX_STEPS
 
-Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Index = NDArray[np.intp]
 

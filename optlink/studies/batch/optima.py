@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.linkage.vector2d import Array
 from optlink.optimization.batch_nlp import BatchNLP
 from optlink.solvers.multistart import SAME_OBJECTIVE
 from optlink.solvers.solution import Solution
 from optlink.studies.batch.blocks import Blocks
 from optlink.studies.batch.newton import INDEPENDENT, BatchOptima, BatchProblem, batch_newton
 
-Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 

@@ -21,12 +21,12 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from annotated_types import Len
-from numpy.typing import NDArray
 from pydantic import Field
 
 from optlink.errors import InputError, Status
 from optlink.execution.runner import check
 from optlink.execution.store import Progress, Store
+from optlink.linkage.vector2d import Array
 from optlink.optimization.pareto_front import ends, knee, undominated
 from optlink.problem.base_model import Record, Recorded, ResultRecord
 from optlink.problem.file import ProblemFile
@@ -39,8 +39,6 @@ from optlink.studies.reoptimise_task import CHUNK, check_backend
 from optlink.studies.sweep import TemporaryFolder
 from optlink.studies.sweep_task import OptimumTask
 from optlink.version import VERSION
-
-Array = NDArray[np.float64]
 
 POINTS = {1: 15, 2: 7}  # per constrained objective, by their number
 ENDS = "ends.json"  # results of the searches for the ends, kept in the folder

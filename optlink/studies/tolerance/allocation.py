@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from annotated_types import Gt
-from numpy.typing import NDArray
 
 from optlink.errors import InputError, SolverError
+from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import Record
 from optlink.studies.tolerance.monte_carlo import MonteCarlo, MonteCarloRecord, monte_carlo
 
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from optlink.execution.runner import Runs
     from optlink.studies.tolerance.analysis import Tolerance
 
-Array = NDArray[np.float64]
 PROVEN = 1e-6  # largest relative duality gap of a proven cost
 SEARCHED = 1 << 16  # samples of the exact linkage at each k
 STEPS = 40  # of the bisection for k

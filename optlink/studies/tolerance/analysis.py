@@ -13,11 +13,11 @@ from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from optlink.errors import InputError
 from optlink.execution.runner import Runs, check, pool
+from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import Column, Contradiction, Number, Record, Recorded, ResultRecord, absent, check_length
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import nearest
@@ -30,7 +30,6 @@ from optlink.studies.tolerance.options import read_deviations
 from optlink.studies.tolerance.robust_design import YIELD, RobustDesign, RobustRecord, check_law
 from optlink.units import UnitProblem, parse
 
-Array = NDArray[np.float64]
 WORST, MARGIN = "worst", "margin"
 SAMPLES, MAX_SAMPLES = 1 << 17, 100_000_000
 MANY = 4 * CHUNK  # samples from which several processes are started: a process takes as long to start as it moves one chunk

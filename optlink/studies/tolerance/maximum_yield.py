@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.errors import InputError
 from optlink.execution.runner import Runs, in_order
+from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP, build
 from optlink.problem.file import ProblemFile, read
 from optlink.problem.tolerances import NORMAL, Deviation
@@ -33,7 +33,6 @@ from optlink.studies.tolerance.robust_design import RobustDesign, RobustSearch
 from optlink.studies.tolerance.sampling import sample_deviations
 from optlink.tasks.function import validate
 
-Array = NDArray[np.float64]
 SIGMAS = 2.0  # standard deviations of the robust starting design
 STAGES = ((1 << 12, 1.0, 1.0), (1 << 14, 0.1, 0.3))  # samples, and relative to the scatter: smoothing width, first step
 LAST_STEP, MOST_STEPS = 0.01, 300

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from optlink.execution.runner import Runs, in_order
+from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import Column, Contradiction, Number, Record
 from optlink.problem.tolerances import Deviation
 from optlink.studies.tolerance.nominal import Nominal
@@ -22,7 +23,6 @@ from optlink.studies.tolerance.sampling import sample_deviations, wilson
 if TYPE_CHECKING:
     from optlink.studies.tolerance.analysis import Tolerance
 
-Array = NDArray[np.float64]
 PORTION = 12_000  # positions per block, so that intermediate arrays fit in the processor cache
 CHUNK = 1 << 17  # samples that are one piece of work, a multiple of those of a batch
 BINS, ROOM = 400, 1.25  # of the histogram, which extends by that multiple of the worst case about the nominal value

@@ -9,11 +9,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.errors import InputError
 from optlink.linkage.mechanism import Mechanism
-from optlink.linkage.vector2d import Value, cross, dot, unit
+from optlink.linkage.vector2d import Array, Value, cross, dot, unit
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import nearest
 from optlink.problem.tolerances import with_deviating_pivots
@@ -21,7 +20,6 @@ from optlink.studies.motion_sensitivity import output_names, output_sensitivity
 from optlink.tasks.protocol import completed
 from optlink.tasks.run import design_task
 
-Array = NDArray[np.float64]
 ERROR = "error"
 ALONG = 31  # positions along the span of a motion law
 AROUND = 36  # crank angles of a revolution

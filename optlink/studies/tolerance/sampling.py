@@ -6,12 +6,11 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.errors import InputError
+from optlink.linkage.vector2d import Array
 from optlink.problem.tolerances import Deviation
 
-Array = NDArray[np.float64]
 BATCH = 1 << 13  # samples per batch; a power of two keeps Sobol points balanced
 TINY = 2.0**-31  # half of the last bit of scipy's Sobol points: avoids 0, where a normal deviate is infinite
 CONFIDENCE = 0.95

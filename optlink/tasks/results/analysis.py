@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any, Literal, NamedTuple, Self
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from optlink.dynamics.columns import slider_names
@@ -18,11 +16,9 @@ from optlink.dynamics.inverse import acting_on
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.strokes import StrokeLoad, acting_loads, travels_by_use, use_of, working_stroke
 from optlink.linkage.stroke import Ranges, Travel, travels, within_cycle
-from optlink.linkage.vector2d import TURN
+from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.base_model import Columns, Number, Record, Recorded, ResultRecord, absent
 from optlink.problem.file import ProblemFile
-
-Array = NDArray[np.float64]
 
 
 class Extreme(NamedTuple):

@@ -10,17 +10,16 @@ from typing import Annotated, Literal, Self
 
 import numpy as np
 from annotated_types import Gt
-from numpy.typing import NDArray
 from pydantic import Field, PlainSerializer, PlainValidator, WithJsonSchema, model_validator
 
 from optlink.dynamics.counterweights import BalanceMeasure, Counterweight, FreeSpring, quantities, quantities_of
 from optlink.dynamics.inertia import Parameters
 from optlink.dynamics.machine import Machine
+from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import Contradiction, Never, Number, Record, Recorded, ResultRecord, absent
 from optlink.problem.file import ProblemFile
 from optlink.problem.machine.balance import read_measure
 
-Array = NDArray[np.float64]
 AGREES = 1e-8
 """Difference between the programme and the inverse dynamics of the balanced machine, over the largest amount, that is none."""
 

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Status
+from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import Contradiction, Never, Number, Record, Rows, absent
 from optlink.solvers.global_search.lagrangian import TESTS
 from optlink.version import VERSION
-
-Array = NDArray[np.float64]
 
 GLOBAL, WITHIN_GAP, NOT_CLOSED, INFEASIBLE = "global", "within gap", "not closed", "infeasible"
 STRICT = 1e-6  # largest relative gap of a design that is called globally optimal

@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from optlink.clearance.controller import Control
@@ -17,11 +15,9 @@ from optlink.clearance.output import Output
 from optlink.clearance.statistics import Prediction
 from optlink.dynamics.ending import Ending
 from optlink.dynamics.machine import Machine
+from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import Columns, Number, Record, Recorded, ResultRecord
 from optlink.problem.file import ProblemFile
-
-Array = NDArray[np.float64]
-
 
 SETTLED = 5
 """Revolutions at the beginning that the statistics leave out, where there are more than twice as many."""

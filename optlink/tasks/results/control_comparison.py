@@ -8,14 +8,12 @@ from typing import Annotated, Literal, Self
 
 import numpy as np
 from annotated_types import MinLen
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import Column, Columns, Number, Record, Recorded, ResultRecord, check_length
 from optlink.problem.file import ProblemFile
 from optlink.tasks.results.clearance import ClearanceSimulation
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

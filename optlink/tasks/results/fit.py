@@ -25,7 +25,7 @@ from pydantic import Field
 
 from optlink.linkage.fourbar import LENGTHS, grashof
 from optlink.linkage.motion import sweep
-from optlink.linkage.vector2d import TURN
+from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.base_model import Record
 from optlink.problem.function import DesignProblem
 from optlink.problem.mechanism import FourBarSection
@@ -34,8 +34,6 @@ from optlink.problem.quantity import Quantity
 from optlink.solvers.solution import LimitState
 from optlink.units import show
 from optlink.validation.path import MeasuredDeviations
-
-Array = NDArray[np.float64]
 
 EXACT, GOOD, FAIR = 1e-9, 0.01, 0.05  # largest relative errors of these grades; beyond, a fit is poor
 GOOD_ANGLE, FAIR_ANGLE = math.radians(45.0), math.radians(40.0)  # least transmission angles of these grades

@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from optlink.errors import InputError, Status
@@ -19,7 +18,7 @@ from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.extrema import extremes
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.motion import sweep
-from optlink.linkage.vector2d import TURN
+from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.base_model import Number, Record, Recorded, Rows, absent
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design, started
@@ -39,8 +38,6 @@ from optlink.validation.path import MeasuredDeviations, deviations, transmission
 
 DISTINCT = 1e-2  # least relative difference of two distinct designs
 LEVEL = 1e-9  # of the size: root of a sum of squares below which a design passes the points
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
