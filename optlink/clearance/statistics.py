@@ -157,14 +157,16 @@ class Statistics:
         self.poincare_map.append(point)
         self.every["square"] += square
         self.every["rows"] += len(error)
-        if settled:
-            self.settled += 1
-            self.sums["square"] += square
-            self.sums["rows"] += len(error)
-            self.sums["effort"] += float(np.mean(correction * correction))
-            self.sums["torque"] += float(np.mean(torque * torque))
-            self.peak = max(self.peak, float(np.max(np.abs(error))))
-            self.correction = max(self.correction, float(np.max(np.abs(correction))))
+        if settled and not self.settled:  # what was summed until now is that of a run that ends before it settles
+            self.sums = dict.fromkeys(self.sums, 0.0)
+            self.peak = self.correction = 0.0
+        self.settled += settled
+        self.sums["square"] += square
+        self.sums["rows"] += len(error)
+        self.sums["effort"] += float(np.mean(correction * correction))
+        self.sums["torque"] += float(np.mean(torque * torque))
+        self.peak = max(self.peak, float(np.max(np.abs(error))))
+        self.correction = max(self.correction, float(np.max(np.abs(correction))))
 
     def _energy(self, record: ClearanceColumns) -> None:
         assert self.first is not None
@@ -177,7 +179,7 @@ class Statistics:
     def figures(self) -> dict[str, float]:
         """Return the summary statistics by name (SI)."""
         unit = self.closed_loop.output.unit
-        rows, every, turns = max(self.sums["rows"], 1.0), max(self.every["rows"], 1.0), max(self.settled, 1)
+        rows, every, turns = max(self.sums["rows"], 1.0), max(self.every["rows"], 1.0), max(self.settled or self.count, 1)
         gaps = self.closed_loop.equations.gaps
         works = dict(zip(self.closed_loop.equations.losses, self.closed_loop.integration.works, strict=True))
         return {

@@ -33,6 +33,7 @@ from optlink.dynamics.ending import Ending
 from optlink.dynamics.inverse import acting_on
 from optlink.dynamics.loads import Acting
 from optlink.linkage.vector2d import cross, minus
+from optlink.report.views import clearance_tables
 from optlink.tasks.clearance import simulate_clearance
 from optlink.tasks.machine import machine_of
 from optlink.tasks.results.clearance import ClearanceSimulation
@@ -1023,6 +1024,19 @@ def test_interrupted_run_returns_what_was_computed():
     whole = simulate(PERIODIC, 3, 90)
     assert np.array_equal(found["slider.s_m"][:270], whole["slider.s_m"])
     assert found.to_dict()["status"] == "interrupted"
+
+
+def test_run_that_ends_before_it_settles_has_the_statistics_of_all_its_revolutions():
+    def stop(share: float) -> None:
+        if share > 0.15:  # of 12 revolutions, of which the first five are not counted
+            raise KeyboardInterrupt
+
+    found, whole = simulate(PERIODIC, 12, 90, progress=stop), simulate(PERIODIC, 2, 90)
+    assert (found.revolutions, found.figures["settled_revolutions"]) == (2, 0.0)
+    for name in ("rms_m", "mean_square_m2", "peak_m", "torque_rms_Nm"):
+        assert found.figures[name] == whole.figures[name] > 0.0, name
+    deviation = clearance_tables.simulation(found).parts[0]
+    assert deviation.title == "Deviation of slider from the machine without clearance, revolutions 1 ... 2"
 
 
 @pytest.mark.slow

@@ -42,14 +42,15 @@ def _status(outcome: ClearanceSimulation) -> Iterator[Line]:
 def _error(outcome: ClearanceSimulation) -> TableSpec:
     found, unit = outcome.figures, outcome.output.unit
     factor, displayed = DISPLAYED[unit]
-    first, last = outcome.revolutions - int(found["settled_revolutions"]) + 1, outcome.revolutions
+    last, counted = outcome.revolutions, int(found["settled_revolutions"]) or outcome.revolutions
+    first = last - counted + 1
     span = f"revolutions {first} ... {last}" if last > first else f"revolution {last}"
     rows = [
         ("root mean square", fixed(found[f"rms_{unit}"] * factor, 6), displayed),
         ("mean square", number(found[f"mean_square_{unit}2"] * factor * factor), f"{displayed}^2"),
         ("largest", fixed(found[f"peak_{unit}"] * factor, 6), displayed),
     ]
-    rms = outcome.per_revolution[f"rms_{unit}"][-int(found["settled_revolutions"]) :]
+    rms = outcome.per_revolution[f"rms_{unit}"][-counted:]
     if len(rms) > 1:
         rows.append(("scatter between revolutions", f"{float(np.std(rms)) * factor:.2g}", displayed))
     return table(f"Deviation of {outcome.output.name} from the machine without clearance, {span}", "<><", rows)

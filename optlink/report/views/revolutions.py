@@ -107,8 +107,7 @@ class RevolutionCurves:
     @property
     def rms(self) -> float:
         """RMS deviation [m, rad] over the revolutions after the running-in, or over all if too few were simulated."""
-        settled, unit = self.result.figures["settled_revolutions"], self.result.output.unit
-        return self.result.figures[f"rms_{unit}" if settled else f"rms_from_start_{unit}"]
+        return self.result.figures[f"rms_{self.result.output.unit}"]
 
     @property
     def advance(self) -> float:
