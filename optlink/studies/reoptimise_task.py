@@ -69,7 +69,10 @@ def chunk_of(grid: Grid) -> int:
 
 @dataclass(frozen=True)
 class ReoptimiseTask(OptimumTask):
-    """Optimum at every point."""
+    """Optimum at every point; `starts`: starting points of each search; `most`: points of a block, at most."""
+
+    starts: int = 1
+    most: int | None = None
 
     @cached_property
     def programme(self) -> ParametricProgramme | None:
@@ -93,7 +96,7 @@ class ReoptimiseTask(OptimumTask):
         """Search for the optima of the common programme."""
         assert self.programme is not None
         nlp = BatchNLP(self.programme.nlp, self.template.spec.law)
-        return GridSearch(nlp, Blocks(self.grid), self._problem, self._search)
+        return GridSearch(nlp, Blocks(self.grid, self.most), self._problem, self._search)
 
     def lines(self, index: int) -> list[list[str]]:
         """Return the rows of a chunk."""
@@ -121,10 +124,11 @@ class ReoptimiseTask(OptimumTask):
         return BatchProblem(*(np.concatenate([vars(one)[name] for one in each]) for name in ("p", "lower", "upper")))
 
     def _search(self, point: int) -> Solution:
-        """Return the result of a search at a point, which begins at the starting point of the problem."""
+        """Return the best result of the searches at a point, the first of which begins at the starting point of the problem."""
         assert self.programme is not None
         self.programme.bind(self.model(point))
-        return self.programme.solve(None, self.backend)[0]
+        nlp = self.programme.nlp
+        return multistart.best([multistart.solve_from(nlp, x, self.backend) for x in multistart.starts(nlp, self.starts, 0)])
 
     def _followed(self, points: Index) -> dict[int, list[str]]:
         """Return the rows of the points at which Newton's method from a neighbouring optimum ends at a proven optimum."""

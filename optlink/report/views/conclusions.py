@@ -298,8 +298,8 @@ def pareto(found: Pareto) -> str:
     """Return the conclusion of a Pareto front: what is traded for what, and the knee."""
     if not found.points:
         return "No design of the front could be proven: relax the limits or widen the ranges of the objectives."
-    if len(found.points) == 1:
-        return "There is no trade-off: one design is best in every objective."
+    if found.single_point:
+        return f"{found.single_point}."
     spans = []
     for k, aim in enumerate(found.objectives):
         values = [point.values[k] for point in found.points]

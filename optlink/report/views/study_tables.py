@@ -266,8 +266,8 @@ def _status(result: Pareto) -> Iterator[Line]:
     empty = f"; {result.infeasible} hold no design" if result.infeasible else ""
     beaten = f"{result.solved} solved; {result.dominated} {'is' if result.dominated == 1 else 'are'} beaten by others{empty}"
     yield beaten, bad(f"; {missed} could not be proven and are left out" if missed else "")
-    if len(result.points) == 1:
-        yield "No trade-off: one design is best in every objective"
+    if result.single_point:
+        yield result.single_point
     elif result.points and result.knee is None:
         yield "No knee: the front is straight or bulges the other way"
 

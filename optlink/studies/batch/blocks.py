@@ -19,16 +19,19 @@ FEWEST = 3
 
 
 class Blocks:
-    """Blocks of at most `MOST` points, fewer in small grids, about as long along every axis; they depend on the grid alone.
+    """Blocks of few points, fewer in small grids, about as long along every axis; they depend on the grid alone.
 
     Parameters
     ----------
     grid : Grid
+    most : int, optional
+        Points of a block, at most. Default: `MOST`.
     """
 
-    def __init__(self, grid: Grid) -> None:
+    def __init__(self, grid: Grid, most: int | None = None) -> None:
         self.shape = tuple(len(axis.values) for axis in grid.axes)
-        edges, left = dict.fromkeys(range(len(self.shape)), 1), max(1, min(MOST, math.prod(self.shape) // FEWEST))
+        left = max(1, min(MOST if most is None else most, math.prod(self.shape) // FEWEST))
+        edges = dict.fromkeys(range(len(self.shape)), 1)
         for done, axis in enumerate(sorted(edges, key=lambda k: self.shape[k])):
             edge = math.floor(left ** (1.0 / (len(edges) - done)) + 1e-9)
             edges[axis] = max(1, min(self.shape[axis], edge))

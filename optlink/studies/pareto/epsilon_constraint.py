@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -35,14 +35,19 @@ from optlink.studies.grid import AxisRecord, Grid
 from optlink.studies.pareto.epsilon_ranges import RANGES, EpsilonRanges, NoExtreme
 from optlink.studies.pareto.objective import OPTION, ParetoObjective
 from optlink.studies.pareto.objectives import read_objectives
-from optlink.studies.reoptimise_task import CHUNK, check_backend
+from optlink.studies.reoptimise_task import CHUNK, ReoptimiseTask, check_backend
 from optlink.studies.sweep import TemporaryFolder
 from optlink.studies.sweep_task import OptimumTask
 from optlink.version import VERSION
 
 POINTS = {1: 15, 2: 7}  # per constrained objective, by their number
 ENDS = "ends.json"  # results of the searches for the ends, kept in the folder
+BEYOND = 1e-3  # share of an objective by which a design is better than the tightest limit of a range that does not restrict it
 MOST = 100_000  # largest number of points of a grid
+STARTS, SEARCHES = (
+    8,
+    100,
+)  # of a law: starting points of a search, and about the number of searches: one at each point of most fronts
 
 
 @dataclass(frozen=True)
@@ -187,6 +192,24 @@ class Pareto(Recorded):
         return "complete" if self.complete else "not valid everywhere"
 
     @property
+    def single_point(self) -> str:
+        """Why the front has one point, in words; empty for other fronts."""
+        if len(self.points) != 1:
+            return ""
+        if self.valid < self.solved:
+            return "Only one point has a verified design, so the front shows no trade-off"
+        held = [
+            (aim, value)
+            for k, (aim, value) in enumerate(zip(self.objectives, self.points[0].values, strict=True))
+            if k != self.minimised
+        ]
+        for (aim, value), axis in zip(held, self.grid.axes, strict=True):
+            if aim.sense * (axis.values[-1] - value) > BEYOND * abs(value):
+                best = self.objectives[self.minimised].best
+                return f"No trade-off in this range: the {best} has {aim.name} {value:.6g} {aim.unit}; give a range beyond it"
+        return "No trade-off: one design is best in every objective"
+
+    @property
     def costs(self) -> Array:
         """Objectives of the points (n, k), with the sign for minimisation."""
         return np.array([point.values for point in self.points]) * [aim.sense for aim in self.objectives]
@@ -267,6 +290,8 @@ def pareto(
             raise
         once.progress = None
         task = optimum_task(base, grid, backend, CHUNK, anchors)
+        if isinstance(task, ReoptimiseTask):
+            task = replace(task, starts=STARTS, most=max(1, grid.count // SEARCHES))
         store.divide(task.size, task.chunks)
         mine, cpu = store.fill(
             task,
