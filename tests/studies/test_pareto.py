@@ -234,6 +234,13 @@ def test_points_of_a_law_are_no_poor_local_optima():
         assert error <= best_on_a_grid(rocker) * (1.0 + 1e-9)
 
 
+def test_the_reference_is_the_optimum_of_solve():
+    """With this limit a search from the start in the file ends at a coupler of 492 mm, with 1.6 times the error."""
+    problem = optlink.load("crank-rocker").override({"limits.time_ratio.min": 1.05})
+    front = pareto(problem, "error, coupler=350..410 mm", points=2, workers=1)
+    assert front.reference == pytest.approx((0.00759237, 412.865), rel=1e-5)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("limit", "sense", "end"),

@@ -29,8 +29,9 @@ from optlink.studies.pareto.law_objectives import (
 from optlink.studies.pareto.objective import OPTION, ParetoObjective, range_values
 from optlink.studies.toml_keys import Raw, exact_text
 from optlink.tasks.cycle import solve as solve_cycle
-from optlink.tasks.function import solve
+from optlink.tasks.function import FunctionResult
 from optlink.tasks.protocol import completed
+from optlink.tasks.run import solve
 
 Once = Callable[[str, Callable[[], Mapping[str, Any]]], Mapping[str, Any]]
 """(name, search) -> what the search finds, fit for JSON, done now or before"""
@@ -209,7 +210,7 @@ class _LawRanges(EpsilonRanges):
             return words, None
 
         def searched() -> dict[str, Any]:
-            result = completed(solve(self.problem, self.backend))
+            result = self._optimum(self.problem)
             return {"design": dict(result.design), "error": result.objective} if result.valid else {}
 
         best = once(words, searched)
@@ -217,6 +218,12 @@ class _LawRanges(EpsilonRanges):
             return words, None
         task = base.override({aim.key: tightest_bound(base, aim) for aim in limited}).spec
         return words, tuple(law_figure(task, aim, best["design"]) if aim.key else best["error"] for aim in self.objectives)
+
+    def _optimum(self, problem: ProblemFile) -> FunctionResult:
+        """Return the optimum that `optlink.solve` finds, certified if there are few design variables."""
+        found = completed(solve(problem, self.backend))
+        assert isinstance(found, FunctionResult)
+        return found
 
     def _with(self, number: int, value: Raw) -> ProblemFile:
         return self.bare.override({self.objectives[number].key: value})
@@ -229,7 +236,7 @@ class _LawRanges(EpsilonRanges):
         free = self.bare.override({aims[k].key: axis.raw(0) for k, axis in fixed.items()})  # with the loosest limits only
 
         def optimum(task: ProblemFile, blamed: ParetoObjective | None = None) -> dict[str, Any]:
-            found = completed(solve(task, self.backend))
+            found = self._optimum(task)
             if blamed is not None and not found.valid:
                 raise self._no_end(blamed, found.status.text)
             return {"design": dict(found.design) if found.valid else None}
@@ -255,7 +262,7 @@ class _LawRanges(EpsilonRanges):
     def _tight(self, free: ProblemFile, aim: ParetoObjective) -> dict[str, float]:
         """Return the tightest feasible value of a limit: the least relaxation of an infeasible one."""
         tight = free.override({aim.key: tightest_bound(free, aim)})
-        found = completed(solve(tight, self.backend))
+        found = self._optimum(tight)
         if found.solution is not None and found.solution.usable:  # feasible at the tightest bound that can be stated
             return {"limit": law_figure(tight.spec, aim, found.design)}
         sense, conflict = "<=" if aim.sense > 0 else ">=", found.conflict

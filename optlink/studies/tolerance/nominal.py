@@ -18,7 +18,7 @@ from optlink.problem.quantity import nearest
 from optlink.problem.tolerances import with_deviating_pivots
 from optlink.studies.motion_sensitivity import output_names, output_sensitivity
 from optlink.tasks.protocol import completed
-from optlink.tasks.run import design_task
+from optlink.tasks.run import design_task, solve
 
 ERROR = "error"
 ALONG = 31  # positions along the span of a motion law
@@ -149,7 +149,7 @@ def _design(problem: ProblemFile, given: Mapping[str, float] | None) -> tuple[Pr
             none = problem.task in ("analysis", "balance")
             message = "the problem has design variables " + ("but no requirement" if none else "that are not searched here")
             raise InputError(message, "Add --design", problem.file, "mechanism")
-        result = completed(design_task(problem).solve(problem))
+        result: Any = completed(solve(problem))
     elif problem.task == "path":
         result = design_task(problem).validate(problem, given or {})
     else:

@@ -20,6 +20,7 @@ from optlink.studies.tolerance.monte_carlo import MonteCarloRecord
 from optlink.studies.tolerance.options import read_tolerances
 from optlink.tasks.function import FunctionResult, solve, validate
 from optlink.tasks.protocol import completed
+from optlink.tasks.run import solve as solve_nominal
 
 YIELD = "yield"
 STEPS, CLOSE = 12, 1e-5  # of the search for the largest number of standard deviations, and its relative accuracy
@@ -169,7 +170,8 @@ class RobustSearch:
     def __init__(self, problem: ProblemFile, tolerances: Sequence[str], shape: str) -> None:
         check_law(problem)
         entries = {name: each.raw for name, each in read_tolerances(problem, tolerances, shape).items()}
-        first = completed(solve(problem.override({"requirement.robust": None})))
+        first = completed(solve_nominal(problem.override({"requirement.robust": None})))
+        assert isinstance(first, FunctionResult)
         if not first.valid:
             raise InputError("no design was proven, so there is none to begin with", "See `optlink solve`", problem.file)
         self.nominal = first.design
