@@ -295,8 +295,8 @@ class _Journey:
 
     def travel(self, progress: Callable[[float], None] | None, interrupted: Callable[[], None] | None) -> None:
         """Integrate until the end of the duration, or until the machine stops."""
-        if self.state[1] == 0.0 and self.plant.drive is not None and not _set_off(self.plant, float(self.state[0])):
-            self.ending = Ending.AT_REST
+        if self.state[1] == 0.0 and self.plant.drive is not None:
+            self.ending = _set_off(self.plant, float(self.state[0]))
         if any(abs(at - float(self.state[0])) <= 2.0 * STOP for _, at in self.stops()):
             self.ending = Ending.SINGULAR
         try:
@@ -349,8 +349,7 @@ class _Journey:
             self.ending = Ending.SINGULAR
         elif event == "rest":
             self.state[1] = 0.0
-            if not _set_off(self.plant, float(self.state[0])):
-                self.ending = Ending.AT_REST
+            self.ending = _set_off(self.plant, float(self.state[0]))
 
     def keep(self) -> None:
         """Interpolate the rows that the recent steps have reached."""
@@ -378,17 +377,19 @@ class _Journey:
         return replace(found, last_turn=self.last_turn.speed)
 
 
-def _set_off(plant: _Plant, angle: float) -> bool:
-    """Set the sense in which a resting machine starts to turn; return whether it starts."""
-    torque = float(np.asarray(plant.torque(angle, 0.0)).ravel()[0])
+def _set_off(plant: _Plant, angle: float) -> Ending:
+    """Set the sense in which a resting machine starts to turn; return why it ends there, `FINISHED` if it starts."""
+    torque, found = float(np.asarray(plant.torque(angle, 0.0)).ravel()[0]), Ending.AT_REST
     for direction in (plant.direction, -plant.direction):
         geared = plant.geared(angle)
         needed, _ = required_torque(geared.scaled(0.0, 0.0, direction), geared)
         least = float(np.asarray(needed).ravel()[0])
         if direction * (torque - least) > STEADY * (abs(torque) + abs(least)):
             plant.direction = direction
-            return True
-    return False
+            return Ending.FINISHED
+        if not math.isfinite(torque - least) and not _jammed(plant, np.array([angle, 0.0])):
+            found = Ending.STALLED
+    return found
 
 
 def _jammed(plant: _Plant, state: Array) -> bool:

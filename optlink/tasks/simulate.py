@@ -126,7 +126,7 @@ def simulate(
     rows : int
         Number of evenly spaced time steps of the table, which has one row more. The integrator chooses its own steps.
     speed : float [rad/s], optional
-        Initial crank speed; without a torque, the constant speed. Default: that of the problem.
+        Initial crank speed; without a torque, the constant speed. Default: that of the problem; under a torque at rest.
     design : mapping of str to float [SI], optional
         Values of design variables. Default: their starting values.
     progress : function of the completed fraction, optional

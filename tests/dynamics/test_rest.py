@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import optlink
+from optlink.dynamics.ending import Ending
 from optlink.errors import InputError
 from optlink.problem.file import ProblemFile, read
 
@@ -52,3 +53,12 @@ def test_what_needs_a_constant_speed_says_so():
         optlink.simulate(machine(drive__duration=None))
     with pytest.raises(InputError, match=r"drive\.speed.*speed is zero"):
         machine(drive__torque=None)
+
+
+@pytest.mark.parametrize("key", ["loads.work", "drive.torque"])
+def test_a_force_without_a_value_at_the_start_is_no_rest(key):
+    """log(0): neither sense of rotation can be judged, so that the machine stays at rest is not known."""
+    formula = {"expression": "log(omega)", "unit": "N*m"}
+    value = {"on": "crank", "torque": formula} if key == "loads.work" else formula
+    found = optlink.simulate(machine().override({key: value}))
+    assert (found.run.ending, found.finished) == (Ending.STALLED, False)

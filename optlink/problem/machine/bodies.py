@@ -132,7 +132,7 @@ class DriveSection(Section):
     servo: ServoSection | None = None
     """For `optlink simulate` with clearance: the crank follows a reference signal; not together with `torque`."""
     initial_speed: Speed | None = None
-    """Initial crank speed for `optlink simulate` under a torque; default: `speed`."""
+    """Initial crank speed for `optlink simulate` under a torque; default: at rest."""
     duration: Duration | None = None
     """Duration of `optlink simulate`."""
     fluctuation: Annotated[Number, _SMALL] | None = None
