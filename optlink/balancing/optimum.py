@@ -375,8 +375,8 @@ def _end(programme: BalancingProgramme, first: BalanceMeasure, second: BalanceMe
     if best.certificate.status != "optimal":
         return best
     cp = programme.cp
-    held = programme.expression(first) <= best.value + END
-    then = solved(cp, cp.Problem(cp.Minimize(programme.expression(second)), [*programme.constraints(), held]))
+    bound = programme.expression(first) <= best.value + END
+    then = solved(cp, cp.Problem(cp.Minimize(programme.expression(second)), [*programme.constraints(), bound]))
     if then.status != "optimal":
         return best
     x = _Lightest(programme, [first, second]).like(np.array(programme.x.value, dtype=float))

@@ -42,15 +42,15 @@ class Output:
         state = moving.state(self.name)
         return angle(state.axis), state.omega
 
-    def difference(self, value: Value, wanted: Value) -> Value:
+    def difference(self, value: Value, ideal: Value) -> Value:
         """Return the deviation from a target [m, rad]; that of an angle is wrapped to (-pi, pi].
 
         Parameters
         ----------
-        value, wanted : Value [m, rad]
+        value, ideal : Value [m, rad]
             Output and target.
         """
-        return value - wanted if self.guide else np.remainder(value - wanted + np.pi, 2.0 * np.pi) - np.pi
+        return value - ideal if self.guide else np.remainder(value - ideal + np.pi, 2.0 * np.pi) - np.pi
 
 
 def outputs(machine: Machine) -> dict[str, Output]:

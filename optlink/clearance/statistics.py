@@ -75,11 +75,11 @@ class Statistics:
     def _rows(self, turn: Revolution, record: ClearanceColumns) -> dict[str, Array]:
         """The columns, with the ideal output, the error and the correction."""
         output, columns = self.closed_loop.output, record.columns
-        wanted = self._wanted(record)
-        error = output.difference(np.asarray(output.of(record.motion)), wanted)
+        ideal = self._wanted(record)
+        error = output.difference(np.asarray(output.of(record.motion)), ideal)
         unit, own = output.unit, output.name
         rows = {name: column.values for name, column in columns.items()}
-        rows[f"{own}.ideal_{unit}"], rows[f"{own}.error_{unit}"] = wanted, error
+        rows[f"{own}.ideal_{unit}"], rows[f"{own}.error_{unit}"] = ideal, error
         self.meanings = {name: column.meaning for name, column in columns.items()}
         self.meanings[f"{own}.ideal_{unit}"] = f"what {own} does in the machine without clearance"
         self.meanings[f"{own}.error_{unit}"] = f"deviation of {own} from that"

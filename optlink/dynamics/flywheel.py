@@ -85,15 +85,15 @@ class Fluctuation:
             found: Array = np.sqrt(np.maximum(2.0 * (energy + gain) / total, 0.0))
             return found
 
-        wanted = abs(self.mean_speed)
-        if np.mean(speed(0.0)) > wanted:
+        target = abs(self.mean_speed)
+        if np.mean(speed(0.0)) > target:
             return SpeedCurve(self.angles, np.full(self.angles.shape, np.nan))
-        low, high = 0.0, 2.0 * float(np.max(total)) * wanted**2
-        while np.mean(speed(high)) < wanted:
+        low, high = 0.0, 2.0 * float(np.max(total)) * target**2
+        while np.mean(speed(high)) < target:
             high *= 4.0
         for _ in range(200):
             middle = 0.5 * (low + high)
-            low, high = (middle, high) if np.mean(speed(middle)) < wanted else (low, middle)
+            low, high = (middle, high) if np.mean(speed(middle)) < target else (low, middle)
         return SpeedCurve(self.angles, np.copysign(speed(high), self.mean_speed))
 
 

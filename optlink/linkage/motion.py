@@ -167,9 +167,9 @@ def positions(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: Arr
     angles = np.atleast_1d(np.asarray(crank_angle, dtype=float))
     arrays = {name: np.asarray(size, dtype=float) for name, size in sizes.items()}
     designs = max([1, *(len(size) for size in arrays.values() if size.ndim == 2)])
-    wanted = tuple(names) or (mechanism.crank.end, *(group.joint for group in mechanism.groups))
+    chosen = tuple(names) or (mechanism.crank.end, *(group.joint for group in mechanism.groups))
     crank = unit(angles)
-    points = np.empty((len(wanted), 2, designs, angles.size))
+    points = np.empty((len(chosen), 2, designs, angles.size))
     margins = np.empty((len(mechanism.groups), designs, angles.size))
     step = max(1, BATCH // angles.size)
     for first in range(0, designs, step):
@@ -177,11 +177,11 @@ def positions(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: Arr
         portion = {name: size[part] if size.ndim == 2 and len(size) > 1 else size for name, size in arrays.items()}
         with np.errstate(all="ignore"):
             pose = mechanism.pose(portion, crank, angles)
-        for i, name in enumerate(wanted):
+        for i, name in enumerate(chosen):
             points[i, 0, part], points[i, 1, part] = pose.points[name]
         for i, group in enumerate(mechanism.groups):
             margins[i, part] = pose.margins[group.joint]
-    return Positions(wanted, points, margins)
+    return Positions(chosen, points, margins)
 
 
 def sweep(

@@ -206,9 +206,9 @@ def _timed(problem: PathProblem, values: dict[str, Any], count: int) -> Evaluate
         rows += [own if own.over_span else row for row, own in zip(whole, over_span, strict=True)]
     if np.any(np.isfinite(data.tolerances)):
         distance = (residuals[..., :2] * residuals[..., :2]).sum()
-        held = np.isfinite(data.tolerances)
-        most = np.where(held, data.tolerances, 0.0) * data.roots
-        slack = (TaylorModel.constant(most * most, count) - distance)[:, held]
+        limited = np.isfinite(data.tolerances)
+        most = np.where(limited, data.tolerances, 0.0) * data.roots
+        slack = (TaylorModel.constant(most * most, count) - distance)[:, limited]
         rows.append(ConstraintRow("requirement.points", "tolerance", slack, 0.0, np.inf, None))  # type: ignore[arg-type]
     return residuals, rows
 

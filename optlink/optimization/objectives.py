@@ -75,5 +75,5 @@ def output_error(
         `Law.tabulated` at that offset.
     """
     pose = problem.linkage.pose(values, turn(start.crank, unit(offset)))
-    wanted = problem.law.target(offset, tabulated, start.phi0, start.psi0)
-    return angle_from(pose.direction("rocker"), unit(wanted))
+    target = problem.law.target(offset, tabulated, start.phi0, start.psi0)
+    return angle_from(pose.direction("rocker"), unit(target))

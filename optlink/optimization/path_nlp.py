@@ -310,8 +310,8 @@ def _traced(problem: PathProblem, values: dict[str, Any]) -> tuple[Any, tuple[An
     inputs = casadi.SX.sym("inputs", len(names) + 1 + width)
     own = {name: inputs[i] for i, name in enumerate(names)}
     pose = problem.linkage.pose(own, unit(inputs[len(names)]))
-    wanted = tuple(inputs[len(names) + 1 + k] for k in range(width))
-    residual = casadi.Function("residual", [inputs], [casadi.vertcat(*problem.deviation(pose, own, wanted))])
+    target = tuple(inputs[len(names) + 1 + k] for k in range(width))
+    residual = casadi.Function("residual", [inputs], [casadi.vertcat(*problem.deviation(pose, own, target))])
     rows = position_rows(problem, pose)
     cut = inputs[: len(names) + 1]
     limits = casadi.Function("limits", [cut], [casadi.vertcat(*[row.value for row in rows])])

@@ -291,7 +291,7 @@ class PathProblem(Problem):
     @cached_property
     def data(self) -> TargetArrays:
         """The targets as arrays."""
-        wanted, task = self.target_points, self.requirement
+        target, task = self.target_points, self.requirement
         if task.kind == "function":
             law = self.law
             return _plain(np.column_stack([law.offsets, law.tabulated]), law.offsets)
@@ -299,14 +299,14 @@ class PathProblem(Problem):
             exact = isinstance(self.mechanism, FourBarSection)
             offsets = np.array([0.0, math.pi]) if exact else np.linspace(0.0, TURN, GRID, endpoint=False)
             return _plain(np.zeros((len(offsets), 1)), offsets)
-        columns = np.array(wanted.points, dtype=float)
+        columns = np.array(target.points, dtype=float)
         if task.kind == "motion":
-            assert wanted.angles is not None
-            columns = np.column_stack([columns, *unit(np.array(wanted.angles))])
+            assert target.angles is not None
+            columns = np.column_stack([columns, *unit(np.array(target.angles))])
         count = len(columns)
-        roots = np.ones(count) if wanted.weights is None else np.sqrt(np.array(wanted.weights))
-        tolerances = np.full(count, np.inf) if wanted.tolerances is None else np.array(wanted.tolerances)
-        prescribed = None if self.timing == "free" or wanted.crank is None else np.array(wanted.crank)
+        roots = np.ones(count) if target.weights is None else np.sqrt(np.array(target.weights))
+        tolerances = np.full(count, np.inf) if target.tolerances is None else np.array(target.tolerances)
+        prescribed = None if self.timing == "free" or target.crank is None else np.array(target.crank)
         return TargetArrays(columns, roots, prescribed, tolerances)
 
     @property
@@ -348,7 +348,7 @@ class PathProblem(Problem):
         owners = [body for body in self.linkage.owners.get(self.requirement.point, ()) if body != FRAME]
         return owners[-1] if owners else ""
 
-    def deviation(self, pose: Pose, values: Mapping[str, Value], wanted: tuple[Value, ...]) -> list[Value]:
+    def deviation(self, pose: Pose, values: Mapping[str, Value], target: tuple[Value, ...]) -> list[Value]:
         """Return actual minus prescribed output at one position, elementwise.
 
         For a path, x and y [m]; for a pose also the angle times `radian`; for a function the slide [m] or angle [rad]; for
@@ -360,7 +360,7 @@ class PathProblem(Problem):
             The mechanism at the position.
         values : mapping of str to float, array or symbol [m, rad]
             Value of every quantity.
-        wanted : tuple
+        target : tuple
             A row of `Data.columns`.
         """
         kind = self.requirement.kind
@@ -369,13 +369,13 @@ class PathProblem(Problem):
         if kind == "function":
             if self.slides:
                 guide = next(guide for guide in self.linkage.guides if guide.name == self.requirement.output)
-                return [pose.slide(guide) - self.prescribed(values, *wanted)]
-            return [angle_from(unit(self.prescribed(values, *wanted)), pose.direction(str(self.requirement.output)))]
+                return [pose.slide(guide) - self.prescribed(values, *target)]
+            return [angle_from(unit(self.prescribed(values, *target)), pose.direction(str(self.requirement.output)))]
         x, y = pose.point(self.requirement.point)
-        found = [x - wanted[0], y - wanted[1]]
+        found = [x - target[0], y - target[1]]
         if kind == "motion":
             turned = turn(pose.direction(self.body), unit(values[MARK]))
-            found.append(self.radian * angle_from((wanted[2], wanted[3]), turned))
+            found.append(self.radian * angle_from((target[2], target[3]), turned))
         return found
 
     @property

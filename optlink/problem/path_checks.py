@@ -119,21 +119,21 @@ def _check_values(problem: PathProblem) -> None:
 
 
 def _check_points(problem: PathProblem, mechanism: Mechanism) -> None:
-    task, wanted = problem.requirement, problem.target_points
+    task, points = problem.requirement, problem.target_points
     named = [name for name, bodies in mechanism.owners.items() if FRAME not in bodies]
     if task.point not in named:
         remedy = nearest(task.point, named)
         if isinstance(problem.mechanism, FourBarSection) and not problem.mechanism.points:
             remedy = f'Give the coupler a point: mechanism.points = {{ {task.point} = ["60 mm", "20 mm"] }}. {remedy}'
         raise Unusable("no moving body has such a point", remedy, "requirement.point", task.point)
-    count = len(wanted.points)
-    if task.kind == "motion" and wanted.angles is None:
+    count = len(points.points)
+    if task.kind == "motion" and points.angles is None:
         raise Unusable(
             "a pose is a point and an angle, and the angles are missing",
             'Write points = [{ x = "20 mm", y = "5 mm", angle = "30 deg" }, ...]',
             "requirement.points",
         )
-    if task.kind == "path" and wanted.angles is not None:
+    if task.kind == "path" and points.angles is not None:
         raise Unusable("a path has no angles", 'Leave them out, or write kind = "motion"', "requirement.points")
     if not count:
         example = 'points = [["20 mm", "5 mm"], ["25 mm", "8 mm"]], { csv = "curve.csv" } or { svg = "drawing.svg" }'
@@ -146,7 +146,7 @@ def _check_points(problem: PathProblem, mechanism: Mechanism) -> None:
             "requirement.points",
             f"{count} point{'s' * (count > 1)}",
         )
-    if task.timing in ("given", "from start") and wanted.crank is None:
+    if task.timing in ("given", "from start") and points.crank is None:
         raise Unusable(
             "the timing is prescribed, but the points have no crank angles",
             'Write points = [{ x = "20 mm", y = "5 mm", crank = "30 deg" }, ...], or timing = "free"',

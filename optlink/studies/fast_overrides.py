@@ -70,13 +70,13 @@ def _place(template: DesignProblem, axis: Axis) -> tuple[str, str, Setter, float
     if section not in ("mechanism", "limits", "requirement") or len(rest) != 1:
         return None
     name = _FIELDS.get(rest[0], rest[0])
-    held = getattr(getattr(template, section), name, None)
-    if isinstance(held, Quantity) and held.free == bool(side):
+    known = getattr(getattr(template, section), name, None)
+    if isinstance(known, Quantity) and known.free == bool(side):
         setter = _bound(side) if side else (lambda q, v: replace(q, value=v))
-        return section, name, setter, factor(axis.unit, held.kind)
-    if isinstance(held, Interval):
+        return section, name, setter, factor(axis.unit, known.kind)
+    if isinstance(known, Interval):
         side = "max" if name == "pressure_angle" else side
-        return section, name, _limit(side), factor(axis.unit, held.kind) if held.kind else 1.0
+        return section, name, _limit(side), factor(axis.unit, known.kind) if known.kind else 1.0
     return None
 
 

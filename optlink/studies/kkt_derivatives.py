@@ -199,11 +199,11 @@ class KKTSystem:
         """
         rates = self.jacobian[:, self.unknown] @ answer.moved + push.entries
         least, most = (-math.inf, "nothing"), (math.inf, "nothing")
-        held = set(self.active.tolist())
+        rows = set(self.active.tolist())
         for entry in range(len(rates)):
             events = []
             leaves, arrives = PEAK_EVENTS if self._is_peak(entry) else LIMIT_EVENTS
-            if entry in held:
+            if entry in rows:
                 change = answer.multipliers[entry]
                 if not self.equal[entry] and abs(change) > STILL * abs(self.multipliers[entry]):
                     events.append((-self.multipliers[entry] / change, leaves))

@@ -270,8 +270,8 @@ def _separately(task: ProblemFile, backend: str) -> FoundOptimum:
     assert not isinstance(result, Balance)
     failed = tuple(check.name for check in result.validation.checks if not check.passed)
     failed = tuple(item.name for item in result.conflict) or failed
-    held = () if result.solution is None else active(result.solution)
-    return FoundOptimum(result.design, result.objective, result.status, result.valid, failed, held, SEARCHED)
+    limits = () if result.solution is None else active(result.solution)
+    return FoundOptimum(result.design, result.objective, result.status, result.valid, failed, limits, SEARCHED)
 
 
 def conflicting(solution: Solution) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -195,16 +195,16 @@ class _Handles:
     # --- requirement --------------------------------------------------------------------------------------------------------
 
     def _targets(self) -> Iterator[Handle]:
-        wanted = getattr(self.problem.model, "target_points", None)
+        targets = getattr(self.problem.model, "target_points", None)
         rows = (self.problem.raw.get("requirement") or {}).get("points")
-        if wanted is None or not isinstance(rows, list) or len(rows) != len(wanted.points):
+        if targets is None or not isinstance(rows, list) or len(rows) != len(targets.points):
             return
-        size = 1e3 * max(wanted.size, 1e-6)
-        for k, (x, y) in enumerate(wanted.points):
+        size = 1e3 * max(targets.size, 1e-6)
+        for k, (x, y) in enumerate(targets.points):
             at, ident = [1e3 * x, 1e3 * y], f"{POINTS}.{k}"
             yield Handle(ident, f"point {k + 1}", "point", "mm", ("x", "y"), None, {"at": at}, k)
-            if wanted.angles is not None and isinstance(rows[k], Mapping):
-                value = math.degrees(wanted.angles[k])
+            if targets.angles is not None and isinstance(rows[k], Mapping):
+                value = math.degrees(targets.angles[k])
                 drawn = {"centre": at, "radius": 0.25 * size, "from": 0.0, "lower": -360.0, "upper": 360.0}
                 yield Handle(f"{ident}.angle", f"angle of pose {k + 1}", "angle", "deg", ("angle",), value, drawn, k)
 

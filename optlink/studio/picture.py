@@ -38,10 +38,10 @@ class Picture:
         count = STEPS * max(1, round(self.mechanism.cycle / TURN))
         angles = start + way * np.linspace(0.0, self.mechanism.cycle, count + 1)
         motion = sweep(self.mechanism, machine.sizes, angles)
-        held = self._assembled(motion)
-        self.closed = bool(np.all(held))
+        assembled = self._assembled(motion)
+        self.closed = bool(np.all(assembled))
         if not self.closed:
-            motion = sweep(self.mechanism, machine.sizes, self._reachable(angles, held))
+            motion = sweep(self.mechanism, machine.sizes, self._reachable(angles, assembled))
         self.motion: Motion = motion
         self.angles: Array = np.asarray(motion.crank_angle, dtype=float)
         self.sketch = Sketch(motion, machine)
@@ -53,10 +53,10 @@ class Picture:
         found: NDArray[np.bool_] = motion.assembled & np.isfinite(points).all(axis=(0, 2))
         return found
 
-    def _reachable(self, angles: Array, held: NDArray[np.bool_]) -> Array:
+    def _reachable(self, angles: Array, assembled: NDArray[np.bool_]) -> Array:
         """Return angles through the reachable range that contains the start, else through the largest one."""
         count = len(angles) - 1
-        cyclic = held[:count]
+        cyclic = assembled[:count]
         if not cyclic.any():
             raise ArithmeticError("the linkage cannot be assembled at any crank angle")
         first = 0 if cyclic[0] else _longest(cyclic)
@@ -145,13 +145,13 @@ def _plain(values: Array) -> Any:
     return values.tolist() if np.all(np.isfinite(values)) else finite(values)
 
 
-def _longest(held: NDArray[np.bool_]) -> int:
+def _longest(assembled: NDArray[np.bool_]) -> int:
     """Return an index in the longest run of a cyclic mask."""
-    best, where = 0, int(np.argmax(held))
-    for first in np.flatnonzero(held & ~np.roll(held, 1)):
+    best, where = 0, int(np.argmax(assembled))
+    for first in np.flatnonzero(assembled & ~np.roll(assembled, 1)):
         length = 0
-        while length < len(held) and held[(first + length) % len(held)]:
+        while length < len(assembled) and assembled[(first + length) % len(assembled)]:
             length += 1
         if length > best:
             best, where = length, int(first) + length // 2
-    return where % len(held)
+    return where % len(assembled)

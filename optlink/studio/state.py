@@ -38,15 +38,15 @@ def targets(problem: ProblemFile, design: Design) -> dict[str, Any]:
     model = problem.model
     if not isinstance(model, PathProblem) or not model.pointed:
         return {"points": [], "poses": [], "curve": []}
-    wanted = model.target_points
-    places = 1e3 * np.asarray(wanted.points)
+    targets = model.target_points
+    places = 1e3 * np.asarray(targets.points)
     away = np.full(len(places), np.nan)
     if design.crank_angles is not None and len(design.crank_angles) == len(places):
         away = 1e3 * deviations(model, design.values, design.crank_angles).distances
     points = [{"at": place, "deviation": d} for place, d in zip(_rounded(places), finite(_rounded(away)), strict=True)]
     poses = []
-    if wanted.angles is not None:
-        poses = [{"at": p["at"], "angle": math.degrees(a)} for p, a in zip(points, wanted.angles, strict=True)]
+    if targets.angles is not None:
+        poses = [{"at": p["at"], "angle": math.degrees(a)} for p, a in zip(points, targets.angles, strict=True)]
     curve = [*_rounded(places), *_rounded(places[:1])] if model.closed else _rounded(places)
     return {"points": points, "poses": poses, "curve": curve}
 

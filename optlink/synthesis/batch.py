@@ -114,15 +114,15 @@ class Batch:
         x, t, more = casadi.SX.sym("x", n), casadi.SX.sym("t"), casadi.SX.sym("more", width + 1)
         values: dict[str, Any] = {name: quantity.value for name, quantity in problem.quantities.items()}
         values |= {v.name: v.origin + v.size * x[i] for i, v in enumerate(self.variables)}
-        wanted = tuple(more[k] for k in range(width))
+        target = tuple(more[k] for k in range(width))
         inputs, sides = [x[i] for i in range(n)], list(self.side_symbols.values())
         with symbols_in_numpy():
             pose = self.linkage().pose(values, unit(t))
-            residual = casadi.vertcat(*problem.deviation(pose, values, wanted)) * (more[width] / problem.whole)
+            residual = casadi.vertcat(*problem.deviation(pose, values, target)) * (more[width] / problem.whole)
             self.width = int(residual.numel())
             slopes = casadi.jacobian(residual, casadi.vertcat(x, t))
             known = [*inputs, t, *(more[k] for k in range(width + 1)), *sides]
-            self._residual, self._value = (NumpyEvaluator(known, wanted) for wanted in ([residual, slopes], [residual]))
+            self._residual, self._value = (NumpyEvaluator(known, outputs) for outputs in ([residual, slopes], [residual]))
             span = casadi.SX.sym("span")
             reach = Reach(t, span, casadi.sign(span))
             self._limits = []

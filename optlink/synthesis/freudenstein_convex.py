@@ -54,12 +54,12 @@ class ConvexFit:
         self.limit_matrix, self.limit_vector = self.cvxpy.Parameter((limits, 3)), self.cvxpy.Parameter(limits)
         self.y = self.cvxpy.Variable(3)
         residual = self.matrix @ self.y + self.vector
-        self.held = [self.limit_matrix @ self.y <= self.limit_vector]
+        self.constraints = [self.limit_matrix @ self.y <= self.limit_vector]
         goal = self.cvxpy.sum_squares(residual)
         if largest:
             goal = self.cvxpy.Variable()
-            self.held.append(residual <= goal)
-        self.problem = self.cvxpy.Problem(self.cvxpy.Minimize(goal), self.held)
+            self.constraints.append(residual <= goal)
+        self.problem = self.cvxpy.Problem(self.cvxpy.Minimize(goal), self.constraints)
 
     def __call__(self, matrix: Array, vector: Array, limit_matrix: Array, limit_vector: Array) -> ConvexStep | None:
         """Solve the programme; return None on failure. The caller must verify the optimality of the answer.
@@ -83,7 +83,7 @@ class ConvexFit:
                 self.problem.solve(solver=self.cvxpy.CLARABEL)
             except self.cvxpy.error.SolverError:
                 return None
-        values = [self.y.value, *(one.dual_value for one in self.held)]
+        values = [self.y.value, *(one.dual_value for one in self.constraints)]
         if any(value is None or not np.all(np.isfinite(value)) for value in values):
             return None
         duals = [np.asarray(value, dtype=float) for value in values[1:]]

@@ -220,13 +220,13 @@ def _step(batch: Batch, state: _State, weight: Array) -> tuple[Array, Array]:
 
     slope, along = slopes(state.r)
     slope += np.einsum("bmn,bm->bn", state.by_h, state.h)
-    step, held, system = _bounded_step(system, -slope, batch.low - state.x, batch.high - state.x)
+    step, active, system = _bounded_step(system, -slope, batch.low - state.x, batch.high - state.x)
     turn = turned(step, along)
     x = state.x + PROBE * step
     values = batch.residual_values(x, batch.crank_angles(x, state.t + PROBE * turn), state.variant)
     linear = np.matmul(jacobian, step[..., None]).reshape(state.r.shape) + state.by_t * turn[..., None]
     slope, along = slopes(2.0 / PROBE * ((values - state.r) / PROBE - linear))  # of the second derivative along the step
-    bend = np.asarray(np.linalg.solve(system, np.where(held, 0.0, -slope)[..., None])[..., 0], dtype=float)
+    bend = np.asarray(np.linalg.solve(system, np.where(active, 0.0, -slope)[..., None])[..., 0], dtype=float)
     scale = np.sqrt(np.abs(np.einsum("bii->bi", system)))
     good = 2.0 * np.linalg.norm(scale * bend, axis=1) <= MOST_BEND * np.linalg.norm(scale * step, axis=1)
     half = np.where(good, 0.5, 0.0)[:, None]
@@ -248,15 +248,17 @@ def _bounded_step(system: Array, right: Array, least: Array, most: Array) -> tup
         Bounds of the step, not positive and not negative.
     """
     diagonal = np.arange(system.shape[1])
-    held = ((least >= 0.0) & (right < 0.0)) | ((most <= 0.0) & (right > 0.0))
+    active = ((least >= 0.0) & (right < 0.0)) | ((most <= 0.0) & (right > 0.0))
     step = np.zeros_like(right)
     for _ in range(1 + HITS):
-        reduced = np.where(held[:, :, None] | held[:, None, :], 0.0, system)
-        reduced[:, diagonal, diagonal] += held
-        fixed = np.where(held, step, 0.0)
-        step = np.linalg.solve(reduced, np.where(held, fixed, right - np.einsum("bij,bj->bi", system, fixed))[..., None])[..., 0]
-        hit = ~held & ((step < least) | (step > most))
+        reduced = np.where(active[:, :, None] | active[:, None, :], 0.0, system)
+        reduced[:, diagonal, diagonal] += active
+        fixed = np.where(active, step, 0.0)
+        step = np.linalg.solve(reduced, np.where(active, fixed, right - np.einsum("bij,bj->bi", system, fixed))[..., None])[
+            ..., 0
+        ]
+        hit = ~active & ((step < least) | (step > most))
         if not hit.any():
             break
-        step, held = np.where(hit, np.clip(step, least, most), step), held | hit
-    return step, held, reduced
+        step, active = np.where(hit, np.clip(step, least, most), step), active | hit
+    return step, active, reduced

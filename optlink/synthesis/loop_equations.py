@@ -98,17 +98,17 @@ class LoopEquation:
             inner = np.arccos((k2 * c - k3) / np.hypot(k1 - c, s))
         return np.asarray(np.arctan2(-s, k1 - c) + side[..., None] * inner)
 
-    def difference(self, y: Array, wanted: Array) -> Array:
+    def difference(self, y: Array, target: Array) -> Array:
         """Return the output error, angles wrapped to [-pi, pi).
 
         Parameters
         ----------
         y : array (..., n)
             Actual output.
-        wanted : array (..., n)
+        target : array (..., n)
             Target output.
         """
-        return np.asarray(np.remainder(y - wanted + np.pi, 2.0 * np.pi) - np.pi)
+        return np.asarray(np.remainder(y - target + np.pi, 2.0 * np.pi) - np.pi)
 
     def upright(self, x0: Array, y0: Array, k: Array) -> tuple[Array, Array, Array]:
         """Return x0, y0, k of the equivalent linkages with positive lengths.

@@ -111,7 +111,7 @@ class SimilarityFit:
         n = x.shape[1]
         arm_x, arm_y, axis_x, axis_y = self._tape(*(x[:, i : i + 1] for i in range(n)), t, *batch.side_columns(variant))
         centre = np.array(batch.problem.centre)
-        wanted = ((batch.data.columns[:, 0] - centre[0]) + 1j * (batch.data.columns[:, 1] - centre[1])) / batch.problem.size
+        targets = ((batch.data.columns[:, 0] - centre[0]) + 1j * (batch.data.columns[:, 1] - centre[1])) / batch.problem.size
         arm, axis = arm_x + 1j * arm_y, axis_x + 1j * axis_y
         weights = batch.data.roots**2 / np.sum(batch.data.roots**2)
 
@@ -119,7 +119,7 @@ class SimilarityFit:
             return np.asarray((z * weights).sum(axis=-1, keepdims=True))
 
         with np.errstate(all="ignore"):
-            s, u, z = arm - mean(arm), axis - mean(axis), wanted - mean(wanted)
+            s, u, z = arm - mean(arm), axis - mean(axis), targets - mean(targets)
             ss, sz = mean(s * s.conj()).real, mean(s.conj() * z)
             if self.point:
                 uu, su, uz = mean(u * u.conj()).real, mean(s.conj() * u), mean(u.conj() * z)
@@ -128,7 +128,7 @@ class SimilarityFit:
                 b = (uz - su.conj() * w) / uu
             else:
                 w, b = sz / ss, np.zeros_like(sz)
-            a = mean(wanted) - w * mean(arm) - b * mean(axis)
+            a = mean(targets) - w * mean(arm) - b * mean(axis)
             size, turned = np.abs(w), w / np.abs(w)
             y = x.copy()
             pivot = x[:, self._pivot[0]] + 1j * x[:, self._pivot[1]]  # scaled, counted from the centre of the points

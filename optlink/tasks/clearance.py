@@ -80,10 +80,10 @@ class _Setting:
             raise InputError(str(error), remedy, self.file.file, f"bodies.{error.body}") from None
         if section is not None and sampled:
             angles = self.start + math.copysign(TURN, self.nominal) * np.arange(plant.samples) / plant.samples
-            wanted = np.broadcast_to(np.asarray(self.output.ideal(self.machine.moving(angles))[0]), angles.shape)
+            ideal = np.broadcast_to(np.asarray(self.output.ideal(self.machine.moving(angles))[0]), angles.shape)
             gains = Gains(section.proportional, section.integral, section.derivative, section.limit.value)
             lever = leverage(self.machine, self.output, angles, self.regularisation)
-            plant.controller = Controller(PID(gains, plant.sample_time), wanted, lever, not self.output.guide)
+            plant.controller = Controller(PID(gains, plant.sample_time), ideal, lever, not self.output.guide)
         return plant
 
     @cached_property

@@ -182,8 +182,8 @@ class FunctionResult(SingleResult):
     def fit(self) -> Fit | None:
         """Error at the design positions relative to the output range; None if there is no error to measure."""
         problem = self.problem.spec
-        wanted = problem.law.curve(problem.law.offsets, self.design["phi0"], self.design["psi0"])
-        return law_fit(problem, self.design, self.error(), wanted, self.solution.limits if self.solution else ())
+        target = problem.law.curve(problem.law.offsets, self.design["phi0"], self.design["psi0"])
+        return law_fit(problem, self.design, self.error(), target, self.solution.limits if self.solution else ())
 
     @property
     def alternations(self) -> int:

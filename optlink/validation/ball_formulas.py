@@ -143,23 +143,23 @@ class BallProblem:
     def _at(self, values: Mapping[str, Ball], crank: Ball, columns: Any, offset: float) -> list[Deviation]:
         problem = self.problem
         assert isinstance(problem, PathProblem)
-        kind, wanted = problem.requirement.kind, [Ball.constant(x) for x in columns]
+        kind, targets = problem.requirement.kind, [Ball.constant(x) for x in columns]
         if kind == "transmission":
             return [_plain(self._cosine(values, Ball.constant(math.cos(offset))))]
         pose = problem.linkage.pose(values, (np.cos(crank), np.sin(crank)))
         if kind == "function":
-            target = problem.prescribed(values, wanted[0], wanted[1]) + Ball.constant(0.0)
+            target = problem.prescribed(values, targets[0], targets[1]) + Ball.constant(0.0)
             if problem.slides:
                 guide = next(guide for guide in problem.linkage.guides if guide.name == problem.requirement.output)
                 return [_plain(pose.slide(guide) - target)]
             body = pose.direction(str(problem.requirement.output))
             return [_turned(_between((np.cos(target), np.sin(target)), body))]
         x, y = pose.point(problem.requirement.point)
-        found = [_plain(x - wanted[0]), _plain(y - wanted[1])]
+        found = [_plain(x - targets[0]), _plain(y - targets[1])]
         if kind == "motion":
             mark = values[MARK]
             body = turn(pose.direction(problem.body), (np.cos(mark), np.sin(mark)))
-            found.append(_scaled(_turned(_between((wanted[2], wanted[3]), body)), problem.radian))
+            found.append(_scaled(_turned(_between((targets[2], targets[3]), body)), problem.radian))
         return found
 
     # --- limits ----------------------------------------------------------------------------------------------------
@@ -320,11 +320,11 @@ class BallProblem:
         problem = self.problem
         assert isinstance(problem, PathProblem)
         data = problem.data
-        held = np.isfinite(data.tolerances)
-        if not np.any(held):
+        limited = np.isfinite(data.tolerances)
+        if not np.any(limited):
             return
         for k, found in enumerate(self.deviations(values, self.starts(values)[0])):
-            if held[k] and all(one.model is not None for one in found[:2]):
+            if limited[k] and all(one.model is not None for one in found[:2]):
                 x, y = (one.model for one in found[:2])
                 most = float(data.tolerances[k]) * float(data.roots[k])
                 yield "requirement.points", -(x * x) - y * y, -most * most, math.inf  # type: ignore[operator]

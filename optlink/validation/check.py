@@ -168,33 +168,33 @@ def bound(name: str, quantity: Quantity, value: ArrayLike, size: ArrayLike) -> C
     return Checks(f"{name} within its bounds", inside, value * factor, limit, unit)
 
 
-def link_lengths(motion: Motion, wanted: Callable[[Link], ArrayLike], size: ArrayLike) -> Checks:
+def link_lengths(motion: Motion, nominal: Callable[[Link], ArrayLike], size: ArrayLike) -> Checks:
     """Check that all links keep their lengths in motion.
 
     Parameters
     ----------
     motion : Motion
         Of one design, or of several.
-    wanted : function of Link
+    nominal : function of Link
         Returns its length [m], of several designs (designs, 1).
     size : float or array (designs,) [m]
         Reference length.
     """
     lengths = {link: motion.distance(link.start, link.end) for link in motion.mechanism.links if link.end}
-    worst = [worst_miss(np.min(own, axis=-1), np.max(own, axis=-1), wanted(link)) for link, own in lengths.items()]
+    worst = [worst_miss(np.min(own, axis=-1), np.max(own, axis=-1), nominal(link)) for link, own in lengths.items()]
     return length_check(np.max(worst, axis=0), size)
 
 
-def worst_miss(least: Array, largest: Array, wanted: ArrayLike) -> Array:
+def worst_miss(least: Array, largest: Array, nominal: ArrayLike) -> Array:
     """Return the largest deviation of measured lengths from a length [m]; NaN if one of them is not finite.
 
     Parameters
     ----------
     least, largest : array (designs,) [m]
         Extremes of the measured lengths.
-    wanted : float or array (designs,) [m]
+    nominal : float or array (designs,) [m]
     """
-    return np.asarray(np.maximum(largest - np.asarray(wanted), np.asarray(wanted) - least))
+    return np.asarray(np.maximum(largest - np.asarray(nominal), np.asarray(nominal) - least))
 
 
 def length_check(worst: ArrayLike, size: ArrayLike) -> Checks:
@@ -223,7 +223,7 @@ def finely(offsets: Array) -> tuple[Array, NDArray[np.intp]]:
     return np.interp(np.arange(index[-1] + 1), index, offsets), index
 
 
-def revolutions_check(wanted: Array, moved: Callable[[], Array]) -> Iterator[Checks]:
+def revolutions_check(target: Array, moved: Callable[[], Array]) -> Iterator[Checks]:
     """Yield the check that an output turns as its law, not by whole revolutions more or less, which angles alone do not show.
 
     Positions where it is more than a quarter turn off do not count. Laws with short steps, which cannot be met so, have no check.
@@ -231,17 +231,17 @@ def revolutions_check(wanted: Array, moved: Callable[[], Array]) -> Iterator[Che
 
     Parameters
     ----------
-    wanted : array (designs, positions) [rad]
+    target : array (designs, positions) [rad]
         Prescribed angles. NaN at the first position: the law of that design begins at the second.
     moved : function
         Returns the angles (designs, positions) [rad] of the output, continuous over its motion.
     """
-    begun = np.isfinite(wanted) | (np.arange(wanted.shape[1]) > 0)
+    begun = np.isfinite(target) | (np.arange(target.shape[1]) > 0)
     with np.errstate(invalid="ignore"):
-        applies = np.any(np.abs(np.diff(wanted, axis=1)) > LONG_STEP, axis=1)
+        applies = np.any(np.abs(np.diff(target, axis=1)) > LONG_STEP, axis=1)
     if not np.any(applies):
         return
-    revolutions = (wanted - moved()) / math.tau
+    revolutions = (target - moved()) / math.tau
     whole = np.round(np.where(np.isfinite(revolutions), revolutions, np.nan))
     some = np.abs(revolutions - whole) < 0.25
     least, most = np.min(np.where(some, whole, np.inf), axis=1), np.max(np.where(some, whole, -np.inf), axis=1)

@@ -339,8 +339,8 @@ def _limit(tested: Cycle, item: Bound) -> Iterator[Check]:
     kind, unit = item.interval.kind, item.interval.unit
     size = 1.0 / factor(unit or KINDS[kind].display, kind) if kind else 1.0
     value = tested.figure(item.term)
-    for wanted, words, sense in ((item.interval.low, ">=", 1.0), (item.interval.high, "<=", -1.0)):
-        if wanted is not None:
-            room = MEET * max(abs(wanted), abs(value) if math.isfinite(value) else 0.0, NOTHING * tested.size(item.term))
-            passed = bool(sense * (value - wanted) >= -room)
-            yield Check(f"{item.name}: {item.term.words}", passed, value * size, f"{words} {wanted * size:.6g}", unit)
+    for limit, words, sense in ((item.interval.low, ">=", 1.0), (item.interval.high, "<=", -1.0)):
+        if limit is not None:
+            room = MEET * max(abs(limit), abs(value) if math.isfinite(value) else 0.0, NOTHING * tested.size(item.term))
+            passed = bool(sense * (value - limit) >= -room)
+            yield Check(f"{item.name}: {item.term.words}", passed, value * size, f"{words} {limit * size:.6g}", unit)

@@ -157,8 +157,8 @@ class _Tested:
         _, c, d = self._placed(self.phi0 + at)
         actual = np.arctan2(c[1] - d[1], c[0] - d[0])
         with np.errstate(all="ignore"):
-            wanted = np.asarray(law.target(at, tabulated, self.phi0, self.psi0) + 0.0 * at, dtype=float)
-        error: Array = np.remainder(wanted - actual + np.pi, TURN) - np.pi
+            target = np.asarray(law.target(at, tabulated, self.phi0, self.psi0) + 0.0 * at, dtype=float)
+        error: Array = np.remainder(target - actual + np.pi, TURN) - np.pi
         return error
 
     def prescribed_from_start(self) -> tuple[Array, Array]:
@@ -169,10 +169,10 @@ class _Tested:
         law = self.problem.law
         at = law.offsets if law.offsets[0] == 0.0 else np.concatenate([[0.0], law.offsets])
         with np.errstate(all="ignore"):
-            wanted = np.array(np.broadcast_to(law.curve(at, self.phi0, self.psi0), (self.count, len(at))))
+            target = np.array(np.broadcast_to(law.curve(at, self.phi0, self.psi0), (self.count, len(at))))
         if isinstance(law.source, Table) and law.source.from_start and not min(law.source.phi) <= 0.0 <= max(law.source.phi):
-            wanted[:, :1] = self.psi0 if self.problem.tied else np.nan  # its rows are relative to the rocker's own angle
-        return at, wanted
+            target[:, :1] = self.psi0 if self.problem.tied else np.nan  # its rows are relative to the rocker's own angle
+        return at, target
 
     def rocker_along(self, at: Array) -> Array:
         """Return rocker angles (designs, rotations) [rad], continuous, at crank rotations (rotations,) from the start."""
@@ -323,8 +323,8 @@ def _requirement(tested: _Tested) -> Iterator[Checks]:
         yield Checks("psi0 is the rocker's own angle", gap <= 1e-7, gap, "<= 1e-07", "deg")
     largest = np.degrees(np.max(np.abs(tested.target_minus_actual()), axis=1))
     yield Checks("output error has a value everywhere", np.isfinite(largest), largest, "finite", "deg")
-    at, wanted = tested.prescribed_from_start()
-    yield from revolutions_check(wanted, lambda: tested.rocker_along(at))
+    at, target = tested.prescribed_from_start()
+    yield from revolutions_check(target, lambda: tested.rocker_along(at))
     if problem.requirement.robust is not None:
         middle, spread = tested.scattered()
         most = np.degrees(np.max(np.abs(middle) + spread, axis=1))

@@ -61,7 +61,7 @@ def deviations(problem: PathProblem, design: Mapping[str, float], crank_angles: 
     crank_angles : array (positions,) [rad]
     """
     motion = sweep(problem.linkage, design, crank_angles)
-    wanted, weights = problem.data.columns, problem.data.roots**2
+    targets, weights = problem.data.columns, problem.data.roots**2
     kind, turned = problem.requirement.kind, None
     if kind == "transmission":
         generated = transmission_angles(motion, problem.linkage)
@@ -76,12 +76,12 @@ def deviations(problem: PathProblem, design: Mapping[str, float], crank_angles: 
         generated, distances, square = travel[:, None], np.abs(error), error**2
     else:
         point = problem.requirement.point
-        generated = motion.position(point) if point in motion.pose.points else np.full((len(wanted), 2), np.nan)
-        distances = np.hypot(*(generated - wanted[:, :2]).T)
+        generated = motion.position(point) if point in motion.pose.points else np.full((len(targets), 2), np.nan)
+        distances = np.hypot(*(generated - targets[:, :2]).T)
         square = distances**2
     if kind == "motion":
         angle = np.asarray(motion.body_angle(problem.body).value) + design[MARK]
-        aim = np.arctan2(wanted[:, 3], wanted[:, 2])
+        aim = np.arctan2(targets[:, 3], targets[:, 2])
         turned = np.remainder(angle - aim + math.pi, TURN) - math.pi
         square = square + (problem.radian * turned) ** 2
     if problem.measure == "max":
@@ -90,7 +90,7 @@ def deviations(problem: PathProblem, design: Mapping[str, float], crank_angles: 
             objective = _worst_cosine(problem, design)
     else:
         objective = float(np.sum(square * weights))
-        objective = math.sqrt(objective / len(wanted)) if problem.measure == "rms" else objective
+        objective = math.sqrt(objective / len(targets)) if problem.measure == "rms" else objective
     return MeasuredDeviations(generated, distances, turned, objective)
 
 
@@ -225,10 +225,10 @@ def _sizes(tested: _Tested) -> Iterator[Check]:
     for name, quantity in tested.problem.quantities.items():
         yield bound(name, quantity, tested.design[name], size).of()
     longest = max(size, *(tested.design[name] for name in tested.problem.mechanism.quantities))
-    wanted = {
+    nominal = {
         link.body: tested.design[link.length] if isinstance(link.length, str) else link.length for link in tested.mechanism.links
     }
-    yield link_lengths(tested.required, lambda link: wanted[link.body], longest).of()
+    yield link_lengths(tested.required, lambda link: nominal[link.body], longest).of()
 
 
 def _closure(tested: _Tested) -> Iterator[Check]:
@@ -309,8 +309,8 @@ def _points(tested: _Tested) -> Iterator[Check]:
     largest = float(np.max(distances)) * factor
     yield Check("the linkage has a position for every target", whole, largest, "finite", unit)
     if tested.problem.requirement.kind == "function" and not tested.problem.slides:
-        wanted = tested.problem.prescribed_outputs(tested.design)[None, :]
-        yield from (check.of() for check in revolutions_check(wanted, tested.output_angle))
+        target = tested.problem.prescribed_outputs(tested.design)[None, :]
+        yield from (check.of() for check in revolutions_check(target, tested.output_angle))
     if np.any(np.isfinite(tolerances)):
         used = np.max(distances / tolerances)
         yield Check("points met within their tolerances", bool(used <= 1.0 + 1e-6), float(used), "<= 1", "of the tolerance")

@@ -70,12 +70,12 @@ def chosen(integrator: str, plant: ClosedLoop, revolutions: float) -> Integrator
     """
     if integrator not in list(IntegratorKind):
         raise InputError("no such integrator", f"Take one of {', '.join(IntegratorKind)}", key="integrator", value=integrator)
-    wanted = IntegratorKind(integrator)
+    kind = IntegratorKind(integrator)
     seconds = revolutions * len(plant.equations.gaps) * (REVOLUTION + ROW * plant.rows)
-    if wanted is IntegratorKind.CVODES or (wanted is IntegratorKind.AUTO and (plant.integration.slow or seconds < WORTH)):
+    if kind is IntegratorKind.CVODES or (kind is IntegratorKind.AUTO and (plant.integration.slow or seconds < WORTH)):
         return IntegratorKind.CVODES
     if not installed():
-        if wanted is IntegratorKind.AUTO:
+        if kind is IntegratorKind.AUTO:
             return IntegratorKind.CVODES
         raise InputError(
             "numba is not installed, or does not support the installed numpy", INSTALL, key="integrator", value=integrator
@@ -86,7 +86,7 @@ def chosen(integrator: str, plant: ClosedLoop, revolutions: float) -> Integrator
     try:
         code_of(plant.equations)
     except Unsupported as error:
-        if wanted is IntegratorKind.AUTO:
+        if kind is IntegratorKind.AUTO:
             return IntegratorKind.CVODES
         message = f"a formula of the machine cannot be compiled: {error}"
         raise InputError(message, "Take the integrator cvodes", key="integrator", value=integrator) from None

@@ -212,10 +212,10 @@ def check_sense(goal: Goal) -> None:
     Unusable
         for the opposite sense: raising a peak at one position does not bound the others.
     """
-    wanted = {"peak": "minimise", "largest": "minimise", "least": "maximise"}.get(goal.how)
-    if wanted is not None and goal.sense != wanted:
+    possible = {"peak": "minimise", "largest": "minimise", "least": "maximise"}.get(goal.how)
+    if possible is not None and goal.sense != possible:
         raise Unusable(
-            f"the {goal.how} value over the cycle can only be {wanted}d", f'Write sense = "{wanted}"', "sense", goal.sense
+            f"the {goal.how} value over the cycle can only be {possible}d", f'Write sense = "{possible}"', "sense", goal.sense
         )
 
 

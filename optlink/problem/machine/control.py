@@ -98,10 +98,10 @@ class ControlSection(Section):
                 raise Unusable("the joint has no clearance", nearest(point, points), "known", point)
         output, given = known[self.output] if self.output is not None else default_output(machine), self.regularisation
         if given is not None:
-            wanted, example = ("a length", '"5 mm"') if output.guide else ("an angle", '"5 deg"')
+            needed, example = ("a length", '"5 mm"') if output.guide else ("an angle", '"5 deg"')
             if (given.kind == "length") != bool(output.guide):
-                message = f"{output.name} moves by {wanted} per radian"
-                raise Unusable(message, f"Give {wanted}: {example}", "regularisation", str(given))
+                message = f"{output.name} moves by {needed} per radian"
+                raise Unusable(message, f"Give {needed}: {example}", "regularisation", str(given))
             if not given.value > 0.0:
                 message = "without it the inverse has no solution at a dead centre"
                 raise Unusable(message, f"Give for example {example}", "regularisation", str(given))

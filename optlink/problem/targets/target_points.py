@@ -46,12 +46,12 @@ class TargetPoints:
         return diagonal(np.asarray(self.points))
 
 
-def closed(wanted: TargetPoints) -> bool:
+def closed(targets: TargetPoints) -> bool:
     """Return whether the points form a closed curve: sampled from one, or listed with the last on the first."""
-    if wanted.loop:
+    if targets.loop:
         return True
-    first, last = wanted.points[0], wanted.points[-1]
-    return len(wanted.points) > 2 and math.dist(first, last) <= COINCIDENT * wanted.size
+    first, last = targets.points[0], targets.points[-1]
+    return len(targets.points) > 2 and math.dist(first, last) <= COINCIDENT * targets.size
 
 
 def read_count(raw: Mapping[str, Any]) -> int:

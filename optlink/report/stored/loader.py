@@ -129,12 +129,12 @@ def _unknown(schema: object, path: Path) -> InputError:
     return InputError("not a result that can be shown here", remedy, str(path), "schema", schema)
 
 
-def problem_of(name: str, wanted: str, path: Path, problem: str | None = None, changes: Sequence[str] = ()) -> ProblemFile:
+def problem_of(name: str, expected: str, path: Path, problem: str | None = None, changes: Sequence[str] = ()) -> ProblemFile:
     """Return the problem of a result, identified by its hash.
 
     Parameters
     ----------
-    name, wanted : str
+    name, expected : str
         Name and hash of the problem.
     path : Path
         File of the result.
@@ -155,13 +155,13 @@ def problem_of(name: str, wanted: str, path: Path, problem: str | None = None, c
     for place in places:
         file = load(place, overrides)
         for variant in (file, *file.variants()):
-            if variant.hash == wanted:
+            if variant.hash == expected:
                 return variant
         hashes.append(file.hash)
     if not places:
         remedy = f"Name its problem file: --problem {name}.toml"
         raise InputError(f"the problem {name} of this result is not found", remedy, str(path), "problem", name)
-    told = f"its problem has the hash {wanted}, {places[0]} has {hashes[0]}"
+    told = f"its problem has the hash {expected}, {places[0]} has {hashes[0]}"
     remedy = "Name the problem file: --problem FILE, and repeat the --set of the search; or solve again"
     raise InputError(f"the result is that of another problem or version: {told}", remedy, str(path), "problem_hash")
 

@@ -271,8 +271,8 @@ def balance(found: Balance) -> str:
     text = f"The {found.measure} falls by {100.0 * found.reduction:.4g} % to {figure(left, found.unit or '')}"
     text = text.rstrip() + f" with {figure(mass, 'kg')} of counterweights"
     active = [one.name for one in found.limits if one.active]
-    held = f" What limits it: {joined(active[:3])}." if active else ""
-    return f"{text}.{held}" if found.valid else f"Not valid. {text}.{held}"
+    limiting = f" What limits it: {joined(active[:3])}." if active else ""
+    return f"{text}.{limiting}" if found.valid else f"Not valid. {text}.{limiting}"
 
 
 # --- studies -----------------------------------------------------------------------------------------------------------------

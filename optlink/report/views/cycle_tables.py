@@ -51,8 +51,8 @@ def priced(outcome: CycleResult, limits: Iterable[LimitState]) -> Part:
     size = 1.0 / factor(outcome.unit, outcome.task.unit_kind) if outcome.unit else 1.0
     if outcome.task.single and outcome.task.goals[0].sense == "maximise":
         size = -size
-    held = [replace(limit, multiplier=limit.multiplier * size) for limit in limits]
-    return active(held, outcome.objective * size, outcome.unit)
+    scaled = [replace(limit, multiplier=limit.multiplier * size) for limit in limits]
+    return active(scaled, outcome.objective * size, outcome.unit)
 
 
 def cycle_problem(task: CycleProblem) -> TableSpec:

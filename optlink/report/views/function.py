@@ -146,14 +146,14 @@ def law(result: FunctionResult) -> list[ChartSpec]:
         return []
     begin = math.degrees(_start(result))
     crank, marked = begin + np.degrees(offsets), begin + np.degrees(at)
-    wanted, marks = (np.degrees(problem.law.curve(places, design["phi0"], design["psi0"])) for places in (offsets, at))
+    target, marks = (np.degrees(problem.law.curve(places, design["phi0"], design["psi0"])) for places in (offsets, at))
     found = np.degrees(np.asarray(_moved(result, design["phi0"] + offsets).body_angle("rocker").value))
-    found = found + 360.0 * np.round((wanted[0] - found[0]) / 360.0)
+    found = found + 360.0 * np.round((target[0] - found[0]) / 360.0)
     if not np.any(np.isfinite(found)):
         return []
     error, at_marks = np.degrees(result.error(offsets)), np.degrees(result.error())
     above = [
-        Curve(crank, wanted, "target", WANTED, 1.4, "dash", gid="target"),
+        Curve(crank, target, "target", WANTED, 1.4, "dash", gid="target"),
         Curve(crank, found, "generated", FOUND, 1.8, gid="generated"),
         Curve(marked, marks, "design positions", WANTED, mode="markers", size=3.0, gid="positions"),
     ]
@@ -273,12 +273,12 @@ def function_chart(function: Function, offsets: Array, error: Array, title: str,
     """
     least, largest = function.ends
     x = function.low + (function.high - function.low) * offsets / function.input
-    wanted = np.asarray(function.expression({"x": x}) + 0.0 * x, dtype=float)
+    target = np.asarray(function.expression({"x": x}) + 0.0 * x, dtype=float)
     away = error * (largest - least) / function.output
     worst = int(np.nanargmax(np.abs(away)))
     above = [
-        Curve(x, wanted, "target", WANTED, 1.4, "dash", gid="target y"),
-        Curve(x, wanted - away, "generated", FOUND, 1.8, gid="generated y"),
+        Curve(x, target, "target", WANTED, 1.4, "dash", gid="target y"),
+        Curve(x, target - away, "generated", FOUND, 1.8, gid="generated y"),
     ]
     mark = Mark(
         float(x[worst]),

@@ -66,8 +66,8 @@ def columns(design: PathDesign) -> dict[str, Array]:
         angles = {f"{joint}.transmission_rad": measured.generated[:, k] for k, joint in enumerate(joints)}
         return {**found, "crank_angle_rad": design.crank_angles, **angles}
     if task.requirement.kind == "function":
-        wanted = task.prescribed_outputs(design.values)
-        found |= {f"target_{task.unit}": wanted, f"generated_{task.unit}": measured.generated[:, 0]}
+        target = task.prescribed_outputs(design.values)
+        found |= {f"target_{task.unit}": target, f"generated_{task.unit}": measured.generated[:, 0]}
         return {**found, f"distance_{task.unit}": measured.distances, "crank_angle_rad": design.crank_angles}
     for name, places in (("target", data.columns), ("generated", measured.generated)):
         found |= {f"{name}.{axis}_m": places[:, k] for k, axis in enumerate("xy")}

@@ -93,8 +93,8 @@ class Close:
         """Return the prescribed and the generated frames as lines."""
         track, k = self.track, self.shown
         aim = np.arctan2(track.task.data.columns[:, 3], track.task.data.columns[:, 2])
-        wanted = small_frames(track.targets[k] * self.unit.factor, aim[k], self.length)
-        return wanted, small_frames(track.generated[k] * self.unit.factor, track.angles(track.at)[k], self.length)
+        targets = small_frames(track.targets[k] * self.unit.factor, aim[k], self.length)
+        return targets, small_frames(track.generated[k] * self.unit.factor, track.angles(track.at)[k], self.length)
 
     def limits(self) -> tuple[Array, Array]:
         """Return the least and largest coordinates to show, with a margin; the aspect ratio is at most two.
@@ -138,7 +138,7 @@ class Close:
         """
         track, factor, unit = self.track, self.unit.factor, self.unit.unit
         whole, run = (track.position(motion) * factor for motion in (track.motion, track.run))
-        wanted, found = track.targets * factor, track.generated * factor
+        targets, found = track.targets * factor, track.generated * factor
         rest = "" if self.once else "rest of the curve"
         traces = [
             Curve.through(whole, rest, track.colour, 1.2, opacity=0.55, hover=False, gid="curve"),
@@ -150,12 +150,12 @@ class Close:
             aims, poses = self._poses()
             traces.append(Curve.through(poses, "generated pose", track.colour, 2.6, opacity=0.6, hover=False, gid="poses"))
             traces.append(Curve.through(aims, "target pose", WANTED, 1.1, hover=False, gid="target poses"))
-        numbers = [f"point {k + 1}" for k in range(len(wanted))]
+        numbers = [f"point {k + 1}" for k in range(len(targets))]
         if points:
             traces.append(Curve.through(found, "generated", LIMIT, mode="markers", symbol="plus", size=6.0, text=numbers))
-        size = dots(len(wanted)) * (0.6 if magnified is not None and np.any(np.isfinite(track.tolerances)) else 1.0)
-        words = f"target point{'s' if len(wanted) <= NUMBERED else f's, {len(wanted)}'}"
-        traces.append(Curve.through(wanted, words, WANTED, mode="markers", size=size, text=numbers, gid="target"))
+        size = dots(len(targets)) * (0.6 if magnified is not None and np.any(np.isfinite(track.tolerances)) else 1.0)
+        words = f"target point{'s' if len(targets) <= NUMBERED else f's, {len(targets)}'}"
+        traces.append(Curve.through(targets, words, WANTED, mode="markers", size=size, text=numbers, gid="target"))
         (x0, y0), (x1, y1) = self.limits()
         x, y = Axis(f"x [{unit}]", None if points else (x0, x1)), Axis(f"y [{unit}]", None if points else (y0, y1))
         return ChartSpec("", "Path", [Panel(y, traces, marks=self._numbers(size))], x, equal=True, cursor=False)

@@ -185,12 +185,12 @@ def output(track: PathView) -> Output:
     assert isinstance(fine, PathProblem)
     angles = fine.crank_angles(values, None)
     travel = deviations(fine, values, angles).generated[:, 0]
-    wanted = fine.prescribed_outputs(values)
+    target = fine.prescribed_outputs(values)
     unit = track.sketch.scale if task.slides else scale(0.0, "deg")
     if not task.slides:
-        travel = travel - TURN * np.round((travel - wanted) / TURN)
+        travel = travel - TURN * np.round((travel - target) / TURN)
     name = f"{'place along' if task.slides else 'angle of'} {task.requirement.output} [{unit.unit}]"
-    return Output(np.degrees(angles), travel[:, None] * unit.factor, wanted * unit.factor, name, ["generated"], unit.factor)
+    return Output(np.degrees(angles), travel[:, None] * unit.factor, target * unit.factor, name, ["generated"], unit.factor)
 
 
 @styled

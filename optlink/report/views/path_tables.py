@@ -161,17 +161,17 @@ def priced(design: PathDesign, limits: Iterable[LimitState]) -> Part:
         Multipliers of the objective [SI].
     """
     factor = displayed_objective(design) / design.objective if design.objective > 0.0 else 1.0
-    held = [replace(limit, multiplier=limit.multiplier * factor) for limit in limits]
-    return active(held, displayed_objective(design), displayed_objective_unit(design))
+    scaled = [replace(limit, multiplier=limit.multiplier * factor) for limit in limits]
+    return active(scaled, displayed_objective(design), displayed_objective_unit(design))
 
 
 def _points(design: PathDesign) -> TableSpec:
-    measured, wanted = design.measured, design.task.data.columns
-    step = max(1, math.ceil(len(wanted) / SHOWN))
-    digits = decimals(1e3 * float(abs(wanted[:, :2]).max()))
+    measured, targets = design.measured, design.task.data.columns
+    step = max(1, math.ceil(len(targets) / SHOWN))
+    digits = decimals(1e3 * float(abs(targets[:, :2]).max()))
     rows, between = [], design.between
-    for i in range(0, len(wanted), step):
-        places = (*wanted[i, :2], *measured.generated[i])
+    for i in range(0, len(targets), step):
+        places = (*targets[i, :2], *measured.generated[i])
         row = [str(i + 1), *(fixed(1e3 * place, digits) for place in places), number(1e3 * measured.distances[i], 3)]
         row.append(fixed(math.degrees(design.crank_angles[i]), 2))
         if between is not None:
@@ -183,7 +183,7 @@ def _points(design: PathDesign) -> TableSpec:
     columns = [">", ">target x", ">y", ">generated x", ">y", ">error", ">crank angle"]
     columns += [">between"] if between is not None else []
     columns += [">turned by"] if measured.turned is not None else []
-    notes = [quiet(f"one in {step} of {len(wanted)} points; all of them with --out or --json")] if step > 1 else []
+    notes = [quiet(f"one in {step} of {len(targets)} points; all of them with --out or --json")] if step > 1 else []
     if between is not None:
         notes.append(
             quiet("between: distance of the curve from the line to the next point, beyond the arc that the points suggest")

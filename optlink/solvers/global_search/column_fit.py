@@ -64,15 +64,15 @@ class ColumnFit:
             for j in drop:
                 self.keep[k, [j, count + j]] = 0.0
             rows = self.keep[k] > 0.0
-            fixed, wanted = as_real(known) * self.keep[k], as_real(points) * self.keep[k]
+            fixed, targets = as_real(known) * self.keep[k], as_real(points) * self.keep[k]
             basis = np.zeros((2 * count, max(0, int(rows.sum()) - len(fixed))))
             basis[rows] = np.linalg.qr(fixed[:, rows].T, mode="complete")[0][:, len(fixed) :]
             self.matrix[k] = basis @ basis.T
-            self.target[k, 0] = basis @ (basis.T @ wanted)
+            self.target[k, 0] = basis @ (basis.T @ targets)
             if whole:
                 self.target[k, 1] = times_i(self.target[k, 0])
             left = np.sqrt(np.sum((basis.T @ fixed.T) ** 2)) + ((2 * count) ** 1.5 + 64.0) * UNIT * np.sqrt(np.sum(fixed**2))
-            self.error[k] = left * size + 256.0 * count * UNIT * np.sqrt(np.sum(wanted**2)) + rounding
+            self.error[k] = left * size + 256.0 * count * UNIT * np.sqrt(np.sum(targets**2)) + rounding
         self.square = np.sum(self.target[:, 0] ** 2, axis=1)
         self._forms: tuple[float, Array, Array] = (math.nan, self.square, self.matrix)
 

@@ -182,8 +182,8 @@ def _iterated(
             step_x = _steps(here, points[own], slope[own], residual[own])
             x[which] += step_x[:, :n]
             multipliers[np.ix_(which, active)] += step_x[:, n:]
-            held = active[active < n]  # exactly, without the rounding of the linear system
-            x[np.ix_(which, held)] = bound[np.ix_(which, held)]
+            fixed = active[active < n]  # exactly, without the rounding of the linear system
+            x[np.ix_(which, fixed)] = bound[np.ix_(which, fixed)]
         todo = todo[on]
     return _Ended(x, multipliers, values, jacobian, hessian, objective, converged)
 

@@ -335,8 +335,8 @@ def pareto(
         )
 
 
-def _points(points: int | None, held: int) -> int:
-    count = POINTS[held] if points is None else points
+def _points(points: int | None, constrained: int) -> int:
+    count = POINTS[constrained] if points is None else points
     if count < 2:
         raise InputError("out of range", "Give 2 points or more", key="--points", value=points)
     return count

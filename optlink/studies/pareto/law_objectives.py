@@ -110,16 +110,16 @@ def tightest_bound(problem: ProblemFile, aim: ParetoObjective) -> Raw:
         quantity = problem.spec.quantities[name]
         low, high = (bound / factor(aim.unit, quantity.kind) for bound in quantity.bounds)
         return exact_text(low + 1e-6 * (high - low) if aim.sense > 0 else high - 1e-6 * (high - low), aim.unit)
-    held: Interval | None = getattr(problem.spec.limits, name)
-    if held is not None:
-        other = held.low if aim.sense > 0 else held.high
+    limited: Interval | None = getattr(problem.spec.limits, name)
+    if limited is not None:
+        other = limited.low if aim.sense > 0 else limited.high
     if other is not None:
-        assert held is not None
-        own = other / factor(aim.unit, held.kind) if held.kind else other
+        assert limited is not None
+        own = other / factor(aim.unit, limited.kind) if limited.kind else other
         return exact_text(aim.worsened(own, ROOM * abs(own)), aim.unit)  # equal sides would prescribe one value at all positions
     small, large = {"deg": (1.0, 179.0), "mm": (1e-3, 1e8)}.get(aim.unit, (1e-3, 1e3))
-    if isinstance(held, StrokeRatio):
-        small, large = (1.0 if held.stroke in (None, "slow") else small), (1.0 if held.stroke == "quick" else large)
+    if isinstance(limited, StrokeRatio):
+        small, large = (1.0 if limited.stroke in (None, "slow") else small), (1.0 if limited.stroke == "quick" else large)
     elif name == "time_ratio":
         small = 1.0
     if name == "transmission_cosine":
@@ -145,8 +145,8 @@ def law_figure(task: DesignProblem, aim: ParetoObjective, design: Mapping[str, f
     values = task.design(design)
     keys = {above} | ({"limits.alignment"} if name.startswith("transmission") else set())  # which may be tighter
     rows = [row for row in limit_rows(task, values, task.reach(values), values["frame"]) if row.limit in keys]
-    held = [row for row in rows if math.isfinite(row.high if (side == "max") != row.scale.cosine else row.low)]
-    figures = [row.scale.to_display(float(row.value)) for row in held]
+    limited = [row for row in rows if math.isfinite(row.high if (side == "max") != row.scale.cosine else row.low)]
+    figures = [row.scale.to_display(float(row.value)) for row in limited]
     return max(figures) if side == "max" else min(figures)
 
 

@@ -96,8 +96,8 @@ class HistogramRecord(Record):
         **values
             Values of fields, in place of those of the result.
         """
-        held = np.flatnonzero(result.counts)
-        first, last = (int(held[0]), int(held[-1]) + 1) if len(held) else (0, 0)
+        filled = np.flatnonzero(result.counts)
+        first, last = (int(filled[0]), int(filled[-1]) + 1) if len(filled) else (0, 0)
         return super().of(result, edges=result.edges[first : last + 1], counts=result.counts[first:last], **values)
 
 

@@ -218,11 +218,11 @@ def path_fit(
     limits : sequence of LimitState
         Limits of the optimum with their multipliers; empty for a given design.
     """
-    wanted, distances = task.data.columns, measured.distances
+    targets, distances = task.data.columns, measured.distances
     if task.requirement.kind == "transmission" or not np.all(np.isfinite(distances)):
         return None
     if task.pointed:
-        places = wanted[:, 0] + 1j * wanted[:, 1]
+        places = targets[:, 0] + 1j * targets[:, 1]
         found = [Fit(_rms(distances), _diameter(places), "m", "the size of the path")]
         if measured.turned is not None:
             found[0] = Fit(_rms(distances), _diameter(places), "m", "the distance of the poses")
@@ -235,9 +235,11 @@ def path_fit(
     worst = max(found, key=lambda fit: fit.share)
     if between is not None and np.any(np.isfinite(between)):
         after = int(np.nanargmax(between))
-        path = PathFit(worst.error, worst.size, worst.unit, worst.of, (), float(between[after]), after, len(wanted))
+        path = PathFit(worst.error, worst.size, worst.unit, worst.of, (), float(between[after]), after, len(targets))
         if path.grade != path.at_points:
-            reason = f"the {len(wanted)} points are met within {_length(float(np.max(distances)))}, the curve between them is not"
+            reason = (
+                f"the {len(targets)} points are met within {_length(float(np.max(distances)))}, the curve between them is not"
+            )
             advice = f"prescribe further points between {path.segment}, or more weight beside them"
             return replace(path, reasons=(PoorFitReason(f"{reason} prescribed", advice),))
     if worst.grade != "poor":
@@ -253,7 +255,7 @@ def path_fit(
 
 
 def law_fit(
-    task: DesignProblem, values: Mapping[str, float], error: Array, wanted: Array, limits: Sequence[LimitState] = ()
+    task: DesignProblem, values: Mapping[str, float], error: Array, targets: Array, limits: Sequence[LimitState] = ()
 ) -> Fit | None:
     """Grade a function design of a four-bar; return None if its output has no range.
 
@@ -262,12 +264,12 @@ def law_fit(
     task : DesignProblem
     values : mapping of str to float [m, rad]
         Quantities of the design.
-    error, wanted : array (positions,) [rad]
+    error, targets : array (positions,) [rad]
         Error and prescribed angle of the output.
     limits : sequence of LimitState
         Limits of the optimum with their multipliers; empty for a given design.
     """
-    size = float(np.ptp(np.unwrap(wanted)))
+    size = float(np.ptp(np.unwrap(targets)))
     if not np.all(np.isfinite(error)) or size <= 0.0:
         return None
     fit = Fit(_rms(error), size, "rad", "the output range")
@@ -349,8 +351,8 @@ def _placed(task: PathProblem, values: Mapping[str, float], measured: MeasuredDe
     pivot, turn = not {"A.x", "A.y"} <= free, "direction" not in free
     if not (pivot or turn):
         return
-    generated, wanted = (rows[:, 0] + 1j * rows[:, 1] for rows in (measured.generated, task.data.columns))
-    one, other = generated - np.mean(generated), wanted - np.mean(wanted)
+    generated, targets = (rows[:, 0] + 1j * rows[:, 1] for rows in (measured.generated, task.data.columns))
+    one, other = generated - np.mean(generated), targets - np.mean(targets)
     way = np.sum(other * one.conj())
     turned = one * (way / abs(way)) if turn and abs(way) > 0.0 and task.requirement.kind == "path" else one
     moved, error = _rms(other - turned), _rms(measured.distances)
