@@ -45,8 +45,8 @@ CERTIFY = (
     "Prove that no better design exists within the bounds, or find it. Default: motion laws of at most two design variables."
 )
 WORKERS = (
-    "Laws and functions, --certify: processes that share many starting points or a long proof (not of a largest error, "
-    "which uses one). Default: all cores."
+    "Processes that share a long search or proof (not the proof of a largest error, which uses one); if given, also a short "
+    "search. Default: all cores."
 )
 GAP = "--certify: share of the objective by which a better design may be missed. Default: 1e-6."
 CERTIFICATE = "Check the proof of the global optimum that solve --certify --out wrote: certificate.json, or its folder."
@@ -98,8 +98,10 @@ def solve(
     if not (_automatic(file) if certify is None else certify):
         possible = certify is None and file.task != "analysis" and design_task(file).certified
         remedy = "Add --certify, or leave it out" if possible else "Leave it out"
-        if file.task != "function":
-            console.refuse(where, "only searches of laws and functions, and proofs, use several processes", remedy, file.file)
+        if file.task != "analysis" and not design_task(file).divisible:
+            console.refuse(
+                where, "only searches from several starting points, and proofs, use several processes", remedy, file.file
+            )
         console.refuse(limits, "there is no proof of a global optimum that it applies to", remedy, file.file)
     if resume and (out is None or not certify):
         raise InputError(

@@ -119,7 +119,14 @@ def pool(engine: str = "local", workers: int | None = None, scheduler: str | Non
 
 
 def in_order(task: ChunkTask, count: int, runs: Runs | None = None, done: Callable[[int], None] | None = None) -> list[Any]:
-    """Return the results of all chunks of a task in the order of their numbers.
+    """Return the results of all chunks of a task in the order of their numbers; see `ordered`."""
+    return list(ordered(task, count, runs, done))
+
+
+def ordered(task: ChunkTask, count: int, runs: Runs | None = None, done: Callable[[int], None] | None = None) -> Iterator[Any]:
+    """Yield the results of all chunks of a task in the order of their numbers, each once those before it are complete.
+
+    A caller that needs no further results may leave the iterator.
 
     Parameters
     ----------
@@ -131,12 +138,15 @@ def in_order(task: ChunkTask, count: int, runs: Runs | None = None, done: Callab
     done : function of the number of a completed chunk, optional
     """
     found: dict[int, Any] = {}
+    following = 0
     answers = ((index, answer.value) for index, answer in runs(task, range(count))) if runs else _here(task, count)
     for index, value in answers:
         found[index] = value
         if done is not None:
             done(index)
-    return [found[index] for index in range(count)]
+        while following in found:
+            yield found.pop(following)
+            following += 1
 
 
 def _here(task: ChunkTask, count: int) -> Iterator[tuple[int, Any]]:
@@ -162,10 +172,12 @@ class _Processes:
     def __init__(self, workers: int, ends: contextlib.ExitStack) -> None:
         self.workers = workers
         self.idle: list[Process] = []
+        self.hands: list[_Hand] = []  # of the latest task
         ends.callback(self.end)
 
     def __call__(self, task: ChunkTask, todo: Iterable[int]) -> Iterator[tuple[int, ChunkResult]]:
         """Run chunks; see `Runs`."""
+        self._join()
         waiting = list(todo)
         count = min(self.workers, len(waiting))
         if self.workers <= 1 or (count <= 1 and not self.idle):
@@ -182,6 +194,7 @@ class _Processes:
         answers: queue.Queue[Answer] = queue.Queue(2 * count)
         stated = packed(task)
         hands = [_Hand(stated, jobs, answers, self.idle.pop() if self.idle else Process()) for _ in range(count)]
+        self.hands = hands
         try:
             for hand in hands:
                 hand.start()
@@ -190,18 +203,29 @@ class _Processes:
                 if isinstance(answer, BaseException):
                     raise answer
                 yield index, answer.checked(index)
+        except GeneratorExit:  # the caller needs no further result: the processes end their present chunks meanwhile
+            for hand in hands:
+                hand.stopped.set()
+            raise
         except BaseException:
             interrupts.handled()
             for hand in hands:
                 hand.stop()
             raise
-        finally:
-            for hand in hands:
-                hand.join()
-            self.idle += [hand.process for hand in hands]
+
+    def _join(self) -> None:
+        """Wait for the threads of the latest task."""
+        for hand in self.hands:
+            hand.join()
+        self.idle += [hand.process for hand in self.hands]
+        self.hands = []
 
     def end(self) -> None:
         """End all processes."""
+        for hand in self.hands:
+            if hand.is_alive():
+                hand.stop()
+        self._join()
         while self.idle:
             self.idle.pop().end()
 

@@ -10,11 +10,13 @@ import sys
 import threading
 import time
 import traceback
+from collections.abc import Callable
 from multiprocessing.reduction import ForkingPickler
-from typing import IO, Any, NamedTuple, Protocol
+from typing import IO, Any, NamedTuple, Protocol, TypeVar
 
 from optlink.errors import Fault, InputError, OptlinkError, SolverError
 
+T = TypeVar("T")
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 """Environment of a process beside others: linear algebra without threads of its own."""
 
@@ -28,6 +30,8 @@ class ChunkTask(Protocol):
 
 
 _ALONE = threading.Lock()
+_BUILT: dict[tuple[Any, bytes], Any] = {}
+MOST_BUILT = 4
 
 
 class ChunkResult(NamedTuple):
@@ -72,6 +76,25 @@ def run_chunk(task: ChunkTask, index: int) -> ChunkResult:
             return ChunkResult(broken=str(error))
         except Exception:  # noqa: BLE001 - reported by the process that runs the study
             return ChunkResult(broken=traceback.format_exc())
+
+
+def built(build: Callable[..., T], stated: bytes) -> T:
+    """Return what tasks share that follow one another in this process; it is built once.
+
+    Parameters
+    ----------
+    build : function
+        It must be importable.
+    stated : bytes
+        Its arguments, a tuple, from `packed`.
+    """
+    key = build, stated
+    if key not in _BUILT:
+        while len(_BUILT) >= MOST_BUILT:
+            del _BUILT[next(iter(_BUILT))]
+        _BUILT[key] = build(*ForkingPickler.loads(stated))
+    found: T = _BUILT[key]
+    return found
 
 
 def packed(item: Any) -> bytes:

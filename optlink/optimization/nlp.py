@@ -171,9 +171,10 @@ class NLP:
     def _hessian(self) -> BufferedFunction:
         if self.mapped is not None:
             return _symmetric(self.mapped.hessian)
-        multipliers = casadi.SX.sym("multipliers", len(self.rows))
-        lagrangian = self.f_expression + casadi.dot(multipliers, self.g_expression)
-        return CompiledFunction([self.x_symbol, self.p_symbol, multipliers], [casadi.hessian(lagrangian, self.x_symbol)[0]])
+        parts = {"x": self.x_symbol, "p": self.p_symbol, "f": self.f_expression, "g": self.g_expression}
+        known = casadi.Function("programme", parts, ["x", "p"], ["f", "g"])
+        lagrangian = {"gamma": ["f", "g"]}
+        return _symmetric(known.factory("hessian", ["x", "p", "lam:f", "lam:g"], ["triu:hess:gamma:x:x"], lagrangian))
 
     def values(self, x: Array, p: Array) -> tuple[float, Array]:
         """Return objective and rows.

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -120,6 +120,11 @@ class Solution(Summary):
     iterations: int
     message: str
     path: Array | None = None
+
+    @property
+    def parts(self) -> dict[str, Any]:
+        """All fields but the programme, for another process."""
+        return {one.name: getattr(self, one.name) for one in fields(self) if one.name != "nlp"}
 
     @cached_property
     def curvature(self) -> float:

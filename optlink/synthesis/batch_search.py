@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from optlink.execution.runner import Runs, in_order
+from optlink.execution.worker import built, packed
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.path import STEP, PathProblem
 from optlink.synthesis import random_starts as starts
@@ -70,8 +72,20 @@ class _Round:
     repaired: list[Candidate]
 
 
+@dataclass(frozen=True)
+class RoundTask:
+    """Rounds of a search from the number `first` on; each one is a chunk for the runner. `stated`: the search, packed."""
+
+    stated: bytes
+    first: int
+
+    def __call__(self, index: int) -> _Round:
+        """Compute a round."""
+        return built(Searcher, self.stated)._rounds(range(self.first + index, self.first + index + 1))[0]
+
+
 class Searcher:
-    """Multistart search of one problem; `variants` are its combinations of assembly modes.
+    """Multistart search of one problem; `variants` are its combinations of assembly modes, `runs` the processes for rounds.
 
     A round draws the same random numbers however many rounds follow: the starting points of a short search are a prefix of those
     of a longer one with the same seed.
@@ -82,7 +96,8 @@ class Searcher:
         self.fit = SimilarityFit(self.batch)
         self.batches = [self.batch.of_variant(k) for k in range(len(variants))]
         self.thin, self.lift = self.batch.thinned(FEW)
-        self.seed = seed
+        self.seed, self.variants = seed, variants
+        self.runs: Runs | None = None
         self.exploration = Exploration()
         self._ready: list[_Round] = []
 
@@ -97,7 +112,9 @@ class Searcher:
         """
         found = self.exploration
         if not self._ready:
-            self._ready = self._rounds(range(found.rounds, found.rounds + ahead))
+            numbers = range(found.rounds, found.rounds + ahead)
+            task = RoundTask(packed((self.variants, self.seed)), found.rounds)
+            self._ready = in_order(task, ahead, self.runs) if self.runs else self._rounds(numbers)
         one = self._ready.pop(0)
         found.repaired = sorted(one.repaired, key=lambda c: c.cost)
         for variant, ends in enumerate(one.ends):

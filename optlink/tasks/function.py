@@ -229,6 +229,7 @@ class FunctionTask(DesignTask[FunctionResult]):
 
     most_starts = 100_000
     certified = True
+    divisible = True
     free_example = 'coupler = { start = "400 mm", bounds = ["100 mm", "900 mm"] }'
 
     def check(self, problem: ProblemFile) -> None:
@@ -283,7 +284,7 @@ def _search(problem: ProblemFile, search: Search) -> FunctionResult:
     """Return the best design in one assembly mode."""
     from optlink.optimization.nlp import build
     from optlink.solvers import multistart
-    from optlink.tasks.function_search import FunctionSearch, start_sequence
+    from optlink.tasks.function_search import MANY, FunctionSearch, start_sequence
 
     spec = problem.spec
     nlp = build(spec)
@@ -295,8 +296,9 @@ def _search(problem: ProblemFile, search: Search) -> FunctionResult:
     reason = functools.cache(lambda: _explained(nlp, search.seed))
     searches = {name: FunctionSearch(spec, nlp, name, track=search.track) for name in search.names}
     count, interrupted = search.starts, False
+    runs = search.runs if search.shared or (count or 0) >= MANY else None
     for k, one in enumerate(searches.values()):
-        if one.run(points, count, lambda: reason()[0], part(search.progress, k, len(searches)), search.runs):
+        if one.run(points, count, lambda: reason()[0], part(search.progress, k, len(searches)), runs):
             count, interrupted = one.starts, True  # the other solver then uses as many starting points
     conflict: Conflict = ((), ())
     chosen = min(searches.values(), key=lambda one: one.result.rank)

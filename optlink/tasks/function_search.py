@@ -9,14 +9,14 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from optlink.errors import Status
 from optlink.execution import interrupts
-from optlink.execution.runner import Runs, in_order
+from optlink.execution.runner import Runs, ordered
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.nlp import NLP
@@ -36,6 +36,7 @@ from optlink.validation import validate as prove
 Progress = Callable[[float], None] | None
 
 ROUND, MOST = 24, 144  # random starts between evaluations of the evidence, and their largest number by default
+MANY = 500  # starting points that several processes share by default; fewer take no longer than the start of the processes
 PIECE, BLOCK = 6, 240  # random starts of a piece for one process, and of all pieces at a time if their number is prescribed
 MISSED = 0.025  # estimated chance of a missed better optimum at which a search ends by default
 CERTIFIED = 2  # design variables of a motion law up to which the global optimum is certified by default, without random starts
@@ -151,8 +152,7 @@ class LocalSearchTask:
     def __call__(self, index: int) -> list[dict[str, Any]]:
         """Return the fields of the solutions of a piece, without the programme."""
         self.nlp.set_exchange_points(np.zeros(self.nlp.exchange_count))
-        found = [multistart.solve_from(self.nlp, self.nlp.lifted(x), name) for x, name in self.pieces[index]]
-        return [{one.name: getattr(each, one.name) for one in fields(each) if one.name != "nlp"} for each in found]
+        return [multistart.solve_from(self.nlp, self.nlp.lifted(x), name).parts for x, name in self.pieces[index]]
 
 
 class FunctionSearch:
@@ -315,8 +315,8 @@ class FunctionSearch:
             return True
         return False
 
-    def coarse(self, starts: list[SearchStart], runs: Runs | None) -> list[Solution | None]:
-        """Return the solutions at the design positions from starts; None for each without processes.
+    def coarse(self, starts: list[SearchStart], runs: Runs | None) -> Iterator[Solution | None]:
+        """Yield the solutions at the design positions from starts, each as soon as possible; None for each without processes.
 
         Parameters
         ----------
@@ -325,10 +325,12 @@ class FunctionSearch:
             From `optlink.execution.runner.pool`.
         """
         if runs is None:
-            return [None] * len(starts)
+            yield from itertools.repeat(None, len(starts))
+            return
         points = [(start.x, self._method(start)) for start in starts]
         task = LocalSearchTask(self.nlp, tuple(points[k : k + PIECE] for k in range(0, len(points), PIECE)))
-        return [Solution(nlp=self.nlp, **part) for part in itertools.chain(*in_order(task, len(task.pieces), runs))]
+        for piece in ordered(task, len(task.pieces), runs):
+            yield from (Solution(nlp=self.nlp, **part) for part in piece)
 
     @property
     def _most(self) -> int:

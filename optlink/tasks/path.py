@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ from optlink.errors import Status
 from optlink.execution import interrupts
 from optlink.problem.file import ProblemFile
 from optlink.solvers.contract import MINIMAX
+from optlink.synthesis.batch_search import PER_ROUND, PERFECT
 from optlink.tasks.path_search import DesignCollection, Polisher, has_several_dyads, path_model
 from optlink.tasks.protocol import DesignTask, Search, completed
 from optlink.tasks.results.common import shortest_link
@@ -28,7 +29,8 @@ SMALL = 0.02  # estimated chance that a better design was missed at which a sear
 SMALL_IN_ORDER = 0.005  # the same if the order of the points decides: it divides the designs into many small regions
 LEAST_ROUNDS, MOST_ROUNDS = 3, 20
 FAR_ROUNDS = 40  # largest number, while the best design fits poorly
-AHEAD = 2  # rounds computed together, after the first one and while no design is exact
+AHEAD, SHARED_AHEAD = 2, 4  # rounds computed together, or by several processes, after the first one and while no design is exact
+LONG = 4  # rounds after which several processes share a search of four-bars, of which half are at an end by then
 COMPOUND_ROUNDS = 3  # largest number for a linkage of several dyads, whose starts and limits take longer
 PART_STARTS = 400  # of the four-bar that a linkage contains
 NO_FOUR_BAR = "no four-bar within this linkage carries {}: the search had random starts only, no starts from four-bar designs"
@@ -51,6 +53,7 @@ class PathTask(DesignTask[PathResult]):
     compares = False
     designs = 3
     certified = True
+    divisible = True
 
     def search(self, problem: ProblemFile, search: Search) -> PathResult:
         """Return linkages that pass the points or poses; see `DesignTask.search`.
@@ -61,9 +64,9 @@ class PathTask(DesignTask[PathResult]):
         search : Search
         """
         backend, seed, timer = search.backend, search.seed, search.timer
-        rounds = _Search(problem, backend, seed, search.designs)
+        rounds = _Search(problem, search)
         timer.lap("build")
-        rounds.run(search.starts, search.progress)
+        rounds.run()
         timer.lap("search, polish and validate")
         found, told = rounds.collection, rounds.collection.evidence()
         task = path_model(problem)
@@ -134,25 +137,29 @@ solve, validate = TASK.solve, TASK.validate
 class _Search:
     """Rounds of starts, each followed by refinement, until the stopping criterion holds."""
 
-    def __init__(self, problem: ProblemFile, backend: str, seed: int, requested: int) -> None:
+    def __init__(self, problem: ProblemFile, options: Search) -> None:
         from optlink.synthesis.batch_search import Searcher
 
         files = problem.variants()
-        self.searcher = Searcher([path_model(file) for file in files], seed)
-        self.collection = DesignCollection(Polisher(files, backend), requested)
-        self.requested, self.interrupted = requested, False
-        self.problem, self.backend, self.seed = problem, backend, seed
+        self.searcher = Searcher([path_model(file) for file in files], options.seed)
+        self.collection = DesignCollection(Polisher(files, options.backend), options.designs)
+        self.problem, self.options, self.interrupted = problem, options, False
+        self.compound = has_several_dyads(path_model(problem))
         self.notes: list[str] = []
         self.better: PathDesign | None = None  # the best four-bar, if no linkage that repeats its curve satisfies all limits
 
-    def run(self, starts: int | None, progress: Callable[[float], None] | None) -> None:
-        """Search until `starts` are complete; without a number, until a better design is unlikely."""
+    def run(self) -> None:
+        """Search until the number of starts is complete; without one, until a better design is unlikely."""
         found, exact = self.searcher.exploration, -1
+        starts, progress = self.options.starts, self.options.progress
         try:
             while found.starts < starts if starts else not self._enough(exact):
+                self._share()
                 exact = self.collection.exact
-                self.collection.add(self.searcher.advance(1 if found.rounds == 0 or exact else AHEAD))
-                if found.rounds == 1 and has_several_dyads(path_model(self.problem)) and not self.collection.exact:
+                self.searcher.advance(self._ahead(exact))
+                self._share()
+                self.collection.add(found)
+                if found.rounds == 1 and self.compound and not self.collection.exact:
                     self._grow()
                 if progress:
                     progress(min(found.starts / starts if starts else found.rounds / self._most, 1.0))
@@ -162,6 +169,26 @@ class _Search:
                 raise
             self.interrupted = True
 
+    def _share(self) -> None:
+        """Let several processes share the search from where it is long enough to pay for their start."""
+        found, polisher = self.searcher.exploration, self.collection.polisher
+        if self.compound:  # whose refinements take seconds, unless a design is exact
+            long = found.rounds > 0 and not any(candidate.cost <= PERFECT for candidate in found.candidates[:1])
+        else:
+            long = found.rounds >= LONG
+        if self.options.shared or long:
+            self.searcher.runs = polisher.runs = self.options.runs
+
+    def _ahead(self, exact: int) -> int:
+        """Return the number of rounds to compute together."""
+        found, starts = self.searcher.exploration, self.options.starts
+        if found.rounds == 0 or exact:
+            return 1
+        if self.searcher.runs is None:
+            return AHEAD
+        left = math.ceil((starts - found.starts) / PER_ROUND) if starts else self._most - found.rounds
+        return max(1, min(left, SHARED_AHEAD))
+
     def conflict(self, seed: int) -> Explanation | None:
         """Return limits of the linkage that conflict; None if some linkage satisfies them, whatever its deviations.
 
@@ -170,6 +197,7 @@ class _Search:
         from optlink.solvers.infeasibility import Explanation, explain
 
         nlp = self.collection.polisher.programme(0, 1)
+        nlp.set_exchange_points((np.arange(nlp.exchange_count) + 0.5) / nlp.exchange_count)
         near = self.collection.nearest
         points = None if near is None or near.solution is None or near.solution.nlp is not nlp else [near.solution.x, nlp.x_start]
         found = explain(replace(nlp, states=nlp.states | {"requirement.points"}), seed, points)
@@ -185,8 +213,11 @@ class _Search:
             if path_model(self.problem).requirement.kind == "path":
                 self.notes.append(NO_FOUR_BAR.format(path_model(self.problem).requirement.point))
             return
-        four_bars = completed(solve(part.file, self.backend, PART_STARTS, self.seed)).designs
-        for design in designs_from_four_bar(part, four_bars, self.collection.polisher, self.seed):
+        options, polisher = self.options, self.collection.polisher
+        shared = polisher.runs is not None
+        found = solve(part.file, options.backend, PART_STARTS, options.seed, runs=options.runs, shared=shared)
+        four_bars = completed(found).designs
+        for design in designs_from_four_bar(part, four_bars, polisher, options.seed):
             self.collection.insert(design)
         if four_bars and not self.collection.no_worse(four_bars[0]):
             self.better = four_bars[0]
@@ -194,7 +225,7 @@ class _Search:
     @property
     def _most(self) -> int:
         """Largest number of rounds, if no number of starts is prescribed."""
-        if has_several_dyads(path_model(self.problem)) and not self.collection.exact:
+        if self.compound and not self.collection.exact:
             return COMPOUND_ROUNDS
         if not self.collection.designs:
             return MOST_IN_VAIN
@@ -205,7 +236,7 @@ class _Search:
         rounds, collection = self.searcher.exploration.rounds, self.collection
         if collection.exact:
             often = collection.evidence().hits >= OFTEN * collection.exact
-            return collection.exact >= self.requested or collection.exact == exact or often or rounds >= self._most
+            return collection.exact >= self.options.designs or collection.exact == exact or often or rounds >= self._most
         if rounds < LEAST_ROUNDS:
             return False
         small = SMALL_IN_ORDER if collection.ordered else SMALL

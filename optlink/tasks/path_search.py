@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from optlink.errors import Status
+from optlink.execution.runner import Runs, ordered
+from optlink.execution.worker import built, packed
 from optlink.optimization.path_nlp import solved_values
 from optlink.problem.file import ProblemFile
 from optlink.problem.path import PathProblem
@@ -50,12 +52,31 @@ def has_several_dyads(task: PathProblem) -> bool:
     return len(task.linkage.groups) > 1
 
 
+@dataclass(frozen=True)
+class PolishTask:
+    """Candidates to refine; each one is a chunk for the runner. `stated`: the polisher, packed."""
+
+    stated: bytes
+    candidates: tuple[Candidate, ...]
+    near: bool
+
+    def __call__(self, index: int) -> dict[str, Any]:
+        """Return the fields of a refined and validated design, without problem and programme."""
+        design = built(Polisher, self.stated).polish(self.candidates[index], near=self.near)
+        parts = {one.name: getattr(design, one.name) for one in fields(design) if one.name != "problem"}
+        return parts | {"solution": None if design.solution is None else design.solution.parts}
+
+
 class Polisher:
-    """Refines candidates to designs by the NLP with all limits, built once per assembly mode and crank direction."""
+    """Refines candidates to designs by the NLP with all limits, built once per assembly mode and crank direction.
+
+    `runs`: processes that refine several candidates at a time, if any.
+    """
 
     def __init__(self, files: list[ProblemFile], backend: str) -> None:
         self.files, self.backend = files, backend
         self.programmes: dict[tuple[int, int], NLP] = {}
+        self.runs: Runs | None = None
 
     def programme(self, variant: int, direction: int) -> NLP:
         """Return the NLP of a variant.
@@ -95,6 +116,24 @@ class Polisher:
         if minimax and start.usable and solution.objective > begun * (1.0 + 1e-9):
             solution = replace(solution, status=Status.STALLED)  # an optimum, but not that near the start
         return validated_design(file, start.nlp, solution)
+
+    def each(self, candidates: Sequence[Candidate], *, near: bool = False) -> Iterator[PathDesign]:
+        """Yield the refined designs of candidates in order; see `polish`. The caller may leave the iterator at any of them.
+
+        Parameters
+        ----------
+        candidates : sequence of Candidate
+        near : bool
+            See `polish`.
+        """
+        if self.runs is None:
+            yield from (self.polish(candidate, near=near) for candidate in candidates)
+            return
+        task = PolishTask(packed((self.files, self.backend)), tuple(candidates), near)
+        for candidate, parts in zip(candidates, ordered(task, len(candidates), self.runs), strict=True):
+            if parts["solution"] is not None:
+                parts["solution"] = Solution(nlp=self.programme(candidate.variant, candidate.direction), **parts["solution"])
+            yield PathDesign(problem=self.files[candidate.variant], **parts)
 
     def unpolished(self, candidate: Candidate) -> PathDesign:
         """Return the candidate itself, validated: a feasible design if it satisfies its limits everywhere."""
@@ -196,24 +235,32 @@ class DesignCollection:
 
     def _follow(self, candidates: list[Candidate], tries: int, vain: int, dear: int = 0) -> None:
         """Refine candidates in order: `tries` at most, `vain` of them without a valid design, `dear` beyond the largest cost."""
-        from optlink.synthesis.batch_search import PERFECT
-
-        for candidate in candidates:
-            if candidate in self._ends:
-                continue
-            beyond = candidate.cost > self._dearest()
-            if not tries or not vain or (beyond and not dear):
-                break
-            dear -= beyond
-            if self.exact and candidate.cost > PERFECT:
-                break  # inexact candidates are irrelevant beside an exact design
-            design = self._ends[candidate] = self.polisher.polish(candidate)
-            tries -= 1
+        left = [candidate for candidate in candidates if candidate not in self._ends][:tries]
+        designs = self.polisher.each(left[: self._worth(left, dear)])
+        while vain and self._worth(left, dear):
+            candidate, dear = left[0], dear - (left[0].cost > self._dearest())
+            design = self._ends[candidate] = next(designs, None) or self.polisher.polish(candidate)
+            del left[0]
             if design.valid:
                 self.insert(design)
             else:
                 vain -= 1
                 self.nearest = min(filter(None, (self.nearest, design)), key=_failing)
+
+    def _worth(self, candidates: list[Candidate], dear: int) -> int:
+        """Return how many of the first candidates are worth refining, `dear` of them beyond the largest cost.
+
+        A better design only makes it fewer, and inexact candidates are irrelevant beside an exact design.
+        """
+        from optlink.synthesis.batch_search import PERFECT
+
+        most, exact = self._dearest(), self.exact
+        for number, candidate in enumerate(candidates):
+            beyond = candidate.cost > most
+            if (beyond and not dear) or (exact and candidate.cost > PERFECT):
+                return number
+            dear -= beyond
+        return len(candidates)
 
     def _dearest(self) -> float:
         """Return the largest cost of a candidate worth refining: limits only increase it."""
@@ -337,8 +384,8 @@ def designs_from_four_bar(
     for near, candidates in ((False, ended), (True, begun)):
         if best is None or not any(design.valid and no_worse_fit(design, best) for design in polished):
             candidates.sort(key=lambda candidate: candidate.cost)
-            for candidate in candidates[:POLISHED]:
-                polished.append(polisher.polish(candidate, near=near))
+            for design in polisher.each(candidates[:POLISHED], near=near):
+                polished.append(design)
                 if best is not None and _agree([design for design in polished if design.valid and no_worse_fit(design, best)]):
                     break
     found = [design for design in polished if design.valid]

@@ -104,7 +104,8 @@ def completed(result: Found) -> Found:
 class Search:
     """Checked options of a search, see `DesignTask.solve`; `names`: the back ends to use; `timer`: begun with the search.
 
-    `runs`: processes for independent parts, from `optlink.execution.runner.pool`, that change nothing in the result.
+    `runs`: processes for independent parts, from `optlink.execution.runner.pool`, that change nothing in the result; `shared`:
+    whether they are requested, not only for long searches.
     """
 
     names: tuple[str, ...]
@@ -116,6 +117,7 @@ class Search:
     track: bool
     begin: Mapping[str, float] | None
     runs: Runs | None = None
+    shared: bool = False
     timer: Timer = field(default_factory=Timer)
 
 
@@ -140,6 +142,8 @@ class DesignTask(ABC, Generic[R]):
     """Default number of distinct designs; None if only one is found."""
     certified: ClassVar[bool] = False
     """Whether the global optimum can be certified."""
+    divisible: ClassVar[bool] = False
+    """Whether several processes can share a search."""
     free_example: ClassVar[str] = 'coupler = { bounds = ["100 mm", "900 mm"] }'
     """Example of a design variable, for an error message."""
     without_free: ClassVar[str] = "check the design: optlink validate"
@@ -189,6 +193,7 @@ class DesignTask(ABC, Generic[R]):
         track: bool = False,
         begin: Mapping[str, float] | None = None,
         runs: Runs | None = None,
+        shared: bool = False,
     ) -> R:
         """Check the options, search, and validate the result.
 
@@ -210,7 +215,9 @@ class DesignTask(ABC, Generic[R]):
         begin : mapping of str to float [SI], optional
             Design variables of the only starting point (laws and functions).
         runs : function, optional
-            From `optlink.execution.runner.pool`: processes that share the starting points (laws and functions).
+            From `optlink.execution.runner.pool`: processes that share a long search.
+        shared : bool
+            Whether they share a short one too.
 
         Raises
         ------
@@ -225,7 +232,7 @@ class DesignTask(ABC, Generic[R]):
         check_range("designs", 1 if designs is None else designs, 1, MOST_DESIGNS)
         names = self._back_ends(problem, backend, starts, seed)
         count = designs or self.designs or 1
-        return self.search(problem, Search(names, backend, starts, seed, progress, count, track, begin, runs))
+        return self.search(problem, Search(names, backend, starts, seed, progress, count, track, begin, runs, shared))
 
     def _back_ends(self, problem: ProblemFile, backend: str, starts: int | None, seed: int) -> tuple[str, ...]:
         """Check the options of the search, import its back ends and return their names."""

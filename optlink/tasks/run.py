@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 Proving = Callable[[float, float], None]
 """Receives the share of the bounds that is done, and the present gap."""
 
-MANY = 500  # starting points that several processes share by default; fewer take no longer than the start of the processes
 TASKS: Registry[Callable[[], DesignTask[Any]]] = Registry()
 """Functions that import and return the tasks, by the kind of problem (`ProblemFile.task`)."""
 
@@ -103,8 +102,8 @@ def solve(
     resume : bool
         Continue the proof that was interrupted in `folder`.
     engine, workers, scheduler
-        See `optlink.execution.runner.pool`: where many starting points (of laws and functions) are searched from, and a long
-        proof is made. They change nothing in the result.
+        See `optlink.execution.runner.pool`: where a long search or proof is made; a short search too, if one of them is given.
+        They change nothing in the result.
 
     Returns
     -------
@@ -130,9 +129,9 @@ def solve(
     if certify:
         proof.check_problem(problem)
     found: FunctionResult | PathResult | CycleResult | Balance
-    shared = workers is not None or engine != "local" or (starts or 0) >= MANY
+    shared = workers is not None or engine != "local"
     with pool(engine, workers, scheduler) as runs:
-        kept: dict[str, Any] = {"designs": designs, "track": track, "runs": runs if shared else None}
+        kept: dict[str, Any] = {"designs": designs, "track": track, "runs": runs, "shared": shared}
         found = task.solve(problem, backend, starts, seed, progress, **kept)
     if not task.certified or certify is False or found.interrupted:
         return found

@@ -16,8 +16,8 @@ REFUSED = {
         "there is no proof of a global optimum that it applies to. Add --certify, or leave it out",
     ),
     "processes without a proof": (
-        ("path-bean", "--workers", "2"),
-        "only searches of laws and functions, and proofs, use several processes. Add --certify",
+        ("balance-six-bar", "--workers", "2"),
+        "only searches from several starting points, and proofs, use several processes. Leave it out",
     ),
     "an unknown engine": (("crank-rocker", "--engine", "cluster"), '--engine = "cluster": unknown engine'),
     "a machine": (

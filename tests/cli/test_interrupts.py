@@ -115,6 +115,7 @@ def files(tmp_path):
 
 LONG = {
     "solve a path": ("solve", "bean.toml", "--starts", "900000", "--out", "out"),
+    "solve a path by processes": ("solve", "bean.toml", "--starts", "900000", "--workers", "2", "--out", "out"),
     "solve a machine": ("solve", "pump.toml", "--starts", "2000", "--out", "out"),
     "solve a law": ("solve", "crank-rocker", "--starts", "90000", "--out", "out"),
     "report": ("report", "bean.toml", "-o", "page.html", "--starts", "900000"),

@@ -40,7 +40,7 @@ def test_processes_search_as_this_one_does() -> None:
     nlp = build(file.spec)
     points = list(itertools.islice(start_sequence(file.spec, nlp, 5, None).rest(), 20))
     with pool("local", 2) as runs:
-        shared = FunctionSearch(file.spec, nlp, "ipopt").coarse(points, runs)
+        shared = list(FunctionSearch(file.spec, nlp, "ipopt").coarse(points, runs))
     alone = [multistart.solve_from(nlp, nlp.lifted(point.x), "ipopt") for point in points]
     assert [one.iterations for one in shared] == [one.iterations for one in alone]
     for one, other in zip(shared, alone, strict=True):

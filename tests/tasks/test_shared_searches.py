@@ -1,0 +1,121 @@
+"""Searches that several processes share: the digits of one process, in any order of completion; Ctrl-C keeps what is complete."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+
+import optlink
+from optlink.execution.runner import Runs, ordered, pool
+from optlink.execution.worker import ChunkResult, ChunkTask, run_chunk
+from optlink.tasks.path_search import PolishTask
+from optlink.tasks.run import design_task
+
+PATH = {"designs": 3, "starts": 60}
+
+
+def digits(result: Any) -> list[object]:
+    """All figures of a path result, bit by bit."""
+    found: list[object] = [result.starts, repr(result.evidence), result.notes]
+    for one in result.designs:
+        found += [x.hex() for x in (one.objective, *one.values.values(), *one.crank_angles)]
+        found += [one.status, repr(one.validation), repr(one.limits)]
+    return found
+
+
+def shared(name: str, runs: Runs | None, **options: Any) -> Any:
+    file = optlink.load(name)
+    return design_task(file).solve(file, runs=runs, shared=runs is not None, **options)
+
+
+def backwards(task: ChunkTask, todo: Iterable[int]) -> Iterator[tuple[int, ChunkResult]]:
+    """The chunks in the present process, the last one first."""
+    for index in reversed(list(todo)):
+        yield index, run_chunk(task, index).checked(index)
+
+
+def exchanged(task: ChunkTask, todo: Iterable[int]) -> Iterator[tuple[int, ChunkResult]]:
+    """The same with a defect: each refined design is taken for that of the candidate at the other end."""
+    found = dict(backwards(task, todo))
+    count = len(found) if isinstance(task, PolishTask) else 0
+    yield from ((index, found[count - 1 - index if count else index]) for index in found)
+
+
+def pressed(after: int) -> Runs:
+    """Chunks in the present process, of one task after the other; Ctrl-C after some refined candidates."""
+    done = 0
+
+    def runs(task: ChunkTask, todo: Iterable[int]) -> Iterator[tuple[int, ChunkResult]]:
+        nonlocal done
+        for index in todo:
+            if done == after and not type(task).__name__.startswith("Round"):
+                raise KeyboardInterrupt
+            done += not type(task).__name__.startswith("Round")
+            yield index, run_chunk(task, index).checked(index)
+
+    return runs
+
+
+def test_the_order_of_completion_changes_no_digit_of_a_path() -> None:
+    alone = digits(shared("path-slider-egg", None, **PATH))
+    assert digits(shared("path-slider-egg", backwards, **PATH)) == alone
+    assert digits(shared("path-slider-egg", exchanged, **PATH)) != alone
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "how"),
+    [
+        ("path-conveyor", [{"workers": 1}, {"workers": 2}]),  # refined by the exchange method, with several directions
+        ("path-vline6", [{"workers": 4}, {"workers": 2, "engine": "dask"}]),  # exact: refinements that are not needed any more
+        ("path-watt-leg", [{"workers": 2}]),
+        ("motion-3-poses-region", [{"workers": 2}]),
+    ],
+)
+def test_processes_change_no_digit_of_a_path(name: str, how: list[dict[str, Any]]) -> None:
+    file = optlink.load(name)
+    alone = digits(optlink.solve(file, seed=1))
+    for one in how:
+        assert digits(optlink.solve(file, seed=1, **one)) == alone
+
+
+def test_ctrl_c_keeps_the_refined_designs_of_a_path() -> None:
+    whole, part = shared("path-conveyor", None, starts=60), shared("path-conveyor", pressed(2), starts=60)
+    assert part.interrupted
+    assert not whole.interrupted
+    assert 0 < part.evidence.starts < whole.evidence.starts
+    assert part.valid
+    with pytest.raises(KeyboardInterrupt):
+        shared("path-conveyor", pressed(0), starts=60)
+
+
+def test_ctrl_c_keeps_the_searches_of_a_law() -> None:
+    """All searches of a block were lost, 240 of them."""
+    part = shared("crank-rocker", pressed(3), starts=200)
+    assert part.interrupted
+    assert 3 * 6 <= part.starts < 3 * 6 + 6
+
+
+@dataclass(frozen=True)
+class OwnProcess:
+    """Returns the number of the process."""
+
+    def __call__(self, index: int) -> tuple[int, int]:
+        """Return the number of the chunk, and of the process."""
+        return index, os.getpid()
+
+
+def test_processes_outlive_a_task_of_which_no_further_result_is_needed() -> None:
+    with pool("local", 2) as runs:
+        first = ordered(OwnProcess(), 50, runs)
+        some = [next(first) for _ in range(3)]
+        del first
+        rest = list(ordered(OwnProcess(), 50, runs))
+    assert [index for index, _ in some + rest] == [0, 1, 2, *range(50)]
+    own = {process for _, process in some + rest}
+    assert len(own) <= 2
+    assert os.getpid() not in own
