@@ -197,7 +197,7 @@ class _Plant:
         n = 2 + len(self.names) + 6 * len(self.bodies)
         state, first = casadi.SX.sym("state", n), casadi.SX.sym("first", n)
         with symbols_in_numpy():
-            rates = dense_function([crank], [casadi.vertcat(*self.rates(crank[0], crank[1]))])
+            rates = dense_function([crank], [casadi.cse(casadi.vertcat(*self.rates(crank[0], crank[1])))])  # for all 16 stages
             whole = lambda y: casadi.vertcat(*self.placed(rates(y[:2]), y))  # noqa: E731
             made = attempt(whole, lambda parts: casadi.horzcat(*parts), state, first, size)
         outputs = [made.state, casadi.horzcat(*made.rates), casadi.vertcat(made.fifth, made.third)]

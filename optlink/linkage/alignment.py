@@ -112,13 +112,14 @@ def least_alignments(mechanism: Mechanism, sizes: Mapping[str, Value]) -> list[A
             found = [_rate(group.alignment(pose)) for group in mechanism.groups]
         return np.array([np.broadcast_to(rate, angles.shape) for rate in found])
 
-    still = np.max(np.nan_to_num(np.abs(rates(grid)), posinf=0.0), axis=1, initial=0.0) <= _STILL
+    samples = in_portions(rates, grid)
+    still = np.max(np.nan_to_num(np.abs(samples), posinf=0.0), axis=1, initial=0.0) <= _STILL
 
     def sines(angles: Array) -> Array:
         with np.errstate(all="ignore"):
             return squared_sines(mechanism.at(sizes, angles))
 
-    own = zeros(rates, grid, still=True)
+    own = zeros(rates, grid, still=True, samples=samples)
     which = np.repeat(np.arange(len(own)), [len(angles) for angles in own])
     at = np.concatenate(own)
     kept = (at >= -1e-9) & (at < mechanism.cycle - 1e-9) & ~still[which]

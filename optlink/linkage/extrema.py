@@ -322,7 +322,15 @@ NOISE = 1024  # units of the last place: shorter steps that no longer shrink are
 Slope = Callable[[int, float], tuple[float, float]]
 
 
-def zeros(function: Function, grid: Array, count: int = 60, *, still: bool = False, slope: Slope | None = None) -> list[Array]:
+def zeros(
+    function: Function,
+    grid: Array,
+    count: int = 60,
+    *,
+    still: bool = False,
+    slope: Slope | None = None,
+    samples: Array | None = None,
+) -> list[Array]:
     """Compute the crank angles [rad] at which each function changes sign, to machine precision.
 
     Parameters
@@ -335,12 +343,15 @@ def zeros(function: Function, grid: Array, count: int = 60, *, still: bool = Fal
         Whether the functions are rates that may be zero over a range: rounding errors then count as zero, not as reversals.
     slope : callable, (index of a function, crank angle) -> (value, derivative), optional
         Newton's method then replaces the rounds wherever it converges within the bracket.
+    samples : array (functions, n), optional
+        The values on the grid, where they are known.
 
     Returns
     -------
     one rising array per function; sign changes across a gap (NaN) or a jump to NaN do not count
     """
-    crossing, left, right = sign_changes(in_portions(function, grid), still=still)
+    values = in_portions(function, grid) if samples is None else samples
+    crossing, left, right = sign_changes(values, still=still)
     which, where = np.nonzero(crossing)
 
     def own(angles: Array, brackets: Index) -> Array:
@@ -407,7 +418,7 @@ def refined_roots(
     found, active, sign = high.copy(), np.arange(len(low)), np.sign(at_low)
     new, old, last, f_new, f_old, f_last = high, low, low, at_high, at_low, at_low
     lower = np.zeros(len(low), dtype=bool)  # whether `new` is the lower end
-    step = np.full(len(low), 0.5)
+    step, rounding = np.full(len(low), 0.5), np.spacing(np.maximum(np.abs(low), np.abs(high)))
     for _ in range(count if len(low) else 0):
         at = new + step * (old - new)
         f_at = function(at, active)
@@ -417,7 +428,7 @@ def refined_roots(
         old, f_old = np.where(same, old, new), np.where(same, f_old, f_new)
         new, f_new, lower = at, f_at, below
         found[active] = np.maximum(new, old)
-        width, least = np.abs(old - new), np.spacing(np.maximum(np.abs(old), np.abs(new)))
+        width, least = np.abs(old - new), rounding[active]  # at a zero at 0, of the bracket: not of ever smaller numbers
         wide = width > 2.0 * least
         if not np.any(wide):
             break

@@ -89,10 +89,13 @@ class Motion:
         acceleration : Value [rad/s^2]
         """
 
+        square, steady = speed * speed, isinstance(acceleration, float) and acceleration == 0.0
+
         def scale(x: Value) -> Value:
             if not isinstance(x, Jet):
                 return x
-            return Jet(x.value, speed * x.rate, speed * speed * x.acceleration + acceleration * x.rate)
+            bent = square * x.acceleration
+            return Jet(x.value, speed * x.rate, bent if steady else bent + acceleration * x.rate)
 
         pose = Pose(self.mechanism, self.sizes, self.crank_angle)
         pose.points = {name: (scale(x), scale(y)) for name, (x, y) in self.pose.points.items()}

@@ -156,6 +156,8 @@ def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
             return bool(np.all(alignment_margin(mechanism.at(sizes, angles)) >= 0.0))
 
     failing = not closed(grid)
+    if not failing and not crossing:
+        return Ranges(((0.0, cycle),), True, tuple(aligned))
     margin, *sines = zeros(function, grid)
     ends = distinct(np.concatenate([margin if failing else [], *sines]))  # a margin that only touches zero is not an end
     if len(ends) == 0:

@@ -338,7 +338,7 @@ class TracedCycle:
             return EventOrder((), (), ())
 
         def values_at(angles: Array) -> Array:
-            return there[groups:] if angles is grid else self._watch(*known, angles)[groups:]
+            return self._watch(*known, angles)[groups:]
 
         def slope(k: int, angle: float) -> tuple[float, float]:
             value, rate = self._event_rates(np.append(known, angle))
@@ -347,7 +347,7 @@ class TracedCycle:
         cutting: list[tuple[float, int, bool]] = []
         every: dict[int, list[tuple[float, int, bool]]] = {}
         told: list[tuple[float, int, bool]] = []
-        for k, places in enumerate(zeros(values_at, grid, still=True, slope=slope)):
+        for k, places in enumerate(zeros(values_at, grid, still=True, slope=slope, samples=there[groups:])):
             rises = [slope(k, at + AHEAD)[0] > 0.0 for at in places.tolist()]
             own = [(float(at) % TURN, k, bool(up)) for at, up in zip(places, rises, strict=True)]
             every[k] = own

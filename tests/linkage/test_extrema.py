@@ -163,6 +163,22 @@ def test_zeros_end_behind_the_change_of_sign():
         assert function(found - 2e-15 * at)[row, 0] <= 0.0
 
 
+def test_a_zero_at_zero_costs_no_more_than_another():
+    calls = []
+
+    def function(angles):
+        calls.append(len(angles))
+        return np.array([np.sin(angles) * (1.0 + 0.3 * angles)])
+
+    grid = np.linspace(-0.01, 6.0, 300)
+    samples = function(grid)
+    for shift in (0.0, 1.0):
+        found = zeros(lambda angles: function(angles - shift), grid + shift, samples=samples)[0]  # noqa: B023
+        assert found == pytest.approx([shift, shift + math.pi], abs=1e-15 + 4e-16 * shift)
+    assert len(calls) < 20
+    assert max(calls[1:]) == 2  # the samples are known
+
+
 def chain(dyads):
     """A crank-rocker that drives parallelograms in a row, all links with mass."""
     ground = {"G0": ["0 mm", "0 mm"]}
