@@ -88,13 +88,15 @@ def test_four_bars_are_recovered(measure: str, turned: tuple[int, int]) -> None:
 def test_short_motions_leave_all_digits() -> None:
     """A few degrees: the three columns of the fit are nearly dependent."""
     rng = np.random.default_rng(3)
+    errors = []
     for _ in range(200):
         true, phi = random_four_bar(rng)
         phi = 0.06 * phi
         psi = np.unwrap(rocker_angle(true, true.phi0 + phi) - true.psi0)
         (found,) = first_steps(phi, psi - psi[0], true.phi0, true.psi0)
-        for name in ("crank", "coupler", "rocker"):
-            assert getattr(found, name) == pytest.approx(getattr(true, name), rel=1e-10)
+        errors.append(max(abs(getattr(found, name) / getattr(true, name) - 1.0) for name in ("crank", "coupler", "rocker")))
+    assert np.median(errors) < 2e-12
+    assert max(errors) < 2e-9  # the worst conditioned one multiplies the rounding of its angles by 1e6
 
 
 def test_starts_are_meant_as_given() -> None:
