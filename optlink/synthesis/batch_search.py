@@ -15,7 +15,7 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.path import STEP, PathProblem
 from optlink.synthesis import random_starts as starts
 from optlink.synthesis.batch import Batch
-from optlink.synthesis.levenberg_marquardt import FinalDesigns, minimise
+from optlink.synthesis.levenberg_marquardt import ZERO, FinalDesigns, minimise
 from optlink.synthesis.variable_projection import SimilarityFit
 
 FIRST_ROUND, PER_ROUND = 60, 240  # starting points per round over all assembly modes: doubled from the first to the second number
@@ -25,7 +25,7 @@ DISTINCT = 1e-3  # least difference of two designs, in scaled units and relative
 PERFECT = 1e-20  # cost (square of a fraction of the curve size) of a design that passes all points
 MISSED = 1e-3  # weighted squares of limit violations up to which the NLP refines a design
 FEW = 18  # points in the first descent; the second uses all
-NEAR, STRAGGLERS = 1e-17, 0.1  # cost at which the first descent stops; share of designs that it leaves unconverged
+NEAR, STRAGGLERS = 1e-17, 0.1  # cost from which full steps converge at once; share of designs that are left unconverged before
 FINISHED = 60  # best distinct designs of a round that are refined to full precision
 GOOD = 3  # of them must reach it; poorer ones may stop where they hardly improve
 VALLEY, FINISH = 200, 200  # steps with variable projection, then full steps
@@ -196,7 +196,8 @@ class Searcher:
         Near-circular curves have curved and narrow valleys. Variable projection (the fit) shortens them; full Levenberg-Marquardt
         steps give the last digits.
         """
-        good = GOOD if len(self.batch.problem.linkage.groups) == 1 else None  # with more dyads few designs converge in time
+        simple = len(self.batch.problem.linkage.groups) == 1  # with more dyads few designs converge in time
+        good, zero = (GOOD, NEAR) if simple else (None, ZERO)
         parts, counts = [], []
         for ends in firsts:
             proper = pass_in_order(self.batch, ends)[0] & (ends.missed <= MISSED) & np.isfinite(ends.cost)
@@ -206,7 +207,9 @@ class Searcher:
             parts.append((ends.x[first], ends.t[first]))
             counts.append(count)
         if self.fit.applies:
-            found = self._minimise(self.batch, parts, VALLEY, self.fit, slow=1e-7, left=STRAGGLERS, after=AFTER, good=good)
+            found = self._minimise(
+                self.batch, parts, VALLEY, self.fit, slow=1e-7, left=STRAGGLERS, after=AFTER, good=good, zero=zero
+            )
             parts = [(ends.x, ends.t) for ends in found]
         found = self._minimise(self.batch, parts, FINISH if self.fit.applies else VALLEY, None, slow=1e-9, after=AFTER, good=good)
         return [replace(ends, count=count) for ends, count in zip(found, counts, strict=True)]

@@ -336,8 +336,10 @@ def _failing(design: PathDesign) -> tuple[int, float]:
 
 def _rank(design: PathDesign) -> tuple[float, float]:
     """Return a sort key: the objective; exact designs by decreasing worst transmission angle."""
+    if not design.exact:
+        return design.objective, 0.0
     transmission = design.least_transmission
-    return (0.0 if design.exact else design.objective), -(transmission if math.isfinite(transmission) else 0.0)
+    return 0.0, -(transmission if math.isfinite(transmission) else 0.0)
 
 
 STARTS = 12  # per design of the four-bar and combination of assembly modes

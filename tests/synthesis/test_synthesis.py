@@ -17,7 +17,7 @@ from optlink.optimization.path_nlp import build_path_nlp
 from optlink.problem.path import STEP
 from optlink.synthesis import levenberg_marquardt, random_starts
 from optlink.synthesis.batch import INSIDE, WEIGHT, Batch
-from optlink.synthesis.batch_search import Searcher
+from optlink.synthesis.batch_search import PERFECT, Searcher
 from optlink.synthesis.levenberg_marquardt import minimise
 from optlink.synthesis.variable_projection import SimilarityFit
 from optlink.validation.path import deviations
@@ -616,3 +616,12 @@ def test_a_bound_in_the_way_is_followed():
     ends = minimise(Valley(0.5), np.array([[-1.5, -1.0], [-1.2, 1.0], [0.3, 0.0]]), np.zeros((3, 1)), 30)
     np.testing.assert_allclose(ends.x, [[0.5, 0.25]] * 3, atol=1e-6)
     np.testing.assert_allclose(ends.cost, 0.25, rtol=1e-9)
+
+
+def test_a_search_with_exact_designs_takes_few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The variable projection went on for 200 steps although full steps converge at once from the designs of the descent."""
+    advance, steps = levenberg_marquardt._advance, []
+    monkeypatch.setattr(levenberg_marquardt, "_advance", lambda *given: (steps.append(1), advance(*given))[1])
+    found = Searcher([file.model for file in optlink.load("path-vline6").variants()], 0).advance()
+    assert sum(candidate.cost <= PERFECT for candidate in found.candidates) >= 3
+    assert len(steps) < 150
