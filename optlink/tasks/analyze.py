@@ -196,7 +196,9 @@ def _extremes(machine: Machine, low: float, high: float, ranges: Ranges, speed: 
     names = [name for name in first.columns if not name.endswith(".angle_rad")]
     names += [name for name, _, _ in pins]
     count = GRID * (max(1, round(cycle / TURN)) if full else 1)
-    grid = distinct(np.concatenate([low + (high - low) / count * np.arange(count + 1), work.jumps]))
+    even = low + (high - low) / count * np.arange(count + 1)
+    nearly_zero = _least_forces(MotionColumns(machine.moving(even, speed)), even, pins)
+    grid = distinct(np.concatenate([even, work.jumps, nearly_zero]))
     at, best = extremes(values, grid, tuple(work.jumps), [name.rpartition("_")[2] for name in names], periodic=full)
     if work.jumps.size:
         before = values(work.jumps, side=-1)
@@ -221,6 +223,22 @@ def _extremes(machine: Machine, low: float, high: float, ranges: Ranges, speed: 
         i, j = int(np.nanargmin(amounts)), int(np.nanargmax(amounts))
         found["input.work_J"] = Extreme(float(amounts[i]), placed(places[i]), float(amounts[j]), placed(places[j]))
     return found
+
+
+def _least_forces(record: MotionColumns, angles: Array, pins: Iterable[tuple[str, str, str]]) -> Array:
+    """Return the crank angles between positions at which the chord of the force at a pin is closest to zero.
+
+    The magnitude has a minimum there that may be too sharp for the positions to show which of several minima is the least.
+    """
+    found = [np.empty(0)]
+    for _, point, body in pins:
+        force = np.array([record.full(part) for part in record.reactions.pins[point][body]])
+        change = np.diff(force, axis=1)
+        with np.errstate(all="ignore"):
+            share = -np.sum(force[:, :-1] * change, axis=0) / np.sum(change * change, axis=0)
+        inside = (share > 1e-3) & (share < 1.0 - 1e-3)
+        found.append((angles[:-1] + share * np.diff(angles))[inside])
+    return distinct(np.concatenate(found).round(9))
 
 
 def quick_stroke_notes(problem: ProblemFile, machine: Machine, speed: float) -> list[str]:

@@ -658,3 +658,11 @@ def test_internal_drag_opposes_the_relative_motion():
     assert np.all(power <= 1e-12)
     np.testing.assert_allclose(result["input.power_W"], -power, atol=1e-9)
     assert np.any(result["drag.fx_N"] * result["B.vx_m_s"] > 1e-3)  # against the frame alone it would be another sign
+
+
+@pytest.mark.parametrize(("name", "speed", "joint"), [("six-bar", 35.0, "E"), ("whitworth", 32.0, "C")])
+def test_least_joint_force_is_found_where_the_force_almost_vanishes(name, speed, joint):
+    """Two sharp minima: between even positions the deeper one may look the higher."""
+    found = optlink.analyze(optlink.load(name), points=36_000, speed=speed)
+    least = float(np.min(np.hypot(found[f"{joint}.fx_N"], found[f"{joint}.fy_N"])))
+    assert 0.9 * least <= found.extremes[f"{joint}.f_N"].least <= least * (1.0 + 1e-9)
