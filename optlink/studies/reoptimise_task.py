@@ -8,6 +8,7 @@ single one. A row depends on the grid alone.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -43,6 +44,8 @@ Index = NDArray[np.intp]
 CHUNK, SLOW_CHUNK = 100, 4  # points per chunk; the second if every point needs a separate search
 LARGEST_CHUNK, CHUNKS = 10_000, 10  # points of the chunks of a large grid, and the least number of chunks
 BATCH = 2_000  # points that are worked on at a time
+STARTS, SEED = 6, 0  # searches in each of the few large blocks of a grid, from random points
+FEW = 1000  # points of a grid up to which a point that Newton's method does not reach has such searches of its own
 SEARCHED = "searched"
 OTHER = 3.0  # ratio of sizes beyond which the scaling of the programme is unsuitable
 
@@ -96,7 +99,8 @@ class ReoptimiseTask(OptimumTask):
         """Search for the optima of the common programme."""
         assert self.programme is not None
         nlp = BatchNLP(self.programme.nlp, self.template.spec.law)
-        return GridSearch(nlp, Blocks(self.grid, self.most), self._problem, self._search)
+        blocks, large = Blocks(self.grid, self.most), Blocks(self.grid, self.grid.count)
+        return GridSearch(nlp, blocks, self._problem, self._search, large, self._search_many)
 
     def lines(self, index: int) -> list[list[str]]:
         """Return the rows of a chunk."""
@@ -129,6 +133,18 @@ class ReoptimiseTask(OptimumTask):
         self.programme.bind(self.model(point))
         nlp = self.programme.nlp
         return multistart.best([multistart.solve_from(nlp, x, self.backend) for x in multistart.starts(nlp, self.starts, 0)])
+
+    def _search_many(self, point: int) -> list[Solution]:
+        """Return the distinct optima of searches at a point from points across the bounds, best first."""
+        assert self.programme is not None
+        self.programme.bind(self.model(point))
+        nlp, found = self.programme.nlp, list[Solution]()
+        high = np.where(np.isfinite(nlp.x_high), nlp.x_high, 1.0)
+        for x in itertools.islice(multistart.latin_hypercubes(nlp.x_low, high, SEED), STARTS):
+            end = multistart.solve_from(nlp, nlp.lifted(x), self.backend, resume_infeasible=False)
+            if end.status is Status.OPTIMAL and not any(multistart.compare(end, known).same for known in found):
+                found.append(end)
+        return sorted(found, key=lambda one: one.objective)
 
     def _followed(self, points: Index) -> dict[int, list[str]]:
         """Return the rows of the points at which Newton's method from a neighbouring optimum ends at a proven optimum."""
@@ -168,10 +184,18 @@ class ReoptimiseTask(OptimumTask):
     def _again(self, point: int) -> FoundOptimum:
         """Return the optimum at a point that is searched, from that of a neighbour if there is one."""
         assert self.programme is not None
-        programme, near = self.programme, self.grid_search.nearest(point)
+        programme, near, corners = self.programme, self.grid_search.nearest(point), self.grid_search.branches(point)
         task = self.model(point)
         programme.bind(task)
         solution, found = programme.solve(near, self.backend)
+        if solution.usable and self.grid.count <= FEW:
+            corners.append(self._search_many(point))
+        for rank, other in (pair for corner in corners for pair in enumerate(corner)):
+            end = follow_optimum(programme.nlp, other)
+            if end is None and rank == 0:
+                end = multistart.solve_from(programme.nlp, programme.within(other.x), self.backend)
+            if end is not None and multistart.best([solution, end]) is end and not multistart.compare(solution, end).same:
+                solution, found = end, SEARCHED
         if not solution.usable and not 1.0 / OTHER <= task.quantities["frame"].value / programme.size <= OTHER:
             own = build(task)
             solution = multistart.best([solution, multistart.solve_from(own, own.x_start, self.backend)])
@@ -241,6 +265,11 @@ class ParametricProgramme:
         for entry, (low, high) in enumerate(zip(own.lower[0], own.upper[0], strict=True)):
             nlp.limit(entry, low, high)
 
+    def within(self, x: Array) -> Array:
+        """Return the point within the present bounds that is nearest to x (n,)."""
+        nlp = self.nlp
+        return nlp.lifted(np.clip(x, nlp.x_low, nlp.x_high))
+
     def solve(self, near: Solution | None, backend: str) -> tuple[Solution, str]:
         """Return the optimum for the present parameters, and how it was found.
 
@@ -258,7 +287,7 @@ class ParametricProgramme:
         starts = [nlp.x_start] if near is None else [near.x, nlp.x_start]
         tries = []
         for x in starts:
-            tries.append(multistart.solve_from(nlp, nlp.lifted(np.clip(x, nlp.x_low, nlp.x_high)), backend))
+            tries.append(multistart.solve_from(nlp, self.within(x), backend))
             if tries[-1].status is Status.OPTIMAL:
                 break
         return multistart.best(tries), SEARCHED

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -47,10 +47,21 @@ class Blocks:
 
     def middle(self, block: int) -> int:
         """Return the point in the middle of a block."""
-        places = []
-        for own, count, size in zip(np.unravel_index(block, self.counts), self.counts, self.shape, strict=True):
-            first, after = (-(-(int(own) + step) * size // count) for step in (0, 1))
-            places.append((first + after - 1) // 2)
+        return self._point([(first + last) // 2 for first, last in self._ends(block)])
+
+    def corners(self, block: int) -> tuple[int, ...]:
+        """Return two opposite corners of a block, once if they are one point."""
+        return tuple(dict.fromkeys(self._point(places) for places in zip(*self._ends(block), strict=True)))
+
+    def _ends(self, block: int) -> list[tuple[int, int]]:
+        """Return the first and last place of a block along every axis."""
+        own = np.unravel_index(block, self.counts)
+        return [
+            (-(-int(k) * size // count), -(-(int(k) + 1) * size // count) - 1)
+            for k, count, size in zip(own, self.counts, self.shape, strict=True)
+        ]
+
+    def _point(self, places: Sequence[int]) -> int:
         return int(np.ravel_multi_index(places, self.shape))
 
     def neighbours(self, block: int) -> list[int]:

@@ -1,8 +1,9 @@
 """Optima at many points of a grid: a search in the middle of every block, Newton's method from there to all of its points.
 
 The optimum of the search in the middle of a block is compared with those of the neighbouring blocks, continued to that point;
-where they differ, every point of the block takes the best one. The result at a point depends on the grid alone, not on the points
-that are computed with it.
+where they differ, every point of the block takes the best one. So it does with other optima, which searches from many starting
+points find in the middles of a few large blocks. The result at a point depends on the grid alone, not on the points that are
+computed with it.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ Bools = NDArray[np.bool_]
 SHARES = (0.25, 0.5, 0.75, 1.0)  # of the way to a problem that Newton's method does not reach at once
 KEPT = 4096  # searches that are kept for further blocks
 BETTER = 1e-9  # share of the objective by which another optimum must be smaller
+BRANCHES = 8  # optima of a large block, the best ones
+NEARBY = 2.0  # times the objective in the middle of a block, up to which another optimum of a large block is continued to its points
 
 
 @dataclass(frozen=True)
@@ -50,19 +53,62 @@ class GridSearch:
         Parameters and bounds at points of the grid; the scale of the objective in them is replaced.
     search : function of a point to Solution
         Search that depends on the point alone.
+    large : Blocks
+        A few large blocks.
+    search_many : function of a point to a list of Solution
+        Distinct optima, best first, that depend on the point alone.
+
+    Each optimum of a large block has a number like a block, from the number of blocks on.
     """
 
     def __init__(
-        self, nlp: BatchNLP, blocks: Blocks, problem: Callable[[Index], BatchProblem], search: Callable[[int], Solution]
+        self,
+        nlp: BatchNLP,
+        blocks: Blocks,
+        problem: Callable[[Index], BatchProblem],
+        search: Callable[[int], Solution],
+        large: Blocks,
+        search_many: Callable[[int], list[Solution]],
     ) -> None:
         self.nlp, self.blocks, self.problem, self.search = nlp, blocks, problem, search
+        self.large, self.search_many = large, search_many
         self._searches: dict[int, tuple[Solution, NDArray[np.int8]]] = {}
+        self._branches: dict[int, list[tuple[Solution, NDArray[np.int8]]]] = {}
 
     def at_middle(self, block: int) -> Solution:
         """Return the result of the search in the middle of a block."""
         return self._searched(block)[0]
 
+    def branches(self, point: int) -> list[list[Solution]]:
+        """Return the optima at two opposite corners of the block of a point, best first."""
+        block = int(self.blocks.of(np.array([point]))[0])
+        return [[solution for solution, _ in self._many(corner)] for corner in self.blocks.corners(block)]
+
+    def _many(self, point: int) -> list[tuple[Solution, NDArray[np.int8]]]:
+        if point not in self._branches:
+            if len(self._branches) >= KEPT:
+                del self._branches[next(iter(self._branches))]
+            self._branches[point] = [(solution, active_sides(solution)) for solution in self.search_many(point)[:BRANCHES]]
+        return self._branches[point]
+
+    def _further(self, block: int) -> list[int]:
+        """Return the numbers of the optima of the large blocks around a block."""
+        own = int(self.large.of(np.array([self.blocks.middle(block)]))[0])
+        return [
+            self.blocks.count + one * BRANCHES + rank
+            for one in (own, *self.large.neighbours(own))
+            for rank in range(len(self._many(self.large.middle(one))))
+        ]
+
+    def _middle(self, block: int) -> int:
+        """Return the point of an optimum."""
+        further = block - self.blocks.count
+        return self.blocks.middle(block) if further < 0 else self.large.middle(further // BRANCHES)
+
     def _searched(self, block: int) -> tuple[Solution, NDArray[np.int8]]:
+        if block >= self.blocks.count:
+            one, rank = divmod(block - self.blocks.count, BRANCHES)
+            return self._many(self.large.middle(one))[rank]
         if block not in self._searches:
             if len(self._searches) >= KEPT:
                 del self._searches[next(iter(self._searches))]
@@ -90,12 +136,13 @@ class GridSearch:
         self._follow(found, problem, np.arange(count), of_point)
         blocks, which = np.unique(of_point, return_inverse=True)
         found.searched[:] = found.proven & (points == np.array([self.blocks.middle(int(block)) for block in blocks])[which])
-        beside = [self.blocks.neighbours(int(block)) for block in blocks]
+        beside = [[*self.blocks.neighbours(int(block)), *self._further(int(block))] for block in blocks]
         others = self._others(blocks, beside)
         for rank in range(max(map(len, beside), default=0)):
             begin = np.array([own[rank] if rank < len(own) else -1 for own in beside])
             differs = np.array([one in other for one, other in zip(begin.tolist(), others, strict=True)])
-            some = np.flatnonzero((begin[which] >= 0) & (differs[which] | ~found.proven))
+            beyond = begin >= self.blocks.count
+            some = np.flatnonzero((begin[which] >= 0) & (differs[which] | (~found.proven & ~beyond[which])))
             self._follow(found, problem, some, begin[which[some]])
         return found
 
@@ -111,7 +158,10 @@ class GridSearch:
         found.proven[at], found.searched[at] = True, False
 
     def _others(self, blocks: Index, beside: list[list[int]]) -> list[set[int]]:
-        """Return for every block the blocks beside it whose optimum, continued to its middle, is another than its own."""
+        """Return for every block the blocks beside it whose optimum, continued to its middle, is another than its own.
+
+        Optima of large blocks count once each, where they are reached and not far worse.
+        """
         pairs = [(k, one) for k, own in enumerate(beside) for one in own if self.at_middle(one).usable]
         others: list[set[int]] = [set() for _ in beside]
         if not pairs:
@@ -123,7 +173,14 @@ class GridSearch:
         objective = np.array([one.objective if one.usable else np.inf for one in own])[which]
         with np.errstate(invalid="ignore"):
             same = ended.proven & (np.abs(ended.objective - objective) <= SAME_OBJECTIVE * np.abs(objective))
-        for k, one in zip(which[~same].tolist(), begin[~same].tolist(), strict=True):
+            near = (begin < self.blocks.count) | (ended.proven & (ended.objective <= NEARBY * objective))
+        known: list[list[float]] = [[] for _ in beside]
+        for at in np.flatnonzero(~same & near).tolist():
+            k, one, value = int(which[at]), int(begin[at]), float(ended.objective[at])
+            if one >= self.blocks.count:
+                if any(abs(value - other) <= SAME_OBJECTIVE * abs(value) for other in known[k]):
+                    continue
+                known[k].append(value)
             others[k].add(one)
         return others
 
@@ -147,7 +204,7 @@ class GridSearch:
         direct = batch_newton(self.nlp, own, x[which], multipliers[which], sides)
         far = np.flatnonzero(~direct.proven)
         if far.size:
-            middles = self.problem(np.array([self.blocks.middle(int(block)) for block in each])).part(which[far])
+            middles = self.problem(np.array([self._middle(int(block)) for block in each])).part(which[far])
             start = BatchOptima(x[which[far]], multipliers[which[far]], sides[far], direct.objective[far], direct.proven[far])
             for share in SHARES:
                 between = middles.towards(own.part(far), share)
