@@ -25,6 +25,7 @@ from optlink.problem.limits import LIMITS, Limits
 from optlink.problem.path import PathLimits, PathProblem
 from optlink.report.registry import REGISTERED
 from optlink.solvers.contract import SOLVERS
+from optlink.studio import design as studio_design
 from optlink.tasks.run import TASKS
 
 FOLDER = Path(__file__).parent / "extending"
@@ -198,6 +199,10 @@ def test_a_new_kind_of_result_and_its_view(extended, tmp_path):
     assert "agrees with a sweep" in shown
     assert "Linkage in motion" in shown
     assert solved("solve", str(file), "--set", "clearing.least=10 m", code=1)["valid"] is False
+    analysed = studio_design.solved(optlink.read({**raw, "clearing": {"point": "C", "least": "10 m"}}))
+    assert analysed.status == "not verified"  # its own validation is not that of the studio
+    assert "optlink solve" in analysed.conclusion
+    assert studio_design.solved(optlink.read(raw)).status == "verified"
     stored = page(tmp_path, str(tmp_path / "out"), "--problem", str(file))
     assert "agrees with a sweep" in stored
     assert "read from result.json" in stored

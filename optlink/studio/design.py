@@ -22,6 +22,7 @@ from optlink.tasks.results.balance import Balance
 from optlink.validation.check import Check
 
 UNVERIFIED = "not verified"
+ANALYSED = "The machine is analysed alone; `optlink solve` judges what the file requires of it."
 MOVING = "Optimised from the last design; it is verified when the handle is released."
 
 
@@ -145,6 +146,8 @@ def _machine(result: Analysis | Balance) -> Design:
     """Return the machine of an analysis or of a balance, with its verdict."""
     if isinstance(result, Analysis):
         status, conclusion = "verified" if result.sound else "not valid", conclusions.analysis(result)
+        if result.sound and result.problem.task != "analysis":  # a kind of another package, whose validation did not run
+            status, conclusion = UNVERIFIED, f"{ANALYSED} {conclusion}"
     else:
         status = "verified" if result.valid else "infeasible" if result.conflict else "not valid"
         conclusion = conclusions.balance(result)

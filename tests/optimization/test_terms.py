@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import optlink
+from optlink.dynamics.columns import MotionColumns
 from optlink.errors import InputError
 from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
 from optlink.optimization.cycle_signals import TracedCycle
@@ -198,3 +199,25 @@ def test_what_cannot_be_used_is_named(where, value, key, words):
 def test_friction_is_refused_where_forces_are_asked_for():
     with pytest.raises(InputError, match="friction"):
         changed(**{"mechanism.guides.F.friction": 0.1})
+
+
+@pytest.mark.parametrize(("start", "end"), [(50.0, 60.0), (60.0, 50.0), (90.0, 75.0)])
+def test_a_torque_over_theta_is_that_of_every_design_that_a_search_passes(start, end):
+    """At 60 degrees of the frame, not at 50, the rocker swings across 180 degrees from +x, where theta must not jump."""
+    links = {"crank": {"joints": ["A", "B"], "length": "40 mm"}, "coupler": {"joints": ["B", "C"], "length": "290 mm"}}
+    links["rocker"] = {"joints": ["D", "C"], "length": "160 mm"}
+    x, y = ([f(math.radians(at)) * 300.0 for at in (start, end)] for f in (math.cos, math.sin))
+    free = [{"start": f"{at[0]!r} mm", "bounds": ["-400 mm", "400 mm"]} for at in (x, y)]
+    raw = {
+        "mechanism": {"ground": {"A": ["0 mm", "0 mm"], "D": free}, "links": links, "assembly": {"C": "left of B-D"}},
+        "loads": {"spring": {"on": "rocker", "torque": {"expression": "-5*theta", "unit": "N*m"}}},
+        "drive": {"speed": "60 rpm"},
+        "objective": {"quantity": "torque"},
+    }
+    file = optlink.read(raw)
+    design = {"D.x": 1e-3 * x[1], "D.y": 1e-3 * y[1]}
+    trace = TracedCycle(file.model)
+    angles = np.linspace(0.0, 2.0 * np.pi, 361)
+    torque = trace.signals(*trace.inputs(design), angles)[0]
+    alone = Cycle(file.model, design).machine.moving(angles, file.model.drive.speed.value)
+    np.testing.assert_allclose(torque, MotionColumns(alone)["input.torque_Nm"], atol=1e-9)

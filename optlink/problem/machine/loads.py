@@ -51,7 +51,7 @@ class SlideSamples(Protocol):
         ...
 
     def branch(self, body: str) -> Value:
-        """Return the middle of the swing of a body across 180 deg from +x [rad] of each design; 0 for any other motion."""
+        """Return the middle of the swing of a body [rad] of each design, from -180 to 180 deg; 0 for one that turns fully."""
         ...
 
 

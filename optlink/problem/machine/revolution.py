@@ -150,13 +150,13 @@ class Revolution:
         return _per_design(np.where(np.isnan(middle), free, _near(middle, free)))
 
     def branch(self, body: str) -> Value:
-        """Return the middle [rad] of the swing of a body across 180 deg from +x, within that range; 0 for any other motion.
+        """Return the middle [rad] of the swing of a body, from -180 to 180 deg; 0 for one that turns fully.
 
-        A number, or an array (designs, 1) if the swing differs from design to design.
+        A number, or an array (designs, 1) if the swing differs from design to design. It is a swing's middle too that does not
+        cross 180 deg: that of a similar design, for which it serves as well, may do so.
         """
         low, high = self._swing(body, FRAME)
-        middle, width = _near(0.5 * (low + high), 0.0), high - low
-        return _per_design(np.where((width <= FULL_TURN) & (np.abs(middle) + 0.5 * width >= 0.5 * FULL_TURN), middle, 0.0))
+        return _per_design(np.where(high - low <= FULL_TURN, _near(0.5 * (low + high), 0.0), 0.0))
 
     def _swing(self, body: str, against: str) -> tuple[Array, Array]:
         """Return the ends [rad] of the swing of a body relative to another, of each design; NaN: no position is reached."""
