@@ -13,13 +13,13 @@ import io
 import os
 import sys
 import types
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, TextIO
 
 import typer
 
 from optlink.cli import report, show, simulate, solve, studio, study
-from optlink.cli.command import App
+from optlink.cli.command import COMMANDS, App
 from optlink.cli.options import OVERVIEW
 from optlink.execution import interrupts
 
@@ -28,6 +28,9 @@ CLOSED = 141
 
 UNUSED = {"rich.markdown": "Markdown", "rich.traceback": "Traceback"}
 """Modules that typer imports for any help, and what it takes from them; the overview needs neither, and they take longest."""
+
+COMPLETION = "_OPTLINK_COMPLETE"
+"""Environment variable by which a shell asks for completions."""
 
 NO_OUTPUT = (errno.EPIPE, errno.ENOSPC, errno.EIO, errno.EFBIG)
 """What makes standard output or standard error unusable."""
@@ -68,9 +71,10 @@ def main() -> None:
     output = sys.stdout
     try:
         try:
-            overview = sys.argv[1:] in OVERVIEW
-            with _without(UNUSED if overview else {}):
-                (_overview(app) if overview else app)()
+            words = sys.argv[1:]
+            completion = COMPLETION in os.environ  # the line is in the environment too
+            with _without(UNUSED if words in OVERVIEW and not completion else {}):
+                (app if completion else needed(app, words))()
         finally:
             if sys.stdout is not output:  # typer has detected a closed pipe
                 raise BrokenPipeError(errno.EPIPE, "the pipe is closed")
@@ -95,8 +99,16 @@ def main() -> None:
         raise SystemExit(2) from None
 
 
-def _overview(group: typer.Typer) -> typer.Typer:
-    """Return a group with the names and summaries of its commands alone, which are built in half the time."""
+def needed(group: typer.Typer, words: Sequence[str]) -> typer.Typer:
+    """Return a group with the command of a command line; of the others with names and summaries alone, as building takes time.
+
+    Parameters
+    ----------
+    group : typer.Typer
+    words : sequence of str
+        Command line, without the words that lead to the group; without a command, for the overview of all.
+    """
+    first = COMMANDS.get(words[0], words[0]) if words else None
     short = copy.copy(group)
     short.registered_commands = [copy.copy(info) for info in group.registered_commands]
     short.registered_groups = [copy.copy(info) for info in group.registered_groups]
@@ -104,10 +116,11 @@ def _overview(group: typer.Typer) -> typer.Typer:
         assert info.callback is not None
         info.name = info.name or info.callback.__name__.replace("_", "-")
         info.help = info.help or info.callback.__doc__
-        info.callback = lambda: None
+        if info.name != first:
+            info.callback = lambda: None
     for part in short.registered_groups:
         assert part.typer_instance is not None
-        part.typer_instance = _overview(part.typer_instance)
+        part.typer_instance = needed(part.typer_instance, words[1:] if part.name == first else ())
     return short
 
 

@@ -9,10 +9,11 @@ import sys
 from pathlib import Path
 
 import pytest
+import typer.main
 from typer.testing import CliRunner
 
 import optlink
-from optlink.cli.app import _overview, app, rejoined
+from optlink.cli.app import app, needed, rejoined
 from optlink.errors import Fault
 
 ROOT = Path(__file__).parents[2]
@@ -272,8 +273,37 @@ def test_values_that_the_shell_has_split_are_joined(line):
 
 
 def test_overview_is_the_help_of_all_commands():
-    assert CliRunner().invoke(_overview(app), ["--help"]).stdout == run("--help").stdout
+    assert CliRunner().invoke(needed(app, ["--help"]), ["--help"]).stdout == run("--help").stdout
     assert run("solve", "--help").stdout.count("--") > 5  # the commands themselves keep their options
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "solve --help",
+        "analyse --help",
+        "study --help",
+        "study sweep --help",
+        "study swep",
+        "study",
+        "solv crank-rocker",
+        "--bogus solve",
+        "solve --bogus",
+        "list --json",
+        "show crank-rocker -q",
+        "studio --help",
+    ],
+)
+def test_a_command_built_alone_does_what_it_does_beside_the_others(line):
+    whole, alone = (CliRunner().invoke(group, line.split(), prog_name="optlink") for group in (app, needed(app, line.split())))
+    assert (alone.stdout, alone.stderr, alone.exit_code) == (whole.stdout, whole.stderr, whole.exit_code)
+
+
+def test_only_the_invoked_command_is_built():
+    group = typer.main.get_command(needed(app, ["study", "sweep", "crank-rocker"]))
+    study = group.commands["study"]
+    assert {name for name, one in study.commands.items() if len(one.params) > 0} == {"sweep"}
+    assert not group.commands["solve"].params
 
 
 @pytest.mark.parametrize("words", [["--help"], []])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -207,6 +208,13 @@ def test_completion(line, offered, tmp_path, monkeypatch):
     for name in ("pump.toml", "pump.txt"):
         (tmp_path / name).write_text("title = 'x'\n")
     assert completed(line) == offered
+
+
+def test_a_process_completes_options():
+    environment = os.environ | {"_OPTLINK_COMPLETE": "complete_bash", "COMP_WORDS": "optlink solve --qu", "COMP_CWORD": "2"}
+    code = "import sys; sys.argv = ['optlink']; from optlink.__main__ import main; main()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment)
+    assert done.stdout.split() == ["--quiet"], done.stderr
 
 
 def test_completion_can_be_installed(monkeypatch):
