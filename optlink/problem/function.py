@@ -182,6 +182,11 @@ class DesignProblem(Problem):
         return self.requirement.measure == "max" and isinstance(self.requirement.law, Function)
 
     @property
+    def error_bounded(self) -> bool:
+        """Whether a lower bound of the largest error over all linkages is available: of a function, without tolerances."""
+        return self.everywhere and self.requirement.robust is None
+
+    @property
     def transmission_over(self) -> str:
         """Crank range of the transmission limits: "revolution" or "span"."""
         return self.limits.transmission_over or ("span" if self.limits.crank == "span" else "revolution")

@@ -22,12 +22,6 @@ GRID = 36  # start angles of crank and rocker that are scanned, each over half a
 WIDER = 2.0 * math.pi / 180.0  # relaxation of the transmission-angle limits: the nearest start may just violate them
 
 
-def has_function_starts(problem: DesignProblem) -> bool:
-    """Return whether the target is a function and crank, coupler and rocker are design variables, so that first designs exist."""
-    lengths = all(problem.quantities[name].free for name in LENGTHS[:3])
-    return isinstance(problem.requirement.law, Function) and lengths
-
-
 def steps(problem: DesignProblem, count: int = COUNT) -> list[FirstStep]:
     """Return the best first designs with the assembly mode of the problem, by increasing error.
 

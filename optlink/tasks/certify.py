@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -22,18 +22,19 @@ from optlink.problem.function import DesignProblem
 from optlink.problem.path import PathProblem
 from optlink.solvers.global_search.branch_and_bound import BATCH, Bounder, BranchAndBound, joint_history
 from optlink.solvers.global_search.checkpoint import FILE, Checkpoint
-from optlink.solvers.global_search.function_certificate import CLOSED, INTERRUPTED, certify_function, is_bounded
 from optlink.solvers.global_search.lagrangian import Guess, LagrangianBounds
 from optlink.solvers.global_search.quadratic import least_squares
-from optlink.solvers.global_search.timed_path import TimedPathBounds, unsuitable
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.function_search import certified_by_default
 from optlink.tasks.protocol import completed
-from optlink.tasks.results.certificate import GLOBAL, INFEASIBLE, NOT_CLOSED, STRICT, WITHIN_GAP, Certificate, Cover
-from optlink.tasks.results.path import PathResult
+from optlink.tasks.results.certificate import GLOBAL, INFEASIBLE, NOT_CLOSED, STRICT, WITHIN_GAP, Certificate, Cover, exact
 from optlink.version import VERSION
 
-Certified = TypeVar("Certified", FunctionResult, PathResult)
+if TYPE_CHECKING:
+    from optlink.solvers.global_search.timed_path import TimedPathBounds
+    from optlink.tasks.results.path import PathResult
+
+Certified = TypeVar("Certified", FunctionResult, "PathResult")
 Progress = Callable[[float, float], None]
 """Receives the share of the bounds that is done, and the present gap (NaN without a design)."""
 
@@ -42,7 +43,6 @@ TOP = 1e-3  # share below the largest deviation within which others are as large
 NEAR = 1e-8  # half width of the box about the best design in which derivatives are taken, as a share of the bounds
 SAME = 1e-7  # share of the objective by which a design must be smaller to be better
 INSIDE = 0.999  # share of the gap that the search uses, so that rounding does not decide whether it is kept
-EXACT = 1e-9  # rms deviation [rad], or share of the curve, below which a design is exact: none can be better
 LARGE = 1024  # boxes of a timed path that are bounded together
 FAILURES = 20  # searches for a better timed path that may fail
 BUDGET = 2_000  # boxes of a certificate that is made by default; they take about a second
@@ -62,25 +62,17 @@ def check_problem(problem: ProblemFile) -> None:
         If it has none.
     """
     model = problem.model
-    of_function = isinstance(model, DesignProblem) and is_bounded(model)
-    if not of_function and not (isinstance(model, PathProblem) and not unsuitable(model)):
+    if not (isinstance(model, DesignProblem) and model.error_bounded) and not _of_path(problem):
         box_problem(problem.variants()[0])
 
 
-def exact(problem: ProblemFile, objective: float) -> bool:
-    """Return whether an objective is zero to rounding, so that no design can be better.
+def _of_path(problem: ProblemFile) -> bool:
+    """Return whether a problem is a timed path that is bounded over the proportions of its four-bar."""
+    if not isinstance(problem.model, PathProblem):
+        return False
+    from optlink.solvers.global_search.timed_path import unsuitable
 
-    Parameters
-    ----------
-    problem : ProblemFile
-        A function or path problem.
-    objective : float
-        Infinite without a design.
-    """
-    model: Any = problem.model
-    scale = 1.0 if isinstance(model, DesignProblem) else model.whole
-    error = objective if model.measure != "sum of squares" else math.sqrt(max(objective, 0.0))
-    return bool(error <= EXACT * scale)
+    return not unsuitable(problem.model)
 
 
 def check_options(gap: float, time_limit: float) -> None:
@@ -153,9 +145,10 @@ def certify(
     """
     check_options(gap, time_limit)
     model, problem = result.problem.model, stated or result.problem
-    of_function = isinstance(model, DesignProblem) and is_bounded(model) and result.valid and result.objective > EXACT
-    of_path = isinstance(model, PathProblem) and not unsuitable(model)
-    kind = _ErrorSearch if of_function else _PathSearch if of_path else _Search
+    of_function = (
+        isinstance(model, DesignProblem) and model.error_bounded and result.valid and not exact(problem, result.objective)
+    )
+    kind = _ErrorSearch if of_function else _PathSearch if _of_path(result.problem) else _Search
     if resume and of_function:
         raise InputError("the proof of the largest error of a function cannot be resumed", "Leave it out", key="--resume")
     about = {"optlink": VERSION, "problem_hash": problem.hash, "gap": gap}
@@ -343,6 +336,8 @@ class _ErrorSearch(_Search):
 
     def run(self, seconds: float, boxes: float, progress: Progress | None) -> Any:
         """Search all assembly modes."""
+        from optlink.solvers.global_search.function_certificate import CLOSED, INTERRUPTED, certify_function
+
         begin = time.perf_counter()
         model, share = self.stated.model, INSIDE * self.gap
         assert isinstance(model, DesignProblem)
@@ -376,6 +371,8 @@ class _PathSearch(_Search):
 
     def run(self, seconds: float, boxes: float, progress: Progress | None) -> Any:
         """Search all assembly modes."""
+        from optlink.solvers.global_search.timed_path import TimedPathBounds
+
         begin, interrupted = time.perf_counter(), False
         assert isinstance(self.stated.model, PathProblem)
         bounds = TimedPathBounds(self.stated.model)

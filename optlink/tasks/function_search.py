@@ -10,7 +10,7 @@ import itertools
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,12 +26,13 @@ from optlink.solvers import multistart
 from optlink.solvers.contract import CLOSE
 from optlink.solvers.function_exchange import add_peak_errors
 from optlink.solvers.solution import Solution
-from optlink.synthesis import function_starts
-from optlink.synthesis.freudenstein import FirstStep
 from optlink.tasks.results.common import Optimum, optimality, proven
 from optlink.tasks.results.evidence import evidence, tally
 from optlink.validation import Validation
 from optlink.validation import validate as prove
+
+if TYPE_CHECKING:
+    from optlink.synthesis.freudenstein import FirstStep
 
 Progress = Callable[[float], None] | None
 
@@ -115,8 +116,10 @@ def start_sequence(problem: DesignProblem, nlp: NLP, seed: int, begin: Mapping[s
     def bounds() -> Iterator[SearchStart]:
         return (SearchStart(x, drawn=True, close=False) for x in multistart.sobol(nlp.x_low, nlp.x_high, seed))
 
-    if not function_starts.has_function_starts(problem):
+    if not isinstance(problem.requirement.law, Function) or not all(problem.quantities[name].free for name in LENGTHS[:3]):
         return StartSequence([given], bounds, None)
+    from optlink.synthesis import function_starts
+
     steps = function_starts.steps(problem)
     first = [SearchStart(nlp.x_of(function_starts.values(problem, step)), drawn=False, close=True) for step in steps]
 

@@ -24,9 +24,9 @@ from optlink.report.stored.stored_study import named_si
 from optlink.solvers.solution import LimitState, Solution
 from optlink.studies.sensitivity import SensitivitiesRecord
 from optlink.tasks.analyze import analyze
-from optlink.tasks.certify import exact
 from optlink.tasks.function import FunctionRecord, FunctionResult, read_design
 from optlink.tasks.results.analysis import Analysis, AnalysisRecord
+from optlink.tasks.results.certificate import exact
 from optlink.tasks.results.common import SingleRecord
 from optlink.tasks.results.cycle import CycleResult
 from optlink.tasks.results.path import PathDesign, PathDesignRecord, PathRecord, PathResult

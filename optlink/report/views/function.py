@@ -28,7 +28,7 @@ from optlink.report.labels import place_labels
 from optlink.report.style import FOUND, LIMIT, QUIET, ROCKER, WANTED, figure, heading, panels, styled
 from optlink.report.style import figure as new_figure
 from optlink.report.view import View
-from optlink.report.views.certificate_view import certificate_charts
+from optlink.report.views.certificate_charts import certificate_charts
 from optlink.report.views.path_view import failed
 from optlink.solvers.contract import selectable
 from optlink.tasks.function import FunctionResult, display_value

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -39,13 +40,14 @@ from optlink.report.table_spec import (
 from optlink.report.views.certificate_view import certificate_table, certified
 from optlink.report.views.relaxations import conflict
 from optlink.solvers.solution import LimitState
-from optlink.synthesis.function_starts import WIDER
 from optlink.tasks.function import FunctionResult, display_value
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.certificate import Certificate, message, share_text
 from optlink.tasks.results.fit import Fit
 from optlink.validation import Check
-from optlink.validation.certificate import CertificateCheck
+
+if TYPE_CHECKING:
+    from optlink.validation.certificate import CertificateCheck
 
 MOST = 8  # largest number of points listed
 RELAXED = "; <=, >=: its improvement if the bound is relaxed by one unit"
@@ -167,6 +169,8 @@ def _objective(outcome: FunctionResult) -> TableSpec:
         remark = f"the largest error is reached {outcome.alternations} times in turn, anywhere in the range"
         rows.append((*in_degrees, quiet(remark)))
     if outcome.first is not None:
+        from optlink.synthesis.function_starts import WIDER
+
         error, bound = (number(math.degrees(value), 4) for value in (outcome.first.error, outcome.first.bound))
         proof = f"; {bound} deg is the least at its start angles, proven" if outcome.first.proven else ""
         limited = outcome.problem.spec.limits.transmission_at() is not None

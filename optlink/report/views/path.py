@@ -24,7 +24,7 @@ from optlink.report.files import verdict
 from optlink.report.labels import place_labels
 from optlink.report.style import CRANK, WANTED, degrees, figure, heading, styled
 from optlink.report.view import View
-from optlink.report.views.certificate_view import certificate_charts
+from optlink.report.views.certificate_charts import certificate_charts
 from optlink.report.views.path_charts import Close, dots, errors, points_on, small_frames
 from optlink.report.views.path_drawings import (
     BESIDE,

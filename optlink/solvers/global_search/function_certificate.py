@@ -65,11 +65,6 @@ class FunctionBound:
     history: list[tuple[int, float, float]]
 
 
-def is_bounded(problem: DesignProblem) -> bool:
-    """Return whether `certify_function` is available: the largest error of a function, without tolerances."""
-    return isinstance(problem.requirement.law, Function) and problem.everywhere and problem.requirement.robust is None
-
-
 def certify_function(
     problem: DesignProblem,
     best: float,
@@ -106,7 +101,7 @@ def certify_function(
     ValueError
         If the problem is of another kind, or `best` or `gap` is not positive.
     """
-    if not is_bounded(problem):
+    if not problem.error_bounded:
         raise ValueError("only the largest error of a function, without tolerances, is bounded")
     if not (0.0 < best < 0.25 * math.pi and 0.0 < gap < 1.0):
         raise ValueError(f"best lies between 0 and pi/4 rad, and gap between 0 and 1, not {best} and {gap}")

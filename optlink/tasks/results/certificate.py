@@ -12,15 +12,34 @@ from numpy.typing import NDArray
 from optlink.errors import Status
 from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import Contradiction, Never, Number, Record, Rows, absent
+from optlink.problem.file import ProblemFile
+from optlink.problem.function import DesignProblem
 from optlink.solvers.global_search.lagrangian import TESTS
 from optlink.version import VERSION
 
 GLOBAL, WITHIN_GAP, NOT_CLOSED, INFEASIBLE = "global", "within gap", "not closed", "infeasible"
+EXACT = 1e-9  # rms deviation [rad], or share of the curve, below which a design is exact: none can be better
 STRICT = 1e-6  # largest relative gap of a design that is called globally optimal
 SHOWN = 3_000  # discarded boxes up to which the result document has them
 SAME = 1e-6  # relative difference of the same objective, once computed and once read
 TINY = 1e-16  # objective [SI] below which the difference of two values is rounding
 SCHEMA = "optlink/certificate/1"
+
+
+def exact(problem: ProblemFile, objective: float) -> bool:
+    """Return whether an objective is zero to rounding, so that no design can be better.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+        A function or path problem.
+    objective : float
+        Infinite without a design.
+    """
+    model: Any = problem.model
+    scale = 1.0 if isinstance(model, DesignProblem) else model.whole
+    error = objective if model.measure != "sum of squares" else math.sqrt(max(objective, 0.0))
+    return bool(error <= EXACT * scale)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,9 @@ from optlink.problem.path import STEP, PathProblem
 from optlink.problem.quantity import Quantity
 from optlink.solvers.solution import LimitState
 from optlink.units import show
-from optlink.validation.path import MeasuredDeviations
+
+if TYPE_CHECKING:
+    from optlink.validation.path import MeasuredDeviations
 
 EXACT, GOOD, FAIR = 1e-9, 0.01, 0.05  # largest relative errors of these grades; beyond, a fit is poor
 GOOD_ANGLE, FAIR_ANGLE = math.radians(45.0), math.radians(40.0)  # least transmission angles of these grades
