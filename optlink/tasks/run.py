@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -116,7 +117,7 @@ def solve(
         If the problem has no requirement, objective or balancing section, if it has no design variables, or if an argument
         does not apply.
     """
-    from optlink.execution.runner import pool
+    from optlink.execution.runner import check, pool
 
     task = design_task(problem)
     if certify and not task.certified:
@@ -130,7 +131,9 @@ def solve(
         proof.check_problem(problem)
     found: FunctionResult | PathResult | CycleResult | Balance
     shared = workers is not None or engine != "local"
-    with pool(engine, workers, scheduler) as runs:
+    check(engine, workers, scheduler)
+    with contextlib.ExitStack() as ends:
+        runs = ends.enter_context(pool(engine, workers, scheduler)) if task.divisible else None
         kept: dict[str, Any] = {"designs": designs, "track": track, "runs": runs, "shared": shared}
         found = task.solve(problem, backend, starts, seed, progress, **kept)
     if not task.certified or certify is False or found.interrupted:

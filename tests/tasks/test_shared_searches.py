@@ -100,6 +100,16 @@ def test_ctrl_c_keeps_the_searches_of_a_law() -> None:
     assert 3 * 6 <= part.starts < 3 * 6 + 6
 
 
+def test_no_cluster_is_started_for_a_problem_that_cannot_use_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*given: object) -> None:
+        raise AssertionError(given)
+
+    monkeypatch.setattr("optlink.execution.runner.pool", refused)
+    assert optlink.solve(optlink.load("balance-four-bar"), engine="dask").valid
+    with pytest.raises(AssertionError):
+        optlink.solve(optlink.load("path-vline6"), engine="dask")
+
+
 @dataclass(frozen=True)
 class OwnProcess:
     """Returns the number of the process."""
