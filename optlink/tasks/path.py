@@ -30,6 +30,7 @@ SMALL_IN_ORDER = 0.005  # the same if the order of the points decides: it divide
 LEAST_ROUNDS, MOST_ROUNDS = 3, 20
 FAR_ROUNDS = 40  # largest number, while the best design fits poorly
 AHEAD, SHARED_AHEAD = 2, 4  # rounds computed together, or by several processes, after the first one and while no design is exact
+WIDE = 12  # design variables of a linkage of several dyads from which on its refinements take seconds
 LONG = 4  # rounds after which several processes share a search of four-bars, of which half are at an end by then
 COMPOUND_ROUNDS = 3  # largest number for a linkage of several dyads, whose starts and limits take longer
 PART_STARTS = 400  # of the four-bar that a linkage contains
@@ -172,7 +173,7 @@ class _Search:
     def _share(self) -> None:
         """Let several processes share the search from where it is long enough to pay for their start."""
         found, polisher = self.searcher.exploration, self.collection.polisher
-        if self.compound:  # whose refinements take seconds, unless a design is exact
+        if self.compound and len(path_model(self.problem).free) >= WIDE:  # a long search, unless a design is exact
             long = found.rounds > 0 and not any(candidate.cost <= PERFECT for candidate in found.candidates[:1])
         else:
             long = found.rounds >= LONG
