@@ -196,7 +196,7 @@ def _extremes(machine: Machine, low: float, high: float, ranges: Ranges, speed: 
     names = [name for name in first.columns if not name.endswith(".angle_rad")]
     names += [name for name, _, _ in pins]
     count = GRID * (max(1, round(cycle / TURN)) if full else 1)
-    even = low + (high - low) / count * np.arange(count + 1)
+    even = np.asarray(low + (high - low) / count * np.arange(count + 1), dtype=float)
     nearly_zero = _least_forces(MotionColumns(machine.moving(even, speed)), even, pins)
     grid = distinct(np.concatenate([even, work.jumps, nearly_zero]))
     at, best = extremes(values, grid, tuple(work.jumps), [name.rpartition("_")[2] for name in names], periodic=full)
