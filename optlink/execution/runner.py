@@ -118,13 +118,8 @@ def pool(engine: str = "local", workers: int | None = None, scheduler: str | Non
         yield _Processes(workers or cores(), ends)
 
 
-def in_order(task: ChunkTask, count: int, runs: Runs | None = None, done: Callable[[int], None] | None = None) -> list[Any]:
-    """Return the results of all chunks of a task in the order of their numbers; see `ordered`."""
-    return list(ordered(task, count, runs, done))
-
-
 def ordered(task: ChunkTask, count: int, runs: Runs | None = None, done: Callable[[int], None] | None = None) -> Iterator[Any]:
-    """Yield the results of all chunks of a task in the order of their numbers, each once those before it are complete.
+    """Yield the results of all chunks of a task in the order of their numbers, each as soon as those before it are complete.
 
     A caller that needs no further results may leave the iterator.
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.execution.runner import Runs, in_order
+from optlink.execution.runner import Runs, ordered
 from optlink.execution.worker import built, packed
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.path import STEP, PathProblem
@@ -114,7 +114,7 @@ class Searcher:
         if not self._ready:
             numbers = range(found.rounds, found.rounds + ahead)
             task = RoundTask(packed((self.variants, self.seed)), found.rounds)
-            self._ready = in_order(task, ahead, self.runs) if self.runs else self._rounds(numbers)
+            self._ready = list(ordered(task, ahead, self.runs)) if self.runs else self._rounds(numbers)
         one = self._ready.pop(0)
         found.repaired = sorted(one.repaired, key=lambda c: c.cost)
         for variant, ends in enumerate(one.ends):

@@ -232,13 +232,28 @@ def _least_forces(record: MotionColumns, angles: Array, pins: Iterable[tuple[str
     """
     found = [np.empty(0)]
     for _, point, body in pins:
-        force = np.array([record.full(part) for part in record.reactions.pins[point][body]])
-        change = np.diff(force, axis=1)
-        with np.errstate(all="ignore"):
-            share = -np.sum(force[:, :-1] * change, axis=0) / np.sum(change * change, axis=0)
+        share = chord_shares(np.array([record.full(part) for part in record.reactions.pins[point][body]]))
         inside = (share > 1e-3) & (share < 1.0 - 1e-3)
         found.append((angles[:-1] + share * np.diff(angles))[inside])
     return distinct(np.concatenate(found).round(9))
+
+
+def chord_shares(force: Array) -> Array:
+    """Return the places, shares (..., n - 1) between samples (2, ..., n), where the chord of a force is closest to zero.
+
+    Parameters
+    ----------
+    force : array (2, ..., n)
+        Its two components.
+
+    Returns
+    -------
+    shares : array (..., n - 1)
+        Also below 0 and above 1; NaN where the force does not change.
+    """
+    change = np.diff(force, axis=-1)
+    with np.errstate(all="ignore"):
+        return np.asarray(-np.sum(force[..., :-1] * change, axis=0) / np.sum(change * change, axis=0))
 
 
 def quick_stroke_notes(problem: ProblemFile, machine: Machine, speed: float) -> list[str]:

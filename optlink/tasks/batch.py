@@ -21,7 +21,7 @@ from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import nearest
-from optlink.tasks.analyze import GRID
+from optlink.tasks.analyze import GRID, chord_shares
 from optlink.tasks.machine import crank_speed, machine_of
 
 PORTION = 12_000
@@ -34,6 +34,9 @@ CLEAR = 0.1
 """Least sine of every group (of a transmission angle 5.7 deg) by which a design keeps clear of singular positions, also between
 the samples."""
 
+
+ROUNDING = 1e-9
+"""Share of the largest force below which a difference of its least values is rounding error."""
 
 SAMPLES = 360
 """Crank angles per revolution, at least, at which designs are examined for singular positions."""
@@ -174,7 +177,8 @@ def batch_extremes(
     -------
     extremes : arrays (designs, 2) by name, the least and the largest value
     clear : array (designs,) of bool
-        Designs that are clear of singular positions. The extremes of the others are meaningless.
+        Designs that are clear of singular positions, and have the least of each reaction beside its smallest sample. The
+        extremes of the others are meaningless.
 
     Raises
     ------
@@ -204,7 +208,23 @@ def batch_extremes(
             own = machine_of(problem, {name: values[numbers, None] for name, values in arrays.items()})
             for name in columns:
                 found[name][numbers] = extremes_of_rows(functools.partial(_column, own, way, name), grid)
+                if len(parts := reaction_parts(name)) == 2:
+                    force = np.array([record[part][numbers - first] for part in parts])
+                    clear[numbers] &= ~_smaller_elsewhere(force, found[name][numbers, 0])
     return found, clear
+
+
+def _smaller_elsewhere(force: Array, least: Array) -> NDArray[np.bool_]:
+    """Return the designs whose force (2, designs, n) almost vanishes between samples, but not beside its smallest one.
+
+    Its least magnitude (designs,) is then another one than the refined one beside that sample.
+    """
+    size, last = np.hypot(*force), force.shape[-1] - 1
+    share = np.nan_to_num(np.clip(chord_shares(force), 0.0, 1.0))
+    chord = np.hypot(*(force[..., :-1] + share * np.diff(force, axis=-1)))
+    lowest, smallest = np.argmin(chord, axis=1), np.argmin(size[:, :last], axis=1)  # the last sample is the first one again
+    beside = (lowest == smallest) | (lowest == (smallest - 1) % last)
+    return np.asarray(~beside & (np.min(chord, axis=1) < least - ROUNDING * np.max(size, axis=1)))
 
 
 def reaction_parts(name: str) -> tuple[str, ...]:

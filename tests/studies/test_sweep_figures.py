@@ -137,7 +137,10 @@ def test_both_routes_to_a_row_agree(pump, monkeypatch):
     monkeypatch.setattr("optlink.studies.analysis_task.AnalysisTask._batched", lambda *_: {})
     alone = sweep(file, vary, analyze=True, columns=columns, workers=1).columns
     for name in list(batched)[2:-3]:
-        np.testing.assert_allclose(batched[name], alone[name], rtol=1e-9, atol=1e-12, err_msg=name)
+        rounding = (
+            1e-9 * float(np.max(batched["B.f_N.max"])) if name == "B.f_N.min" else 1e-12
+        )  # the force at B vanishes somewhere
+        np.testing.assert_allclose(batched[name], alone[name], rtol=1e-9, atol=rounding, err_msg=name)
 
 
 def test_loads_that_jump_have_one_sided_extremes_in_a_sweep(pump):
@@ -253,3 +256,15 @@ def test_pictures_and_pages_of_a_sweep_with_gaps(pump, tmp_path):
     text = page.read_text()
     assert "partial rotation" in text
     assert "plunger.stroke" in text
+
+
+def test_batches_leave_designs_whose_least_force_lies_elsewhere_to_single_analyses():
+    """Machines at one speed where a minimum between samples is the deepest, and at one where the smallest sample is beside it."""
+    for name, joint, speeds in (("six-bar", "E", (35.0, 20.0)), ("whitworth", "C", (32.0, 20.0))):
+        for speed, beside in zip(speeds, (False, True), strict=True):
+            file = optlink.load(name).override({"drive.speed": f"{speed} rad/s"})
+            least = optlink.analyze(file).extremes[f"{joint}.f_N"].least
+            size, quantity = next(iter(file.model.mechanism.quantities.items()))
+            found, clear = batch_extremes(file, {size: [quantity.value]}, [f"{joint}.f_N"])
+            assert clear.tolist() == [beside]
+            assert math.isclose(found[f"{joint}.f_N"][0, 0], least, rel_tol=1e-6) is beside

@@ -21,7 +21,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.execution.runner import Runs, in_order
+from optlink.execution.runner import Runs, ordered
 from optlink.linkage.vector2d import Array
 from optlink.solvers.global_search.lagrangian import CUT, OPEN, BoxRecord
 
@@ -301,7 +301,7 @@ class BranchAndBound:
         """Bound boxes, in batches whose division does not depend on the number of processes."""
         task = BoundTask(self.bounder, boxes.low, boxes.high, self.threshold, self.batch)
         count = -(-len(boxes) // self.batch)
-        parts = in_order(task, count, self.runs if count > 1 else None)
+        parts = list(ordered(task, count, self.runs if count > 1 else None))
         return parts[0] if count == 1 else BoxRecord.joined(parts)
 
     def _better(self, batch: Boxes, record: BoxRecord) -> None:

@@ -44,10 +44,8 @@ POINTS = {1: 15, 2: 7}  # per constrained objective, by their number
 ENDS = "ends.json"  # results of the searches for the ends, kept in the folder
 BEYOND = 1e-3  # share of an objective by which a design is better than the tightest limit of a range that does not restrict it
 MOST = 100_000  # largest number of points of a grid
-STARTS, SEARCHES = (
-    8,
-    100,
-)  # of a law: starting points of a search, and about the number of searches: one at each point of most fronts
+STARTS = 8  # starting points of each search of a law
+SEARCHES = 100  # about the number of searches of a law's front: one at each point of most fronts
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from optlink.errors import InputError
-from optlink.execution.runner import Runs, in_order
+from optlink.execution.runner import Runs, ordered
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP, build
 from optlink.problem.file import ProblemFile, read
@@ -86,7 +86,7 @@ def maximise_yield(
         return monte_carlo(linear_analysis(file, nominal, deviations, limit), samples, seed, runs=runs).share
 
     task = YieldSearchTask(file.raw, file.name, file.file, file.folder, tuple(deviations), limit, seed + 1, tuple(starts))
-    found = in_order(task, len(starts), runs)
+    found = list(ordered(task, len(starts), runs))
     able = [design for design in found if validate(file, design).valid]
     best = max([*starts, *able], key=share)
     result = validate(file, best)

@@ -13,7 +13,7 @@ from annotated_types import Gt
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from optlink.execution.runner import Runs, in_order
+from optlink.execution.runner import Runs, ordered
 from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import Column, Contradiction, Number, Record
 from optlink.problem.tolerances import Deviation
@@ -279,7 +279,7 @@ def _parts(task: SampleTask, progress: Progress | None, runs: Runs | None) -> It
         yield from (task(index, advance) for index in range(task.chunks))
     else:
         size = task.chunk
-        yield from in_order(task, task.chunks, runs, lambda index: advance(min(size, task.samples - size * index)))
+        yield from ordered(task, task.chunks, runs, lambda index: advance(min(size, task.samples - size * index)))
 
 
 def largest_errors(nominal: Nominal, deviations: Sequence[Deviation], batch: Array) -> Array:
