@@ -28,9 +28,7 @@ SHARES = (0.25, 0.5, 0.75, 1.0)  # of the way to a problem that Newton's method 
 KEPT = 4096  # searches that are kept for further blocks
 BETTER = 1e-9  # share of the objective by which another optimum must be smaller
 BRANCHES = 8  # optima of a large block, the best ones
-NEARBY = (
-    2.0  # times the objective in the middle of a block, up to which another optimum of a large block is continued to its points
-)
+NEARBY = 2.0  # optima of a large block up to this many times the objective in a block's middle are continued to its points
 
 
 @dataclass(frozen=True)
