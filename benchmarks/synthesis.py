@@ -79,9 +79,9 @@ CASES = (
 
 def clocked(run: Callable[[], Any]) -> tuple[Any, float, float]:
     """What a function returns, the processor's seconds, and those of a clock on the wall."""
-    wall, begin = time.perf_counter(), time.process_time()
+    wall, begin = time.perf_counter(), sum(os.times()[:4])  # of this process and of those that it started and ended
     found = run()
-    return found, time.process_time() - begin, time.perf_counter() - wall
+    return found, sum(os.times()[:4]) - begin, time.perf_counter() - wall
 
 
 def warm() -> None:
