@@ -98,6 +98,7 @@ _COMMA = re.compile(r"([-+]?)(\d+),(\d+)\s*([^\d.].*)?", re.DOTALL | re.ASCII)
 _GROUPS = re.compile(r"([-+]?\d{1,3}(?:[ ,._'\u2019]\d{3})+)(?:[.,](\d+))?\s*(\D.*)?", re.DOTALL | re.ASCII)
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,4})?"
 _QUANTITY = re.compile(rf"\s*({_NUMBER})\s*(1\s*/.*?|[^\s\d].*?)?\s*", re.DOTALL | re.ASCII)
+_PLAIN_NUMBER = re.compile(rf"\s*{_NUMBER}\s*", re.ASCII)
 _POWER = r"(?:\s*(?:\^|\*\*)\s*(-?[1-4](?:\.5)?)|([2-4]))?"  # "m^2", "m**2", "m2"
 _FACTOR = rf"(\s*[*/]\s*|\s+|-|)([A-Za-z_]+){_POWER}"  # "kg m^2" and "N-m" are products
 _UNIT = re.compile(re.sub(r"\((?!\?)", "(?:", rf"(1\s*(?=/))?{_FACTOR}({_FACTOR}){{0,4}}"))
@@ -247,6 +248,12 @@ def is_unit(text: str) -> bool:
         with contextlib.suppress(UnitProblem):
             return bool(_unit(text, kind))
     return False
+
+
+def read_number(text: str) -> float:
+    """Return the finite decimal number that a text is; NaN for any other text, for example "1_0" or digits of other scripts."""
+    number = float(text) if _PLAIN_NUMBER.fullmatch(text) else math.nan
+    return number if math.isfinite(number) else math.nan
 
 
 def parse(text: object, kind: str) -> tuple[float, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,6 +13,7 @@ from optlink.cli import console
 from optlink.cli.completion import keys, problem_names
 from optlink.io import load_extensions
 from optlink.solvers.contract import selectable
+from optlink.units import read_number
 
 OVERVIEW: tuple[list[str], ...] = ([], ["-h"], ["--help"], ["--version"])
 """Command lines that show no option of a command and nothing of an extension."""
@@ -46,10 +48,11 @@ def whole_number(text: object) -> int:
     typer.BadParameter
         If it is none; the command line then ends with exit code 2.
     """
+    words = str(text).strip()
     try:
-        return int(str(text))
+        return int(words.replace("_", " ").encode("ascii"))
     except ValueError:
-        raise typer.BadParameter(f'"{str(text)[:40]}" is not a whole number. Give for example 20') from None
+        raise typer.BadParameter(f'"{words[:40]}" is not a whole number. Give for example 20') from None
 
 
 def share_number(text: object) -> float:
@@ -61,10 +64,10 @@ def share_number(text: object) -> float:
         If it is none; the command line then ends with exit code 2.
     """
     words = str(text).strip()
-    try:
-        return float(words.removesuffix("%")) / (100.0 if words.endswith("%") else 1.0)
-    except ValueError:
-        raise typer.BadParameter(f'"{words[:40]}" is not a number. Give for example 1e-6 or 0.01%') from None
+    number = read_number(words.removesuffix("%"))
+    if math.isnan(number):
+        raise typer.BadParameter(f'"{words[:40]}" is not a number. Give for example 1e-6 or 0.01%')
+    return number / (100.0 if words.endswith("%") else 1.0)
 
 
 def option(metavar: str, text: str, *names: str, **more: Any) -> Any:

@@ -96,6 +96,8 @@ def test_other_spellings_are_the_same_option(old, new):
         (("study", "swep", "x"), "optlink study: no such command 'swep'. Did you mean 'sweep'?"),
         (("solve", "x", "--seeds", "1"), "optlink solve: --seeds: no such option. Did you mean --seed or --set?"),
         (("solve", "x", "--xyzzy"), "optlink solve: --xyzzy: no such option. `optlink solve --help` shows what it takes"),
+        (("solve", "x", "--starts=1_0"), 'optlink solve: --starts: "1_0" is not a whole number. Give for example 20'),
+        (("solve", "x", "--starts=\u0663"), 'optlink solve: --starts: "\u0663" is not a whole number. Give for example 20'),
         (("solve", "x", "--starts=many"), 'optlink solve: --starts: "many" is not a whole number. Give for example 20'),
         (
             ("solve", "x", "--starts"),

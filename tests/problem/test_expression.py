@@ -106,6 +106,16 @@ def test_arrays_broadcast():
     np.testing.assert_allclose(found, [[2.35, 4.35, 8.35], [2.35, 2.35, 4.35]], rtol=1e-14)
 
 
+@pytest.mark.parametrize("text", ["1/(phi - phi0)", "sqrt(phi - 2)", "phi0*(2 - 2)", "0/3*phi", "(1/2)^-1 - phi", "-phi/-2"])
+def test_constants_of_a_law_that_has_values_somewhere_are_finite(text):
+    assert parse(text, NAMES).constants_finite
+
+
+@pytest.mark.parametrize("text", ["phi*(1/0)", "phi/(2 - 2)", "sin(log(-1)) + phi", "phi^0/0", "0^-1"])
+def test_constants_without_a_finite_value_are_seen(text):
+    assert not parse(text, NAMES).constants_finite
+
+
 def test_names_are_those_that_are_used():
     assert parse("phi + sin(phi0)*pi", NAMES).names == {"phi", "phi0"}
     assert parse("1 + pi", NAMES).names == frozenset()

@@ -223,6 +223,8 @@ BAD: dict[str, tuple[dict[str, Any], str, str]] = {
     "csv as a number": (force(over="phi", csv=3), "loads.process.force.csv", "name of a file ending in .csv"),
     "unknown name": (force(expression="1000*sin(theta)", unit="N"), "loads.process.force.expression", '"theta" is unknown'),
     "attribute": (force(expression="phi.real", unit="N"), "loads.process.force.expression", "does not belong"),
+    "expression that divides by zero": (force(expression="1/0", unit="N"), "loads.process.force.expression", "no finite value"),
+    "part that divides by zero": (force(expression="phi/(2-2)", unit="N"), "loads.process.force.expression", "no finite value"),
     "expression without a unit": (force(expression="sin(phi)"), "loads.process.force.unit", 'unit = "N"'),
     "expression in another unit": (force(expression="phi", unit="N*m"), "loads.process.force.unit", "not a unit of force"),
     "expression that is a number": (force(expression=1000, unit="N"), "loads.process.force.expression", "is text"),

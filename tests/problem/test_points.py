@@ -241,6 +241,8 @@ def test_repeated_rows_do_no_harm_where_the_curve_is_reduced(tmp_path):
         (b"x_mm,y_mm\n1,2\n3,4\n\n3,4\n", "rows 3 and 5 of c.csv coincide"),
         (b"x_mm,y_mm\n" + b"3,4\n" * 1000, "all points lie in one place"),
         (b"x_mm,y_mm\n1,5,2,5\n", "row 2 of c.csv has 4 cells, the title row has 2"),
+        (b"x_mm,y_mm\n1,1_0\n", "row 2 of c.csv has no finite number in column y_mm"),
+        ("x_mm,y_mm\n1,\u0663\n".encode(), "row 2 of c.csv has no finite number in column y_mm"),
         (b"x_mm;y_mm\n1,5;2,5\n", "row 2 of c.csv has no finite number in column x_mm"),
         (b"x_mm,y_mm\n1,1e300\n", "row 2 of c.csv lies too far away"),
         (b"\xff\xfe\x00x", "not a CSV text file"),

@@ -230,6 +230,13 @@ def test_the_usual_hole_is_a_round_number(extent, size):
     assert dxf.usual_hole(extent) == pytest.approx(size, rel=1e-12)
 
 
+def test_default_holes_of_a_short_crank_do_not_overlap(tmp_path):
+    sizes = {"crank": "5 mm", "coupler": "200 mm", "rocker": "200 mm", "frame": "250 mm"}
+    file = optlink.read({"mechanism": sizes})
+    drawing = written(report_model_of(file, solve_or_validate(file)), tmp_path / "a.dxf")
+    assert {circle.dxf.radius for circle in drawing.blocks["LINK crank"].query("CIRCLE")} == {1.0}
+
+
 def test_a_slot_is_as_long_as_the_slider_travels(tmp_path):
     """The block of the shaper slides from |AC| - r to |AC| + r on the rocker: 2 r, and the slot's round ends."""
     drawing = written(subject("shaper"), tmp_path / "a.dxf", hole=0.02)
@@ -312,6 +319,8 @@ def test_every_format_by_the_command(tmp_path, ending):
         (("-o", "a.dxf", "--at", "nan deg"), "--at"),
         (("-o", "a.dxf", "--hole", "0 mm"), "positive"),
         (("-o", "a.dxf", "--hole", "8 mm", "--width", "5 mm"), "narrower than its holes"),
+        (("-o", "a.dxf", "--hole", "80 m"), "holes of crank would overlap: they are 100 mm apart"),
+        (("-o", "a.dxf", "--hole", "100 mm"), "holes of crank would overlap"),
         (("-o", "a.csv", "--points", "0"), "out of range"),
         (("-o", "a.dxf", "--backend", "magic"), "magic"),
         (("-o", "a.dxf", "--problem", "six-bar"), "only a RESULT"),

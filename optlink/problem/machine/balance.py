@@ -16,6 +16,7 @@ from optlink.problem.base_model import RESERVED, Name, Section
 from optlink.problem.interval import LengthInterval, MassInterval, StiffnessInterval
 from optlink.problem.machine.loads import spring_ends
 from optlink.problem.quantity import Density, FixedForce, FixedLength, Unusable, below, nearest, read_fixed, read_scalar, where
+from optlink.units import read_number
 
 MOST = 100_000
 EXAMPLES = '"rms shaking force", "largest driving torque", "rms shaking moment", "largest reaction at D"'
@@ -46,10 +47,9 @@ def read_measure(text: object) -> BalanceMeasure:
         kind = next(k for k in KINDS if k.endswith(found["shaking"] or found["torque"]))
     arc = None
     if found["low"]:
-        try:
-            arc = math.radians(float(found["low"])), math.radians(float(found["high"]))
-        except ValueError:
-            raise Unusable("not a range of crank angles", "Write for example: from 90 to 180 deg", "", text) from None
+        arc = math.radians(read_number(found["low"])), math.radians(read_number(found["high"]))
+        if math.isnan(arc[1] - arc[0]):
+            raise Unusable("not a range of crank angles", "Write for example: from 90 to 180 deg", "", text)
         if not 0.0 < arc[1] - arc[0] < 2.0 * math.pi:
             raise Unusable(
                 "a range of crank angles rises, by less than a turn", "Write for example: from 300 to 420 deg", "", text
@@ -136,10 +136,7 @@ def read_measure_limit(name: str, raw: object) -> MeasureLimit:
     measure = read_measure(name)
     text = str(raw).strip()
     if isinstance(raw, str) and text.endswith("%"):
-        try:
-            share = float(text[:-1]) / 100.0
-        except ValueError:
-            share = math.nan
+        share = read_number(text[:-1]) / 100.0
         if not 0.0 <= share < 1e6:
             raise Unusable("not a share", 'Write for example "80 %"', name, raw)
         return MeasureLimit(measure, None, share, text)

@@ -117,6 +117,8 @@ def read_size(raw: object, folder: Path, kind: str, names: Iterable[str]) -> Siz
             raise Unusable("an expression is text", 'Write expression = "1000 + 200*sin(phi)"', "expression", raw["expression"])
         with below("expression", raw["expression"]):
             expression = parse(raw["expression"], names)
+            if not expression.constants_finite:
+                raise Unusable("it has no finite value", "Correct the division by zero, or the root or logarithm of a constant")
         unit = raw.get("unit")
         if not isinstance(unit, str):
             raise Unusable(

@@ -12,6 +12,7 @@ from typing import Any
 
 from optlink.problem.quantity import Unusable
 from optlink.problem.targets.target_points import read_file, shortened
+from optlink.units import read_number
 
 DECIMALS = "decimals have a point"
 
@@ -42,11 +43,8 @@ class CsvTable:
             If the cell is missing or contains no finite number.
         """
         cell = cells[index] if index < len(cells) else ""
-        try:
-            value = float(cell)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
+        value = read_number(cell)
+        if math.isnan(value):
             message = f"row {row} of {self.name} has no finite number in column {self.titles[index]}"
             raise Unusable(message, remedy, "csv", shortened(cell) or "nothing")
         return value

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
@@ -72,6 +72,26 @@ class Expression:
     def __call__(self, values: Mapping[str, Value]) -> Value:
         """Evaluate with a Value for every name; NaN or infinity where it is undefined, without warnings."""
         return self._run(values, None)
+
+    @property
+    def constants_finite(self) -> bool:
+        """Whether every part without variables has a finite value, and none that divides is zero: not in 1/0 or x/(2 - 2)."""
+        stack: list[Value | None] = []  # None: a part with a variable
+        for kind, what in self.program:
+            if kind in ("number", "name"):
+                stack.append(what if kind == "number" else None)
+                continue
+            parts = [stack.pop() for _ in range(2 if kind == "binary" else 1)]
+            if None in parts:
+                stack.append(None)
+                fine = (what, parts[0]) != ("/", 0.0)
+            else:
+                steps = *(("number", part) for part in reversed(parts)), (kind, what)
+                stack.append(replace(self, program=steps)({}))
+                fine = bool(np.isfinite(stack[-1]))
+            if not fine:
+                return False
+        return True
 
     def hazards(self, values: Mapping[str, Value]) -> str | None:
         """Return the defect of a law along arrays of consecutive values, or None.

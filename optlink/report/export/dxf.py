@@ -6,6 +6,7 @@ considered.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -15,7 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optlink.dynamics.columns import slider_names
-from optlink.linkage.mechanism import FRAME, Guide
+from optlink.errors import InputError
+from optlink.linkage.mechanism import FRAME, Guide, Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import Array
 from optlink.report.files import whole
@@ -33,6 +35,7 @@ Vertex = tuple[float, float, float]
 
 ASSEMBLY, PARTS, NAMES, TRACES, MARKS = "ASSEMBLY", "PARTS", "NAMES", "TRACES", "MARKS"
 HOLE = 0.03  # default hole diameter, as a share of the extent, before rounding
+MOST_OF_PITCH = 0.5  # default hole diameter, at most this share of the least distance of two holes of a link
 WIDTH = 2.5  # default link width in hole diameters
 SAME = 1e-9  # distance of coincident corners, as a share of the extent
 COLOURS = (1, 5, 3, 30, 6, 4, 34, 200, 52, 8)
@@ -90,6 +93,11 @@ def document(cycle: Analysis, at: float, title: str, hole: float | None = None, 
         Diameter of the holes; default: according to the extent.
     width : float [m] or None, optional
         Width of the links; default: according to the hole diameter.
+
+    Raises
+    ------
+    InputError
+        If two holes of a link would overlap.
     """
     from ezdxf import units
     from ezdxf.filemanagement import new
@@ -97,7 +105,11 @@ def document(cycle: Analysis, at: float, title: str, hole: float | None = None, 
     machine = cycle.machine
     here = sweep(machine.mechanism, machine.sizes, [at])
     drawn = scene(cycle)
-    diameter = usual_hole(max(drawn.box[2:])) if hole is None else 1e3 * hole
+    body, least = _nearest_holes(machine.mechanism, here)
+    diameter = usual_hole(min(max(drawn.box[2:]), MOST_OF_PITCH * least / HOLE)) if hole is None else 1e3 * hole
+    if diameter >= least:
+        message = f"two holes of {body} would overlap: they are {least:.6g} mm apart"
+        raise InputError(message, "Give a smaller diameter", key="--hole", value=f"{diameter:.6g} mm")
     radius = 0.5 * (WIDTH * diameter if width is None else 1e3 * width)
     made = new("R2010", units=units.MM)
     made.header.custom_vars.append("TITLE", " ".join(title.split()))
@@ -116,6 +128,16 @@ def document(cycle: Analysis, at: float, title: str, hole: float | None = None, 
     x, y, wide, _ = drawn.box
     _lay_out(space, [plate for plate in found if plate.body != FRAME], (x, -y - drawn.box[3]), radius, wide)
     return made
+
+
+def _nearest_holes(mechanism: Mechanism, here: Motion) -> tuple[str, float]:
+    """Return the body with the least distance of two holes, and that distance [mm]; infinite if no body has two."""
+    found = [("", math.inf)]
+    for body in (*mechanism.bodies, FRAME):
+        pins = [_vector(here.pose.local(body, name)) for name, bodies in mechanism.pins.items() if body in bodies]
+        gaps = (float(np.linalg.norm(one - other)) for one, other in itertools.combinations(pins, 2))
+        found += [(body, gap) for gap in gaps if gap > 0.0]
+    return min(found, key=lambda item: item[1])
 
 
 def usual_hole(extent: float) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 from optlink.errors import InputError
 from optlink.linkage.vector2d import Array
 from optlink.problem.tolerances import Deviation
+from optlink.units import read_number
 
 BATCH = 1 << 13  # samples per batch; a power of two keeps Sobol points balanced
 TINY = 2.0**-31  # half of the last bit of scipy's Sobol points: avoids 0, where a normal deviate is infinite
@@ -98,12 +99,10 @@ def read_sigmas(text: str) -> float | str:
     word = text.strip().removesuffix(" case")
     if word in ("worst", "margin", "yield"):
         return word
-    try:
-        return float(text.strip().removesuffix("sigma"))
-    except ValueError:
-        raise InputError(
-            "no number of standard deviations", "Write 3, or worst, margin or yield", key="--robust", value=text
-        ) from None
+    number = read_number(text.strip().removesuffix("sigma"))
+    if math.isnan(number):
+        raise InputError("no number of standard deviations", "Write 3, or worst, margin or yield", key="--robust", value=text)
+    return number
 
 
 def read_costs(texts: Sequence[str]) -> dict[str, float]:
@@ -117,11 +116,8 @@ def read_costs(texts: Sequence[str]) -> dict[str, float]:
     found: dict[str, float] = {}
     for text in texts:
         name, _, value = text.partition("=")
-        try:
-            number = float(value)
-        except ValueError:
-            number = math.nan
-        if not (math.isfinite(number) and number > 0.0):
+        number = read_number(value)
+        if not number > 0.0:
             raise InputError("no cost coefficient", "Write NAME=NUMBER, for example coupler=2", key="--cost", value=text)
         found[name.strip().removeprefix("mechanism.")] = number
     return found
