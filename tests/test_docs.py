@@ -146,11 +146,11 @@ def test_recipe_shows_file_picture_and_answer(monkeypatch):
     monkeypatch.setattr(hooked, "answer", lambda name: {"law": law}[name])
     shown = hooked.recipe("law")
     assert optlink.new("law") in shown
-    assert "optimal, valid" in shown.partition("## The answer")[2]
+    assert "locally optimal, valid" in shown.partition("## The answer")[2]
     assert "![" in shown
     assert hooked.answer("law").picture.startswith(b"\x89PNG")
     assert hooked.missing(page, hooked.answer("law").text) == []
-    assert hooked.missing(page.replace("`optimal, valid`", "`perfect`"), hooked.answer("law").text) == ["perfect"]
+    assert hooked.missing(page.replace("`locally optimal, valid`", "`perfect`"), hooked.answer("law").text) == ["perfect"]
 
 
 @pytest.mark.parametrize("page", READ, ids=named)

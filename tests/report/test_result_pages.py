@@ -349,7 +349,7 @@ def test_what_matters_stands_on_the_page_of_a_result(results, tmp_path):
         assert "-1.929 %" in text
         assert ("Re-optimised on both sides of each" in text) is (name == "sensitivity")
     text = (tmp_path / "sensitivity.html").read_text()
-    assert text.index('id="what-matters"') < text.index('id="design-and-proof"')
+    assert text.index('id="what-matters"') < text.index('id="design-and-checks"')
 
 
 def test_a_sensitivity_that_is_no_optimum_is_found_out(results, tmp_path):

@@ -130,7 +130,7 @@ def test_knee_of_a_sphere_lies_on_its_diagonal():
 # --- four-bars for a law -----------------------------------------------------------------------------------------------
 
 
-def test_points_are_single_optima_and_proven():
+def test_points_are_single_optima_and_verified():
     front = crank_rocker()
     assert front.complete
     assert (front.solved, front.valid, front.dominated) == (25, 25, 0)
@@ -376,7 +376,7 @@ def test_one_design_best_in_everything_is_no_trade_off(press):
     front = pareto(press, "rod.length, crank.length", points=3, workers=1)
     assert len(front.points) == 1
     assert front.knee is None
-    assert front.single_point == "No trade-off: one design is best in every objective"
+    assert front.single_point == "No trade-off: one of the designs found is best in every objective"
 
 
 def test_a_range_that_restricts_nothing_is_named():
@@ -533,7 +533,7 @@ def test_command_writes_table_document_and_picture(tmp_path):
     assert (out / "front.png").read_bytes()[:4] == b"\x89PNG"
     shown = CliRunner().invoke(app, ["study", "pareto", "crank-rocker", "--objectives", f"error, {ANGLE}", "--points", "5"])
     assert shown.exit_code == 0
-    for words in ("every one proven", "knee", "least error", "limits of the file"):
+    for words in ("each a verified local optimum", "knee", "least error", "limits of the file"):
         assert words in shown.output
 
 

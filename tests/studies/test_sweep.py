@@ -782,7 +782,7 @@ def test_the_command_prints_and_writes(tmp_path):
     assert {"result.json", "study.json", "sweep.csv", "sweep.png"} == {path.name for path in tmp_path.iterdir()}
     text = run("crank-rocker", "--vary", f"{FRAME}:5", "--vary", f"{LIMIT}=130, 135 deg")
     assert text.exit_code == 0
-    assert "every optimum proven" in text.stdout
+    assert "every point a verified local optimum" in text.stdout
 
 
 @pytest.mark.parametrize(
@@ -814,7 +814,7 @@ def test_pictures_over_one_two_and_three_parameters(name, arguments, panels, leg
     assert len(axes) == panels
     entries = {text.get_text() for one in axes if one.get_legend() is not None for text in one.get_legend().get_texts()}
     assert not legend or legend in entries
-    assert bool(entries & {"no design", "no valid figures", "other constraints become active", "not proven"}) == bool(legend)
+    assert bool(entries & {"no design", "no valid figures", "other constraints become active", "not verified"}) == bool(legend)
     for one in axes:
         label = one.xaxis.get_label_text()
         assert not label or label.endswith(("[mm]", "[deg]", "[m]"))

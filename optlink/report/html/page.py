@@ -99,7 +99,7 @@ def _sections(subject: ReportModel, shown: Summary, answers: Sensitivities | Non
         yield _matters(answers)
     if subject.cycle is None and subject.unmoved:
         yield PageSection("Linkage", (Paragraph(f"It cannot be shown in motion: {subject.unmoved}."),))
-    name = "Analysis" if isinstance(subject.result, Analysis) else "Design and proof"
+    name = "Analysis" if isinstance(subject.result, Analysis) else "Design and checks"
     yield PageSection(name, (_with_recorded_limits(subject, shown),))
     if answers is not None and subject.answers is None:
         yield _matters(answers)

@@ -173,7 +173,7 @@ def trade_off(result: Balance) -> list[ChartSpec]:
     designs = partial(Curve, mode="markers", size=4.0, picks=range(len(real)), gid="realised")
     curves: list[Curve | Band] = [
         below,
-        Curve(bound[:, 0], bound[:, 1], "proven bound", FOUND, 1.8, gid="bound"),
+        Curve(bound[:, 0], bound[:, 1], "lower bound", FOUND, 1.8, gid="bound"),
         designs(real[:, 0], real[:, 1], "designs, by inverse dynamics", FOUND),
         Curve(given[:1], given[1:], "initial machine", WANTED, mode="markers", symbol="square", size=6.5, gid="initial"),
     ]
@@ -249,10 +249,10 @@ def _design(result: Balance) -> tuple[ProblemFile, str] | None:
 
 TRUE = 1e-6  # relative tolerance of stored measures, as a share of the value before balancing
 VERDICTS = {
-    "optimal": "Optimal: no counterweights within the limits do better",
-    "relaxed": "Near the proven bound",
+    "optimal": "Globally optimal within the limits",
+    "relaxed": "Near the lower bound",
     "infeasible": "No counterweights meet all limits",
-    "stalled": "Not proven",
+    "stalled": "Not verified as an optimum",
 }
 
 
@@ -368,7 +368,7 @@ def stored_study(record: BalanceRecord, file: ProblemFile, _: Path) -> StoredStu
         valid=found.valid,
         conclusion=conclusions.balance(found),
         status=shown.status.lines,
-        sections=[PageSection("Balance and proof", (shown.parts,)), *curves],
+        sections=[PageSection("Balance and verification", (shown.parts,)), *curves],
         moving=still if found.balanced is None else turning(found.balanced, {}),
         by=f"a convex programme, {found.solver}; verified by the inverse dynamics of the balanced machine",
         drawn="The balanced machine: rings mark the centroids of its bodies with their counterweights.",

@@ -26,10 +26,10 @@ from optlink.tasks.results.balance import Balance, TradeOff
 SHOWN = 15  # largest number of listed points of a trade-off
 
 WORDS = {
-    "optimal": "optimal, proven: no counterweights within the limits do better",
-    "relaxed": "near the proven bound: discs do not reach it",
+    "optimal": "globally optimal: no counterweights within the limits do better, up to the duality gap",
+    "relaxed": "near the lower bound: no discs were found that reach it",
     "infeasible": "no counterweights meet all limits",
-    "stalled": "the solver could not prove an optimum; loosen a limit or scale the problem",
+    "stalled": "the duality gap stayed too large: not verified as an optimum; relax a limit or scale the problem",
 }
 
 
@@ -53,14 +53,14 @@ def balance(outcome: Balance) -> Summary:
 def _objective(outcome: Balance) -> TableSpec:
     unit = outcome.unit or "of the initial machine's"
     against = f"{change(-outcome.reduction)} against the initial {number(outcome.before)}"
-    proof = f"duality gap {outcome.gap:.1e}, computed from the dual point"
+    remark = f"duality gap {outcome.gap:.1e}, computed from the dual point"
     if outcome.exact:
-        proof = "least squares without any limit: nothing can be below"
+        remark = "unconstrained least-squares optimum: a lower bound for all counterweights"
     agrees = quiet("inverse dynamics of the balanced machine agrees")
     off = max([outcome.disagreement, *(p.disagreement for p in (outcome.trade.points if outcome.trade else ()))])
     rows: list[Row] = [
         (outcome.measure, strong(number(outcome.objective, 9)), unit, quiet(against)),
-        ("proven lower bound", number(max(outcome.lower, 0.0), 9), unit, quiet(proof)),
+        ("lower bound", number(max(outcome.lower, 0.0), 9), unit, quiet(remark)),
         ("verification", f"{off:.1e}", "", agrees if outcome.verified else bad("inverse dynamics DISAGREES")),
     ]
     return table("Objective", "<><<", rows)

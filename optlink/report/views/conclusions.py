@@ -258,7 +258,7 @@ def comparison(found: Comparison) -> str:
 
 
 def balance(found: Balance) -> str:
-    """Return the conclusion of a balancing: change of the objective, proof, and active limits."""
+    """Return the conclusion of a balancing: change of the objective, and active limits."""
     if found.conflict:
         names = joined([f"{one.name} ({one.sense} {figure(one.bound, one.unit)})" for one in found.conflict][:4])
         eased = [one for one in found.conflict if math.isfinite(one.alone)]
@@ -289,7 +289,7 @@ def sweep(found: Sweep) -> str:
     _, _, unit = name.partition("_")
     where = [f"{axis.key} = {figure(float(found.best[axis.column]), axis.unit)}" for axis in found.grid.axes]
     value = figure(float(found.best[name]), unit.replace("2", "²"))
-    text = f"The objective is least, {value}, at {joined(where)}; {found.valid:,} of {total:,} points have a proven design."
+    text = f"The objective is least, {value}, at {joined(where)}; {found.valid:,} of {total:,} points have a verified design."
     active = str(found.best.get("active", ""))
     return text + (f" What limits the best: {active}." if active else "")
 
@@ -297,19 +297,19 @@ def sweep(found: Sweep) -> str:
 def pareto(found: Pareto) -> str:
     """Return the conclusion of a Pareto front: what is traded for what, and the knee."""
     if not found.points:
-        return "No design of the front could be proven: relax the limits or widen the ranges of the objectives."
+        return "No point of the front has a verified design: relax the limits or widen the ranges of the objectives."
     if found.single_point:
         return f"{found.single_point}."
     spans = []
     for k, aim in enumerate(found.objectives):
         values = [point.values[k] for point in found.points]
         spans.append(f"{aim.name} {figure(min(values))} ... {figure(max(values), aim.unit)}")
-    text = f"{len(found.points)} proven designs trade {' against '.join(spans)}."
+    text = f"{len(found.points)} verified designs trade {' against '.join(spans)}."
     if found.knee is not None:
         at = found.points[found.knee[0]].values
         knee = joined([f"{aim.name} {figure(value, aim.unit)}" for aim, value in zip(found.objectives, at, strict=True)])
         text += f" The best compromise (knee) is point {found.knee[0] + 1}: {knee}."
-    return text if found.complete else f"{text} Not every point could be proven."
+    return text if found.complete else f"{text} Not every point is verified."
 
 
 def tolerance(record: ToleranceRecord) -> str:

@@ -69,7 +69,7 @@ def cycle_problem(task: CycleProblem) -> TableSpec:
 
 
 def _status(outcome: CycleResult) -> Iterator[Line]:
-    line = search_verdict(outcome.status, outcome.status.value, "valid" if outcome.valid else "not valid", outcome.valid)
+    line = search_verdict(outcome.status, "valid" if outcome.valid else "not valid", outcome.valid)
     yield from graded(line, outcome.fit if outcome.valid else None, f"; {outcome.comparison}" if outcome.comparison else "")
     yield from noted(outcome.notes)
     yield ending(outcome.status, outcome.starts)

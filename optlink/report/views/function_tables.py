@@ -86,8 +86,7 @@ def _status(outcome: FunctionResult) -> Iterator[Line]:
     word = "valid" if outcome.valid else "not valid"
     if outcome.status not in (Status.OPTIMAL, Status.NOT_SEARCHED):
         word = "no design"
-    ended = outcome.status.value if outcome.status is not Status.NOT_SEARCHED else "given design"
-    line = search_verdict(outcome.status, ended, word, outcome.valid)
+    line = search_verdict(outcome.status, word, outcome.valid, outcome.certificate)
     yield from graded(line, outcome.fit if outcome.valid else None)
     yield from noted(outcome.notes)
     yield ending(outcome.status, outcome.starts, outcome.certificate)
@@ -107,19 +106,24 @@ def ending(status: Status, starts: int, certificate: Certificate | None = None) 
     return quiet(text + " (use --starts N for a multistart search)" * (text == Status.OPTIMAL.text and starts == 1))
 
 
-def search_verdict(status: Status, ended: str, word: str, positive: bool) -> list[Inline]:
+def search_verdict(status: Status, word: str, positive: bool, certificate: Certificate | None = None) -> list[Inline]:
     """Return how a search ended, and its verdict; an infeasible problem has one phrase for both.
 
     Parameters
     ----------
     status : Status
-    ended : str
-        How the search ended.
     word : str
         The verdict.
     positive : bool
+    certificate : Certificate, optional
+        Without a closed one an optimum is a local one.
     """
-    return [bad("no feasible design")] if status is Status.INFEASIBLE else [f"{ended}, ", verdict(word, positive)]
+    if status is Status.INFEASIBLE:
+        return [bad("no feasible design")]
+    ended = "given design" if status is Status.NOT_SEARCHED else status.value
+    if status is Status.OPTIMAL and (certificate is None or not certificate.proven):
+        ended = "locally optimal"
+    return [f"{ended}, ", verdict(word, positive)]
 
 
 def graded(line: Sequence[Inline], fit: Fit | None, tail: str = "") -> Iterator[Line]:

@@ -117,13 +117,13 @@ def stored_study(record: ParetoRecord, file: ProblemFile, path: Path) -> StoredS
     return StoredStudy(
         problem=file,
         kind=f"front of {len(found.objectives)} objectives",
-        verdict="Every point of the front is proven" if found.complete else "Not every point could be proven",
+        verdict="Every point of the front is a verified local optimum" if found.complete else "Not every point is verified",
         valid=found.complete,
         conclusion=conclusions.pareto(found),
         status=shown.status.lines,
         sections=[PageSection("Front", drawn), PageSection("Points and designs", (shown.parts,))],
         moving=still if chosen is None else turning(file, named_si(file, found.points[chosen].design)),
-        by="optima along limits on all objectives but one, each proven by the validator (epsilon constraint method)",
+        by="local optima with limits on all objectives but one (epsilon-constraint method), each verified by the validator",
         drawn=words,
         after=1,
     )

@@ -72,10 +72,9 @@ def path_result(outcome: PathResult) -> Summary:
 
 
 def _status(outcome: PathResult, best: PathDesign) -> Iterator[Line]:
-    ended = "given design" if outcome.starts == 0 else best.status.value
     count = len(outcome.designs)
-    many = f"; {count} distinct design{'s' * (count != 1)} proven" if best.valid else "; the nearest design found"
-    line = search_verdict(best.status, ended, "valid" if best.valid else "not valid", best.valid)
+    many = f"; {count} distinct design{'s' * (count != 1)} verified" if best.valid else "; the nearest design found"
+    line = search_verdict(best.status, "valid" if best.valid else "not valid", best.valid, outcome.certificate)
     yield from graded(line, best.fit, "" if outcome.starts == 0 else many)
     yield from noted(outcome.notes)
     yield from certificate_lines(outcome.certificate)

@@ -160,7 +160,7 @@ def sweep(result: Sweep) -> Summary:
     line = f"{points(result.done)} done in {result.seconds:z.1f} s ({rate:z,.0f} a second"
     line += f"; {1e3 * result.cpu / result.done:z.2f} ms of processor time each)" if result.done else ")"
     if not result.evaluated:
-        line += f"; {result.searched:,} needed a search, the others followed a neighbour"
+        line += f"; {result.searched:,} by a search, the others from a neighbouring optimum"
     return summary(result.problem.model.title, status, *parts, Paragraph(quiet(line), appendix=True))
 
 
@@ -168,9 +168,9 @@ def _counted(result: Sweep) -> str:
     """Count the points by outcome."""
     if not result.evaluated:
         if result.complete:
-            return "every optimum proven"
+            return "every point a verified local optimum"
         missed = result.grid.count - result.valid - result.infeasible
-        counts = {"proven": result.valid, "hold no design": result.infeasible, "not proven": missed}
+        counts = {"verified": result.valid, "without a feasible design": result.infeasible, "not verified": missed}
     else:
         counts = dict(result.statuses)
     return ", ".join(f"{count:,} {words}" for words, count in counts.items() if count)
@@ -260,16 +260,16 @@ def pareto_front(result: Pareto) -> Summary:
 
 def _status(result: Pareto) -> Iterator[Line]:
     names = [aim.name for aim in result.objectives]
-    found = f"{points(len(result.points))} of the front of {', '.join(names[:-1])} and {names[-1]}, "
-    yield found, good("every one proven")
+    yield f"Front of {', '.join(names[:-1])} and {names[-1]}"
     missed = result.solved - result.valid - result.infeasible
-    empty = f"; {result.infeasible} hold no design" if result.infeasible else ""
-    beaten = f"{result.solved} solved; {result.dominated} {'is' if result.dominated == 1 else 'are'} beaten by others{empty}"
-    yield beaten, bad(f"; {missed} could not be proven and are left out" if missed else "")
+    empty = f", {result.infeasible} without a feasible design" if result.infeasible else ""
+    counted = f": {result.solved} solved, {result.dominated} dominated by others{empty}"
+    found = f"{points(len(result.points))}, "
+    yield found, good("each a verified local optimum"), counted, bad(f", {missed} not verified and left out" if missed else "")
     if result.single_point:
         yield result.single_point
     elif result.points and result.knee is None:
-        yield "No knee: the front is straight or bulges the other way"
+        yield "No knee: the front is straight or curved away from the ideal point"
 
 
 def _shown(result: Pareto) -> list[int]:

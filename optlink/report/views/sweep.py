@@ -64,7 +64,7 @@ class Table:
 
     @property
     def states(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Masks of active-set changes and of unproven designs; all false for a sweep of analyses."""
+        """Masks of active-set changes and of points without a verified design; all false for a sweep of analyses."""
         if self.result.evaluated:
             nowhere = np.zeros(self.order.shape, dtype=bool)
             return nowhere, nowhere
@@ -119,16 +119,17 @@ def stored_study(record: SweepRecord, file: ProblemFile, path: Path) -> StoredSt
     table, shown, drawn = Table.of(found), study_tables.sweep(found), chart_plotly.charts(charts(found))
     drawn = [with_drawings(chart, lambda k: _design(file, table, k)) for chart in drawn]
     if found.evaluated:
-        proven = ", ".join(f"{count:,} {status}" for status, count in found.statuses.items()) or "analysed"
+        counted = ", ".join(f"{count:,} {status}" for status, count in found.statuses.items()) or "analysed"
         by = f"{'simulation' if found.mode == 'simulate' else 'analysis'} of every point"
     else:
-        proven = "every optimum proven" if found.complete else f"{found.valid:,} proven, {found.grid.count - found.valid:,} not"
-        by = "an optimum at every point, each proven by the validator; "
-        by += f"{found.searched:,} needed a search, the others followed a neighbour"
+        some = f"{found.valid:,} points verified, {found.grid.count - found.valid:,} not"
+        counted = "every point a verified local optimum" if found.complete else some
+        by = "a local optimum at every point, verified by the validator; "
+        by += f"{found.searched:,} by a search, the others from a neighbouring optimum"
     return StoredStudy(
         problem=file,
         kind="sweep",
-        verdict=proven[0].upper() + proven[1:],
+        verdict=counted[0].upper() + counted[1:],
         valid=found.successful,
         conclusion=conclusions.sweep(found),
         status=shown.status.lines,
@@ -267,7 +268,7 @@ def _curves(table: Table) -> ChartSpec:
         traces = [Curve(x[kept], column[kept], name, colour, **look) for (name, column), colour in own]
         panels.append(Panel(chart_spec.Axis(label), traces, 1.2))
     if np.any(missed & there):
-        crosses = _marked(x, values, missed & there, "not proven", LIMIT, symbol="cross")
+        crosses = _marked(x, values, missed & there, "not verified", LIMIT, symbol="cross")
         panels[0] = replace(panels[0], traces=[*panels[0].traces, crosses])
     lines = [Line(at, "" if k else OTHER, QUIET, 1.0, "dot") for k, at in enumerate(x[there & changed][:LINES].tolist())]
     edges = cells(x, log=_spread(axis) == "log")
@@ -342,7 +343,7 @@ def _map(
     traces: list[Any] = [HeatMap(np.array(side.values), np.array(up.values), values, words, limits, picks)]
     looks: tuple[tuple[Any, str, str, Any, Any], ...] = (
         (changed, OTHER, "#ffffff", "circle", 1.5 if max(values.shape) > 30 else 2.5),
-        (missed, "not proven", LIMIT, "cross", 5.0),
+        (missed, "not verified", LIMIT, "cross", 5.0),
         (best, "best", LIMIT, "star", 9.0),
     )
     for mask, word, colour, symbol, size in looks:

@@ -68,7 +68,7 @@ def _verdict(record: ToleranceRecord) -> str:
     if record.allocation is not None and not record.allocation.achieved:
         return "The allocated tolerances do not keep the yield"
     if record.robust is not None and not record.robust.valid:
-        return "The robust design is not proven"
+        return "The robust design is not valid"
     if record.monte_carlo is not None and math.isfinite(record.monte_carlo.share):
         return f"Yield {percent(record.monte_carlo.share)}"
     return "Done"

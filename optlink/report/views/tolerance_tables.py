@@ -95,9 +95,9 @@ def _redesigned(file: ProblemFile, record: ToleranceRecord, robust: RobustRecord
         rows.append(("yield", percent(best.share), strong(percent(own.share)), quiet(limit)))
         for end, name in enumerate(("at least", "at most")):
             rows.append([quiet(text) for text in (name, *(percent(one.interval[end]) for one in (best, own)), SURE)])
-    proven = "its limits are proven; none with more yield was found" if counted == YIELD else "proven"
-    failed = ": ".join(filter(None, ("not proven", ", ".join(robust.failed_checks or ()))))
-    notes = [good(proven) if robust.valid else bad(failed)]
+    passed = "verified; no design with a higher yield was found" if counted == YIELD else "verified"
+    failed = ": ".join(filter(None, ("not verified", ", ".join(robust.failed_checks or ()))))
+    notes = [good(passed) if robust.valid else bad(failed)]
     if robust.the_nominal_design_yields_more:
         notes.append(bad("The best as drawn yields more within this limit: build that one, or search --robust yield."))
     title = "Maximised: the yield" if counted == YIELD else f"Minimised: the largest error with {counted}"

@@ -205,7 +205,7 @@ class Pareto(Recorded):
             if aim.sense * (axis.values[-1] - value) > BEYOND * abs(value):
                 best = self.objectives[self.minimised].best
                 return f"No trade-off in this range: the {best} has {aim.name} {value:.6g} {aim.unit}; give a range beyond it"
-        return "No trade-off: one design is best in every objective"
+        return "No trade-off: one of the designs found is best in every objective"
 
     @property
     def costs(self) -> Array:

@@ -164,4 +164,4 @@ def _design(problem: ProblemFile, given: Mapping[str, float] | None) -> tuple[Pr
 
 def _nothing(problem: ProblemFile) -> InputError:
     remedy = "See `optlink solve`, or give a design: --design NAME=VALUE"
-    return InputError("no design was proven, so there is none to build", remedy, problem.file)
+    return InputError("no valid design was found, so there is none to build", remedy, problem.file)

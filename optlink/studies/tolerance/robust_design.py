@@ -173,7 +173,7 @@ class RobustSearch:
         first = completed(solve_nominal(problem.override({"requirement.robust": None})))
         assert isinstance(first, FunctionResult)
         if not first.valid:
-            raise InputError("no design was proven, so there is none to begin with", "See `optlink solve`", problem.file)
+            raise InputError("no valid design was found to start from", "See `optlink solve`", problem.file)
         self.nominal = first.design
         try:
             self.problem = first.problem.override({"requirement.measure": "max", "tolerances": entries})
