@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,19 +11,11 @@ from optlink.clearance.integration import Block
 from optlink.clearance.joint import Touch, acting
 from optlink.clearance.spanning_tree import Pin
 from optlink.clearance.state import ClearanceState
-from optlink.dynamics.columns import Column, slider_names
+from optlink.dynamics.columns import Column, joint_forces, slider_names
 from optlink.dynamics.inertia import Wrench
-from optlink.dynamics.inverse import acting_on
+from optlink.dynamics.inverse import GuideForce
 from optlink.linkage.mechanism import FRAME, Guide
-from optlink.linkage.vector2d import Array, Value, Vector, cross, minus, plus
-
-
-@dataclass(frozen=True)
-class GuideForce:
-    """Force of a guide on its slider [N], and moment about the slider's point [N m]."""
-
-    force: Vector
-    moment: Value
+from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, minus, plus
 
 
 class ClearanceColumns:
@@ -98,7 +89,8 @@ class ClearanceColumns:
             if isinstance(joint, Pin):
                 self._exert(joint.point, body, own)
             elif sign > 0.0:
-                self.guides[joint.name] = GuideForce(own, moment)
+                line = self.motion.line(joint.name)
+                self.guides[joint.name] = GuideForce(cross(line, own), dot(line, own), moment, at, own)
             if body not in (FRAME, skip):
                 lever = minus(at, self.motion.state(body).start)
                 turned = sign * moment if isinstance(joint, Guide) else 0.0
@@ -170,20 +162,7 @@ class ClearanceColumns:
 
     def _forces(self) -> Iterator[tuple[str, str, Value]]:
         machine = self.equations.machine
-        for point, (by, on) in acting_on(machine).items():
-            forces, bodies = self.pins[point], machine.mechanism.pins[point]
-            if len(bodies) == 2:
-                for axis, value in zip("xy", forces[on], strict=True):
-                    yield f"{point}.f{axis}_N", f"force of {by} on {on} at {point} in {axis}", value
-            else:
-                for body in (on, *(b for b in bodies if b != on)):
-                    for axis, value in zip("xy", forces[body], strict=True):
-                        yield f"{point}.{body}.f{axis}_N", f"force of the pin on {body} at {point} in {axis}", value
-        for guide in machine.mechanism.guides:
-            what, held = f"of {guide.on} on {guide.slider} in the guide {guide.name}", self.guides[guide.name]
-            line = self.motion.line(guide.name)
-            yield f"{guide.name}.normal_N", f"normal force {what}, to the left of the line", cross(line, held.force)
-            yield f"{guide.name}.moment_Nm", f"moment {what}", held.moment
+        yield from joint_forces(machine, self.pins, self.guides)
         yield "input.torque_Nm", f"torque of the drive on {machine.mechanism.crank.body}", self.torque
         yield "input.power_W", "power of the drive", self.torque * self.motion.crank.rate
 

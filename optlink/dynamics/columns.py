@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import cache, cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.dynamics.inverse import Reactions, acting_on, reactions, shaking, torque_parts
+from optlink.dynamics.inverse import GuideForce, Reactions, acting_on, reactions, shaking, torque_parts
 from optlink.dynamics.machine import Machine, Moving
 from optlink.linkage.dyad_types import RRR
 from optlink.linkage.mechanism import FRAME
-from optlink.linkage.vector2d import Array, Value, cross, dot, magnitude, minus
+from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, magnitude, minus
 
 SINGULAR = 1e-7
 """Sine below which a group counts as singular: its reactions are rounding errors."""
@@ -134,24 +134,8 @@ class MotionColumns:
         yield f"{body}.alpha_rad_s2", f"angular acceleration of {body}", lambda: moving.state(body).alpha
 
     def _joint_forces(self) -> Named:
-        machine, found = self.machine, self.reactions
-        for point, (by, on) in acting_on(machine).items():
-            bodies = machine.mechanism.pins[point]
-            if len(bodies) == 2:
-                for axis, value in zip("xy", found.pins[point][on], strict=True):
-                    yield f"{point}.f{axis}_N", f"force of {by} on {on} at {point} in {axis}", _given(value)
-            else:
-                for body in (on, *(b for b in bodies if b != on)):
-                    for axis, value in zip("xy", found.pins[point][body], strict=True):
-                        what = f"force of the pin on {body} at {point} in {axis}"
-                        yield f"{point}.{body}.f{axis}_N", what, _given(value)
-        for guide in machine.mechanism.guides:
-            force = found.guides[guide.name]
-            what = f"of {guide.on} on {guide.slider} in the guide {guide.name}"
-            yield f"{guide.name}.normal_N", f"normal force {what}, to the left of the line", _given(force.normal)
-            yield f"{guide.name}.moment_Nm", f"moment {what}", _given(force.moment)
-            if guide.name in machine.friction:
-                yield f"{guide.name}.friction_N", f"friction {what}, along the line", _given(force.friction)
+        for name, meaning, value in joint_forces(self.machine, self.reactions.pins, self.reactions.guides):
+            yield name, meaning, _given(value)
 
     def _load_forces(self) -> Named:
         for load in self.machine.loads:
@@ -178,6 +162,36 @@ class MotionColumns:
         yield "energy.kinetic_J", "kinetic energy", lambda: moving.kinetic
         what = "potential energy of gravity and springs, gravity's zero at y = 0"
         yield "energy.potential_J", what, lambda: moving.potential
+
+
+def joint_forces(
+    machine: Machine, pins: Mapping[str, Mapping[str, Vector]], guides: Mapping[str, GuideForce]
+) -> Iterator[tuple[str, str, Value]]:
+    """Yield name, meaning and values of the columns of the joint reactions.
+
+    Parameters
+    ----------
+    machine : Machine
+    pins : mapping of point and body to pair of Value [N]
+        Force of each pin on each of its bodies.
+    guides : mapping of str to GuideForce
+        By the name of the guide.
+    """
+    for point, (by, on) in acting_on(machine).items():
+        bodies = machine.mechanism.pins[point]
+        if len(bodies) == 2:
+            for axis, value in zip("xy", pins[point][on], strict=True):
+                yield f"{point}.f{axis}_N", f"force of {by} on {on} at {point} in {axis}", value
+        else:
+            for body in (on, *(b for b in bodies if b != on)):
+                for axis, value in zip("xy", pins[point][body], strict=True):
+                    yield f"{point}.{body}.f{axis}_N", f"force of the pin on {body} at {point} in {axis}", value
+    for guide in machine.mechanism.guides:
+        force, what = guides[guide.name], f"of {guide.on} on {guide.slider} in the guide {guide.name}"
+        yield f"{guide.name}.normal_N", f"normal force {what}, to the left of the line", force.normal
+        yield f"{guide.name}.moment_Nm", f"moment {what}", force.moment
+        if guide.name in machine.friction:
+            yield f"{guide.name}.friction_N", f"friction {what}, along the line", force.friction
 
 
 def _transmission(moving: Moving, group: RRR) -> Value:
