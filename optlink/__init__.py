@@ -36,42 +36,30 @@ if TYPE_CHECKING:
     from optlink.tasks.run import solve, validate
     from optlink.tasks.simulate import Simulation, simulate
 
-_HOME = {
-    "Analysis": "optlink.tasks.results.analysis",
-    "analyze": "optlink.tasks.analyze",
-    "Balance": "optlink.tasks.results.balance",
-    "balance": "optlink.tasks.balance",
-    "Simulation": "optlink.tasks.simulate",
-    "simulate": "optlink.tasks.simulate",
-    "analyze_batch": "optlink.tasks.batch",
-    "ClearanceSimulation": "optlink.tasks.results.clearance",
-    "simulate_clearance": "optlink.tasks.clearance",
-    "Comparison": "optlink.tasks.results.control_comparison",
-    "Tuning": "optlink.tasks.results.control_comparison",
-    "compare": "optlink.tasks.control_comparison",
-    "tune": "optlink.tasks.control_comparison",
-    "PathDesign": "optlink.tasks.results.path",
-    "PathResult": "optlink.tasks.results.path",
-    "InputError": "optlink.errors",
-    "OptlinkError": "optlink.errors",
-    "SolverError": "optlink.errors",
-    "Status": "optlink.errors",
-    "ProblemFile": "optlink.problem.file",
-    "load": "optlink.problem.file",
-    "new": "optlink.problem.templates",
-    "Explorer": "optlink.report.html.notebook",
-    "explore": "optlink.studio",
-    "read": "optlink.problem.file",
-    "shipped": "optlink.problem.file",
-    "CycleResult": "optlink.tasks.results.cycle",
-    "four_bar": "optlink.linkage.fourbar",
-    "grashof": "optlink.linkage.fourbar",
-    "sweep": "optlink.linkage.motion",
-    "FunctionResult": "optlink.tasks.function",
-    "read_design": "optlink.tasks.function",
-    "solve": "optlink.tasks.run",
-    "validate": "optlink.tasks.run",
+_NAMES = {
+    "optlink.errors": ("InputError", "OptlinkError", "SolverError", "Status"),
+    "optlink.linkage.fourbar": ("four_bar", "grashof"),
+    "optlink.linkage.motion": ("sweep",),
+    "optlink.problem.file": ("ProblemFile", "load", "read", "shipped"),
+    "optlink.problem.templates": ("new",),
+    "optlink.report.html.notebook": ("Explorer",),
+    "optlink.studio": ("explore",),
+    "optlink.tasks.analyze": ("analyze",),
+    "optlink.tasks.balance": ("balance",),
+    "optlink.tasks.batch": ("analyze_batch",),
+    "optlink.tasks.clearance": ("simulate_clearance",),
+    "optlink.tasks.control_comparison": ("compare", "tune"),
+    "optlink.tasks.function": ("FunctionResult", "read_design"),
+    "optlink.tasks.results.analysis": ("Analysis",),
+    "optlink.tasks.results.balance": ("Balance",),
+    "optlink.tasks.results.clearance": ("ClearanceSimulation",),
+    "optlink.tasks.results.control_comparison": ("Comparison", "Tuning"),
+    "optlink.tasks.results.cycle": ("CycleResult",),
+    "optlink.tasks.results.path": ("PathDesign", "PathResult"),
+    "optlink.tasks.run": ("solve", "validate"),
+    "optlink.tasks.simulate": ("Simulation", "simulate"),
 }
+"""Public names by their modules."""
 
 __all__ = [
     "Analysis",
@@ -116,12 +104,13 @@ def __getattr__(name: str) -> Any:
     """Import a public name when it is first used, so that `optlink --help` loads nothing heavy."""
     import importlib
 
-    if name not in _HOME:
+    home = next((module for module, names in _NAMES.items() if name in names), None)
+    if home is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from optlink.problem.base_model import Recorded
 
     Recorded.notebook = staticmethod(_notebook)
-    return getattr(importlib.import_module(_HOME[name]), name)
+    return getattr(importlib.import_module(home), name)
 
 
 def _notebook(result: Any) -> str | None:
