@@ -20,7 +20,7 @@ import numpy as np
 from optlink.dynamics.dyad_balances import BALANCES, GroupForces
 from optlink.dynamics.inertia import UNITS, Wrench, wrench
 from optlink.dynamics.machine import Machine, Moving
-from optlink.linkage.mechanism import FRAME, Group, Guide, Link
+from optlink.linkage.mechanism import FRAME, Dyad, Guide, Link
 from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, minus, plus
 
 ROUNDING = 1e-9
@@ -193,7 +193,7 @@ class ForceBalance:
 
     # --- one group -------------------------------------------------------------------------------------------------
 
-    def with_friction(self, group: Group) -> GroupForces:
+    def with_friction(self, group: Dyad) -> GroupForces:
         """Solve a group; with guide friction, for the consistent signs of the normal forces."""
         solver = BALANCES[group.kind]
         rough = [guide for guide in group.prismatic if guide.name in self.moving.machine.friction]
@@ -266,14 +266,14 @@ class ForceBalance:
         """
         return self.needed[link.body].about(self.moving.state(link.body).start, point)
 
-    def total(self, group: Group) -> Vector:
+    def total(self, group: Dyad) -> Vector:
         """Return the force that the outer joints exert on both bodies of a group."""
         first, second = (self.needed[link.body].force for link in group.links)
         return plus(first, second)
 
     # --- transmitted forces ----------------------------------------------------------------------------------------
 
-    def _commit(self, group: Group, solved: GroupForces) -> None:
+    def _commit(self, group: Dyad, solved: GroupForces) -> None:
         """Store the forces of a group and apply their counterparts to the bodies that carry it."""
         first, second = (link.body for link in group.links)
         for point, body, force in solved.pins:

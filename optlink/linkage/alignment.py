@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.extrema import in_portions, zeros
-from optlink.linkage.jet import Jet
+from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.margins import NEAR_ALIGNMENT, SINGULAR_ALIGNMENT
-from optlink.linkage.mechanism import Group, Mechanism, Pose
+from optlink.linkage.mechanism import Dyad, Mechanism, Pose
 from optlink.linkage.vector2d import TURN, Array, Value
 
 GRID = 1440
@@ -33,7 +33,7 @@ class AlignedPosition(NamedTuple):
     """Position in which a group comes closest to alignment: crank angle [rad] and angle from alignment [rad]."""
 
     crank_angle: float
-    group: Group
+    group: Dyad
     angle: float
 
     @property
@@ -57,15 +57,15 @@ def positions_text(positions: Iterable[AlignedPosition]) -> str:
 
 def squared_sines(pose: Pose) -> Array:
     """Return the alignment [-] of every group, array (groups, n); NaN for the groups that follow one that cannot be assembled."""
-    shape = np.shape(_value(pose.directions[pose.mechanism.crank.body][0]))
+    shape = np.shape(as_jet(pose.directions[pose.mechanism.crank.body][0]).value)
     with np.errstate(all="ignore"):
-        found = [np.broadcast_to(_value(group.alignment(pose)), shape) for group in pose.mechanism.groups]
+        found = [np.broadcast_to(as_jet(group.alignment(pose)).value, shape) for group in pose.mechanism.groups]
     return np.array(found, dtype=float).reshape(-1, *shape)
 
 
 def alignment_margin(pose: Pose) -> Array:
     """Return the least alignment of all groups above its limit [-], array (n,); negative, never NaN, if one fails to close."""
-    least = np.full(np.shape(_value(pose.directions[pose.mechanism.crank.body][0])), np.inf)
+    least = np.full(np.shape(as_jet(pose.directions[pose.mechanism.crank.body][0]).value), np.inf)
     for group, sines in zip(pose.mechanism.groups, squared_sines(pose), strict=True):
         above = sines - group.least if group.least > 0.0 else sines + TOUCHING  # parallel lines meet nowhere
         least = lesser(least, above)
@@ -109,7 +109,7 @@ def least_alignments(mechanism: Mechanism, sizes: Mapping[str, Value]) -> list[A
     def rates(angles: Array) -> Array:
         pose = moving(angles)
         with np.errstate(all="ignore"):
-            found = [_rate(group.alignment(pose)) for group in mechanism.groups]
+            found = [as_jet(group.alignment(pose)).rate for group in mechanism.groups]
         return np.array([np.broadcast_to(rate, angles.shape) for rate in found])
 
     samples = in_portions(rates, grid)
@@ -149,22 +149,14 @@ def near_singular(pose: Pose, crank_angle: Array) -> NDArray[np.bool_]:
     Between two samples, where the alignment has a minimum and is convex, it lies above the intersection of its two tangents.
     """
     step, count = crank_angle[1] - crank_angle[0], len(crank_angle)
-    shape = np.broadcast_shapes(*(np.shape(_value(margin)) for margin in pose.margins.values()), (1, count))
+    shape = np.broadcast_shapes(*(np.shape(as_jet(margin).value) for margin in pose.margins.values()), (1, count))
     found = np.zeros(shape[0], dtype=bool)
     with np.errstate(all="ignore"):
         for group in pose.mechanism.groups:
-            alignment = group.alignment(pose)
-            sines, rates = (np.broadcast_to(part(alignment), shape) for part in (_value, _rate))
+            alignment = as_jet(group.alignment(pose))
+            sines, rates = (np.broadcast_to(part, shape) for part in (alignment.value, alignment.rate))
             after, rates_after = np.roll(sines, -1, axis=1), np.roll(rates, -1, axis=1)
             along = np.clip((after - sines - rates_after * step) / (rates - rates_after), min(0.0, step), max(0.0, step))
             least = np.where(rates * step < 0.0, np.where(rates_after * step > 0.0, sines + rates * along, sines), sines)
             found |= np.any((least <= TOUCHING) & (sines >= -TOUCHING) & (after >= -TOUCHING), axis=1)
     return found
-
-
-def _value(x: Value) -> Value:
-    return x.value if isinstance(x, Jet) else x
-
-
-def _rate(x: Value) -> Value:
-    return x.rate if isinstance(x, Jet) else 0.0

@@ -16,7 +16,7 @@ from typing import Any
 from optlink.errors import InvalidValue
 from optlink.io import Registry
 from optlink.linkage.dyad_types import FORWARD, PRP, RPP, RPR, RRP, RRR
-from optlink.linkage.mechanism import FRAME, BodyPoint, Ground, Group, Guide, Link, Mechanism
+from optlink.linkage.mechanism import FRAME, BodyPoint, Dyad, Ground, Guide, Link, Mechanism
 
 _SIDE = re.compile(r"\s*(left|right)\s+of\s+(\S+)\s*(?:->|-|–|→|to)\s*(\S+)\s*", re.ASCII)
 CONTINUE = "continue"
@@ -103,7 +103,7 @@ class Assembly:
                 if point:
                     self.members.setdefault(point, []).append(link.body)
         self.placed = {FRAME, driver}
-        self.groups: list[Group] = []
+        self.groups: list[Dyad] = []
         self.used: set[str] = set()
 
     # --- joints of the bodies ------------------------------------------------------------------------------------
@@ -175,7 +175,7 @@ class Assembly:
                 raise StructureError("no group has its inner joint there, or it has one mode only", remedy, f"assembly.{joint}")
         return Mechanism(name, self.ground, self.links[self.driver], tuple(self.groups), self.points, self.guides)
 
-    def next_group(self, reached: list[str]) -> Group | None:
+    def next_group(self, reached: list[str]) -> Dyad | None:
         """Return the first dyad, in the order of the file, among bodies joined to placed ones."""
         for first in reached:
             for second in self.neighbours(first):
@@ -219,7 +219,7 @@ class Assembly:
                 f"links.{self.driver}",
             )
 
-    def _group(self, first: str, second: str) -> Group | None:
+    def _group(self, first: str, second: str) -> Dyad | None:
         """Return the dyad of two bodies, if each has one joint with the placed bodies and they share one inner joint."""
         outer, inner = [self.placed_joints(body) for body in (first, second)], self._shared(first, second)
         if len(outer[0]) != 1 or len(outer[1]) != 1 or len(inner) != 1:
@@ -374,7 +374,7 @@ class Assembly:
 
 # --- the types of dyads --------------------------------------------------------------------------------------------------
 
-Former = Callable[[Assembly, Link, Link, Any, Any, Any], Group]
+Former = Callable[[Assembly, Link, Link, Any, Any, Any], Dyad]
 """(assembly, first body, second body, outer joint of the first, inner joint, outer joint of the second) -> group"""
 
 DYADS: Registry[Former] = Registry()
@@ -382,17 +382,17 @@ DYADS: Registry[Former] = Registry()
 
 
 @partial(DYADS.add, "RRR")
-def _rrr(assembly: Assembly, first: Link, second: Link, p: str, joint: str, q: str) -> Group:
+def _rrr(assembly: Assembly, first: Link, second: Link, p: str, joint: str, q: str) -> Dyad:
     return RRR(first, second, assembly.side(joint, p, q), (p, q), joint, follow=assembly.follows(joint))
 
 
 @partial(DYADS.add, "RRP")
-def _rrp(assembly: Assembly, first: Link, second: Link, p: str, joint: str, guide: Guide) -> Group:
+def _rrp(assembly: Assembly, first: Link, second: Link, p: str, joint: str, guide: Guide) -> Dyad:
     return RRP(first, second, guide, p, joint, assembly.way(joint, guide), follow=assembly.follows(joint))
 
 
 @partial(DYADS.add, "RPR")
-def _rpr(assembly: Assembly, first: Link, second: Link, p: str, guide: Guide, q: str) -> Group:
+def _rpr(assembly: Assembly, first: Link, second: Link, p: str, guide: Guide, q: str) -> Dyad:
     way, follow = assembly.way(guide.name, guide), assembly.follows(guide.name)
     if guide.slider != first.body:
         first, second, p, q = second, first, q, p
@@ -400,10 +400,10 @@ def _rpr(assembly: Assembly, first: Link, second: Link, p: str, guide: Guide, q:
 
 
 @partial(DYADS.add, "RPP")
-def _rpp(assembly: Assembly, first: Link, second: Link, p: str, guide: Guide, rail: Guide) -> Group:
+def _rpp(assembly: Assembly, first: Link, second: Link, p: str, guide: Guide, rail: Guide) -> Dyad:
     return RPP(first, second, guide, p, rail)
 
 
 @partial(DYADS.add, "PRP")
-def _prp(assembly: Assembly, first: Link, second: Link, guide: Guide, joint: str, other: Guide) -> Group:
+def _prp(assembly: Assembly, first: Link, second: Link, guide: Guide, joint: str, other: Guide) -> Dyad:
     return PRP(first, second, (guide, other), joint)

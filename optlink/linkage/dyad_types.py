@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from optlink.linkage.dyads import prp, rpp, rpr, rrp, rrr
-from optlink.linkage.mechanism import Guide, Link, Mechanism, Pose
+from optlink.linkage.mechanism import Dyad, Guide, Mechanism, Pose
 from optlink.linkage.passage import GroupPassages
 from optlink.linkage.vector2d import Value, Vector, cross, dot, minus, plus, turn, turn_back
 
@@ -16,34 +16,6 @@ FORWARD = {"forward": 1, "backward": -1}
 """Assembly modes of a dyad with one slider."""
 PARALLEL = 1e-12
 """Squared sine of the angle between two lines below which they count as parallel and meet nowhere."""
-
-
-@dataclass(frozen=True)
-class Dyad:
-    """Base class of all dyads: two bodies."""
-
-    first: Link
-    second: Link
-
-    @property
-    def links(self) -> tuple[Link, Link]:
-        """The bodies that the group adds."""
-        return self.first, self.second
-
-    @property
-    def outer_pins(self) -> tuple[tuple[str, str], ...]:
-        """Bodies of the group with their pins to bodies placed before."""
-        return ()
-
-    @property
-    def prismatic(self) -> tuple[Guide, ...]:
-        """Guides of the group."""
-        return ()
-
-    @property
-    def modes(self) -> tuple[str, ...]:
-        """Assembly modes, in the notation of the problem file."""
-        return ()
 
 
 @dataclass(frozen=True)
@@ -94,7 +66,6 @@ class RRR(ModalDyad):
     inner: str = ""
 
     kind = "RRR"
-    least = 0.0
 
     @property
     def joint(self) -> str:
@@ -160,7 +131,6 @@ class RRP(ModalDyad):
     side: int  # +1: the joint lies forward, along the guide, of the foot of the outer joint
 
     kind = "RRP"
-    least = 0.0
 
     @property
     def joint(self) -> str:
@@ -215,7 +185,6 @@ class RPR(ModalDyad):
     side: int  # +1: the slider's pin lies forward, along the guide, of the other
 
     kind = "RPR"
-    least = 0.0
 
     @property
     def joint(self) -> str:
@@ -264,8 +233,22 @@ class RPR(ModalDyad):
         return of_slider - of_other
 
 
+class LineDyad(Dyad):
+    """A dyad whose two sliders determine it by their lines, which meet once unless they are parallel."""
+
+    least = PARALLEL
+
+    def gap(self, pose: Pose) -> Value:
+        """Return zero: two lines intersect unless they are parallel."""
+        return 0.0 * pose.margins[self.joint]
+
+    def alignment(self, pose: Pose) -> Value:
+        """Return the squared sine of the angle between the two lines."""
+        return pose.margins[self.joint]
+
+
 @dataclass(frozen=True)
-class RPP(Dyad):
+class RPP(LineDyad):
     """A slider (first) pinned to a known joint, on a yoke (second) that slides on a known line."""
 
     guide: Guide  # between the two
@@ -273,8 +256,6 @@ class RPP(Dyad):
     rail: Guide  # of the yoke
 
     kind = "RPP"
-    least = PARALLEL
-    passages = None
 
     @property
     def joint(self) -> str:
@@ -306,29 +287,19 @@ class RPP(Dyad):
         pose.place(self.first, turn_back(slot, pose.local_line(self.guide, self.first.body)[1]), self.outer)
         return margin
 
-    def gap(self, pose: Pose) -> Value:
-        """Return zero: two lines intersect unless they are parallel."""
-        return 0.0 * pose.margins[self.joint]
-
     def cosine(self, pose: Pose) -> Value:
         """Return the cosine of the angle between the directions of the two lines."""
         return dot(pose.line(self.rail, self.rail.other(self.second.body))[1], pose.line(self.guide, self.second.body)[1])
 
-    def alignment(self, pose: Pose) -> Value:
-        """Return the squared sine of the angle between the two lines."""
-        return pose.margins[self.joint]
-
 
 @dataclass(frozen=True)
-class PRP(Dyad):
+class PRP(LineDyad):
     """Two sliders on known lines, pinned to each other."""
 
     guides: tuple[Guide, Guide]
     inner: str
 
     kind = "PRP"
-    least = PARALLEL
-    passages = None
 
     @property
     def joint(self) -> str:
@@ -357,17 +328,9 @@ class PRP(Dyad):
         """Return the sine of the angle from the first line to the second; it changes sign where they become parallel."""
         return cross(*self._lines(pose))
 
-    def gap(self, pose: Pose) -> Value:
-        """Return zero: two lines intersect unless they are parallel."""
-        return 0.0 * pose.margins[self.joint]
-
     def cosine(self, pose: Pose) -> Value:
         """Return the cosine of the angle between the directions of the two lines."""
         return dot(*self._lines(pose))
-
-    def alignment(self, pose: Pose) -> Value:
-        """Return the squared sine of the angle between the two lines."""
-        return pose.margins[self.joint]
 
 
 Transmitting = RRR | RRP | RPR | RPP | PRP

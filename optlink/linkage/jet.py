@@ -13,64 +13,6 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from optlink.linkage.vector2d import Value
 
-
-class Jet(NDArrayOperatorsMixin):
-    """Truncated Taylor series in time.
-
-    A quantity that is not a Jet is constant in time. Functions without a rule raise TypeError (numpy's own message).
-
-    Parameters
-    ----------
-    value, rate, acceleration : Value, broadcastable
-        The quantity and its first and second derivative with respect to time.
-    """
-
-    __slots__ = ("acceleration", "rate", "value")
-
-    def __init__(self, value: Value, rate: Value = 0.0, acceleration: Value = 0.0) -> None:
-        self.value, self.rate, self.acceleration = value, rate, acceleration
-
-    def __repr__(self) -> str:
-        return f"Jet({self.value!r}, {self.rate!r}, {self.acceleration!r})"
-
-    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
-        if method != "__call__" or kwargs:
-            return NotImplemented
-        if ufunc in _CHAIN:
-            x = inputs[0]
-            value = ufunc(x.value)
-            first, second = _CHAIN[ufunc](x.value, value)
-            return Jet(value, first * x.rate, first * x.acceleration + second * x.rate * x.rate)
-        rule = _RULES.get(ufunc)
-        return NotImplemented if rule is None else rule(*inputs)
-
-    # direct operators bypass numpy's dispatch, which is half of the cost of a jet of a few hundred positions
-
-    def __add__(self, other: Value) -> Jet:
-        return _add(self, other)
-
-    def __radd__(self, other: Value) -> Jet:
-        return _add(other, self)
-
-    def __sub__(self, other: Value) -> Jet:
-        return _subtract(self, other)
-
-    def __rsub__(self, other: Value) -> Jet:
-        return _subtract(other, self)
-
-    def __mul__(self, other: Value) -> Jet:
-        return _multiply(self, other)
-
-    def __rmul__(self, other: Value) -> Jet:
-        return _multiply(other, self)
-
-    def __truediv__(self, other: Value) -> Jet:
-        return _divide(self, other)
-
-    def __neg__(self) -> Jet:
-        return Jet(-self.value, -self.rate, -self.acceleration)
-
-
 # a quantity that is not a jet is constant: its terms are omitted, not multiplied by zero
 
 
@@ -117,12 +59,60 @@ def _divide(a: Value, b: Value) -> Jet:
     return Jet(value, rate, (a.acceleration - 2.0 * (rate * b.rate) - value * b.acceleration) * inverse)
 
 
-def _jet(x: Value) -> Jet:
+class Jet(NDArrayOperatorsMixin):
+    """Truncated Taylor series in time.
+
+    A quantity that is not a Jet is constant in time. Functions without a rule raise TypeError (numpy's own message).
+
+    Parameters
+    ----------
+    value, rate, acceleration : Value, broadcastable
+        The quantity and its first and second derivative with respect to time.
+    """
+
+    __slots__ = ("acceleration", "rate", "value")
+
+    def __init__(self, value: Value, rate: Value = 0.0, acceleration: Value = 0.0) -> None:
+        self.value, self.rate, self.acceleration = value, rate, acceleration
+
+    def __repr__(self) -> str:
+        return f"Jet({self.value!r}, {self.rate!r}, {self.acceleration!r})"
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
+        if method != "__call__" or kwargs:
+            return NotImplemented
+        if ufunc in _CHAIN:
+            x = inputs[0]
+            value = ufunc(x.value)
+            first, second = _CHAIN[ufunc](x.value, value)
+            return Jet(value, first * x.rate, first * x.acceleration + second * x.rate * x.rate)
+        rule = _RULES.get(ufunc)
+        return NotImplemented if rule is None else rule(*inputs)
+
+    # direct operators bypass numpy's dispatch, which is half of the cost of a jet of a few hundred positions
+
+    __add__, __sub__, __mul__, __truediv__ = _add, _subtract, _multiply, _divide
+
+    def __radd__(self, other: Value) -> Jet:
+        return _add(other, self)
+
+    def __rsub__(self, other: Value) -> Jet:
+        return _subtract(other, self)
+
+    def __rmul__(self, other: Value) -> Jet:
+        return _multiply(other, self)
+
+    def __neg__(self) -> Jet:
+        return Jet(-self.value, -self.rate, -self.acceleration)
+
+
+def as_jet(x: Value) -> Jet:
+    """Return a jet unchanged, and any other value as one that is constant in time."""
     return x if isinstance(x, Jet) else Jet(x)
 
 
 def _arctan2(y: Value, x: Value) -> Jet:
-    y, x = _jet(y), _jet(x)
+    y, x = as_jet(y), as_jet(x)
     square = x.value * x.value + y.value * y.value
     rate = (x.value * y.rate - y.value * x.rate) / square
     change = 2.0 * (x.value * x.rate + y.value * y.rate)  # of the squared radius

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
+from typing import ClassVar
 
 import numpy as np
 
@@ -87,63 +87,63 @@ class Guide:
         return self.on if body == self.slider else self.slider
 
 
-class Group(Protocol):
-    """Protocol of a dyad: two bodies that can be placed once their neighbours are."""
+@dataclass(frozen=True)
+class Dyad:
+    """Base class of all dyads: two bodies that can be placed once their neighbours are.
 
-    @property
-    def kind(self) -> str:
-        """RRR, RRP, RPR, RPP or PRP."""
-        ...
+    `kind`: RRR, RRP, RPR, RPP or PRP; `least`: assembly margin below which it cannot be assembled.
+    """
 
-    @property
-    def least(self) -> float:
-        """Assembly margin below which it cannot be assembled."""
-        ...
+    first: Link
+    second: Link
+
+    kind: ClassVar[str]
+    least: ClassVar[float] = 0.0
 
     @property
     def joint(self) -> str:
         """Name of the inner joint, also used as the name of the group."""
-        ...
+        raise NotImplementedError
 
     @property
     def links(self) -> tuple[Link, Link]:
         """The two bodies that the group adds."""
-        ...
+        return self.first, self.second
 
     @property
     def outer_pins(self) -> tuple[tuple[str, str], ...]:
         """Bodies of the group with their pins to bodies placed before."""
-        ...
+        return ()
 
     @property
     def prismatic(self) -> tuple[Guide, ...]:
         """Guides of the group."""
-        ...
+        return ()
 
     @property
     def modes(self) -> tuple[str, ...]:
         """Assembly modes, in the notation of the problem file."""
-        ...
-
-    def solve(self, pose: Pose) -> Value:
-        """Add the points and bodies of the group to `pose`; return the assembly margin."""
-        ...
-
-    def gap(self, pose: Pose) -> Value:
-        """Return the distance [m] by which the group fails to close; negative where it closes."""
-        ...
+        return ()
 
     @property
     def passages(self) -> GroupPassages | None:
         """Sides and series through singular positions, if the group is continued through them."""
-        ...
+        return None
+
+    def solve(self, pose: Pose) -> Value:
+        """Add the points and bodies of the group to `pose`; return the assembly margin."""
+        raise NotImplementedError
+
+    def gap(self, pose: Pose) -> Value:
+        """Return the distance [m] by which the group fails to close; negative where it closes."""
+        raise NotImplementedError
 
     def alignment(self, pose: Pose) -> Value:
         """Return the squared sine of the angle between the group and its alignment.
 
         It is zero at a singular position and negative beyond it.
         """
-        ...
+        raise NotImplementedError
 
 
 class Pose:
@@ -329,7 +329,7 @@ class Mechanism:
     name: str
     ground: Mapping[str, Ground]
     crank: Link
-    groups: tuple[Group, ...]
+    groups: tuple[Dyad, ...]
     points: tuple[BodyPoint, ...] = field(default=())
     guides: tuple[Guide, ...] = field(default=())
     datum: Size = 0.0

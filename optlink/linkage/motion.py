@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from optlink.linkage.jet import Jet
+from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.mechanism import Mechanism, Pose
 from optlink.linkage.vector2d import Array, Value, angle, unit
 
@@ -40,7 +40,7 @@ class Motion:
         ----------
         p, q : str
         """
-        (px, py), (qx, qy) = ([self._full(_jet(x).value) for x in self.pose.point(name)] for name in (p, q))
+        (px, py), (qx, qy) = ([self._full(as_jet(x).value) for x in self.pose.point(name)] for name in (p, q))
         x, y = qx - px, qy - py
         return np.asarray(np.sqrt(x * x + y * y))
 
@@ -54,24 +54,24 @@ class Motion:
 
     def margin(self, joint: str) -> Array:
         """Return the assembly margin [-] of the group with that inner joint."""
-        return self._full(_jet(self.pose.margins[joint]).value)
+        return self._full(as_jet(self.pose.margins[joint]).value)
 
     def body_angle(self, body: str) -> Jet:
         """Return the angle of a body [rad], continuous along the sweep, and its first and second derivative [rad/s, rad/s^2]."""
         with np.errstate(all="ignore"):
-            jet = _jet(angle(self.pose.direction(body)))
+            jet = as_jet(angle(self.pose.direction(body)))
         return Jet(_continuous(self._full(jet.value)), self._full(jet.rate), self._full(jet.acceleration))
 
     def body_rate(self, body: str) -> Array:
         """Return the angular velocity of a body [rad/s]."""
         with np.errstate(all="ignore"):
-            return self._full(_jet(angle(self.pose.direction(body))).rate)
+            return self._full(as_jet(angle(self.pose.direction(body))).rate)
 
     def slide(self, guide: str) -> Jet:
         """Return the slide in a guide [m], its velocity and acceleration [m/s, m/s^2]."""
         found = next(known for known in self.mechanism.guides if known.name == guide)
         with np.errstate(all="ignore"):
-            jet = _jet(self.pose.slide(found))
+            jet = as_jet(self.pose.slide(found))
         return Jet(self._full(jet.value), self._full(jet.rate), self._full(jet.acceleration))
 
     @property
@@ -111,12 +111,7 @@ class Motion:
         return np.broadcast_to(np.asarray(x, dtype=float), self._shape)
 
     def _stack(self, point: str, part: Callable[[Jet], Value]) -> Array:
-        return np.stack([self._full(part(_jet(x))) for x in self.pose.points[point]], axis=-1)
-
-
-def _jet(x: Value) -> Jet:
-    """Return a constant as a jet."""
-    return x if isinstance(x, Jet) else Jet(x)
+        return np.stack([self._full(part(as_jet(x))) for x in self.pose.points[point]], axis=-1)
 
 
 def _continuous(angles: Array) -> Array:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optlink.linkage.jet import Jet
+from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.vector2d import Array, Value, Vector
 
 
@@ -68,7 +68,7 @@ class GroupPassages:
 
     def side(self, angle: Value) -> Value:
         """Return the assembly mode at a crank angle."""
-        value = np.real(angle.value if isinstance(angle, Jet) else angle)
+        value = np.real(as_jet(angle).value)
         within = self.origin + np.remainder(value - self.origin, self.cycle)
         return self.sides[np.searchsorted(self.breaks, within, side="right")]
 
@@ -84,7 +84,7 @@ class GroupPassages:
         margin : Value [-]
             Assembly margin.
         """
-        value = angle.value if isinstance(angle, Jet) else angle
+        value = as_jet(angle).value
         for passage in self.passages:
             turns = np.round((np.real(value) - passage.crank_angle) / self.cycle)
             delta = value - passage.crank_angle - self.cycle * turns
@@ -92,18 +92,14 @@ class GroupPassages:
             if np.any(near):
                 place = passage.place(angle, np.where(near, delta, 0.0))
                 new = _either(near, place[0], new[0]), _either(near, place[1], new[1])
-                margin = _either(near & ~(np.real(_value(margin)) >= 0.0), 0.0, margin)
+                margin = _either(near & ~(np.real(as_jet(margin).value) >= 0.0), 0.0, margin)
         return new, margin
-
-
-def _value(x: Value) -> Value:
-    return x.value if isinstance(x, Jet) else x
 
 
 def _either(which: Value, one: Value, other: Value) -> Value:
     """Elementwise selection, of jets too."""
     if not isinstance(one, Jet) and not isinstance(other, Jet):
         return np.where(which, one, other)
-    a, b = (x if isinstance(x, Jet) else Jet(x) for x in (one, other))
+    a, b = as_jet(one), as_jet(other)
     parts = ((a.value, b.value), (a.rate, b.rate), (a.acceleration, b.acceleration))
     return Jet(*(np.where(which, x, y) for x, y in parts))

@@ -13,7 +13,7 @@ from optlink.linkage.alignment import AlignedPosition, alignment_margin, least_a
 from optlink.linkage.dyad_types import PRP
 from optlink.linkage.extrema import distinct, zeros
 from optlink.linkage.jet import Jet
-from optlink.linkage.mechanism import Group, Mechanism, Pose
+from optlink.linkage.mechanism import Dyad, Mechanism, Pose
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array, Value
 
@@ -49,7 +49,7 @@ class Failure:
     """A position that cannot be reached: the group that fails to close, and its gap [m]."""
 
     crank_angle: float
-    group: Group
+    group: Dyad
     gap: float
 
     def __str__(self) -> str:

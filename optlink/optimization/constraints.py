@@ -19,7 +19,7 @@ from optlink.linkage.fourbar import (
     transmission_cosine,
     turning_points,
 )
-from optlink.linkage.mechanism import Group, Pose
+from optlink.linkage.mechanism import Dyad, Pose
 from optlink.linkage.vector2d import Value, magnitude
 from optlink.problem.function import DEAD_CENTRES, DesignProblem
 from optlink.problem.limits import COUPLER_JOINT, Alignment, Reach, limits_in_file
@@ -371,13 +371,13 @@ def position_rows(problem: PathProblem, pose: Pose) -> list[ConstraintRow]:
     return found
 
 
-def alignment_row(limits: Alignment, group: Group, value: Value) -> ConstraintRow:
+def alignment_row(limits: Alignment, group: Dyad, value: Value) -> ConstraintRow:
     """Return the row that keeps a group away from the position where its assembly modes meet.
 
     Parameters
     ----------
     limits : Alignment
-    group : Group
+    group : Dyad
     value : float, array or symbol
         Squared sine of the alignment angle of the group.
     """

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from optlink.linkage.dyad_types import RPR, RRR
 from optlink.linkage.extrema import maxima
 from optlink.linkage.fourbar import LENGTHS, grashof
-from optlink.linkage.mechanism import Group
+from optlink.linkage.mechanism import Dyad
 from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import Array
 from optlink.problem.limits import Alignment, Limits
@@ -101,12 +101,12 @@ def _median(values: Array) -> float:
     return 0.5 * float(rising[(rising.size - 1) // 2] + rising[rising.size // 2]) if rising.size else math.nan
 
 
-def alignment_check(group: Group, single: bool, sine: ArrayLike, limits: Alignment, where: str) -> Checks:
+def alignment_check(group: Dyad, single: bool, sine: ArrayLike, limits: Alignment, where: str) -> Checks:
     """Check that a group keeps its least angle from alignment.
 
     Parameters
     ----------
-    group : Group
+    group : Dyad
     single : bool
         Whether it is the only one.
     sine : float or array (designs,)

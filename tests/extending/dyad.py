@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 from optlink.dynamics.dyad_balances import BALANCES, GroupForces, solve_two_by_two
 from optlink.linkage.assur import DYADS
-from optlink.linkage.dyad_types import Dyad
-from optlink.linkage.mechanism import Guide
+from optlink.linkage.mechanism import Dyad, Guide
 from optlink.linkage.vector2d import cross, dot, minus, plus, turn, turn_back
 
 
@@ -17,7 +16,7 @@ class Yoke(Dyad):
     pin: str
     rail: Guide
 
-    kind, least, passages = "yoke", 1e-12, None
+    kind, least = "yoke", 1e-12
     joint = property(lambda self: self.slot.name)
     outer_pins = property(lambda self: ((self.first.body, self.pin),))
     prismatic = property(lambda self: (self.slot, self.rail))
