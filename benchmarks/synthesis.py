@@ -323,8 +323,7 @@ def pylinkage(case: str, seed: str, count: str) -> Figures:
 
 def fourbarhinge(case: str, seed: str, count: str) -> Figures:
     """Its best design from as many starts as its README takes; bounds as ours, its other options as they are."""
-    from fourbarhinge import CouplerPathSynthesis, LinkBounds
-    from fourbarhinge import Point as Place
+    from fourbarhinge import CouplerPathSynthesis, LinkBounds, Point as Place
 
     from tests import synthesis_oracle as oracle
 

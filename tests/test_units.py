@@ -8,8 +8,7 @@ import re
 
 import pint
 import pytest
-from hypothesis import assume, example, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, example, given, settings, strategies as st
 
 from optlink import units
 from optlink.units import DEFINITIONS, KINDS, UnitProblem, factor, parse, plain, show

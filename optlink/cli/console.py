@@ -215,8 +215,7 @@ def load(problem: str, changes: list[str] | None) -> ProblemFile:
     changes : list of str or None
         KEY=VALUE.
     """
-    from optlink.problem.file import load as read
-    from optlink.problem.file import parse_assignment
+    from optlink.problem.file import load as read, parse_assignment
 
     return read(problem, dict(parse_assignment(text) for text in changes or []))
 

@@ -14,6 +14,7 @@ from optlink.cli import console
 from optlink.cli.options import Design, Json, Of, Quiet, Searcher, Seed, Set, Starts, Subjected, flag, number, option
 from optlink.errors import InputError
 from optlink.execution import interrupts
+from optlink.io import head
 
 if TYPE_CHECKING:
     from optlink.report.report_model import ReportModel
@@ -85,8 +86,7 @@ def export(
     quiet: Quiet = False,
 ) -> None:
     """Export a design to DXF, SVG, CSV or JSON."""
-    from optlink.report.export.export import FORMATS, Options, target
-    from optlink.report.export.export import export as write
+    from optlink.report.export.export import FORMATS, Options, export as write, target
 
     target(output, tuple(FORMATS), "drawing.dxf")
     angle = console.quantity(at, "angle", "--at")
@@ -126,7 +126,6 @@ def _subject(
 
 def _refuse(about: ReportModel, as_json: bool) -> None:
     """Report why an invalid design is not written."""
-    from optlink.io import head
     from optlink.report.html.page import verdict
 
     message = f"{verdict(about)}. Nothing is written; --even-invalid writes it all the same"
@@ -143,8 +142,6 @@ def _written(about: ReportModel | StoredStudy, output: Path, as_json: bool) -> N
 
     size = output.stat().st_size
     if as_json:
-        from optlink.io import head
-
         document = head(SCHEMA, about.problem, "valid" if about.valid else "not valid")
         console.print_json(document | {"valid": about.valid, "file": str(output), "bytes": size})
     else:

@@ -191,7 +191,6 @@ def new(
 
 def _check(out: Path, force: bool) -> None:
     """Refuse a file that cannot be written, and one that exists unless it may be overwritten."""
-    from optlink.errors import InputError
     from optlink.report.export.export import target
 
     target(out, (".toml",), "mine.toml")

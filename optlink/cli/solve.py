@@ -91,8 +91,7 @@ def solve(
         _validate(problem, design, changes, as_json, out)
         return
     from optlink.tasks.results.certificate import STRICT, share_text
-    from optlink.tasks.run import design_task
-    from optlink.tasks.run import solve as search
+    from optlink.tasks.run import design_task, solve as search
 
     file = console.load(problem, changes)
     if not (_automatic(file) if certify is None else certify):

@@ -16,8 +16,7 @@ import numpy as np
 
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import Array, turn, unit
-from optlink.optimization.constraints import DEGREES, ConstraintRow, Scale
-from optlink.optimization.constraints import rows as limit_rows
+from optlink.optimization.constraints import DEGREES, ConstraintRow, Scale, rows as limit_rows
 from optlink.optimization.mapped_terms import MappedTerms
 from optlink.optimization.objectives import MEASURES, ErrorMeasure, output_error
 from optlink.optimization.output_derivatives import ErrorDerivatives

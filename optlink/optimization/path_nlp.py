@@ -15,8 +15,7 @@ import casadi
 import numpy as np
 
 from optlink.linkage.vector2d import TURN, Array, Value, unit
-from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale, position_rows
-from optlink.optimization.constraints import rows as limit_rows
+from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale, position_rows, rows as limit_rows
 from optlink.optimization.nlp import NLP, Variable, boxed
 from optlink.optimization.objectives import ErrorMeasure, error_measures
 from optlink.problem.function import EPIGRAPH

@@ -21,9 +21,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from optlink.report.files import whole
-from optlink.report.format import Scale as Scale
-from optlink.report.format import degrees as degrees
-from optlink.report.format import scale as scale
+from optlink.report.format import Scale as Scale, degrees as degrees, scale as scale
 
 CRANK, COUPLER, ROCKER, GROUND = "#c0392b", "#2c6fbb", "#2e8b57", "#444444"
 BODIES = (COUPLER, ROCKER, "#d07d00", "#7d55a8", "#17888f", "#a0522d", "#c2527f", "#6f7d22", "#5a6b7b")

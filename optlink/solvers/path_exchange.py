@@ -18,8 +18,7 @@ from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
 from optlink.optimization.path_nlp import has_sampled_objective, limit_excesses, objective_excess, solved_values
 from optlink.problem.path import PathProblem
-from optlink.solvers import contract
-from optlink.solvers import multistart as local
+from optlink.solvers import contract, multistart as local
 from optlink.solvers.newton import polish
 from optlink.solvers.semi_infinite import with_places
 from optlink.solvers.solution import Solution

@@ -16,7 +16,7 @@ from optlink.problem.file import ProblemFile
 from optlink.studio.design import Design
 from optlink.studio.document import Document, from_text
 from optlink.studio.picture import Picture
-from optlink.synthesis.batch_search import Candidate
+from optlink.synthesis.batch_search import Candidate, Searcher
 from optlink.tasks.path_search import DesignCollection, Polisher, path_model
 from optlink.tasks.results.path import PathDesign
 from optlink.validation.path import validate_path
@@ -145,8 +145,6 @@ class CurveSearch:
     """
 
     def __init__(self, document: Document, seconds: float = SECONDS) -> None:
-        from optlink.synthesis.batch_search import Searcher
-
         self.document, self.begun, self._limit = document, time.perf_counter(), seconds
         self._files = document.problem.variants()
         self._searcher = Searcher([path_model(file) for file in self._files], 0)

@@ -16,7 +16,7 @@ from tomlkit.exceptions import TOMLKitError
 from optlink.errors import InputError
 from optlink.problem.base_model import with_ranges, with_spellings
 from optlink.problem.file import MAX_BYTES, WORDS, ProblemFile, load, read, shipped
-from optlink.problem.fixed_design import references
+from optlink.problem.fixed_design import file_key, references
 from optlink.problem.quantity import nearest
 from optlink.problem.templates import template, templates
 from optlink.studies.toml_keys import exact_text, value_at
@@ -112,8 +112,6 @@ class Document:
         return self.with_changes({key: {**known, "start": exact_text(value, unit)}})
 
     def _quantity(self, size: str) -> Any:
-        from optlink.problem.fixed_design import file_key
-
         quantities = self.problem.model.mechanism.quantities
         if size not in quantities:
             raise InputError("no such size", f"Sizes: {', '.join(quantities)}", self.file, "lock", size)

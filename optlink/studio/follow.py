@@ -13,8 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from optlink.linkage.vector2d import Array, unit
-from optlink.optimization.constraints import position_rows
-from optlink.optimization.constraints import rows as limit_rows
+from optlink.optimization.constraints import position_rows, rows as limit_rows
 from optlink.optimization.cycle_nlp import CycleNLP
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.nlp import NLP

@@ -12,8 +12,7 @@ from optlink.io import Registry
 from optlink.linkage.vector2d import Array
 from optlink.optimization.objectives import MEASURES
 from optlink.optimization.path_nlp import solved_values
-from optlink.problem.file import WORDS as PROSE
-from optlink.problem.file import ProblemFile
+from optlink.problem.file import WORDS as PROSE, ProblemFile
 from optlink.problem.limits import MARGINS
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.expression import Expression

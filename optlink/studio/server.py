@@ -22,8 +22,7 @@ from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import FileResponse, PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
-from starlette.types import ASGIApp, Receive, Scope
-from starlette.types import Send as AsgiSend
+from starlette.types import ASGIApp, Receive, Scope, Send as AsgiSend
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from optlink.errors import InputError

@@ -24,7 +24,7 @@ from optlink.studio.design import (
     verdict,
 )
 from optlink.studio.document import Document, from_template, from_text, named, shipped_problem
-from optlink.studio.files import deflated, inflated
+from optlink.studio.files import deflated, exported, inflated
 from optlink.studio.follow import Follower
 from optlink.studio.handles import Handle, handles
 from optlink.studio.history import History
@@ -185,8 +185,6 @@ class Session:
         self._send({"type": "file", "id": self._id, "name": document.file, "media": "application/toml", "text": document.text})
 
     def _export(self, request: Mapping[str, Any]) -> None:
-        from optlink.studio.files import exported
-
         if self._last is None:
             raise InputError("there is no design yet", "Wait for the search")
         found = exported(self._last[0], self._document.name, request.get("format"))

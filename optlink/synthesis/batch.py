@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from optlink.linkage.dyad_types import ModalDyad
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import TURN, Array, unit
-from optlink.optimization.constraints import position_rows
-from optlink.optimization.constraints import rows as limit_rows
+from optlink.optimization.constraints import position_rows, rows as limit_rows
 from optlink.optimization.path_nlp import scaled_variable
 from optlink.problem.limits import MARGIN_KEYS, Reach
 from optlink.problem.mechanism import FourBarSection

@@ -33,8 +33,7 @@ from optlink.tasks.results.common import SingleRecord, SingleResult, shortest_li
 from optlink.tasks.results.evidence import Evidence, evidence
 from optlink.tasks.results.fit import Fit, law_fit
 from optlink.units import display_unit, show
-from optlink.validation import Check
-from optlink.validation import validate as prove
+from optlink.validation import Check, validate as prove
 
 if TYPE_CHECKING:
     from optlink.optimization.nlp import NLP

@@ -28,8 +28,7 @@ from optlink.solvers.function_exchange import add_peak_errors
 from optlink.solvers.solution import Solution
 from optlink.tasks.results.common import Optimum, optimality, proven
 from optlink.tasks.results.evidence import evidence, tally
-from optlink.validation import Validation
-from optlink.validation import validate as prove
+from optlink.validation import Validation, validate as prove
 
 if TYPE_CHECKING:
     from optlink.synthesis.freudenstein import FirstStep

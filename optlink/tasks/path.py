@@ -14,8 +14,8 @@ from optlink.errors import Status
 from optlink.execution import interrupts
 from optlink.problem.file import ProblemFile
 from optlink.solvers.contract import MINIMAX
-from optlink.synthesis.batch_search import PER_ROUND, PERFECT
-from optlink.tasks.path_search import DesignCollection, Polisher, has_several_dyads, path_model
+from optlink.synthesis.batch_search import PER_ROUND, PERFECT, Searcher
+from optlink.tasks.path_search import DesignCollection, Polisher, designs_from_four_bar, has_several_dyads, path_model
 from optlink.tasks.protocol import DesignTask, Search, completed
 from optlink.tasks.results.common import shortest_link
 from optlink.tasks.results.evidence import evidence
@@ -139,8 +139,6 @@ class _Search:
     """Rounds of starts, each followed by refinement, until the stopping criterion holds."""
 
     def __init__(self, problem: ProblemFile, options: Search) -> None:
-        from optlink.synthesis.batch_search import Searcher
-
         files = problem.variants()
         self.searcher = Searcher([path_model(file) for file in files], options.seed)
         self.collection = DesignCollection(Polisher(files, options.backend), options.designs)
@@ -207,7 +205,6 @@ class _Search:
     def _grow(self) -> None:
         """Add designs derived from the best four-bars that the linkage contains."""
         from optlink.synthesis.growth import contained_four_bar
-        from optlink.tasks.path_search import designs_from_four_bar
 
         part = contained_four_bar(self.problem)
         if part is None:

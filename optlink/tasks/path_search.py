@@ -13,13 +13,13 @@ import numpy as np
 from optlink.errors import Status
 from optlink.execution.runner import Runs, ordered
 from optlink.execution.worker import built, packed
-from optlink.optimization.path_nlp import solved_values
+from optlink.optimization.path_nlp import build_path_nlp, solved_values
 from optlink.problem.file import ProblemFile
 from optlink.problem.path import PathProblem
 from optlink.solvers.contract import MINIMAX
 from optlink.solvers.solution import Solution
 from optlink.synthesis.batch import Batch
-from optlink.synthesis.batch_search import MISSED, Candidate, pass_in_order
+from optlink.synthesis.batch_search import MISSED, PERFECT, Candidate, pass_in_order
 from optlink.synthesis.growth import ContainedFourBar, grow_from_four_bar
 from optlink.synthesis.levenberg_marquardt import minimise
 from optlink.tasks.results.common import OPTIMALITY_CHECK, optimality
@@ -88,8 +88,6 @@ class Polisher:
         direction : int
             Crank direction, +1 or -1; ignored with prescribed timing.
         """
-        from optlink.optimization.path_nlp import build_path_nlp
-
         key = (variant, direction if path_model(self.files[variant]).data.offsets is None else 1)
         if key not in self.programmes:
             self.programmes[key] = build_path_nlp(path_model(self.files[variant]), key[1])
@@ -252,8 +250,6 @@ class DesignCollection:
 
         A better design only makes it fewer, and inexact candidates are irrelevant beside an exact design.
         """
-        from optlink.synthesis.batch_search import PERFECT
-
         most, exact = self._dearest(), self.exact
         for number, candidate in enumerate(candidates):
             beyond = candidate.cost > most

@@ -21,9 +21,7 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.clearance import closed_loop as plant_module
-from optlink.clearance import columns as record_module
-from optlink.clearance import equations as equations_module
+from optlink.clearance import closed_loop as plant_module, columns as record_module, equations as equations_module
 from optlink.clearance.contact_laws import SLOWEST
 from optlink.clearance.hermite import crossing, summit
 from optlink.clearance.integration import Impact, Integration

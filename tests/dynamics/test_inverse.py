@@ -15,8 +15,7 @@ import casadi
 import numpy as np
 import pytest
 
-from optlink.dynamics import dyad_balances
-from optlink.dynamics import inverse as reactions_module
+from optlink.dynamics import dyad_balances, inverse as reactions_module
 from optlink.dynamics.inertia import Inertia, Parameters, Wrench
 from optlink.dynamics.inverse import Reactions, acting_on, reactions, regressor, reported_on, shaking, torque_parts
 from optlink.dynamics.loads import Force, Load, SlideDamper, Spring, Torque, TorsionSpring

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
+from hypothesis import example, given, settings, strategies as st
 
 from optlink.problem.targets import expression
 from optlink.problem.targets.expression import CONSTANTS, FUNCTIONS, MAX_CHARACTERS, MAX_DEPTH, LawError, parse

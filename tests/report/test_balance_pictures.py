@@ -18,8 +18,7 @@ from optlink.dynamics.counterweights import BalanceMeasure, quantities_of
 from optlink.report import terminal
 from optlink.report.chart_mpl import pictures
 from optlink.report.registry import view_of
-from optlink.report.views import balance, balance_drawing
-from optlink.report.views import balance_tables as tables
+from optlink.report.views import balance, balance_drawing, balance_tables as tables
 
 SPRUNG = {
     "gravity": "9.81 m/s^2",

@@ -23,9 +23,7 @@ from optlink.report import terminal
 from optlink.report.chart_mpl import pictures
 from optlink.report.registry import view_of
 from optlink.report.style import LIMIT
-from optlink.report.views import path as view
-from optlink.report.views import path_drawings
-from optlink.report.views import path_tables as tables
+from optlink.report.views import path as view, path_drawings, path_tables as tables
 from optlink.report.views.path_charts import Close
 from optlink.report.views.path_view import PathView
 from optlink.tasks.results.evidence import evidence

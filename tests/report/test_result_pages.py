@@ -23,8 +23,7 @@ from optlink.report.html.shell import LARGEST, PageContent
 from optlink.report.registry import records
 from optlink.report.stored.loader import KNOWN, load_stored
 from optlink.report.stored.stored_study import StoredStudy, _sheet, study_page
-from tests.browser import colours, console, faults, requests
-from tests.browser import opened as shown
+from tests.browser import colours, console, faults, opened as shown, requests
 from tests.cli.test_cli import run
 from tests.report.test_report_page import Reader, poses, slide_to
 from tests.solved import folder_once

@@ -11,8 +11,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from typer.testing import CliRunner
 
 import optlink
@@ -21,8 +20,7 @@ from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.work import Work, jumps
 from optlink.linkage import stroke as cycle
 from optlink.linkage.extrema import extremes, zeros
-from optlink.linkage.fourbar import four_bar, grashof
-from optlink.linkage.fourbar import reachable as four_bar_reachable
+from optlink.linkage.fourbar import four_bar, grashof, reachable as four_bar_reachable
 from optlink.problem.function import DesignProblem
 from optlink.tasks.machine import machine_of
 

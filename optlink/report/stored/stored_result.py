@@ -15,14 +15,15 @@ import numpy as np
 
 from optlink.errors import Status
 from optlink.linkage.vector2d import TURN, Array
-from optlink.optimization.nlp import NLP
+from optlink.optimization.nlp import NLP, build
 from optlink.problem.base_model import Contradiction, ResultRecord, check_length
 from optlink.problem.file import ProblemFile
 from optlink.problem.path import PathProblem
 from optlink.report.report_model import Outcome, ReportModel, report_model_of
 from optlink.report.stored.stored_study import named_si
+from optlink.solvers import multistart
 from optlink.solvers.solution import LimitState, Solution
-from optlink.studies.sensitivity import SensitivitiesRecord
+from optlink.studies.sensitivity import SensitivitiesRecord, of_solution
 from optlink.tasks.analyze import analyze
 from optlink.tasks.function import FunctionRecord, FunctionResult, read_design
 from optlink.tasks.results.analysis import Analysis, AnalysisRecord
@@ -104,7 +105,6 @@ def _sensitive(record: SensitivitiesRecord, file: ProblemFile, notes: tuple[str,
     best = getattr(outcome, "best", None)
     if best is None or best.solution is None:
         raise Contradiction("design", "this is not the optimum of its problem")
-    from optlink.studies.sensitivity import of_solution
 
     checks = {row.key: row.searched_again for row in record.parameters}
     found = of_solution(best.problem, best.solution)
@@ -204,7 +204,6 @@ def optimum(design: FunctionResult | CycleResult | PathDesign) -> Solution | Non
 
 
 def _law_optimum(result: FunctionResult) -> Solution | None:
-    from optlink.optimization.nlp import build
     from optlink.tasks.function import solve
 
     file, design = result.problem, result.design
@@ -236,7 +235,6 @@ def _machine_optimum(result: CycleResult) -> Solution | None:
 
 def _path_optimum(design: PathDesign) -> Solution | None:
     from optlink.optimization.path_nlp import angle_name, build_path_nlp
-    from optlink.solvers import multistart
     from optlink.solvers.path_exchange import solve_semi_infinite
 
     angles = design.crank_angles
@@ -249,8 +247,6 @@ def _path_optimum(design: PathDesign) -> Solution | None:
 
 def _at(nlp: NLP, values: dict[str, float]) -> Solution | None:
     """Return the optimum at given values, directly or after an optimisation that must not move them."""
-    from optlink.solvers import multistart
-
     x = nlp.x_of(values)
     found = multistart.solution_at(nlp, x, "read from a result file")
     if found.status is not Status.OPTIMAL:

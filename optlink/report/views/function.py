@@ -25,8 +25,7 @@ from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line,
 from optlink.report.drawing import Sketch, merged_positions
 from optlink.report.files import verdict
 from optlink.report.labels import place_labels
-from optlink.report.style import FOUND, LIMIT, QUIET, ROCKER, WANTED, figure, heading, panels, styled
-from optlink.report.style import figure as new_figure
+from optlink.report.style import FOUND, LIMIT, QUIET, ROCKER, WANTED, figure, figure as new_figure, heading, panels, styled
 from optlink.report.view import View
 from optlink.report.views.certificate_charts import certificate_charts
 from optlink.report.views.path_view import failed
