@@ -330,7 +330,9 @@ def _extended() -> bool:
             return True
         with contextlib.suppress(OSError):
             for name in os.listdir(place):
+                if not name.endswith((".dist-info", ".egg-info")):
+                    continue
                 about = Path(place, name, "entry_points.txt")
-                if name.endswith((".dist-info", ".egg-info")) and about.is_file() and GROUP.encode() in about.read_bytes():
+                if about.is_file() and GROUP.encode() in about.read_bytes():
                     return True
     return False
