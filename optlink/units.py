@@ -89,13 +89,12 @@ KINDS = {
 
 _SIMPLE = r"[-+]?(?:\d+(?:[.,]\d+)?|\.\d+)(?:[eE][-+]?\d{1,4})?"  # in a range, where a dot may belong to ".."
 _AFTER = r"(1\s*/.*?|[^\s\d.<=>].*?)"  # a unit, beside a number
-_RANGE = re.compile(
-    rf"\s*({_SIMPLE})\s*{_AFTER}?\s*(?:\.\.\.(?=\s)|\.\.(?!\.))\s*({_SIMPLE})\s*{_AFTER}?\s*", re.DOTALL | re.ASCII
-)
-_ONE_SIDED = re.compile(rf"\s*([<>])=?\s*({_SIMPLE})\s*{_AFTER}?\s*", re.DOTALL | re.ASCII)
-_HYPHEN = re.compile(r"(.*\d\s*[a-z]*)\s*(?:(?<!\d[eE])-|\bto\b)\s*(\d.*)", re.DOTALL)
-_COMMA = re.compile(r"([-+]?)(\d+),(\d+)\s*([^\d.].*)?", re.DOTALL | re.ASCII)
-_GROUPS = re.compile(r"([-+]?\d{1,3}(?:[ ,._'\u2019]\d{3})+)(?:[.,](\d+))?\s*(\D.*)?", re.DOTALL | re.ASCII)
+# texts, compiled at their first use: most files need none of them
+_RANGE = rf"(?as)\s*({_SIMPLE})\s*{_AFTER}?\s*(?:\.\.\.(?=\s)|\.\.(?!\.))\s*({_SIMPLE})\s*{_AFTER}?\s*"
+_ONE_SIDED = rf"(?as)\s*([<>])=?\s*({_SIMPLE})\s*{_AFTER}?\s*"
+_HYPHEN = r"(?s)(.*\d\s*[a-z]*)\s*(?:(?<!\d[eE])-|\bto\b)\s*(\d.*)"
+_COMMA = r"(?as)([-+]?)(\d+),(\d+)\s*([^\d.].*)?"
+_GROUPS = r"(?as)([-+]?\d{1,3}(?:[ ,._'\u2019]\d{3})+)(?:[.,](\d+))?\s*(\D.*)?"
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,4})?"
 _QUANTITY = re.compile(rf"\s*({_NUMBER})\s*(1\s*/.*?|[^\s\d].*?)?\s*", re.DOTALL | re.ASCII)
 _PLAIN_NUMBER = re.compile(rf"\s*{_NUMBER}\s*", re.ASCII)
@@ -308,7 +307,7 @@ def _check_form(text: str, kind: str) -> None:
         raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{wanted.example}"')
     if split_range(text) is not None:
         raise UnitProblem(f"one {kind} is needed here, not a range", f'Write one value: "{wanted.example}"')
-    comma, groups = _COMMA.fullmatch(text), _GROUPS.fullmatch(text)
+    comma, groups = re.fullmatch(_COMMA, text), re.fullmatch(_GROUPS, text)
     if comma is not None:
         sign, whole, decimals, unit = comma.groups()
         clear = f"{sign}{whole}.{decimals} {unit or wanted.display}"
@@ -340,11 +339,11 @@ def split_range(text: str) -> dict[str, str | float] | None:
     if len(text) > 200 or not re.search(r"\.\.|\u2026|[<>\u2264\u2265]", text):
         return None
     text = plain(text)
-    one_sided = _ONE_SIDED.fullmatch(text)
+    one_sided = re.fullmatch(_ONE_SIDED, text)
     if one_sided is not None:
         side, number, unit = one_sided.groups()
         return {"min" if side == ">" else "max": _side(number, unit)}
-    match = _RANGE.fullmatch(text)
+    match = re.fullmatch(_RANGE, text)
     if match is None:
         return None
     low, low_unit, high, high_unit = match.groups()
@@ -360,7 +359,7 @@ def mistyped_range(text: str) -> str | None:
         A text of a problem file.
     """
     text = plain(text[:201]).strip()
-    hyphen = _HYPHEN.fullmatch(text)
+    hyphen = re.fullmatch(_HYPHEN, text)
     dotted = "..".join(part.strip() for part in (hyphen.groups() if hyphen else text.split("...")))
     return dotted if dotted != text and split_range(dotted) else None
 

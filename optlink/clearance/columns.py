@@ -11,9 +11,10 @@ from optlink.clearance.integration import Block
 from optlink.clearance.joint import Touch, acting
 from optlink.clearance.spanning_tree import Pin
 from optlink.clearance.state import ClearanceState
-from optlink.dynamics.columns import Column, joint_forces, slider_names
+from optlink.dynamics.columns import Column, joint_forces
 from optlink.dynamics.inertia import Wrench
 from optlink.dynamics.inverse import GuideForce
+from optlink.dynamics.machine import slider_names
 from optlink.linkage.mechanism import FRAME, Guide
 from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, minus, plus
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from optlink.clearance.state import ClearanceState
-from optlink.dynamics.columns import slider_names
-from optlink.dynamics.machine import Machine, Moving
+from optlink.dynamics.machine import Machine, Moving, slider_names
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.vector2d import Value, angle
 

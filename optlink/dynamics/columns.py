@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.dynamics.inverse import GuideForce, Reactions, acting_on, reactions, shaking, torque_parts
-from optlink.dynamics.machine import Machine, Moving
+from optlink.dynamics.machine import Machine, Moving, slider_names
 from optlink.linkage.dyad_types import RRR
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, magnitude, minus
@@ -206,9 +206,3 @@ def _by_name(columns: Named) -> Sources:
 
 def _nothing(parts: tuple[Any, Any]) -> bool:
     return all(isinstance(part, float) and part == 0.0 for part in parts)
-
-
-def slider_names(machine: Machine) -> dict[str, str]:
-    """Return the name of the slide of every guide: the slider's name, or the guide's name where one body slides in two guides."""
-    sliders = [guide.slider for guide in machine.mechanism.guides]
-    return {g.name: g.slider if sliders.count(g.slider) == 1 else g.name for g in machine.mechanism.guides}

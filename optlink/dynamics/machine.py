@@ -251,3 +251,9 @@ class Moving:
     def potential(self) -> Value:
         """Potential energy of gravity and springs [J]."""
         return self.machine.weight(self.state) + sum(load.potential(self) for load in self.machine.loads)
+
+
+def slider_names(machine: Machine) -> dict[str, str]:
+    """Return the name of the slide of every guide: the slider's name, or the guide's name where one body slides in two guides."""
+    sliders = [guide.slider for guide in machine.mechanism.guides]
+    return {g.name: g.slider if sliders.count(g.slider) == 1 else g.name for g in machine.mechanism.guides}

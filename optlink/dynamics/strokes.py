@@ -8,12 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optlink.dynamics.columns import slider_names
 from optlink.dynamics.loads import Force, Load, Torque
-from optlink.dynamics.machine import Machine
+from optlink.dynamics.machine import Machine, slider_names
 from optlink.linkage.extrema import zeros
 from optlink.linkage.mechanism import FRAME
-from optlink.linkage.stroke import OTHER, Direction, Pace, StrokeRange, Travel, pace_of, slow_stroke
+from optlink.linkage.stroke import OTHER, Direction, Pace, StrokeRange, Travel, pace_of, slow_stroke, travels
 from optlink.linkage.vector2d import TURN, Array
 
 GRID = 720  # crank angles among which reversals are bracketed
@@ -160,6 +159,13 @@ def travels_by_use(
     last, slides = last_output(machine, swings, strokes)
     outputs = outputs or [f"{last} {'slides' if slides else 'swings'}"]
     return {name: found[name] for name in outputs if name in found}, {n: t for n, t in found.items() if n not in outputs}
+
+
+def named_travels(machine: Machine) -> tuple[dict[str, Travel], dict[str, Travel]]:
+    """Return travels of the outputs and of the other bodies and sliders of a machine whose crank turns fully, by name."""
+    swings, strokes = travels(machine.mechanism, machine.sizes, 0.0, TURN, True)
+    names = slider_names(machine)
+    return travels_by_use(machine, swings, {names[guide]: travel for guide, travel in strokes.items()})
 
 
 def last_output(machine: Machine, swings: Collection[str], strokes: Collection[str]) -> tuple[str, bool]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,10 +22,13 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem, StartPosition
 from optlink.problem.limits import Reach
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.path import START, PathProblem
+
+if TYPE_CHECKING:
+    from optlink.problem.path import PathProblem
 
 GRID = 36  # crank angles at which limits of single positions apply
-TRIALS = np.random.default_rng(7).uniform(-3.0, 3.0, (2, 16))  # start positions at which the period of a law is tested
+TRIALS = 6.0 * (np.outer((0.7548776662466927, 0.5698402909980532), np.arange(1, 17)) % 1.0) - 3.0
+"""Start positions [rad] at which the period of a law is tested: the R2 sequence, without loading a random generator."""
 
 
 @dataclass(frozen=True)
@@ -119,21 +122,23 @@ def box_problem(problem: ProblemFile) -> DesignBoxes:
     InputError
         If no lower bound is available for this kind of problem.
     """
-    model, reason = problem.model, ""
-    if not isinstance(model, DesignProblem | PathProblem):
-        reason = "only motion laws, functions, timed paths and transmission problems have one"
-    elif isinstance(model, DesignProblem) and model.requirement.robust is not None:
+    model = problem.model
+    if isinstance(model, DesignProblem):
+        if model.requirement.robust is None:
+            return DesignBoxes(model)
         reason = "the objective of a robust design has none"
-    elif isinstance(model, PathProblem) and model.data.offsets is None:
-        reason = "the crank angles at the points are unknowns too"
-    elif isinstance(model, PathProblem) and model.requirement.kind == "transmission" and not _four_bar(model):
-        reason = "of transmission problems only those of four-bars have one"
-    if reason:
-        raise InputError(
-            Fault(f"no certificate of the global optimum: {reason}", "Leave --certify out", problem.file, "--certify")
-        )
-    assert isinstance(model, DesignProblem | PathProblem)
-    return DesignBoxes(model)
+    else:
+        from optlink.problem.path import PathProblem
+
+        if not isinstance(model, PathProblem):
+            reason = "only motion laws, functions, timed paths and transmission problems have one"
+        elif model.data.offsets is None:
+            reason = "the crank angles at the points are unknowns too"
+        elif model.requirement.kind == "transmission" and not _four_bar(model):
+            reason = "of transmission problems only those of four-bars have one"
+        else:
+            return DesignBoxes(model)
+    raise InputError(Fault(f"no certificate of the global optimum: {reason}", "Leave --certify out", problem.file, "--certify"))
 
 
 def _four_bar(problem: PathProblem) -> bool:
@@ -182,6 +187,8 @@ def _known_within(model: TaylorModel, most: float) -> TaylorModel:
 
 def _timed(problem: PathProblem, values: dict[str, Any], count: int) -> Evaluated:
     """Return the residuals (boxes, positions, components) and the limits of a problem with prescribed crank angles."""
+    from optlink.problem.path import START
+
     data = problem.data
     assert data.offsets is not None
     start = values[START] if problem.timing == "from start" else TaylorModel.constant(0.0, count)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -24,7 +25,9 @@ from optlink.linkage.vector2d import Value, magnitude
 from optlink.problem.function import DEAD_CENTRES, DesignProblem
 from optlink.problem.limits import COUPLER_JOINT, Alignment, Reach, limits_in_file
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.path import PathProblem
+
+if TYPE_CHECKING:
+    from optlink.problem.path import PathProblem
 
 
 @dataclass(frozen=True)
@@ -91,7 +94,7 @@ SINE_SQUARED = SineSquared("deg")
 PLAIN = Scale("")
 
 
-AnyProblem = DesignProblem | PathProblem
+AnyProblem: TypeAlias = "DesignProblem | PathProblem"
 
 
 @dataclass(frozen=True)
@@ -312,7 +315,7 @@ def pivot_region_rows(problem: AnyProblem, values: Mapping[str, Value], reach: R
     size : float [m]
         Reference length of the rows.
     """
-    region = problem.limits.pivots if isinstance(problem, PathProblem) else None
+    region = getattr(problem.limits, "pivots", None)  # of path synthesis
     if region is None:
         return
     pose = Pose(problem.linkage, values)

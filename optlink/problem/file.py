@@ -19,13 +19,10 @@ import pydantic
 from optlink.errors import InputError, shown
 from optlink.io import data_files, load_extensions
 from optlink.problem.base_model import SPELLED, SPELLINGS, with_ranges, with_spellings
-from optlink.problem.cycle.model import CycleProblem, StrokeProblem
 from optlink.problem.file_errors import SECTIONS, faults, known_keys, of_dyads, toml_fault
 from optlink.problem.function import DesignProblem
 from optlink.problem.limits import MARGINS, Alignment
 from optlink.problem.machine.model import Problem
-from optlink.problem.path import PathProblem
-from optlink.problem.path_checks import four_bar_limits
 from optlink.problem.quantity import input_of, nearest
 from optlink.problem.tolerances import with_tolerance
 from optlink.units import plain, split, split_range
@@ -219,14 +216,22 @@ def _model(raw: Mapping[str, Any], file: str) -> type[Problem]:
     kind = requirement.get("kind", "function") if isinstance(requirement, dict) else None
     if kind is not None and kind not in REQUIREMENTS:
         raise InputError("unknown kind", nearest(str(kind), REQUIREMENTS), file, "requirement.kind", kind)
-    if registered or kind == STROKE:
-        return registered[0] if registered else StrokeProblem
+    if registered:
+        return registered[0]
+    if kind == STROKE:
+        from optlink.problem.cycle.model import StrokeProblem
+
+        return StrokeProblem
     if kind is not None and (kind != "function" or of_dyads(raw)):
         if "robust" in requirement:
             message = "a robust design is found for motion laws of a four-bar only"
             raise InputError(message, "Leave it out; `optlink study tolerance` judges any design", file, "requirement.robust")
+        from optlink.problem.path import PathProblem
+
         return PathProblem
     if "objective" in raw and "requirement" not in raw:
+        from optlink.problem.cycle.model import CycleProblem
+
         return CycleProblem
     return DesignProblem if "requirement" in raw or "limits" in raw else Problem
 
@@ -265,6 +270,8 @@ def complete(problem: ProblemFile) -> dict[str, Any]:
     raw = copy.deepcopy(dict(problem.raw))
     limits = getattr(problem.model, "limits", None)
     if isinstance(limits, Alignment):
+        from optlink.problem.path_checks import four_bar_limits
+
         four_bar = not of_dyads(problem.raw)
         held = {key for key in MARGINS if key in type(limits).model_fields and (four_bar or key not in four_bar_limits())}
         own = {key: value for key, value in MARGINS.items() if key in held}

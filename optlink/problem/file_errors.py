@@ -10,12 +10,8 @@ import pydantic
 
 from optlink.errors import Fault
 from optlink.io import Registry
-from optlink.problem.cycle.model import CycleLimits, CycleProblem, StrokeProblem
-from optlink.problem.cycle.terms import Limit
 from optlink.problem.function import DesignProblem
 from optlink.problem.machine.model import Problem
-from optlink.problem.path import PathProblem
-from optlink.problem.path_checks import inapplicable_keys
 from optlink.problem.quantity import Unusable, nearest
 
 UNKNOWN, MISSING = "unknown key", "this key is missing"
@@ -39,6 +35,9 @@ def known_keys(path: tuple[str | int, ...], *kinds: type[Problem]) -> list[str]:
     *kinds : type
         Models of a file.
     """
+    from optlink.problem.cycle.model import CycleProblem, StrokeProblem
+    from optlink.problem.path import PathProblem
+
     models: list[Any] = list(kinds) or [DesignProblem, PathProblem, CycleProblem, StrokeProblem, Problem, *SECTIONS.values()]
     for step in path:
         fields = [f for model in models for name, f in model.model_fields.items() if step in (f.alias, name)]
@@ -51,6 +50,9 @@ def known_keys(path: tuple[str | int, ...], *kinds: type[Problem]) -> list[str]:
 
 def _models(annotation: Any) -> Iterator[Any]:
     """Yield the sections that a key can contain; for the limits of a cycle also the named limits."""
+    from optlink.problem.cycle.model import CycleLimits
+    from optlink.problem.cycle.terms import Limit
+
     if isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel):
         yield annotation
         if annotation is CycleLimits:
@@ -61,6 +63,9 @@ def _models(annotation: Any) -> Iterator[Any]:
 
 def _fitting(path: tuple[str | int, ...], model: type[Problem], raw: Mapping[str, Any]) -> list[str]:
     """Return the keys at a path of sections that are valid for the task of the file."""
+    from optlink.problem.path import PathProblem
+    from optlink.problem.path_checks import inapplicable_keys
+
     known = known_keys(path, model)
     if model is PathProblem and len(path) == 1:
         others = inapplicable_keys(str(path[0]), raw["requirement"].get("kind", "function"), four_bar=not of_dyads(raw))

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from optlink.dynamics.columns import MotionColumns, slider_names
-from optlink.dynamics.machine import Machine
+from optlink.dynamics.columns import MotionColumns
+from optlink.dynamics.machine import Machine, slider_names
 from optlink.errors import InputError
 from optlink.linkage.alignment import positions_text
 from optlink.linkage.stroke import Ranges, failure, reachable

@@ -8,9 +8,9 @@ from collections.abc import Iterable, Iterator, Mapping
 import numpy as np
 
 from optlink.dynamics.change_points import pin_columns, unbounded_reactions
-from optlink.dynamics.columns import MotionColumns, slider_names
+from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.flywheel import flywheel
-from optlink.dynamics.machine import Machine
+from optlink.dynamics.machine import Machine, slider_names
 from optlink.dynamics.strokes import acting_loads
 from optlink.dynamics.work import Work
 from optlink.errors import InputError

@@ -19,7 +19,6 @@ from optlink.linkage.vector2d import Array
 from optlink.optimization.box_models import DesignBoxes, box_problem
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
-from optlink.problem.path import PathProblem
 from optlink.solvers.global_search.branch_and_bound import BATCH, Bounder, BranchAndBound, joint_history
 from optlink.solvers.global_search.checkpoint import FILE, Checkpoint
 from optlink.solvers.global_search.lagrangian import Guess, LagrangianBounds
@@ -68,11 +67,12 @@ def check_problem(problem: ProblemFile) -> None:
 
 def _of_path(problem: ProblemFile) -> bool:
     """Return whether a problem is a timed path that is bounded over the proportions of its four-bar."""
-    if not isinstance(problem.model, PathProblem):
+    if isinstance(problem.model, DesignProblem):
         return False
+    from optlink.problem.path import PathProblem
     from optlink.solvers.global_search.timed_path import unsuitable
 
-    return not unsuitable(problem.model)
+    return isinstance(problem.model, PathProblem) and not unsuitable(problem.model)
 
 
 def check_options(gap: float, time_limit: float) -> None:
@@ -371,6 +371,7 @@ class _PathSearch(_Search):
 
     def run(self, seconds: float, boxes: float, progress: Progress | None) -> Any:
         """Search all assembly modes."""
+        from optlink.problem.path import PathProblem
         from optlink.solvers.global_search.timed_path import TimedPathBounds
 
         begin, interrupted = time.perf_counter(), False
@@ -397,7 +398,7 @@ class _PathSearch(_Search):
         inside = all(quantities[name].bounds[0] <= values[name] <= quantities[name].bounds[1] for name in free)
         if inside and self.failed < FAILURES:
             variants, left = self.stated.variants(), bounds.left(x)
-            sides = [isinstance(one.model, PathProblem) and one.model.side > 0 for one in variants]
+            sides = [getattr(one.model, "side", 0) > 0 for one in variants]
             variant = variants[sides.index(left) if left in sides else 0]
             self.failed += not self._try(variant, {name: values[name] for name in free})
         return self._squared
@@ -406,7 +407,8 @@ class _PathSearch(_Search):
 def _cover(search: BranchAndBound, variant: ProblemFile) -> Cover:
     leaves, bounds = search.leaves, search.bounder
     assert isinstance(bounds, LagrangianBounds)
-    bounds.problem.over(bounds.low[None], bounds.high[None])  # names its limits, also if other processes bounded every box
+    if not bounds.problem.limits:  # unnamed if other processes bounded every box
+        bounds.problem.over(bounds.low[None], bounds.high[None])
     return Cover(
         variant.raw["mechanism"].get("assembly", "left"),
         np.concatenate(leaves.low),

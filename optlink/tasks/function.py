@@ -27,7 +27,6 @@ from optlink.solvers.function_exchange import ALONG, error_at, error_function
 from optlink.solvers.solution import Relaxation, Solution
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.protocol import DesignTask, Search, Timer, agreement, part
-from optlink.tasks.results.analysis import stroke_document
 from optlink.tasks.results.certificate import CertificateRecord, message
 from optlink.tasks.results.common import SingleRecord, SingleResult, shortest_link
 from optlink.tasks.results.evidence import Evidence, evidence
@@ -115,6 +114,8 @@ class FunctionRecord(SingleRecord):
         **values
             Values of fields, in place of those of the result.
         """
+        from optlink.tasks.results.analysis import stroke_document
+
         machine, first = turning_machine(result.problem, result.design), result.first
         return super().of(
             result,

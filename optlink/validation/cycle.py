@@ -8,10 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
-from optlink.dynamics.columns import MotionColumns, slider_names
+from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.inertia import Parameters
 from optlink.dynamics.loads import Acting
-from optlink.dynamics.machine import Machine, Moving
+from optlink.dynamics.machine import Machine, Moving, slider_names
 from optlink.dynamics.work import NODES, WEIGHTS, Work, gauss_points
 from optlink.linkage.extrema import extremes, maxima
 from optlink.linkage.motion import Motion, sweep

@@ -17,7 +17,7 @@ import pytest
 from ezdxf.document import Drawing
 
 import optlink
-from optlink.dynamics.columns import slider_names
+from optlink.dynamics.machine import slider_names
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of
 from optlink.report.export import dxf

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optlink.dynamics.columns import MotionColumns, slider_names
+from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.inverse import Reactions, reported_on, shaking
-from optlink.dynamics.machine import Moving
+from optlink.dynamics.machine import Moving, slider_names
 from optlink.io import Registry
 from optlink.linkage.dyad_types import RPR, RRP, RRR, Transmitting, transmitting
 from optlink.linkage.mechanism import FRAME, Mechanism

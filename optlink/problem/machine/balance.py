@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, field_validator
 
-from optlink.dynamics.counterweights import KINDS, BalanceMeasure, Counterweight, FreeSpring, Kind
 from optlink.dynamics.machine import Machine
 from optlink.linkage.mechanism import FRAME
 from optlink.problem.base_model import RESERVED, Name, Section
@@ -18,14 +17,16 @@ from optlink.problem.machine.loads import spring_ends
 from optlink.problem.quantity import Density, FixedForce, FixedLength, Unusable, below, nearest, read_fixed, read_scalar, where
 from optlink.units import read_number
 
+if TYPE_CHECKING:
+    from optlink.dynamics.counterweights import BalanceMeasure, Counterweight, FreeSpring, Kind
+
 MOST = 100_000
 EXAMPLES = '"rms shaking force", "largest driving torque", "rms shaking moment", "largest reaction at D"'
-_MEASURE = re.compile(
-    r"(?:(?P<of>rms|largest)\s+)?"
+_MEASURE = (
+    r"(?a)(?:(?P<of>rms|largest)\s+)?"
     r"(?:(?:shaking\s+)?(?P<shaking>force|moment)|(?:driving\s+)?(?P<torque>torque)"
     r"|reaction\s+at\s+(?P<joint>\w+)(?:\s+on\s+(?P<on>\w+))?)"
-    r"(?:\s+from\s+(?P<low>[-+.\d]+)(?:\s*(?:deg|°))?\s+to\s+(?P<high>[-+.\d]+)\s*(?:deg|°))?",
-    re.ASCII,
+    r"(?:\s+from\s+(?P<low>[-+.\d]+)(?:\s*(?:deg|°))?\s+to\s+(?P<high>[-+.\d]+)\s*(?:deg|°))?"
 )
 
 
@@ -37,7 +38,9 @@ def read_measure(text: object) -> BalanceMeasure:
     Unusable
         when the text is not a measure.
     """
-    found = _MEASURE.fullmatch(" ".join(str(text).split())) if isinstance(text, str) else None
+    from optlink.dynamics.counterweights import KINDS, BalanceMeasure
+
+    found = re.fullmatch(_MEASURE, " ".join(str(text).split())) if isinstance(text, str) else None
     if found is None:
         if isinstance(text, str) and re.match(r"\s*(?:maxim|largest\s+possible|most)", text):
             raise Unusable("only making it small is a convex problem", f"Write for example {EXAMPLES}", "", text)
@@ -197,6 +200,8 @@ class CounterweightSection(Section):
         Unusable
             with the key below the section.
         """
+        from optlink.dynamics.counterweights import Counterweight
+
         mechanism = machine.mechanism
         if self.body not in mechanism.bodies:
             raise Unusable("no such body", nearest(self.body, mechanism.bodies), "body", self.body)
@@ -328,6 +333,8 @@ class SpringSection(Section):
         Unusable
             with the key below the section.
         """
+        from optlink.dynamics.counterweights import FreeSpring
+
         mechanism = machine.mechanism
         taken = (*mechanism.bodies, *mechanism.owners, *(g.name for g in mechanism.guides), *(x.name for x in machine.loads))
         if self.name in (*taken, *RESERVED):

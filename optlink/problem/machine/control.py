@@ -8,7 +8,6 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator
 
 from optlink.clearance.joint import Gap
-from optlink.clearance.output import default_output, outputs
 from optlink.dynamics.machine import Machine
 from optlink.problem.base_model import Section
 from optlink.problem.quantity import Duration, FixedAngle, Frequency, Number, Quantity, Unusable, nearest, read_fixed, where
@@ -90,6 +89,8 @@ class ControlSection(Section):
         Unusable
             with the key below the controller.
         """
+        from optlink.clearance.output import default_output, outputs
+
         known, points = outputs(machine), [gap.point for gap in gaps]
         if self.output is not None and self.output not in known:
             raise Unusable("no such slider or body", nearest(self.output, known), "output", self.output)

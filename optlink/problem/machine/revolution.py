@@ -11,7 +11,6 @@ import numpy as np
 from optlink.clearance.joint import Gap
 from optlink.dynamics.loads import Force, Load
 from optlink.dynamics.machine import Machine, Moving
-from optlink.dynamics.strokes import slow_stroke_of
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.stroke import LEAST_DIFFERENCE, Direction
 from optlink.linkage.vector2d import TURN, Array, Value, cross, dot
@@ -110,6 +109,8 @@ class Revolution:
         For one design with full crank rotation the exact crank angles of the reversals are used, else the sampled positions that
         can be reached, with interpolated reversals.
         """
+        from optlink.dynamics.strokes import slow_stroke_of
+
         assembled = self.moving.motion.assembled
         if np.ndim(assembled) == 1 and np.all(assembled):
             return np.array([_SENSE[slow_stroke_of(self.machine, load)]])

@@ -11,7 +11,7 @@ from html import escape
 
 import numpy as np
 
-from optlink.dynamics.columns import slider_names
+from optlink.dynamics.machine import slider_names
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array

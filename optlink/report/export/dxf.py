@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optlink.dynamics.columns import slider_names
+from optlink.dynamics.machine import slider_names
 from optlink.errors import InputError
 from optlink.linkage.mechanism import FRAME, Guide, Mechanism
 from optlink.linkage.motion import Motion, sweep

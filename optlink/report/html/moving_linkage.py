@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from optlink.dynamics.columns import MotionColumns, slider_names
+from optlink.dynamics.columns import MotionColumns
+from optlink.dynamics.machine import slider_names
 from optlink.io import finite
 from optlink.linkage.vector2d import Array
 from optlink.report.export.svg import svg

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from optlink.dynamics.machine import Machine
-from optlink.dynamics.strokes import StrokeLoad, acting_loads, travels_by_use, use_of, working_stroke
+from optlink.dynamics.strokes import StrokeLoad, acting_loads, named_travels, travels_by_use, use_of, working_stroke
 from optlink.linkage.stroke import Travel
 from optlink.linkage.vector2d import Array
 from optlink.problem.file import ProblemFile
@@ -27,14 +27,16 @@ from optlink.report.table_spec import (
     table,
     verdict,
 )
-from optlink.tasks.results.analysis import Analysis, named_travels, reaction_conventions
 
 if TYPE_CHECKING:
+    from optlink.tasks.results.analysis import Analysis
     from optlink.tasks.simulate import Simulation
 
 
 def machine(file: ProblemFile) -> Iterator[TableSpec]:
     """List the bodies, joints, Assur groups, masses, loads and drive of a machine, and the directions of its joint reactions."""
+    from optlink.tasks.results.analysis import reaction_conventions
+
     model = file.model
     built = model.machine(slow=model.slow_assumed)
     mechanism = built.mechanism

@@ -10,7 +10,6 @@ import numpy as np
 
 from optlink.errors import Status
 from optlink.optimization.objectives import MEASURES
-from optlink.problem.cycle.model import REQUIRED, StrokeProblem
 from optlink.report.format import pretty, scale
 from optlink.report.views.certificate_view import clause
 
@@ -129,6 +128,8 @@ def _path(best: PathDesign) -> str:
 
 
 def _cycle(outcome: CycleResult) -> str:
+    from optlink.problem.cycle.model import REQUIRED, StrokeProblem
+
     stroke = isinstance(outcome.task, StrokeProblem)
     goals = [one for one in outcome.figures if one.limit in ("minimised", "maximised")] or outcome.figures[:1]
     words = []

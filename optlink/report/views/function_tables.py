@@ -11,12 +11,10 @@ import numpy as np
 from optlink.errors import Status
 from optlink.optimization.objectives import MEASURES
 from optlink.problem.base_model import Section
-from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.problem.interval import Interval
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.path import MARK, START, ZERO, PathProblem
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.target_points import TargetPoints
 from optlink.report.format import fixed, number, times
@@ -47,6 +45,7 @@ from optlink.tasks.results.fit import Fit
 from optlink.validation import Check
 
 if TYPE_CHECKING:
+    from optlink.problem.path import PathProblem
     from optlink.validation.certificate import CertificateCheck
 
 MOST = 8  # largest number of points listed
@@ -269,6 +268,9 @@ def _backends(outcome: FunctionResult) -> TableSpec:
 
 def problem(file: ProblemFile) -> Summary:
     """List all settings of a problem: every key with its value or default, in units."""
+    from optlink.problem.cycle.model import CycleProblem
+    from optlink.problem.path import PathProblem
+
     model = file.model
     about = [" ".join(model.about.split())] if model.about else []
     parts: list[Part] = []
@@ -301,6 +303,8 @@ def problem(file: ProblemFile) -> Summary:
 
 def holding(model: PathProblem) -> dict[str, str]:
     """Return the effective values of optional keys of a path or motion synthesis problem."""
+    from optlink.problem.path import MARK, START, ZERO
+
     found = {"timing": model.timing, "measure": model.measure, "closed": str(model.closed).lower()}
     if model.requirement.kind == "motion":
         found["angle_length"] = f"{1e3 * model.radian:.6g} mm"

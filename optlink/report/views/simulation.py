@@ -9,9 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from optlink.dynamics.columns import slider_names
 from optlink.dynamics.ending import Ending
-from optlink.dynamics.machine import Machine
+from optlink.dynamics.machine import Machine, slider_names
 from optlink.problem.base_model import Contradiction
 from optlink.problem.file import ProblemFile
 from optlink.report.chart_spec import TIME, Array, Axis, ChartSpec, Curve, Dash, Panel

@@ -10,12 +10,11 @@ from typing import Annotated, Any, Literal, NamedTuple, Self
 
 from pydantic import Field
 
-from optlink.dynamics.columns import slider_names
 from optlink.dynamics.flywheel import Flywheel
 from optlink.dynamics.inverse import acting_on
 from optlink.dynamics.machine import Machine
-from optlink.dynamics.strokes import StrokeLoad, acting_loads, travels_by_use, use_of, working_stroke
-from optlink.linkage.stroke import Ranges, Travel, travels, within_cycle
+from optlink.dynamics.strokes import StrokeLoad, acting_loads, named_travels, use_of, working_stroke
+from optlink.linkage.stroke import Ranges, Travel, within_cycle
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.base_model import Columns, Number, Record, Recorded, ResultRecord, absent
 from optlink.problem.file import ProblemFile
@@ -281,13 +280,6 @@ def stroke_records(travel: Travel, speed: float, acting: tuple[StrokeLoad, ...])
             for stroke in strokes
         },
     }
-
-
-def named_travels(machine: Machine) -> tuple[dict[str, Travel], dict[str, Travel]]:
-    """Return travels of the outputs and of the other bodies and sliders of a machine whose crank turns fully, by name."""
-    swings, strokes = travels(machine.mechanism, machine.sizes, 0.0, TURN, True)
-    names = slider_names(machine)
-    return travels_by_use(machine, swings, {names[guide]: travel for guide, travel in strokes.items()})
 
 
 def stroke_document(machine: Machine, speed: float) -> dict[str, Any]:

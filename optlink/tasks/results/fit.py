@@ -29,12 +29,12 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.base_model import Record
 from optlink.problem.function import DesignProblem
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.path import STEP, PathProblem
 from optlink.problem.quantity import Quantity
 from optlink.solvers.solution import LimitState
 from optlink.units import show
 
 if TYPE_CHECKING:
+    from optlink.problem.path import PathProblem
     from optlink.validation.path import MeasuredDeviations
 
 EXACT, GOOD, FAIR = 1e-9, 0.01, 0.05  # largest relative errors of these grades; beyond, a fit is poor
@@ -336,6 +336,8 @@ def _timed(
 
 def _crowded(task: PathProblem, angles: Array) -> Iterator[PoorFitReason]:
     """Detect an order of points that the curve does not follow: several occur at nearly the same crank angle."""
+    from optlink.problem.path import STEP
+
     if task.data.offsets is not None or not task.pointed:
         return
     close = np.flatnonzero(np.abs(np.diff(angles)) <= 2.0 * STEP)
