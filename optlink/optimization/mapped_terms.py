@@ -12,7 +12,7 @@ from typing import Any
 
 import casadi
 
-from optlink.symbolic import CompiledFunction
+from optlink.symbolic import CompiledFunction, elementwise
 
 
 @dataclass(frozen=True)
@@ -72,38 +72,24 @@ class MappedTerms:
             Further rows, as a function of `x` and p.
         """
         known, angles, senses, f, g = casadi.substitute([self.known, self.angles, self.senses, self.f, self.g], *moved)
-        return replace(self, x=x, known=known, angles=angles, senses=senses, f=f, g=casadi.vertcat(g, rows))
+        made = replace(self, x=x, known=known, angles=angles, senses=senses, f=f, g=casadi.vertcat(g, rows))
+        vars(made)["_everywhere"] = self._everywhere
+        return made
 
     # --- one position ----------------------------------------------------------------------------------------------------
 
     @cached_property
-    def _one(self) -> tuple[list[Any], Any, Any]:
-        """Inputs (own components of x, p, crank angle, senses) at one position, the values there, what they depend on."""
+    def _one(self) -> tuple[list[Any], Any, Any, Any]:
+        """Inputs (own components of x, p, crank angle, senses) at one position, the values there, own components, angle."""
         own, angle = casadi.SX.sym("own", self.local), casadi.SX.sym("angle")
         senses = casadi.SX.sym("senses", self.senses.shape[0])
         known = casadi.substitute(self.known, self.x[: self.local], own)
-        return [own, self.p, angle, senses], self.at(casadi.vertcat(known, angle), senses), casadi.vertcat(own, angle)
+        return [own, self.p, angle, senses], self.at(casadi.vertcat(known, angle), senses), own, angle
 
     @cached_property
-    def _rates(self) -> Any:
-        """Derivatives of the crank angles by the other components of x."""
-        return casadi.Function("rates", [self.x, self.p], [casadi.densify(casadi.jacobian(self.angles, self.x[self.local :]).T)])
-
-    def _chain(self) -> tuple[Any, Any]:
-        """Symbol for the derivatives of a crank angle by the other components of x, and those of (own, angle) by x."""
-        others = self.x.shape[0] - self.local
-        rate = casadi.SX.sym("rate", others)
-        return rate, casadi.diagcat(casadi.SX.eye(self.local), rate.T)
-
-    def _mapped(
-        self,
-        name: str,
-        function: Any,
-        given: list[Any],
-    ) -> list[Any]:
-        """Evaluate a function at all positions; its first two inputs are the same at each."""
-        many = function.map(name, "serial", self.angles.shape[1], [0, 1], [])
-        return list(many.call(given))
+    def _everywhere(self) -> _Everywhere:
+        """The functions of one position at all of them; `substituted` terms use the same."""
+        return _Everywhere(*self._one, self.angles.shape[1])
 
     # --- the whole programme ---------------------------------------------------------------------------------------------
 
@@ -111,30 +97,34 @@ class MappedTerms:
     def _given(self) -> tuple[Any, Any, list[Any]]:
         """Symbols x and p, and the inputs at all positions as expressions of them."""
         x, p = casadi.MX.sym("x", self.x.shape[0]), casadi.MX.sym("p", self.p.shape[0])
-        places = casadi.Function("places", [self.x, self.p], [self.angles, self.senses])
-        return x, p, [x[: self.local], p, *places(x, p)]
+        places = casadi.Function("places", [self.x, self.p], [self.angles.T, self.senses.T])
+        return x, p, [x[: self.local].T, p.T, *places(x, p)]
 
     @cached_property
     def programme(self) -> dict[str, Any]:
         """The programme for casadi.nlpsol."""
         x, p, given = self._given
-        inputs, values, _ = self._one
-        (z,) = self._mapped("values", casadi.Function("value", inputs, [values]), given)
+        z = self._everywhere.values(*given).T
         f, g = casadi.Function("rows", [self.x, self.p, self.z], [self.f, self.g])(x, p, z)
         return {"x": x, "p": p, "f": f, "g": g}
 
     @cached_property
+    def _rates(self) -> Any:
+        """Derivatives of the crank angles by the other components of x (positions, others)."""
+        rates = casadi.densify(casadi.jacobian(self.angles, self.x[self.local :]))
+        return casadi.Function("rates", [self.x, self.p], [rates])(*self._given[:2])
+
+    @cached_property
     def _first(self) -> tuple[Any, Any, Any, Any, Any, Any]:
-        """Values at all positions and their derivatives by x (n, values * positions); objective, gradient, rows, Jacobian."""
+        """Values at all positions and their derivatives by x (values * positions, n); objective, gradient, rows, Jacobian."""
         x, p, given = self._given
-        inputs, values, own = self._one
-        rate, chain = self._chain()
-        slope = casadi.mtimes(casadi.jacobian(values, own), chain).T
-        function = casadi.Function("slope", [*inputs, rate], [values, casadi.densify(slope)])
-        z, slopes = self._mapped("slopes", function, [*given, self._rates(x, p)])
+        values, by_own, by_angle = self._everywhere.slopes(*given)
+        z, width = values.T, values.shape[1]
+        own = [casadi.vec(part.T) for part in casadi.horzsplit(by_own, width)] if self.local else []
+        others = [casadi.vec(casadi.mtimes(casadi.diag(rate), by_angle).T) for rate in casadi.horzsplit(self._rates)]
+        by_x = casadi.horzcat(*own, *others)
         f, f_x, f_z = self._parts(self.f, z)
         g, g_x, g_z = self._parts(self.g, z)
-        by_x = slopes.T
         gradient = casadi.densify(f_x + casadi.mtimes(f_z, by_x) if f_z.nnz() else f_x).T
         depends = casadi.Function("rows", [x, p], [self.programme["g"]]).jac_sparsity(0, 0)
         return z, by_x, f, gradient, casadi.densify(g), casadi.project(g_x + casadi.mtimes(g_z, by_x), depends)
@@ -168,22 +158,18 @@ class MappedTerms:
         found, by_angle = self._bent(given, casadi.reshape(prices, *self.z.shape))
         weights = casadi.SX.sym("weights", *self.angles.shape)
         turned = casadi.hessian(casadi.dot(weights, self.angles), self.x)[0]
-        angles = casadi.Function("angles", [self.x, self.p, weights], [turned])(x, p, by_angle)
+        angles = casadi.Function("angles", [self.x, self.p, weights], [turned])(x, p, by_angle.T)
         chained = casadi.vertcat(casadi.MX.eye(count), by_x)
         total = casadi.mtimes([chained.T, bend, chained]) + found + angles
         return casadi.Function("hessian", [x, p, *symbols], [casadi.triu(casadi.densify(total))])
 
     def _bent(self, given: list[Any], prices: Any) -> tuple[Any, Any]:
         """Return the second derivatives by x of all values times their prices, and the derivatives of these by the angles."""
-        inputs, values, own = self._one
-        price = casadi.SX.sym("price", values.shape[0])
-        bent, slope = casadi.hessian(casadi.dot(price, values), own)
-        rate, chain = self._chain()
-        outputs = [casadi.densify(casadi.mtimes([chain.T, bent, chain])), slope[self.local :]]
-        function = casadi.Function("bent", [*inputs, price, rate], outputs)
-        many = function.map("bent", "serial", self.angles.shape[1], [0, 1], [0])
-        found, by_angle = many(*given, prices, self._rates(*self._given[:2]))
-        return found, by_angle
+        by_own, by_both, by_angles, by_angle = self._everywhere.curvatures(*given, prices.T)
+        mixed = casadi.mtimes(by_both.T, self._rates)
+        own = casadi.reshape(casadi.sum1(by_own), self.local, self.local)
+        others = casadi.mtimes([self._rates.T, casadi.diag(by_angles), self._rates])
+        return casadi.vertcat(casadi.horzcat(own, mixed), casadi.horzcat(mixed.T, others)), by_angle
 
     @property
     def options(self) -> dict[str, Any]:
@@ -195,3 +181,36 @@ class MappedTerms:
             "jac_g": casadi.Function("jacobian", [x, p], [g, jacobian]),
             "hess_lag": self.hessian,
         }
+
+
+@dataclass(frozen=True)
+class _Everywhere:
+    """A function of one position and its derivatives, evaluated at all positions; the results have a row for each."""
+
+    inputs: list[Any]
+    outputs: Any
+    own: Any
+    angle: Any
+    positions: int
+
+    def _made(self, inputs: list[Any], outputs: list[Any]) -> Any:
+        return elementwise(casadi.Function("one", inputs, outputs), 2, self.positions)
+
+    @cached_property
+    def values(self) -> Any:
+        return self._made(self.inputs, [self.outputs])
+
+    @cached_property
+    def slopes(self) -> Any:
+        """Values, their derivatives by the own components of x (a column after the other) and by the angle."""
+        by = [casadi.jacobian(self.outputs, one) for one in (self.own, self.angle)]
+        return self._made(self.inputs, [self.outputs, *by])
+
+    @cached_property
+    def curvatures(self) -> Any:
+        """Second derivatives of the values times their prices, the last input: by own components, by one and the angle, by the
+        angle; derivative by the angle."""
+        price, count = casadi.SX.sym("price", self.outputs.shape[0]), self.own.shape[0]
+        bent, slope = casadi.hessian(casadi.dot(price, self.outputs), casadi.vertcat(self.own, self.angle))
+        parts = [bent[:count, :count], bent[:count, count], bent[count, count], slope[count]]
+        return self._made([*self.inputs, price], parts)
