@@ -10,7 +10,7 @@ import casadi
 import numpy as np
 import pytest
 
-from optlink.symbolic import PORTION, NumpyEvaluator, symbols_in_numpy
+from optlink.symbolic import PORTION, NumpyEvaluator, elementwise, symbols_in_numpy
 
 Array = np.ndarray
 
@@ -155,6 +155,30 @@ def test_a_tape_in_portions(rows: int, points: int) -> None:
 def test_a_tape_takes_plain_numbers() -> None:
     x, y = casadi.SX.sym("x"), casadi.SX.sym("y")
     assert NumpyEvaluator([x, y], [x / y, x - y])(3.0, 2.0).tolist() == [1.5, 1.0]
+
+
+@pytest.mark.parametrize("name", [*ONE, *TWO])
+def test_every_function_at_many_positions_at_once(name: str) -> None:
+    x, y = casadi.SX.sym("x"), casadi.SX.sym("y")
+    inputs, output = ([x], ONE[name](x)) if name in ONE else ([x, y], TWO[name](x, y))
+    columns = [np.ravel(one) for one in np.meshgrid(*[SPECIAL] * len(inputs), indexing="ij")]
+    many = elementwise(casadi.Function("one", inputs, [output]), 0, columns[0].size)
+    expected = by_casadi(inputs, [output], columns)[0]
+    np.testing.assert_array_equal(np.asarray(many(*columns)).ravel(), expected)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_random_expressions_at_many_positions_at_once(seed: int) -> None:
+    """Shared inputs, results that depend on them alone or on nothing, sparse derivatives: as at each position alone."""
+    rng, count = np.random.default_rng(seed), 7
+    shared, own = casadi.SX.sym("shared", 2), casadi.SX.sym("own", 3)
+    outputs = casadi.vertcat(*tangle(rng, [*casadi.vertsplit(shared), *casadi.vertsplit(own)]), shared[0] * shared[1])
+    one = casadi.Function("one", [shared, own], [outputs, casadi.jacobian(outputs, own)])
+    same, columns = rng.normal(size=2), rng.normal(size=(count, 3))
+    found = elementwise(one, 1, count)(same.reshape(1, 2), columns)
+    for k, row in enumerate(columns):
+        for values, expected in zip(found, one(same, row), strict=True):
+            np.testing.assert_array_equal(np.asarray(values)[k], np.asarray(expected).ravel(order="F"))
 
 
 def test_tracing_restores_what_was_set() -> None:

@@ -31,9 +31,7 @@ GOOD = 3  # of them must reach it; poorer ones may stop where they hardly improv
 VALLEY, FINISH = 200, 200  # steps with variable projection, then full steps
 AFTER = 5  # remaining steps of all designs once one of them passes all points
 KEPT = 200  # distinct candidates, best first
-REPAIRED = (
-    12  # best distinct designs of a round that violate the order or a limit: reordered, they may still converge to a solution
-)
+REPAIRED = 12  # best distinct designs of a round that violate the order or a limit, reordered: they may still converge
 
 
 @dataclass(eq=False)
