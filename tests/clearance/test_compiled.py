@@ -47,6 +47,7 @@ def shares(problem: optlink.ProblemFile, part: float, **options) -> dict[str, fl
     return off
 
 
+@pytest.mark.slow
 def test_engines_agree():
     assert max(shares(optlink.load(SHIPPED[0]), 1.0).values()) < 1e-6
 

@@ -399,6 +399,7 @@ def test_limits_of_length_and_depth_are_those_that_are_named():
         parse(longest + " " * 10, NAMES)
 
 
+@pytest.mark.slow
 @seeded
 @given(st.text(alphabet="()+-*/^. \t0123456789eEphisn_,;'\"[]{}πφ²", max_size=40) | st.text(max_size=60))
 def test_any_text_is_a_law_or_a_law_error(text):

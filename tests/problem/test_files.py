@@ -311,6 +311,7 @@ def _mutate(tree: dict, rng: random.Random) -> None:
         node[key][rng.randrange(len(node[key]))] = copy.deepcopy(rng.choice(JUNK))
 
 
+@pytest.mark.slow
 def test_five_thousand_mutated_problems_never_break_the_loader(crank_rocker):
     """Every mutated problem either loads (and is usable) or is refused with faults; no other exception, ever."""
     rng = random.Random(7)

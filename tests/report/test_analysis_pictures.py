@@ -546,6 +546,7 @@ def test_numbers_are_told_with_five_digits_and_a_true_minus():
     assert style.scale(10.0, "N").text(9e13) == "9.000e+13 N"
 
 
+@pytest.mark.slow
 def test_axes_are_labelled_in_the_unit_that_is_drawn():
     for name, unit in (("six-bar", "mm"), ("tiny", "µm"), ("huge", "km")):
         factor = style.scale({"six-bar": 2.9, "tiny": 5e-6, "huge": 6e3}[name], "m").factor

@@ -88,6 +88,7 @@ def signed_zeros(source: str) -> list[str]:
     return [spec for spec in specs if spec.endswith(("f", "%")) and "z" not in spec]
 
 
+@pytest.mark.slow
 def test_no_number_with_fixed_decimals_is_a_negative_zero() -> None:
     assert signed_zeros('f"{x:+.1%} {x:.{n}f} {x:+z.1f} {x:.3g}"') == ["+.1%", ".{n}f"]
     package = Path(optlink.__file__).parent

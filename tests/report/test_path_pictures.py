@@ -365,6 +365,7 @@ def test_rounding_is_shown_as_such():
     assert len(picture("exact", "errors").axes) == 1
 
 
+@pytest.mark.slow
 def test_many_points_are_a_line():
     panels = picture("many", "errors").axes
     off = np.abs(np.sin(7.0 * result("many").best.crank_angles))
@@ -377,6 +378,7 @@ def test_many_points_are_a_line():
 # --- functions and transmission ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_transmission_angles_are_those_of_the_cosine_law():
     best = result("transmission").best
     a, b, c, d = (best.values[name] for name in ("crank", "coupler", "rocker", "frame"))

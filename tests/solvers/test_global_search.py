@@ -63,7 +63,8 @@ def test_three_unknowns(crank_rocker, change):
     assert result.certificate.gap <= 1e-4
 
 
-@pytest.mark.parametrize("engine", ["local", pytest.param("dask", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["local", "dask"])
 def test_processes_change_no_digit_of_a_long_proof(crank_rocker, monkeypatch, engine):
     """Stopped and continued in between as well; steps of several batches are those of a long search."""
     monkeypatch.setattr(branch_and_bound, "LONG", 512)
@@ -122,6 +123,7 @@ def test_one_unknown_on_which_no_limit_depends(crank_rocker, solved):
     assert result.certificate.status == GLOBAL
 
 
+@pytest.mark.slow
 def test_a_longer_search_raises_the_bound(crank_rocker):
     problem = crank_rocker.override(FREE_FRAME)
     bounds = [certified(problem, 1e-4, boxes=boxes).certificate for boxes in (400, 1_600, math.inf)]

@@ -97,6 +97,7 @@ def test_rows_are_those_of_single_searches(vary, overrides):
         assert table["active"][point] == "; ".join(reoptimise_task.active(single))
 
 
+@pytest.mark.slow
 def test_rows_do_not_depend_on_the_batch(monkeypatch):
     """One point at a time, seven, and all at once, in any order of the chunks: the same text."""
     vary = [*CHANGING[:1], f"{LIMIT}=75..135 deg:6"]  # no design below 80 deg
@@ -193,6 +194,7 @@ def test_searches_that_all_end_in_a_worse_optimum_are_mended_by_random_starts():
     assert [float(row[column]) for row in bad.lines(0)] == pytest.approx([float(row[column]) for row in expected], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_rows_at_an_end_of_a_sweep_have_a_branch_of_their_own():
     """Where the rocker is at its bound the best of two optima exists at the end of the sweep alone: a fifth to a third better."""
     vary = ["mechanism.crank=20..300 mm:15"]

@@ -91,6 +91,7 @@ def test_derivatives_are_those_of_machines_that_are_searched_again(pump, key, va
         assert row.design[name] == pytest.approx(moved, rel=2e-3, abs=2e-4 / step)
 
 
+@pytest.mark.slow
 def test_a_limit_of_a_length_moves_the_length(pump):
     row = pump["limits.room.max"]
     assert row.design["rod.length"] == pytest.approx(1.0, abs=1e-12)

@@ -222,6 +222,7 @@ def best_on_a_grid(rocker: float) -> float:
     return float(np.nanmin(np.where(fits, total, np.nan)))
 
 
+@pytest.mark.slow
 def test_points_of_a_law_are_no_poor_local_optima():
     """Several families of linkages make up this front; searches from one start in thirds of it miss the best ones."""
     sizes = {"mechanism.crank": "101 mm", "mechanism.frame": "588 mm"}
@@ -263,6 +264,7 @@ def test_every_limit_can_be_walked_along(limit, sense, end):
         assert sizes[0] ** 2 + sizes[3] ** 2 == pytest.approx(sizes[1] ** 2 + sizes[2] ** 2, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_three_objectives_leave_no_dominated_point():
     front = pareto(optlink.load("crank-rocker"), f"error, {ANGLE}, coupler", points=6, workers=1)
     assert front.complete
@@ -308,6 +310,7 @@ def test_the_limit_on_an_objective_gives_way_and_others_stay(press):
     assert walked.raw["limits"]["front_2"]["min"] == "60 deg"
 
 
+@pytest.mark.slow
 def test_three_objectives_of_a_machine_lie_on_their_surface(press):
     front = pareto(press, f"rod.length, maximise stroke of ram=60..120 mm, {LEAST}=60..75 deg", points=3, workers=1)
     assert front.complete
@@ -346,6 +349,7 @@ def test_a_programme_with_another_bound_is_the_one_that_is_built_for_it():
         assert one_peak.bound * one_peak.size == pytest.approx(other_peak.bound * other_peak.size, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_machines_are_swept_over_limits_and_sizes(press):
     """A stroke is twice the crank; the shortest rod is that of its bound, or that of the least angle asked for."""
     result = sweep(press, ["limits.stroke.exactly=80..120 mm:5"], workers=1)
@@ -379,6 +383,7 @@ def test_one_design_best_in_everything_is_no_trade_off(press):
     assert front.single_point == "No trade-off: one of the designs found is best in every objective"
 
 
+@pytest.mark.slow
 def test_a_range_that_restricts_nothing_is_named():
     front = pareto(optlink.load("crank-rocker"), "error, coupler.min=200..400 mm", points=3, workers=1)
     assert front.single_point == "No trade-off in this range: the least error has coupler 412.865 mm; give a range beyond it"
@@ -414,6 +419,7 @@ def test_same_front_whatever_the_workers_and_after_an_interruption(tmp_path):
         pareto(problem, words, tmp_path / "late", points=14, workers=1, resume=True)
 
 
+@pytest.mark.slow
 def test_ends_are_kept_and_not_searched_again(press, tmp_path, monkeypatch):
     words = f"rod.length, {LEAST}"
     whole = pareto(press, words, tmp_path / "whole", points=5, workers=1)
@@ -450,6 +456,7 @@ def test_ends_are_kept_and_not_searched_again(press, tmp_path, monkeypatch):
     assert seen[-1] == (9, 9)
 
 
+@pytest.mark.slow
 def test_ends_that_cannot_be_read_are_searched_again(press, tmp_path):
     words = f"rod.length, {LEAST}"
     first = pareto(press, words, tmp_path, points=3, workers=1)
@@ -537,6 +544,7 @@ def test_command_writes_table_document_and_picture(tmp_path):
         assert words in shown.output
 
 
+@pytest.mark.slow
 def test_picture_marks_ends_knee_and_what_was_given():
     axes = draw(charts(crank_rocker())).axes
     assert len(axes) == 1

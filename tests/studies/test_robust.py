@@ -116,6 +116,7 @@ def test_a_robust_design_is_the_best_along_its_limit(problem, robust, measure):
     assert found.objective == pytest.approx(figure(found.design["coupler"], found.design["rocker"], robust), rel=1e-8)
 
 
+@pytest.mark.slow
 def test_rms_is_the_root_of_the_mean_expected_square(problem):
     squares = solve(problem.override({"requirement.robust": "expected value", "requirement.measure": "sum of squares"}))
     rms = solve(problem.override({"requirement.robust": "expected value", "requirement.measure": "rms"}))
@@ -152,6 +153,7 @@ def test_no_sigma_and_no_mean_is_the_minimax_design(problem):
     assert none.design["coupler"] == pytest.approx(plain.design["coupler"], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_measured_deviations_shift_the_mean(problem, tmp_path):
     values = np.array([0.2, 0.5, 0.3, 0.9, 0.4]) * 1e-3
     (tmp_path / "parts.csv").write_text("coupler_mm\n" + "\n".join(f"{1e3 * v:.17g}" for v in values))
@@ -166,6 +168,7 @@ def test_measured_deviations_shift_the_mean(problem, tmp_path):
         assert found.objective == pytest.approx(max(np.max(np.abs(e) + spread) for e in both), rel=1e-8)
 
 
+@pytest.mark.slow
 def test_measured_pivots_move_as_they_are_measured(problem, tmp_path):
     """To which side matters: a pivot that is off one way turns the frame that way."""
     for pivot, way in (("A.x", -1.0), ("A.y", -1.0), ("D.y", 1.0)):
@@ -224,6 +227,7 @@ def test_what_a_tolerance_costs_is_its_derivative(problem):
     assert uniform.objective == pytest.approx((high - low) / (2.0 * step), rel=1e-5)
 
 
+@pytest.mark.slow
 def test_prices_of_limits_are_what_relaxing_them_buys(problem):
     found = solve(problem)
     (held,) = [limit for limit in found.solution.limits if limit.multiplier]
@@ -266,6 +270,7 @@ def test_a_tolerance_without_effect_does_no_harm(problem):
 # --- the validator -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_validator_measures_the_error_with_tolerances_itself(problem):
     found = solve(problem)
     named = {check.name: check for check in found.validation.checks}
@@ -313,6 +318,7 @@ def test_a_sweep_over_a_tolerance_and_over_a_length(problem):
     assert np.all(np.diff(counted.columns["objective_rad"]) > 0.0)
 
 
+@pytest.mark.slow
 def test_a_study_of_tolerances_reads_those_of_the_file(problem):
     found = tolerance(problem, limit="1.85 deg", samples=1 << 12)
     assert [d.name for d in found.deviations] == list(SIZES)
@@ -477,24 +483,19 @@ def test_no_design_yields_more_than_the_one_with_most_yield(problem, law, span, 
             assert surplus(base.spec.design(near)) > -2.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("texts", "limit", "wanted"),
+    ("texts", "limit", "target"),
     [
-        pytest.param(
-            ["crank=0.1 mm uniform", "coupler=0.1 mm uniform", "rocker=0.1 mm uniform", "D.x=0.1 mm uniform"],
-            2.4,
-            0.99,
-            marks=pytest.mark.slow,
-        ),
+        (["crank=0.1 mm uniform", "coupler=0.1 mm uniform", "rocker=0.1 mm uniform", "D.x=0.1 mm uniform"], 2.4, 0.99),
         (["crank=0.1 mm uniform", "coupler=0.1 mm triangular", "rocker=0.1 mm", "D.y=0.1 mm", "C.clearance=0.1 mm"], 2.5, 0.9),
-        pytest.param(["coupler=0.1 mm uniform", "D.y=0.2 mm"], 2.35, 0.999, marks=pytest.mark.slow),
-        # so wide that first order is not enough
-        pytest.param(["coupler=0.1 mm", "rocker=0.1 mm", "crank=0.1 mm"], 5.0, 0.9973, marks=pytest.mark.slow),
+        (["coupler=0.1 mm uniform", "D.y=0.2 mm"], 2.35, 0.999),
+        (["coupler=0.1 mm", "rocker=0.1 mm", "crank=0.1 mm"], 5.0, 0.9973),  # so wide that first order is not enough
     ],
 )
-def test_an_allocation_keeps_its_yield_whatever_the_distributions(texts, limit, wanted):
+def test_an_allocation_keeps_its_yield_whatever_the_distributions(texts, limit, target):
     design = {"coupler": 0.412865417, "rocker": 0.23224617}
-    given = {"design": design, "target_yield": wanted, "samples": 1 << 14}
+    given = {"design": design, "target_yield": target, "samples": 1 << 14}
     found = tolerance(optlink.load("crank-rocker"), texts, limit=f"{limit} deg", **given)
     assert found.allocation.achieved
     random, count = np.random.default_rng(77), 100_000
@@ -506,7 +507,7 @@ def test_an_allocation_keeps_its_yield_whatever_the_distributions(texts, limit, 
         return 2.0 / (3.0 * math.pi) * t**2
 
     share = np.mean(kept(full, law, math.pi / 2.0, math.radians(limit), found.deviations, unit))
-    assert share == pytest.approx(wanted, abs=4.0 * math.sqrt(wanted * (1.0 - wanted) / count))
+    assert share == pytest.approx(target, abs=4.0 * math.sqrt(target * (1.0 - target) / count))
 
 
 # --- the file ----------------------------------------------------------------------------------------------------------

@@ -580,12 +580,14 @@ def test_a_chunk_that_kills_every_worker_is_named(tmp_path):
         list(runner.run(Square(tmp_path, deadly=3, always=True), range(6), workers=2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_breakdown_is_told_with_its_place(tmp_path, workers):
     with pytest.raises(SolverError, match=r"(?s)chunk 2.*no inverse of zero"):
         list(runner.run(Square(tmp_path, faulty=2), range(4), workers=workers))
 
 
+@pytest.mark.slow
 def test_no_process_outlives_a_run_that_is_given_up(tmp_path):
     before = threading.active_count()
     answers = runner.run(Square(tmp_path), range(1000), workers=2)
@@ -785,6 +787,7 @@ def test_the_command_prints_and_writes(tmp_path):
     assert "every point a verified local optimum" in text.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "arguments", "panels", "legend"),
     [

@@ -214,6 +214,7 @@ def test_a_sweep_without_any_valid_point_is_exit_code_1(pump, tmp_path):
     assert again.exit_code == 1
 
 
+@pytest.mark.slow
 def test_the_table_of_the_command_shows_the_columns(pump):
     vary = "mechanism.links.rod.length=131, 150 mm"
     done = run(pump(), "--analyze", "--vary", vary, "--column", "plunger.stroke_m", "--column", "plunger.v_m_s.max")
@@ -244,6 +245,7 @@ def test_sizes_that_move_no_joint_are_varied_too(pump):
     assert found["input.torque_Nm"][0].tolist() == found["input.torque_Nm"][1].tolist()
 
 
+@pytest.mark.slow
 def test_pictures_and_pages_of_a_sweep_with_gaps(pump, tmp_path):
     out = tmp_path / "out"
     columns = ("--column", "plunger.stroke_m", "--column", "plunger.v_m_s")

@@ -229,7 +229,8 @@ def sums(found):
     return [array.tobytes() for array in arrays], found.good, found.linear, found.stuck
 
 
-@pytest.mark.parametrize("engine", ["local", pytest.param("dask", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["local", "dask"])
 def test_processes_change_no_digit(problem, monkeypatch, engine):
     """Four pieces of work, the last one shorter; a block that is skipped wrongly would repeat or miss samples."""
     found, done = study(problem, FOUR, "error", None, math.radians(2.32)), []
@@ -363,6 +364,7 @@ def _texts(sizes):
     return [f"{name}={1e3 * size!r} mm" for name, size in zip(LENGTHS, sizes.tolist(), strict=True)]
 
 
+@pytest.mark.slow
 def test_what_has_no_effect_stays_as_it_is():
     problem = optlink.load("six-bar")
     found = tolerance(

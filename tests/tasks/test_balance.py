@@ -155,6 +155,7 @@ TEXTBOOK = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("measure", TEXTBOOK)
 def test_optimum_of_the_four_bar_against_a_textbook_and_local_search(measure):
     """The objective is what a separate four-bar gives, and no local search over masses and places of discs finds less."""
@@ -889,6 +890,7 @@ def test_nothing_to_balance_is_said():
 # --- what is written -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_written_problem_is_analysed_to_the_same_figures(tmp_path):
     done = run("balance-six-bar", "--trade", "force,torque", "--points", "5", "--out", str(tmp_path), "--json")
     assert done.exit_code == 0

@@ -111,6 +111,7 @@ def test_three_seeds_agree_where_the_first_steps_miss_the_best_optimum() -> None
     assert {round(math.degrees(result.objective), 6) for result in found} == {0.326990}
 
 
+@pytest.mark.slow
 def test_an_answer_has_one_figure_everywhere() -> None:
     """Design, distinct optima and validation tell the largest error over the range, not that at the design positions."""
     file = short()
@@ -147,6 +148,7 @@ def test_a_given_design_is_checked_in_the_assembly_mode_that_fits_it() -> None:
     assert checked.objective == pytest.approx(found.objective, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_machine_written_beside_a_result_moves_as_the_design_does(tmp_path: Path) -> None:
     """Law and function: loaded by `analyze`, from the same crank angle, the rocker turns as the result says."""
     from optlink.report.view import View
@@ -167,6 +169,7 @@ def test_the_machine_written_beside_a_result_moves_as_the_design_does(tmp_path: 
         assert math.remainder(rocker[k] - generated, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_law_of_three_variables_is_searched_from_random_starts_by_default():
     """From its one starting point the search ends at an error 36 times as large."""
     bounds = {"bounds": ["42 mm", "634 mm"]}

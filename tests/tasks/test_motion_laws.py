@@ -83,6 +83,7 @@ LIMITS = {"transmission_angle": ["30 deg", "150 deg"]}
 SWINGS = "psi0 + 0.5*sin(phi - phi0)"
 
 
+@pytest.mark.slow
 def test_rocker_of_dyads_follows_a_law_as_that_of_a_four_bar() -> None:
     """The same law for a linkage stated in lengths, by another programme and another search."""
     anywhere = {"start": "40 deg", "bounds": ["-180 deg", "180 deg"]}

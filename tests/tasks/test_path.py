@@ -121,6 +121,7 @@ def test_function_reaches_the_best_known_error(function):
     assert result.first.error >= result.objective
 
 
+@pytest.mark.slow
 def test_best_transmission_of_a_crank_rocker():
     length = {"bounds": ["5 mm", "500 mm"]}
     mechanism = {"type": "four-bar", "frame": "120 mm", "crank": length, "coupler": length, "rocker": length}

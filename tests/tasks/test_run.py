@@ -64,6 +64,7 @@ def test_several_designs_are_those_of_paths(name: str) -> None:
         optlink.solve(SOLVED[name], designs=2)
 
 
+@pytest.mark.slow
 def test_progress_is_a_share_that_rises_to_one() -> None:
     for name, options in {
         "crank-rocker": {"starts": 4, "backend": "both"},

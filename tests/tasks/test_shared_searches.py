@@ -60,6 +60,7 @@ def pressed(after: int) -> Runs:
     return runs
 
 
+@pytest.mark.slow
 def test_the_order_of_completion_changes_no_digit_of_a_path() -> None:
     alone = digits(shared("path-slider-egg", None, **PATH))
     assert digits(shared("path-slider-egg", backwards, **PATH)) == alone
@@ -83,6 +84,7 @@ def test_processes_change_no_digit_of_a_path(name: str, how: list[dict[str, Any]
         assert digits(optlink.solve(file, seed=1, **one)) == alone
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_the_refined_designs_of_a_path() -> None:
     whole, part = shared("path-conveyor", None, starts=60), shared("path-conveyor", pressed(2), starts=60)
     assert part.interrupted
@@ -119,6 +121,7 @@ class OwnProcess:
         return index, os.getpid()
 
 
+@pytest.mark.slow
 def test_processes_outlive_a_task_of_which_no_further_result_is_needed() -> None:
     with pool("local", 2) as runs:
         first = ordered(OwnProcess(), 50, runs)

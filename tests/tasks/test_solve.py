@@ -92,6 +92,7 @@ def test_units_do_not_matter(crank_rocker, solved):
     assert inches.design["coupler"] == pytest.approx(solved.design["coupler"], abs=1e-10)
 
 
+@pytest.mark.slow
 def test_freedom_never_hurts(crank_rocker, solved):
     """More freedom or looser limits: the optimum cannot be worse."""
     for name in ("transmission 40..140", "frame free", "span only", "phi0 free"):
@@ -327,6 +328,7 @@ def test_perfect_law_is_found_to_rounding(crank_rocker):
     assert result.valid
 
 
+@pytest.mark.slow
 def test_only_ratios_matter_is_told(solved):
     starts = dict(zip(LENGTHS, ("100 mm", "400 mm", "300 mm", "500 mm"), strict=True))
     raw = {

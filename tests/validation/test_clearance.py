@@ -135,6 +135,7 @@ def test_revolution_eleven_at_the_usual_tolerance(rpm):
     assert np.max(np.abs(found["slider.s_m"][rows] - table["x_slider"])) < 2e-7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rpm", SPEEDS)
 def test_deviation_over_twenty_revolutions(rpm):
     found = simulate(rpm, 0.1, 25)

@@ -87,8 +87,9 @@ class Expression:
                 fine = (what, parts[0]) != ("/", 0.0)
             else:
                 steps = *(("number", part) for part in reversed(parts)), (kind, what)
-                stack.append(replace(self, program=steps)({}))
-                fine = bool(np.isfinite(stack[-1]))
+                value = replace(self, program=steps)({})
+                stack.append(value)
+                fine = bool(np.isfinite(value))
             if not fine:
                 return False
         return True
