@@ -144,97 +144,37 @@ def elementwise(function: Any, shared: int, count: int) -> Any:
     return casadi.Function("elementwise", symbols, [casadi.densify(casadi.horzcat(*result)) for result in full])
 
 
-_UFUNCS: dict[int, Any] = {
-    casadi.OP_ASSIGN: np.positive,
-    casadi.OP_ADD: np.add,
-    casadi.OP_SUB: np.subtract,
-    casadi.OP_MUL: np.multiply,
-    casadi.OP_DIV: np.divide,
-    casadi.OP_NEG: np.negative,
-    casadi.OP_EXP: np.exp,
-    casadi.OP_LOG: np.log,
-    casadi.OP_POW: np.power,
-    casadi.OP_CONSTPOW: np.power,
-    casadi.OP_SQRT: np.sqrt,
-    casadi.OP_SQ: np.square,
-    casadi.OP_TWICE: lambda x, out=None: np.add(x, x, out=out),
-    casadi.OP_SIN: np.sin,
-    casadi.OP_COS: np.cos,
-    casadi.OP_TAN: np.tan,
-    casadi.OP_ASIN: np.arcsin,
-    casadi.OP_ACOS: np.arccos,
-    casadi.OP_ATAN: np.arctan,
-    casadi.OP_ATAN2: np.arctan2,
-    casadi.OP_SINH: np.sinh,
-    casadi.OP_COSH: np.cosh,
-    casadi.OP_TANH: np.tanh,
-    casadi.OP_HYPOT: np.hypot,
-    casadi.OP_INV: np.reciprocal,
-    casadi.OP_FABS: np.abs,
-    casadi.OP_SIGN: np.sign,
-    casadi.OP_FLOOR: np.floor,
-    casadi.OP_CEIL: np.ceil,
-    casadi.OP_FMOD: np.fmod,
-    casadi.OP_FMIN: np.fmin,
-    casadi.OP_FMAX: np.fmax,
-    casadi.OP_LT: lambda a, b, out=None: np.multiply(np.less(a, b), 1.0, out=out),
-    casadi.OP_LE: lambda a, b, out=None: np.multiply(np.less_equal(a, b), 1.0, out=out),
-    casadi.OP_EQ: lambda a, b, out=None: np.multiply(np.equal(a, b), 1.0, out=out),
-    casadi.OP_NE: lambda a, b, out=None: np.multiply(np.not_equal(a, b), 1.0, out=out),
-    casadi.OP_NOT: lambda a, out=None: np.multiply(np.logical_not(a), 1.0, out=out),
-    casadi.OP_AND: lambda a, b, out=None: np.multiply(np.logical_and(a, b), 1.0, out=out),
-    casadi.OP_OR: lambda a, b, out=None: np.multiply(np.logical_or(a, b), 1.0, out=out),
-    casadi.OP_IF_ELSE_ZERO: lambda c, x, out=None: np.multiply(np.not_equal(c, 0.0), np.where(np.equal(c, 0.0), 0.0, x), out=out),
-}
-
-_INPUT, _OUTPUT, _CONSTANT = -2, -3, -4
 PORTION = 8_000
-"""Positions that a tape works on at a time: its intermediate arrays stay in the processor's cache."""
+"""Positions whose inputs are broadcast at a time."""
+BLOCKS = 32, 256
+"""Positions that are evaluated at once, few or many: their intermediate results stay in the processor's cache."""
+
+
+class _Block(BufferedFunction):
+    """A function of one vector at a fixed number of positions; see `elementwise`."""
+
+    def __init__(self, function: Any, size: int) -> None:
+        super().__init__(elementwise(function, 0, size))
+        self._given, self._found = (flat[0].reshape(-1, size) for flat in (self._arguments, self._results))
+        self.size = size
+
+    def evaluate(self, given: Array, out: Array) -> None:
+        """Write the values at some positions, at most `size`, to `out`; both arrays have a column for each position."""
+        count = given.shape[1]
+        self._given[:, :count] = given
+        self._evaluate()
+        out[:] = self._found[:, :count]
 
 
 class NumpyEvaluator:
-    """Evaluator of scalar casadi expressions, instruction by instruction on whole numpy arrays.
-
-    casadi differentiates exactly and eliminates common subexpressions; numpy evaluates many points at once. For a few thousand
-    points this is five times faster than casadi's virtual machine, which evaluates one point at a time. Undefined values are NaN,
-    without warning.
-    """
+    """Evaluator of scalar casadi expressions on numpy arrays, in blocks of positions; undefined values are NaN."""
 
     def __init__(self, inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
         vector = casadi.densify(casadi.vertcat(*[casadi.vec(casadi.densify(output)) for output in outputs]))
-        function = casadi.Function("tape", [casadi.vertcat(*inputs)], [vector], {"cse": True})
-        self.slots, self.outputs = int(function.sz_w()), int(function.numel_out(0))
-        self.steps = [self._step(function, k) for k in range(function.n_instructions())]
-        self._plans: dict[tuple[bool, ...], list[tuple[Any, int, int, int, float, bool]]] = {}
-
-    @staticmethod
-    def _step(function: Any, k: int) -> tuple[Any, int, int, int, float]:
-        """(ufunc, slot or output written, first operand, second operand or -1, constant); no ufunc for inputs and outputs."""
-        code, to, sources = function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
-        if code == casadi.OP_INPUT:
-            return None, to[0], sources[1], _INPUT, 0.0
-        if code == casadi.OP_OUTPUT:
-            return None, to[1], sources[0], _OUTPUT, 0.0
-        if code == casadi.OP_CONST:
-            return None, to[0], 0, _CONSTANT, float(function.instruction_constant(k))
-        if code not in _UFUNCS:
-            names = [name for name in vars(casadi) if name.startswith("OP_") and getattr(casadi, name) == code]
-            raise ValueError(f"{' or '.join(names)} of casadi has no numpy counterpart; write the formula with other functions")
-        return _UFUNCS[code], to[0], sources[0], sources[1] if len(sources) > 1 else -1, 0.0
-
-    def _plan(self, full: tuple[bool, ...]) -> list[tuple[Any, int, int, int, float, bool]]:
-        """The steps, each with whether its result has the full shape; `full` is this property of the inputs."""
-        if full not in self._plans:
-            whole = [False] * self.slots
-            plan = []
-            for ufunc, to, first, second, constant in self.steps:
-                if ufunc is not None:
-                    whole[to] = whole[first] or (second >= 0 and whole[second])
-                elif second != _OUTPUT:
-                    whole[to] = second == _INPUT and full[first]
-                plan.append((ufunc, to, first, second, constant, second != _OUTPUT and whole[to]))
-            self._plans[full] = plan
-        return self._plans[full]
+        self._function = casadi.Function("tape", [casadi.vertcat(*inputs)], [vector], {"cse": True})
+        self.outputs = int(self._function.numel_out(0))
+        self._blocks: dict[int, _Block] = {}
+        self._one_thread = threading.Lock()  # at a time: a block has its own inputs and results
 
     def __call__(self, *inputs: Any) -> Array:
         """Evaluate the expressions.
@@ -247,36 +187,24 @@ class NumpyEvaluator:
         -------
         array (outputs, rows, ...)
         """
-        arrays = [np.asarray(x, dtype=float) for x in inputs]
-        shape = np.broadcast_shapes(*(x.shape for x in arrays))
-        out = np.empty((self.outputs, *shape))
-        plan = self._plan(tuple(x.shape == shape for x in arrays))
-        if not shape:
-            return self._run(plan, arrays, out)
-        rows = max(1, PORTION * shape[0] // max(1, int(np.prod(shape))))
-        for first in range(0, shape[0], rows):
-            part = slice(first, first + rows)
-            self._run(plan, [x[part] if x.ndim == len(shape) and len(x) > 1 else x for x in arrays], out[:, part])
-        return out
+        arrays = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in inputs))
+        shape = arrays[0].shape
+        arrays = [np.atleast_1d(x) for x in arrays]
+        count, width = len(arrays[0]), int(np.prod(shape[1:]))
+        out = np.empty((self.outputs, count * width))
+        rows = max(1, PORTION // max(1, width))
+        with self._one_thread:
+            block = self._block(count * width)
+            for first in range(0, count, rows):
+                given = np.array([x[first : first + rows] for x in arrays]).reshape(len(arrays), -1)
+                for begin in range(0, given.shape[1], block.size):
+                    part = slice(begin, min(begin + block.size, given.shape[1]))
+                    block.evaluate(given[:, part], out[:, first * width + part.start : first * width + part.stop])
+        return out.reshape(self.outputs, *shape)
 
-    def _run(self, plan: list[tuple[Any, int, int, int, float, bool]], arrays: list[Array], out: Array) -> Array:
-        pool = np.empty((self.slots, *out.shape[1:]))
-        places = list(pool) if out.ndim > 1 else []
-        held: list[Any] = [None] * self.slots
-        with np.errstate(all="ignore"):
-            for ufunc, to, first, second, constant, full in plan:
-                if ufunc is not None:
-                    if full and places:
-                        place = places[to]
-                        if second < 0:
-                            ufunc(held[first], place)
-                        else:
-                            ufunc(held[first], held[second], place)
-                        held[to] = place
-                    else:
-                        held[to] = ufunc(held[first]) if second < 0 else ufunc(held[first], held[second])
-                elif second == _OUTPUT:
-                    out[to] = held[first]
-                else:
-                    held[to] = arrays[first] if second == _INPUT else constant
-        return out
+    def _block(self, count: int) -> _Block:
+        """Return the function for as many positions."""
+        size = BLOCKS[0] if count <= 2 * BLOCKS[0] else BLOCKS[1]
+        if size not in self._blocks:
+            self._blocks[size] = _Block(self._function, size)
+        return self._blocks[size]
