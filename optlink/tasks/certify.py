@@ -186,7 +186,10 @@ class _Search:
             for k, search in enumerate(searches):
                 if self._exact or search.closed:  # nothing is smaller than zero
                     continue
-                search.bounder = LagrangianBounds(problems[k], self._guess(problems[k]))
+                guess = self._guess(problems[k])
+                search.bounder = LagrangianBounds(problems[k], guess)
+                if guess is not None and not search.boxes:
+                    search.begin_about(guess.point)
                 search.best = min(search.best, self._squared)
                 left = seconds - (time.perf_counter() - begin)
                 report = functools.partial(self._report, progress, searches, k)
@@ -272,7 +275,7 @@ class _Search:
             weights /= len(weights) if problem.measure == "rms" else 1.0
             gradient = (squares * weights).sum().linear[:, 0]
             multipliers[active] = least_squares(slopes[:, active][inside], gradient[inside])
-            return Guess(multipliers, weights)
+            return Guess(x, multipliers, weights)
         sizes = squares.value[0]
         top = np.flatnonzero(sizes >= (1.0 - TOP) * np.max(sizes))
         rows = np.hstack([squares.linear[:, 0][:, top], -slopes[:, active]])[inside]
@@ -282,7 +285,7 @@ class _Search:
         weights[:] = 0.0
         weights[top] = found[: len(top)] / max(float(found[: len(top)].sum()), 1e-300) * (1.0 - 1e-14 * len(weights))
         multipliers[active] = found[len(top) :]
-        return Guess(multipliers, weights)
+        return Guess(x, multipliers, weights)
 
     # --- the finding -----------------------------------------------------------------------------------------------
 

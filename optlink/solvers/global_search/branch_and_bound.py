@@ -27,7 +27,8 @@ from optlink.solvers.global_search.lagrangian import CUT, OPEN, BoxRecord
 
 BATCH = 256  # boxes that are bounded together
 LONG, WIDE = 10_000, 8  # boxes after which a search takes steps of several batches, for several processes; batches of a step
-FEW = 64  # open boxes below which they are divided once more: small batches take as long as larger ones
+FEW = 128  # open boxes below which they are divided before they are bounded: small batches take nearly as long as larger ones
+STEEP, NARROW = 1.5, 1e-4  # widths of the first boxes as multiples of their distance from the best known design, and least one
 RARELY = 1.3  # factor of the number of boxes after a search for a better design in vain until the next one
 SMALLEST = 1e-12  # width of a box, relative to the bounds, below which it is not divided
 MOST_OPEN = 1_000_000  # open boxes beyond which those with the highest bounds are taken first, so that memory is limited
@@ -97,6 +98,24 @@ class Boxes:
             parts.append(Boxes(_with(low[moved], k, inner.high[moved, k]), high[moved], self.bound[moved]))
             high[moved, k] = inner.high[moved, k]
         return Boxes.joined(parts)
+
+    def about(self, point: Array, width: Array) -> Boxes:
+        """Return these boxes divided, the finer the nearer to a point: up to a batch, each about as wide as it is distant.
+
+        Parameters
+        ----------
+        point : array (n,)
+        width : array (n,)
+            Of the bounds; widths and distances are shares of it.
+        """
+        boxes = self
+        while True:
+            sizes = (boxes.high - boxes.low) / width
+            distance = np.max(np.maximum(0.0, np.maximum(boxes.low - point, point - boxes.high)) / width, axis=1)
+            wide = np.max(sizes, axis=1) > STEEP * (distance + NARROW)
+            if not 0 < wide.sum() <= BATCH - len(boxes):
+                return boxes
+            boxes = Boxes.joined([boxes[~wide], boxes[wide].halves(np.argmax(sizes[wide], axis=1))])
 
     def halves(self, direction: NDArray[np.intp]) -> Boxes:
         """Return both halves of every box, divided along one unknown each (boxes,)."""
@@ -209,9 +228,8 @@ class BranchAndBound:
     next_attempt: int = 0  # number of boxes before which `improve` is not called again
 
     def __post_init__(self) -> None:
-        low, high = self.bounder.low, self.bounder.high
-        self.open = Boxes(low[None], high[None], np.zeros(1))
-        self.tiny = self.open[np.zeros(1, dtype=bool)]
+        self.open = self.tiny = self._bounds[np.zeros(1, dtype=bool)]
+        self.open = self._enough(self._bounds)
 
     @property
     def threshold(self) -> float:
@@ -282,10 +300,21 @@ class BranchAndBound:
         rows = np.arange(len(left))
         direction = np.where(width[rows, direction] < SMALLEST, np.argmax(width, axis=1), direction)
         self.tiny = Boxes.joined([self.tiny, left[small]])
-        halves = left[~small].halves(direction[~small])
-        while 0 < len(self.open) + len(halves) < FEW and len(halves):
-            halves = halves.halves(np.argmax((halves.high - halves.low) / (self.bounder.high - self.bounder.low), axis=1))
-        self.open = Boxes.joined([self.open, halves])
+        self.open = Boxes.joined([self.open, self._enough(left[~small].halves(direction[~small]))])
+
+    def begin_about(self, point: Array) -> None:
+        """Divide the bounds before the search: near the best known design (n,) small boxes alone can be discarded."""
+        self.open = self._bounds.about(point, self.bounder.high - self.bounder.low)
+
+    @property
+    def _bounds(self) -> Boxes:
+        return Boxes(self.bounder.low[None], self.bounder.high[None], np.zeros(1))
+
+    def _enough(self, boxes: Boxes) -> Boxes:
+        """Return boxes, divided until there are enough with the open ones."""
+        while 0 < len(boxes) < FEW - len(self.open):
+            boxes = boxes.halves(np.argmax((boxes.high - boxes.low) / (self.bounder.high - self.bounder.low), axis=1))
+        return boxes
 
     def _next(self) -> Boxes:
         wide = WIDE if self.divisible and self.boxes >= LONG else 1

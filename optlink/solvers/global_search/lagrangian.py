@@ -115,8 +115,9 @@ class BoxRecord:
 
 @dataclass(frozen=True)
 class Guess:
-    """What is known at the best design: multipliers (limits,) and weights (positions,) that are good near it."""
+    """The best design (n,), and multipliers (limits,) and weights (positions,) that are good near it."""
 
+    point: Array
     multipliers: Array
     weights: Array
 
