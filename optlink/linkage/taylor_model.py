@@ -52,14 +52,16 @@ class TaylorModel(NDArrayOperatorsMixin):
         Largest deviation from the polynomial.
     count : int
         Number n of unknowns.
+    sizes : pair of array (...), optional
+        See the property, where they are known.
     """
 
     __slots__ = ("_sizes", "coefficients", "count", "remainder")
 
-    def __init__(self, coefficients: Array, remainder: ArrayLike, count: int) -> None:
+    def __init__(self, coefficients: Array, remainder: ArrayLike, count: int, sizes: tuple[Array, Array] | None = None) -> None:
         self.coefficients, self.count = coefficients, count
         self.remainder = np.asarray(remainder, dtype=float)
-        self._sizes: tuple[Array, Array] | None = None
+        self._sizes = sizes
 
     def __repr__(self) -> str:
         return f"TaylorModel({self.count} unknowns, shape {self.remainder.shape})"
@@ -129,7 +131,7 @@ class TaylorModel(NDArrayOperatorsMixin):
                 self._sizes = zero, zero
             else:
                 both = np.abs(self.coefficients[1:])
-                self._sizes = both[: self.count].sum(axis=0), both[self.count :].sum(axis=0)
+                self._sizes = np.add.reduce(both[: self.count]), np.add.reduce(both[self.count :])
         return self._sizes
 
     @property
@@ -163,8 +165,20 @@ class TaylorModel(NDArrayOperatorsMixin):
 
     __radd__ = __add__
 
+    def __sub__(self, other: Any) -> TaylorModel:
+        return _add(self, -other)
+
+    def __rsub__(self, other: Any) -> TaylorModel:
+        return _add(-self, other)
+
+    def __mul__(self, other: Any) -> TaylorModel:
+        with np.errstate(all="ignore"):
+            return _multiply(self, other)
+
+    __rmul__ = __mul__
+
     def __neg__(self) -> TaylorModel:
-        return TaylorModel(-self.coefficients, self.remainder, self.count)
+        return TaylorModel(-self.coefficients, self.remainder, self.count, self._sizes)
 
     def __getitem__(self, index: Any) -> TaylorModel:
         index = index if isinstance(index, tuple) else (index,)
@@ -201,22 +215,37 @@ def _aligned(coefficients: Array, rank: int) -> Array:
 
 
 def _add(a: Any, b: Any) -> TaylorModel:
+    """Return the sum; a rounded sum of two numbers is wrong by at most `UNIT` of itself, whatever the sizes of its terms."""
+    if isinstance(b, float | int):
+        out = a.coefficients.copy()
+        out[0] += b
+        return TaylorModel(out, (a.remainder + ROUNDING * np.abs(out[0])) * UPWARD + TINY, a.count, a._sizes)
     a, b = _two(a, b)
     x, y = a.coefficients, b.coefficients
     rank = max(x.ndim, y.ndim) - 1
     x, y = _aligned(x, rank), _aligned(y, rank)
+    sizes = None
     if len(x) == len(y):
         out = x + y
+        size = np.abs(out)
+        sizes = np.add.reduce(size[1 : 1 + a.count]), np.add.reduce(size[1 + a.count :])
+        rounding = ROUNDING * (size[0] + sizes[0] + sizes[1])
     else:
         longer, shorter = (x, y) if len(x) > len(y) else (y, x)
         out = np.empty((len(longer), *np.broadcast_shapes(longer.shape[1:], shorter.shape[1:])))
         out[:] = longer
         out[0] += shorter[0]
-    rounding = ROUNDING * (np.abs(out[0]) + sum(size for model in (a, b) for size in model.sizes))
-    return TaylorModel(out, (a.remainder + b.remainder + rounding) * UPWARD + TINY, a.count)
+        rounding = ROUNDING * np.abs(out[0])
+    return TaylorModel(out, (a.remainder + b.remainder + rounding) * UPWARD + TINY, a.count, sizes)
 
 
 def _multiply(a: Any, b: Any) -> TaylorModel:
+    if isinstance(a, float | int):
+        a, b = b, a
+    if isinstance(b, float | int):
+        first, second = a.sizes
+        remainder = (a.remainder + ROUNDING * (np.abs(a.value) + first + second)) * abs(b)
+        return TaylorModel(a.coefficients * b, remainder * UPWARD + TINY, a.count)
     square = a is b
     a, b = _two(a, b)
     x, y, n = a.coefficients, b.coefficients, a.count
