@@ -295,12 +295,14 @@ class BranchAndBound:
             self.discarded = min(self.discarded, self.threshold)
             every = np.ones(len(cut), dtype=bool)
             self.leaves.add(cut, every, np.full(len(cut), CUT, dtype=np.int8), np.zeros((len(cut), record.multipliers.shape[1])))
-        width = (left.high - left.low) / (self.bounder.high - self.bounder.low)
+        width = self._widths(left)
         small = np.max(width, axis=1) < SMALLEST
+        bounded = np.max(self._widths(batch[~gone]), axis=1) < SMALLEST  # else a cut has just made it small: it is bounded again
         rows = np.arange(len(left))
         direction = np.where(width[rows, direction] < SMALLEST, np.argmax(width, axis=1), direction)
-        self.tiny = Boxes.joined([self.tiny, left[small]])
-        self.open = Boxes.joined([self.open, self._enough(left[~small].halves(direction[~small]))])
+        self.tiny = Boxes.joined([self.tiny, left[small & bounded]])
+        halves = self._enough(left[~small].halves(direction[~small]))
+        self.open = Boxes.joined([self.open, left[small & ~bounded], halves])
 
     def begin_about(self, point: Array) -> None:
         """Divide the bounds before the search: near the best known design (n,) small boxes alone can be discarded."""
@@ -313,8 +315,12 @@ class BranchAndBound:
     def _enough(self, boxes: Boxes) -> Boxes:
         """Return boxes, divided until there are enough with the open ones."""
         while 0 < len(boxes) < FEW - len(self.open):
-            boxes = boxes.halves(np.argmax((boxes.high - boxes.low) / (self.bounder.high - self.bounder.low), axis=1))
+            boxes = boxes.halves(np.argmax(self._widths(boxes), axis=1))
         return boxes
+
+    def _widths(self, boxes: Boxes) -> Array:
+        """Return the widths (boxes, n) as shares of the bounds."""
+        return (boxes.high - boxes.low) / (self.bounder.high - self.bounder.low)
 
     def _next(self) -> Boxes:
         wide = WIDE if self.divisible and self.boxes >= LONG else 1
