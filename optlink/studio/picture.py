@@ -6,7 +6,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from optlink.dynamics.machine import Machine
 from optlink.io import finite
@@ -16,7 +15,7 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.report.drawing import Sketch
 
 STEPS = 72  # positions per revolution
-EDGE = 24  # halvings of the crank angle at which a limited motion ends
+INSIDE = 1e-8  # rad from the ends of a limited motion: there rounding decides
 DIGITS = 6  # significant digits of a coordinate, relative to the extent
 
 
@@ -38,47 +37,26 @@ class Picture:
         count = STEPS * max(1, round(self.mechanism.cycle / TURN))
         angles = start + way * np.linspace(0.0, self.mechanism.cycle, count + 1)
         motion = sweep(self.mechanism, machine.sizes, angles)
-        assembled = self._assembled(motion)
+        points = np.array([motion.position(name) for name in self.mechanism.owners])
+        assembled = motion.assembled & np.isfinite(points).all(axis=(0, 2))
         self.closed = bool(np.all(assembled))
         if not self.closed:
-            motion = sweep(self.mechanism, machine.sizes, self._reachable(angles, assembled))
+            angles = angles[assembled] if machine.ranges.full else self._reachable(start, way)
+            motion = sweep(self.mechanism, machine.sizes, angles)
         self.motion: Motion = motion
         self.angles: Array = np.asarray(motion.crank_angle, dtype=float)
         self.sketch = Sketch(motion, machine)
         extent = 1e3 * max(np.ptp(self.sketch.limits, axis=1)) / self.sketch.scale.factor
         self._decimals = max(0, DIGITS - 1 - math.floor(math.log10(max(extent, 1e-9))))
 
-    def _assembled(self, motion: Motion) -> NDArray[np.bool_]:
-        points = np.array([motion.position(name) for name in self.mechanism.owners])
-        found: NDArray[np.bool_] = motion.assembled & np.isfinite(points).all(axis=(0, 2))
-        return found
-
-    def _reachable(self, angles: Array, assembled: NDArray[np.bool_]) -> Array:
+    def _reachable(self, start: float, way: float) -> Array:
         """Return angles through the reachable range that contains the start, else through the largest one."""
-        count = len(angles) - 1
-        cyclic = assembled[:count]
-        if not cyclic.any():
+        ranges = self.machine.ranges
+        if not ranges.ranges:
             raise ArithmeticError("the linkage cannot be assembled at any crank angle")
-        first = 0 if cyclic[0] else _longest(cyclic)
-        low = high = first
-        while low > first - count and cyclic[(low - 1) % count]:
-            low -= 1
-        while high < first + count and cyclic[(high + 1) % count]:
-            high += 1
-        step = angles[1] - angles[0]
-        ends = [self._edge(angles[0] + step * end, step * side) for end, side in ((low, -1), (high, 1))]
-        return np.linspace(ends[0], ends[1], max(2, math.ceil(abs(ends[1] - ends[0]) / TURN * STEPS) + 1))
-
-    def _edge(self, inside: float, step: float) -> float:
-        """Return the last crank angle, within a step, at which the linkage can be assembled."""
-        low, high = 0.0, 1.0
-        for _ in range(EDGE):
-            middle = 0.5 * (low + high)
-            if self._assembled(sweep(self.mechanism, self.machine.sizes, np.array([inside + middle * step])))[0]:
-                low = middle
-            else:
-                high = middle
-        return inside + low * step
+        low, high = ranges.holding(start) or max(ranges.ranges, key=lambda ends: ends[1] - ends[0])
+        ends = (low + INSIDE, high - INSIDE) if way > 0.0 else (high - INSIDE, low + INSIDE)
+        return np.linspace(*ends, max(2, math.ceil((high - low) / TURN * STEPS) + 1))
 
     # --- what is sent -------------------------------------------------------------------------------------------------------
 
@@ -143,15 +121,3 @@ class Picture:
 def _plain(values: Array) -> Any:
     """Return numbers as nested lists, with None where they are not finite."""
     return values.tolist() if np.all(np.isfinite(values)) else finite(values)
-
-
-def _longest(assembled: NDArray[np.bool_]) -> int:
-    """Return an index in the longest run of a cyclic mask."""
-    best, where = 0, int(np.argmax(assembled))
-    for first in np.flatnonzero(assembled & ~np.roll(assembled, 1)):
-        length = 0
-        while length < len(assembled) and assembled[(first + length) % len(assembled)]:
-            length += 1
-        if length > best:
-            best, where = length, int(first) + length // 2
-    return where % len(assembled)
