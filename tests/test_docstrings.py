@@ -67,7 +67,7 @@ def lacking(source: str) -> list[str]:
 
 def commands() -> set[Path]:
     """Modules whose public functions are commands, described by the help texts of their options."""
-    signs = ("typer.Option", "def register(")
+    signs = ("typer.Option", "quiet: Quiet")
     modules = (ROOT / "optlink" / "cli").glob("*.py")
     return {path for path in modules if any(sign in path.read_text(encoding="utf-8") for sign in signs)}
 

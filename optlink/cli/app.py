@@ -42,8 +42,12 @@ app = App(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (show, solve, simulate, report, study, studio):
-    command.register(app)
+app.command("list")(show.list_problems)
+for command in (show.show, show.new, solve.solve, solve.validate, solve.analyze, solve.balance, simulate.simulate, report.report):
+    app.command()(command)
+app.command()(report.export)
+app.command()(studio.studio)
+app.add_typer(study.study, name="study")
 
 
 def _version(wanted: bool) -> None:

@@ -24,12 +24,6 @@ SCHEMA = "optlink/written/1"
 Words = list[str] | None
 
 
-def register(app: typer.Typer) -> None:
-    """Register the commands."""
-    app.command()(report)
-    app.command()(export)
-
-
 def report(
     subject: Subjected,
     output: Annotated[Path, option("FILE.html", "HTML file to write.", "-o", "--out")],

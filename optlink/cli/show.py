@@ -22,13 +22,6 @@ if TYPE_CHECKING:
 Shown = Annotated[str, typer.Argument(metavar="PROBLEM", help=PROBLEM_HELP, autocompletion=problem_names, show_default=False)]
 
 
-def register(app: typer.Typer) -> None:
-    """Register the commands."""
-    app.command("list")(list_problems)
-    app.command()(show)
-    app.command()(new)
-
-
 def list_problems(as_json: Json = False, quiet: Quiet = False) -> None:
     """List the shipped problems with their kind and a summary."""
     from optlink.problem.file import load, shipped

@@ -48,11 +48,6 @@ INTEGRATOR = "With clearance, integrator: cvodes, compiled (needs numba); auto (
 GAP = "joints.B={ clearance = '0.5 mm', bearing_radius = '10 mm', modulus = '207 GPa' }"
 
 
-def register(app: typer.Typer) -> None:
-    """Register the command."""
-    app.command()(simulate)
-
-
 def simulate(
     problem: Problem,
     duration: Annotated[str | None, option("TIME", 'Simulated time: --duration "2 s"; default: that of the problem.')] = None,

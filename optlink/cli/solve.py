@@ -52,14 +52,6 @@ GAP = "--certify: share of the objective by which a better design may be missed.
 CERTIFICATE = "Check the proof of the global optimum that solve --certify --out wrote: certificate.json, or its folder."
 
 
-def register(app: typer.Typer) -> None:
-    """Register the commands."""
-    app.command()(solve)
-    app.command()(validate)
-    app.command()(analyze)
-    app.command()(balance)
-
-
 def solve(
     problem: Problem,
     backend: Searcher = "ipopt",

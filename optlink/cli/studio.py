@@ -18,11 +18,6 @@ Named = Annotated[str, typer.Argument(metavar="PROBLEM", autocompletion=problem_
 NEEDED = ("starlette", "uvicorn", "websockets")
 
 
-def register(app: typer.Typer) -> None:
-    """Register the command."""
-    app.command()(studio)
-
-
 def studio(
     problem: Named = "",
     port: Annotated[int, option("N", "Port. Default: any free one.", "--port", min=0, max=65535)] = 0,

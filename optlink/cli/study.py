@@ -36,11 +36,6 @@ POINTS = "Number of points; with three objectives along each of two axes. Defaul
 study = App(no_args_is_help=True, help="Parametric studies: sensitivity, sweep, tolerance analysis, Pareto front.")
 
 
-def register(app: typer.Typer) -> None:
-    """Register the commands."""
-    app.add_typer(study, name="study")
-
-
 @study.command()
 def sensitivity(
     problem: Problem,

@@ -108,35 +108,48 @@ class SweepRecord(ResultRecord):
         return super().of(result, **dict.fromkeys(optima) if result.evaluated else {}, **values)
 
 
-@dataclass(frozen=True, repr=False)
-class Sweep(Recorded):
-    """Result of a sweep; the table is read from its file on demand.
+@dataclass(frozen=True, repr=False, kw_only=True)
+class GridStudy(Recorded):
+    """Result of a study of all points of a grid, whose table is the file `path`.
 
-    `valid`: number of points with a validated optimum (or a complete analysis); `searched`: number of points that were solved by
-    a new search instead of continuation from a neighbour; `changed`: number of points whose active set differs from that of the
-    preceding point; `statuses`: number of points by status; `cpu` [s]: processor time of all processes for the `done` points of
-    this run.
+    `valid`: number of points with a validated optimum (or a complete analysis); `cpu` [s]: processor time of all processes for
+    the `done` points of this run.
     """
-
-    record = SweepRecord
 
     problem: ProblemFile
     grid: Grid
-    mode: str
     path: Path
-    names: tuple[str, ...]
     valid: int
-    statuses: Mapping[str, int]
-    searched: int
-    changed: int
-    best: Mapping[str, str] | None
-    changes: tuple[ActiveSetChange, ...]
     done: int
     seconds: float
     cpu: float
     engine: str
     workers: int | None
     keep: Any = None  # keeps a temporary folder during the lifetime of the result
+
+    @property
+    def table(self) -> str | None:
+        """Path of the table of all points; None if it is temporary."""
+        return None if self.keep is not None else str(self.path)
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Sweep(GridStudy):
+    """Result of a sweep; the table is read from its file on demand.
+
+    `searched`: number of points that were solved by a new search instead of continuation from a neighbour; `changed`: number of
+    points whose active set differs from that of the preceding point; `statuses`: number of points by status.
+    """
+
+    record = SweepRecord
+
+    mode: str
+    names: tuple[str, ...]
+    statuses: Mapping[str, int]
+    searched: int
+    changed: int
+    best: Mapping[str, str] | None
+    changes: tuple[ActiveSetChange, ...]
 
     @cached_property
     def columns(self) -> dict[str, Any]:
@@ -173,11 +186,6 @@ class Sweep(Recorded):
     def status(self) -> str:
         """Whether every point is valid, in words."""
         return "complete" if self.complete else "not valid everywhere" if self.valid else "not valid anywhere"
-
-    @property
-    def table(self) -> str | None:
-        """Path of the table; None if it is temporary."""
-        return None if self.keep is not None else str(self.path)
 
 
 def _column(name: str, values: Sequence[str]) -> NDArray[Any]:

@@ -28,15 +28,15 @@ from optlink.execution.runner import check
 from optlink.execution.store import Progress, Store
 from optlink.linkage.vector2d import Array
 from optlink.optimization.pareto_front import ends, knee, undominated
-from optlink.problem.base_model import Record, Recorded, ResultRecord
+from optlink.problem.base_model import Record, ResultRecord
 from optlink.problem.file import ProblemFile
 from optlink.studies.cycle_task import optimum_task
-from optlink.studies.grid import AxisRecord, Grid
+from optlink.studies.grid import AxisRecord
 from optlink.studies.pareto.epsilon_ranges import RANGES, EpsilonRanges, NoExtreme
 from optlink.studies.pareto.objective import OPTION, ParetoObjective
 from optlink.studies.pareto.objectives import read_objectives
 from optlink.studies.reoptimise_task import CHUNK, ReoptimiseTask, check_backend
-from optlink.studies.sweep import TemporaryFolder
+from optlink.studies.sweep import GridStudy, TemporaryFolder
 from optlink.studies.sweep_task import OptimumTask
 from optlink.version import VERSION
 
@@ -147,8 +147,8 @@ class ParetoRecord(ResultRecord):
         )
 
 
-@dataclass(frozen=True, repr=False)
-class Pareto(Recorded):
+@dataclass(frozen=True, repr=False, kw_only=True)
+class Pareto(GridStudy):
     """A Pareto front, sorted from the best value of the first objective.
 
     `ends`: index of the best point of every objective; `knee`: its index and its distance from the chord of the ends, if any;
@@ -158,7 +158,6 @@ class Pareto(Recorded):
 
     record = ParetoRecord
 
-    problem: ProblemFile
     objectives: tuple[ParetoObjective, ...]
     minimised: int
     points: tuple[ParetoPoint, ...]
@@ -167,22 +166,8 @@ class Pareto(Recorded):
     reference: tuple[float, ...] | None
     reference_label: str
     solved: int
-    valid: int
     infeasible: int
     dominated: int
-    grid: Grid
-    path: Path
-    done: int
-    seconds: float
-    cpu: float
-    engine: str
-    workers: int | None
-    keep: Any = None  # keeps a temporary folder during the lifetime of the result
-
-    @property
-    def table(self) -> str | None:
-        """Path of the table of all points; None if it is temporary."""
-        return None if self.keep is not None else str(self.path)
 
     @property
     def status(self) -> str:
