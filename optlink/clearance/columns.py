@@ -16,7 +16,7 @@ from optlink.dynamics.inertia import Wrench
 from optlink.dynamics.inverse import GuideForce
 from optlink.dynamics.machine import slider_names
 from optlink.linkage.mechanism import FRAME, Guide
-from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, minus, plus
+from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, minus, plus, turn
 
 
 class ClearanceColumns:
@@ -78,8 +78,7 @@ class ClearanceColumns:
         if isinstance(joint, Guide):
             at = self.equations.tree.local.local_line(joint, joint.slider)[0]
             state = self.motion.state(joint.slider)
-            x, y = at[0] * state.axis[0] - at[1] * state.axis[1], at[0] * state.axis[1] + at[1] * state.axis[0]
-            return state.start[0] + x, state.start[1] + y
+            return plus(state.start, turn(at, state.axis))
         return self.motion.position(joint.point, joint.first)
 
     def _hold(self, needed: dict[str, Wrench], joint: Pin | Guide, force: Vector, moment: Value, skip: str = "") -> None:

@@ -40,9 +40,10 @@ class Scene:
     """A mechanism over its motion.
 
     `angles` (positions,) [deg] follow the motion; `closed` says whether the last position equals the first; `points` are
-    coordinates (positions, 2) by name; `moving`, `free` and `pins` are names of points; `ground` contains lines, widths and
-    whether they are filled; `springs` are the two end points (positions, 2, 2) by name; `size` is the height of a ground pivot;
-    `box` is x, y, width and height of the drawing; `cycle` the analysis of the machine.
+    coordinates (positions, 2) by name; `moving`, `free` and `pins` are names of points, `owner` the body whose colour the trace
+    of each takes; `ground` contains lines, widths and whether they are filled; `springs` are the two end points
+    (positions, 2, 2) by name; `size` is the height of a ground pivot; `box` is x, y, width and height of the drawing; `cycle`
+    the analysis of the machine.
     """
 
     cycle: Analysis
@@ -150,7 +151,7 @@ def _scene(cycle: Analysis, sketch: Sketch, motion: Motion, *, closed: bool) -> 
         moving=tuple(name for name, bodies in owners.items() if FRAME not in bodies),
         free=tuple(name for name, bodies in owners.items() if len(bodies) == 1 and bodies[0] != FRAME),
         pins=tuple(mechanism.pins),
-        owner={name: _owner(bodies, mechanism.crank.body) for name, bodies in owners.items()},
+        owner={name: bodies[0 if bodies[0] == mechanism.crank.body else -1] for name, bodies in owners.items()},
         ground=[(line * flip, width, filled) for line, width, filled in sketch.ground],
         springs={
             spring.name: np.stack([motion.position(point) * 1e3 * FLIP for _, point in spring.ends], axis=1)
@@ -159,8 +160,3 @@ def _scene(cycle: Analysis, sketch: Sketch, motion: Motion, *, closed: bool) -> 
         size=sketch.size * k,
         box=(k * x0, -k * y1, k * (x1 - x0), k * (y1 - y0)),
     )
-
-
-def _owner(bodies: Sequence[str], crank: str) -> str:
-    """Return the body whose colour the trace of a point takes."""
-    return bodies[0] if bodies[0] == crank else bodies[-1]

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.dyad_types import RRR
-from optlink.linkage.mechanism import FRAME, Link, Mechanism
+from optlink.linkage.mechanism import FRAME, Link, Mechanism, Pose
 from optlink.linkage.vector2d import Array, unit
 from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.path_nlp import limit_excesses
@@ -246,15 +246,8 @@ def _slack(batch: Batch, x: Array, angles: Array, along: int) -> Array:
 
 def _local(mechanism: Mechanism, sizes: Mapping[str, Any], body: str, point: str) -> Complex:
     """Return the body coordinates (designs, 1) [m] of a point."""
-    link = mechanism.bodies[body]
-    zero: Complex = np.zeros((SAMPLES, 1), dtype=complex)
-    if point == link.start:
-        return zero
-    if point == link.end:
-        return np.asarray(zero + (sizes[link.length] if isinstance(link.length, str) else link.length))
-    mark = mechanism.marks[body, point]
-    along, across = (sizes[name] if isinstance(name, str) else name for name in (mark.along, mark.across))
-    return np.asarray(zero + along + 1j * across)
+    along, across = Pose(mechanism, sizes).local(body, point)
+    return np.asarray(np.zeros((SAMPLES, 1), dtype=complex) + along + 1j * across)
 
 
 def _enlarge(
@@ -284,7 +277,8 @@ def _enlarge(
     side = side * np.where(rng.random((SAMPLES, 1)) < 0.5, -1.0, 1.0) * np.exp(1j * skew)
     side = side * np.abs(pin - joint) * np.exp(rng.uniform(math.log(0.2), math.log(5.0), (SAMPLES, 1)))
     f = pivot + s * (j - pivot)
-    e_name, f_name = (next(name for name in (link.start, link.end) if name != _common(arm, leg)) for link in arms)
+    [common] = {arm.start, arm.end} & {leg.start, leg.end}
+    e_name, f_name = (link.end if link.start == common else link.start for link in arms)
     for body, name, place in ((loop.coupler.body, e_name, joint + side), (loop.rocker.body, f_name, f)):
         _place(mechanism, sizes, body, name, place)
     sizes[str(leg.length)], sizes[str(arm.length)] = np.abs(side), np.abs(f - j)
@@ -297,7 +291,3 @@ def _place(mechanism: Mechanism, sizes: dict[str, Array], body: str, point: str,
     """Set the coordinates of a point on its body."""
     mark = mechanism.marks[body, point]
     sizes[str(mark.along)], sizes[str(mark.across)] = at.real, at.imag
-
-
-def _common(arm: Link, leg: Link) -> str:
-    return next(name for name in (arm.start, arm.end) if name in (leg.start, leg.end))

@@ -943,7 +943,7 @@ def test_one_point_is_told_as_one(tmp_path):
     aims = "error, coupler=500..900 mm"  # at both the coupler of the best design is shorter: one point
     done = CliRunner().invoke(app, ["study", "pareto", "crank-rocker", "--objectives", aims, "--points", "2"])
     assert done.exit_code == 0
-    assert "\n1 point of the front" in done.stdout
+    assert "\n1 point, each a verified local optimum" in done.stdout
     assert "\n2 points done" in done.stdout
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, field_validator
 
 from optlink.dynamics.machine import Machine
-from optlink.linkage.mechanism import FRAME
+from optlink.linkage.mechanism import FRAME, Pose
 from optlink.problem.base_model import RESERVED, Name, Section
 from optlink.problem.interval import LengthInterval, MassInterval, StiffnessInterval
 from optlink.problem.machine.loads import spring_ends
@@ -272,14 +272,8 @@ class CounterweightSection(Section):
         """Return the coordinates of a point of the body in its own axes [m]."""
         if point not in self._points(machine):
             raise Unusable("the body has no such point", nearest(point, self._points(machine)), key, point)
-        link, sizes = machine.mechanism.bodies[self.body], machine.sizes
-        if point == link.start:
-            return 0.0, 0.0
-        if point == link.end:
-            return float(sizes[link.length] if isinstance(link.length, str) else link.length), 0.0
-        mark = machine.mechanism.marks[self.body, point]
-        along, across = (float(sizes[part] if isinstance(part, str) else part) for part in (mark.along, mark.across))
-        return along, across
+        along, across = Pose(machine.mechanism, machine.sizes).local(self.body, point)
+        return float(along), float(across)
 
     def _origin(self, machine: Machine) -> tuple[float, float]:
         if self.origin is not None:

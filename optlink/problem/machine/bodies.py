@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BeforeValidator, field_validator, model_validator
 
 from optlink.dynamics.inertia import Inertia
-from optlink.linkage.mechanism import Mechanism
+from optlink.linkage.mechanism import Mechanism, Pose
 from optlink.linkage.vector2d import Value
 from optlink.problem.base_model import Section, in_folder
 from optlink.problem.machine.control import ServoSection
@@ -80,13 +80,7 @@ class BodySection(Section):
             own = [point for point, bodies in mechanism.owners.items() if body in bodies]
             if self.centroid not in own:
                 raise Unusable("the body has no such point", nearest(self.centroid, ["middle", *own]), "centroid", self.centroid)
-            if self.centroid == link.start:
-                along = 0.0
-            elif self.centroid == link.end:
-                along = length
-            else:
-                mark = mechanism.marks[body, self.centroid]
-                along, across = (sizes[part] if isinstance(part, str) else part for part in (mark.along, mark.across))
+            along, across = Pose(mechanism, sizes).local(body, self.centroid)
         if self.inertia == "uniform bar":
             if not link.end:
                 raise Unusable("only a link with two joints is a bar", 'Write inertia = "0.016 kg*m^2"', "inertia", self.inertia)

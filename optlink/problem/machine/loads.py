@@ -6,8 +6,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Annotated, Any, Literal, Protocol
 
-from pydantic import field_validator
-
 from optlink.dynamics.loads import Force, Load, SlideDamper, Spring, Torque, TorsionSpring
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.stroke import OTHER, Direction
@@ -111,11 +109,6 @@ class LoadSection(Section):
     """Free angle of that spring; default: 0."""
     torsional_damping: TorsionalDamping | None = None
     """Viscous damping of the rotation of `on` relative to `against`."""
-
-    @field_validator("stroke", mode="before")
-    @classmethod
-    def _older_word(cls, raw: object) -> object:
-        return "quick" if raw == "fast" else raw
 
     def build(self, name: str, mechanism: Mechanism, motion: SlideSamples) -> Load:
         """Return the load of a machine.

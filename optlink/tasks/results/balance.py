@@ -282,6 +282,10 @@ class Balance(Recorded):
     """
 
     record = BalanceRecord
+    interrupted = False
+    """A convex programme is never left early."""
+    starts = 1
+    """Number of searches."""
 
     problem: ProblemFile
     goal: tuple[tuple[BalanceMeasure, float], ...]
@@ -352,16 +356,6 @@ class Balance(Recorded):
                 for axis, part in zip(("",) if values.shape[1] == 1 else ("_x", "_y"), values.T, strict=True):
                     found[f"{when}.{quantity.quantity.replace(' at ', '_').replace(' ', '_')}{axis}_{unit}"] = part
         return found
-
-    @property
-    def interrupted(self) -> bool:
-        """Whether the search ended early: always False for a convex programme."""
-        return False
-
-    @property
-    def starts(self) -> int:
-        """Number of searches."""
-        return 1
 
     @property
     def design(self) -> dict[str, float]:

@@ -105,10 +105,8 @@ class Certificate:
     history: Array = field(default_factory=lambda: np.zeros((0, 3)), repr=False)
     covers: tuple[Cover, ...] = field(default=(), repr=False)
 
-    @property
-    def rigorous(self) -> bool:
-        """Whether the bound includes all rounding errors: always."""
-        return True
+    rigorous = True
+    """Whether the bound includes all rounding errors."""
 
     @property
     def closed(self) -> bool:

@@ -286,12 +286,8 @@ def _diameter(places: NDArray[np.complex128]) -> float:
     return max(float(np.max(np.abs(places - place))) for place in places)
 
 
-def _wanted_angles(task: PathProblem) -> Array:
-    return np.unwrap(np.arctan2(task.data.columns[:, 3], task.data.columns[:, 2]))
-
-
 def _rotation(task: PathProblem) -> float:
-    return float(np.ptp(_wanted_angles(task)))
+    return float(np.ptp(np.unwrap(np.arctan2(task.data.columns[:, 3], task.data.columns[:, 2]))))
 
 
 def _motion_angles(task: PathProblem, crank_angles: Array) -> Array:
