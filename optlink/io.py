@@ -279,8 +279,8 @@ class Summary:
             words.append(certificate.brief)
         problem = getattr(self, "problem", None)
         name = f" {problem.name!r}" if problem is not None else ""
-        told = ", ".join(filter(None, words))
-        return f"<{type(self).__name__}{name}{f': {told}' if told else ''}>"
+        summary = ", ".join(filter(None, words))
+        return f"<{type(self).__name__}{name}{f': {summary}' if summary else ''}>"
 
 
 class Registry(dict[str, Item]):

@@ -205,8 +205,8 @@ def plain(text: str) -> str:
 
 @functools.lru_cache(maxsize=512)
 def _unit(unit: str, kind: str) -> _Unit:
-    wanted = KINDS[kind]
-    use = f'Use a unit of {kind}, for example "{wanted.example}"'
+    expected_kind = KINDS[kind]
+    use = f'Use a unit of {kind}, for example "{expected_kind.example}"'
     spelled = plain(unit)
     if not _UNIT.fullmatch(spelled):
         raise UnitProblem(f'"{unit[:40]}" is not a unit', use)
@@ -218,7 +218,7 @@ def _unit(unit: str, kind: str) -> _Unit:
         hint = f"Upper and lower case matter: {' or '.join(close)}. " if close else ""
         raise UnitProblem(f'the unit "{unit[:40]}" is unknown', hint + use) from None
     found = _unit(_PER_TIME[kind][found.symbol], kind) if found.symbol in _PER_TIME.get(kind, {}) else found
-    if found.powers != _product(_factors(wanted.si, table)).powers:
+    if found.powers != _product(_factors(expected_kind.si, table)).powers:
         raise UnitProblem(f'"{unit[:40]}" is not a unit of {kind}', use)
     return found
 
@@ -275,50 +275,50 @@ def parse(text: object, kind: str) -> tuple[float, str]:
     UnitProblem
         Not a text, no number, no unit, unknown unit, unit of another quantity, or not finite.
     """
-    wanted = KINDS[kind]
+    expected_kind = KINDS[kind]
     if isinstance(text, bool) or not isinstance(text, (str, int, float)):
-        raise UnitProblem(f"expected {_a(kind)}, found {type(text).__name__}", f'Write it as text: "{wanted.example}"')
+        raise UnitProblem(f"expected {_a(kind)}, found {type(text).__name__}", f'Write it as text: "{expected_kind.example}"')
     if not isinstance(text, str):
         if abs(text) > 1e300 or not math.isfinite(text):
-            raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{wanted.example}"')
-        raise UnitProblem(f"{_a(kind)} needs a unit", f'Write "{_digits(text)} {wanted.display}", with the quotes')
+            raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{expected_kind.example}"')
+        raise UnitProblem(f"{_a(kind)} needs a unit", f'Write "{_digits(text)} {expected_kind.display}", with the quotes')
     text = plain(text[:201])
     match = _QUANTITY.fullmatch(text) if len(text) <= 200 else None
     if match is None or _UNIT.fullmatch(match[2] or "m") is None:
         _check_form(text.strip(), kind)
     if match is None:
-        raise UnitProblem(f"this is not {_a(kind)}", f'Write a number and a unit: "{wanted.example}"')
+        raise UnitProblem(f"this is not {_a(kind)}", f'Write a number and a unit: "{expected_kind.example}"')
     number, unit = match.groups()
     if unit is None:
-        raise UnitProblem(f"{_a(kind)} needs a unit", f'Write "{number} {wanted.display}"')
+        raise UnitProblem(f"{_a(kind)} needs a unit", f'Write "{number} {expected_kind.display}"')
     known = _unit(unit, kind)
     value = float(number) * known.scale
     if not math.isfinite(value):
-        raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{wanted.example}"')
+        raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{expected_kind.example}"')
     return value, known.symbol
 
 
 def _check_form(text: str, kind: str) -> None:
     """Raise for what is written in another form than a number and a unit, but can be recognised."""
-    wanted = KINDS[kind]
+    expected_kind = KINDS[kind]
     if len(text) > 200:
         return
     if re.match(r"[-+]?(nan|inf)", text, re.IGNORECASE):
-        raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{wanted.example}"')
+        raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{expected_kind.example}"')
     if split_range(text) is not None:
-        raise UnitProblem(f"one {kind} is needed here, not a range", f'Write one value: "{wanted.example}"')
+        raise UnitProblem(f"one {kind} is needed here, not a range", f'Write one value: "{expected_kind.example}"')
     comma, groups = re.fullmatch(_COMMA, text), re.fullmatch(_GROUPS, text)
     if comma is not None:
         sign, whole, decimals, unit = comma.groups()
-        clear = f"{sign}{whole}.{decimals} {unit or wanted.display}"
+        clear = f"{sign}{whole}.{decimals} {unit or expected_kind.display}"
         parse(clear, kind)
         if len(decimals) != 3 or len(whole) > 3 or whole.startswith("0"):
             raise UnitProblem("this has a decimal comma", f'Write a decimal point: "{clear}"')
-        other = f"{sign}{whole}{decimals} {unit or wanted.display}"
+        other = f"{sign}{whole}{decimals} {unit or expected_kind.display}"
         raise UnitProblem("the comma may separate decimals or thousands", f'Write "{clear}" or "{other}"')
     if groups is not None:
         whole, decimals, unit = groups.groups()
-        clear = f"{re.sub('[^-+0-9]', '', whole)}{f'.{decimals}' if decimals else ''} {unit or wanted.display}"
+        clear = f"{re.sub('[^-+0-9]', '', whole)}{f'.{decimals}' if decimals else ''} {unit or expected_kind.display}"
         parse(clear, kind)
         raise UnitProblem("thousands separators are not read", f'Write "{clear}"')
 

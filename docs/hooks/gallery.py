@@ -20,7 +20,7 @@ import optlink
 from optlink.linkage.motion import Motion, sweep
 from optlink.report.drawing import Sketch
 from optlink.report.report_model import report_model_of, solve_or_validate
-from optlink.report.style import WANTED, house
+from optlink.report.style import TARGET, house
 from optlink.report.views.path_view import PathView, best
 from optlink.tasks.results.path import PathResult
 
@@ -108,7 +108,7 @@ def picture(name: str) -> bytes:
             sketch.widen(view.targets * sketch.scale.factor)
         drawn, axes = sketch.alone(*SIZE)
         if view is not None:
-            axes.plot(*(view.targets * sketch.scale.factor).T, ".", color=WANTED, markersize=3.5, zorder=5)
+            axes.plot(*(view.targets * sketch.scale.factor).T, ".", color=TARGET, markersize=3.5, zorder=5)
             if view.task.requirement.kind == "motion":
                 for k in range(view.at.crank_angle.size):
                     for artist in sketch.pose(axes, view.at, k):

@@ -117,11 +117,11 @@ class ClosedLoop:
     def _check_inertia(self, state: Array) -> None:
         """Check that every free motion has inertia."""
         equations = self.equations
-        mass, held = equations.masses(state)
+        mass, constraint_rows = equations.masses(state)
         count = len(equations.free)
         if not count:
             return
-        matrix, grip = mass.reshape(count, count).T, held.reshape(count, -1).T
+        matrix, grip = mass.reshape(count, count).T, constraint_rows.reshape(count, -1).T
         lengths = np.array(
             [1.0 if equations.tree.coordinates[i].kind == "angle" else equations.machine.size for i in equations.free]
         )

@@ -46,26 +46,26 @@ class ClearanceColumns:
 
     def _balance(self) -> None:
         """Compute the forces in the ideal joints: first the closing joints, then body by body from the leaves of the tree."""
-        loose, cut = self.motion, self.equations.tree
-        needed = loose.needed()
-        forces = [one for several in loose.acting().values() for one in several]
+        moving, cut = self.motion, self.equations.tree
+        needed = moving.needed()
+        forces = [one for several in moving.acting().values() for one in several]
         for gap, contact in zip(self.equations.gaps, self.touches, strict=True):
-            both = acting(gap, loose.play(gap), loose.position(gap.point, gap.journal), contact)
+            both = acting(gap, moving.play(gap), moving.position(gap.point, gap.journal), contact)
             forces += both
             for one in both:
                 self._exert(gap.point, one.body, one.force)
         for one in forces:
             if one.body != FRAME:
-                self._need(needed, one.body, one.wrench(loose.state(one.body)))
+                self._need(needed, one.body, one.wrench(moving.state(one.body)))
         for i, joint in enumerate(cut.closing):
             a, b = -self.pull[:, 2 * i], -self.pull[:, 2 * i + 1]
             self._hold(needed, joint, self._closing_force(joint, a, b), b if isinstance(joint, Guide) else 0.0)
-        for body, _, held in reversed(cut.branches):
-            if held is not None:
-                total, at = needed[body], self._joint(held)
-                force, moment = total.force, total.about(loose.state(body).start, at)
-                sign = 1.0 if body == held.bodies[0] else -1.0
-                self._hold(needed, held, (sign * force[0], sign * force[1]), sign * moment, skip=body)
+        for body, _, joint_forces in reversed(cut.branches):
+            if joint_forces is not None:
+                total, at = needed[body], self._joint(joint_forces)
+                force, moment = total.force, total.about(moving.state(body).start, at)
+                sign = 1.0 if body == joint_forces.bodies[0] else -1.0
+                self._hold(needed, joint_forces, (sign * force[0], sign * force[1]), sign * moment, skip=body)
 
     def _closing_force(self, joint: Pin | Guide, a: Value, b: Value) -> Vector:
         if isinstance(joint, Guide):
@@ -124,9 +124,9 @@ class ClearanceColumns:
         yield from self._energies()
 
     def _motion(self) -> Iterator[tuple[str, str, Value]]:
-        loose, mechanism = self.motion, self.equations.tree.mechanism
+        moving, mechanism = self.motion, self.equations.tree.mechanism
         for body in mechanism.bodies:
-            state = loose.state(body)
+            state = moving.state(body)
             own = [i for i, coordinate in enumerate(self.equations.tree.coordinates) if coordinate == (body, "angle")]
             angle = self.block.states[:, own[0]] if own else np.arctan2(state.axis[1], state.axis[0])
             yield f"{body}.angle_rad", f"angle of {body}'s axis from +x", angle
@@ -140,10 +140,10 @@ class ClearanceColumns:
             for body in shown:
                 if body != FRAME:
                     name = f"{point}.{body}" if point in gaps else point
-                    for axis, value in zip("xy", loose.position(point, body), strict=True):
+                    for axis, value in zip("xy", moving.position(point, body), strict=True):
                         yield f"{name}.{axis}_m", f"position of {point}{f' on {body}' if point in gaps else ''} in {axis}", value
         names = slider_names(self.equations.machine)
-        for guide, (s, v, a) in loose.slides.items():
+        for guide, (s, v, a) in moving.slides.items():
             yield f"{names[guide]}.s_m", f"slide in the guide {guide}", s
             yield f"{names[guide]}.v_m_s", f"sliding velocity in the guide {guide}", v
             yield f"{names[guide]}.a_m_s2", f"sliding acceleration in the guide {guide}", a

@@ -61,9 +61,9 @@ class PID:
         slope = 0.0 if self.before is None else (error - self.before) / self.sample
         self.before = error
         integral = self.integral + gains.integral * self.sample * error
-        wanted = gains.proportional * error + integral + gains.derivative * slope
-        found = min(max(wanted, -gains.limit), gains.limit)
-        if found == wanted or (wanted - found) * error < 0.0:
+        demand = gains.proportional * error + integral + gains.derivative * slope
+        found = min(max(demand, -gains.limit), gains.limit)
+        if found == demand or (demand - found) * error < 0.0:
             self.integral = integral
         return found
 

@@ -89,18 +89,18 @@ class Equations:
         """
         return ClearanceState(self.machine, self.tree, [Jet(*three) for three in zip(q, v, a, strict=True)], self.speed)
 
-    def touches(self, loose: ClearanceState, speeds: Iterable[Any], modes: Iterable[Any]) -> list[Touch]:
+    def touches(self, moving: ClearanceState, speeds: Iterable[Any], modes: Iterable[Any]) -> list[Touch]:
         """Return the contacts at the gaps.
 
         Parameters
         ----------
-        loose : ClearanceState
+        moving : ClearanceState
         speeds : iterable of Value [m/s]
             Approach speed at the begin of the contact, for each gap.
         modes : iterable of Value
             1 in contact, 0 apart, for each gap.
         """
-        return [touch(gap, loose.play(gap), v, m) for gap, v, m in zip(self.gaps, speeds, modes, strict=True)]
+        return [touch(gap, moving.play(gap), v, m) for gap, v, m in zip(self.gaps, speeds, modes, strict=True)]
 
     @property
     def losses(self) -> tuple[str, ...]:
@@ -118,7 +118,7 @@ class Equations:
         self.command = casadi.SX.sym("command", 3)  # angle, speed and acceleration of the servo reference
         q, v = casadi.vertsplit(x)[:n], casadi.vertsplit(x)[n:]
         still = [casadi.SX(0.0)] * n
-        loose = self.state(q, v, casadi.vertsplit(a))
+        moving = self.state(q, v, casadi.vertsplit(a))
         known = self.state(q, v, still)  # loads must not depend on the symbols of unknown accelerations
         touches = self.touches(known, casadi.vertsplit(self.entered), casadi.vertsplit(self.modes))
         loads = known.acting()
@@ -126,7 +126,7 @@ class Equations:
         for gap, contact in zip(self.gaps, touches, strict=True):
             forces += acting(gap, known.play(gap), known.position(gap.point, gap.journal), contact)
         residual = casadi.SX.zeros(n)
-        for body, (force, moment) in loose.needed().items():
+        for body, (force, moment) in moving.needed().items():
             state = known.state(body)
             (fx, fy), total = force, moment
             for one in forces:
@@ -135,7 +135,7 @@ class Equations:
                     fx, fy, total = fx - gx, fy - gy, total - turned
             rates = casadi.vertcat(*state.velocity, state.omega)
             residual += casadi.jacobian(rates, x[n:]).T @ casadi.vertcat(fx, fy, total)
-        opened = [jet_parts(value) for value in self.tree.open(loose.places)]
+        opened = [jet_parts(value) for value in self.tree.open(moving.places)]
         closure = casadi.vertcat(*[value for value, _, _ in opened]) if opened else casadi.SX(0, 1)
         bent = casadi.vertcat(*[twice for _, _, twice in opened]) if opened else casadi.SX(0, 1)
         grip = casadi.jacobian(closure, x[:n])
@@ -149,10 +149,10 @@ class Equations:
         rest, late = (casadi.substitute(part, a, at) for part in (residual, bent))
         if torque is not None:
             rest[crank] -= torque
-        mass, held = casadi.jacobian(residual, a), grip[:, free]
+        mass, constraint_rows = casadi.jacobian(residual, a), grip[:, free]
         m = closure.numel()
         if m:
-            matrix = casadi.blockcat([[mass[free, free], held.T], [held, casadi.SX(m, m)]])
+            matrix = casadi.blockcat([[mass[free, free], constraint_rows.T], [constraint_rows, casadi.SX(m, m)]])
             solved = casadi.solve(matrix, -casadi.vertcat(rest[free], late)) if free else casadi.SX(0, 1)
         else:
             matrix = mass[free, free]
@@ -182,7 +182,7 @@ class Equations:
         self.watched = [depth, rate, curve, normal, over[0], lever, torque, over[1]]
         self._outcome = [whole, torque, pull]
         self.free, self.symbolic = free, known
-        self.masses = CompiledFunction([x], [mass[free, free], held])
+        self.masses = CompiledFunction([x], [mass[free, free], constraint_rows])
         self.closing, self.closed = m, [x[:n], closure, grip]
 
     def _driven(self, known: ClearanceState) -> tuple[Any, Any]:

@@ -73,11 +73,11 @@ class Inverse:
         self.free = [i for i in range(self.size) if i != crank]
         with symbols_in_numpy():
             q, e = casadi.SX.sym("q", self.size), casadi.SX.sym("e", 2 * len(gaps))
-            loose = ClearanceState(machine, self.tree, [Jet(value) for value in casadi.vertsplit(q)], speed)
-            apart = [loose.play(gap).eccentricity for gap in gaps]
+            moved = ClearanceState(machine, self.tree, [Jet(value) for value in casadi.vertsplit(q)], speed)
+            apart = [moved.play(gap).eccentricity for gap in gaps]
             missing = [value - e[i] for i, value in enumerate(part for pair in apart for part in pair)]
-            missing += [jet_parts(value)[0] for value in self.tree.open(loose.places)]
-            value, gone = output.of(loose), casadi.vertcat(*missing)
+            missing += [jet_parts(value)[0] for value in self.tree.open(moved.places)]
+            value, gone = output.of(moved), casadi.vertcat(*missing)
             results = [gone, casadi.jacobian(gone, q), value, casadi.jacobian(value, q)]
             self._loops = CompiledFunction([q, e], results, POINTS)
         self.angles: Array = np.asarray(start + np.sign(speed) * np.linspace(0.0, 2.0 * np.pi, POINTS, endpoint=False))

@@ -29,9 +29,9 @@ class Output:
         """Name of the column in tables."""
         return f"{self.name}.s_m" if self.guide else f"{self.name}.angle_rad"
 
-    def of(self, loose: ClearanceState) -> Value:
+    def of(self, with_clearance: ClearanceState) -> Value:
         """Return the output [m, rad]; an angle lies in (-pi, pi]."""
-        return loose.slides[self.guide][0] if self.guide else angle(loose.state(self.name).axis)
+        return with_clearance.slides[self.guide][0] if self.guide else angle(with_clearance.state(self.name).axis)
 
     def ideal(self, moving: Moving) -> tuple[Value, Value]:
         """Return the output of the machine without clearance [m, rad], and its velocity."""

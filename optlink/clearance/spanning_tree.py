@@ -68,8 +68,8 @@ class SpanningTree:
         """The ideal revolute joints, each between two bodies."""
         found = []
         for point, bodies in self.mechanism.pins.items():
-            held = [body for body in bodies if body != self.gaps.get(point)]
-            found += [Pin(point, held[0], other) for other in held[1:]]
+            carriers = [body for body in bodies if body != self.gaps.get(point)]
+            found += [Pin(point, carriers[0], other) for other in carriers[1:]]
         return tuple(found)
 
     @cached_property
@@ -145,9 +145,9 @@ class SpanningTree:
 
     def _slid(self, guide: Guide, body: str, parent: BodyPlace, slide: Value) -> BodyPlace:
         """Place a body in a guide of its parent; the body may be the slider, or carry the line."""
-        (at, own), (held, line) = self.local.local_line(guide, body), self.local.local_line(guide, guide.other(body))
+        (at, own), (carriers, line) = self.local.local_line(guide, body), self.local.local_line(guide, guide.other(body))
         way = turn(line, parent.axis)
-        begin, axis = plus(parent.start, turn(held, parent.axis)), turn_back(way, own)
+        begin, axis = plus(parent.start, turn(carriers, parent.axis)), turn_back(way, own)
         shift = slide if body == guide.slider else -slide
         return BodyPlace(minus((begin[0] + shift * way[0], begin[1] + shift * way[1]), turn(at, axis)), axis)
 

@@ -50,8 +50,8 @@ app.command()(studio.studio)
 app.add_typer(study.study, name="study")
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
+def _version(requested: bool) -> None:
+    if requested:
         from optlink import __version__
 
         print(f"optlink {__version__}")

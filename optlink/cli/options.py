@@ -127,9 +127,9 @@ Design = Annotated[
 ]
 
 
-def _set_quiet(wanted: bool) -> bool:
-    console.quiet = wanted
-    return wanted
+def _set_quiet(chosen: bool) -> bool:
+    console.quiet = chosen
+    return chosen
 
 
 def _set_pictures(text: str) -> str:

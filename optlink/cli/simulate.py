@@ -85,8 +85,8 @@ def simulate(
     if torque is not None:
         file = file.override({"drive.torque": torque, "drive.servo": None})
     given = console.read_design_option(file, design)
-    loose = file.model.has_clearance and not ideal
-    if not loose:
+    with_clearance = file.model.has_clearance and not ideal
+    if not with_clearance:
         of_gaps: dict[str, Any] = {"--revolutions": revolutions, "--control": control, "--tolerance": tolerance}
         of_gaps |= {"--integrator": integrator, "--resume": resume, "--tune": tune}
         message = f"{'joints count as ideal' if ideal else 'no joint has clearance'}, so the option does nothing"
@@ -99,7 +99,7 @@ def simulate(
         message, remedy = "only a search for parameters has evaluations", "Add --tune NAME, or leave it out"
         console.refuse({"--evaluations": evaluations}, message, remedy, file.file)
     if not comparing and not tune:
-        remedy = "Leave it out" if not loose else f"Add --control {COMPARE} or --tune NAME, or leave it out"
+        remedy = "Leave it out" if not with_clearance else f"Add --control {COMPARE} or --tune NAME, or leave it out"
         message = "there is one start, so the option does nothing"
         of_many = {"--starts": starts, "--seed": seed, "--workers": workers, "--engine": engine, "--scheduler": scheduler}
         console.refuse(of_many, message, remedy, file.file)
@@ -111,7 +111,7 @@ def simulate(
     common: dict[str, Any] = {"speed": console.quantity(speed, "angular velocity", "--speed"), "design": given}
     time = console.quantity(duration, "time", "--duration")
     inertia = console.quantity(flywheel, "moment of inertia", "--flywheel") or 0.0
-    if not loose:
+    if not with_clearance:
         from optlink.tasks.simulate import simulate as run
 
         with console.share("simulating") as progress:

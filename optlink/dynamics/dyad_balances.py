@@ -103,10 +103,10 @@ def _rpp(balance: ForceBalance, group: RPP, tilts: Mapping[str, Value]) -> Group
     outer = solve_two_by_two(across, dot(across, needed), rail, dot(rail, total))
     inner, at, rest = minus(needed, outer), balance.at(group.guide), balance.at(group.rail)
     moment = balance.about(first, at) - cross(minus(p, at), outer)
-    held = balance.about(yoke, rest) + cross(minus(at, rest), inner) + moment
+    reaction_moment = balance.about(yoke, rest) + cross(minus(at, rest), inner) + moment
     return GroupForces(
         [(group.outer, first.body, outer)],
-        [(group.guide, first.body, inner, moment), (group.rail, yoke.body, minus(total, outer), held)],
+        [(group.guide, first.body, inner, moment), (group.rail, yoke.body, minus(total, outer), reaction_moment)],
         (across, rail),
     )
 

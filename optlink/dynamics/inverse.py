@@ -211,18 +211,18 @@ class ForceBalance:
             found.append((fits, trial))
         # no consistent signs: friction locks the guide; several that differ: the solution is not unique (Painleve paradox)
         chosen = _each(found[0][1], lambda x: np.nan * x)
-        settled: Value = False
+        decided: Value = False
         torn: Value = False
         for fits, trial in found:
-            if not np.any(settled) and np.all(fits):
+            if not np.any(decided) and np.all(fits):
                 chosen = trial
             else:
                 differs = sum(np.abs(a - b) for a, b in zip(_forces(trial), _forces(chosen), strict=True))
                 size = sum(np.abs(a) for a in _forces(chosen))
-                torn = np.logical_or(torn, np.logical_and(np.logical_and(fits, settled), differs > 1e-6 * size))
-                chosen = _either(np.logical_and(fits, np.logical_not(settled)), trial, chosen)
-            settled = np.logical_or(settled, fits)
-        good = np.logical_and(settled, np.logical_not(torn))
+                torn = np.logical_or(torn, np.logical_and(np.logical_and(fits, decided), differs > 1e-6 * size))
+                chosen = _either(np.logical_and(fits, np.logical_not(decided)), trial, chosen)
+            decided = np.logical_or(decided, fits)
+        good = np.logical_and(decided, np.logical_not(torn))
         self.jammed = np.logical_or(self.jammed, np.logical_not(good))
         return chosen if np.all(good) else _each(chosen, lambda x: np.where(good, x, np.nan))
 

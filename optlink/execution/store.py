@@ -295,7 +295,7 @@ class Store:
         InputError
             If the table was changed.
         """
-        number, wanted = 0, sum(map(self.sizes, range(self.count)))
+        number, expected = 0, sum(map(self.sizes, range(self.count)))
         with self.table.open(encoding="utf-8", newline="", errors="replace") as file:
             rows: Iterable[list[str]] = csv.reader(file)
             for number, row in enumerate(rows):
@@ -304,7 +304,7 @@ class Store:
                 if number:
                     yield row
             else:
-                if number == wanted:
+                if number == expected:
                     return
         remedy = "Remove the folder and begin again, or choose another one"
         raise InputError("the finished table has been changed or truncated", remedy, str(self.table), "--out")

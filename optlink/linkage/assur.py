@@ -210,11 +210,11 @@ class Assembly:
                     "Give one of its joints the name of a joint of another body or of the ground, or take it out",
                     f"links.{body}",
                 )
-        held = [*(p for p in self.pins(self.driver) if FRAME in self.members[p] and p != crank.start)]
-        held += [guide.name for guide in self.rails(self.driver) if FRAME in guide.bodies]
-        if held:
+        fixed_at = [*(p for p in self.pins(self.driver) if FRAME in self.members[p] and p != crank.start)]
+        fixed_at += [guide.name for guide in self.rails(self.driver) if FRAME in guide.bodies]
+        if fixed_at:
             raise StructureError(
-                f"the driven body {self.driver} cannot turn: besides its pivot {crank.start} the frame holds it at {_list(held)}",
+                f"the driven body {self.driver} cannot turn: it is also joined to the frame at {_list(fixed_at)}",
                 "Take that joint away",
                 f"links.{self.driver}",
             )
@@ -341,8 +341,8 @@ class Assembly:
         free = self.mobility()
         if free > 1:
             ends = (point for body in left for point in (self.links[body].start, self.links[body].end))
-            loose = [point for point in ends if point and len(self.members[point]) == 1]
-            check = f"; check the names of {_list(loose)}, joints of one body alone" if len(loose) > 1 else ""
+            unshared = [point for point in ends if point and len(self.members[point]) == 1]
+            check = f"; check the names of {_list(unshared)}, joints of one body alone" if len(unshared) > 1 else ""
             return StructureError(
                 f"{_list(left)} cannot be placed: the mechanism has {free} degrees of freedom and one driver",
                 f"Join them to the frame or to another body, or take them out{check}",

@@ -37,17 +37,17 @@ AHEAD = 1e-6  # rad beyond an event at which its sense (rising or falling) is de
 class _Sensed(Moving):
     """A machine in motion with symbols for the senses of motion in place of the signs of velocities.
 
-    `asked` collects pairs of a velocity function and its symbol.
+    `requested` collects pairs of a velocity function and its symbol.
     """
 
     def __init__(self, machine: Machine, motion: Motion, direction: float) -> None:
         super().__init__(machine, motion, 1, direction)
-        self.asked: list[tuple[Callable[[Moving], tuple[Value, Value]], Any]] = []
+        self.requested: list[tuple[Callable[[Moving], tuple[Value, Value]], Any]] = []
 
     def sense(self, of: Callable[[Moving], tuple[Value, Value]], size: Value = 1.0) -> Value:
         """Return a symbol for the sense of a motion, substituted later."""
-        symbol = casadi.SX.sym(f"sense {len(self.asked)}")
-        self.asked.append((of, symbol))
+        symbol = casadi.SX.sym(f"sense {len(self.requested)}")
+        self.requested.append((of, symbol))
         return symbol
 
 
@@ -194,9 +194,9 @@ class TracedCycle:
         moving, inputs = self._machine, self._inputs
         with symbols_in_numpy():
             signals = self._signals(moving)
-            senses = [self.direction * sign(of(moving)[0] / self.speed) for of, _ in moving.asked]
+            senses = [self.direction * sign(of(moving)[0] / self.speed) for of, _ in moving.requested]
         outputs = casadi.vertcat(*[part for signal in signals for part in signal], *self._margins)
-        symbols = casadi.vertcat(*[symbol for _, symbol in moving.asked])
+        symbols = casadi.vertcat(*[symbol for _, symbol in moving.requested])
         return (
             [len(signal) for signal in signals],
             outputs,
@@ -346,7 +346,7 @@ class TracedCycle:
 
         cutting: list[tuple[float, int, bool]] = []
         every: dict[int, list[tuple[float, int, bool]]] = {}
-        told: list[tuple[float, int, bool]] = []
+        separate: list[tuple[float, int, bool]] = []
         for k, places in enumerate(zeros(values_at, grid, still=True, slope=slope, samples=there[groups:])):
             rises = [slope(k, at + AHEAD)[0] > 0.0 for at in places.tolist()]
             own = [(float(at) % TURN, k, bool(up)) for at, up in zip(places, rises, strict=True)]
@@ -354,8 +354,8 @@ class TracedCycle:
             if self.events[k].cuts:
                 cutting += own
             else:
-                told += _from_rise(own)
-        ordered = [*_from_rise(cutting), *told]
+                separate += _from_rise(own)
+        ordered = [*_from_rise(cutting), *separate]
         slow = tuple(_forward_slow(every[k]) for k in self.paced)
         return EventOrder(tuple(k for _, k, _ in ordered), tuple(up for *_, up in ordered), tuple(at for at, *_ in ordered), slow)
 

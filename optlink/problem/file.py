@@ -273,8 +273,8 @@ def complete(problem: ProblemFile) -> dict[str, Any]:
         from optlink.problem.path_checks import four_bar_limits
 
         four_bar = not of_dyads(problem.raw)
-        held = {key for key in MARGINS if key in type(limits).model_fields and (four_bar or key not in four_bar_limits())}
-        own = {key: value for key, value in MARGINS.items() if key in held}
+        applicable = {key for key in MARGINS if key in type(limits).model_fields and (four_bar or key not in four_bar_limits())}
+        own = {key: value for key, value in MARGINS.items() if key in applicable}
         raw["limits"] = {**own, **raw.get("limits", {})}
     return raw
 

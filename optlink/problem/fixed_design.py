@@ -15,7 +15,7 @@ from optlink.problem.file import ProblemFile, read
 from optlink.problem.targets.target_points import read_file
 from optlink.problem.tolerances import read_tolerance
 
-ASKED = ("requirement", "objective", "limits", "expected")
+REQUIREMENTS = ("requirement", "objective", "limits", "expected")
 """Sections that say what is wanted; without them a problem is a machine."""
 
 
@@ -28,7 +28,7 @@ def fixed_design(file: ProblemFile, values: Mapping[str, float]) -> ProblemFile:
     values : mapping of str to float [m, rad]
         Value of every quantity of the mechanism.
     """
-    raw: dict[str, Any] = copy.deepcopy({key: value for key, value in file.raw.items() if key not in ASKED})
+    raw: dict[str, Any] = copy.deepcopy({key: value for key, value in file.raw.items() if key not in REQUIREMENTS})
     for name, quantity in file.model.mechanism.quantities.items():
         write(raw["mechanism"], name, f"{values[name] / quantity.si_per_unit!r} {quantity.display[1]}")
     return read(raw, file.name, file.file, file.folder)

@@ -336,11 +336,11 @@ def _stretched(mechanism: Mechanism, name: str, pin: str) -> str:
     length.
     """
     reached, bodies = {pin}, set[str]()
-    held = {body for owners in mechanism.pins.values() if FRAME in owners for body in owners}
+    grounded = {body for owners in mechanism.pins.values() if FRAME in owners for body in owners}
     while True:
         near = [b for b in mechanism.bodies if b not in bodies and any(b in mechanism.pins[p] for p in reached)]
         for body in near:
-            if body not in held and isinstance(mechanism.bodies[body].length, str):
+            if body not in grounded and isinstance(mechanism.bodies[body].length, str):
                 return str(mechanism.bodies[body].length)
         if not near:
             raise Unusable("no link between moving pins has a length that its clearance could add to", "Leave it out", name)

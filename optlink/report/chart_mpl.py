@@ -90,8 +90,8 @@ def draw(charts: Sequence[ChartSpec]) -> Figure:
             places = part.subfigures(1, len([*widths, *rest]), width_ratios=[*widths, *rest], squeeze=False)[0]
             for place, chart in zip(places, row, strict=False):
                 labels += _chart(place, chart)
-                told = [heading(text, chart.width - 0.7, 9.5) for text in (chart.title, chart.remark) if text]
-                place.suptitle("\n".join(told), fontsize=9.5)
+                written = [heading(text, chart.width - 0.7, 9.5) for text in (chart.title, chart.remark) if text]
+                place.suptitle("\n".join(written), fontsize=9.5)
     made.suptitle(title, fontsize=TITLE, color=LIMIT if first.warning else INK)
     if labels:
         place_labels(made, labels)
@@ -269,9 +269,9 @@ def _cut(axes: Axes, trace: Bars) -> None:
     for at, value in zip(trace.x, trace.y, strict=True):
         if not low <= value <= high and math.isfinite(value):
             up = value > high
-            told = f"{'↑' if up else '↓'} {value:.4g}".replace("-", "−")
+            written = f"{'↑' if up else '↓'} {value:.4g}".replace("-", "−")
             end = (float(at), high if up else low)
-            drawn = axes.annotate(told, end, (0, -3 if up else 3), textcoords="offset points", ha="center", fontsize=8.0)
+            drawn = axes.annotate(written, end, (0, -3 if up else 3), textcoords="offset points", ha="center", fontsize=8.0)
             drawn.set(va="top" if up else "bottom", path_effects=HALO, gid="cut off", zorder=5)
 
 

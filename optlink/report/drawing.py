@@ -177,10 +177,10 @@ class Sketch:
         found: list[tuple[Array, float, bool]] = []
         middle = np.mean(finite(self.points[:, self.near] * self.scale.factor), axis=0)
         s = self.size
-        held = {point for spring in self.springs for body, point in spring.ends if body == FRAME}
+        anchors = {point for spring in self.springs for body, point in spring.ends if body == FRAME}
         for name in self.mechanism.ground:
             at = self._vector(self.motion.pose.points[name])
-            if name in self.mechanism.pins or name in held:
+            if name in self.mechanism.pins or name in anchors:
                 found.append((at + s * np.array([[0.0, 0.0], [-0.55, -1.0], [0.55, -1.0], [0.0, 0.0]]), 1.1, True))
                 found.append((at + s * np.array([[-0.9, -1.0], [0.9, -1.0]]), 1.1, False))
                 found.append(

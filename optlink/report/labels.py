@@ -13,7 +13,7 @@ from matplotlib.patches import FancyArrowPatch, Polygon
 from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
-from optlink.report.style import HALO, WANTED
+from optlink.report.style import HALO, TARGET
 
 WAYS = np.array([[np.cos(t), np.sin(t)] for t in np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)])
 REACHES = np.array([2.0, 5.0, 9.0, 15.0, 24.0, 36.0])  # distances tried between point and label [pt]
@@ -28,7 +28,7 @@ class Label:
     axes: Axes
     at: tuple[float, float]
     text: str
-    colour: str = WANTED
+    colour: str = TARGET
     size: float = 9.0
     clear: float = 3.0
     prefer: tuple[float, float] = (0.0, 0.0)

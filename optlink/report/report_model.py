@@ -30,7 +30,7 @@ class ReportModel:
 
     `cycle` is the analysis of the resulting machine over its whole motion from the start of its task; it is None if the machine
     cannot be assembled, with the reason in `unmoved`. `limits` are constraint states with shadow prices read from a result file.
-    `notes` inform the reader about the origin of the result. `answers` are the sensitivities of the optimum, if they were
+    `notes` inform the reader about the origin of the result. `effects` are the sensitivities of the optimum, if they were
     requested.
     """
 
@@ -40,7 +40,7 @@ class ReportModel:
     unmoved: str = ""
     limits: tuple[LimitState, ...] = ()
     notes: tuple[str, ...] = ()
-    answers: Sensitivities | None = None
+    effects: Sensitivities | None = None
 
     @property
     def valid(self) -> bool:

@@ -26,7 +26,7 @@ from optlink.report.format import Scale as Scale, degrees as degrees, scale as s
 CRANK, COUPLER, ROCKER, GROUND = "#c0392b", "#2c6fbb", "#2e8b57", "#444444"
 BODIES = (COUPLER, ROCKER, "#d07d00", "#7d55a8", "#17888f", "#a0522d", "#c2527f", "#6f7d22", "#5a6b7b")
 """Colours of the bodies after the crank, in the order in which they are placed."""
-QUIET, WANTED, FOUND, LIMIT = "#9a9a9a", "#111111", "#2c6fbb", "#c0392b"
+QUIET, TARGET, FOUND, LIMIT = "#9a9a9a", "#111111", "#2c6fbb", "#c0392b"
 SHADE = "#f3e3c3"
 HALO: list[patheffects.AbstractPathEffect] = [patheffects.withStroke(linewidth=2.5, foreground="white")]
 OTHER_SCRIPTS = ("Noto Sans CJK SC", "Source Han Sans SC", "Microsoft YaHei", "SimHei", "PingFang SC", "WenQuanYi Zen Hei")
@@ -160,11 +160,11 @@ def one_palette(pictures: Sequence[NDArray[np.uint8]], colours: int = 160) -> li
         Size of the palette.
     """
     packed = [(p[..., 0].astype(np.int32) << 16) | (p[..., 1].astype(np.int32) << 8) | p[..., 2] for p in pictures]
-    asked, counts = np.unique(np.concatenate([p.ravel() for p in packed[:: max(1, len(packed) // 6)]]), return_counts=True)
+    colours_used, counts = np.unique(np.concatenate([p.ravel() for p in packed[:: max(1, len(packed) // 6)]]), return_counts=True)
     order = np.argsort(-counts, kind="stable")
-    exact = _unpacked(asked[order[: 2 * colours // 3]])
+    exact = _unpacked(colours_used[order[: 2 * colours // 3]])
     chosen = exact
-    rest = _unpacked(asked[order[2 * colours // 3 :]])
+    rest = _unpacked(colours_used[order[2 * colours // 3 :]])
     if len(rest):
         count = colours - len(exact)
         found = Image.fromarray(rest[None, :, :]).quantize(count).getpalette() or []

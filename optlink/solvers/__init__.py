@@ -1,1 +1,1 @@
-"""Solvers: back ends, multistart, exchange methods, infeasibility analysis, and solutions with their optimality proof."""
+"""Solvers: back ends, multistart, exchange methods, infeasibility analysis, and solutions with their optimality conditions."""

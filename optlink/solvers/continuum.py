@@ -60,10 +60,10 @@ def continuum(nlp: CycleNLP, solution: Solution, name: str) -> Continuum | None:
 def _flat(nlp: CycleNLP, solution: Solution) -> list[Array]:
     """Return directions with neither a curvature of the Lagrangian nor a priced limit, flattest first."""
     n, point = len(solution.x), nlp.at(solution.x, solution.p)
-    multipliers = solution.proof.multipliers
+    multipliers = solution.conditions.multipliers
     size = float(np.max(np.abs(multipliers), initial=0.0))
     equal = nlp.lower == nlp.upper
-    holding = [i for i in solution.proof.active if equal[i] or abs(multipliers[i]) > STRONG * size]
+    holding = [i for i in solution.conditions.active if equal[i] or abs(multipliers[i]) > STRONG * size]
     basis = tangent_space(point, holding)
     if basis.shape[1] == 0:
         return []

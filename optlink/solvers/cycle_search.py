@@ -150,7 +150,7 @@ def at_edge(solution: Solution) -> bool:
         Of a `CycleNLP`.
     """
     rows = solution.nlp.rows
-    prices = np.abs(solution.proof.multipliers[len(solution.x) :])
+    prices = np.abs(solution.conditions.multipliers[len(solution.x) :])
     return solution.usable and any(
         row.limit == EVENT and row.low < row.high and value - row.low <= ACTIVE and price > LEAST_PRICE
         for row, value, price in zip(rows, solution.g, prices, strict=True)
@@ -412,8 +412,8 @@ def explain_infeasibility(found: CycleSearchResult, names: Sequence[str]) -> Cyc
     """
     nlp, order = found.orders[0].nlp, found.orders[0]
     coarse = build_cycle(nlp.traced, nlp.structure, nlp.design(nlp.x_start), nodes=COARSE)
-    asked = {bound.key for bound in coarse.traced.problem.bounds}
-    kept = coarse.states.union(coarse.free, {row.limit for row in coarse.rows} - asked - {EPIGRAPH})
+    required = {bound.key for bound in coarse.traced.problem.bounds}
+    kept = coarse.states.union(coarse.free, {row.limit for row in coarse.rows} - required - {EPIGRAPH})
     ends = [nlp.design(solution.x) for solution in next(iter(order.runs.values()))[:TRIED]]
     points = [coarse.x_of(values) for values in (*order.begin.starts[:TRIED], *ends)]
 

@@ -220,13 +220,15 @@ def elastic_programme(nlp: NLP, limits: Sequence[Limit]) -> NLP:
     rows += [replace(row, value=g[j]) for j, row in enumerate(nlp.rows) if row.limit in nlp.states]
     bounded = np.array([v.name not in nlp.helpers for v in nlp.variables])
     giving = {i for _, side in sides for i in side.variables}
-    held = np.array([v.name in nlp.states or (bounded[i] and i not in giving) for i, v in enumerate(nlp.variables)])
+    fixed_variables = np.array([v.name in nlp.states or (bounded[i] and i not in giving) for i, v in enumerate(nlp.variables)])
     length = np.array([v.name in LENGTHS or v.name.endswith(".length") for v in nlp.variables])
     room = np.where(bounded, np.maximum(nlp.x_high - nlp.x_low, 1.0), 1.0)
     lowest = np.where(length, 1e-3 * nlp.x_low, nlp.x_low - room)  # a length may shrink towards zero, not below
     # helpers keep their bounds, except the largest error, which has no upper bound
-    lowest = np.where(held, nlp.x_low, np.where(bounded, lowest, np.where(np.isfinite(nlp.x_low), nlp.x_low, 0.0)))
-    highest = np.where(held, nlp.x_high, np.where(bounded, nlp.x_high + room, np.where(np.isfinite(nlp.x_high), nlp.x_high, 1.0)))
+    lowest = np.where(fixed_variables, nlp.x_low, np.where(bounded, lowest, np.where(np.isfinite(nlp.x_low), nlp.x_low, 0.0)))
+    highest = np.where(
+        fixed_variables, nlp.x_high, np.where(bounded, nlp.x_high + room, np.where(np.isfinite(nlp.x_high), nlp.x_high, 1.0))
+    )
     return NLP(
         variables=(*nlp.variables, *(Variable(f"slack {i}", 1.0, PLAIN) for i in range(k))),
         fixed=(),
@@ -265,25 +267,25 @@ class _Search:
         self.shares = [limit.shares(FIRST_ORDER) for limit in limits]
         self.last: list[Array] = []  # end of the previous search
         self.solvers = [backend(name) for name in reversed(names)]
-        self.enough, self.amount, self.settled = ENOUGH, False, True
+        self.enough, self.amount, self.exchange_converged = ENOUGH, False, True
 
-    def least(self, weights: Array, loose: Array) -> tuple[float, Array]:
-        """Return the least weighted slack, and x with the slacks; `loose` (k,) are the upper bounds of the slacks.
+    def least(self, weights: Array, most_slack: Array) -> tuple[float, Array]:
+        """Return the least weighted slack, and x with the slacks; `most_slack` (k,) are the upper bounds of the slacks.
 
         The exchange points are moved to the peaks of the solution until all limits hold there too (exchange method): always if
-        the solution needs no slack, else if the `amount` is required. `settled` says whether the exchange converged.
+        the solution needs no slack, else if the `amount` is required. `exchange_converged` says whether the exchange converged.
         """
-        self.programme.x_high[self.n :] = loose  # in place: the compiled functions of the NLP are kept
-        total, found = self._searched(weights, loose, self.enough)
-        self.settled = self.follow is None
+        self.programme.x_high[self.n :] = most_slack  # in place: the compiled functions of the NLP are kept
+        total, found = self._searched(weights, most_slack, self.enough)
+        self.exchange_converged = self.follow is None
         for _ in range(EXCHANGES):
             if self.follow is None or not math.isfinite(total) or (total > MET and not self.amount):
                 break
             self.p = self.follow(found[: self.n]).copy()
-            self.settled = self._missed(found, weights) <= FOLLOWED
-            if self.settled:
+            self.exchange_converged = self._missed(found, weights) <= FOLLOWED
+            if self.exchange_converged:
                 break
-            total, found = self._searched(weights, loose, 1)
+            total, found = self._searched(weights, most_slack, 1)
         return total, found
 
     def alone(self, i: int) -> tuple[Array, Array]:
@@ -324,7 +326,7 @@ class _Search:
         g = nlp.at(x, self._parameters(weights)).g
         return float(np.max([nlp.low - g, g - nlp.high, 0.0 * g])) if np.all(np.isfinite(g)) else math.inf
 
-    def _searched(self, weights: Array, loose: Array, enough: int) -> tuple[float, Array]:
+    def _searched(self, weights: Array, most_slack: Array, enough: int) -> tuple[float, Array]:
         """Return the least weighted slack for fixed exchange points; the search ends when `enough` runs agree."""
         nlp, p = self.programme, self._parameters(weights)
         best, found = math.inf, np.full(self.n + self.k, math.inf)
@@ -333,7 +335,7 @@ class _Search:
         most = len(points)  # after this many searches without a feasible end there is none
         turns = range(len(self.solvers))
         for point, solver in [(point, self.solvers[(i + k) % len(turns)]) for k in turns for i, point in enumerate(points)]:
-            x = self._slackened(point, weights, loose)
+            x = self._slackened(point, weights, most_slack)
             for run in (None, solver):  # the point itself may be feasible
                 end = x if run is None else run(nlp, x, p).x
                 total = float(weights @ end[self.n :]) if self._missed(end, weights) <= MET else math.inf
@@ -342,12 +344,12 @@ class _Search:
                 if best <= 1e-9:
                     return best, found
             ends.append(total)
-            settled = sum(total <= best * (1.0 + SAME) for total in ends) >= enough
-            if settled if math.isfinite(best) else len(ends) >= most:
+            repeated = sum(total <= best * (1.0 + SAME) for total in ends) >= enough
+            if repeated if math.isfinite(best) else len(ends) >= most:
                 break
         return best, found
 
-    def _slackened(self, point: Array, weights: Array, loose: Array) -> Array:
+    def _slackened(self, point: Array, weights: Array, most_slack: Array) -> Array:
         """Return a point with the slacks that it needs, up to their bounds."""
         nlp = self.programme
         x = np.concatenate([point, np.zeros(self.k)])
@@ -355,7 +357,7 @@ class _Search:
         need = np.nan_to_num(np.maximum(0.0, nlp.low - here.g) - np.maximum(0.0, here.g - nlp.high))
         slopes = here.jacobian[:, self.n :]
         own = np.divide(need[:, None], slopes, out=np.zeros_like(slopes), where=slopes != 0.0)
-        x[self.n :] = np.minimum(np.max(own, axis=0, initial=0.0), loose)
+        x[self.n :] = np.minimum(np.max(own, axis=0, initial=0.0), most_slack)
         return x
 
 
@@ -409,7 +411,7 @@ def explain(
     search.enough, search.amount = AGREEING if quick else ENOUGH, True
     for i in named:
         least, end = search.alone(i)
-        conflict += limits[i].relaxations(least, nlp, end[: search.n], search.p, not search.settled)
+        conflict += limits[i].relaxations(least, nlp, end[: search.n], search.p, not search.exchange_converged)
     return Explanation(x[: search.n], tuple(conflict), tuple(together))
 
 
@@ -434,11 +436,11 @@ def _irreducible(search: _Search, free: Array, giving: NDArray[np.bool_]) -> lis
 
 def _conflicting(search: _Search, free: Array, giving: NDArray[np.bool_]) -> Array:
     """Return 1 for limits of an infeasible set, 0 for the others (elastic filter); 1 for all if a search fails."""
-    held = np.where(giving, 1.0, 0.0)
-    while search.least(held, free)[0] <= MET:
-        _, x = search.least(1.0 - held, np.where(held > 0.0, 0.0, free))
-        giving = (x[search.n :] > MET) & (held == 0.0)
+    conflicting = np.where(giving, 1.0, 0.0)
+    while search.least(conflicting, free)[0] <= MET:
+        _, x = search.least(1.0 - conflicting, np.where(conflicting > 0.0, 0.0, free))
+        giving = (x[search.n :] > MET) & (conflicting == 0.0)
         if not np.all(np.isfinite(x)) or not np.any(giving):
             return np.ones(len(free))
-        held[giving] = 1.0
-    return held
+        conflicting[giving] = 1.0
+    return conflicting

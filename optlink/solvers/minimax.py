@@ -33,7 +33,7 @@ PRICE, DEAREST = 10.0, 1e6  # penalty of a violated limit (scaled) relative to t
 SPARE = 4.0  # times the multipliers: a sufficient penalty
 TOLERANCE = 1e-11  # tolerance of the cone programme
 MET = 1e-8  # scaled units: violation up to which a limit counts as satisfied
-SETTLED = 1e-10  # predicted decrease, as a share of the deviation, that ends the search
+CONVERGED = 1e-10  # predicted decrease, as a share of the deviation, that ends the search
 
 
 @dataclass(frozen=True)
@@ -144,8 +144,8 @@ def minimax(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = 
             break
         price, step = _priced(view, here, bend, box, price, step)
         decrease = here.merit(price) - step.merit
-        if decrease <= SETTLED * here.largest:
-            message = "settled"
+        if decrease <= CONVERGED * here.largest:
+            message = "converged"
             break
         there = view.at(np.clip(y + step.d, low, high))
         gained = _gained(here, there, price, decrease)
@@ -221,8 +221,8 @@ def _step(view: _View, here: _Here, bend: Array, box: tuple[Array, Array], price
     missed = view.missed(g)
     merit = float(np.max(np.linalg.norm(e, axis=1))) + price * missed + 0.5 * float(d @ bend @ d)
     tips = -dual[: points * (width + 1)].reshape(points, width + 1)[:, 1:].ravel()
-    held = dual[points * (width + 1) :]
+    box_duals = dual[points * (width + 1) :]
     by_g = np.zeros(len(view.low))
-    by_g[above] += held[: above.sum()]
-    by_g[below] -= held[above.sum() : above.sum() + below.sum()]
+    by_g[above] += box_duals[: above.sum()]
+    by_g[below] -= box_duals[above.sum() : above.sum() + below.sum()]
     return _Step(d, merit, missed, tips, by_g)

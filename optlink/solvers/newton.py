@@ -40,18 +40,18 @@ def polish(nlp: NLP, attempt: Attempt, p: Array, near: float = NEAR) -> Attempt:
     begin = nlp.at(x, p)
     if not begin.finite:
         return attempt
-    proof = stationarity(nlp, x, begin, near)
+    conditions = stationarity(nlp, x, begin, near)
     allowed = max(FEASIBLE, violation(nlp, x, begin.g))
-    active = np.array(proof.active, dtype=int)
+    active = np.array(conditions.active, dtype=int)
     for _ in range(TRIES):
-        found = _refined(nlp, x, p, begin, active, proof.multipliers.copy())
+        found = _refined(nlp, x, p, begin, active, conditions.multipliers.copy())
         if found is None:
             return attempt
-        y, here, settled = found
+        y, here, threshold = found
         values = np.concatenate([y, here.g])
         missed = np.flatnonzero(np.maximum(nlp.lower - values, values - nlp.upper) > allowed)
         if not missed.size:
-            worse = stationarity(nlp, y, here).kkt > max(proof.kkt, settled) or here.f > begin.f + 1e-3 * abs(begin.f)
+            worse = stationarity(nlp, y, here).kkt > max(conditions.kkt, threshold) or here.f > begin.f + 1e-3 * abs(begin.f)
             return attempt if worse else replace(attempt, x=y)
         if np.any(np.isin(missed, active)):
             return attempt
@@ -93,8 +93,8 @@ def _refined(
         here = nlp.at(y, p)
         if not here.finite or float(np.max(np.abs(y - x))) > LONGEST_STEP:
             return None
-    settled = max(CONVERGED, NOISE * stiffness)
-    return (*best, settled) if last <= settled else None
+    threshold = max(CONVERGED, NOISE * stiffness)
+    return (*best, threshold) if last <= threshold else None
 
 
 def newton(hessian: Array, jacobian: Array, residual: Array) -> Array | None:

@@ -87,8 +87,8 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
             missed, worst = [*there, *missed], 0.5 * there[0].height  # the step is repeated with these positions
         else:
             radius, missed, worst = 0.25 * radius, [], math.inf
-    settled = tops[0].height <= 0.0 or not found.usable
-    return found if settled else replace(found, status=Status.STALLED, message="limits are exceeded between the positions")
+    converged = tops[0].height <= 0.0 or not found.usable
+    return found if converged else replace(found, status=Status.STALLED, message="limits are exceeded between the positions")
 
 
 def _followed(

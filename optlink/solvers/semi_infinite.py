@@ -24,7 +24,7 @@ from optlink.solvers.solution import FEASIBLE, STATIONARY, Attempt, Solution, st
 
 ALONG = 241  # sampled positions per stroke
 EXCHANGES, LEVELLED = 40, 1e-10  # rounds, and the share by which a peak may exceed the values at the positions of the NLP
-SETTLED = 1e-8  # the same after the last round
+CONVERGED = 1e-8  # the same after the last round
 PEAK = "place of a peak"
 REACH = 0.25  # share of a stroke by which the position of a peak may move in one round
 EDGE = 1e-6  # share of a stroke: a peak this close to its end is due to a jump of a force, not a vanishing derivative
@@ -32,7 +32,7 @@ MOVABLE = 0.05  # share of its level by which a peak may be lower and its positi
 RADIUS, SMALLEST = 0.1, 1e-7  # scaled units: trust-region radius of the first round, and the one that ends the rounds
 MISSED = 100.0  # penalty of a limit violated by its own size, in multiples of the objective
 SAME = 1e-9  # share of a stroke: closer peaks count as one
-EXACTLY = 1e-9  # scaled units: distance at which a row counts as active in the proof
+EXACTLY = 1e-9  # scaled units: distance at which a row counts as active in the optimality conditions
 SHARP = (1e-4, 1e-7, 1e-9)  # scaled units: active-set distances of the final Newton steps
 ALLOWED = 1e2 * FEASIBLE  # permitted violation of the NLP with moving peaks, whose equations are steep
 BESIDE = 0.02  # share of a stroke: distance of other positions from peaks, so that they do not count as active too
@@ -87,16 +87,16 @@ def exchange(nlp: CycleNLP, solution: Solution) -> Solution:
             if near is None:
                 continue
             there = peaks(nlp, near.x)
-            settled = there.excess <= LEVELLED and near.status is Status.OPTIMAL
-            if _merit(nlp, near.x, there) < merit + (1e-9 if settled else -1e-12) * abs(merit):
+            converged = there.excess <= LEVELLED and near.status is Status.OPTIMAL
+            if _merit(nlp, near.x, there) < merit + (1e-9 if converged else -1e-12) * abs(merit):
                 moved = _distance(nlp, near.x, solution.x)
                 radius = max(radius, 2.0 * moved) if moved > 0.9 * radius else radius
                 solution, found = near, there
                 break
         else:
             radius *= 0.25
-    settled = found.excess <= SETTLED and solution.usable
-    return solution if settled else replace(solution, status=Status.STALLED, message="the peaks did not settle")
+    converged = found.excess <= CONVERGED and solution.usable
+    return solution if converged else replace(solution, status=Status.STALLED, message="the peaks did not settle")
 
 
 def restart_from(nlp: CycleNLP, solution: Solution, name: str) -> Solution:
@@ -135,7 +135,7 @@ def _distance(nlp: CycleNLP, x: Array, other: Array) -> float:
 
 
 def _examined(nlp: CycleNLP, attempt: Attempt) -> Solution:
-    """Return a point with its optimality proof, in which only exactly active rows count.
+    """Return a point with its optimality conditions, in which only exactly active rows count.
 
     A second position beside a peak is nearly active too; counting both would overstate the number of active constraints.
     """

@@ -1,4 +1,4 @@
-"""Solutions with their optimality proof: multipliers, stationarity and violation are recomputed from the NLP.
+"""Solutions with their optimality conditions: multipliers, stationarity and violation are recomputed from the NLP.
 
 The solver's own flag and message are recorded but not relied on.
 """
@@ -92,7 +92,7 @@ class Relaxation:
 
 @dataclass(frozen=True)
 class Stationarity:
-    """First-order optimality proof at x: `multipliers` of bounds (n) then rows, `active` indices of these, KKT residual."""
+    """First-order optimality conditions at x: `multipliers` of bounds (n) then rows, `active` indices of these, KKT residual."""
 
     multipliers: Array
     active: list[int]
@@ -101,7 +101,7 @@ class Stationarity:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Solution(Summary):
-    """A point of the NLP with its optimality proof. `x` is scaled, `design` and `objective` are in SI units.
+    """A point of the NLP with its optimality conditions. `x` is scaled, `design` and `objective` are in SI units.
 
     `price` converts multipliers (of bounds, then rows) from the scaled objective to that of `objective`.
     """
@@ -116,7 +116,7 @@ class Solution(Summary):
     violation: float
     kkt: float
     p: Array
-    proof: Stationarity
+    conditions: Stationarity
     iterations: int
     message: str
     path: Array | None = None
@@ -130,7 +130,7 @@ class Solution(Summary):
     def curvature(self) -> float:
         """Least eigenvalue of the reduced Hessian of the Lagrangian; see `curvature`."""
         point = self.nlp.at(self.x, self.p)
-        return curvature(self.nlp, self.x, self.p, point, self.proof) if point.finite else math.nan
+        return curvature(self.nlp, self.x, self.p, point, self.conditions) if point.finite else math.nan
 
     @cached_property
     def limits(self) -> tuple[LimitState, ...]:
@@ -138,7 +138,7 @@ class Solution(Summary):
         least = LEAST_PRICE * abs(self.nlp.values(self.x, self.p)[0])
         residuals = np.abs(self.nlp.residuals(self.x))
         met = bool(np.max(residuals, initial=0.0) <= self.nlp.exact)  # no improvement is possible
-        multipliers = self.proof.multipliers
+        multipliers = self.conditions.multipliers
         kept = np.where(met | (np.abs(multipliers) <= least), 0.0, multipliers)
         return tuple(_limit_states(self.nlp, self.x, self.g, kept, self.price))
 
@@ -186,9 +186,9 @@ def verified_solution(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
     point = nlp.at(x, p)
     residuals = nlp.residuals(x)
     worst = violation(nlp, x, point.g)
-    proof = Stationarity(np.zeros(len(x) + len(point.g)), [], math.inf)
+    conditions = Stationarity(np.zeros(len(x) + len(point.g)), [], math.inf)
     if point.finite:
-        proof = stationarity(nlp, x, point)
+        conditions = stationarity(nlp, x, point)
     if not point.finite and not math.isfinite(point.f):
         status = Status.NON_FINITE
     elif worst > FEASIBLE:
@@ -196,7 +196,7 @@ def verified_solution(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
     elif not point.finite:
         status = Status.NON_FINITE
     else:
-        status = Status.OPTIMAL if _optimal(nlp, x, p, point, proof, residuals) else Status.STALLED
+        status = Status.OPTIMAL if _optimal(nlp, x, p, point, conditions, residuals) else Status.STALLED
     price = p[0] * nlp.factor * nlp.measure.slope(residuals) if np.all(np.isfinite(residuals)) else 0.0
     return Solution(
         nlp=nlp,
@@ -207,9 +207,9 @@ def verified_solution(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
         objective=nlp.measure.of(residuals),
         status=status,
         violation=worst,
-        kkt=proof.kkt,
+        kkt=conditions.kkt,
         p=p,
-        proof=proof,
+        conditions=conditions,
         iterations=attempt.iterations,
         message=attempt.message,
         path=attempt.path,
@@ -271,7 +271,7 @@ def tangent_space(point: NLPValues, active: Sequence[int]) -> Array:
     return np.asarray(rows[rank:].T)
 
 
-def curvature(nlp: NLP, x: Array, p: Array, point: NLPValues, proof: Stationarity) -> float:
+def curvature(nlp: NLP, x: Array, p: Array, point: NLPValues, conditions: Stationarity) -> float:
     """Return the least eigenvalue of the reduced Hessian of the Lagrangian; a positive one proves a strict local optimum.
 
     The Hessian is reduced to the null space of the active limits. NaN if this space is empty (a vertex, which needs no
@@ -286,25 +286,25 @@ def curvature(nlp: NLP, x: Array, p: Array, point: NLPValues, proof: Stationarit
         Parameters of the NLP.
     point : NLPValues
         The NLP at x.
-    proof : Stationarity
+    conditions : Stationarity
         Active limits and multipliers at x.
     """
-    basis = tangent_space(point, proof.active)
+    basis = tangent_space(point, conditions.active)
     if basis.shape[1] == 0:
         return math.nan
-    hessian = basis.T @ nlp.hessian(x, p, proof.multipliers[len(x) :]) @ basis
+    hessian = basis.T @ nlp.hessian(x, p, conditions.multipliers[len(x) :]) @ basis
     return float(np.linalg.eigvalsh(hessian)[0]) if np.all(np.isfinite(hessian)) else math.nan
 
 
-def _optimal(nlp: NLP, x: Array, p: Array, point: NLPValues, proof: Stationarity, residuals: Array) -> bool:
+def _optimal(nlp: NLP, x: Array, p: Array, point: NLPValues, conditions: Stationarity, residuals: Array) -> bool:
     """Return whether no small change of the design measurably improves the objective.
 
-    One of three conditions holds: the KKT residual vanishes; the residuals vanish to rounding; or the objective is so strongly
+    One of three criteria holds: the KKT residual vanishes; the residuals vanish to rounding; or the objective is so strongly
     curved that the stationary point is less than `NEXT_TO` away although the KKT residual is not tiny.
     """
-    if proof.kkt <= STATIONARY or float(np.max(np.abs(residuals), initial=0.0)) <= nlp.exact:
+    if conditions.kkt <= STATIONARY or float(np.max(np.abs(residuals), initial=0.0)) <= nlp.exact:
         return True
-    return proof.kkt <= STEEPEST and proof.kkt <= NEXT_TO * curvature(nlp, x, p, point, proof)
+    return conditions.kkt <= STEEPEST and conditions.kkt <= NEXT_TO * curvature(nlp, x, p, point, conditions)
 
 
 def _limit_states(nlp: NLP, x: Array, g: Array, multipliers: Array, price: float) -> list[LimitState]:

@@ -31,9 +31,9 @@ def follow_optimum(nlp: NLP, near: Solution) -> Solution | None:
     """
     p = np.array([near.p[0], *nlp.p[1:]])
     x, n = near.x, len(near.x)
-    active = np.array(near.proof.active, dtype=int)
+    active = np.array(near.conditions.active, dtype=int)
     rows = active[active >= n] - n
-    multipliers = near.proof.multipliers[active]
+    multipliers = near.conditions.multipliers[active]
     bound = np.where(multipliers > 0.0, nlp.upper[active], nlp.lower[active])
     if not np.all(np.isfinite(bound)):
         return None

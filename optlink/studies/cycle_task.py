@@ -183,14 +183,14 @@ class CycleProgramme:
         if at_edge(found):
             return None
         done = time.perf_counter()
-        proof = validate_cycle(task_of(problem), found.design, found.objective)
+        checked = validate_cycle(task_of(problem), found.design, found.objective)
         return CycleResult(
             problem=problem,
             status=found.status,
             backend=self.backend,
             design=dict(found.design),
             objective=found.objective,
-            validation=Validation((*proof.checks, *optimality(found)), proof.objective),
+            validation=Validation((*checked.checks, *optimality(found)), checked.objective),
             seconds={"build": built - begin, "solve": done - built, "validate": time.perf_counter() - done},
             seed=0,
             starts=1,

@@ -104,13 +104,13 @@ class KKTSystem:
         self.nlp, self.x, self.p, self.price = nlp, x, p, solution.price
         n, m = len(x), len(nlp.rows)
         point = nlp.at(x, p)
-        proof = stationarity(nlp, x, point, TIGHT)
-        if proof.kkt > max(STATIONARY, solution.kkt):
-            proof = solution.proof
+        conditions = stationarity(nlp, x, point, TIGHT)
+        if conditions.kkt > max(STATIONARY, solution.kkt):
+            conditions = solution.conditions
         self.equal = nlp.lower == nlp.upper
-        strong = [i for i in proof.active if self.equal[i] or abs(proof.multipliers[i]) > STRONG]
+        strong = [i for i in conditions.active if self.equal[i] or abs(conditions.multipliers[i]) > STRONG]
         self.multipliers = np.zeros(n + m)
-        self.multipliers[strong] = proof.multipliers[strong]
+        self.multipliers[strong] = conditions.multipliers[strong]
         self.values = np.concatenate([x, point.g])
         hessian, gradient, rows = lagrangian(nlp)(x, p, self.multipliers[n:])
         whole = np.vstack([np.eye(n, n + len(p)), rows])  # derivatives of x and the rows by x and p
@@ -125,8 +125,13 @@ class KKTSystem:
         self.unknown = np.array([*range(n), *exchange], dtype=int)
         self.free, self.count = n, len(self.unknown)
         self.jacobian, self.hessian = whole, hessian
-        held = whole[self.active][:, self.unknown]
-        self.matrix = np.block([[hessian[np.ix_(self.unknown, self.unknown)], held.T], [held, np.zeros((len(held), len(held)))]])
+        jacobian_active = whole[self.active][:, self.unknown]
+        self.matrix = np.block(
+            [
+                [hessian[np.ix_(self.unknown, self.unknown)], jacobian_active.T],
+                [jacobian_active, np.zeros((len(jacobian_active), len(jacobian_active)))],
+            ]
+        )
         singular = np.linalg.svd(self.matrix, compute_uv=False)
         self.singular = bool(singular[-1] <= 1e-11 * singular[0])
 
@@ -166,7 +171,7 @@ class KKTSystem:
         upper[own] += rate * (parameter.equal or parameter.upper)
         return KKTPerturbation(float(slope), gradient, entries, lower, upper)
 
-    def answer(self, push: KKTPerturbation) -> KKTResponse:
+    def response(self, push: KKTPerturbation) -> KKTResponse:
         """Return the response of the optimum to a change of the optimality system."""
         size = len(self.values)
         bounds = np.where(self.multipliers > 0.0, push.upper, push.lower)
@@ -182,7 +187,7 @@ class KKTSystem:
         multipliers[self.active] = solved[self.count :]
         return KKTResponse(slope * self.price, solved[: self.count], multipliers)
 
-    def ends(self, parameter: Parameter, push: KKTPerturbation, answer: KKTResponse) -> tuple[ValidityEnd, ValidityEnd]:
+    def ends(self, parameter: Parameter, push: KKTPerturbation, response: KKTResponse) -> tuple[ValidityEnd, ValidityEnd]:
         """Return the first-order range of a parameter, until a multiplier vanishes or another limit becomes active.
 
         Parameters
@@ -190,21 +195,21 @@ class KKTSystem:
         parameter : Parameter
         push : KKTPerturbation
             Effect of the parameter on the optimality system.
-        answer : KKTResponse
+        response : KKTResponse
             Response of the optimum.
 
         Returns
         -------
         lower, upper : ValidityEnd
         """
-        rates = self.jacobian[:, self.unknown] @ answer.moved + push.entries
+        rates = self.jacobian[:, self.unknown] @ response.moved + push.entries
         least, most = (-math.inf, "nothing"), (math.inf, "nothing")
         rows = set(self.active.tolist())
         for entry in range(len(rates)):
             events = []
             leaves, arrives = PEAK_EVENTS if self._is_peak(entry) else LIMIT_EVENTS
             if entry in rows:
-                change = answer.multipliers[entry]
+                change = response.multipliers[entry]
                 if not self.equal[entry] and abs(change) > STILL * abs(self.multipliers[entry]):
                     events.append((-self.multipliers[entry] / change, leaves))
             else:

@@ -2,7 +2,7 @@
 
 The programme is built once: what varies are its parameters and bounds. A search from the starting point of the problem is made
 in the middle of every block of neighbouring points; Newton's method leads from there to the optima of all points of the block at
-once (`optlink.studies.batch`). A point where it does not end at a proven optimum is searched. Every optimum is validated like a
+once (`optlink.studies.batch`). A point where it does not end at a verified optimum is searched. Every optimum is validated like a
 single one. A row depends on the grid alone.
 """
 
@@ -147,18 +147,21 @@ class ReoptimiseTask(OptimumTask):
         return sorted(found, key=lambda one: one.objective)
 
     def _followed(self, points: Index) -> dict[int, list[str]]:
-        """Return the rows of the points at which Newton's method from a neighbouring optimum ends at a proven optimum."""
+        """Return the rows of the points at which Newton's method from a neighbouring optimum ends at a verified optimum."""
         assert self.programme is not None
         nlp, found = self.programme.nlp, self.grid_search.optima(points)
-        done = np.flatnonzero(found.proven)
+        done = np.flatnonzero(found.optimal)
         points, x, sides, objective = points[done], found.x[done], found.sides[done], found.objective[done]
         if not len(points):
             return {}
         values = {v.name: v.origin + x[:, i] * v.size for i, v in enumerate(nlp.variables) if v.name not in nlp.helpers}
         if self.fast_override is not None:
             task = self.fast_override.model(self.grid.columns(points))
-            proofs = validate_batch(task, task.designs(values), objective)
-            valid, failed = proofs.valid, {k: _failed(proofs.of(k)) for k in np.flatnonzero(~proofs.valid).tolist()}
+            validations = validate_batch(task, task.designs(values), objective)
+            valid, failed = (
+                validations.valid,
+                {k: _failed(validations.of(k)) for k in np.flatnonzero(~validations.valid).tolist()},
+            )
         else:
             tasks = [self.model(point) for point in points.tolist()]
             designs = [task.design({name: own[k] for name, own in values.items()}) for k, task in enumerate(tasks)]
@@ -200,8 +203,8 @@ class ReoptimiseTask(OptimumTask):
             own = build(task)
             solution = multistart.best([solution, multistart.solve_from(own, own.x_start, self.backend)])
         design = task.design(solution.design)
-        proof = validate(task, design, solution.objective)
-        failed = _failed(proof)
+        validation = validate(task, design, solution.objective)
+        failed = _failed(validation)
         valid = solution.status is Status.OPTIMAL and not failed
         if solution.status is Status.INFEASIBLE:
             missed, against = conflicting(solution)
@@ -209,8 +212,8 @@ class ReoptimiseTask(OptimumTask):
         return FoundOptimum(solution.design, solution.objective, solution.status, valid, failed, active(solution), found)
 
 
-def _failed(proof: Validation) -> tuple[str, ...]:
-    return tuple(check.name for check in proof.checks if not check.passed)
+def _failed(validation: Validation) -> tuple[str, ...]:
+    return tuple(check.name for check in validation.checks if not check.passed)
 
 
 class ParametricProgramme:
@@ -317,7 +320,7 @@ def conflicting(solution: Solution) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 def active(solution: Solution) -> tuple[str, ...]:
     """Return the labels of the active limits and bounds of a design, each once."""
-    return _labels(solution.nlp, solution.proof.active, solution.proof.multipliers)
+    return _labels(solution.nlp, solution.conditions.active, solution.conditions.multipliers)
 
 
 def _labels(nlp: NLP, entries: Iterable[int], sides: Array) -> tuple[str, ...]:

@@ -234,11 +234,11 @@ def of_solution(
         except InputError as error:  # at the end of the valid range of input values
             notes.append(f"{parameter.name} is left out, as it cannot be changed to both sides: {error.faults[0].message}")
             continue
-        answer = system.answer(push)
-        below, above = system.ends(parameter, push, answer)
+        response = system.response(push)
+        below, above = system.ends(parameter, push, response)
         if parameter.positive and below.value < 0.0:
             below = ValidityEnd(-math.inf, "nothing")
-        objective, moved = answer.objective, answer.moved
+        objective, moved = response.objective, response.moved
         if abs(objective * parameter.step) <= ROUNDING * abs(solution.objective):
             objective = 0.0
         moved = np.where(np.abs(moved) <= ROUNDING * abs(parameter.rate()), 0.0, moved)
@@ -248,7 +248,7 @@ def of_solution(
     if check:
         moving = [row for row in rows if row.moves]
         for done, row in enumerate(moving):
-            found = _searched_again(known, solution, row, backend, loose=system.singular)
+            found = _searched_again(known, solution, row, backend, degenerate=system.singular)
             rows[rows.index(row)] = replace(row, check=found)
             if progress is not None:
                 progress((done + 1) / len(moving))
@@ -277,13 +277,13 @@ def _notes(system: KKTSystem, solution: Solution) -> list[str]:
 
 
 def _searched_again(
-    known: OptimumParameters, solution: Solution, row: Sensitivity, backend: str, *, loose: bool
+    known: OptimumParameters, solution: Solution, row: Sensitivity, backend: str, *, degenerate: bool
 ) -> DifferenceCheck | None:
     """Return central differences between optima on either side, or None.
 
     None if the range of validity is too small, or an optimum is missing.
 
-    `loose`: several designs are equally good, so that only the objective can be compared.
+    `degenerate`: several designs are equally good, so that only the objective can be compared.
     """
     parameter = row.parameter
     size = abs(parameter.value) or 1.0
@@ -303,7 +303,7 @@ def _searched_again(
     gaps = [abs(objective - row.objective) / max(abs(objective), abs(row.objective), small, 1e-300)]
     slight = SLIGHT * max(abs(v.scale.to_display(x)) for v, x in design_variables(solution.nlp, solution.x)) / size
     largest = max(*(abs(d) for d in (*design.values(), *row.design.values())), slight, 1e-300)
-    gaps += [abs(design[name] - row.design[name]) / largest for name in design if not loose]
+    gaps += [abs(design[name] - row.design[name]) / largest for name in design if not degenerate]
     return DifferenceCheck(step, objective, design, max(gaps))
 
 

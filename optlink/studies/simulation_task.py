@@ -62,7 +62,7 @@ class SimulationTask(FiguresTask):
         try:
             file = self.problem.override(self.grid.changes(point))
             design = {name: value for name, value in self.design if name in file.model.free} or None
-            found = simulate_machine(file, dict(self.stated), design, loose=self.has_clearance)
+            found = simulate_machine(file, dict(self.stated), design, has_clearances=self.has_clearance)
         except InputError as error:
             return {}, "not simulated", error.faults[0].message
         if found[1] == Ending.INTERRUPTED.value:  # a row is complete or absent
@@ -96,7 +96,7 @@ def with_integrator(
 
 
 def simulate_machine(
-    problem: ProblemFile, options: Mapping[str, Any], design: Mapping[str, float] | None, *, loose: bool
+    problem: ProblemFile, options: Mapping[str, Any], design: Mapping[str, float] | None, *, has_clearances: bool
 ) -> tuple[Figures, str, str]:
     """Simulate one machine.
 
@@ -106,7 +106,7 @@ def simulate_machine(
     options : mapping
         See `SimulationTask`.
     design : mapping of str to float [SI], optional
-    loose : bool
+    has_clearances : bool
         Whether joints have clearance.
 
     Returns
@@ -122,7 +122,7 @@ def simulate_machine(
         If the simulation is not possible.
     """
     known = dict(options)
-    if loose:
+    if has_clearances:
         found = simulate_clearance(problem, design=design, twin=False, **known)
         return dict(found.figures), found.ending.value, "" if found.finished else found.message
     if "points" in known:

@@ -209,8 +209,8 @@ class CurveSearch:
         values = {name: quantity.value for name, quantity in task.quantities.items()}
         scaled = zip(batch.names, batch.origin, batch.scale, one.x, strict=True)
         values |= {name: float(origin + scale * x) for name, origin, scale, x in scaled}
-        proof = validate_path(task, values, one.t)
-        return PathDesign(file, values, one.t, proof.objective, Status.NOT_SEARCHED, proof)
+        checked = validate_path(task, values, one.t)
+        return PathDesign(file, values, one.t, checked.objective, Status.NOT_SEARCHED, checked)
 
     def _better(self, *, done: bool = False) -> None:
         """Show the best designs, those of the optimiser before coarse ones, if they have changed."""

@@ -245,12 +245,12 @@ def rewritten(text: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
     old, new : mapping
         Nested tables of the text, and those that it shall have, in the standard spelling.
     """
-    wanted = dict(new)
+    target = dict(new)
     try:
         page = tomlkit.parse(text)
         _write(page, old, new)
         made = page.as_string()
-        if _same(tables(made, ""), wanted):
+        if _same(tables(made, ""), target):
             return made
     except (TOMLKitError, InputError, KeyError, IndexError, TypeError, ValueError):
         pass
@@ -263,7 +263,7 @@ def rewritten(text: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
             if key in new:
                 page.update(tomlkit.parse(tomli_w.dumps({key: new[key]})))
     made = page.as_string()
-    return made if _same(tables(made, ""), wanted) else tomli_w.dumps(wanted)
+    return made if _same(tables(made, ""), target) else tomli_w.dumps(target)
 
 
 def _same(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:

@@ -288,7 +288,7 @@ def _ends(bound: Bound) -> tuple[float | None, float | None]:
 
 
 def _sharp(found: Solution) -> Solution:
-    """Return an optimum in whose proof only exactly active rows count: those beside a peak would count twice."""
+    """Return an optimum in whose optimality conditions only exactly active rows count: those beside a peak would count twice."""
     if not found.usable:
         return found
-    return replace(found, proof=stationarity(found.nlp, found.x, found.nlp.at(found.x, found.p), EXACTLY))
+    return replace(found, conditions=stationarity(found.nlp, found.x, found.nlp.at(found.x, found.p), EXACTLY))

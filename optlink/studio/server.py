@@ -35,7 +35,7 @@ HOSTS = (ADDRESS, "localhost")
 LARGEST = 1_000_000  # bytes of a message
 RATE, BURST = 200.0, 400.0  # messages per second, and at once
 ABUSE = 2000  # refused messages after which a connection is closed
-TOLD = 100  # refused messages that are answered one by one
+REPORTED = 100  # refused messages that are answered one by one
 PAGES = 8  # at a time
 POLICY = 1008  # code of a socket that is closed for breaking the rules
 KNOWN = (".html", ".css", ".js", ".mjs", ".svg", ".png", ".woff2", ".txt")
@@ -189,7 +189,7 @@ async def _listen(ws: WebSocket, link: Link) -> None:
         if refused > ABUSE:
             await ws.close(POLICY, "too many malformed messages")
             raise WebSocketDisconnect(POLICY)
-        if refused <= TOLD or refused % TOLD == 0:  # a page that does not read its answers must not block the count
+        if refused <= REPORTED or refused % REPORTED == 0:  # a page that does not read its answers must not block the count
             words = MALFORMED if request is None else QUOTA
             await ws.send_text(json.dumps({"type": "fault", "id": None if request is None else request["id"], "message": words}))
 
@@ -259,8 +259,8 @@ class _Guard:
             return True
         for line in headers.get("cookie", []):
             with contextlib.suppress(CookieError):
-                held = SimpleCookie(line).get(self.studio.cookie)
-                if held is not None and self.studio.admits(held.value):
+                cookie_value = SimpleCookie(line).get(self.studio.cookie)
+                if cookie_value is not None and self.studio.admits(cookie_value.value):
                     return True
         return False
 

@@ -132,9 +132,9 @@ class Batch:
                 self._limits += [NumpyEvaluator([*inputs, t, span], [g, casadi.jacobian(g, x)])] if rows else []
             self._grid = None
             if self.crank_turns and not self.four_bar:
-                asked = [row for row in position_rows(problem, pose) if not row.over_span]
-                self.grid_bounds = np.array([(row.low + INSIDE, row.high) for row in asked])
-                g = casadi.vertcat(*[row.value for row in asked])
+                required = [row for row in position_rows(problem, pose) if not row.over_span]
+                self.grid_bounds = np.array([(row.low + INSIDE, row.high) for row in required])
+                g = casadi.vertcat(*[row.value for row in required])
                 self._grid = NumpyEvaluator([*inputs, t, *sides], [g, casadi.jacobian(g, x)])
         self.angles = np.linspace(0.0, TURN, GRID, endpoint=False)
 

@@ -179,11 +179,11 @@ def assembles_everywhere(batch: Batch, x: Array, t: Array) -> NDArray[np.bool_]:
     mechanism, values = batch.problem.linkage, batch.values(x)
     angles = batch.crank_angles(x, t)
     with np.errstate(all="ignore"):
-        asked = [angles]
+        angle_sets = [angles]
         if batch.crank_turns and not batch.four_bar:
-            asked.append(np.broadcast_to(batch.angles, (len(x), len(batch.angles))))
+            angle_sets.append(np.broadcast_to(batch.angles, (len(x), len(batch.angles))))
         found = np.ones(len(x), dtype=bool)
-        for at in asked:
+        for at in angle_sets:
             pose = mechanism.pose(values, unit(at))
             for group in mechanism.groups:
                 margin = np.broadcast_to(pose.margins[group.joint], at.shape)

@@ -321,9 +321,9 @@ def _notes(
             notes.append(f"{what} at crank angle {shown} deg")
     if not machine.inertias and not machine.loads:
         notes.append("no masses and no loads are given, so there are no forces")
-    loose = [name for name, joint in problem.model.joints.items() if joint.has_clearance]
-    if loose:
-        notes.append(f"joints count as ideal here; `optlink simulate` has the clearance of {', '.join(loose)}")
+    with_clearance = [name for name, joint in problem.model.joints.items() if joint.has_clearance]
+    if with_clearance:
+        notes.append(f"joints count as ideal here; `optlink simulate` has the clearance of {', '.join(with_clearance)}")
     return notes
 
 

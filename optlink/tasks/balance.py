@@ -1,4 +1,4 @@
-"""Optimise the balancing of a machine by a convex programme, with an optimality proof."""
+"""Optimise the balancing of a machine by a convex programme, with a lower bound of the objective."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def balance(
     progress: Progress | None = None,
     design: Mapping[str, float] | None = None,
 ) -> Balance:
-    """Optimise counterweights and springs for a measure of a machine, and prove global optimality.
+    """Optimise counterweights and springs for a measure of a machine, with a lower bound from the dual.
 
     Parameters
     ----------
@@ -267,7 +267,7 @@ def _before(task: _Task, goal: Sequence[tuple[BalanceMeasure, float]]) -> float:
     return sum(weight for _, weight in goal)
 
 
-# --- proof by inverse dynamics ------------------------------------------------------------------------------------------------
+# --- check by inverse dynamics ------------------------------------------------------------------------------------------------
 
 
 def balanced_problem(
@@ -307,24 +307,26 @@ def _verified(
     """Return the balanced problem, its machine, measures before and after by inverse dynamics, and the disagreement."""
     balanced = balanced_problem(task.problem, task.machine, added, springs)
     machine = machine_of(balanced)
-    asked = quantities(task.machine)
-    given = quantities_of(task.moving, asked, task.about)
-    now = quantities_of(machine.moving(task.angles, task.speed), asked, task.about)
-    disagreement = _disagreement(task, asked, now, task.parameters(added, springs))
-    return balanced, machine, measure_changes(asked, given, now), disagreement
+    observed = quantities(task.machine)
+    given = quantities_of(task.moving, observed, task.about)
+    now = quantities_of(machine.moving(task.angles, task.speed), observed, task.about)
+    disagreement = _disagreement(task, observed, now, task.parameters(added, springs))
+    return balanced, machine, measure_changes(observed, given, now), disagreement
 
 
-def measure_changes(asked: Sequence[BalanceMeasure], given: Sequence[Array], now: Sequence[Array]) -> tuple[MeasureChange, ...]:
+def measure_changes(
+    observed: Sequence[BalanceMeasure], given: Sequence[Array], now: Sequence[Array]
+) -> tuple[MeasureChange, ...]:
     """Return the root mean square and the largest value of quantities before and after balancing.
 
     Parameters
     ----------
-    asked : sequence of BalanceMeasure
+    observed : sequence of BalanceMeasure
         Quantities.
     given, now : sequence of array (positions, 1 or 2) [SI]
         Their values before and after.
     """
-    measures = ([BalanceMeasure(one.kind, how, one.joint, one.on) for how in ("rms", "largest")] for one in asked)
+    measures = ([BalanceMeasure(one.kind, how, one.joint, one.on) for how in ("rms", "largest")] for one in observed)
     every = zip(measures, given, now, strict=True)
     return tuple(MeasureChange(one, one.value(old), one.value(new)) for pair, old, new in every for one in pair)
 
@@ -352,11 +354,11 @@ def _trade(task: _Task, first: BalanceMeasure, second: BalanceMeasure, count: in
         x = programme.realised(point.x)
         added, springs = task.parts(x)
         machine = _heavier(task.machine, added, springs)
-        asked = [first, second]
-        now = quantities_of(machine.moving(task.angles, task.speed), asked, task.about)
-        rows = [measure.rows(task.angles) for measure in asked]
-        made = tuple(m.value(amount[row]) for m, amount, row in zip(asked, now, rows, strict=True))
-        off = _disagreement(task, asked, [a[row] for a, row in zip(now, rows, strict=True)], task.parameters(added, springs))
+        observed = [first, second]
+        now = quantities_of(machine.moving(task.angles, task.speed), observed, task.about)
+        rows = [measure.rows(task.angles) for measure in observed]
+        made = tuple(m.value(amount[row]) for m, amount, row in zip(observed, now, rows, strict=True))
+        off = _disagreement(task, observed, [a[row] for a, row in zip(now, rows, strict=True)], task.parameters(added, springs))
         points.append(
             TradePoint(
                 point.first * scales[0],
@@ -398,13 +400,13 @@ def _notes(
 ) -> list[str]:
     notes = []
     if any(weight.kind == "disc" for weight in task.counterweights):
-        told = "the moments of inertia of discs were relaxed to a cone, as those of a disc are no convex function"
+        relaxed_note = "the moments of inertia of discs were relaxed to a cone, as those of a disc are no convex function"
         end = (
             "the optimum lies on it, so no discs are better"
             if status == "optimal"
             else f"discs come within {slack:z.2%} of the bound"
         )
-        notes.append(f"{told}: {end}")
+        notes.append(f"{relaxed_note}: {end}")
     idle = [weight.body for weight in task.counterweights if weight.body not in [one.body for one in added]]
     if idle:
         notes.append(f"no counterweight is of use on {', '.join(idle)}")

@@ -33,7 +33,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range, input_of, nearest
 from optlink.tasks.machine import check_regular, machine_of, motion_range, with_flywheel
 from optlink.tasks.results.checkpoint import ClearanceCheckpoint, damaged, read_checkpoint
-from optlink.tasks.results.clearance import SETTLED, ClearanceSimulation
+from optlink.tasks.results.clearance import RUNNING_IN, ClearanceSimulation
 
 EVERY = 5.0
 """Seconds between checkpoints."""
@@ -292,7 +292,7 @@ def simulate_clearance(
 
 def revolutions_counted(revolutions: int) -> int:
     """Return the number of last revolutions of a run that the statistics include."""
-    return revolutions - SETTLED if revolutions > 2 * SETTLED else revolutions
+    return revolutions - RUNNING_IN if revolutions > 2 * RUNNING_IN else revolutions
 
 
 def checked(

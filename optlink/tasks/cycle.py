@@ -96,8 +96,8 @@ class CycleTask(DesignTask[CycleResult]):
         equal = continuum(nlp, winner, chosen) if result.usable else None
         timer.lap("solve")
         measured = analysis_of(task, winner.design)
-        proof = validate_cycle(task, winner.design, winner.objective, measured)
-        checks = (*proof.checks, *optimality(winner), *(_agreement(found) if len(found) > 1 else ()))
+        verification = validate_cycle(task, winner.design, winner.objective, measured)
+        checks = (*verification.checks, *optimality(winner), *(_agreement(found) if len(found) > 1 else ()))
         timer.lap("validate")
         made = CycleResult(
             problem=problem,
@@ -105,7 +105,7 @@ class CycleTask(DesignTask[CycleResult]):
             backend=chosen,
             design=dict(winner.design),
             objective=winner.objective,
-            validation=Validation(checks, proof.objective),
+            validation=Validation(checks, verification.objective),
             seconds=timer.seconds,
             seed=seed,
             starts=result.starts,
@@ -130,9 +130,9 @@ class CycleTask(DesignTask[CycleResult]):
         """
         task, begin = task_of(problem), time.perf_counter()
         own = {name: design.get(name, task.quantities[name].value) for name in task.free}
-        proof = validate_cycle(task, own)
+        verification = validate_cycle(task, own)
         seconds = {"build": 0.0, "solve": 0.0, "validate": time.perf_counter() - begin}
-        return CycleResult(problem, Status.NOT_SEARCHED, "none", own, proof.objective, proof, seconds, 0, 0)
+        return CycleResult(problem, Status.NOT_SEARCHED, "none", own, verification.objective, verification, seconds, 0, 0)
 
 
 TASK = CycleTask()
@@ -232,13 +232,15 @@ def _nowhere(problem: ProblemFile, seed: int, starts: int, seconds: dict[str, fl
 
     task = task_of(problem)
     values = {name: task.quantities[name].value for name in task.free}
-    proof = validate_cycle(task, values)
+    verification = validate_cycle(task, values)
     note = (
         f"none of {SAMPLES * starts} random sizes within the bounds lets the crank turn fully: "
         "widen the bounds, or start from sizes that do"
     )
     times = {"build": 0.0, **seconds, "validate": 0.0}
-    return CycleResult(problem, Status.INFEASIBLE, "none", values, proof.objective, proof, times, seed, starts, notes=(note,))
+    return CycleResult(
+        problem, Status.INFEASIBLE, "none", values, verification.objective, verification, times, seed, starts, notes=(note,)
+    )
 
 
 def _dense(nlp: CycleNLP, found: dict[str, Solution]) -> tuple[CycleNLP, dict[str, Solution]]:
@@ -259,8 +261,8 @@ def _dense(nlp: CycleNLP, found: dict[str, Solution]) -> tuple[CycleNLP, dict[st
         for bound in task.bounds:
             if bound.term.integral:
                 size = factor(bound.interval.unit, bound.interval.kind or "")
-                told = values[bound.key] * size
-                gaps.append(abs(cycle.figure(bound.term) - told) / max(abs(told), *map(abs, _ends(bound))))
+                stated = values[bound.key] * size
+                gaps.append(abs(cycle.figure(bound.term) - stated) / max(abs(stated), *map(abs, _ends(bound))))
         if max(gaps) <= EXACT:
             break
         nodes *= 2

@@ -32,7 +32,7 @@ from optlink.tasks.results.common import SingleRecord, SingleResult, shortest_li
 from optlink.tasks.results.evidence import Evidence, evidence
 from optlink.tasks.results.fit import Fit, law_fit
 from optlink.units import display_unit, show
-from optlink.validation import Check, validate as prove
+from optlink.validation import Check, validate as validate_law
 
 if TYPE_CHECKING:
     from optlink.optimization.nlp import NLP
@@ -270,9 +270,9 @@ class FunctionTask(DesignTask[FunctionResult]):
         results = []
         for variant in problem.variants():
             full = variant.spec.design(design)
-            proof = prove(variant.spec, full)
+            checked = validate_law(variant.spec, full)
             seconds = {"build": 0.0, "solve": 0.0, "validate": time.perf_counter() - begin}
-            results.append(FunctionResult(variant, Status.NOT_SEARCHED, "none", full, proof.objective, proof, seconds))
+            results.append(FunctionResult(variant, Status.NOT_SEARCHED, "none", full, checked.objective, checked, seconds))
         return min(results, key=_better)
 
 

@@ -26,9 +26,9 @@ from optlink.solvers import multistart
 from optlink.solvers.contract import CLOSE
 from optlink.solvers.function_exchange import add_peak_errors
 from optlink.solvers.solution import Solution
-from optlink.tasks.results.common import Optimum, optimality, proven
+from optlink.tasks.results.common import Optimum, optimality, verified
 from optlink.tasks.results.evidence import evidence, tally
-from optlink.validation import Validation, validate as prove
+from optlink.validation import Validation, validate as validate_law
 
 if TYPE_CHECKING:
     from optlink.synthesis.freudenstein import FirstStep
@@ -71,7 +71,7 @@ class FunctionCandidate:
         solution = self.solution
         if not solution.usable:
             return (3 if solution.status is Status.NON_FINITE else 2), solution.violation
-        return int(not proven(solution.status, self.validation)), solution.objective
+        return int(not verified(solution.status, self.validation)), solution.objective
 
 
 @dataclass
@@ -205,8 +205,8 @@ class FunctionSearch:
         """Return a solution with its validation."""
         begin = time.perf_counter()
         design = self.problem.design(solution.design)
-        proof = prove(self.problem, design, solution.objective)
-        candidate = FunctionCandidate(solution, design, replace(proof, checks=(*proof.checks, *optimality(solution))))
+        checked = validate_law(self.problem, design, solution.objective)
+        candidate = FunctionCandidate(solution, design, replace(checked, checks=(*checked.checks, *optimality(solution))))
         self.validating += time.perf_counter() - begin
         return candidate
 
@@ -221,7 +221,7 @@ class FunctionSearch:
         best = self.best
         if not found.usable:
             return None if best is not None and best.solution.usable else self.judge(found)
-        valid = best is not None and proven(best.solution.status, best.validation)
+        valid = best is not None and verified(best.solution.status, best.validation)
         if self.problem.everywhere:
             if best is not None and valid and found.objective > NEARBY * best.solution.objective + multistart.SAME_ERROR:
                 return None

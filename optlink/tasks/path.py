@@ -69,7 +69,7 @@ class PathTask(DesignTask[PathResult]):
         timer.lap("build")
         rounds.run()
         timer.lap("search, polish and validate")
-        found, told = rounds.collection, rounds.collection.evidence()
+        found, coverage = rounds.collection, rounds.collection.evidence()
         task = path_model(problem)
         notes = [*([task.target_points.note] if task.target_points.note else []), *rounds.notes]
         reason = None if found.designs or rounds.interrupted else rounds.conflict(seed)
@@ -78,9 +78,11 @@ class PathTask(DesignTask[PathResult]):
             error = math.sqrt(float(np.mean(rounds.better.measured.distances**2)))
             notes.append(FOUR_BAR_BETTER.format(1e3 * error))
         notes += () if found.designs else shortest_link(task.quantities, task.limits.crank)
-        if found.designs and told.missed > SMALL:
+        if found.designs and coverage.missed > SMALL:
             count = rounds.searcher.exploration.starts
-            notes.append(f"search incomplete: {count} starts, {told.chance}; use --starts {min(4 * count, PathTask.most_starts)}")
+            notes.append(
+                f"search incomplete: {count} starts, {coverage.chance}; use --starts {min(4 * count, PathTask.most_starts)}"
+            )
         return PathResult(
             problem=problem,
             designs=tuple(found.designs),
@@ -88,7 +90,7 @@ class PathTask(DesignTask[PathResult]):
             backend=MINIMAX if task.measure == "max" else backend,
             seed=seed,
             starts=rounds.searcher.exploration.starts,
-            evidence=told,
+            evidence=coverage,
             seconds=timer.seconds,
             interrupted=rounds.interrupted,
             notes=tuple(notes),
@@ -115,8 +117,8 @@ class PathTask(DesignTask[PathResult]):
             task = path_model(file)
             values = {name: float(design.get(name, quantity.value)) for name, quantity in task.quantities.items()}
             angles = passing(task, values)
-            proof = validate_path(task, values, angles)
-            found.append(PathDesign(file, values, angles, proof.objective, Status.NOT_SEARCHED, proof))
+            checked = validate_path(task, values, angles)
+            found.append(PathDesign(file, values, angles, checked.objective, Status.NOT_SEARCHED, checked))
         best = min(found, key=lambda each: (not each.valid, each.objective if math.isfinite(each.objective) else math.inf))
         return PathResult(
             problem=problem,

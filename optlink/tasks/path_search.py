@@ -151,10 +151,10 @@ class Polisher:
 
 
 def feasible(design: PathDesign) -> PathDesign:
-    """Return a design without an optimality proof as one that only has to satisfy all limits."""
+    """Return a design that is not a local optimum as one that only has to satisfy all limits."""
     checks = tuple(check for check in design.validation.checks if check.name != OPTIMALITY_CHECK)
-    proof = replace(design.validation, checks=checks)
-    return replace(design, status=Status.FEASIBLE, validation=proof, solution=None)  # no shadow prices without an optimum
+    checked = replace(design.validation, checks=checks)
+    return replace(design, status=Status.FEASIBLE, validation=checked, solution=None)  # no shadow prices without an optimum
 
 
 def validated_design(file: ProblemFile, nlp: NLP, solution: Solution) -> PathDesign:
@@ -170,9 +170,9 @@ def validated_design(file: ProblemFile, nlp: NLP, solution: Solution) -> PathDes
     """
     task = path_model(file)
     values, angles = solved_values(task, solution.design, solution.x)
-    proof = validate_path(task, values, angles, solution.objective)
-    proof = replace(proof, checks=(*proof.checks, *optimality(solution)))
-    return PathDesign(file, values, angles, solution.objective, solution.status, proof, solution)
+    checked = validate_path(task, values, angles, solution.objective)
+    checked = replace(checked, checks=(*checked.checks, *optimality(solution)))
+    return PathDesign(file, values, angles, solution.objective, solution.status, checked, solution)
 
 
 class DesignCollection:
@@ -303,8 +303,8 @@ class DesignCollection:
             else:
                 values.append(value)
                 counts.append(count)
-        told = evidence(counts)
-        return replace(told, missed=0.0) if best.exact else told  # no design is better than an exact one
+        found_evidence = evidence(counts)
+        return replace(found_evidence, missed=0.0) if best.exact else found_evidence  # no design is better than an exact one
 
 
 def no_worse_fit(design: PathDesign, other: PathDesign) -> bool:

@@ -27,7 +27,7 @@ from optlink.report.html.shell import four
 from optlink.report.report_model import ReportModel, report_model_of, solve_or_validate
 from optlink.report.scene import scene
 from optlink.report.stored.loader import load_stored
-from optlink.report.style import BODIES, CRANK, LIMIT, QUIET, WANTED
+from optlink.report.style import BODIES, CRANK, LIMIT, QUIET, TARGET
 from optlink.report.views import sensitivity
 from optlink.report.views.relaxations import outward
 from tests.browser import colours, console, faults, opened, requests
@@ -181,7 +181,7 @@ def test_tables_have_four_digits(text, shown):
 
 
 def test_every_colour_can_be_read_in_both_modes():
-    for colour in (*BODIES, CRANK, QUIET, WANTED, LIMIT):
+    for colour in (*BODIES, CRANK, QUIET, TARGET, LIMIT):
         assert theme.contrast(theme.readable(colour), "#ffffff") >= 4.5
         assert theme.contrast(theme.dark(colour), theme.DARK) >= 4.5
     assert theme.contrast(theme.dark("#f3e3c3"), theme.DARK) < 2.0  # a shade stays one

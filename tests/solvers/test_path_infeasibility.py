@@ -96,9 +96,9 @@ def test_a_limit_without_a_price_shows_none() -> None:
     result = solve(optlink.load("crank-rocker"))
     assert result.solution is not None
     assert any(limit.multiplier for limit in result.solution.limits)
-    proof = result.solution.proof
-    dead = replace(proof, multipliers=proof.multipliers * (0.1 * LEAST_PRICE / np.max(np.abs(proof.multipliers))))
+    conditions = result.solution.conditions
+    dead = replace(conditions, multipliers=conditions.multipliers * (0.1 * LEAST_PRICE / np.max(np.abs(conditions.multipliers))))
     f = result.solution.nlp.values(result.solution.x, result.solution.p)[0]
     assert math.isfinite(f)
     scaled = replace(dead, multipliers=dead.multipliers * abs(f))
-    assert not any(limit.multiplier for limit in replace(result.solution, proof=scaled).limits)
+    assert not any(limit.multiplier for limit in replace(result.solution, conditions=scaled).limits)

@@ -161,7 +161,7 @@ def test_a_result_is_shown_as_it_was_found(pump, tmp_path):
     assert run.exit_code == 0, run.output
     told = {row["key"]: row for row in json.loads((out / "result.json").read_text(encoding="utf-8"))["parameters"]}
     subject = load_stored(str(out / "result.json"), str(file))
-    for row in subject.answers.rows:
+    for row in subject.effects.rows:
         one = told[row.parameter.key]
         assert row.objective == pytest.approx(one["objective_per_unit"], rel=1e-5, abs=1e-9)
         np.testing.assert_allclose(list(row.design.values()), list(one["design_per_unit"].values()), rtol=1e-4, atol=1e-6)
@@ -189,7 +189,7 @@ def test_some_of_them_searched_again(name, gap, every):
     assert len(found.moving[::every]) >= 3
     known = sensitivity_module.CycleParameters(found.problem, sensitivity_module.KKTSystem(found.solution))
     for row in found.moving[::every]:
-        check = sensitivity_module._searched_again(known, found.solution, row, "ipopt", loose=False)
+        check = sensitivity_module._searched_again(known, found.solution, row, "ipopt", degenerate=False)
         assert check is not None
         assert check.gap < gap, row.parameter.key
 

@@ -430,7 +430,7 @@ def test_what_the_safest_design_yields(problem, law, span, limit, texts, better)
     gained, lost = np.sum(own & ~before), np.sum(before & ~own)
     surplus = (gained - lost) / math.sqrt(gained + lost)  # standard deviations by which chance would favour either
     assert surplus > 5.0 if better else surplus < -3.0
-    assert found.beaten is not better
+    assert found.nominal_yields_more is not better
     for carlo, share in ((found.monte_carlo, np.mean(own)), (found.unrobust, np.mean(before))):
         assert carlo.share == pytest.approx(share, abs=4.0 * math.sqrt(max(share * (1.0 - share), 1e-4) / count))
         assert carlo.interval[0] <= carlo.share <= carlo.interval[1]
@@ -460,7 +460,7 @@ def test_no_design_yields_more_than_the_one_with_most_yield(problem, law, span, 
     """By linkages of pseudo-random sizes: not the best as drawn, not the one with most standard deviations, none nearby."""
     found = tolerance(problem, texts, limit=f"{limit} deg", samples=1 << 14, robust="yield")
     assert found.robust.valid
-    assert not found.beaten
+    assert not found.nominal_yields_more
     random, count = np.random.default_rng(3), 40_000
     unit = np.stack([SHAPES[d.shape](random, count) for d in found.deviations], axis=1)
     arguments = (law, math.radians(span), math.radians(limit), found.deviations, unit)

@@ -44,7 +44,9 @@ def test_processes_search_as_this_one_does() -> None:
     alone = [multistart.solve_from(nlp, nlp.lifted(point.x), "ipopt") for point in points]
     assert [one.iterations for one in shared] == [one.iterations for one in alone]
     for one, other in zip(shared, alone, strict=True):
-        np.testing.assert_array_equal([*one.x, *one.g, *one.proof.multipliers], [*other.x, *other.g, *other.proof.multipliers])
+        np.testing.assert_array_equal(
+            [*one.x, *one.g, *one.conditions.multipliers], [*other.x, *other.g, *other.conditions.multipliers]
+        )
     assert len({one.iterations for one in alone}) > 3  # of which the order matters
 
 
@@ -54,7 +56,7 @@ def test_processes_change_no_digit_of_a_search(starts: int | None, engine: str) 
     file = optlink.load("function-sin")
     one, other = (optlink.solve(file, "ipopt", starts, certify=False, **how) for how in ({}, {"workers": 2, "engine": engine}))
     assert (other.starts, other.counts, other.optima, other.design) == (one.starts, one.counts, one.optima, one.design)
-    assert other.solution.proof.multipliers.tobytes() == one.solution.proof.multipliers.tobytes()
+    assert other.solution.conditions.multipliers.tobytes() == one.solution.conditions.multipliers.tobytes()
     assert len(one.optima) > 1
 
 

@@ -60,15 +60,15 @@ def _promising(first, last, j, gaps, h, best):
 
 @njit(**HELPER)
 def _force_peaks(time, h, y, n, gaps, model, space, peaks):
-    """Update the maxima of the wanted forces and of the torque within a step, from its dense output."""
-    _, f, _, _, x, _, _, _, _, nodes, first, last, wanted, p = space
+    """Update the maxima of the selected forces and of the torque within a step, from its dense output."""
+    _, f, _, _, x, _, _, _, _, nodes, first, last, selected, p = space
     for i in range(1, PARTS):
         _watched(time + i * h / PARTS, i / PARTS, f, y, n, model, p, x, nodes[i])
     copy(first, nodes[0])
     copy(last, nodes[PARTS])
     spare = nodes[PARTS + 1]
     for j in range(gaps + 1):
-        if wanted[j] == 0.0:
+        if selected[j] == 0.0:
             continue
         place = gaps + j if j < gaps else 2 * gaps
         for i in range(PARTS + 1):
@@ -128,17 +128,17 @@ def maxima(time, h, parts, dense, modes, contact, peaks, y, n, model, space):
     space : tuple of arrays
         See `motion.workspace`.
     """
-    k, f, new, between, x, _, _, spare, nodes, _, first, last, wanted, p = space
+    k, f, new, between, x, _, _, spare, nodes, _, first, last, selected, p = space
     gaps, some = modes.shape[0], False
     command(time + h, model, p)
     call(model[WATCH], new, p, model[CONSTANTS], last)
     for j in range(gaps + 1):
-        wanted[j] = 0.0
+        selected[j] = 0.0
         if j < gaps and modes[j] == 0.0:
             continue
         place = gaps + j if j < gaps else 2 * gaps
         if _promising(first, last, j, gaps, h, peaks[place]):
-            wanted[j], some = 1.0, True
+            selected[j], some = 1.0, True
         peaks[place] = max(peaks[place], quantity(last, j, gaps)[0])
     turns = False
     for j in range(gaps):

@@ -45,20 +45,20 @@ class Revolution:
             pose = mechanism.at(self.machine.sizes, self.moving.motion.crank_angle)
         for group in mechanism.groups if np.all(assembled) else ():
             own = {link.body for link in group.links}
-            loose = [gap for gap in gaps if own & {gap.journal, gap.bearing}]
+            in_group = [gap for gap in gaps if own & {gap.journal, gap.bearing}]
             with np.errstate(all="ignore"):
                 gap = group.gap(pose)
             spare = -np.broadcast_to(np.asarray(gap, dtype=float), assembled.shape)[assembled]
-            if not loose or not spare.size or not np.any(spare > 0.0):
+            if not in_group or not spare.size or not np.any(spare > 0.0):
                 continue
-            play, least = sum(gap.clearance for gap in loose), float(np.min(spare))
+            play, least = sum(gap.clearance for gap in in_group), float(np.min(spare))
             if play >= least:
                 at = float(np.degrees(self.moving.motion.crank_angle[assembled][int(np.argmin(spare))]))
                 message = (
                     f"the clearance lets the mechanism come apart: at a crank angle of {at:z.0f} deg the group of {group.joint} "
                     f"closes with {least * 1e3:.4g} mm to spare, and its joints have {play * 1e3:.4g} mm of play"
                 )
-                raise Unusable(message, "Give a smaller clearance, or other lengths", f"joints.{loose[0].point}.clearance")
+                raise Unusable(message, "Give a smaller clearance, or other lengths", f"joints.{in_group[0].point}.clearance")
 
     def _rates(self, load: Load) -> Array:
         velocity = load.reversing(self.moving)

@@ -216,13 +216,13 @@ def _check_titles(table: CsvTable) -> None:
             raise Unusable(f"{name} has two columns of {column}", "Keep one of them", "csv", name)
 
 
-def check_and_reduce(rows: PointRows, asked: int | None) -> TargetPoints:
+def check_and_reduce(rows: PointRows, requested_count: int | None) -> TargetPoints:
     """Check the rows, and reduce them to the requested number or to `MAX_POINTS`.
 
     Parameters
     ----------
     rows : PointRows
-    asked : int or None
+    requested_count : int or None
         Requested number of points; None: as many as there are, up to `MAX_POINTS`.
 
     Raises
@@ -232,7 +232,7 @@ def check_and_reduce(rows: PointRows, asked: int | None) -> TargetPoints:
     """
     _check_ranges(rows)
     points, of_each = rows.points, set(rows.columns) - {"x", "y"}
-    most, found = asked or MAX_POINTS, len(points)
+    most, found = requested_count or MAX_POINTS, len(points)
     if found > most and not of_each:
         chords = np.hypot(*np.diff(points, axis=0).T)
         length, size = float(np.sum(chords)), diagonal(points)
@@ -240,7 +240,7 @@ def check_and_reduce(rows: PointRows, asked: int | None) -> TargetPoints:
         loop = bool(np.hypot(*(points[-1] - points[0])) <= COINCIDENT * size)
         at, here = np.linspace(0.0, length, most, endpoint=not loop), np.concatenate([[0.0], np.cumsum(chords)])
         even = np.stack([np.interp(at, here, points[:, 0]), np.interp(at, here, points[:, 1])], axis=1)
-        check_apart(PointRows({"x": even[:, 0], "y": even[:, 1]}, rows.unit, key="points" if asked else rows.key or ""))
+        check_apart(PointRows({"x": even[:, 0], "y": even[:, 1]}, rows.unit, key="points" if requested_count else rows.key or ""))
         return TargetPoints(pairs(even), unit=rows.unit, note=_reduced(rows, most, "arc length"), loop=loop)
     check_apart(rows)
     note = ""
@@ -250,8 +250,8 @@ def check_and_reduce(rows: PointRows, asked: int | None) -> TargetPoints:
         picked = np.round(np.linspace(0, found - 1, most)).astype(int)
         columns = {name: column[picked] for name, column in columns.items()}
         note = _reduced(rows, most, "rows")
-    elif asked and found < asked:
-        note = f"{rows.file} has {found:,} points, fewer than the requested {asked}; all of them are used"
+    elif requested_count and found < requested_count:
+        note = f"{rows.file} has {found:,} points, fewer than the requested {requested_count}; all of them are used"
     crank, angles, weights, tolerances = (
         tuple(columns[name].tolist()) if name in columns else None for name in ("crank", "angle", "weight", "tolerance")
     )

@@ -184,8 +184,8 @@ def geometry(subject: ReportModel, cycle: Analysis, at: float) -> dict[str, Any]
     guides = {}
     for guide in mechanism.guides:
         point, way = here.pose.local_line(guide, guide.on)
-        told = {"slider": guide.slider, "on": guide.on, "through_m": _plain(point), "direction": _plain(way)}
-        guides[guide.name] = told | {"travel_m": list(travelled(cycle, guide))}
+        record = {"slider": guide.slider, "on": guide.on, "through_m": _plain(point), "direction": _plain(way)}
+        guides[guide.name] = record | {"travel_m": list(travelled(cycle, guide))}
     document = {
         **head(SCHEMA, subject.problem, "valid" if subject.valid else "not valid"),
         "valid": subject.valid,

@@ -76,14 +76,14 @@ def _wide(points: float, scene: Scene) -> str:
 
 def _path(line: Array, scene: Scene, *, closed: bool = False) -> str:
     """Return the path data of a line (n, 2), with gaps at NaN."""
-    told, pen = [], "M"
+    commands, pen = [], "M"
     for x, y in line:
         if math.isfinite(x) and math.isfinite(y):
-            told.append(f"{pen}{_number(x, scene)} {_number(y, scene)}")
+            commands.append(f"{pen}{_number(x, scene)} {_number(y, scene)}")
             pen = "L"
         else:
             pen = "M"
-    return " ".join(told) + ("Z" if closed else "")
+    return " ".join(commands) + ("Z" if closed else "")
 
 
 def _ground(scene: Scene) -> Iterator[str]:

@@ -17,7 +17,7 @@ from optlink.report.chart_spec import SYMBOLS, Array, Axis, Band, Bars, Boxes, C
 from optlink.report.export.dimensions import Drawing
 from optlink.report.format import pretty
 from optlink.report.html.theme import readable
-from optlink.report.style import WANTED
+from optlink.report.style import TARGET
 
 Trace = dict[str, Any]
 DIGITS = 6  # significant digits of a number in a chart, far below the visible resolution
@@ -108,7 +108,7 @@ def chart(spec: ChartSpec) -> Chart:
     picks = spec.picks
     if picks is not None:
         picks = replace(picks, x=np.round(picks.x, _decimals(picks.x)), y=np.round(picks.y, _decimals(picks.y)))
-        data.append(_picked(picks, "#ffffff" if HeatMap in kinds else WANTED))
+        data.append(_picked(picks, "#ffffff" if HeatMap in kinds else TARGET))
     remark = "; ".join(filter(None, [spec.remark, *(panel.note for panel in spec.panels)]))
     return Chart(spec.title, {"data": data, "layout": layout}, spec.cursor, picks, remark, spec.words)
 
@@ -271,10 +271,10 @@ def _boxes(trace: Boxes) -> Trace:
 
 
 def _heat_map(spec: ChartSpec, panel: Panel, trace: HeatMap) -> Trace:
-    told = f"{escape(spec.x.name)}: %{{x:.6g}}<br>{escape(panel.y.name)}: %{{y:.6g}}<br>%{{z:.6g}}<extra></extra>"
+    template = f"{escape(spec.x.name)}: %{{x:.6g}}<br>{escape(panel.y.name)}: %{{y:.6g}}<br>%{{z:.6g}}<extra></extra>"
     rows, columns = (slice(None, None, max(1, -(-size // CELLS))) for size in trace.z.shape)
     drawn: Trace = {"type": "heatmap", "name": escape(trace.name), "x": short(trace.x[columns]), "y": short(trace.y[rows])}
-    drawn |= {"z": [short(row) for row in trace.z[rows, columns]], "colorscale": "Viridis", "hovertemplate": told}
+    drawn |= {"z": [short(row) for row in trace.z[rows, columns]], "colorscale": "Viridis", "hovertemplate": template}
     drawn["colorbar"] = {"title": {"text": escape(trace.name), "side": "right"}, "thickness": 16}
     if trace.limits is not None:
         drawn |= {"zmin": trace.limits[0], "zmax": trace.limits[1]}

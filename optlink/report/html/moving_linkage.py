@@ -143,17 +143,17 @@ def readouts(cycle: Analysis, angles: Array) -> list[Readout]:
     machine = cycle.machine
     record = MotionColumns(machine.moving(np.radians(angles), cycle.speed))
     sliders = [f"{name}.s_m" for name in slider_names(machine).values()]
-    asked = [(name, f"slide of {name.removesuffix('.s_m')}", "m") for name in sliders]
-    if not asked:
+    listed = [(name, f"slide of {name.removesuffix('.s_m')}", "m") for name in sliders]
+    if not listed:
         last = machine.mechanism.links[-1].body
-        asked.append((f"{last}.angle_rad", f"angle of {last}", "deg"))
+        listed.append((f"{last}.angle_rad", f"angle of {last}", "deg"))
     for name in record.columns:
         if name.endswith(".transmission_rad"):
-            asked.append((name, f"transmission angle at {name.partition('.')[0]}", "deg"))
+            listed.append((name, f"transmission angle at {name.partition('.')[0]}", "deg"))
     if machine.inertias or machine.loads:
-        asked.append(("input.torque_Nm", "driving torque", "N m"))
+        listed.append(("input.torque_Nm", "driving torque", "N m"))
     found = []
-    for column, words, unit in asked:
+    for column, words, unit in listed:
         values = record[column]
         shown = scale(float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values))), unit)
         found.append(Readout(words, shown.unit, finite(np.round(values * shown.factor, 4))))

@@ -321,8 +321,8 @@ class Explorer:
 
     def _figures(self, parts: tuple[Part, ...]) -> Iterator[Part]:
         """Yield the failed checks and the conflicting limits of a design, its objective, and strokes."""
-        proof = getattr(getattr(self._result, "best", self._result), "validation", None)
-        checks = () if proof is None else proof.checks
+        checked = getattr(getattr(self._result, "best", self._result), "validation", None)
+        checks = () if checked is None else checked.checks
         failed = [check for check in checks if not check.passed]
         if failed:
             title = f"{len(failed)} of {len(checks)} checks fail"

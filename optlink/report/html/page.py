@@ -61,7 +61,7 @@ def page(subject: ReportModel | StoredStudy) -> str:
 
 
 def _report(subject: ReportModel) -> StoredStudy:
-    answers = subject.answers or sensitivities_of(subject)
+    effects = subject.effects or sensitivities_of(subject)
     with single_units():
         shown = result_tables(subject)
         return StoredStudy(
@@ -71,10 +71,10 @@ def _report(subject: ReportModel) -> StoredStudy:
             valid=subject.valid,
             conclusion=_conclusion(subject, shown),
             status=shown.status.lines,
-            sections=list(_sections(subject, shown, answers)),
+            sections=list(_sections(subject, shown, effects)),
             moving=functools.partial(moved, subject),
             by=_by(subject),
-            after=1 if subject.answers is not None else 0,  # the requested study comes first
+            after=1 if subject.effects is not None else 0,  # the requested study comes first
             notes=subject.notes,
         )
 
@@ -94,22 +94,22 @@ def moved(subject: ReportModel, steps: int) -> Moving | None:
 # --- layout ------------------------------------------------------------------------------------------------------------------
 
 
-def _sections(subject: ReportModel, shown: Summary, answers: Sensitivities | None) -> Iterator[PageSection]:
-    if answers is not None and subject.answers is not None:
-        yield _matters(answers)
+def _sections(subject: ReportModel, shown: Summary, effects: Sensitivities | None) -> Iterator[PageSection]:
+    if effects is not None and subject.effects is not None:
+        yield _matters(effects)
     if subject.cycle is None and subject.unmoved:
         yield PageSection("Linkage", (Paragraph(f"It cannot be shown in motion: {subject.unmoved}."),))
     name = "Analysis" if isinstance(subject.result, Analysis) else "Design and checks"
     yield PageSection(name, (_with_recorded_limits(subject, shown),))
-    if answers is not None and subject.answers is None:
-        yield _matters(answers)
+    if effects is not None and subject.effects is None:
+        yield _matters(effects)
     yield PageSection("Curves", chart_plotly.charts(charts(subject)))
 
 
-def _matters(answers: Sensitivities) -> PageSection:
+def _matters(effects: Sensitivities) -> PageSection:
     """Return the section of the sensitivities."""
-    drawn = chart_plotly.charts(sensitivity.charts(answers))
-    return PageSection("What matters", (*drawn, tuple(study_tables.sensitivity_parts(answers))))
+    drawn = chart_plotly.charts(sensitivity.charts(effects))
+    return PageSection("What matters", (*drawn, tuple(study_tables.sensitivity_parts(effects))))
 
 
 def sensitivities_of(subject: ReportModel) -> Sensitivities | None:
@@ -151,14 +151,14 @@ def _conclusion(subject: ReportModel, shown: Summary) -> str:
     if isinstance(outcome, FunctionResult | PathResult | CycleResult):
         solution = None if outcome.best is None else outcome.best.solution
         text = conclusions.design(outcome, subject.limits if solution is None else solution.limits)
-        return f"{conclusions.sensitivities(subject.answers)} {text}" if subject.answers is not None else text
+        return f"{conclusions.sensitivities(subject.effects)} {text}" if subject.effects is not None else text
     return "".join(span.text for line in shown.status.lines[:1] for span in line)
 
 
 def _failed(subject: ReportModel) -> str:
     """Return the names of the failed checks."""
-    proof = getattr(subject.result, "validation", None)
-    names = [check.name for check in proof.checks if not check.passed] if proof else []
+    checked = getattr(subject.result, "validation", None)
+    names = [check.name for check in checked.checks if not check.passed] if checked else []
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 

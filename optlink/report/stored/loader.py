@@ -161,9 +161,9 @@ def problem_of(name: str, expected: str, path: Path, problem: str | None = None,
     if not places:
         remedy = f"Name its problem file: --problem {name}.toml"
         raise InputError(f"the problem {name} of this result is not found", remedy, str(path), "problem", name)
-    told = f"its problem has the hash {expected}, {places[0]} has {hashes[0]}"
+    difference = f"its problem has the hash {expected}, {places[0]} has {hashes[0]}"
     remedy = "Name the problem file: --problem FILE, and repeat the --set of the search; or solve again"
-    raise InputError(f"the result is that of another problem or version: {told}", remedy, str(path), "problem_hash")
+    raise InputError(f"the result is that of another problem or version: {difference}", remedy, str(path), "problem_hash")
 
 
 def _places(name: str, path: Path) -> Iterator[str]:

@@ -109,7 +109,7 @@ def _sensitive(record: SensitivitiesRecord, file: ProblemFile, notes: tuple[str,
     checks = {row.key: row.searched_again for row in record.parameters}
     found = of_solution(best.problem, best.solution)
     rows = tuple(replace(row, check=checks.get(row.parameter.key)) for row in found.rows)
-    return replace(report_model_of(file, outcome, (), notes), answers=replace(found, rows=rows))
+    return replace(report_model_of(file, outcome, (), notes), effects=replace(found, rows=rows))
 
 
 def _size(file: ProblemFile, units: Mapping[str, str], name: str) -> float:
@@ -140,10 +140,10 @@ def _outcome(record: ResultRecord, path: Path, file: ProblemFile) -> Outcome:
     return replace(made, **about | ({"notes": record.notes} if isinstance(made, CycleResult) else {}))
 
 
-def _with_stored(proof: Validation, stored: tuple[Check, ...]) -> Validation:
+def _with_stored(fresh: Validation, stored: tuple[Check, ...]) -> Validation:
     """Return a validation with the stored checks that it does not repeat."""
-    known = {check.name for check in proof.checks}
-    return replace(proof, checks=(*proof.checks, *(check for check in stored if check.name not in known)))
+    known = {check.name for check in fresh.checks}
+    return replace(fresh, checks=(*fresh.checks, *(check for check in stored if check.name not in known)))
 
 
 def _path(record: PathRecord, file: ProblemFile) -> PathResult:
@@ -175,8 +175,8 @@ def _path_design(record: PathDesignRecord, where: str, file: ProblemFile) -> Pat
     angles = np.radians(record.points["crank_deg"])
     assert isinstance(variant.model, PathProblem)
     check_length(angles, len(variant.model.data.columns), f"{where}.points.crank_deg")
-    proof = validate_path(variant.model, values, angles)
-    return PathDesign(variant, values, angles, proof.objective, record.status, _with_stored(proof, record.validation))
+    fresh = validate_path(variant.model, values, angles)
+    return PathDesign(variant, values, angles, fresh.objective, record.status, _with_stored(fresh, record.validation))
 
 
 def _limits(record: ResultRecord) -> tuple[LimitState, ...]:

@@ -18,7 +18,7 @@ from optlink.report.animation import film, there_and_back
 from optlink.report.chart_spec import ChartSpec
 from optlink.report.drawing import Sketch, merged_positions
 from optlink.report.labels import Label, place_labels
-from optlink.report.style import CRANK, WANTED, degrees, figure, heading, panels, scale, styled
+from optlink.report.style import CRANK, TARGET, degrees, figure, heading, panels, scale, styled
 from optlink.report.view import View
 from optlink.report.views import analysis_charts, analysis_forces
 from optlink.report.views.analysis_charts import output
@@ -119,7 +119,7 @@ def _scale_arrow(axes: Axes, top: float, longest: float) -> None:
 def _arrow(axes: Axes, begin: NDArray[np.float64], end: NDArray[np.float64], gid: str) -> FancyArrowPatch:
     """Draw an arrow between two points (2,)."""
     ends = (float(begin[0]), float(begin[1])), (float(end[0]), float(end[1]))
-    drawn = FancyArrowPatch(*ends, arrowstyle="-|>", mutation_scale=9.0, linewidth=1.4, color=WANTED, shrinkA=0.0, shrinkB=0.0)
+    drawn = FancyArrowPatch(*ends, arrowstyle="-|>", mutation_scale=9.0, linewidth=1.4, color=TARGET, shrinkA=0.0, shrinkB=0.0)
     drawn.set(zorder=6, gid=gid)
     axes.add_patch(drawn)
     return drawn

@@ -14,7 +14,7 @@ from optlink.linkage.mechanism import FRAME
 from optlink.linkage.stroke import Travel
 from optlink.linkage.vector2d import TURN
 from optlink.report.chart_spec import Axis, ChartSpec, Curve, Dash, Line, Mark, Panel, Span, crank_angle
-from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, WANTED, Scale, degrees, scale
+from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, TARGET, Scale, degrees, scale
 from optlink.report.views.analysis_curves import NOTHING, CycleCurves
 from optlink.tasks.results.analysis import Extreme
 
@@ -186,7 +186,7 @@ def _held(mark: Mark, low: float, high: float) -> Mark:
     return Mark(mark.x, high if up else low, mark.text, mark.colour, "triangle", mark.size, prefer, angle=angle, gid=mark.gid)
 
 
-def extremes(course: CycleCurves, name: str, shown: Scale, colour: str = WANTED, extreme: Extreme | None = None) -> list[Mark]:
+def extremes(course: CycleCurves, name: str, shown: Scale, colour: str = TARGET, extreme: Extreme | None = None) -> list[Mark]:
     """Return marks at the least and largest value of a column at their exact crank angles.
 
     Parameters
@@ -268,13 +268,15 @@ def motion(course: CycleCurves, given: CycleCurves | None = None) -> list[ChartS
         ):
             traces = curves(course, name, unit, "", (FOUND, BODIES[1], CRANK)[k], given=given)
             limits = _limits(course, out) if name.endswith(".angle_rad") else course.result.extremes.get(name)
-            marks = extremes(course, name, unit, WANTED, limits) if limits and limits.largest - limits.least > 2.0 * floor else []
+            marks = extremes(course, name, unit, TARGET, limits) if limits and limits.largest - limits.least > 2.0 * floor else []
             word = f"angular {word}" if word == "acceleration" and not out.slides else word
             panels.append(panel(course, f"{word} [{unit.unit}]", traces, 1.0, marks, least=4.0 * floor * unit.factor))
         lines, spans = _strokes(course, out.travel)
-        width, heading, told = 7.6 if len(shown) == 1 else 5.6, titled(course, "motion"), _travelled(course, out)
+        width, heading, caption = 7.6 if len(shown) == 1 else 5.6, titled(course, "motion"), _travelled(course, out)
         title = f"Motion of {out.name}"
-        found.append(chart(course, "motion", title, panels, heading=heading, remark=told, lines=lines, spans=spans, width=width))
+        found.append(
+            chart(course, "motion", title, panels, heading=heading, remark=caption, lines=lines, spans=spans, width=width)
+        )
     return found
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from optlink.dynamics.inverse import shaking as shaken
 from optlink.linkage import extrema
 from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Dash, Line, Mark, Panel
-from optlink.report.style import BODIES, COUPLER, CRANK, FOUND, QUIET, ROCKER, WANTED, Scale, degrees, scale
+from optlink.report.style import BODIES, COUPLER, CRANK, FOUND, QUIET, ROCKER, TARGET, Scale, degrees, scale
 from optlink.report.views.analysis_charts import axis, chart, curves, extremes, panel, titled
 from optlink.report.views.analysis_curves import NOTHING, CycleCurves
 
@@ -53,7 +53,7 @@ def torque(course: CycleCurves, given: CycleCurves | None = None) -> list[ChartS
     mean = result.work / (course.end - course.start)
     if math.isfinite(mean):
         mean = mean if abs(mean) > NOTHING * course.peak(TORQUE) else 0.0
-        lines.append(Line(mean * unit.factor, f"mean {unit.text(mean) if mean else 0}", WANTED, gid="mean"))
+        lines.append(Line(mean * unit.factor, f"mean {unit.text(mean) if mean else 0}", TARGET, gid="mean"))
     name = f"torque on {result.machine.mechanism.crank.body} [{unit.unit}]"
     shown = panel(course, name, traces, 1.6, extremes(course, TORQUE, unit), lines)
     speed = f"{abs(result.speed):.5g} rad/s = {abs(result.speed) * 30.0 / math.pi:.5g} rpm"
@@ -83,10 +83,10 @@ def reactions(course: CycleCurves) -> list[ChartSpec]:
     unit = scale(course.peak(pivot), "N")
     pair = [*curves(course, x, unit, "in x", FOUND), *curves(course, y, unit, "in y", CRANK)]
     marks = extremes(course, x, unit, FOUND) + extremes(course, y, unit, CRANK)
-    told = course.result.meanings.get(x, "").removesuffix(" in x")
+    caption = course.result.meanings.get(x, "").removesuffix(" in x")
     heading = titled(course, "joint reactions")
     force = [panel(course, f"force [{unit.unit}]", pair, 1.6, marks)]
-    one = chart(course, "reactions", f"Crank pivot {crank.start}: {told}", force, heading=heading, width=6.2)
+    one = chart(course, "reactions", f"Crank pivot {crank.start}: {caption}", force, heading=heading, width=6.2)
     around = hodograph(course, x, y, unit, "reactions", "Hodograph of this force, crank angle marked")
     unit = scale(course.peak(*amounts.values()), "N")
     shown = _together(course, {label: name for label, name in amounts.items() if course.has(name, list(amounts.values()))})
@@ -147,7 +147,7 @@ def hodograph(
     for k in course.breaks(x, y):
         ends = [course[name][k : k + 2] * unit.factor for name in (x, y)]
         traces.append(Curve(ends[0], ends[1], "", FOUND, 0.9, "dot", hover=False, gid="jump"))
-    marks = [Mark(0.0, 0.0, "", WANTED, "plus", 9.0), *more]
+    marks = [Mark(0.0, 0.0, "", TARGET, "plus", 9.0), *more]
     known = np.isfinite(xs) & np.isfinite(ys)
     step = 60.0 if course.result.full else 10.0 * max(1.0, math.ceil(abs(math.degrees(course.end - course.start)) / 60.0))
     low, high = sorted((math.degrees(course.start), math.degrees(course.end)))
@@ -207,8 +207,10 @@ def guides(course: CycleCurves) -> list[ChartSpec]:
         traces = curves(course, names[0], unit, "normal force" if rubbed else "", FOUND)
         traces += curves(course, names[1], unit, "friction", BODIES[2], 1.3) if rubbed else []
         force = panel(course, f"normal force [{unit.unit}]", traces, 1.1, extremes(course, names[0], unit))
-        title, told = f"Guide force in {guide.name}", f"{guide.name}: {guide.on} on {guide.slider}, to the left of the line"
-        found.append(chart(course, "guides", title, [force], heading=heading, remark=told, row=row, width=6.6 if turned else 7.6))
+        title, caption = f"Guide force in {guide.name}", f"{guide.name}: {guide.on} on {guide.slider}, to the left of the line"
+        found.append(
+            chart(course, "guides", title, [force], heading=heading, remark=caption, row=row, width=6.6 if turned else 7.6)
+        )
         name = f"{guide.name}.moment_Nm"
         if name in turned:
             unit = scale(course.peak(name), "N m")
@@ -240,7 +242,7 @@ def work(course: CycleCurves, given: CycleCurves | None = None) -> list[ChartSpe
     traces = curves(course, name, unit, "", FOUND, 1.9, given=given)
     panels = [panel(course, f"work of the drive [{unit.unit}]", traces, 1.2, extremes(course, name, unit))]
     total = course.result.work if abs(course.result.work) > NOTHING * course.peak(name) else 0.0
-    told = f"{unit.text(total) if total else '0 J'} {course.result.extent}" if math.isfinite(total) else ""
+    caption = f"{unit.text(total) if total else '0 J'} {course.result.extent}" if math.isfinite(total) else ""
     stored = [energy for energy in energies if course.has(energy, energies)]
     if stored:
         unit = scale(course.peak(*stored), "J")
@@ -250,7 +252,7 @@ def work(course: CycleCurves, given: CycleCurves | None = None) -> list[ChartSpe
             both = (course[energies[0]] + course[energies[1]]) * unit.factor
             traces.append(Curve(course.degrees, both, "both", QUIET, 1.2, "dash", gid="energy"))
         panels.append(panel(course, f"energy [{unit.unit}]", traces))
-    return [chart(course, "work", "Work of the drive", panels, remark=told)]
+    return [chart(course, "work", "Work of the drive", panels, remark=caption)]
 
 
 def shaking(course: CycleCurves, given: CycleCurves | None = None) -> list[ChartSpec]:
@@ -272,8 +274,8 @@ def shaking(course: CycleCurves, given: CycleCurves | None = None) -> list[Chart
         unit = scale(course.peak(x, y), "N")
         most = _largest_shaking(course)
         mark = Mark(most[0] * unit.factor, most[1] * unit.factor, "", CRANK, size=5.0, gid="largest")
-        told = f"Shaking force, at most {unit.text(math.hypot(most[0], most[1]))} at {degrees(most[2])}"
-        found.append(hodograph(course, x, y, unit, "shaking", told, [mark], heading))
+        caption = f"Shaking force, at most {unit.text(math.hypot(most[0], most[1]))} at {degrees(most[2])}"
+        found.append(hodograph(course, x, y, unit, "shaking", caption, [mark], heading))
         traces = [*curves(course, x, unit, "in x", FOUND, given=given), *curves(course, y, unit, "in y", CRANK, given=given)]
         panels.append(panel(course, f"shaking force [{unit.unit}]", traces))
     unit = scale(course.peak(moment), "N m")

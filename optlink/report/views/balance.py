@@ -23,7 +23,7 @@ from optlink.report.format import change, number
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection
 from optlink.report.stored.stored_study import StoredStudy, still, turning
-from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, WANTED, scale
+from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, TARGET, scale
 from optlink.report.view import View
 from optlink.report.views import balance_drawing, balance_tables, conclusions
 from optlink.tasks.balance import balanced_problem, measure_changes, positions
@@ -78,11 +78,11 @@ def before_after(result: Balance) -> list[ChartSpec]:
     """
     every = quantities(result.machine)
     section = result.problem.model.balance
-    asked = [measure for measure, _ in result.goal]
-    asked += [] if section is None else [limit.measure for limit in section.limits.values()]
+    measured = [measure for measure, _ in result.goal]
+    measured += [] if section is None else [limit.measure for limit in section.limits.values()]
     common = [one for one in every if one.kind in COMMON]
     reactions = [one for one in every if one.kind not in COMMON]
-    chosen = [one for one in reactions if any(_same(one, measure, result) for measure in asked)]
+    chosen = [one for one in reactions if any(_same(one, measure, result) for measure in measured)]
     others = [one for one in reactions if one not in chosen]
     groups = [("Shaking and drive", common, "before_after"), ("Joint reactions", chosen, "before_after")]
     groups += [
@@ -135,13 +135,13 @@ def hodograph(result: Balance) -> ChartSpec:
     paths = [np.stack([result.columns[f"{when}.shaking_force_{way}_N"] for way in "xy"], axis=-1) for when, *_ in names]
     largest = float(np.max(np.abs(paths[0])))
     unit = scale(largest, "N")
-    centre = Curve(np.zeros(1), np.zeros(1), "", WANTED, mode="markers", symbol="plus", size=10.0, legend=False, hover=False)
+    centre = Curve(np.zeros(1), np.zeros(1), "", TARGET, mode="markers", symbol="plus", size=10.0, legend=False, hover=False)
     curves, marks = [centre], []
     for (_, colour, width, name), path in zip(names, paths, strict=True):
         most, drawn = float(np.max(np.linalg.norm(path, axis=1))), path * unit.factor
         closed, middle = np.concatenate([drawn, drawn[:1]]), np.mean(drawn, axis=0)
-        told = f"{name}: at most {unit.text(most) if most > 1e-12 * largest else '0'}"
-        curves.append(Curve(closed[:, 0], closed[:, 1], told, colour, width, gid=f"hodograph {name}"))
+        recorded = f"{name}: at most {unit.text(most) if most > 1e-12 * largest else '0'}"
+        curves.append(Curve(closed[:, 0], closed[:, 1], recorded, colour, width, gid=f"hodograph {name}"))
         if most < 0.02 * largest:  # degenerates to a point: no crank angles to mark
             marks.append(Mark(float(middle[0]), float(middle[1]), "", colour, size=6.0))
             continue
@@ -175,12 +175,12 @@ def trade_off(result: Balance) -> list[ChartSpec]:
         below,
         Curve(bound[:, 0], bound[:, 1], "lower bound", FOUND, 1.8, gid="bound"),
         designs(real[:, 0], real[:, 1], "designs, by inverse dynamics", FOUND),
-        Curve(given[:1], given[1:], "initial machine", WANTED, mode="markers", symbol="square", size=6.5, gid="initial"),
+        Curve(given[:1], given[1:], "initial machine", TARGET, mode="markers", symbol="square", size=6.5, gid="initial"),
     ]
     names = {0: f"least {found.first.quantity}", len(found.points) - 1: f"least {found.second.quantity}"}
     if found.knee is not None:
         names[found.knee] = "knee"
-    marks = [Mark(float(given[0]), float(given[1]), "initial machine", WANTED, "square", 6.5, font=9.0)]
+    marks = [Mark(float(given[0]), float(given[1]), "initial machine", TARGET, "square", 6.5, font=9.0)]
     for k, name in names.items():
         shares = (change(value / before - 1.0) for value, before in zip(found.points[k].realised, found.before, strict=True))
         text = f"{name}\n{', '.join(f'{_short(m)} {share}' for m, share in zip(both, shares, strict=True))}"
@@ -217,8 +217,8 @@ def _picks(trade: TradeOff, places: Array) -> Picks:
     rows = []
     for point in trade.points:
         shares = [change(value / before - 1.0) for value, before in zip(point.realised, trade.before, strict=True)]
-        told = [number(point.realised[0]), shares[0], number(point.realised[1]), shares[1]]
-        rows.append((*told, *(f"{number(point.masses[body])} kg" if body in point.masses else "none" for body in bodies)))
+        recorded = [number(point.realised[0]), shares[0], number(point.realised[1]), shares[1]]
+        rows.append((*recorded, *(f"{number(point.masses[body])} kg" if body in point.masses else "none" for body in bodies)))
     what = (*names, *(f"counterweight on {body}" for body in bodies))
     return Picks("point", what, tuple(rows), places[:, 0], places[:, 1], trade.knee or 0)
 
@@ -324,14 +324,14 @@ def _parts(
 
 def _rows(record: BalanceRecord, machine: Machine, heavier: Machine, angles: Array) -> tuple[MeasureChange, ...]:
     """Recompute all measures before and after balancing by inverse dynamics; raise if the record differs."""
-    asked = quantities(machine)
-    both = [quantities_of(one.moving(angles, record.speed_rad_s), asked, record.moment_about_m) for one in (machine, heavier)]
-    rows = measure_changes(asked, *both)
-    told = {str(one.name): (k, one) for k, one in enumerate(record.measures)}
+    measured = quantities(machine)
+    both = [quantities_of(one.moving(angles, record.speed_rad_s), measured, record.moment_about_m) for one in (machine, heavier)]
+    rows = measure_changes(measured, *both)
+    recorded = {str(one.name): (k, one) for k, one in enumerate(record.measures)}
     for row in rows:
-        if str(row.measure) not in told:
+        if str(row.measure) not in recorded:
             raise Contradiction("measures", f"the {row.measure} is missing")
-        k, one = told[str(row.measure)]
+        k, one = recorded[str(row.measure)]
         for when in ("before", "after"):
             is_, said = getattr(row, when), getattr(one, when)
             if abs(is_ - said) > TRUE * max(row.before, abs(is_)):

@@ -24,7 +24,7 @@ from optlink.report.html.shell import PageSection
 from optlink.report.scene import through
 from optlink.report.shapes import even
 from optlink.report.stored.stored_study import StoredStudy, cycle_of
-from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, ROCKER, SHADE, WANTED, Scale, scale
+from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, ROCKER, SHADE, TARGET, Scale, scale
 from optlink.report.view import View
 from optlink.report.views import clearance_joints, clearance_tables, conclusions, magnified_joints
 from optlink.report.views.revolutions import FULL, TORQUE, WINDOW, RevolutionCurves, from_zero, hold, numbered, rough
@@ -62,7 +62,7 @@ def displacement(turns: RevolutionCurves) -> list[ChartSpec]:
     time, ideal = turns.time[rows], value - deviation
     both = [
         Curve(time, value[rows] * unit.factor, "with clearance", ROCKER, 1.7, gid="output"),
-        Curve(time, ideal[rows] * unit.factor, "ideal machine", WANTED, 1.1, "dash", gid="ideal"),
+        Curve(time, ideal[rows] * unit.factor, "ideal machine", TARGET, 1.1, "dash", gid="ideal"),
     ]
     away = Curve(time, deviation[rows] * small.factor, f"deviation of {out.name}", LIMIT, 1.3, gid="error")
     if advance:  # over the crank angle, a fully rotating output is shown within one turn
@@ -70,7 +70,7 @@ def displacement(turns: RevolutionCurves) -> list[ChartSpec]:
         value, ideal = (part - 2.0 * math.pi * math.floor(lowest / (2.0 * math.pi) + 1e-6) for part in (value, ideal))
     x, y = turns.fold(ideal * unit.factor, turns.rows(1), advance * unit.factor)
     folded = turns.overlay(value, unit, "with clearance", ROCKER, advance)
-    folded.append(Curve(x, y, "ideal machine", WANTED, 1.1, "dash", gid="ideal"))
+    folded.append(Curve(x, y, "ideal machine", TARGET, 1.1, "dash", gid="ideal"))
     moved = Axis(f"{out.name}: {'slide' if out.guide else 'angle'} [{unit.unit}]")
     lost = Axis(f"deviation [{small.unit}]", hold(deviation[turns.rows(max(turns.shown, WINDOW))] * small.factor))
     heading = turns.title(f"motion of {out.name}")
@@ -113,7 +113,7 @@ def error(turns: RevolutionCurves) -> list[ChartSpec]:
     deviations = [
         plotted(peak * shown.factor, "peak", CRANK, 1.1, gid="peak"),
         plotted(rms * shown.factor, "root mean square", FOUND, 1.5, gid="rms"),
-        Curve(ends, np.full(2, turns.rms * shown.factor), f"RMS over {turns.counted}", WANTED, 1.1, "dash", gid="whole"),
+        Curve(ends, np.full(2, turns.rms * shown.factor), f"RMS over {turns.counted}", TARGET, 1.1, "dash", gid="whole"),
     ]
     largest = [result.per_revolution[f"{gap.point}.normal_max_N"] for gap in result.gaps]
     force = scale(float(np.max(largest)), "N")
@@ -128,13 +128,13 @@ def error(turns: RevolutionCurves) -> list[ChartSpec]:
     ]
     spans = [Span(low, turns.begin - 0.5, "running-in, left out", SHADE)] if turns.begin - 0.5 > low else []
     counted, si = numbers >= turns.begin, "m" if unit == "m" else "deg"
-    told = f"RMS {rough(turns.rms, si)}, peak {rough(float(np.max(peak[counted])), si)}"
+    caption = f"RMS {rough(turns.rms, si)}, peak {rough(float(np.max(peak[counted])), si)}"
     if int(np.sum(counted)) > 1:
-        told += f", RMS of single revolutions ±{float(np.std(rms[counted], ddof=1)) * shown.factor:.2g}"
-        told += "°" if si == "deg" else f" {shown.unit}"
+        caption += f", RMS of single revolutions ±{float(np.std(rms[counted], ddof=1)) * shown.factor:.2g}"
+        caption += "°" if si == "deg" else f" {shown.unit}"
     heading = turns.title(f"deviation of {out.name}", turns.counted)
     x = numbered(numbers)
-    return [ChartSpec("error", "Revolution by revolution", panels, x, heading, told, spans=spans, cursor=False)]
+    return [ChartSpec("error", "Revolution by revolution", panels, x, heading, caption, spans=spans, cursor=False)]
 
 
 # --- drive ---------------------------------------------------------------------------------------------------------------
@@ -165,7 +165,7 @@ def torque(turns: RevolutionCurves) -> list[ChartSpec]:
         if ideal is not None:
             even = math.sqrt(float(np.mean(ideal[1] ** 2)))
             name = f"ideal machine: RMS {rough(even, 'N m')}, largest {rough(near, 'N m')}"
-            curves.append(Curve(ideal[0], ideal[1] * unit.factor, name, WANTED, 1.4, "dash", legend=not close, gid="ideal"))
+            curves.append(Curve(ideal[0], ideal[1] * unit.factor, name, TARGET, 1.4, "dash", legend=not close, gid="ideal"))
         limits = (-1.6 * near * unit.factor, 1.6 * near * unit.factor) if close else None
         if float(np.ptp(last)) < 1e-6 * largest:  # constant torque: start at zero instead of showing rounding errors
             ends = sorted((0.0, 1.15 * float(last[0]) * unit.factor))
@@ -207,7 +207,7 @@ def energy(turns: RevolutionCurves) -> list[ChartSpec]:
     for k, (name, work) in enumerate(fed.items()):
         words, colour = ("drive", CRANK) if name == "drive" else (name, BODIES[(k + 1) % len(BODIES)])
         above.append(Curve(time, work * unit.factor, f"work of {words}", colour, 1.3, gid=f"work {name}"))
-    above.append(Curve(time, gained * unit.factor, "energy gained", WANTED, 1.0, "dash", gid="gained"))
+    above.append(Curve(time, gained * unit.factor, "energy gained", TARGET, 1.0, "dash", gid="gained"))
     total = sum(fed.values()) - gained
     most = max([float(np.max(np.abs(total))), *(float(np.max(np.abs(work))) for work in lost.values())])
     small, below = scale(most, "J"), []
@@ -219,7 +219,7 @@ def energy(turns: RevolutionCurves) -> list[ChartSpec]:
             dash: Dash = "solid" if kind == "friction" else "dashdot"
             colour = BODIES[points.index(point) % len(BODIES)]
             below.append(Curve(time, work * small.factor, f"lost at {point} {words}", colour, 1.5, dash, gid=f"lost {name}"))
-    below.append(Curve(time, total * small.factor, "works minus energy gained", WANTED, 1.4, "dot", gid="total"))
+    below.append(Curve(time, total * small.factor, "works minus energy gained", TARGET, 1.4, "dot", gid="total"))
     missing = np.abs(total - sum(lost.values())) / largest
     low = 10.0 ** math.floor(math.log10(max(float(np.percentile(missing[1:], 5.0)), 1e-16)) - 1.0)
     share = Curve(time, np.maximum(missing, 1e-17), "imbalance", QUIET, 1.0, legend=False, gid="imbalance")
@@ -229,9 +229,9 @@ def energy(turns: RevolutionCurves) -> list[ChartSpec]:
         Panel(Axis(f"losses [{small.unit}]"), below, 1.3),
         Panel(Axis("imbalance / largest", limits, "log"), [share], 0.9),
     ]
-    told = f"imbalance at most {result.figures['imbalance_J'] / largest:.1e} of the largest energy, {rough(largest, 'J')}"
+    caption = f"imbalance at most {result.figures['imbalance_J'] / largest:.1e} of the largest energy, {rough(largest, 'J')}"
     heading = turns.title("energy account", turns.span(turns.kept))
-    return [ChartSpec("energy", "Energy account", panels, Axis(TIME), heading, told)]
+    return [ChartSpec("energy", "Energy account", panels, Axis(TIME), heading, caption)]
 
 
 class _Table(dict[str, Any]):
@@ -270,8 +270,8 @@ def read(record: ClearanceRecord, file: ProblemFile) -> ClearanceSimulation:
         if one.gap not in names:
             raise Contradiction(f"impacts[{k}].gap", "no joint of that name has a clearance", one.gap)
     impacts = [Impact(**dict(one) | {"gap": names.index(one.gap)}) for one in record.impacts]
-    told = record.prediction
-    predicted = None if told is None else Prediction(told.parted_revolutions, told.watched, math.nan)
+    caption = record.prediction
+    predicted = None if caption is None else Prediction(caption.parted_revolutions, caption.watched, math.nan)
     output = known[record.output]
     tables = {name: _Table(name, getattr(record, name)) for name in ("columns", "per_revolution", "poincare_map", "figures")}
     found = record.build(

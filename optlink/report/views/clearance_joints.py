@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from optlink.clearance.integration import Impact
 from optlink.clearance.joint import Gap
 from optlink.report.chart_spec import CRANK_ANGLE, Array, Axis, ChartSpec, Curve, Panel
-from optlink.report.style import BODIES, FOUND, GROUND, LIMIT, QUIET, WANTED, Scale, beside, scale
+from optlink.report.style import BODIES, FOUND, GROUND, LIMIT, QUIET, TARGET, Scale, beside, scale
 from optlink.report.views.revolutions import (
     CIRCLE,
     FULL,
@@ -127,13 +127,13 @@ def journal_orbit(turns: RevolutionCurves) -> list[ChartSpec]:
             xs, ys = _masked(x, y, mask)
             curves.append(Curve(xs, ys, word, colour, width, legend=bool(len(xs)), gid=word))
         if begins.size:
-            curves.append(ring(x[begins], y[begins], "impact", WANTED, size=4.0 if len(begins) < 60 else 2.5, gid="impact"))
-        told = f"clearance {rough(gap.clearance, 'm')}, in contact {float(np.mean(contact)):z.0%}"
+            curves.append(ring(x[begins], y[begins], "impact", TARGET, size=4.0 if len(begins) < 60 else 2.5, gid="impact"))
+        caption = f"clearance {rough(gap.clearance, 'm')}, in contact {float(np.mean(contact)):z.0%}"
         if deepest > 0.0:
-            told += f", deepest {rough(deepest, 'm')}" + (f", beyond the circle {factor:g}-fold" if factor > 1.0 else "")
+            caption += f", deepest {rough(deepest, 'm')}" + (f", beyond the circle {factor:g}-fold" if factor > 1.0 else "")
         heading = turns.title("journals in their bearings", turns.span(WINDOW))
         title = f"Journal orbit at {named(gap)}, {turns.span(WINDOW)}"
-        found.append(_round(turns, k, "orbit", title, curves, unit, heading=heading, remark=told))
+        found.append(_round(turns, k, "orbit", title, curves, unit, heading=heading, remark=caption))
     return found
 
 
@@ -167,7 +167,7 @@ def force(turns: RevolutionCurves) -> list[ChartSpec]:
         if own:
             at = np.degrees([impact.crank_angle for impact in own]) % FULL
             peaks = np.array([impact.penetration for impact in own]) * small.factor
-            depths.append(ring(at, peaks, "deepest of an impact, where it begins", WANTED, size=3.5, gid="impact"))
+            depths.append(ring(at, peaks, "deepest of an impact, where it begins", TARGET, size=3.5, gid="impact"))
         limits, cut = crown(turns, normal * unit.factor, min(0.0, float(np.min(rub[last])) * unit.factor), 0.0)
         limits_below, cut_below = crown(turns, depth * small.factor, 0.0, deepest * small.factor)
         share = float(np.mean(result[f"{gap.point}.contact"][last][-turns.points :]))
@@ -176,8 +176,8 @@ def force(turns: RevolutionCurves) -> list[ChartSpec]:
         phase = "in contact" + (", last revolution" if turns.shown > 1 else "")
         spans = turns.bands(result[f"{gap.point}.contact"], last, phase)
         title, heading = f"Contact force at {named(gap)}, {turns.overlaid}", turns.title("contact forces", turns.overlaid)
-        told, width = f"in contact {share:z.0%}, at most {rough(strongest, 'N')}", 7.6 if columns == 1 else 5.4
-        spec = partial(ChartSpec, "force", title, panels, turns.crank_axis, heading, told)
+        caption, width = f"in contact {share:z.0%}, at most {rough(strongest, 'N')}", 7.6 if columns == 1 else 5.4
+        spec = partial(ChartSpec, "force", title, panels, turns.crank_axis, heading, caption)
         found.append(spec(spans=spans, cursor=False, row=k // columns, width=width))
     return found
 
@@ -206,10 +206,10 @@ def impacts(turns: RevolutionCurves) -> list[ChartSpec]:
             around.append(dots(angle, speed * unit.factor, name, colour, legend=False, gid=f"angle {gap.point}"))
     times = [impact.begin / turns.period for impact in result.impacts]
     begin = math.floor(min(times))
-    told = f"{len(result.impacts)} contacts, the last begins in revolution {math.floor(max(times)) + 1} of {turns.last}"
+    caption = f"{len(result.impacts)} contacts, the last begins in revolution {math.floor(max(times)) + 1} of {turns.last}"
     lasting = [gap.point for gap in result.gaps if result[f"{gap.point}.contact"][-1] > 0.5]
     if lasting:
-        told += f"; still touching at the end: {', '.join(lasting)}"
+        caption += f"; still touching at the end: {', '.join(lasting)}"
     x = Axis("revolutions since the start", (float(begin), float(max(math.ceil(max(times)), begin + 1))))
     speeds = Axis(f"approach speed [{unit.unit}]", from_zero(fastest * unit.factor))
     panels = [
@@ -218,7 +218,7 @@ def impacts(turns: RevolutionCurves) -> list[ChartSpec]:
     ]
     where = Axis(CRANK_ANGLE, (0.0, FULL), step=60.0)
     return [
-        ChartSpec("impacts", "Impacts over the revolutions", panels, x, turns.title("impacts"), told, cursor=False),
+        ChartSpec("impacts", "Impacts over the revolutions", panels, x, turns.title("impacts"), caption, cursor=False),
         ChartSpec("impacts", "Where contacts begin, and how fast", [Panel(speeds, around)], where, cursor=False, row=1),
     ]
 
@@ -249,20 +249,20 @@ def _verdict(turns: RevolutionCurves) -> str:
     """Describe whether the motion is periodic and whether it is predictable."""
     found, predicted = repetition(turns), turns.result.prediction
     if turns.free:
-        told = "under a given torque these are the ends of nominal periods, not of the crank's revolutions"
+        caption = "under a given torque these are the ends of nominal periods, not of the crank's revolutions"
     elif found is None:
-        told = "too few revolutions to tell whether the motion repeats"
+        caption = "too few revolutions to tell whether the motion repeats"
     elif found[0] is None:
-        told = "not periodic: the journals' places at the ends of the revolutions do not repeat"
+        caption = "not periodic: the journals' places at the ends of the revolutions do not repeat"
     else:
         after = "every revolution" if found[0] == 1 else f"every {found[0]} revolutions"
-        told = f"periodic: the journals' places repeat {after} within {max(found[1], 1e-9):.1g} of the clearance"
+        caption = f"periodic: the journals' places repeat {after} within {max(found[1], 1e-9):.1g} of the clearance"
     if predicted is not None and predicted.chaotic:
-        told += f"; sensitive: runs at two tolerances diverge after {predicted.parted:.2g} revolutions"
+        caption += f"; sensitive: runs at two tolerances diverge after {predicted.parted:.2g} revolutions"
     elif predicted is not None and predicted.watched:
         turned = "revolution" if predicted.watched == 1 else f"{predicted.watched} revolutions"
-        told += f"; runs at two tolerances keep together for the {turned} watched"
-    return told
+        caption += f"; runs at two tolerances keep together for the {turned} watched"
+    return caption
 
 
 def poincare_map(turns: RevolutionCurves) -> list[ChartSpec]:

@@ -82,15 +82,15 @@ def design(outcome: FunctionResult | PathResult | CycleResult, limits: Iterable[
     from optlink.tasks.results.cycle import CycleResult
     from optlink.tasks.results.path import PathDesign
 
-    best, proof = outcome.best, clause(outcome.certificate)
+    best, certified = outcome.best, clause(outcome.certificate)
     if best is None or outcome.conflict:
-        return _sentences(contradiction(outcome.conflict, outcome.together) or "No design was found.", proof)
+        return _sentences(contradiction(outcome.conflict, outcome.together) or "No design was found.", certified)
     if isinstance(best, PathDesign | CycleResult):
         achieved = _path(best) if isinstance(best, PathDesign) else _cycle(best)
     else:
         achieved = _function(best)
     if outcome.valid:
-        return _sentences(achieved, _limiting(limits), proof)
+        return _sentences(achieved, _limiting(limits), certified)
     return f"{_failed(best.validation.checks) or _stopped(best.status)} {achieved}"
 
 

@@ -14,7 +14,7 @@ from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line,
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection
 from optlink.report.stored.stored_study import StoredStudy, still
-from optlink.report.style import BODIES, COUPLER, CRANK, FOUND, QUIET, ROCKER, WANTED, scale
+from optlink.report.style import BODIES, COUPLER, CRANK, FOUND, QUIET, ROCKER, TARGET, scale
 from optlink.report.view import View
 from optlink.report.views import clearance_tables, conclusions
 from optlink.report.views.revolutions import FULL, RevolutionCurves, fold
@@ -64,7 +64,7 @@ def compensation(results: Mapping[str, ClearanceSimulation]) -> list[ChartSpec]:
     first = next(iter(every.values()))
     means = {name: _mean_turn(turns, turns.error) for name, turns in every.items()}
     shown = first.shares(max(float(np.max(np.abs(course[1:]))) for course in means.values()))
-    colours = dict(zip(every, (QUIET, COUPLER, BODIES[2], ROCKER, *BODIES[3:]), strict=False)) | {"none": WANTED}
+    colours = dict(zip(every, (QUIET, COUPLER, BODIES[2], ROCKER, *BODIES[3:]), strict=False)) | {"none": TARGET}
     before = every["none"].rms if "none" in every else None
     deviations: list[Curve | Band] = []
     corrections: list[Curve | Band] = []
@@ -110,7 +110,7 @@ def trials(found: Comparison) -> ChartSpec:
             dots = partial(Curve, mode="markers", size=5.0, opacity=0.55, text=[_kind(name)] * len(values), gid=word)
             curves.append(dots(values * shown.factor, np.full(len(values), k + off), word, colour, legend=k == 1))
         ends = np.array([k - 0.34, k + 0.1])
-        curves.append(Curve(np.full(2, one.mean * shown.factor), ends, "mean", WANTED, legend=k == 1, gid="mean"))
+        curves.append(Curve(np.full(2, one.mean * shown.factor), ends, "mean", TARGET, legend=k == 1, gid="mean"))
     y = Axis("", (0.4, len(kinds) + 0.6), reversed=True, ticks=[(float(k), _kind(name)) for k, name in enumerate(kinds, 1)])
     furthest = max(float(np.max(curve.x)) for curve in curves)
     x = Axis(f"deviation [{shown.unit}]", (0.0, 1.05 * furthest))

@@ -67,8 +67,8 @@ def _line(cycle: Cycle, term: Term) -> Line:
 def _shown(result: CycleResult) -> Iterable[tuple[Term, float | None, float | None]]:
     """Yield every cyclic term once, with its limits [SI]."""
     found: dict[tuple[object, ...], tuple[Term, float | None, float | None]] = {}
-    asked = [(goal, None, None) for goal in result.task.goals]
-    for term, low, high in [*asked, *((b.term, b.interval.low, b.interval.high) for b in result.task.bounds)]:
+    objectives = [(goal, None, None) for goal in result.task.goals]
+    for term, low, high in [*objectives, *((b.term, b.interval.low, b.interval.high) for b in result.task.bounds)]:
         if term.nature.cyclic:
             key = (term.quantity, term.of, term.on, term.static)
             first, *known = found.get(key, (term, None, None))

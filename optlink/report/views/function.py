@@ -25,7 +25,7 @@ from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line,
 from optlink.report.drawing import Sketch, merged_positions
 from optlink.report.files import verdict
 from optlink.report.labels import place_labels
-from optlink.report.style import FOUND, LIMIT, QUIET, ROCKER, WANTED, figure, figure as new_figure, heading, panels, styled
+from optlink.report.style import FOUND, LIMIT, QUIET, ROCKER, TARGET, figure, figure as new_figure, heading, panels, styled
 from optlink.report.view import View
 from optlink.report.views.certificate_charts import certificate_charts
 from optlink.report.views.path_view import failed
@@ -152,9 +152,9 @@ def law(result: FunctionResult) -> list[ChartSpec]:
         return []
     error, at_marks = np.degrees(result.error(offsets)), np.degrees(result.error())
     above = [
-        Curve(crank, target, "target", WANTED, 1.4, "dash", gid="target"),
+        Curve(crank, target, "target", TARGET, 1.4, "dash", gid="target"),
         Curve(crank, found, "generated", FOUND, 1.8, gid="generated"),
-        Curve(marked, marks, "design positions", WANTED, mode="markers", size=3.0, gid="positions"),
+        Curve(marked, marks, "design positions", TARGET, mode="markers", size=3.0, gid="positions"),
     ]
     robust, worst = problem.requirement.robust, int(np.nanargmax(np.abs(error)))
     below: list[Trace] = []
@@ -276,7 +276,7 @@ def function_chart(function: Function, offsets: Array, error: Array, title: str,
     away = error * (largest - least) / function.output
     worst = int(np.nanargmax(np.abs(away)))
     above = [
-        Curve(x, target, "target", WANTED, 1.4, "dash", gid="target y"),
+        Curve(x, target, "target", TARGET, 1.4, "dash", gid="target y"),
         Curve(x, target - away, "generated", FOUND, 1.8, gid="generated y"),
     ]
     mark = Mark(
@@ -338,7 +338,7 @@ def objective_map(result: FunctionResult) -> Figure | None:
         axes.plot([], [], color=LIMIT, linewidth=1.5, label="edge of the feasible region")
     _iterations(axes, result, scale_x, scale_y)
     at = (result.design[x_name] * scale_x, result.design[y_name] * scale_y)
-    axes.plot(*at, "*", color="#f1c40f", markeredgecolor=WANTED, markersize=15, zorder=6, label="design")
+    axes.plot(*at, "*", color="#f1c40f", markeredgecolor=TARGET, markersize=15, zorder=6, label="design")
     names = (f"{name} [{'mm' if name in LENGTHS else 'deg'}]" for name in problem.free)
     axes.set(xlim=(x_low * scale_x, x_high * scale_x), ylim=(y_low * scale_y, y_high * scale_y))
     axes.set(**dict(zip(("xlabel", "ylabel"), names, strict=True)))

@@ -212,23 +212,23 @@ def active(limits: Iterable[LimitState], objective: float, unit: str) -> Part:
     return table("Active constraints and their shadow prices", "<<<", rows, notes=notes)
 
 
-def checks(asked: Sequence[Check], gathered: Sequence[Check] = ()) -> TableSpec:
+def checks(selected: Sequence[Check], gathered: Sequence[Check] = ()) -> TableSpec:
     """Tabulate the checks of a validation.
 
     Parameters
     ----------
-    asked : sequence of Check
+    selected : sequence of Check
     gathered : sequence of Check, optional
         Passed bounds of dimensions that share one row.
     """
     rows: list[Row] = [
         (verdict("ok" if one.passed else "FAIL", one.passed), one.name, number(one.value), quiet(one.unit), one.limit)
-        for one in asked
+        for one in selected
         if one not in gathered
     ]
     if gathered:
         rows.append((good("ok"), f"{len(gathered)} sizes within their bounds", "all", "", ""))
-    title = f"Validation: {sum(check.passed for check in asked)} of {len(asked)} checks passed"
+    title = f"Validation: {sum(check.passed for check in selected)} of {len(selected)} checks passed"
     return table(title, ["", "check", ">value", "", "limit"], rows, appendix=True)
 
 
@@ -349,8 +349,8 @@ def _plain(name: str, value: object) -> str:
     if isinstance(value, Quantity | Interval | str | int | float):
         return str(value)
     if isinstance(value, dict):
-        told = ((key, ", ".join(map(str, item)) if isinstance(item, tuple) else item) for key, item in value.items())
-        return "\n".join(f"{key}  {item}" for key, item in told) or "none"
+        written = ((key, ", ".join(map(str, item)) if isinstance(item, tuple) else item) for key, item in value.items())
+        return "\n".join(f"{key}  {item}" for key, item in written) or "none"
     if isinstance(value, tuple):
         return ", ".join(map(str, value))
     if isinstance(value, TargetPoints):
@@ -367,12 +367,12 @@ def _plain(name: str, value: object) -> str:
 def _listed(targets: TargetPoints) -> str:
     """List the first points or poses."""
     angles = targets.angles or (None,) * len(targets.points)
-    told = (
+    written = (
         f"({1e3 * x:.6g}, {1e3 * y:.6g})" + ("" if angle is None else f" at {math.degrees(angle):.6g} deg")
         for (x, y), angle in zip(targets.points, angles, strict=True)
     )
     count, what = len(targets.points), "poses" if targets.angles else "points"
-    return f"{count} {what} [mm]: {', '.join(list(told)[:MOST])}{', ...' if count > MOST else ''}"
+    return f"{count} {what} [mm]: {', '.join(list(written)[:MOST])}{', ...' if count > MOST else ''}"
 
 
 def listing(files: Iterable[ProblemFile]) -> TableSpec:

@@ -25,7 +25,7 @@ from optlink.report.animation import WIDE, film
 from optlink.report.chart_mpl import FONT, TITLE
 from optlink.report.drawing import Sketch
 from optlink.report.labels import Label, in_points, place_labels
-from optlink.report.style import GROUND, QUIET, WANTED, degrees, figure, heading, styled
+from optlink.report.style import GROUND, QUIET, TARGET, degrees, figure, heading, styled
 from optlink.report.views.revolutions import FULL, RevolutionCurves, named, rough, round_below
 from optlink.tasks.results.clearance import ClearanceSimulation
 
@@ -205,7 +205,7 @@ class MagnifiedMachine(Sketch):
 
     # --- close-ups ---------------------------------------------------------------------------------------------------------
 
-    def lay(self, axes: Axes, columns: int, told: int | None = None) -> None:
+    def lay(self, axes: Axes, columns: int, at_row: int | None = None) -> None:
         """Draw the fixed parts of the close-ups: the bearings and the paths of the journal centres.
 
         Parameters
@@ -214,7 +214,7 @@ class MagnifiedMachine(Sketch):
             Axes of the close-ups, also used by `pose`.
         columns : int
             Number of joints side by side.
-        told : int or None, optional
+        at_row : int or None, optional
             Row whose contact state is written below each joint; None writes none, as in an animation.
         """
         self.close_up = axes
@@ -225,11 +225,11 @@ class MagnifiedMachine(Sketch):
             last = self.turns.rows(1)
             x, y = (self.turns.result[f"{gap.point}.e{axis}_m"][last] / gap.clearance * share for axis in "xy")
             axes.plot(middle[0] + x, middle[1] + y, color=QUIET, linewidth=0.8, zorder=5, gid=f"path {gap.point}")
-            lines = textwrap.wrap(named(gap), WRITTEN if told is None else 2 * WRITTEN)
-            if told is not None:
-                lines += [self._state(gap, told), f"gap drawn {share * (gap.radius + gap.clearance) / gap.clearance:.2g}-fold"]
+            lines = textwrap.wrap(named(gap), WRITTEN if at_row is None else 2 * WRITTEN)
+            if at_row is not None:
+                lines += [self._state(gap, at_row), f"gap drawn {share * (gap.radius + gap.clearance) / gap.clearance:.2g}-fold"]
             axes.text(middle[0], middle[1] - 0.52 * CELL, "\n".join(lines), ha="center", va="top", fontsize=FONT)
-        if told is None:
+        if at_row is None:
             axes.set_title("joints, not to scale", fontsize=FONT)
         every = np.array(list(self.middles.values()))
         (x0, y0), (x1, y1) = every.min(axis=0) - 0.5 * CELL, every.max(axis=0) + 0.5 * CELL
@@ -258,13 +258,13 @@ class MagnifiedMachine(Sketch):
             angle = 0.0 if body == FRAME else float(self.columns(f"{body}.angle_rad")[k])
             ends = at + np.outer([begin, end], [math.cos(angle), math.sin(angle)])
             found.append(Line2D(ends[:, 0], ends[:, 1], color=self._colour(body), linewidth=2.0, zorder=4, gid=f"mark {body}"))
-        found.append(Line2D([centre[0]], [centre[1]], marker="o", markersize=3.0, color=WANTED, linestyle="none", zorder=6))
+        found.append(Line2D([centre[0]], [centre[1]], marker="o", markersize=3.0, color=TARGET, linestyle="none", zorder=6))
         if float(self.force(gap)[k]) > FELT * self.strongest:
             x, y = e / max(float(np.hypot(*e)), 1e-300)
             normal, rub = (float(self.columns(f"{gap.point}.{name}_N")[k]) for name in ("normal", "rub"))
             tip = middle + np.array([x, y])
             tail = tip + np.array([normal * x + rub * y, normal * y - rub * x]) * LONGEST / self.strongest
-            arrow = FancyArrowPatch((tail[0], tail[1]), (tip[0], tip[1]), arrowstyle="-|>", mutation_scale=10.0, color=WANTED)
+            arrow = FancyArrowPatch((tail[0], tail[1]), (tip[0], tip[1]), arrowstyle="-|>", mutation_scale=10.0, color=TARGET)
             arrow.set(linewidth=1.6, zorder=7, gid=f"force {gap.point}")
             arrow.shrinkA = arrow.shrinkB = 0.0
             found.append(arrow)

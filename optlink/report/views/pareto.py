@@ -16,7 +16,7 @@ from optlink.report.format import number
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection
 from optlink.report.stored.stored_study import StoredStudy, named_si, still, turning, with_drawings
-from optlink.report.style import FOUND, LIMIT, QUIET, WANTED
+from optlink.report.style import FOUND, LIMIT, QUIET, TARGET
 from optlink.report.view import View
 from optlink.report.views import conclusions, study_tables
 from optlink.studies import grid
@@ -55,9 +55,9 @@ def read(record: ParetoRecord, file: ProblemFile, path: Path) -> Pareto:
     places: dict[str, Mapping[str, object]] = {"ends": record.ends if record.front else dict.fromkeys(columns, 0)}
     places |= {f"front[{k}].objectives": point.objectives for k, point in enumerate(record.front)}
     places |= {} if record.reference is None else {"reference": record.reference}
-    for where, told in places.items():
+    for where, texts in places.items():
         for name in columns:
-            if not isinstance(told.get(name), int | float):
+            if not isinstance(texts.get(name), int | float):
                 raise Contradiction(f"{where}.{name}", "this is missing or not a number")
     ends = tuple(record.ends[name] for name in columns) if record.front else ()
     knee = None if record.knee is None else (record.knee.point, record.knee.distance)
@@ -173,7 +173,7 @@ def _front(result: Pareto, values: Array, x: int, y: int) -> ChartSpec:
     ]
     if result.reference is not None:
         place = result.reference[x], result.reference[y]
-        marks.append(Mark(*place, result.reference_label, WANTED, "square", 6.0, written=True, gid="reference"))
+        marks.append(Mark(*place, result.reference_label, TARGET, "square", 6.0, written=True, gid="reference"))
     every = values if result.reference is None else np.vstack([values, result.reference])
     axes = [Axis(_named(result.objectives[k]), _widened(every[:, k].tolist())) for k in (x, y)]
     title = f"{result.objectives[x].name} against {result.objectives[y].name}"
@@ -211,13 +211,13 @@ def _picks(found: Pareto, x: Array, y: Array) -> Picks:
     names += ["{} [{}]".format(*name.rpartition("_")[::2]) for name in found.points[0].design]
     rows = []
     for point in found.points:
-        told: list[str] = []
+        texts: list[str] = []
         for k, value in enumerate(point.values):
-            told.append(number(value, 7))
+            texts.append(number(value, 7))
             if found.reference is not None:
-                told.append(study_tables.against(value, found.reference[k]))
-        told += [number(value, 7) for value in point.design.values()]
-        rows.append((*told, point.active or "nothing", point.mark or "–"))
+                texts.append(study_tables.against(value, found.reference[k]))
+        texts += [number(value, 7) for value in point.design.values()]
+        rows.append((*texts, point.active or "nothing", point.mark or "–"))
     against = OTHERS.get(found.reference_label, found.reference_label)
     what = f"point (changes: against {against})" if found.reference else "point"
     return Picks(what, (*names, "active constraints", "mark"), tuple(rows), x, y, _chosen(found) or 0, range(len(rows)))

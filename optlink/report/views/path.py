@@ -22,7 +22,7 @@ from optlink.report.chart_spec import Array, ChartSpec
 from optlink.report.drawing import Sketch
 from optlink.report.files import verdict
 from optlink.report.labels import place_labels
-from optlink.report.style import CRANK, WANTED, degrees, figure, heading, styled
+from optlink.report.style import CRANK, TARGET, degrees, figure, heading, styled
 from optlink.report.view import View
 from optlink.report.views.certificate_charts import certificate_charts
 from optlink.report.views.path_charts import Close, dots, errors, points_on, small_frames
@@ -142,7 +142,7 @@ class Passing(Sketch):
         for place, factor in ((axes, self.scale.factor), (self.strip, self.close.unit.factor)):
             x, y = (track.targets[passed] * factor).T
             size = dots(len(track.targets)) + 1.0
-            lit = Line2D(x, y, linestyle="none", marker="o", markersize=size, color=LIT, mec=WANTED, mew=0.6, zorder=6, gid="lit")
+            lit = Line2D(x, y, linestyle="none", marker="o", markersize=size, color=LIT, mec=TARGET, mew=0.6, zorder=6, gid="lit")
             more = [lit]
             if self.close.motion:
                 length = self.close.length * factor / self.close.unit.factor

@@ -12,7 +12,7 @@ from optlink.report.chart_mpl import into
 from optlink.report.chart_spec import Array, Axis, Bars, ChartSpec, Curve, Line, Mark, Panel, Trace
 from optlink.report.labels import Label
 from optlink.report.shapes import even, finite
-from optlink.report.style import BODIES, FOUND, LIMIT, QUIET, WANTED, scale
+from optlink.report.style import BODIES, FOUND, LIMIT, QUIET, TARGET, scale
 from optlink.report.views.path_tables import exact, exact_angles
 from optlink.report.views.path_view import PathView, figures, fitting, length, title_of, wrapped
 from optlink.tasks.results.path import LEVEL
@@ -43,7 +43,7 @@ def points_on(axes: Axes, places: Array, size: float = 1.0) -> None:
         Factor on the marker size.
     """
     size *= dots(len(places))
-    axes.plot(*places.T, linestyle="none", marker="o", markersize=size, color=WANTED, mew=0.0, zorder=5, gid="target")
+    axes.plot(*places.T, linestyle="none", marker="o", markersize=size, color=TARGET, mew=0.0, zorder=5, gid="target")
 
 
 def small_frames(places: Array, angles: Array, length: float) -> Array:
@@ -149,13 +149,13 @@ class Close:
         if self.motion:
             aims, poses = self._poses()
             traces.append(Curve.through(poses, "generated pose", track.colour, 2.6, opacity=0.6, hover=False, gid="poses"))
-            traces.append(Curve.through(aims, "target pose", WANTED, 1.1, hover=False, gid="target poses"))
+            traces.append(Curve.through(aims, "target pose", TARGET, 1.1, hover=False, gid="target poses"))
         numbers = [f"point {k + 1}" for k in range(len(targets))]
         if points:
             traces.append(Curve.through(found, "generated", LIMIT, mode="markers", symbol="plus", size=6.0, text=numbers))
         size = dots(len(targets)) * (0.6 if magnified is not None and np.any(np.isfinite(track.tolerances)) else 1.0)
         words = f"target point{'s' if len(targets) <= NUMBERED else f's, {len(targets)}'}"
-        traces.append(Curve.through(targets, words, WANTED, mode="markers", size=size, text=numbers, gid="target"))
+        traces.append(Curve.through(targets, words, TARGET, mode="markers", size=size, text=numbers, gid="target"))
         (x0, y0), (x1, y1) = self.limits()
         x, y = Axis(f"x [{unit}]", None if points else (x0, x1)), Axis(f"y [{unit}]", None if points else (y0, y1))
         return ChartSpec("", "Path", [Panel(y, traces, marks=self._numbers(size))], x, equal=True, cursor=False)
@@ -217,7 +217,7 @@ class Close:
             away = away / max(float(np.linalg.norm(away)), 1e-300)
             away = -away if float(away @ (places[k] - middle)) < 0.0 else away
             at, prefer = (float(places[k, 0]), float(places[k, 1])), (float(away[0]), float(away[1]))
-            found.append(Mark(*at, _listed(numbers), WANTED, size=size, prefer=prefer, written=True, font=8.0))
+            found.append(Mark(*at, _listed(numbers), TARGET, size=size, prefer=prefer, written=True, font=8.0))
         return found
 
 
@@ -289,8 +289,8 @@ def _distances(track: PathView) -> Panel:
         traces.append(Curve(edges, heights, "tolerance" if np.any(seen) else "", ALLOWED, 1.8, gid="tolerance"))
         if not np.all(seen[known]):
             least = length(float(np.min(tolerances[known & ~seen])), track.sketch.scale)
-            told = f"tolerances from {least} on lie above" if np.any(seen) else f"tolerance, {least}, lies above"
-            traces.append(Curve.entry(told, ALLOWED))
+            exceeding = f"tolerances from {least} on lie above" if np.any(seen) else f"tolerance, {least}, lies above"
+            traces.append(Curve.entry(exceeding, ALLOWED))
     return Panel(Axis(f"distance [{unit.unit}]", (0.0, 1.1 * top * unit.factor)), traces)
 
 

@@ -21,7 +21,7 @@ from optlink.report.animation import film, there_and_back
 from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Panel, crank_angle
 from optlink.report.labels import Label, place_labels
 from optlink.report.shapes import even
-from optlink.report.style import BODIES, CRANK, LIMIT, WANTED, beside, degrees, figure, heading, panels, scale, styled
+from optlink.report.style import BODIES, CRANK, LIMIT, TARGET, beside, degrees, figure, heading, panels, scale, styled
 from optlink.report.views.function import function_chart
 from optlink.report.views.path_charts import NUMBERED, points_on
 from optlink.report.views.path_tables import kin
@@ -142,13 +142,13 @@ def designs(result: PathResult) -> Figure | None:
         half = 0.5 * common * smaller * track.sketch.scale.factor
         middle = np.mean(track.sketch.limits, axis=1)
         axes.set(xlim=(middle[0] - half[0], middle[0] + half[0]), ylim=(middle[1] - half[1], middle[1] + half[1]))
-        told = [heading(f"{number + 1}: {objective(track)}", panel - 0.3, 9.0), transmission(track.design)]
-        told.append(wrapped(assembly(track.design), panel - 0.3, ", ", 9.0))
+        texts = [heading(f"{number + 1}: {objective(track)}", panel - 0.3, 9.0), transmission(track.design)]
+        texts.append(wrapped(assembly(track.design), panel - 0.3, ", ", 9.0))
         if number in related:
-            told.append(f"cognate of {related[number] + 1}: the same curve")
+            texts.append(f"cognate of {related[number] + 1}: the same curve")
         if smaller > 1.0:
-            told.append(f"drawn {smaller:.2g} times smaller than the others")
-        axes.set_title("\n".join(filter(None, told)), fontsize=9.0)
+            texts.append(f"drawn {smaller:.2g} times smaller than the others")
+        axes.set_title("\n".join(filter(None, texts)), fontsize=9.0)
     count = len(result.designs)
     many = f"{count} distinct designs, best first" + (f"; the first {PANELS}" if count > PANELS else "")
     made.suptitle(heading(f"{tracks[0].task.title}: {many}", panel * columns - 0.4, 10.5), fontsize=10.5)
@@ -252,13 +252,13 @@ def _outputs(shown: Output) -> Panel:
     """Return the panel of all curves of an output."""
     traces = []
     if shown.target is not None:
-        traces.append(Curve(shown.crank, shown.target, "target", WANTED, 1.4, "dash", gid="target"))
+        traces.append(Curve(shown.crank, shown.target, "target", TARGET, 1.4, "dash", gid="target"))
     for k, name in enumerate(shown.curves):
-        told = name
+        texts = name
         if shown.target is None:
             least, largest = float(np.nanmin(shown.generated[:, k])), float(np.nanmax(shown.generated[:, k]))
-            told = f"at {name}: {least:z.2f}° to {largest:z.2f}°"
-        traces.append(Curve(shown.crank, shown.generated[:, k], told, BODIES[k % len(BODIES)], 1.9, gid=f"generated {name}"))
+            texts = f"at {name}: {least:z.2f}° to {largest:z.2f}°"
+        traces.append(Curve(shown.crank, shown.generated[:, k], texts, BODIES[k % len(BODIES)], 1.9, gid=f"generated {name}"))
     return Panel(Axis(shown.name), traces, 1.6)
 
 

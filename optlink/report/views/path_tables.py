@@ -243,8 +243,8 @@ def _times(outcome: PathResult) -> Paragraph:
     shown, found = times(outcome.seconds), outcome.evidence
     if not outcome.starts:
         return Paragraph(quiet(shown), appendix=True)
-    told = outcome.designs and not certified(outcome.certificate)
-    reached = f"{found.hits} of {outcome.starts} starts reached the best value; {found.chance}; " if told else ""
+    statistical = outcome.designs and not certified(outcome.certificate)
+    reached = f"{found.hits} of {outcome.starts} starts reached the best value; {found.chance}; " if statistical else ""
     return Paragraph(quiet(f"{reached}batch of least squares, then {outcome.backend}; {shown}"), appendix=True)
 
 

@@ -14,7 +14,7 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.path import MARK
 from optlink.report.drawing import Sketch
 from optlink.report.shapes import finite, spread
-from optlink.report.style import LIMIT, WANTED, Scale, degrees, heading, scale
+from optlink.report.style import LIMIT, TARGET, Scale, degrees, heading, scale
 from optlink.report.views.path_tables import exact, exact_places, measure, words
 from optlink.report.views.revolutions import round_below
 from optlink.tasks.function import FunctionResult
@@ -238,23 +238,23 @@ def figures(track: PathView) -> list[str]:
     distances, turned = design.measured.distances, design.measured.turned
     if not task.pointed:
         return [objective(track), *_error(track), *filter(None, [transmission(design)])]
-    told = []
+    texts = []
     if exact(design):
         many = f"all {len(distances)}" if len(distances) > 2 else "both"
-        told.append(f"{many} {'points' if turned is None else 'poses'} met exactly, to rounding")
+        texts.append(f"{many} {'points' if turned is None else 'poses'} met exactly, to rounding")
     else:
         plain = turned is None and task.target_points.weights is None
         rms, largest = math.sqrt(float(np.nanmean(distances**2))), float(np.nanmax(distances))
         if not (plain and task.measure in ("rms", "max")):
-            told.append(objective(track))
+            texts.append(objective(track))
         shown = fitting(rms, unit)
-        told.append(f"distances: rms {length(rms, shown)}, largest {length(largest, shown)}")
+        texts.append(f"distances: rms {length(rms, shown)}, largest {length(largest, shown)}")
         if turned is not None:
-            told.append(f"angles: largest {_digits(math.degrees(float(np.nanmax(np.abs(turned)))), 4)}°")
+            texts.append(f"angles: largest {_digits(math.degrees(float(np.nanmax(np.abs(turned)))), 4)}°")
         if np.any(np.isfinite(track.tolerances)):
             used = float(np.nanmax(distances / track.tolerances))
-            told.append(f"at most {f'{100.0 * used:.3g} % of' if used < 10.0 else f'{used:.3g} times'} the tolerance")
-    return [*told, *filter(None, [transmission(design)])]
+            texts.append(f"at most {f'{100.0 * used:.3g} % of' if used < 10.0 else f'{used:.3g} times'} the tolerance")
+    return [*texts, *filter(None, [transmission(design)])]
 
 
 def _error(track: PathView) -> list[str]:
@@ -279,11 +279,11 @@ def sizes(track: PathView) -> list[str]:
     angles = [task.quantities[name].kind == "angle" for name in names]
     largest = max([abs(values[name]) for name, angle in zip(names, angles, strict=True) if not angle], default=0.0)
     decimals = DIGITS - math.floor(math.log10(largest * unit.factor)) if largest else 0
-    told = []
+    texts = []
     for name, angle in zip(names, angles, strict=True):
         shown = degrees(values[name]) if angle else _digits(round(values[name] * unit.factor, decimals), DIGITS)
-        told.append(f"{name} {shown}")
-    return [f"in {unit.unit}: {told[0]}", *told[1:]]
+        texts.append(f"{name} {shown}")
+    return [f"in {unit.unit}: {texts[0]}", *texts[1:]]
 
 
 def wrapped(items: Sequence[str], width: float, gap: str, size: float = TITLE) -> str:
@@ -342,8 +342,8 @@ def headed(track: PathView, width: float) -> str:
     track : PathView
     width : float [inch]
     """
-    told = wrapped(figures(track), width, "; "), wrapped(sizes(track), width, "   ")
-    return title_of(track, width, track.task.title, *told)
+    texts = wrapped(figures(track), width, "; "), wrapped(sizes(track), width, "   ")
+    return title_of(track, width, track.task.title, *texts)
 
 
 def entitle(made: Figure, track: PathView, title: str) -> None:
@@ -355,4 +355,4 @@ def entitle(made: Figure, track: PathView, title: str) -> None:
     track : PathView
     title : str
     """
-    made.suptitle(title, fontsize=TITLE, color=WANTED if track.design.valid else LIMIT)
+    made.suptitle(title, fontsize=TITLE, color=TARGET if track.design.valid else LIMIT)

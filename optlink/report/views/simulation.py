@@ -20,7 +20,7 @@ from optlink.report.html.shell import PageSection
 from optlink.report.scene import through
 from optlink.report.shapes import even
 from optlink.report.stored.stored_study import StoredStudy, cycle_of, still
-from optlink.report.style import BODIES, CRANK, QUIET, WANTED, Scale, scale
+from optlink.report.style import BODIES, CRANK, QUIET, TARGET, Scale, scale
 from optlink.report.view import View
 from optlink.report.views import analysis_tables, conclusions
 from optlink.tasks.machine import machine_of
@@ -101,7 +101,7 @@ def drive(run: History) -> list[ChartSpec]:
             mean, crank = math.copysign(own, values[-1]) * RPM, run.columns["crank_angle_deg"]
             turned = np.abs(crank - crank[-1]) <= 360.0 * (1.0 + 1e-12)
             over = run.columns["time_s"][turned]
-            curves.append(Curve(over, np.full(len(over), mean), "mean", WANTED, 1.2, "dash", legend=False, gid="mean"))
+            curves.append(Curve(over, np.full(len(over), mean), "mean", TARGET, 1.2, "dash", legend=False, gid="mean"))
             note = f"last turn: mean over time {own:.4g} rad/s ({own * RPM:.4g} rpm), fluctuation {share:z.2%}"
         room = 0.16 * float(np.ptp(values)) or 0.1 * abs(mean) or 1.0
         limits = float(np.min(values)) - room, float(np.max(values)) + 0.4 * room
@@ -175,7 +175,7 @@ def energy(run: History) -> list[ChartSpec]:
             above.append(run.curve(name, shown.factor, words, colour, 1.2, "dashdot"))
     panels = [Panel(Axis(f"energy [{shown.unit}]"), above, 2.0)]
     if all(name in columns for name in run.figures if name.endswith(".work_J")):
-        above.append(run.curve("energy.gained_J", shown.factor, "gain of kinetic and potential energy", WANTED, 1.4, "dash"))
+        above.append(run.curve("energy.gained_J", shown.factor, "gain of kinetic and potential energy", TARGET, 1.4, "dash"))
         missing = np.abs(columns["energy.gained_J"] - sum(columns[name] for name in works)) / turnover
         share = Curve(columns["time_s"], np.maximum(missing, 1e-17), "imbalance", QUIET, 1.2, legend=False, gid="imbalance")
         limits = 1e-17, max(1e-8, 10.0 * float(np.max(missing)))

@@ -223,7 +223,7 @@ def _picks(table: Table, rows: NDArray[np.intp], x: Array, y: Array) -> Picks:
     words = {"status": "status", "reason": "reason"} if result.evaluated else {ACTIVE: "active", "status": "status"}
     blank = np.full(result.grid.count, "")
     texts = [columns.get(name, blank) for name in words.values()]
-    told = [
+    point_texts = [
         (
             *(number(float(columns[name][k]), 7) for name in names),
             *(str(one[k]) or "none" * (ACTIVE in words) for one in texts),
@@ -231,7 +231,7 @@ def _picks(table: Table, rows: NDArray[np.intp], x: Array, y: Array) -> Picks:
         for k in rows
     ]
     first = 0 if table.best is None else int(np.argmin(np.abs(rows - table.best)))
-    return Picks("point", (*heads, *words), tuple(told), x, y, first, [int(k) for k in rows])
+    return Picks("point", (*heads, *words), tuple(point_texts), x, y, first, [int(k) for k in rows])
 
 
 def _picked(table: Table, rows: NDArray[np.intp]) -> NDArray[np.intp]:

@@ -14,7 +14,7 @@ from optlink.report.format import percent
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection
 from optlink.report.stored.stored_study import StoredStudy, turning
-from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, SHADE, WANTED
+from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, SHADE, TARGET
 from optlink.report.view import View
 from optlink.report.views import conclusions, tolerance_tables
 from optlink.report.views.tolerance_tables import judged_value
@@ -121,7 +121,7 @@ def _band(record: ToleranceRecord) -> ChartSpec:
     if record.monte_carlo is not None:
         ends = f"ends of {record.monte_carlo.samples:,} samples"
         for column, legend in ((record.monte_carlo.most, True), (record.monte_carlo.least, False)):
-            traces.append(Curve(x, k * (base + column), ends, WANTED, 1.1, "dot", mode, legend=legend))
+            traces.append(Curve(x, k * (base + column), ends, TARGET, 1.1, "dot", mode, legend=legend))
     reach = 1.05 * max(float(np.nanmax(np.abs(y))) for one in traces for y in _heights(one))
     words, lines, ends_of_y = f"limit ±{limit:.5g} {record.display_unit}", list[Line](), None
     if limit <= NEAR * reach:

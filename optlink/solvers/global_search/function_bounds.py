@@ -63,7 +63,7 @@ class FunctionBounds:
     candidate: Array = field(default_factory=lambda: np.zeros(5))
 
     def __post_init__(self) -> None:
-        self.y, self.wanted = self.rise(self.x), self.rise(self.dense)
+        self.y, self.target = self.rise(self.x), self.rise(self.dense)
         self.places = np.linspace(float(self.dense[0]), float(self.dense[-1]), PLACES)
 
     @property
@@ -106,12 +106,12 @@ class FunctionBounds:
         z, weights, split = _solved(rows, low, high)
         return z, split, largest(rows, weights, low, high) < 0.0
 
-    def _cut(self, low: Array, high: Array, z: Array, wanted: NDArray[np.bool_], t: float) -> tuple[Array, Array]:
+    def _cut(self, low: Array, high: Array, z: Array, target: NDArray[np.bool_], t: float) -> tuple[Array, Array]:
         """Return the boxes without slabs of K1 and K2, far from the solutions of the programmes, that hold no linkage."""
         low, high = low.copy(), high.copy()
         for k in (2, 3):
             near = np.clip(z[:, k - 2], low[:, k], high[:, k])
-            small = wanted & (np.max(high[:, :2] - low[:, :2], axis=1) < 2.0 * COARSE)
+            small = target & (np.max(high[:, :2] - low[:, :2], axis=1) < 2.0 * COARSE)
             for corner in (low, high):
                 end = np.sqrt(corner[:, k] * near)
                 tried = np.flatnonzero(small & (np.abs(np.log(end / corner[:, k])) > SLAB))
@@ -125,7 +125,7 @@ class FunctionBounds:
 
     # --- candidates ------------------------------------------------------------------------------------------------
 
-    def _candidates(self, z: Array, low: Array, high: Array, wanted: NDArray[np.bool_]) -> tuple[Array, Array]:
+    def _candidates(self, z: Array, low: Array, high: Array, target: NDArray[np.bool_]) -> tuple[Array, Array]:
         """Return the linkages (boxes, 5) at the solutions of the programmes and their errors, infinite beyond the limits.
 
         The worst positions of those in small boxes join the rows.
@@ -134,16 +134,16 @@ class FunctionBounds:
         points = np.concatenate([0.5 * (low + high)[:, :2] + np.clip(z[:, 5:7], -1.0, 1.0) * radius[:, :2], z[:, :3]], axis=1)
         points[:, 2:4] = np.clip(points[:, 2:4], low[:, 2:], high[:, 2:])
         errors = np.full(len(low), np.inf)
-        if not np.any(wanted):
+        if not np.any(target):
             return points, errors
-        found, gamma, coupler = followed(points[wanted], self.linkages.side, self.dense, self.wanted)
+        found, gamma, coupler = followed(points[target], self.linkages.side, self.dense, self.target)
         found = np.abs(found)
         size = np.max(found, axis=1)
         least, most = self.linkages.coupler
         ends = self.linkages.transmission
         fits = (coupler >= least) & (coupler <= most) & (np.min(gamma, axis=1) >= ends[0]) & (np.max(gamma, axis=1) <= ends[1])
-        errors[wanted] = np.where(fits & np.isfinite(size), size, np.inf)
-        small = np.isfinite(size) & (np.max(radius[wanted, :2], axis=1) < SMALL)
+        errors[target] = np.where(fits & np.isfinite(size), size, np.inf)
+        small = np.isfinite(size) & (np.max(radius[target, :2], axis=1) < SMALL)
         self.x = self._exchanged(self.x, found[small])
         self.y = self.rise(self.x)
         for beyond in (gamma - ends[1], ends[0] - gamma):

@@ -97,9 +97,9 @@ class TimedPathBounds:
         self.start = 0.0 if start is None or START in free else start.value
         direction = quantities["direction"].value if "direction" in quantities else 0.0
         self.turned = "direction" in free or START in free  # the crank column has a complex factor
-        loose = [name in free for name in ("A.x", "A.y")]
-        self.reduced = self.turned and all(loose)  # f replaces u
-        whole = self.turned and loose[0] == loose[1]
+        unknown_pivots = [name in free for name in ("A.x", "A.y")]
+        self.reduced = self.turned and all(unknown_pivots)  # f replaces u
+        whole = self.turned and unknown_pivots[0] == unknown_pivots[1]
         self.unit = problem.size
         self.area = self.unit**2 / (len(self.t) if problem.measure == "rms" else 1)  # objective (rms: squared) of the sum 1
         names = ("A.x", "A.y")
@@ -113,7 +113,7 @@ class TimedPathBounds:
         self.points = (targets - base) / self.unit
         one = np.ones(len(self.t), dtype=complex)
         crank = np.exp(1j * self.t) if self.turned else np.exp(1j * (self.t + self.start + direction))
-        columns = [factor * one for factor, use in zip((1.0, 1j), loose, strict=True) if use]
+        columns = [factor * one for factor, use in zip((1.0, 1j), unknown_pivots, strict=True) if use]
         self.columns: Complex = np.array([*columns, crank, 1j * crank] if self.turned else [*columns, crank], dtype=complex)
         self.low, self.high = self._ranges(free)
         rounding = 16.0 * len(self.t) * UNIT * float(np.max(self.roots) * np.max(np.abs(targets) + abs(base))) / self.unit

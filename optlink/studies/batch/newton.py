@@ -60,7 +60,7 @@ class BatchProblem:
 class BatchOptima:
     """Ends of the iterations: scaled designs (points, n), multipliers and active sides (points, n + m), objectives (points,).
 
-    Active sides: +1 upper bound, -1 lower bound, 2 equality, 0 inactive. `proven` (points,): whether the first-order and
+    Active sides: +1 upper bound, -1 lower bound, 2 equality, 0 inactive. `optimal` (points,): whether the first-order and
     second-order conditions of a local optimum hold there, with nothing but the active set within `ACTIVE` of its bound.
     """
 
@@ -68,7 +68,7 @@ class BatchOptima:
     multipliers: Array
     sides: NDArray[np.int8]
     objective: Array
-    proven: Bools
+    optimal: Bools
 
 
 def groups(sides: NDArray[np.int8]) -> list[tuple[Index, Index]]:
@@ -96,7 +96,7 @@ def batch_newton(nlp: BatchNLP, problem: BatchProblem, x: Array, multipliers: Ar
         First active sets, see `BatchOptima`.
     """
     start, x, multipliers, sides = x, x.copy(), multipliers.copy(), sides.copy()
-    objective, proven = np.full(len(x), np.nan), np.zeros(len(x), dtype=bool)
+    objective, optimal = np.full(len(x), np.nan), np.zeros(len(x), dtype=bool)
     todo = np.arange(len(x))
     for _ in range(ACTIVE_SETS):
         if not todo.size:
@@ -110,7 +110,7 @@ def batch_newton(nlp: BatchNLP, problem: BatchProblem, x: Array, multipliers: Ar
         missed = (beyond > FEASIBLE) & (sides[todo] == 0)
         right = ended.converged & ~np.any(wrong | missed, axis=1)
         objective[todo[right]] = ended.objective[right]
-        proven[todo[right]] = _second_order(ended, own, sides[todo], right)[right]
+        optimal[todo[right]] = _second_order(ended, own, sides[todo], right)[right]
         again = ended.converged & ~right
         changed, multiplier = sides[todo], multipliers[todo]
         row, at = _worst(wrong, np.abs(multiplier))
@@ -120,7 +120,7 @@ def batch_newton(nlp: BatchNLP, problem: BatchProblem, x: Array, multipliers: Ar
         changed[(changed != 0) & (own.lower == own.upper)] = 2
         sides[todo[again]], multipliers[todo[again]] = changed[again], multiplier[again]
         todo = todo[again]
-    return BatchOptima(x, multipliers, sides, objective, proven)
+    return BatchOptima(x, multipliers, sides, objective, optimal)
 
 
 def _worst(marked: Bools, size: Array) -> tuple[Index, Index]:
@@ -211,26 +211,26 @@ def _second_order(ended: _Ended, problem: BatchProblem, sides: NDArray[np.int8],
     """
     with np.errstate(invalid="ignore"):
         near = (problem.upper - ended.values <= ACTIVE) | (ended.values - problem.lower <= ACTIVE)
-    proven, n = right.copy(), ended.x.shape[1]
+    optimal, n = right.copy(), ended.x.shape[1]
     for points, active in groups(sides):
-        own = points[proven[points]]
+        own = points[optimal[points]]
         slopes = ended.jacobian[own]
         for entry in np.flatnonzero(np.any(near[own], axis=0) & ~np.isin(np.arange(near.shape[1]), active)):
             away = np.max(np.abs(slopes[:, active] - slopes[:, [entry]]), axis=2, initial=0.0)
-            proven[own] &= ~near[own, entry] | (np.min(away, axis=1, initial=np.inf) <= SAME)
-        own = own[proven[own]]
+            optimal[own] &= ~near[own, entry] | (np.min(away, axis=1, initial=np.inf) <= SAME)
+        own = own[optimal[own]]
         if not own.size:
             continue
         if active.size > n:
-            proven[own] = False
+            optimal[own] = False
             continue
         basis = np.broadcast_to(np.eye(n), (own.size, n, n))
         if active.size:
             basis, factor = np.linalg.qr(np.swapaxes(ended.jacobian[own][:, active], 1, 2), mode="complete")
             diagonal = np.abs(np.diagonal(factor, axis1=1, axis2=2))
-            proven[own] &= np.min(diagonal, axis=1) > INDEPENDENT
+            optimal[own] &= np.min(diagonal, axis=1) > INDEPENDENT
         if active.size < n:
             free = basis[:, :, active.size :]
             bent = np.einsum("kia,kij,kjb->kab", free, ended.hessian[own], free)
-            proven[own] &= ~(np.linalg.eigvalsh(bent)[:, 0] < 0.0)
-    return proven
+            optimal[own] &= ~(np.linalg.eigvalsh(bent)[:, 0] < 0.0)
+    return optimal

@@ -38,7 +38,7 @@ class GridOptima:
     x: Array
     sides: NDArray[np.int8]
     objective: Array
-    proven: Bools
+    optimal: Bools
     searched: Bools
 
 
@@ -130,19 +130,19 @@ class GridSearch:
             x=np.full((count, self.nlp.size), np.nan),
             sides=np.zeros(problem.lower.shape, dtype=np.int8),
             objective=np.full(count, np.inf),
-            proven=np.zeros(count, dtype=bool),
+            optimal=np.zeros(count, dtype=bool),
             searched=np.zeros(count, dtype=bool),
         )
         self._follow(found, problem, np.arange(count), of_point)
         blocks, which = np.unique(of_point, return_inverse=True)
-        found.searched[:] = found.proven & (points == np.array([self.blocks.middle(int(block)) for block in blocks])[which])
+        found.searched[:] = found.optimal & (points == np.array([self.blocks.middle(int(block)) for block in blocks])[which])
         beside = [[*self.blocks.neighbours(int(block)), *self._further(int(block))] for block in blocks]
         others = self._others(blocks, beside)
         for rank in range(max(map(len, beside), default=0)):
             begin = np.array([own[rank] if rank < len(own) else -1 for own in beside])
             differs = np.array([one in other for one, other in zip(begin.tolist(), others, strict=True)])
             beyond = begin >= self.blocks.count
-            some = np.flatnonzero((begin[which] >= 0) & (differs[which] | (~found.proven & ~beyond[which])))
+            some = np.flatnonzero((begin[which] >= 0) & (differs[which] | (~found.optimal & ~beyond[which])))
             self._follow(found, problem, some, begin[which[some]])
         return found
 
@@ -152,10 +152,10 @@ class GridSearch:
         points, blocks = points[usable], blocks[usable]
         ended = self._continued(problem.part(points), blocks)
         with np.errstate(invalid="ignore"):
-            better = ended.proven & (ended.objective < found.objective[points] - BETTER * np.abs(ended.objective))
+            better = ended.optimal & (ended.objective < found.objective[points] - BETTER * np.abs(ended.objective))
         at = points[better]
         found.x[at], found.sides[at], found.objective[at] = ended.x[better], ended.sides[better], ended.objective[better]
-        found.proven[at], found.searched[at] = True, False
+        found.optimal[at], found.searched[at] = True, False
 
     def _others(self, blocks: Index, beside: list[list[int]]) -> list[set[int]]:
         """Return for every block the blocks beside it whose optimum, continued to its middle, is another than its own.
@@ -172,8 +172,8 @@ class GridSearch:
         own = [self.at_middle(int(block)) for block in blocks]
         objective = np.array([one.objective if one.usable else np.inf for one in own])[which]
         with np.errstate(invalid="ignore"):
-            same = ended.proven & (np.abs(ended.objective - objective) <= SAME_OBJECTIVE * np.abs(objective))
-            near = (begin < self.blocks.count) | (ended.proven & (ended.objective <= NEARBY * objective))
+            same = ended.optimal & (np.abs(ended.objective - objective) <= SAME_OBJECTIVE * np.abs(objective))
+            near = (begin < self.blocks.count) | (ended.optimal & (ended.objective <= NEARBY * objective))
         known: list[list[float]] = [[] for _ in beside]
         for at in np.flatnonzero(~same & near).tolist():
             k, one, value = int(which[at]), int(begin[at]), float(ended.objective[at])
@@ -195,17 +195,17 @@ class GridSearch:
             return batch_newton(self.nlp, problem, np.zeros((0, self.nlp.size)), problem.lower, problem.lower.astype(np.int8))
         sides = np.array([self._searched(int(block))[1] for block in each])[which]
         sides[(sides != 0) & (problem.lower == problem.upper)] = 2
-        multipliers = np.array([one.proof.multipliers for one in begin])
+        multipliers = np.array([one.conditions.multipliers for one in begin])
         scale = np.array([one.p[0] for one in begin])
         p = problem.p.copy()
         p[:, 0] = scale[which]
         x = np.array([one.x for one in begin])
         own = BatchProblem(p, problem.lower, problem.upper)
         direct = batch_newton(self.nlp, own, x[which], multipliers[which], sides)
-        far = np.flatnonzero(~direct.proven)
+        far = np.flatnonzero(~direct.optimal)
         if far.size:
             middles = self.problem(np.array([self._middle(int(block)) for block in each])).part(which[far])
-            start = BatchOptima(x[which[far]], multipliers[which[far]], sides[far], direct.objective[far], direct.proven[far])
+            start = BatchOptima(x[which[far]], multipliers[which[far]], sides[far], direct.objective[far], direct.optimal[far])
             for share in SHARES:
                 between = middles.towards(own.part(far), share)
                 start = batch_newton(self.nlp, between, start.x, start.multipliers, start.sides)
@@ -216,10 +216,10 @@ class GridSearch:
 
 def active_sides(solution: Solution) -> NDArray[np.int8]:
     """Return the active sides (n + m,) of an optimum, +1 upper and -1 lower; of dependent limits only the first ones."""
-    multipliers, n = solution.proof.multipliers, len(solution.x)
+    multipliers, n = solution.conditions.multipliers, len(solution.x)
     sides, basis = np.zeros(len(multipliers), dtype=np.int8), np.zeros((0, n))
     jacobian = np.vstack([np.eye(n), solution.nlp.at(solution.x, solution.p).jacobian])
-    for entry in solution.proof.active:
+    for entry in solution.conditions.active:
         rest = jacobian[entry] - basis.T @ (basis @ jacobian[entry])
         size = np.linalg.norm(rest)
         if size > INDEPENDENT * np.linalg.norm(jacobian[entry]):

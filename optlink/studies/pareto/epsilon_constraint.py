@@ -181,12 +181,12 @@ class Pareto(GridStudy):
             return ""
         if self.valid < self.solved:
             return "Only one point has a verified design, so the front shows no trade-off"
-        held = [
+        limited = [
             (aim, value)
             for k, (aim, value) in enumerate(zip(self.objectives, self.points[0].values, strict=True))
             if k != self.minimised
         ]
-        for (aim, value), axis in zip(held, self.grid.axes, strict=True):
+        for (aim, value), axis in zip(limited, self.grid.axes, strict=True):
             if aim.sense * (axis.values[-1] - value) > BEYOND * abs(value):
                 best = self.objectives[self.minimised].best
                 return f"No trade-off in this range: the {best} has {aim.name} {value:.6g} {aim.unit}; give a range beyond it"

@@ -347,19 +347,19 @@ RANGES: dict[str, type[EpsilonRanges]] = {"function": _LawRanges, "cycle": _Cycl
 """Objectives and ranges by the kind of problem."""
 
 
-def _axis(aim: ParetoObjective, tight: float, loose: float, count: int) -> Axis:
-    """Return the values of a limit from the loose end of the front to the tight one, both rounded inwards."""
-    width = abs(loose - tight)
-    if not width > NONE * max(abs(tight), abs(loose)):
+def _axis(aim: ParetoObjective, tight: float, relaxed_end: float, count: int) -> Axis:
+    """Return the values of a limit from the relaxed_end end of the front to the tight one, both rounded inwards."""
+    width = abs(relaxed_end - tight)
+    if not width > NONE * max(abs(tight), abs(relaxed_end)):
         return Axis(aim.key, aim.unit, (aim.worsened(tight, NONE * abs(tight)),))
     step = 10.0 ** math.floor(math.log10(NEAR * width))
     tight = aim.sense * math.ceil(aim.sense * aim.worsened(tight, NEAR * width) / step) * step
-    loose = aim.sense * math.floor(aim.sense * loose / step) * step
-    return Axis(aim.key, aim.unit, tuple(float(f"{value:.12g}") for value in np.linspace(loose, tight, count)))
+    relaxed_end = aim.sense * math.floor(aim.sense * relaxed_end / step) * step
+    return Axis(aim.key, aim.unit, tuple(float(f"{value:.12g}") for value in np.linspace(relaxed_end, tight, count)))
 
 
 def _requested(aim: ParetoObjective, count: int, problem_with: Callable[[Raw], ProblemFile]) -> Axis:
-    """Return the requested range from its loose end; `problem_with` gives the problem with a value of the limit."""
+    """Return the requested range from its relaxed_end end; `problem_with` gives the problem with a value of the limit."""
     axis = range_values(aim, count)
     for at in (0, len(axis.values) - 1):
         problem_with(axis.raw(at))

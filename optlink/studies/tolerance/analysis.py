@@ -119,7 +119,7 @@ class ToleranceRecord(ResultRecord):
         robust = result.robust
         if robust is not None:
             other = None if result.unrobust is None else MonteCarloRecord.of(result.unrobust)
-            beside = {"monte_carlo_of_the_nominal_design": other, "the_nominal_design_yields_more": result.beaten}
+            beside = {"monte_carlo_of_the_nominal_design": other, "the_nominal_design_yields_more": result.nominal_yields_more}
             failed = tuple(check.name for check in robust.result.validation.checks if not check.passed)
             values["robust"] = RobustRecord.of(robust, failed_checks=failed or None, **beside)
         limit = math.nan if result.limit is None else result.limit
@@ -164,7 +164,7 @@ class Tolerance(Recorded):
         return None if self.monte_carlo is None else self.monte_carlo.seed
 
     @property
-    def beaten(self) -> bool:
+    def nominal_yields_more(self) -> bool:
         """Whether the nominal optimum has a larger yield than the robust design, for the same samples."""
         if self.limit is None or self.unrobust is None or self.monte_carlo is None:
             return False

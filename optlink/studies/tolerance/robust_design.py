@@ -144,10 +144,10 @@ def most_reliable(problem: ProblemFile, tolerances: Sequence[str], limit: float,
     here, sigmas = redesign.least(1.0, before.free), 1.0
     for _ in range(STEPS):  # secant method: the minimum is nearly linear in them
         rise = (here.value - before.value) / (sigmas - (before.sigmas or 0.0))
-        wanted = min(max(sigmas + (limit - here.value) / max(rise, LEVEL), 0.0), MOST)
-        if abs(here.value - limit) <= CLOSE * limit or wanted == sigmas:
+        proposed = min(max(sigmas + (limit - here.value) / max(rise, LEVEL), 0.0), MOST)
+        if abs(here.value - limit) <= CLOSE * limit or proposed == sigmas:
             break
-        before, here, sigmas = here, redesign.least(wanted, here.free), wanted
+        before, here, sigmas = here, redesign.least(proposed, here.free), proposed
     return here
 
 

@@ -19,7 +19,7 @@ from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import Columns, Number, Record, Recorded, ResultRecord
 from optlink.problem.file import ProblemFile
 
-SETTLED = 5
+RUNNING_IN = 5
 """Revolutions at the beginning that the statistics leave out, where there are more than twice as many."""
 
 

@@ -66,7 +66,7 @@ def shortest_link(quantities: Mapping[str, Quantity], crank: str) -> tuple[str, 
     )
 
 
-def proven(status: Status, validation: Validation) -> bool:
+def verified(status: Status, validation: Validation) -> bool:
     """Return whether a design passes its validation, and is optimal unless its status excludes that.
 
     Parameters
@@ -123,7 +123,7 @@ class SingleResult(Recorded):
     @property
     def valid(self) -> bool:
         """Whether the design is validated, and optimal if it was searched."""
-        return proven(self.status, self.validation)
+        return verified(self.status, self.validation)
 
     @property
     def definite(self) -> ProblemFile:

@@ -28,7 +28,7 @@ from optlink.solvers.solution import LimitState, Relaxation, Solution
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.analysis import stroke_document
 from optlink.tasks.results.certificate import Certificate, CertificateRecord, message
-from optlink.tasks.results.common import SearchRecord, in_display_units, proven
+from optlink.tasks.results.common import SearchRecord, in_display_units, verified
 from optlink.tasks.results.evidence import Evidence
 from optlink.tasks.results.fit import Fit, FitRecord, path_fit, transmission_fit
 from optlink.units import DISPLAYED
@@ -70,7 +70,7 @@ class PathDesign(Summary):
     @property
     def valid(self) -> bool:
         """Whether the design is validated, and optimal if it was searched."""
-        return proven(self.status, self.validation)
+        return verified(self.status, self.validation)
 
     @cached_property
     def measured(self) -> MeasuredDeviations:
