@@ -97,7 +97,7 @@ def test_a_new_constraint(extended, tmp_path):
     assert names["coupler / crank, largest"]
     assert "coupler / crank" in page(tmp_path, "crank-rocker", *changes)
     assert "coupler_ratio" in run("show", "crank-rocker", *changes)
-    assert "out of the range" in run("solve", "crank-rocker", "--set", "limits.coupler_ratio=[-1.0, 2.0]", code=2)
+    assert "out of range" in run("solve", "crank-rocker", "--set", "limits.coupler_ratio=[-1.0, 2.0]", code=2)
 
 
 def test_the_validator_measures_a_new_constraint_itself(extended):

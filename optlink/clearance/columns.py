@@ -60,12 +60,12 @@ class ClearanceColumns:
         for i, joint in enumerate(cut.closing):
             a, b = -self.pull[:, 2 * i], -self.pull[:, 2 * i + 1]
             self._hold(needed, joint, self._closing_force(joint, a, b), b if isinstance(joint, Guide) else 0.0)
-        for body, _, joint_forces in reversed(cut.branches):
-            if joint_forces is not None:
-                total, at = needed[body], self._joint(joint_forces)
+        for body, _, branch_joint in reversed(cut.branches):
+            if branch_joint is not None:
+                total, at = needed[body], self._joint(branch_joint)
                 force, moment = total.force, total.about(moving.state(body).start, at)
-                sign = 1.0 if body == joint_forces.bodies[0] else -1.0
-                self._hold(needed, joint_forces, (sign * force[0], sign * force[1]), sign * moment, skip=body)
+                sign = 1.0 if body == branch_joint.bodies[0] else -1.0
+                self._hold(needed, branch_joint, (sign * force[0], sign * force[1]), sign * moment, skip=body)
 
     def _closing_force(self, joint: Pin | Guide, a: Value, b: Value) -> Vector:
         if isinstance(joint, Guide):
@@ -152,9 +152,9 @@ class ClearanceColumns:
         for gap, contact, mode in zip(self.equations.gaps, self.touches, self.block.modes.T, strict=True):
             play, name = self.motion.play(gap), gap.point
             for axis, value in zip("xy", play.eccentricity, strict=True):
-                yield f"{name}.e{axis}_m", f"journal's centre from the bearing's at {name} in {axis}", value
-            yield f"{name}.contact", f"1 where journal and bearing touch at {name}, 0 apart", mode
-            yield f"{name}.penetration_m", f"penetration at {name}, negative: distance left", contact.penetration
+                yield f"{name}.e{axis}_m", f"journal's centre relative to the bearing's at {name} in {axis}", value
+            yield f"{name}.contact", f"1 if journal and bearing are in contact at {name}, otherwise 0", mode
+            yield f"{name}.penetration_m", f"penetration at {name}; negative: remaining gap", contact.penetration
             yield f"{name}.approach_m_s", f"rate of the penetration at {name}", contact.rate
             yield f"{name}.normal_N", f"normal force at {name}", contact.normal
             yield f"{name}.rub_N", f"friction at {name} on the journal, counter-clockwise", contact.friction

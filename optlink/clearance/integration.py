@@ -203,7 +203,7 @@ class Integration:
         if self.stop():
             raise KeyboardInterrupt
         if not np.all(np.isfinite(states)):
-            raise Stalled("the motion has no finite value any more")
+            raise Stalled("the motion is no longer finite")
         return np.vstack([state, states.reshape(count, -1)]), works.reshape(count, -1)
 
     def _stiff(self, modes: Array) -> bool:
@@ -392,4 +392,4 @@ class Integration:
         depth = self._observe(self.state[None, :], 0.0)[0][0]
         for gap, delta in zip(self.equations.gaps, depth, strict=True):
             if delta > DEEPEST * gap.radius:
-                raise Stalled(f"the journal at {gap.point} is {delta:.3g} m deep in its bearing: no contact force can support it")
+                raise Stalled(f"the journal at {gap.point} is {delta:.3g} m deep in its bearing, too deep for the contact law")

@@ -81,12 +81,12 @@ class Statistics:
         rows = {name: column.values for name, column in columns.items()}
         rows[f"{own}.ideal_{unit}"], rows[f"{own}.error_{unit}"] = ideal, error
         self.meanings = {name: column.meaning for name, column in columns.items()}
-        self.meanings[f"{own}.ideal_{unit}"] = f"what {own} does in the machine without clearance"
-        self.meanings[f"{own}.error_{unit}"] = f"deviation of {own} from that"
+        self.meanings[f"{own}.ideal_{unit}"] = f"{own} of the machine without clearance"
+        self.meanings[f"{own}.error_{unit}"] = f"deviation of {own} from the machine without clearance"
         command = self.closed_loop.equations.drive.reference
         if command is not None:
             rows["command.correction_rad"] = command.correction(turn.block.time) + turn.further
-            self.meanings["command.correction_rad"] = "command of the crank angle minus the evenly turning one"
+            self.meanings["command.correction_rad"] = "crank-angle command minus the crank angle at constant speed"
         return rows
 
     def add_partial(self) -> None:

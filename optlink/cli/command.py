@@ -111,7 +111,7 @@ def _failure(error: Any) -> BaseException:
     if not error.message and param is None:
         return typer.Exit(error.exit_code)  # the help was shown, since there were no arguments
     command = context.command_path if context else "optlink"
-    remedy = f"`{command} --help` shows what it takes"
+    remedy = f"`{command} --help` lists its options"
     if param is not None:
         key = (param.metavar or param.name.upper()) if param.param_type_name == "argument" else max(param.opts, key=len)
         message, _, better = error.message.rstrip(".").partition(". ")

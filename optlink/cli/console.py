@@ -111,14 +111,14 @@ def deliver(result: Any, kind: str, as_json: bool, out: Path | None, csv: Path |
         from optlink.report.files import write_csv
 
         write_csv(csv, result.columns)
-    lacking = "has result.json alone, no pictures" if interrupts.interrupted() else ""
+    lacking = "contains result.json, but no pictures" if interrupts.interrupted() else ""
     if out is not None and not lacking:
         try:
             with working(f"Drawing into {out}"):
                 view_of(kind).write(result, out, pictures)
         except KeyboardInterrupt:
             interrupts.handled()
-            lacking = "has result.json, but not all pictures"
+            lacking = "contains result.json, but not all pictures"
     if out is not None and lacking:
         from optlink.io import write_json
 
@@ -352,7 +352,7 @@ def _no_study(out: Path) -> None:
     problem = about.get("problem")
     whose = f" of {problem}" if isinstance(problem, str) else ""
     what = "a front" if "objectives" in about else "a sweep"
-    message = f"the folder holds {what}{whose}; another result cannot be written there"
+    message = f"the folder contains {what}{whose}; another result cannot be written there"
     raise InputError(message, "Choose another folder; nothing was overwritten", str(out), "--out")
 
 

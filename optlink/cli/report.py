@@ -91,8 +91,8 @@ def export(
     from optlink.report.stored.stored_study import StoredStudy
 
     if isinstance(about, StoredStudy):
-        remedy = f"Export the problem, with the design that you want: optlink export {about.problem.name} --design NAME=VALUE"
-        raise InputError(f"a {about.kind} is no one design that could be drawn", remedy, subject)
+        remedy = f"Export the problem with one design:  optlink export {about.problem.name} --design NAME=VALUE"
+        raise InputError(f"a {about.kind} is not a single design, so it cannot be drawn", remedy, subject)
     if not (about.valid or even_invalid):
         _refuse(about, as_json)
     write(about, output, options)
@@ -107,13 +107,13 @@ def _subject(
     from optlink.report.stored.loader import is_result, load_stored
 
     if output.exists() and os.path.exists(text) and os.path.samefile(output, text):
-        raise InputError("this would overwrite what it is made of", "Choose another name", key="--out", value=str(output))
+        raise InputError("this would overwrite the input file", "Choose another name", key="--out", value=str(output))
     if is_result(text):
         remedy = "Leave it out, or name the problem instead of its result"
-        console.refuse({"--design": design, "--starts": search[1]}, "a result has its design already", remedy, text)
+        console.refuse({"--design": design, "--starts": search[1]}, "a result already contains its design", remedy, text)
         return load_stored(text, problem, changes or ())
     remedy = "Leave it out, or name a result.json first"
-    console.refuse({"--problem": problem}, "only a RESULT belongs to another problem", remedy, text)
+    console.refuse({"--problem": problem}, "the option applies to a RESULT only", remedy, text)
     file = console.load(text, changes)
     return report_model_of(file, solve_or_validate(file, *search, console.read_design_option(file, design)))
 
@@ -122,7 +122,7 @@ def _refuse(about: ReportModel, as_json: bool) -> None:
     """Report why an invalid design is not written."""
     from optlink.report.html.page import verdict
 
-    message = f"{verdict(about)}. Nothing is written; --even-invalid writes it all the same"
+    message = f"{verdict(about)}. Nothing was written; use --even-invalid to write it anyway"
     print(f"Error: {message}", file=sys.stderr)
     if as_json:
         document = head(SCHEMA, about.problem, "not valid")

@@ -42,7 +42,7 @@ def check_owner(path: Path, command: str, problem: str) -> None:
         result = read_object(path / RESULT) or {}
         commands, other = _writers(str(result.get("schema", ""))), Path(str(result.get("problem", stem))).stem
     if (commands and command not in commands) or other != stem:
-        message = f"the folder holds the result of `{' or '.join(commands) or 'optlink'}` for {other}"
+        message = f"the folder contains the result of `{' or '.join(commands) or 'optlink'}` for {other}"
         remedy = "Choose another folder, or remove this one; nothing was overwritten"
         raise InputError(message, remedy, str(path), "--out")
 

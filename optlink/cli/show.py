@@ -55,7 +55,7 @@ def show(
     if schema:
         from optlink.report.registry import json_schema
 
-        console.refuse({"PROBLEM": problem or None}, "a schema is the same for every problem", "Leave it out", "show --schema")
+        console.refuse({"PROBLEM": problem or None}, "a schema does not depend on the problem", "Leave it out", "show --schema")
         console.print_json(json_schema(schema))
         return
     if not problem:
@@ -161,7 +161,7 @@ def new(
 
         note = "Write one: optlink new NAME --out NAME.toml"
         rows_shown = ((one.name, one.summary, one.commands[0]) for one in found)
-        console.show(table("Templates", ["name", "what it is", "then type"], rows_shown, notes=[note]))
+        console.show(table("Templates", ["name", "description", "next command"], rows_shown, notes=[note]))
         return
     if out is not None:
         _check(out, force)

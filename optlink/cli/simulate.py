@@ -89,22 +89,22 @@ def simulate(
     if not with_clearance:
         of_gaps: dict[str, Any] = {"--revolutions": revolutions, "--control": control, "--tolerance": tolerance}
         of_gaps |= {"--integrator": integrator, "--resume": resume, "--tune": tune}
-        message = f"{'joints count as ideal' if ideal else 'no joint has clearance'}, so the option does nothing"
+        message = f"{'joints count as ideal' if ideal else 'no joint has clearance'}, so the option has no effect"
         console.refuse(of_gaps, message, "Leave --ideal out" if ideal else f'Give one: --set "{GAP}"', file.file)
     comparing = control == COMPARE
     if comparing and tune:
-        message, remedy = "a comparison of all kinds of control tunes none", "Name the kind to tune: --control inverse+pid"
+        message, remedy = "a comparison of controllers tunes no parameters", "Name the kind to tune: --control inverse+pid"
         raise InputError(message, remedy, file.file, "--tune")
     if not tune:
-        message, remedy = "only a search for parameters has evaluations", "Add --tune NAME, or leave it out"
+        message, remedy = "the option applies to --tune only", "Add --tune NAME, or leave it out"
         console.refuse({"--evaluations": evaluations}, message, remedy, file.file)
     if not comparing and not tune:
         remedy = "Leave it out" if not with_clearance else f"Add --control {COMPARE} or --tune NAME, or leave it out"
-        message = "there is one start, so the option does nothing"
+        message = "there is only one start, so the option has no effect"
         of_many = {"--starts": starts, "--seed": seed, "--workers": workers, "--engine": engine, "--scheduler": scheduler}
         console.refuse(of_many, message, remedy, file.file)
     else:
-        message = "a comparison of all kinds of control, or a search for parameters, has no use for it"
+        message = "the option has no effect on a comparison of controllers or a parameter search"
         remedy = "Leave it out, or simulate one kind: --control inverse+pid"
         console.refuse({"--csv": csv, "--flywheel": flywheel}, message, remedy, file.file)
     console.places(out, "simulate", problem, csv)

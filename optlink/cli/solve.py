@@ -90,13 +90,11 @@ def solve(
         possible = certify is None and file.task != "analysis" and design_task(file).certified
         remedy = "Add --certify, or leave it out" if possible else "Leave it out"
         if file.task != "analysis" and not design_task(file).divisible:
-            console.refuse(
-                where, "only searches from several starting points, and proofs, use several processes", remedy, file.file
-            )
-        console.refuse(limits, "there is no proof of a global optimum that it applies to", remedy, file.file)
+            console.refuse(where, "only multistart searches and certificates use several processes", remedy, file.file)
+        console.refuse(limits, "the option applies to a certificate of the global optimum only", remedy, file.file)
     if resume and (out is None or not certify):
         raise InputError(
-            Fault("there is no proof to resume", "Add --certify and --out DIR of the interrupted run", key="--resume")
+            Fault("there is no certificate to resume", "Add --certify and --out DIR of the interrupted run", key="--resume")
         )
     seconds = console.quantity(time_limit, "time", "--time-limit")
     with console.share("searching") as progress, console.share("proving") as proving:
@@ -154,7 +152,7 @@ def _validate_certificate(
 ) -> None:
     """Check a stored certificate, and exit with 1 if it does not hold."""
     unused: dict[str, object] = {"--design": design or None, "--out": out}
-    console.refuse(unused, "a certificate has its own design, and its check writes no files", "Leave it out")
+    console.refuse(unused, "the check of a certificate uses the design in it and writes no files", "Leave it out")
     from optlink.report.views.function_tables import certificate_check
     from optlink.validation.certificate import check_certificate
 

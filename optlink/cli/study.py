@@ -19,7 +19,7 @@ from optlink.solvers.contract import selectable
 if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
 
-SIMULATED = ("the option is one of simulations", "Add --simulate")
+SIMULATED = ("the option applies to simulations", "Add --simulate")
 AROUND = "0..330 deg:12"  # default crank angles of an output
 
 Backend = Annotated[str, option("NAME", f"One of: {', '.join(selectable())}.", "--backend")]
@@ -64,14 +64,14 @@ def sensitivity(
     file = console.load(problem, changes)
     check_backend(backend)
     if output is not None:
-        remedy = "Leave --check out; it searches an optimum again"
-        console.refuse({"--check": check}, "no optimum is searched for the slopes of an output", remedy, file.file)
+        remedy = "Leave --check out; it re-optimises"
+        console.refuse({"--check": check}, "the sensitivity of an output involves no optimisation", remedy, file.file)
         _output(file, output, AROUND if angles is None else angles, design, as_json, out)
         return
-    console.refuse({"--angles": angles}, "crank angles are those of an output", "Add for example --quantity rocker", file.file)
+    console.refuse({"--angles": angles}, "the option applies to --quantity only", "Add for example --quantity rocker", file.file)
     if design:
         remedy = "Leave --design out; --quantity takes one"
-        raise InputError("sensitivities are those of the optimum, which is searched", remedy, key="--design")
+        raise InputError("sensitivities are computed at the optimum, not at a given design", remedy, key="--design")
     from optlink.studies.sensitivity import sensitivities
 
     with console.share("searching again" if check else "searching") as progress:
@@ -176,13 +176,13 @@ def sweep(
     varied = {text.partition("=")[0].strip().removeprefix("mechanism.") for text in vary or []}
     given = console.read_design_option(file, design, varied)
     if column and not analyze:
-        raise InputError("columns are those of the analysis", "Add --analyze", key="--column", value=column[0])
+        raise InputError("the option applies to an analysis", "Add --analyze", key="--column", value=column[0])
     if analyze and simulate:
-        raise InputError("designs are analysed or simulated", "Give --analyze or --simulate", key="--simulate")
+        raise InputError("--analyze and --simulate exclude each other", "Give one of them", key="--simulate")
     console.refuse({} if simulate else {"--revolutions": revolutions, "--control": control}, *SIMULATED, file.file)
     if not analyze and not simulate:
         remedy = "Add --analyze; the number of swept values is part of --vary KEY=LOW..HIGH UNIT:N"
-        console.refuse({"--points": points}, "crank angles are those of the analysis", remedy, file.file)
+        console.refuse({"--points": points}, "the option applies to an analysis or a simulation", remedy, file.file)
     mode: dict[str, Any] = {"analyze": analyze, "columns": column or ("input.torque_Nm",), "design": given}
     mode["simulate"] = console.given(revolutions=revolutions, control=control, points=points) if simulate else None
     many: dict[str, Any] = {"backend": backend, "engine": engine, "workers": workers, "scheduler": scheduler}
@@ -230,7 +230,7 @@ def tolerance(
     file = console.load(problem, changes)
     given = console.read_design_option(file, design)
     if cost and allocate is None:
-        raise InputError("costs are those of an allocation", 'Add for example --allocate "99 %"', key="--cost")
+        raise InputError("the option applies to --allocate only", 'Add for example --allocate "99 %"', key="--cost")
     crank = None if angles is None else _crank_angles(angles)
     drawn: dict[str, Any] = {"samples": samples, "seed": seed, "shape": distribution, "design": given}
     goals: dict[str, Any] = {"target_yield": None if allocate is None else read_yield(allocate), "costs": read_costs(cost or [])}

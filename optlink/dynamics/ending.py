@@ -37,8 +37,8 @@ _TEXT = {
     Ending.SINGULAR: "the crank reached a singular position: the assembly modes meet, and the motion beyond is not determined",
     Ending.JAMMED: "friction jams a guide: no finite force moves the machine",
     Ending.STALLED: "the integration stalled: a singular position, or forces and speeds that grow without bound; "
-    "what was computed until then is kept. Start elsewhere, shorten the duration, or check loads and torque",
-    Ending.INTERRUPTED: "interrupted; what was computed until then is kept",
+    "results up to that time are kept. Start elsewhere, shorten the duration, or check loads and torque",
+    Ending.INTERRUPTED: "interrupted; results up to that time are kept",
 }
 
 

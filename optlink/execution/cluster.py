@@ -190,7 +190,7 @@ def _gathered(
         try:
             answer: ChunkResult = future.result()
         except distributed.scheduler.KilledWorker:
-            raise SolverError(f"chunk {index} of the study ended several workers; have they enough memory?") from None
+            raise SolverError(f"chunk {index} of the study terminated several workers; check their memory") from None
         for following in itertools.islice(todo, 1):
             ready.add(ask(following))
         yield index, ChunkResult(*answer).checked(index)

@@ -48,7 +48,7 @@ class Process:
                 return answer
             self.kill()
             self.end()
-        raise SolverError(f"chunk {index} of the study ended {ATTEMPTS} processes; is there enough memory?")
+        raise SolverError(f"chunk {index} of the study terminated {ATTEMPTS} processes; check the available memory")
 
     def _ask(self, task: bytes, index: int, stopped: threading.Event) -> ChunkResult | None:
         """Return the result of a chunk; None if the process died."""

@@ -44,7 +44,7 @@ class Store:
     Raises
     ------
     InputError
-        If the folder holds another study, or this one without `resume`, or cannot be written to.
+        If the folder contains another study, or this one without `resume`, or cannot be written to.
     """
 
     def __init__(self, path: Path, about: Mapping[str, Any], *, resume: bool = False) -> None:
@@ -82,12 +82,12 @@ class Store:
         if known is None and resume and all(one.name == LOCK for one in path.iterdir()):
             raise _nothing(path)
         if known is None and self.table.exists():
-            raise InputError("the folder holds a table of another study", "Choose another folder", str(path), "--out")
+            raise InputError("the folder contains a table of another study", "Choose another folder", str(path), "--out")
         if known is not None:
             self._compare(known, about)
             if not resume:
                 remedy = "Add --resume to continue it (completed points are kept), or choose another folder"
-                raise InputError("this very study is in the folder already", remedy, str(path), "--out")
+                raise InputError("the folder already contains this study", remedy, str(path), "--out")
         self._mine: list[Path] = []  # files written by this run; the first is the definition if it began the study
         self._begun = known is None
         if self._begun:
@@ -138,7 +138,7 @@ class Store:
             if there != here:
                 what = key.replace("_", " ")
                 shown = "" if isinstance(here, list | dict) else f", there {there}, here {here}"
-                message = f"the folder holds another study: the {what} differs{shown}"
+                message = f"the folder contains another study: the {what} differs{shown}"
                 remedy = "Choose another folder; nothing was overwritten"
                 raise InputError(message, remedy, str(self.path), "--out")
 
@@ -185,7 +185,7 @@ class Store:
             path.mkdir(exist_ok=True)
         except OSError as error:
             remedy = "Free some space or choose another folder"
-            raise InputError(f"cannot make the folder: {error.strerror}", remedy, str(path), "--out") from None
+            raise InputError(f"cannot create the folder:  {error.strerror}", remedy, str(path), "--out") from None
 
     def missing(self) -> list[int]:
         """Return the numbers of the chunks that are not complete."""
@@ -264,7 +264,7 @@ class Store:
         for index in range(self.count):
             lines = self._lines(index)
             if lines is None:
-                remedy = "Go on with --resume: it is done again"
+                remedy = "Continue with --resume: it is computed again"
                 raise InputError("a chunk has been changed", remedy, str(self._file(index)), "--out")
             yield from csv.reader(io.StringIO(lines, newline=""))
 
@@ -306,9 +306,9 @@ class Store:
             else:
                 if number == expected:
                     return
-        remedy = "Remove the folder and begin again, or choose another one"
+        remedy = "Remove the folder and start again, or choose another one"
         raise InputError("the finished table has been changed or truncated", remedy, str(self.table), "--out")
 
 
 def _nothing(path: Path) -> InputError:
-    return InputError("there is no study to resume", "Begin without --resume", str(path), "--resume")
+    return InputError("there is no study to resume", "Start without --resume", str(path), "--resume")

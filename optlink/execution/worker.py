@@ -53,7 +53,7 @@ class ChunkResult(NamedTuple):
         if self.faults:
             raise InputError(self.faults)
         if self.broken:
-            raise SolverError(f"chunk {index} of the study broke down; please report it with the problem file:\n{self.broken}")
+            raise SolverError(f"chunk {index} of the study failed; please report it with the problem file:\n{self.broken}")
         return self
 
 

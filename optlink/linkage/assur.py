@@ -172,7 +172,9 @@ class Assembly:
             if joint not in self.used:
                 known = [group.joint for group in self.groups if group.modes]
                 remedy = f"Joints with an assembly mode: {', '.join(known) or 'none'}"
-                raise StructureError("no group has its inner joint there, or it has one mode only", remedy, f"assembly.{joint}")
+                raise StructureError(
+                    "no dyad has its inner joint there, or the dyad has only one assembly mode", remedy, f"assembly.{joint}"
+                )
         return Mechanism(name, self.ground, self.links[self.driver], tuple(self.groups), self.points, self.guides)
 
     def next_group(self, reached: list[str]) -> Dyad | None:
@@ -207,15 +209,15 @@ class Assembly:
                 raise StructureError(
                     f"the body has no joint: no other body has its {'points' if len(own) > 1 else 'point'} {_list(own)}, "
                     "and no guide carries it",
-                    "Give one of its joints the name of a joint of another body or of the ground, or take it out",
+                    "Give one of its joints the name of a joint of another body or of the ground, or remove it",
                     f"links.{body}",
                 )
         fixed_at = [*(p for p in self.pins(self.driver) if FRAME in self.members[p] and p != crank.start)]
         fixed_at += [guide.name for guide in self.rails(self.driver) if FRAME in guide.bodies]
         if fixed_at:
             raise StructureError(
-                f"the driven body {self.driver} cannot turn: it is also joined to the frame at {_list(fixed_at)}",
-                "Take that joint away",
+                f"{self.driver} cannot turn about its pivot {crank.start}: the frame also fixes it at {_list(fixed_at)}",
+                "Remove that joint",
                 f"links.{self.driver}",
             )
 
@@ -313,7 +315,7 @@ class Assembly:
         """Return the error for two bodies that cannot move relative to each other."""
         return StructureError(
             f"{first} and {second} share the joints {_list(both)}, which makes them one body",
-            "Give the points to one body, or take one joint away",
+            "Give the points to one body, or remove one joint",
             f"links.{second}",
         )
 
@@ -331,7 +333,7 @@ class Assembly:
             if len(known) > 1:
                 return StructureError(
                     f"{body} cannot move on its own: {_list(known)} hold it already, which leaves it no freedom",
-                    "Take one of these joints away, or add a body between",
+                    "Remove one of these joints, or add a body between",
                     f"links.{body}",
                 )
         for first, second in combinations(left, 2):
@@ -345,13 +347,13 @@ class Assembly:
             check = f"; check the names of {_list(unshared)}, joints of one body alone" if len(unshared) > 1 else ""
             return StructureError(
                 f"{_list(left)} cannot be placed: the mechanism has {free} degrees of freedom and one driver",
-                f"Join them to the frame or to another body, or take them out{check}",
+                f"Join them to the frame or to another body, or remove them{check}",
                 f"links.{left[-1]}",
             )
         if free < 1:
             return StructureError(
                 f"{_list(left)} cannot be placed: the mechanism has {free} degrees of freedom, it is a rigid structure",
-                "Take a joint away, or add a body",
+                "Remove a joint, or add a body",
                 f"links.{left[-1]}",
             )
         for first, second in combinations(left, 2):
@@ -360,13 +362,13 @@ class Assembly:
                 isinstance(j, str) for j in (*outer[0], *outer[1], *inner)
             ):
                 return StructureError(
-                    f"{first} and {second} hang on three guides and no pin, which does not place them",
+                    f"{first} and {second} are connected by three guides and no pin, which does not determine their positions",
                     "Replace one guide by a pin",
                     f"links.{first}",
                 )
         return StructureError(
-            f"{_list(left)} are no chain of dyads: they form a group of a higher class (Assur class III or above), "
-            "or hang on one another in a ring",
+            f"{_list(left)} are not a chain of dyads: they form a group of a higher class (Assur class III or above), "
+            "or depend on one another in a ring",
             "Drive another body, or change the structure so that the bodies can be placed two at a time",
             f"links.{left[0]}",
         )

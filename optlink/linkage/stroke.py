@@ -57,7 +57,7 @@ class Failure:
         what = f"the {self.group.kind} group {first}-{second} (joint {self.group.joint})"
         where = f"at crank angle {math.degrees(self.crank_angle):.6g} deg"
         if self.group.least > 0.0:
-            return f"{where} {what} has no place: its two guides are parallel"
+            return f"{where} {what} has no defined position: its two guides are parallel"
         amount = f" by {self.gap * 1e3:.6g} mm" if self.gap > 0.0 else ""
         return f"{where} {what} fails to close{amount}"
 

@@ -224,8 +224,8 @@ def _model(raw: Mapping[str, Any], file: str) -> type[Problem]:
         return StrokeProblem
     if kind is not None and (kind != "function" or of_dyads(raw)):
         if "robust" in requirement:
-            message = "a robust design is found for motion laws of a four-bar only"
-            raise InputError(message, "Leave it out; `optlink study tolerance` judges any design", file, "requirement.robust")
+            message = "robust design supports motion laws of a four-bar only"
+            raise InputError(message, "Leave it out; `optlink study tolerance` analyses any design", file, "requirement.robust")
         from optlink.problem.path import PathProblem
 
         return PathProblem
@@ -379,14 +379,14 @@ def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
             if step not in known:
                 remedy = nearest(step, known)
                 if not _fixed(path):
-                    remedy += f". A new one is given whole: {'.'.join(steps[: depth + 1])}={{ ... }}"
+                    remedy += f". Give a new table as a whole:  {'.'.join(steps[: depth + 1])}={{ ... }}"
                 raise InputError("unknown key", remedy, file, key)
             table[step] = {}
         table = table[step if place is None else place]
         following = steps[depth + 1]
         if not isinstance(table, dict) and _coordinate(tuple(steps[: depth + 1]), table, following) is None:
             above = ".".join(steps[: depth + 1])
-            raise InputError(f"{above} is one value, it has no {following}", f"Set {above} itself", file, key, value)
+            raise InputError(f"{above} is a single value without a key {following}", f"Set {above} itself", file, key, value)
     place = _coordinate(tuple(steps[:-1]), table, steps[-1])
     if place is not None:
         table[place] = value

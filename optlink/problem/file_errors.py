@@ -136,7 +136,7 @@ TOML_FAULTS = (
     ("Unclosed array", "a bracket [ is not closed", "Close it with ]"),
     (
         "Expected newline or end of document|Invalid value",
-        "a value is no number and has no quotes",
+        "a value is neither a number nor in quotes",
         'Write text and values with a unit in quotes: "250 mm"',
     ),
     ("Expected '=' after a key", "no = after a key", "Write key = value"),
@@ -172,7 +172,7 @@ _EXAMPLES = {
     "requirement": "Add the section [requirement]",
     "requirement.law": 'Add law = "psi0 + 0.5*(phi - phi0)"',
     "requirement.points": "Give a whole number from 1 to 10000, for example points = 30",
-    "expected.source": "Say where the expected values come from",
+    "expected.source": "State the source of the expected values",
 }
 
 

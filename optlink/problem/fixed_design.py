@@ -16,7 +16,7 @@ from optlink.problem.targets.target_points import read_file
 from optlink.problem.tolerances import read_tolerance
 
 REQUIREMENTS = ("requirement", "objective", "limits", "expected")
-"""Sections that say what is wanted; without them a problem is a machine."""
+"""Sections that state requirements; without them a problem is a machine."""
 
 
 def fixed_design(file: ProblemFile, values: Mapping[str, float]) -> ProblemFile:

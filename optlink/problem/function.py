@@ -246,8 +246,8 @@ class DesignProblem(Problem):
         check_rotation(requirement.law, requirement.span, "from", stated)
         if function is not None and stated is not None and not isinstance(stated, Quantity):
             raise Unusable(
-                "a function starts at an angle, given or to be found",
-                'Write from = { start = "50 deg", bounds = ["0 deg", "180 deg"] }, or leave it out: then the search finds it',
+                "a function starts at a crank angle, fixed or free",
+                'Write from = { start = "50 deg", bounds = ["0 deg", "180 deg"] }, or leave it out: then it is a design variable',
                 "requirement.from",
                 requirement.start,
             )

@@ -116,7 +116,9 @@ def _read_interval(raw: object, kind: str | None) -> Interval:
         if not raw:
             raise Unusable("the table is empty", f"Give min, max or both, or write {example}", "", raw)
         if "exactly" in raw and len(raw) > 1:
-            raise Unusable("exactly leaves no room for min and max", "Give the one or the others", "exactly", raw["exactly"])
+            raise Unusable(
+                "exactly and min or max are given together", "Give either exactly, or min and max", "exactly", raw["exactly"]
+            )
         exactly = one(raw["exactly"], "exactly") if "exactly" in raw else None
         low, high = (one(raw[key], key) if key in raw else exactly for key in SIDES[:2])
     elif isinstance(raw, list):

@@ -174,7 +174,7 @@ def _check_range(name: str, whole: Interval | None, possible: tuple[float, float
             if bound is not None and not possible[0] <= bound <= possible[1]:
                 low, high = map(interval.to_display, possible)
                 can = f"from {low} to {high}" if math.isfinite(possible[1]) else f"at least {low}"
-                message = f"{interval.to_display(bound)} is out of the range that it can have, {can}"
+                message = f"{interval.to_display(bound)} is out of range; possible values: {can}"
                 raise Unusable(message, remedy, f"limits.{key}", str(interval).removeprefix("exactly "))
 
 

@@ -294,7 +294,7 @@ class DyadsSection(Section):
             own = [start, *([end] if end else []), *link.points]
             for point in own:
                 if own.count(point) > 1:
-                    raise Unusable("the point is given twice", "Take one of the two out, or rename it", key, point)
+                    raise Unusable("the point is given twice", "Remove one of the two, or rename it", key, point)
             points = [BodyPoint(p, name, f"{name}.{p}.along", f"{name}.{p}.across") for p in link.points]
             yield Link(name, start, end, f"{name}.length" if end else 0.0), points
 

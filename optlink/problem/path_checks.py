@@ -56,7 +56,10 @@ def check_path(problem: PathProblem) -> None:
             )
         if problem.limits.crank == "span":
             raise Unusable(
-                "the transmission is that of a whole revolution", 'Write crank = "full rotation"', "limits.crank", "span"
+                "the transmission angle is optimised over a whole revolution",
+                'Write crank = "full rotation"',
+                "limits.crank",
+                "span",
             )
     else:
         _check_points(problem, mechanism)
@@ -170,7 +173,7 @@ def _check_points(problem: PathProblem, mechanism: Mechanism) -> None:
     if max(map(abs, problem.centre)) > MAX_SHIFT * problem.size:
         raise Unusable(
             f"the points lie {max(map(abs, problem.centre)) / problem.size:.1e} times their own size away from the origin, "
-            "where no digits are left for their shape",
+            "so double precision does not resolve their shape",
             "Check the units, or move the origin near the points",
             "requirement.points",
         )

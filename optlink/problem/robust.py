@@ -142,7 +142,7 @@ def check_robust(robust: Robust | None, measure: str, stated: int) -> None:
     if measure not in robust.measures:
         other = f'robust = "{EXPECTED}"' if measure in SQUARES else 'robust = "3 sigma"'
         raise Unusable(
-            f'"{robust.text}" does not go with measure = "{measure}"',
+            f'"{robust.text}" is not compatible with measure = "{measure}"',
             f'Write measure = "{robust.measures[0]}", or {other}',
             "requirement.robust",
             robust.text,

@@ -201,7 +201,7 @@ def _read_table(raw: object, folder: Path) -> dict[str, ToleranceEntry]:
 
 
 Tolerances = Annotated[dict[str, Any], in_folder(_read_table)]
-"""By the name of a size, what is said of it (`ToleranceEntry`)."""
+"""Tolerances by the name of the dimension (`ToleranceEntry`)."""
 
 
 def with_tolerance(table: dict[str, Any], name: str, value: object) -> None:
@@ -300,7 +300,7 @@ def deviations(
         if name in pins:
             size = _stretched(mechanism, name, pins[name])
         elif size not in sizes:
-            raise Unusable("unknown size", nearest(name, [*sizes, *pins]), name)
+            raise Unusable("unknown dimension", nearest(name, [*sizes, *pins]), name)
         if any(name == other.name or (size == other.size and name not in pins and other.name not in pins) for other in found):
             raise Unusable("a tolerance is given twice", "Give each once", name)
         quantity = quantities.get(size)
@@ -308,7 +308,7 @@ def deviations(
         found.append(_deviation(entry, name, size, kind, CONTACT if name in pins else shape))
         low, _ = found[-1].ends
         if quantity is not None and quantity.kind == "length" and -low > LARGEST * sizes[size]:
-            raise Unusable("more than half of the size itself", "Check its unit", name, entry.text)
+            raise Unusable("more than half of the dimension itself", "Check its unit", name, entry.text)
     return tuple(found)
 
 
@@ -325,7 +325,7 @@ def _deviation(entry: ToleranceEntry, name: str, size: str, kind: str, shape: st
     with below(name, entry.text):
         value, _ = parse(entry.text, kind)
     if not value > 0.0:
-        raise Unusable("a tolerance is above zero: it goes to both sides", EXAMPLE, name, entry.text)
+        raise Unusable("a tolerance must be positive; it applies to both sides", EXAMPLE, name, entry.text)
     return Deviation(name, size, kind, value, entry.shape or shape, cost=entry.cost)
 
 

@@ -133,5 +133,5 @@ def checkpoint(out: Path | None) -> dict[str, Any]:
     path = out / "checkpoint.json"
     found = read_object(path)
     if found is None:
-        raise InputError("there is no checkpoint that can be read", "Begin without --resume", str(path), "--resume")
+        raise InputError("there is no readable checkpoint", "Start without --resume", str(path), "--resume")
     return found

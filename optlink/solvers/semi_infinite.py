@@ -96,7 +96,7 @@ def exchange(nlp: CycleNLP, solution: Solution) -> Solution:
         else:
             radius *= 0.25
     converged = found.excess <= CONVERGED and solution.usable
-    return solution if converged else replace(solution, status=Status.STALLED, message="the peaks did not settle")
+    return solution if converged else replace(solution, status=Status.STALLED, message="the peaks did not converge")
 
 
 def restart_from(nlp: CycleNLP, solution: Solution, name: str) -> Solution:

@@ -218,6 +218,6 @@ def quantity_of(problem: ProblemFile, axis: Axis) -> str:
         name = name.removeprefix(start)
     name = name.replace(".points.", ".").replace(".through.", ".")
     if name not in known:
-        message = "only sizes of the mechanism can be varied without a new optimisation"
+        message = "only dimensions of the mechanism can be varied without a new optimisation"
         raise InputError(message, nearest(name, known), problem.file, f"--vary {axis.key}")
     return name

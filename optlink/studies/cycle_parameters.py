@@ -141,7 +141,7 @@ class CycleParameters(OptimumParameters):
         slots = nlp.slots // nlp.strokes
         other = build_cycle(trace, nlp.structure, nlp.design(system.x), nlp.nodes, slots, nlp.scales)
         if [row.label for row in other.rows] != [row.label for row in nlp.rows]:
-            message = "with a neighbouring value the machine moves in another way"
+            message = "at a neighbouring value the motions reverse in another order"
             raise InputError(message, "Change it with --set", self.problem.file, parameter.key)
         prices = casadi.DM(system.multipliers[system.free :])
         whole = other.f_expression + casadi.dot(prices, other.g_expression)

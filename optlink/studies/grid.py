@@ -110,7 +110,7 @@ def read_axis(assignment: str) -> Axis:
     match = _RANGE.fullmatch(values)
     if match is None:
         if ".." in values:
-            raise fault("this is no range with a number of points")
+            raise fault("this is not a range with a number of points")
         return _listed(key, values, fault)
     low, low_unit, high, high_unit, count, spacing, step = match.groups()
     unit = (high_unit or low_unit or "").strip()
@@ -120,7 +120,9 @@ def read_axis(assignment: str) -> Axis:
     if not (math.isfinite(a) and math.isfinite(b)):
         raise fault("the ends must be finite")
     if a >= b:
-        raise fault("the range is empty" if a == b else "the range is empty: its ends are exchanged", "Give LOW below HIGH")
+        raise fault(
+            "the range is empty" if a == b else "the range is empty: its ends are in the wrong order", "Give LOW below HIGH"
+        )
     if step is not None:
         size = float(step)
         if not size > 0.0:
@@ -134,7 +136,7 @@ def read_axis(assignment: str) -> Axis:
         return Axis(key, unit, tuple(a + size * i for i in range(steps + 1)))
     number = int(count)
     if number < 2:
-        raise fault(f"{number} points are no range", "Give at least 2 points, or one value with --set")
+        raise fault(f"{number} points do not make a range", "Give at least 2 points, or one value with --set")
     _most(number, fault)
     if spacing:
         if a <= 0.0:
@@ -158,7 +160,7 @@ def _listed(key: str, values: str, fault: object) -> Axis:
     parts = [_ONE.fullmatch(part) for part in values.split(",")]
     found = [match.groups() for match in parts if match is not None]
     if len(found) != len(parts):
-        raise fault("this is no list of values")
+        raise fault("this is not a list of values")
     units = {(unit or "").strip() for _, unit in found}
     unit = max(units, key=len)
     if len(units - {""}) > 1:

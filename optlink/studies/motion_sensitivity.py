@@ -81,7 +81,7 @@ def output_sensitivity(
     chosen = list(by or sizes)
     for name in chosen:
         if name not in sizes:
-            raise InputError("unknown size", nearest(name, sizes), key="by", value=name)
+            raise InputError("unknown dimension", nearest(name, sizes), key="by", value=name)
     names = list(sizes)
     symbols = {name: casadi.SX.sym(name) for name in names}
     crank = casadi.SX.sym("crank angle")

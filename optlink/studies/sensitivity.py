@@ -232,7 +232,7 @@ def of_solution(
         try:
             push = known.push(parameter)
         except InputError as error:  # at the end of the valid range of input values
-            notes.append(f"{parameter.name} is left out, as it cannot be changed to both sides: {error.faults[0].message}")
+            notes.append(f"{parameter.name} is left out, as it cannot be changed in both directions: {error.faults[0].message}")
             continue
         response = system.response(push)
         below, above = system.ends(parameter, push, response)
@@ -254,9 +254,9 @@ def of_solution(
                 progress((done + 1) / len(moving))
         missing = [row.parameter.name for row in rows if row.moves and row.check is None]
         if missing:
-            notes.append(f"no optimum to compare with beside this one: {', '.join(missing)}")
+            notes.append(f"re-optimisation found no optimum to compare with: {', '.join(missing)}")
         if system.singular:
-            notes.append("searching again may end in another of the designs: only objectives are compared")
+            notes.append("a new search may end at another of the designs: only objectives are compared")
     return Sensitivities(
         problem=problem,
         solution=solution,

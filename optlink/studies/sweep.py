@@ -332,7 +332,7 @@ def _task(
         problem.spec  # noqa: B018 - raises if there is nothing to solve
     task = optimum_task(problem, grid, backend, chunk_of(grid))
     if not task.free:
-        raise InputError("no design variables: every dimension is fixed", "Add --analyze, or free a size", problem.file)
+        raise InputError("no design variables: every dimension is fixed", "Add --analyze, or free a dimension", problem.file)
     return task
 
 

@@ -22,7 +22,7 @@ from optlink.tasks.results.balance import Balance
 from optlink.validation.check import Check
 
 UNVERIFIED = "not verified"
-ANALYSED = "The machine is analysed alone; `optlink solve` judges what the file requires of it."
+ANALYSED = "Only the machine is analysed; `optlink solve` checks the requirements of the file."
 MOVING = "Optimised from the last design; it is verified when the handle is released."
 
 

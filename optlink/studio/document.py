@@ -114,7 +114,7 @@ class Document:
     def _quantity(self, size: str) -> Any:
         quantities = self.problem.model.mechanism.quantities
         if size not in quantities:
-            raise InputError("no such size", f"Sizes: {', '.join(quantities)}", self.file, "lock", size)
+            raise InputError("no such dimension", f"Sizes: {', '.join(quantities)}", self.file, "lock", size)
         return quantities[size], file_key(self.problem.raw["mechanism"], size)
 
 

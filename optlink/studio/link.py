@@ -31,7 +31,7 @@ FAILED = "The computation ended unexpectedly and was started again."
 STOPPED = "The computation did not stop when it should, and was started again."
 SLOW = f"The computation took longer than {LIMIT / 60.0:z.0f} minutes and was ended."
 KEPT = "Your problem and its history are kept."
-UNDONE = "The last change was undone; redo it to try once more."
+UNDONE = "The last change was undone; redo it to try again."
 NOTHING = "Open a problem."
 
 

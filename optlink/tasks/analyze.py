@@ -291,9 +291,9 @@ def _notes(
     notes = []
     free = [name for name in problem.model.free if design is None or name not in design]
     if free:
-        notes.append(f"free quantities stand at their start values: {', '.join(free)} (--design takes a result)")
+        notes.append(f"design variables are at their start values: {', '.join(free)} (--design takes a result)")
     if not ranges.full:
-        notes.append(f"the crank cannot turn fully; reachable: {ranges.text} (the last 0.1 % at either end is left out)")
+        notes.append(f"the crank cannot turn fully; reachable: {ranges.text} (without the last 0.1 % at either end)")
         for low, high in ranges.ranges[:1]:
             for end, way in ((low, -1.0), (high, 1.0)):
                 reason = range_end_reason(machine.mechanism, machine.sizes, end, way)
@@ -313,7 +313,7 @@ def _notes(
     loads = ", ".join(load.name for load in machine.loads if load.name in guilty) or "a load"
     for angles, what in (
         (singular, "a group is in a singular position: its reactions are infinite"),
-        (jammed, "friction jams a guide, or has no single answer,"),
+        (jammed, "friction jams a guide, or its solution is not unique,"),
         (undefined, f"{loads} has no finite value"),
     ):
         if angles.size:
@@ -323,7 +323,7 @@ def _notes(
         notes.append("no masses and no loads are given, so there are no forces")
     with_clearance = [name for name, joint in problem.model.joints.items() if joint.has_clearance]
     if with_clearance:
-        notes.append(f"joints count as ideal here; `optlink simulate` has the clearance of {', '.join(with_clearance)}")
+        notes.append(f"joints are treated as ideal; `optlink simulate` includes the clearance of {', '.join(with_clearance)}")
     return notes
 
 

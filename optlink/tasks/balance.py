@@ -400,9 +400,9 @@ def _notes(
 ) -> list[str]:
     notes = []
     if any(weight.kind == "disc" for weight in task.counterweights):
-        relaxed_note = "the moments of inertia of discs were relaxed to a cone, as those of a disc are no convex function"
+        relaxed_note = "the moments of inertia of discs were relaxed to a convex cone"
         end = (
-            "the optimum lies on it, so no discs are better"
+            "the optimum satisfies the equation of a disc, so it is also the optimum of real discs"
             if status == "optimal"
             else f"discs come within {slack:z.2%} of the bound"
         )
@@ -412,7 +412,7 @@ def _notes(
         notes.append(f"no counterweight is of use on {', '.join(idle)}")
     if task.problem.model.free:
         notes.append(
-            f"free quantities stand at their start values: {', '.join(task.problem.model.free)} (--design takes a result)"
+            f"design variables are at their start values: {', '.join(task.problem.model.free)} (--design takes a result)"
         )
     if len(task.angles) != task.section.positions:
         notes.append("the crank cannot turn fully: the positions are those of its range")
@@ -432,5 +432,5 @@ def _between(task: _Task, goal: Sequence[tuple[BalanceMeasure, float]], heavier:
     for measure, one, other in zip(largest, coarse, dense, strict=True):
         at, between = measure.value(one[measure.rows(task.angles)]), measure.value(other[measure.rows(fine)])
         if between > at * (1.0 + 1e-4):
-            notes.append(f"between the positions the {measure} is up to {between / at - 1.0:z.2%} higher: take more of them")
+            notes.append(f"between the positions the {measure} is up to {between / at - 1.0:z.2%} higher: use more positions")
     return notes

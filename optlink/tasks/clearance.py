@@ -206,8 +206,8 @@ def simulate_clearance(
     if resume is not None:
         begun = read_checkpoint(ClearanceCheckpoint, resume, options)
         if begun.revolutions > revolutions:
-            message = f"{begun.revolutions} revolutions are done already"
-            raise InputError(message, "Ask for more", key="revolutions", value=revolutions)
+            message = f"{begun.revolutions} revolutions are already complete"
+            raise InputError(message, "Request more", key="revolutions", value=revolutions)
         try:
             plant.restore(begun.closed_loop)
             account.restore(begun.statistics)
@@ -255,14 +255,12 @@ def simulate_clearance(
         keep()
     if ending is Ending.STALLED:
         notes.append(f"The state then: {_state(plant)}")
-        notes.append(
-            "What was computed until then is kept. A softer contact, a higher restitution, masses or a lower speed may help"
-        )
+        notes.append("Results up to that time are kept. A softer contact, a higher restitution, masses or a lower speed may help")
     prediction = pair.prediction if pair is not None and account.count else None
     if prediction is not None and prediction.chaotic:
         notes.append(
             f"The motion is sensitive: runs at two tolerances diverge after {prediction.parted:z.2f} revolutions. From there on "
-            "single values of the trajectory mean nothing; root mean squares and other statistics still do"
+            "single values of the trajectory are meaningless; root mean squares and other statistics remain valid"
         )
     kept = {} if not account.rows else {name: np.concatenate([rows[name] for rows in account.rows]) for name in account.meanings}
     return ClearanceSimulation(
@@ -386,7 +384,7 @@ def _setting(
         guide = next(iter(machine.friction))
         message = "friction in a guide and clearance in a pin are not simulated together"
         raise InputError(
-            message, "Take the friction of the guide out, or the clearance", name, f"mechanism.guides.{guide}.friction"
+            message, "Remove the friction of the guide, or the clearance", name, f"mechanism.guides.{guide}.friction"
         )
     if start is not None and not abs(start) <= 1e6:
         raise InputError("out of range", "Give an angle", key="start", value=f"{start} rad")
@@ -396,7 +394,7 @@ def _setting(
     check_regular(problem, ranges, "clearance is not simulated there")
     if not ranges.full:
         message = "the crank cannot turn fully; simulation with clearance needs full revolutions"
-        raise InputError(message, "Change the sizes so that it can", name, "mechanism")
+        raise InputError(message, "Change the dimensions so that it can", name, "mechanism")
     nominal = drive.speed.value if speed is None else speed
     if not math.isfinite(nominal) or nominal == 0.0 or abs(nominal) > 1e6:
         raise InputError("out of range", "Give a speed other than zero", key="speed", value=f"{nominal:.6g} rad/s")
@@ -404,7 +402,7 @@ def _setting(
     if kind is not Control.NONE:
         if servo is None:
             remedy = 'Add servo = { bandwidth = "300 Hz", damping = 0.7 } below [drive]'
-            raise InputError(f"control {kind} needs a drive that follows a command", remedy, name, "drive.servo")
+            raise InputError(f"control {kind} needs a servo drive", remedy, name, "drive.servo")
         if model.control is None:
             remedy = 'Add [control] with regularisation = "5 mm", proportional = 0.05, integral = 10.0'
             raise InputError(f"control {kind} needs the controlled joint", remedy, name, "control")

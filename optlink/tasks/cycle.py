@@ -162,7 +162,7 @@ def _firsts(problem: ProblemFile, samples: StartSequence, count: int) -> list[St
     if not found and wrong:
         key, term, reversals = wrong[0]
         message = f"{term.of} reverses {reversals} times in a revolution" if reversals else f"{term.of} never reverses"
-        remedy = "Name an output that goes to and fro, or start from other sizes"
+        remedy = "Name an output with two reversals, or change the starting point"
         raise InputError(message, remedy, problem.file, f"{key}.of", term.of)
     return found
 
@@ -176,7 +176,7 @@ def _notes(
     task = task_of(problem)
     most = max(len(order.begin.starts) for order in result.orders)
     if most < count:
-        why = f"among {SAMPLES * count} random designs no others turn fully in the same order of events"
+        why = f"no others of {SAMPLES * count} random designs turn fully with the same order of events"
         yield f"only {most} of {count} starts: {why}"
     if result.usable:
         if not result.nlp.structure.like(result.orders[0].begin.structure):
@@ -234,8 +234,8 @@ def _nowhere(problem: ProblemFile, seed: int, starts: int, seconds: dict[str, fl
     values = {name: task.quantities[name].value for name in task.free}
     verification = validate_cycle(task, values)
     note = (
-        f"none of {SAMPLES * starts} random sizes within the bounds lets the crank turn fully: "
-        "widen the bounds, or start from sizes that do"
+        f"none of {SAMPLES * starts} random designs within the bounds lets the crank turn fully: "
+        "widen the bounds, or start from a design that does"
     )
     times = {"build": 0.0, **seconds, "validate": 0.0}
     return CycleResult(

@@ -130,7 +130,7 @@ def motion_range(problem: ProblemFile, machine: Machine, start: float) -> tuple[
         remedy = (
             f"Start in a range that can be reached: {ranges.text}"
             if ranges.ranges
-            else "No crank angle can be reached: change the sizes"
+            else "No crank angle can be reached: change the dimensions"
         )
         message = f"{failed}" if failed else "the mechanism cannot be assembled"
         raise InputError(message, remedy, problem.file, "drive.start", f"{math.degrees(start):.6g} deg")

@@ -247,7 +247,7 @@ def revolutions_check(target: Array, moved: Callable[[], Array]) -> Iterator[Che
     least, most = np.min(np.where(some, whole, np.inf), axis=1), np.max(np.where(some, whole, -np.inf), axis=1)
     missed = np.where(np.any(some, axis=1), most - least, 0.0)
     missed = np.where(np.all(np.isfinite(revolutions) | ~begun, axis=1), missed, np.nan)
-    name = "output turns as the law, not by whole revolutions more or less"
+    name = "output rotates as the law, without extra revolutions"
     yield Checks(name, missed == 0.0, missed, "= 0", "rev", applies)
 
 

@@ -122,7 +122,7 @@ BAD: dict[str, tuple[str, dict[str, object], tuple[str, ...]]] = {
     "all points in one place, timed": (
         "path",
         {ROWS: [{**POINTS[0], "crank": f"{10 * k} deg"} for k in range(4)]},
-        (ROWS, "all points lie in one place"),
+        (ROWS, "all points coincide"),
     ),
     "far from the origin": (
         "path",
@@ -400,7 +400,7 @@ def test_a_hundred_thousand_listed_points_are_beyond_a_limit(tmp_path: Path) -> 
 def test_a_file_of_fifty_megabytes_is_refused(tmp_path: Path) -> None:
     with (tmp_path / "curve.csv").open("wb") as file:
         file.truncate(50_000_001)
-    refused(tmp_path, altered(PATH, {ROWS: {"csv": "curve.csv"}}), f"{ROWS}.csv", "larger than 50 MB", "Thin it out")
+    refused(tmp_path, altered(PATH, {ROWS: {"csv": "curve.csv"}}), f"{ROWS}.csv", "larger than 50 MB", "Reduce its size")
 
 
 def test_nothing_of_an_expression_is_executed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

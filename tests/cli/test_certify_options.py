@@ -9,20 +9,20 @@ from optlink.tasks.results.certificate import share_text
 REFUSED = {
     "a law without a proof": (
         ("crank-rocker", "--no-certify", "--gap", "0.1"),
-        'crank-rocker.toml: --gap = "0.1": there is no proof of a global optimum that it applies to. Leave it out',
+        'crank-rocker.toml: --gap = "0.1": the option applies to a certificate of the global optimum only. Leave it out',
     ),
     "a path without a proof": (
         ("path-bean", "--time-limit", "2 s"),
-        "there is no proof of a global optimum that it applies to. Add --certify, or leave it out",
+        "the option applies to a certificate of the global optimum only. Add --certify, or leave it out",
     ),
     "processes without a proof": (
         ("balance-six-bar", "--workers", "2"),
-        "only searches from several starting points, and proofs, use several processes. Leave it out",
+        "only multistart searches and certificates use several processes. Leave it out",
     ),
     "an unknown engine": (("crank-rocker", "--engine", "cluster"), '--engine = "cluster": unknown engine'),
     "a machine": (
         ("shaper-design", "--gap", "0.1"),
-        "there is no proof of a global optimum that it applies to. Leave it out",
+        "the option applies to a certificate of the global optimum only. Leave it out",
     ),
     "a machine to certify": (("shaper-design", "--certify"), "no certificate of the global optimum for this kind of problem"),
     "free crank angles": (

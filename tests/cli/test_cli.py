@@ -351,8 +351,8 @@ COMPARED = (*GAPPED, "--control", "compare", "--revolutions", "1", "--starts", "
 @pytest.mark.parametrize(
     ("arguments", "option", "words"),
     [
-        ((*COMPARED, "--csv", "a.csv"), "--csv", "has no use for it"),
-        ((*COMPARED, "--flywheel", "0.1 kg*m^2"), "--flywheel", "has no use for it"),
+        ((*COMPARED, "--csv", "a.csv"), "--csv", "no effect on a comparison"),
+        ((*COMPARED, "--flywheel", "0.1 kg*m^2"), "--flywheel", "no effect on a comparison"),
         ((*COMPARED, "--tune", "integral"), "--tune", "Name the kind to tune"),
         ((*GAPPED, "--evaluations", "8"), "--evaluations", "--tune NAME"),
         ((*GAPPED, "--workers", "2"), "--workers", "--tune NAME"),
@@ -364,7 +364,7 @@ COMPARED = (*GAPPED, "--control", "compare", "--revolutions", "1", "--starts", "
         (("simulate", "six-bar", "--tolerance", "1e-6"), "--tolerance", "no joint has clearance"),
         (("simulate", "six-bar", "--control", "compare"), "--control", "no joint has clearance"),
         (("simulate", "six-bar", "--seed", "3"), "--seed", "Leave it out"),
-        (("report", "result.json", "-o", "a.html", "--starts", "3"), "--starts", "has its design already"),
+        (("report", "result.json", "-o", "a.html", "--starts", "3"), "--starts", "already contains its design"),
         (("solve", "crank-rocker", "--designs", "2"), "--designs", "several designs"),
     ],
 )

@@ -95,20 +95,20 @@ def test_other_spellings_are_the_same_option(old, new):
         (("solv", "crank-rocker"), "optlink: no such command 'solv'. Did you mean 'solve'?"),
         (("study", "swep", "x"), "optlink study: no such command 'swep'. Did you mean 'sweep'?"),
         (("solve", "x", "--seeds", "1"), "optlink solve: --seeds: no such option. Did you mean --seed or --set?"),
-        (("solve", "x", "--xyzzy"), "optlink solve: --xyzzy: no such option. `optlink solve --help` shows what it takes"),
+        (("solve", "x", "--xyzzy"), "optlink solve: --xyzzy: no such option. `optlink solve --help` lists its options"),
         (("solve", "x", "--starts=1_0"), 'optlink solve: --starts: "1_0" is not a whole number. Give for example 20'),
         (("solve", "x", "--starts=\u0663"), 'optlink solve: --starts: "\u0663" is not a whole number. Give for example 20'),
         (("solve", "x", "--starts=many"), 'optlink solve: --starts: "many" is not a whole number. Give for example 20'),
         (
             ("solve", "x", "--starts"),
-            "optlink solve: --starts: option requires an argument. `optlink solve --help` shows what it takes",
+            "optlink solve: --starts: option requires an argument. `optlink solve --help` lists its options",
         ),
         (
             ("solve", "x", "--json=3"),
-            "optlink solve: --json: option does not take a value. `optlink solve --help` shows what it takes",
+            "optlink solve: --json: option does not take a value. `optlink solve --help` lists its options",
         ),
-        (("solve", "--quiet"), "optlink solve: PROBLEM: it is missing. `optlink solve --help` shows what it takes"),
-        (("solve", "x", "y"), "optlink solve: got unexpected extra argument(s) (y). `optlink solve --help` shows what it takes"),
+        (("solve", "--quiet"), "optlink solve: PROBLEM: it is missing. `optlink solve --help` lists its options"),
+        (("solve", "x", "y"), "optlink solve: got unexpected extra argument(s) (y). `optlink solve --help` lists its options"),
     ],
 )
 def test_a_command_line_that_cannot_be_used_is_invalid_input_like_any_other(arguments, message):
@@ -164,7 +164,7 @@ def test_quiet_ends_with_its_command():
     assert run("list", "--quiet").stdout.splitlines() == [
         row["name"] for row in json.loads(run("list", "--json").stdout)["problems"]
     ]
-    assert "what it is" in run("list").stdout
+    assert "description" in run("list").stdout
     failed = run("solve", "nothing", "-q")
     assert failed.exit_code == 2
     assert failed.stderr.startswith("Error: ")

@@ -168,7 +168,7 @@ def test_a_folder_with_the_result_of_another_command_or_problem_is_refused(tmp_p
         ):
             done = run(*arguments, "--out", out)
             assert done.exit_code == 2
-            assert f"the folder holds the result of {held}" in done.output
+            assert f"the folder contains the result of {held}" in done.output
         assert {path.name: path.read_bytes() for path in out.iterdir()} == before
     assert run("analyze", "slider-crank", "--points", 90, "--out", out).exit_code == 0
 

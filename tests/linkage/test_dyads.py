@@ -634,7 +634,7 @@ def test_the_outer_joints_of_a_mode_may_be_named_in_either_order():
     assert np.min(np.abs(other.position("C") - motion.position("C")).max(axis=-1)) > 0.01
 
 
-# --- what is no chain of dyads --------------------------------------------------------------------------------------------------
+# --- what is not a chain of dyads ---------------------------------------------------------------------------------------------
 
 CRANK = Link("crank", "A", "B", 0.1)
 BASE = {"A": (0.0, 0.0), "D": (0.5, 0.0)}
@@ -676,7 +676,7 @@ REFUSED = [
             pinned("bar", "D", "Q"),
             pinned("arm", "E", "R"),
         ),
-        ("plate, rod, bar and arm", "no chain of dyads", "class III"),
+        ("plate, rod, bar and arm", "not a chain of dyads", "class III"),
         ("Drive another body", "two at a time"),
         "links.plate",
     ),
@@ -685,7 +685,7 @@ REFUSED = [
         lambda: structure(
             BASE, pinned("one", "B", "E", "F"), pinned("two", "E", "G"), pinned("three", "D", "G", "H"), pinned("four", "F", "H")
         ),
-        ("one, two, three and four", "no chain of dyads", "ring"),
+        ("one, two, three and four", "not a chain of dyads", "ring"),
         ("Drive another body",),
         "links.one",
     ),
@@ -701,7 +701,7 @@ REFUSED = [
             pinned("five", "I", "J"),
             modes={"C": "left of B-D"},
         ),
-        ("two, three, four and five", "no chain of dyads", "ring"),
+        ("two, three, four and five", "not a chain of dyads", "ring"),
         ("Drive another body",),
         "links.two",
     ),
@@ -715,7 +715,7 @@ REFUSED = [
             modes={"C": "left of B-D"},
         ),
         ("brace cannot move on its own", "E and G"),
-        ("Take one of these joints away", "add a body between"),
+        ("Remove one of these joints", "add a body between"),
         "links.brace",
     ),
     Refused(
@@ -729,14 +729,14 @@ REFUSED = [
             pinned("leg", "H", "S"),
         ),
         ("plate, rod, bar, arm and leg", "0 degrees of freedom", "rigid structure"),
-        ("Take a joint away", "add a body"),
+        ("Remove a joint", "add a body"),
         "links.leg",
     ),
     Refused(
         "two degrees of freedom",
         lambda: structure(BASE, pinned("one", "B", "C"), pinned("two", "C", "E"), pinned("three", "E", "D")),
         ("one, two and three", "2 degrees of freedom", "one driver"),
-        ("Join them", "take them out"),
+        ("Join them", "remove them"),
         "links.three",
     ),
     Refused(
@@ -768,7 +768,7 @@ REFUSED = [
         "body without a joint",
         lambda: structure(BASE, pinned("coupler", "B", "C"), pinned("rocker", "D", "C"), pinned("stone", "X", "Y")),
         ("the body has no joint", "X and Y"),
-        ("Give one of its joints the name", "take it out"),
+        ("Give one of its joints the name", "remove it"),
         "links.stone",
     ),
     Refused(
@@ -823,7 +823,7 @@ REFUSED = [
             guides=[Guide("slot", "block", "yoke", direction=1.5), Guide("way", "yoke")],
             modes={"slot": "forward"},
         ),
-        ("it has one mode only",),
+        ("the dyad has only one assembly mode",),
         ("Joints with an assembly mode: none",),
         "assembly.slot",
     ),
@@ -832,7 +832,7 @@ REFUSED = [
         lambda: structure(
             BASE, pinned("coupler", "B", "C"), pinned("rocker", "D", "C"), modes={"C": "left of B-D", "E": "left of B-D"}
         ),
-        ("no group has its inner joint there",),
+        ("no dyad has its inner joint there",),
         ("Joints with an assembly mode: C",),
         "assembly.E",
     ),
@@ -840,7 +840,7 @@ REFUSED = [
         "two bodies with two joints",
         lambda: structure(BASE, pinned("one", "B", "C", "E"), pinned("two", "C", "E", "F"), pinned("three", "F", "D")),
         ("one and two share the joints C and E", "one body"),
-        ("Give the points to one body", "take one joint away"),
+        ("Give the points to one body", "remove one joint"),
         "links.two",
     ),
     Refused(
@@ -861,14 +861,14 @@ REFUSED = [
         "driver held twice",
         lambda: structure(BASE, pinned("coupler", "D", "C"), pinned("rocker", "D", "C"), driver=Link("wheel", "A", "D", 0.1)),
         ("wheel cannot turn", "pivot A", "D"),
-        ("Take that joint away",),
+        ("Remove that joint",),
         "links.wheel",
     ),
     Refused(
         "driver in a guide",
         lambda: structure(BASE, pinned("coupler", "B", "C"), pinned("rocker", "D", "C"), guides=[Guide("way", "crank")]),
         ("crank cannot turn", "way"),
-        ("Take that joint away",),
+        ("Remove that joint",),
         "links.crank",
     ),
     Refused(
@@ -905,7 +905,7 @@ def test_refusals_do_not_hang_on_the_order_of_the_file(seed):
     """The same members are named, whichever body comes first."""
     bodies = [pinned("plate", "P", "Q", "R"), pinned("rod", "B", "P"), pinned("bar", "D", "Q"), pinned("arm", "E", "R")]
     order = np.random.default_rng(seed).permutation(4)
-    with pytest.raises(StructureError, match="no chain of dyads") as refused:
+    with pytest.raises(StructureError, match="not a chain of dyads") as refused:
         structure({**BASE, "E": (0.2, 0.5)}, *(bodies[k] for k in order))
     assert all(name in refused.value.message for name in ("plate", "rod", "bar", "arm"))
     assert refused.value.key == f"links.{bodies[order[0]][0].body}"

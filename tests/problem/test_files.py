@@ -52,7 +52,7 @@ BAD = {
     "too long a span": ({"requirement.span": "361 deg"}, "requirement.span", "one revolution"),
     "span is free": ({"requirement.span": {"bounds": ["1 deg", "2 deg"]}}, "requirement.span", "cannot be free"),
     "limits reversed": ({"limits.transmission_angle": ["135 deg", "45 deg"]}, "limits.transmission_angle", "above the upper"),
-    "limit out of range": ({"limits.transmission_angle": ["-45 deg", "90 deg"]}, "limits.transmission_angle", "out of the range"),
+    "limit out of range": ({"limits.transmission_angle": ["-45 deg", "90 deg"]}, "limits.transmission_angle", "out of range"),
     "limit of three": ({"limits.transmission_angle": ["1 deg", "2 deg", "3 deg"]}, "limits.transmission_angle", "two values"),
     "empty limit": ({"limits.transmission_angle": {}}, "limits.transmission_angle", "empty"),
     "limited twice": ({"limits.transmission_cosine": [-0.7, 0.7]}, "limits.transmission_cosine", "twice"),
@@ -131,8 +131,8 @@ def test_bad_value_is_named_with_key_and_remedy(crank_rocker, name):
         ("[limits]\n[limits]\n", "the section [limits] occurs twice (at line 2"),
         ("[a.b]\n[a.b]\n", "the section [a.b] occurs twice"),
         ("a = 1\na = 2\n", "a key occurs twice in its section (at line 2"),
-        ("frame = 250 mm\n", "a value is no number and has no quotes (at line 1"),
-        ("title = Wiper\n", "a value is no number and has no quotes (at line 1"),
+        ("frame = 250 mm\n", "a value is neither a number nor in quotes (at line 1"),
+        ("title = Wiper\n", "a value is neither a number nor in quotes (at line 1"),
         ('a = ["1 mm"\nb = 2\n', "a bracket [ is not closed (at line 2"),
         ('rocker "30 mm"\n', "no = after a key (at line 1"),
     ],
@@ -170,7 +170,7 @@ def test_names_with_a_comma_are_quoted_in_a_list(crank_rocker):
 
 def test_a_value_out_of_range_names_the_range(crank_rocker):
     with pytest.raises(
-        InputError, match='swing_angle = "400 deg": 400 deg is out of the range that it can have, from 0 deg to 180 deg'
+        InputError, match='swing_angle = "400 deg": 400 deg is out of range; possible values: from 0 deg to 180 deg'
     ):
         crank_rocker.override({"limits.swing_angle": "400 deg"})
 

@@ -66,7 +66,11 @@ N12 = ["1 N", "2 N"]
 # changes to the six-bar, how the key is named (from behind), what is said
 BAD: dict[str, tuple[dict[str, Any], str, str]] = {
     # what is no mechanism
-    "class III": ({"mechanism": CLASS_III, **BARE}, "mechanism.links.plate", "plate, one, two and three are no chain of dyads"),
+    "class III": (
+        {"mechanism": CLASS_III, **BARE},
+        "mechanism.links.plate",
+        "plate, one, two and three are not a chain of dyads",
+    ),
     "class III, remedy": ({"mechanism": CLASS_III, **BARE}, "mechanism.links.plate", "Drive another body"),
     "body without a joint": (extra("X", "Y"), "mechanism.links.extra", "no other body has its points X and Y"),
     "loose body": (extra("C", "Y"), "mechanism.links.extra", "2 degrees of freedom and one driver"),
@@ -165,7 +169,7 @@ BAD: dict[str, tuple[dict[str, Any], str, str]] = {
     "unknown joint": ({"joints.Q": {"on": "slider"}}, "joints.Q", "Known: A, D, B, C, E"),
     "joint of another body": ({"joints.B": {"on": "slider"}}, "joints.B.on", "Known: crank, link2"),
     # loads
-    "load without a size": (other(on="slider"), "loads.other", "the load has no size"),
+    "load without a size": (other(on="slider"), "loads.other", "the load has no magnitude"),
     "load without a body": (other(force="1 N", direction="0 deg"), "loads.other.on", "has no body to act on"),
     "load on no body": ({f"{LOAD}.on": "slyder"}, "loads.process.on", 'Did you mean "slider"'),
     "load at no point": (other(on="link5", at="B", force="1 N", direction="0 deg"), "loads.other.at", "Known: C, E"),
@@ -342,7 +346,7 @@ def test_start_that_cannot_be_assembled_lists_what_can_be_reached():
 
 
 def test_sizes_that_close_nowhere():
-    with pytest.raises(InputError, match="No crank angle can be reached: change the sizes") as caught:
+    with pytest.raises(InputError, match="No crank angle can be reached: change the dimensions") as caught:
         analyze(load("six-bar", {"mechanism.links.link2.length": "0.1 m"}))
     assert "six-bar.toml: drive.start" in str(caught.value)
 
@@ -540,7 +544,7 @@ def test_every_example_of_the_reference_page_runs(example):
     analysis = analyze(problem, points=24)
     assert analysis.full
     assert analysis.sound
-    assert [note for note in analysis.notes if not note.startswith("joints count as ideal")] == []
+    assert [note for note in analysis.notes if not note.startswith("joints are treated as ideal")] == []
     assert np.max(np.abs(analysis["input.torque_Nm"])) > 0.0
     expected = problem.model.expected
     for name, value in expected.figures.items() if expected else ():

@@ -86,7 +86,7 @@ def test_dwells_and_turns_in_place(tmp_path):
     turn = [{"x": "1 mm", "y": "0 mm", "angle": f"{10 * k} deg"} for k in range(3)]
     assert len(read_points(turn, tmp_path).points) == 3
     refused([*turn, turn[-1]], tmp_path, "[3]", "points 3 and 4 coincide")
-    refused(dwell, tmp_path, "", "all points lie in one place")
+    refused(dwell, tmp_path, "", "all points coincide")
 
 
 def test_long_list_is_reduced(tmp_path):
@@ -239,7 +239,7 @@ def test_repeated_rows_do_no_harm_where_the_curve_is_reduced(tmp_path):
         (b"x_mm,y_mm,crank_deg\n1,2,\n", "row 2 of c.csv has no finite number in column crank_deg"),
         (b"x_mm,y_mm,crank_deg\n1,2,0\n3,4,20\n5,6,10\n", "that of row 4 of c.csv does not"),
         (b"x_mm,y_mm\n1,2\n3,4\n\n3,4\n", "rows 3 and 5 of c.csv coincide"),
-        (b"x_mm,y_mm\n" + b"3,4\n" * 1000, "all points lie in one place"),
+        (b"x_mm,y_mm\n" + b"3,4\n" * 1000, "all points coincide"),
         (b"x_mm,y_mm\n1,5,2,5\n", "row 2 of c.csv has 4 cells, the title row has 2"),
         (b"x_mm,y_mm\n1,1_0\n", "row 2 of c.csv has no finite number in column y_mm"),
         ("x_mm,y_mm\n1,\u0663\n".encode(), "row 2 of c.csv has no finite number in column y_mm"),
@@ -263,8 +263,8 @@ def test_files_that_are_none(tmp_path, form):
     for name, words in {
         "nothing.csv": "no such file",
         "folder": "it is a folder",
-        "pipe": "no plain file",
-        "/dev/zero": "no plain file",
+        "pipe": "not a regular file",
+        "/dev/zero": "not a regular file",
         "a\0b": "expected the name of a file",
         "": "expected the name of a file",
         "x" * 5000: "cannot read the file",
@@ -603,8 +603,8 @@ def test_paths_by_id_and_number(tmp_path):
 
 LINE = '<path id="p" d="M0 0 L9 9"/>'
 BAD_DRAWINGS = {
-    "no shape": ("<text>hello</text>", "svg", "draws no path"),
-    "only defs": (f"<defs>{LINE}</defs>", "svg", "draws no path"),
+    "no shape": ("<text>hello</text>", "svg", "contains no path"),
+    "only defs": (f"<defs>{LINE}</defs>", "svg", "contains no path"),
     "twice": (LINE * 2, "path", "2 shapes of that id"),
     "nested drawing": (f'<svg viewBox="0 0 1 1">{LINE}</svg>', "path", "lies in <svg>"),
     "symbol": (f'<symbol id="s">{LINE}</symbol><use href="#s"/>', "path", "lies in <symbol"),
@@ -632,7 +632,7 @@ BAD_DRAWINGS = {
     "bad flag": ('<path id="p" d="M0 0 A 3 4 0 2 1 5 6"/>', "path", "from character 6 on"),
     "bad second arc": ('<path id="p" d="M0 0 A3 4 0 0 1 5 6 -3 4 0 0 1 9 9"/>', "path", "from character 6 on"),
     "numbers after Z": ('<path id="p" d="M0 0 L 3 4 Z 5 6"/>', "path", "from character 12 on"),
-    "infinite": ('<path id="p" d="M0 0 L 1e999 4"/>', "path", "beyond all bounds"),
+    "infinite": ('<path id="p" d="M0 0 L 1e999 4"/>', "path", "it is too large"),
     "infinite on the way": ('<path id="p" d="M0 0 C 1e999 0 4 4 5 5"/>', "path", "too large"),
     "vast": ('<path id="p" d="M0 0 L 1e12 4"/>', "path", "too large"),
     "tiny arc": ('<path id="p" d="M0 0 A 1e-200 1e-200 0 0 1 1e-300 0"/>', "path", ""),
@@ -640,7 +640,7 @@ BAD_DRAWINGS = {
     "two parts": ('<path id="p" d="M0 0 L 3 4 M 5 5 L 6 6"/>', "path", "more than one part"),
     "odd polyline": ('<polyline id="p" points="0 0 1"/>', "path", "cannot be read"),
     "empty polygon": ('<polygon id="p" points=""/>', "path", "cannot be read"),
-    "round corners": ('<rect id="p" width="3" height="3" rx="1"/>', "path", "round corners"),
+    "rounded corners": ('<rect id="p" width="3" height="3" rx="1"/>', "path", "rounded corners"),
     "percent": ('<circle id="p" r="50%"/>', "path", "r is no plain number"),
     "flat circle": ('<circle id="p"/>', "path", "no length"),
 }

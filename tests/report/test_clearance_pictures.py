@@ -391,8 +391,8 @@ def test_section_tells_whether_the_motion_repeats() -> None:
     made = shown("periodic", "section")
     assert len(made.axes) == 2
     told = words(made)
-    assert "periodic: the journals' places repeat every revolution" in told
-    assert "keep together for the 13 revolutions watched" in told
+    assert "periodic: the journals' positions repeat every revolution" in told
+    assert "agree over the 13 revolutions compared" in told
     assert clearance_joints.repetition(RevolutionCurves(simulated("periodic")))[0] == 1
     assert len(by_gid(made, "early")[0].get_xdata()) == 5
     told = words(shown("chaotic", "section"))

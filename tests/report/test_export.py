@@ -318,12 +318,12 @@ def test_every_format_by_the_command(tmp_path, ending):
         (("-o", "a.dxf", "--at", "3 mm"), "unit of angle"),
         (("-o", "a.dxf", "--at", "nan deg"), "--at"),
         (("-o", "a.dxf", "--hole", "0 mm"), "positive"),
-        (("-o", "a.dxf", "--hole", "8 mm", "--width", "5 mm"), "narrower than its holes"),
+        (("-o", "a.dxf", "--hole", "8 mm", "--width", "5 mm"), "smaller than the hole"),
         (("-o", "a.dxf", "--hole", "80 m"), "holes of crank would overlap: they are 100 mm apart"),
         (("-o", "a.dxf", "--hole", "100 mm"), "holes of crank would overlap"),
         (("-o", "a.csv", "--points", "0"), "out of range"),
         (("-o", "a.dxf", "--backend", "magic"), "magic"),
-        (("-o", "a.dxf", "--problem", "six-bar"), "only a RESULT"),
+        (("-o", "a.dxf", "--problem", "six-bar"), "a RESULT only"),
     ],
 )
 def test_bad_input_is_named_and_nothing_is_written(tmp_path, monkeypatch, arguments, words):

@@ -141,7 +141,7 @@ def test_a_design_that_cannot_be_assembled_has_a_page_without_a_drawing():
 def test_a_page_begins_with_its_conclusion(crank_rocker_subject):
     error = np.degrees(crank_rocker_subject.result.error())
     said = f"within {np.max(np.abs(error)):.4g}° (root mean square {np.sqrt(np.mean(error**2)):.4g}°)"
-    assert f"{said}. What limits it: largest transmission angle (≤ 135°)." in page(crank_rocker_subject)
+    assert f"{said}. Active limits: largest transmission angle (≤ 135°)." in page(crank_rocker_subject)
     infeasible = subject("crank-rocker", **{"limits.transmission_angle": ["80 deg", "100 deg"]})
     text = page(infeasible)
     assert "No design meets all limits: the limit transmission angle cannot be met" in text
@@ -242,9 +242,9 @@ def test_what_matters_by_searching_again(crank_rocker_subject):
     assert told == pytest.approx(100.0 * (found[1] - found[0]) / 0.2 / crank_rocker_subject.objective, rel=1e-3)
     assert told == pytest.approx(-1.929, abs=1e-3)
     text = page(crank_rocker_subject)
-    assert "What matters" in text
+    assert "Sensitivities" in text
     assert "-1.929 %" in text
-    assert "What matters" not in page(subject("motion-3-poses"))  # all poses are met exactly: nothing is left to gain
+    assert "Sensitivities" not in page(subject("motion-3-poses"))  # all poses are met exactly: nothing is left to gain
 
 
 def test_the_moving_drawing_is_the_linkage(about):
@@ -344,7 +344,7 @@ def test_results_that_cannot_be_shown(results, tmp_path):
     good = json.loads(results("crank-rocker").read_text())
     bad = {
         "schema": ({**good, "schema": "optlink/list/1"}, "not a result that can be shown here"),
-        "version": ({**good, "schema": "optlink/function/99"}, "of another version of its format"),
+        "version": ({**good, "schema": "optlink/function/99"}, "has another format version"),
         "none": ({"a": 1}, "not a result of optlink"),
         "hash": ({**good, "problem_hash": "0" * 16}, "of another problem or version"),
         "name": ({**good, "problem": "nobodys"}, "is not found"),
@@ -388,7 +388,7 @@ def test_an_infeasible_result_names_the_conflict(tmp_path):
         text = (tmp_path / "a.html").read_text()
         assert "no feasible design" in text
         assert "These limits cannot hold together" in text
-        assert "What matters" not in text
+        assert "Sensitivities" not in text
 
 
 @pytest.mark.slow

@@ -344,11 +344,11 @@ def test_what_matters_stands_on_the_page_of_a_result(results, tmp_path):
         path = tmp_path / f"{name}.html"
         assert run("report", str(results / name), "-o", str(path)).exit_code == 0
         text = path.read_text()
-        assert "What matters" in text
+        assert "Sensitivities" in text
         assert "-1.929 %" in text
         assert ("Re-optimised on both sides of each" in text) is (name == "sensitivity")
     text = (tmp_path / "sensitivity.html").read_text()
-    assert text.index('id="what-matters"') < text.index('id="design-and-checks"')
+    assert text.index('id="sensitivities"') < text.index('id="design-and-checks"')
 
 
 def test_a_sensitivity_that_is_no_optimum_is_found_out(results, tmp_path):
@@ -421,8 +421,8 @@ def test_the_sentences_of_damaged_results(results, tmp_path):
         ),
         "another kind": ({**good, "limit": "2 deg"}, 'limit = "2 deg": the result is damaged: this is not a number'),
         "cut arrays": ({**good, "value": good["value"][:3]}, "there are 3 numbers where 31 belong"),
-        "another version": ({**good, "schema": "optlink/tolerance/1"}, "of another version of its format"),
-        "slopes of another version": ({**good, "schema": "optlink/output-sensitivity/1"}, "of another version of its format"),
+        "another version": ({**good, "schema": "optlink/tolerance/1"}, "has another format version"),
+        "slopes of another version": ({**good, "schema": "optlink/output-sensitivity/1"}, "has another format version"),
         "no study": ({**good, "schema": "optlink/list/1"}, "not a result that can be shown here"),
         "no schema": ({"a": 1}, "not a result of optlink"),
         "another problem": ({**good, "problem_hash": "0" * 16}, "of another problem or version"),
@@ -458,7 +458,7 @@ def test_a_sweep_needs_its_table(results, tmp_path):
 def test_a_folder_without_a_result(tmp_path):
     done = run("report", str(tmp_path), "-o", str(tmp_path / "a.html"))
     assert done.exit_code == 2
-    assert "the folder holds no result.json" in done.stderr
+    assert "the folder contains no result.json" in done.stderr
     assert "--resume" in done.stderr
 
 
@@ -473,7 +473,7 @@ def test_a_shipped_problem_goes_before_a_folder_of_its_name(results, tmp_path, m
 def test_a_study_is_no_one_design_to_export(results, tmp_path):
     done = run("export", str(results / "sweep"), "-o", str(tmp_path / "a.dxf"))
     assert done.exit_code == 2
-    assert "a sweep is no one design that could be drawn" in done.stderr
+    assert "a sweep is not a single design, so it cannot be drawn" in done.stderr
     assert list(tmp_path.iterdir()) == []
 
 
@@ -652,7 +652,7 @@ def test_a_table_with_numbers_without_measure_is_refused(results, tmp_path):
         load_stored(str(tmp_path))
 
 
-@pytest.mark.parametrize(("counted", "row"), [("yield", "largest as drawn"), ("3 standard deviations", "largest")])
+@pytest.mark.parametrize(("counted", "row"), [("yield", "largest, nominal"), ("3 standard deviations", "largest")])
 def test_the_largest_figure_of_a_robust_design_says_what_it_is_of(results, tmp_path, counted, row):
     """With standard deviations they stand in the table's title; of a most-yield design the figure has no scatter in it."""
     told = document(results, "tolerance")
@@ -663,7 +663,7 @@ def test_the_largest_figure_of_a_robust_design_says_what_it_is_of(results, tmp_p
     (tmp_path / "result.json").write_text(json.dumps(told))
     texts = [text.strip() for told in Reader(study_page(load_stored(str(tmp_path)))).texts.values() for text in told]
     assert row in texts
-    assert ("largest as drawn" in texts) is (counted == "yield")
+    assert ("largest, nominal" in texts) is (counted == "yield")
 
 
 @pytest.mark.parametrize("count", [-7, 0, 10**15])

@@ -124,9 +124,9 @@ def test_a_load_of_the_slow_stroke_needs_one():
     """Where every machine is centred the validation says so, and the start is refused where nothing is free."""
     result = validate(problem(PUMP), {"G.offset": 0.0})
     assert not result.valid
-    assert any("no slow stroke" in check.name for check in result.validation.checks)
+    assert any("neither stroke is the slow one" in check.name for check in result.validation.checks)
     fixed = {"mechanism__guides__G__offset": "0 mm", "mechanism__links__crank__length": "45 mm"}
-    with pytest.raises(InputError, match="no slow stroke"):
+    with pytest.raises(InputError, match="neither stroke is the slow one"):
         problem(PUMP, **fixed, mechanism__links__rod__length="180 mm")
 
 

@@ -206,7 +206,7 @@ def test_a_function_is_robust_anywhere_in_its_range():
         by = [(psi((h, 0.0)) - psi((-h, 0.0))) / (2.0 * h), (psi((0.0, h)) - psi((0.0, -h))) / (2.0 * h)]
         largest.append(np.max(np.abs(error) + 3.0 * np.hypot(*by) * 0.2e-3 / 3.0))
     assert found.objective == pytest.approx(largest[0], rel=1e-5)
-    assert largest[0] < 0.9 * largest[1]  # and the design that is best as drawn is worse when it is built
+    assert largest[0] < 0.9 * largest[1]  # and the design that is nominal optimum is worse when it is built
 
 
 # --- prices ------------------------------------------------------------------------------------------------------------
@@ -447,7 +447,7 @@ def test_what_the_safest_design_yields(problem, law, span, limit, texts, better)
             1.7,
             ["crank=0.5 mm", "coupler=1 mm", "rocker=0.8 mm", "frame=1.2 mm"],
         ),
-        (  # where the most standard deviations yield less than the best as drawn
+        (  # where the most standard deviations yield less than the nominal optimum
             feeder(45, 150, BACK[0], "90 deg", **{"from": "inner dead centre", "measure": "max"}),
             BACK[1],
             90.0,
@@ -457,7 +457,7 @@ def test_what_the_safest_design_yields(problem, law, span, limit, texts, better)
     ],
 )
 def test_no_design_yields_more_than_the_one_with_most_yield(problem, law, span, limit, texts):
-    """By linkages of pseudo-random sizes: not the best as drawn, not the one with most standard deviations, none nearby."""
+    """By linkages of pseudo-random sizes: not the nominal optimum, not the one with most standard deviations, none nearby."""
     found = tolerance(problem, texts, limit=f"{limit} deg", samples=1 << 14, robust="yield")
     assert found.robust.valid
     assert not found.nominal_yields_more
@@ -580,19 +580,19 @@ def test_the_command_solves_reports_and_validates(problem, tmp_path):
         (["requirement.robust=3"], ["this does not state how tolerances are taken into account"]),
         (["requirement.robust=-1 sigma"], ["out of range"]),
         (["requirement.robust=1e9 sigma"], ["out of range"]),
-        (["requirement.robust=expected value"], ['does not go with measure = "max"', 'measure = "sum of squares"']),
-        (["requirement.measure=rms"], ['"3 sigma" does not go with measure = "rms"', '"expected value"']),
+        (["requirement.robust=expected value"], ['is not compatible with measure = "max"', 'measure = "sum of squares"']),
+        (["requirement.measure=rms"], ['"3 sigma" is not compatible with measure = "rms"', '"expected value"']),
         (["tolerances={}"], ["a robust design needs tolerances", "[tolerances]"]),
         (["tolerances=1"], ["tolerances", "expected a table"]),
-        (["tolerances.couplr=0.1 mm"], ["tolerances.couplr", "unknown size", 'Did you mean "coupler"']),
+        (["tolerances.couplr=0.1 mm"], ["tolerances.couplr", "unknown dimension", 'Did you mean "coupler"']),
         (["tolerances.coupler=-0.1 mm"], ["tolerances.coupler", "above zero"]),
         (["tolerances.coupler=0.1 deg"], ["tolerances.coupler", "not a unit of length"]),
         (["tolerances.coupler=0.1"], ["tolerances.coupler"]),
         (["tolerances.coupler=0.1 mm gaussian"], ["unknown distribution"]),
-        (["tolerances.coupler=2 m"], ["more than half of the size"]),
+        (["tolerances.coupler=2 m"], ["more than half of the dimension"]),
         (["tolerances.coupler=nowhere.csv"], ["no such file", "problem file"]),
         (["tolerances.frame=1 mm"], ["tolerances.frame", "given twice"]),
-        (["tolerances.C.clearence=1 mm"], ["unknown size", "C.clearance"]),
+        (["tolerances.C.clearence=1 mm"], ["unknown dimension", "C.clearance"]),
         (["tolerances.coupler={ tolerance = '1 mm', distribution = 'flat' }"], ["tolerances.coupler.distribution", "unknown"]),
         (["tolerances.coupler={ tolerance = '1 mm', costs = 3 }"], ["tolerances.coupler.costs", "unknown key", '"cost"']),
         (["tolerances.coupler={ tolerance = '1 mm', cost = -3 }"], ["tolerances.coupler.cost", "above zero"]),
@@ -616,7 +616,7 @@ def test_other_kinds_of_problems_are_not_robust():
     path = optlink.load("path-arc5", {"tolerances": {"coupler": "0.01 mm", "P.along": "0.01 mm"}})
     found = tolerance(path, output="P.x", samples=0)
     assert [d.name for d in found.deviations] == ["coupler", "P.along"]
-    with pytest.raises(InputError, match="unknown size"):
+    with pytest.raises(InputError, match="unknown dimension"):
         optlink.load("path-arc5", {"tolerances": {"couplr": "0.01 mm"}})
 
 

@@ -306,8 +306,8 @@ def test_output_sensitivities_are_written(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--quantity", "rocker", "--check"], "no optimum is searched for the slopes of an output"),
-        (["--angles", "0 deg"], "crank angles are those of an output"),
+        (["--quantity", "rocker", "--check"], "the sensitivity of an output involves no optimisation"),
+        (["--angles", "0 deg"], "the option applies to --quantity only"),
         (["--quantity", "rocker", "--angles", "1e400 deg"], "finite numbers"),
         (["--quantity", "rocker", "--angles", ""], "no crank angle is given"),
         (["--backend", "both"], "a study searches with one back end"),

@@ -82,9 +82,9 @@ def test_ranges_lists_and_ratios(text, unit, values):
         ("mechanism.frame=450..550 mm", "number of points"),
         ("mechanism.frame=550..450 mm:11", "empty"),
         ("mechanism.frame=500..500 mm:11", "empty"),
-        ("mechanism.frame=450..550 mm:1", "1 points are no range"),
-        ("mechanism.frame=450..550 mm:0", "0 points are no range"),
-        ("mechanism.frame=450..550 mm:-3", "-3 points are no range"),
+        ("mechanism.frame=450..550 mm:1", "1 points do not make a range"),
+        ("mechanism.frame=450..550 mm:0", "0 points do not make a range"),
+        ("mechanism.frame=450..550 mm:-3", "-3 points do not make a range"),
         ("mechanism.frame=450..550 mm step 0", "step is zero"),
         ("mechanism.frame=450..550 mm step -1", "step is zero or negative"),
         ("mechanism.frame=0..550 mm:5 log", "above zero"),
@@ -279,7 +279,7 @@ def test_analysis_without_optimisation():
 
 
 def test_only_sizes_can_be_analysed():
-    with pytest.raises(InputError, match="only sizes"):
+    with pytest.raises(InputError, match="only dimensions"):
         sweep(problem(), [f"{LIMIT}=120..130 deg:3"], analyze=True)
     with pytest.raises(InputError, match="no such column"):
         sweep(problem(), [f"{FRAME}:3"], analyze=True, columns=["torque"])
@@ -379,7 +379,7 @@ def test_a_finished_table_that_was_changed_is_not_believed(tmp_path, damage):
     sweep(problem(), [f"{FRAME}:3"], tmp_path, workers=1)
     table = tmp_path / "sweep.csv"
     table.write_bytes(damage(table.read_bytes()))
-    with pytest.raises(InputError, match=r"changed or truncated.*begin again"):
+    with pytest.raises(InputError, match=r"changed or truncated.*start again"):
         sweep(problem(), [f"{FRAME}:3"], tmp_path, resume=True)
 
 
@@ -806,7 +806,7 @@ def test_the_command_prints_and_writes(tmp_path):
             "no design",
         ),
         ("crank-rocker", ["mechanism.crank=100 mm", f"{FRAME}:5"], 2, ""),
-        ("slider-crank", ["mechanism.links.rod.length=50..300 mm:9 log"], 1, "no valid figures"),
+        ("slider-crank", ["mechanism.links.rod.length=50..300 mm:9 log"], 1, "no valid result"),
         ("slider-crank", ["mechanism.links.rod.length=150..300 mm:3 log", "mechanism.links.crank.length=0.05..0.1 m:3"], 3, ""),
     ],
 )
@@ -817,7 +817,7 @@ def test_pictures_over_one_two_and_three_parameters(name, arguments, panels, leg
     assert len(axes) == panels
     entries = {text.get_text() for one in axes if one.get_legend() is not None for text in one.get_legend().get_texts()}
     assert not legend or legend in entries
-    assert bool(entries & {"no design", "no valid figures", "other constraints become active", "not verified"}) == bool(legend)
+    assert bool(entries & {"no design", "no valid result", "other constraints become active", "not verified"}) == bool(legend)
     for one in axes:
         label = one.xaxis.get_label_text()
         assert not label or label.endswith(("[mm]", "[deg]", "[m]"))
@@ -904,7 +904,7 @@ def test_a_sweep_is_not_overwritten_by_another_result(tmp_path, other):
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     done = CliRunner().invoke(app, [*other, "crank-rocker", "--out", str(tmp_path)])
     assert done.exit_code == 2
-    assert "the folder holds a sweep of crank-rocker" in done.stderr
+    assert "the folder contains a sweep of crank-rocker" in done.stderr
     assert "Choose another folder" in done.stderr
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
     (tmp_path / store.ABOUT).write_text(json.dumps({"mode": "pareto", "problem": "shaper", "objectives": []}))
@@ -914,9 +914,9 @@ def test_a_sweep_is_not_overwritten_by_another_result(tmp_path, other):
 @pytest.mark.parametrize(
     ("objectives", "words"),
     [
-        ("error, coupler=1..2 mm", "the range leaves the bounds of coupler, 100 to 900 mm"),
-        ("error, coupler.min=0.4..1 m", "the range leaves the bounds of coupler, 100 to 900 mm"),
-        ("error, coupler=300..200 mm", "its ends are exchanged"),
+        ("error, coupler=1..2 mm", "the range exceeds the bounds of coupler, 100 to 900 mm"),
+        ("error, coupler.min=0.4..1 m", "the range exceeds the bounds of coupler, 100 to 900 mm"),
+        ("error, coupler=300..200 mm", "its ends are in the wrong order"),
     ],
 )
 def test_fronts_stay_within_the_bounds_of_sizes(objectives, words):

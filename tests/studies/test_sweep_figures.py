@@ -223,7 +223,7 @@ def test_the_table_of_the_command_shows_the_columns(pump):
         assert f"{value:.6g}" in done.stdout
     assert "stroke_m" in done.stdout
     many = run(pump(), "--analyze", "--vary", "mechanism.links.rod.length=60..150 mm:40", "--column", "plunger.stroke_m")
-    assert "Figures over all valid points" in many.stdout
+    assert "Extremes over all valid points" in many.stdout
     assert "Points that are not valid: 7" in many.stdout
 
 

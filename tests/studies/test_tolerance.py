@@ -431,7 +431,7 @@ def test_a_robust_design_yields_more_than_the_best_as_drawn(problem):
     ],
 )
 def test_the_safest_design_keeps_the_limit_with_most_standard_deviations(monkeypatch, name, limit, texts, mode):
-    """More at its worst crank angle than the best as drawn, and than those that were made for fewer or more."""
+    """More at its worst crank angle than the nominal optimum, and than those that were made for fewer or more."""
     problem, drawn = optlink.load(name), solution(name)
 
     def known(file, *arguments, begin=None, **options):
@@ -503,7 +503,7 @@ def test_the_command_writes_everything(tmp_path):
     ("arguments", "words"),
     [
         ([], ["no tolerance is given"]),
-        (["--tolerance", "couplr=0.1 mm"], ["unknown size", 'Did you mean "coupler"']),
+        (["--tolerance", "couplr=0.1 mm"], ["unknown dimension", 'Did you mean "coupler"']),
         (["--tolerance", "coupler"], ["expected NAME=TOLERANCE"]),
         (["--tolerance", "coupler=0.1"], ["needs a unit"]),
         (["--tolerance", "coupler=0.1 kg"], ["not a unit of length"]),
@@ -511,25 +511,25 @@ def test_the_command_writes_everything(tmp_path):
         (["--tolerance", "coupler=-1 mm"], ["above zero"]),
         (["--tolerance", "coupler=0.1 mm unifrm"], ["unknown distribution", '"uniform"']),
         (["--tolerance", "coupler=nowhere.csv"], ["no such file"]),
-        (["--tolerance", "coupler=1 m"], ["more than half of the size"]),
+        (["--tolerance", "coupler=1 m"], ["more than half of the dimension"]),
         (["--tolerance", "coupler=1 mm", "--quantity", "rocker", "--angles", "0, 60"], ["--angles", "is not a unit"]),
         (["--tolerance", "coupler=1 mm", "--quantity", "rocker", "--angles", "0..9"], ["--angles", "no range"]),
         (["--tolerance", "frame=1 mm", "--tolerance", "D.x=1 mm"], ["given twice"]),
-        (["--tolerance", "C.clearence=0.1 mm"], ["unknown size", "C.clearance"]),
+        (["--tolerance", "C.clearence=0.1 mm"], ["unknown dimension", "C.clearance"]),
         (["--tolerance", "coupler=1 mm", "--quantity", "roker"], ["unknown output", '"rocker"']),
         (["--tolerance", "coupler=1 mm", "--limit", "1 mm"], ["not a unit of angle"]),
         (["--tolerance", "coupler=1 mm", "--limit", "0 deg"], ["must be positive"]),
         (["--tolerance", "coupler=1 mm", "--angles", "0, 60 deg"], ["span of the law"]),
         (["--tolerance", "coupler=1 mm", "--allocate", "99 %"], ["a yield needs a limit"]),
-        (["--tolerance", "coupler=1 mm", "--allocate", "120 %", "--limit", "1 deg"], ["no yield"]),
-        (["--tolerance", "coupler=1 mm", "--allocate", "99 %", "--limit", "1 deg"], ["breaks the limit as it is drawn"]),
-        (["--tolerance", "coupler=1 mm", "--cost", "coupler=2"], ["costs are those of an allocation"]),
+        (["--tolerance", "coupler=1 mm", "--allocate", "120 %", "--limit", "1 deg"], ["not a yield"]),
+        (["--tolerance", "coupler=1 mm", "--allocate", "99 %", "--limit", "1 deg"], ["the nominal design exceeds the limit"]),
+        (["--tolerance", "coupler=1 mm", "--cost", "coupler=2"], ["the option applies to --allocate only"]),
         (["--tolerance", "coupler=1 mm", "--samples", "1"], ["out of range"]),
         (["--tolerance", "coupler=1 mm", "--samples", "1000000000000"], ["out of range", "100,000,000"]),
         (["--tolerance", "coupler=1 mm", "--seed", "-1"], ["a seed is not negative"]),
         (["--tolerance", "coupler=1 mm", "--robust", "3"], ["a robust design is searched"]),
         (["--tolerance", "coupler=1 mm", "--robust", "margin"], ["a robust design is searched"]),
-        (["--tolerance", "coupler=1 mm", "--robust", "much"], ["no number of standard deviations"]),
+        (["--tolerance", "coupler=1 mm", "--robust", "much"], ["not a number of standard deviations"]),
         (["--tolerance", "coupler=1 mm", "--distribution", "gauss"], ["unknown distribution"]),
     ],
 )
@@ -571,7 +571,7 @@ def test_costs_and_yields_are_read():
     assert read_yield("0.5") == 0.5
     assert read_costs(["mechanism.coupler=2", "rocker = 0.5"]) == {"coupler": 2.0, "rocker": 0.5}
     for text in ("coupler", "coupler=-1", "coupler=much"):
-        with pytest.raises(InputError, match="no cost coefficient"):
+        with pytest.raises(InputError, match="not a cost coefficient"):
             read_costs([text])
 
 
@@ -592,7 +592,7 @@ def test_costs_and_yields_are_read():
             ["crank-rocker", "--tolerance", "coupler=0.1 mm", "--robust", "yield", "--limit", "3 deg", "--samples", "0"],
             "a yield is counted by samples",
         ),
-        (["crank-rocker", "--tolerance", "coupler=0.1 mm", "--distribution", "contact"], "clearances alone"),
+        (["crank-rocker", "--tolerance", "coupler=0.1 mm", "--distribution", "contact"], "only clearances"),
         (["crank-rocker", "--tolerance", "coupler=0.1 mm", "--distribution", "foo"], "Known: normal, uniform, triangular\n"),
         (["crank-rocker"], "no tolerance is given"),
     ],

@@ -143,7 +143,7 @@ def test_a_locked_size_keeps_its_value_and_is_released_within_its_bounds(page: P
         ({"type": "drag", "handle": "no.such", "value": 1.0}, "no such handle"),
         ({"type": "set", "key": "mechanism.frame", "value": "nan mm"}, "mechanism.frame"),
         ({"type": "set", "key": "requirement.law", "value": '{ csv = "/etc/hostname" }'}, "cannot name a file"),
-        ({"type": "lock", "size": "neck", "locked": True}, "no such size"),
+        ({"type": "lock", "size": "neck", "locked": True}, "no such dimension"),
         ({"type": "open", "text": "a = [", "title": "x"}, "not valid TOML"),
         ({"type": "open", "text": "a = " + "[" * 5000, "title": "x"}, "nested too deeply"),
         ({"type": "open", "fragment": "***"}, "the link holds no problem"),

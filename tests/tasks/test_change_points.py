@@ -672,5 +672,7 @@ def test_parallel_guides_of_a_yoke_are_named():
     }
     assert optlink.analyze(optlink.read(raw)).full
     raw["mechanism"]["guides"]["F"]["tilt"] = "-20 deg"
-    with pytest.raises(optlink.InputError, match=r"RPP group die-yoke \(joint G\) has no place: its two guides are parallel"):
+    with pytest.raises(
+        optlink.InputError, match=r"RPP group die-yoke \(joint G\) has no defined position: its two guides are parallel"
+    ):
         optlink.analyze(optlink.read(raw))

@@ -96,7 +96,7 @@ def test_strokes_that_take_equally_long_have_no_slow_one():
     centred = optlink.analyze(press(mechanism__guides__G__offset="0 mm"))
     assert centred.to_dict()["strokes"]["ram"]["slow_stroke"] is None
     assert {stroke.pace for stroke in centred.strokes["ram"].strokes()} == {"equal"}
-    with pytest.raises(InputError, match=r"loads.pressing.stroke.*no slow stroke"):
+    with pytest.raises(InputError, match=r"loads.pressing.stroke.*neither stroke is the slow one"):
         press(mechanism__guides__G__offset="0 mm", loads__pressing__stroke="slow")
 
 

@@ -167,7 +167,7 @@ FAULTS = {
         "limited twice",
     ),
     "a range": ({"pressure_angle": {"E": {"min": "3 deg"}}}, "limits.pressure_angle.E.min", "only its largest value"),
-    "too large": ({"pressure_angle": {"E": "95 deg"}, "transmission_angle": None}, "limits.pressure_angle.E", "out of the range"),
+    "too large": ({"pressure_angle": {"E": "95 deg"}, "transmission_angle": None}, "limits.pressure_angle.E", "out of range"),
     "reversed": ({"transmission_angle": {"E": ["140 deg", "40 deg"]}}, "limits.transmission_angle.E", "Exchange"),
 }
 

@@ -15,7 +15,7 @@ from optlink.validation.check import revolutions_check
 CRANK_ROCKER = {"crank": 0.1, "coupler": 0.3, "rocker": 0.25, "frame": 0.28}
 DRAG_LINK = {"crank": 0.25, "coupler": 0.2, "rocker": 0.22, "frame": 0.1}
 BEGIN = 60.0  # deg
-NAME = "output turns as the law, not by whole revolutions more or less"
+NAME = "output rotates as the law, without extra revolutions"
 
 
 def rockers(lengths: dict[str, float], crank: np.ndarray) -> np.ndarray:

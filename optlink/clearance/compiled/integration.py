@@ -110,8 +110,8 @@ class CompiledIntegration(Integration):
             self._check()
         reasons = {
             motion.STUCK: "the integrator cannot continue",
-            motion.INFINITE: "the motion has no finite value any more",
-            motion.DEEP: "the journal is too deep in its bearing",
+            motion.INFINITE: "the motion is no longer finite",
+            motion.DEEP: "the penetration of the journal is too large",
             motion.BUSY: f"more than {BUSY} contacts begin and end within {self.step:.3g} s",
         }
         if status in reasons:

@@ -170,8 +170,8 @@ class CycleProblem(Problem):
         if self.mechanism.friction and any(_forced(term) for term in (*self.goals, *self.limits.named.values())):
             guide = next(iter(self.mechanism.friction))
             raise Unusable(
-                "where a normal force changes its sign friction has a corner that no derivative sees",
-                "Leave the friction out of the design and `optlink analyze` its result with it",
+                "guide friction is not differentiable where the normal force changes sign",
+                "Optimise without friction, then `optlink analyze` the result with friction",
                 f"mechanism.guides.{guide}.friction",
                 self.mechanism.friction[guide],
             )

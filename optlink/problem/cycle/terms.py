@@ -188,7 +188,7 @@ class Objective(TermSection):
         for k, goal in enumerate(self.terms):
             if goal.scale is None and len(self.terms) > 1:
                 raise Unusable(
-                    "terms of different units are added", 'Say what counts as much: scale = "1000 N"', f"terms.{k}.scale"
+                    "terms of different units are added", 'Give each term a scale: scale = "1000 N"', f"terms.{k}.scale"
                 )
         return self
 
@@ -234,7 +234,9 @@ class Limit(Term):
         if self.min is None and self.max is None and self.exactly is None:
             raise Unusable("the limit has no value", f"Add max = {self._example}, min or exactly", "max")
         if self.exactly is not None and (self.min is not None or self.max is not None):
-            raise Unusable("exactly leaves no room for min and max", "Give the one or the others", "exactly", self.exactly)
+            raise Unusable(
+                "exactly and min or max are given together", "Give either exactly, or min and max", "exactly", self.exactly
+            )
         if self.extreme:
             wrong = {"least": "max"}.get(self.how, "min")
             for key in (wrong, "exactly"):
@@ -337,7 +339,7 @@ def output_of(term: Term, mechanism: Mechanism) -> tuple[str, str]:
     points = moving_points(mechanism)
     if name in points:
         if term.direction is None:
-            raise Unusable("a point moves in the plane", 'Say along what: direction = "0 deg"', "direction")
+            raise Unusable("a point moves in the plane", 'Add a direction: direction = "0 deg"', "direction")
         return "point", name
     if term.direction is not None:
         raise Unusable("only the stroke of a point has a direction", "Leave it out", "direction", str(term.direction))
@@ -381,4 +383,4 @@ def check_term(term: Term, mechanism: Mechanism, quantities: Mapping[str, Quanti
     if term.on is not None and term.on not in mechanism.pins[name]:
         raise Unusable("the joint is not one of that body", nearest(term.on, mechanism.pins[name]), "on", term.on)
     if what == "length" and name not in quantities:
-        raise Unusable("no such size", nearest(name, quantities), "of", term.of)
+        raise Unusable("no such dimension", nearest(name, quantities), "of", term.of)

@@ -43,7 +43,7 @@ def read_measure(text: object) -> BalanceMeasure:
     found = re.fullmatch(_MEASURE, " ".join(str(text).split())) if isinstance(text, str) else None
     if found is None:
         if isinstance(text, str) and re.match(r"\s*(?:maxim|largest\s+possible|most)", text):
-            raise Unusable("only making it small is a convex problem", f"Write for example {EXAMPLES}", "", text)
+            raise Unusable("only minimisation is a convex problem", f"Write for example {EXAMPLES}", "", text)
         raise Unusable("not a measure", f"Write for example {EXAMPLES}", "", text)
     kind: Kind = "reaction"
     if found["shaking"] or found["torque"]:
@@ -85,8 +85,8 @@ def check_measure(measure: BalanceMeasure, machine: Machine) -> None:
             remedy = f"Name the body: reaction at {measure.joint} on {bodies[0]}"
             raise Unusable(f"{len(bodies)} bodies meet there", remedy, "", str(measure))
     if machine.friction and measure.kind in ("reaction", "driving torque"):
-        remedy = "Take friction out of the guides, or choose the shaking force or moment"
-        raise Unusable("with friction it is not linear in the masses, so no optimum could be proven", remedy, "", str(measure))
+        remedy = "Remove the friction of the guides, or choose the shaking force or moment"
+        raise Unusable("with friction it is not linear in the masses, so the problem is not convex", remedy, "", str(measure))
 
 
 def _read_goal(raw: object) -> tuple[tuple[BalanceMeasure, float], ...]:
@@ -102,7 +102,7 @@ def _read_goal(raw: object) -> tuple[tuple[BalanceMeasure, float], ...]:
         if isinstance(weight, bool) or not isinstance(weight, int | float) or not math.isfinite(weight):
             raise Unusable("expected the weight of the measure", f'Write {{ "{text}" = 1.0 }}', "", weight)
         if weight <= 0.0:
-            raise Unusable("a weight must be positive", "Give a positive one, or take the measure out", "", f"{text} = {weight}")
+            raise Unusable("a weight must be positive", "Give a positive one, or remove the measure", "", f"{text} = {weight}")
         found.append((measure, float(weight)))
     return tuple(found)
 
@@ -164,7 +164,7 @@ Place = Annotated[Any, BeforeValidator(_read_place)]
 _MASS = where(
     lambda mass: min(mass.bounds[1], mass.low or 0.0) >= 0.0,
     "a counterweight cannot have negative mass: removing material from a body is not a convex problem",
-    "Give zero or more, and take material away in [bodies]",
+    "Give zero or more, and remove material in [bodies]",
 )
 
 
@@ -212,7 +212,7 @@ class CounterweightSection(Section):
         if self.kind == "free":
             for key in ("thickness", "radius", "density"):
                 if getattr(self, key) is not None:
-                    remedy = 'Take it out, or write kind = "disc"'
+                    remedy = 'Remove it, or write kind = "disc"'
                     raise Unusable("a free counterweight has any shape", remedy, key, str(getattr(self, key)))
         else:
             low, most, radius = self._disc(low, most, thickness, density)
@@ -285,7 +285,7 @@ class CounterweightSection(Section):
         if self.at is None:
             return None
         if self.reach is not None:
-            raise Unusable("the place is given, so it has no reach", "Take one of the two out", "reach", str(self.reach))
+            raise Unusable("the place is given, so it has no reach", "Remove one of the two", "reach", str(self.reach))
         if isinstance(self.at, str):
             return self._local(machine, self.at, "at")
         along, across = self.at

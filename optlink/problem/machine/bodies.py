@@ -95,7 +95,7 @@ class BodySection(Section):
         if mass == 0.0 and np.any(np.asarray(moment) > 0.0):
             raise Unusable(
                 "a body without mass has no moment of inertia",
-                "Give it a mass, or take inertia out",
+                "Give it a mass, or remove inertia",
                 "inertia",
                 str(self.inertia),
             )

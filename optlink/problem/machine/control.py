@@ -71,7 +71,8 @@ class ControlSection(Section):
     derivative: Number = 0.0
     """Derivative gain of the PID [s]."""
     limit: Annotated[
-        FixedAngle, where(lambda angle: angle > 0.0, "the PID may not move anything", 'Give for example "5 deg"')
+        FixedAngle,
+        where(lambda angle: angle > 0.0, "the correction limit of the PID is not positive", 'Give for example "5 deg"'),
     ] = Quantity(0.08726646259971647, "angle", "deg")
     """Largest crank angle correction of the PID."""
 
@@ -104,5 +105,5 @@ class ControlSection(Section):
                 message = f"{output.name} moves by {needed} per radian"
                 raise Unusable(message, f"Give {needed}: {example}", "regularisation", str(given))
             if not given.value > 0.0:
-                message = "without it the inverse has no solution at a dead centre"
+                message = "without regularisation the inverse has no solution at a dead centre"
                 raise Unusable(message, f"Give for example {example}", "regularisation", str(given))

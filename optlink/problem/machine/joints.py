@@ -38,7 +38,7 @@ def _read_clearance(raw: object) -> Quantity:
     value, unit = read_scalar(raw, "coordinate")
     if value <= 0.0:
         message = "a clearance is positive: the radius of the bearing minus that of the journal"
-        raise Unusable(message, 'Give one such as "0.5 mm", or take the key out for an ideal joint', "", raw)
+        raise Unusable(message, 'Give one such as "0.5 mm", or remove the key for an ideal joint', "", raw)
     if value < SHORTEST:
         raise Unusable("no joint has such a clearance", "Give 1e-9 m or more, and check its unit", "", raw)
     return Quantity(value, "length", unit)
@@ -162,7 +162,7 @@ class JointSection(Section):
                 raise Unusable(message, "Exchange the radii, or make the bearing larger", "journal_radius", str(journal))
             if clearance is not None and abs(found - clearance.value) > RADII_AGREE * found:
                 message = f"the radii differ by {found * 1e3:.6g} mm, but the clearance is stated as {clearance}"
-                raise Unusable(message, "Take one of the three out", "clearance", str(clearance))
+                raise Unusable(message, "Remove one of the three", "clearance", str(clearance))
             return found, journal.value
         if clearance is None:
             raise Unusable("the joint has radii, but no clearance", f"Add the other radius, or {EXAMPLE}", "clearance")
@@ -199,4 +199,4 @@ class JointSection(Section):
         said = sorted(key for key in self.model_fields_set - {"on"} if getattr(self, key) is not None)
         if said and not self.has_clearance:
             message = f"the joint has no clearance, so {said[0]} says nothing"
-            raise Unusable(message, f"Add {EXAMPLE}, or take the key out", said[0])
+            raise Unusable(message, f"Add {EXAMPLE}, or remove the key", said[0])

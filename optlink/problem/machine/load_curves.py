@@ -128,7 +128,7 @@ def read_size(raw: object, folder: Path, kind: str, names: Iterable[str]) -> Siz
             return Formula(expression, unit, factor(unit, kind))
     over = raw.get("over")
     if over not in known:
-        raise Unusable("a table needs what it runs over", f"Write over = one of: {', '.join(known)}", "over", over)
+        raise Unusable("the table has no independent variable", f"Write over = one of: {', '.join(known)}", "over", over)
     check_keys(raw, ("over", "at", "values", "csv"))
     if "csv" in raw and ("at" in raw or "values" in raw):
         raise Unusable("the table is given twice", "Give csv, or at and values, not both", "csv", raw["csv"])
@@ -147,5 +147,5 @@ def read_size(raw: object, folder: Path, kind: str, names: Iterable[str]) -> Siz
     if falls:
         raise Unusable(f"the rows must rise, and row {falls} does not", "Sort them and remove repeated ones", "at")
     if over == "phi" and at[-1] - at[0] > 2.0 * math.pi * (1.0 + 1e-12):
-        raise Unusable("the table is longer than one revolution", "It repeats every revolution: give one", "at")
+        raise Unusable("the table is longer than one revolution", "A table repeats every revolution: give one revolution", "at")
     return Curve(str(over), tuple(at), tuple(values))

@@ -163,7 +163,12 @@ class LoadSection(Section):
             return TorsionSpring(name, body, against, stiffness, free, damping, middle)
         if not any(guide.slider == self.on for guide in mechanism.guides):
             self._body(mechanism, self.on, "on")
-            raise Unusable("only a body in a guide is damped so", "Name a slider, or two points: between = [...]", "on", self.on)
+            raise Unusable(
+                "damping without two points applies to a body in a guide only",
+                "Name a slider, or two points: between = [...]",
+                "on",
+                self.on,
+            )
         _, _, guide = self._target(mechanism)
         known = next(g for g in mechanism.guides if g.name == guide)
         assert self.damping is not None
@@ -190,12 +195,12 @@ class LoadSection(Section):
         kind = next((kind for kind in kinds if kind in given), None)
         if kind is None:
             raise Unusable(
-                "the load has no size",
+                "the load has no magnitude",
                 'Give force = "1000 N", torque = "5 N*m", between = [...] with stiffness, or damping',
             )
         wrong = sorted(given - kinds[kind] - {kind})
         if wrong:
-            raise Unusable(f"a load with {kind} has no {wrong[0]}", f"It may have: {', '.join(sorted(kinds[kind]))}", wrong[0])
+            raise Unusable(f"a load with {kind} has no {wrong[0]}", f"Possible:  {', '.join(sorted(kinds[kind]))}", wrong[0])
         if kind == "between" and not {"stiffness", "damping"} & given:
             raise Unusable("a spring needs a stiffness", 'Add stiffness = "500 N/m" or damping = "20 N*s/m"', "stiffness")
         if kind != "between" and "on" not in given:

@@ -80,7 +80,7 @@ class Revolution:
         moves = np.count_nonzero(np.abs(rates) > 1e-12 * size)
         if rates.size and moves < 0.5 * rates.size:  # near singular positions rounding errors are larger
             what = "does not move in this direction" if isinstance(load, Force) else "does not turn"
-            raise Unusable(f"what it opposes {what}", 'Take the load out, or write acts = "constant"', "acts")
+            raise Unusable(f"what it opposes {what}", 'Remove the load, or write acts = "constant"', "acts")
 
     def slow(self, load: Load) -> Direction:
         """Return the stroke of a load's motion that takes longer at constant counter-clockwise crank speed.
@@ -96,11 +96,11 @@ class Revolution:
         found: Direction | None = "forward" if np.all(sense > 0.0) else "backward" if np.all(sense < 0.0) else None
         if not np.all(self.moving.motion.assembled) and found is None:
             message = "the crank does not turn fully, and in the range that it reaches no stroke is the slow one"
-            raise Unusable(message, 'Change the sizes, or write stroke = "forward" or "backward"', "stroke")
+            raise Unusable(message, 'Change the dimensions, or write stroke = "forward" or "backward"', "stroke")
         if found is None:
             least = f"{math.degrees(LEAST_DIFFERENCE):g} deg"
-            message = f"both strokes take equally long (to {least} of crank rotation), so there is no slow stroke"
-            raise Unusable(message, 'Write stroke = "forward" or "backward", or change the sizes', "stroke")
+            message = f"both strokes take equally long (to {least} of crank rotation), so neither stroke is the slow one"
+            raise Unusable(message, 'Write stroke = "forward" or "backward", or change the dimensions', "stroke")
         return found
 
     def slow_senses(self, load: Load) -> Array:
@@ -145,7 +145,7 @@ class Revolution:
         """
         low, high = self._swing(body, against)
         if np.any(high - low > FULL_TURN):
-            message = f"{body} turns fully against {against}, which no torsion spring follows"
+            message = f"{body} turns fully against {against}, so a torsion spring cannot connect them"
             raise Unusable(message, "Use torsional_damping, or a spring between two points", "on")
         middle = 0.5 * (low + high)
         return _per_design(np.where(np.isnan(middle), free, _near(middle, free)))

@@ -93,7 +93,7 @@ def _checked(rows: Iterator[tuple[int, list[str]]], name: str, width: int, most:
     """Yield the rows; a decimal comma that splits a number in two is refused by the number of cells."""
     for count, (number, cells) in enumerate(rows):
         if count == most:
-            raise Unusable(f"{name} has more than {most:,} rows", "Thin them out", "csv", name)
+            raise Unusable(f"{name} has more than {most:,} rows", "Reduce their number", "csv", name)
         if len(cells) > width and "".join(cells[width:]).strip():
             message = f"row {number} of {name} has {len(cells)} cells, the title row has {width}"
             raise Unusable(message, f"Correct the row; {DECIMALS}", "csv", shortened(cells[width]))

@@ -85,7 +85,7 @@ def read_function(raw: Mapping[str, Any], kind: str = "angle") -> Function:
     check_keys(raw, KEYS)
     for key in KEYS:
         if key not in raw:
-            raise Unusable("the function needs it", f"Write {EXAMPLE}", key)
+            raise Unusable("the function needs this key", f"Write {EXAMPLE}", key)
     if not isinstance(raw["function"], str):
         raise Unusable("a function is text", f"Write {EXAMPLE}", "function", raw["function"])
     with below("function", raw["function"]):
@@ -99,11 +99,11 @@ def read_function(raw: Mapping[str, Any], kind: str = "angle") -> Function:
     turned = read_scalar(raw["input"], "angle", "input")[0]
     if not 1e-6 <= abs(turned) <= 2.0 * math.pi * (1.0 + 1e-9):
         raise Unusable(
-            "the crank turns by something, and by one revolution at most", 'Write input = "60 deg"', "input", raw["input"]
+            "the crank rotation must not be zero or exceed one revolution", 'Write input = "60 deg"', "input", raw["input"]
         )
     output = read_scalar(raw["output"], kind, "output")[0]
     if output == 0.0:
-        raise Unusable("the output must move", 'Write output = "60 deg"', "output", raw["output"])
+        raise Unusable("the output range must not be zero", 'Write output = "60 deg"', "output", raw["output"])
     found = Function(expression, low, high, turned, output, kind)
     span = {"phi": turned * np.linspace(0.0, 1.0, GRID), "phi0": 0.0, "psi0": 0.0}
     worry = found.hazards(span)
@@ -116,7 +116,7 @@ def read_function(raw: Mapping[str, Any], kind: str = "angle") -> Function:
         )
     least, largest = found.ends
     if not math.isfinite(largest - least) or largest - least <= 1e-12 * max(abs(least), abs(largest), 1e-300):
-        raise Unusable("the function is constant there", "A constant needs no linkage", "function", expression.text)
+        raise Unusable("the function is constant there", "Choose a function that varies", "function", expression.text)
     return found
 
 

@@ -41,7 +41,7 @@ class Table:
         if len(self.phi) != len(self.psi):
             raise Unusable(
                 f"phi has {len(self.phi)} values, psi has {len(self.psi)}",
-                "Give as many of the one as of the other",
+                "Give as many values of phi as of psi",
                 "psi",
             )
         if len(self.phi) < 2:
@@ -142,16 +142,16 @@ def check_rotation(law: Source, span: Quantity | None, key: str, start: object) 
         with the full key of the cause.
     """
     if isinstance(law, Function) and span is not None:
-        raise Unusable("a function brings its own span, the input", "Leave span out", "requirement.span", str(span))
+        raise Unusable("a function defines its own span, the input", "Leave span out", "requirement.span", str(span))
     if isinstance(law, Table):
         if span is not None and abs(span.value - law.span) > 1e-9:
             message = f"the span differs from that of the table, {math.degrees(law.span):.6g} deg"
-            raise Unusable(message, "Leave span out: a table brings its own", "requirement.span", str(span))
+            raise Unusable(message, "Leave span out: the table defines it", "requirement.span", str(span))
         if not law.from_start and start is not None:
-            message = "a table measured from the frame brings its own start"
+            message = "a table measured from the frame defines its own start"
             raise Unusable(message, f"Leave {key} out", f"requirement.{key}", str(start))
     elif not isinstance(law, Function) and span is None:
-        raise Unusable("an expression as the law needs it", 'Add span = "90 deg"', "requirement.span")
+        raise Unusable("a law given as an expression needs a span", 'Add span = "90 deg"', "requirement.span")
     turned = rotation(law, span)
     if not 1e-6 <= abs(turned) <= TURN * (1.0 + 1e-9):
         message, remedy = (
@@ -314,7 +314,7 @@ def _read_cells(column: object, name: str, kind: str) -> list[float]:
         what = "angles" if kind == "angle" else "lengths"
         raise Unusable(f"the table of a law needs a list of {what} here", example, name, column)
     if len(column) > MAX_ROWS:
-        raise Unusable(f"the table has {len(column):,} rows, more than {MAX_ROWS:,}", "Thin them out", name)
+        raise Unusable(f"the table has {len(column):,} rows, more than {MAX_ROWS:,}", "Reduce their number", name)
     return [read_scalar(cell, kind, f"{name}[{row}]")[0] for row, cell in enumerate(column)]
 
 

@@ -96,7 +96,7 @@ def read_rows(raw: Sequence[object]) -> PointRows:
         If there is no row or there are too many, or a row is invalid, with its index.
     """
     if len(raw) > MAX_ROWS:
-        raise Unusable(f"there are {len(raw):,} points, more than {MAX_ROWS:,}", "Thin them out", "")
+        raise Unusable(f"there are {len(raw):,} points, more than {MAX_ROWS:,}", "Reduce their number", "")
     example = 'Write ["20 mm", "25 mm"], or { x = "20 mm", y = "25 mm", crank = "30 deg" }'
     columns: dict[str, list[float]] = {name: [] for name in _COLUMNS}
     stated: dict[str, int] = {}
@@ -299,7 +299,7 @@ def _check_ranges(rows: PointRows) -> None:
 def _check_size(rows: PointRows) -> None:
     size = diagonal(rows.points)
     if len(rows.points) > 1 and size < SHORTEST:
-        what = "all points lie in one place" if size == 0.0 else f"the whole path is smaller than {SHORTEST:g} m"
+        what = "all points coincide" if size == 0.0 else f"the whole path is smaller than {SHORTEST:g} m"
         raise Unusable(what, "Give points that differ, and check their unit", rows.key or "")
 
 
@@ -321,7 +321,7 @@ def check_apart(rows: PointRows) -> None:
             listed = rows.key is None or rows.numbers is not None
             raise Unusable(
                 f"{rows.named(row, row + 1)} coincide",
-                "Remove one of them" if listed else "Ask for another number of points, or check the curve",
+                "Remove one of them" if listed else "Request another number of points, or check the curve",
                 f"[{row + 1}]" if rows.key is None else rows.key,
             )
     if "angle" not in columns:

@@ -148,7 +148,7 @@ def _chosen(shapes: Sequence[_Element], raw: Mapping[str, Any], name: str) -> _E
     drawn = [shape for shape in shapes if shape.drawn]
     numbered = [shape for shape in drawn if shape.tag == "path"] or drawn
     if not numbered:
-        raise Unusable(f"{name} draws no path", "Save a drawing that has one; text and pictures are none", "svg", name)
+        raise Unusable(f"{name} contains no path", "Save a drawing with a path; text and pictures are not paths", "svg", name)
     listing = ", ".join(f"{number} {shape}" for number, shape in enumerate(numbered[:8], start=1))
     remedy = f"It has, by number: {listing}{', ...' if len(numbered) > 8 else ''}"
     if "path" not in raw and len(numbered) != 1:
@@ -172,10 +172,10 @@ def _placed(shape: _Element, sheets: str, name: str) -> Array:
         style = [part.partition(":")[0].strip() for part in element.attributes.get("style", "").split(";")]
         if element.moved or any(map(_PROPERTY.fullmatch, style)) or "transform-origin" in element.attributes:
             why = "an animation" if element.moved else "a style"
-            raise Unusable(f"{element} of {name} is moved by {why}, which is not understood", _FLATTEN, "path", shape.id)
+            raise Unusable(f"{element} of {name} is moved by {why}, which is not supported", _FLATTEN, "path", shape.id)
         matrix = matrix @ _transform(element, name)
     if any(map(_PROPERTY.fullmatch, re.findall(r"(?<![-\w])([-\w]++)\s*+:", sheets))):
-        raise Unusable(f"{name} has a style sheet that may move shapes, which is not understood", _FLATTEN, "svg", name)
+        raise Unusable(f"{name} has a style sheet that may move shapes, which is not supported", _FLATTEN, "svg", name)
     return matrix
 
 
@@ -245,7 +245,7 @@ def _scale(root: _Element, name: str, forgive: bool) -> float | None:
     if not clear:
         raise Unusable(f"the viewBox of {name} cannot be read", add, "svg", shortened(box))
     if stretched:
-        raise Unusable(f"{name} is stretched: its width and height do not go with its viewBox", add, "svg", shortened(box))
+        raise Unusable(f"{name} is stretched: its width and height do not match its viewBox", add, "svg", shortened(box))
     return max(scales) if "slice" in kept else min(scales)
 
 
@@ -317,7 +317,7 @@ def _curves(shape: _Element, name: str) -> list[tuple[_Curve, bool]]:
         return [(_ellipse(complex(size("cx"), size("cy")), radii, 1.0 + 0.0j, 0.0, 2.0 * math.pi), False)]
     if shape.tag == "rect":
         if "rx" in shape.attributes or "ry" in shape.attributes:
-            raise Unusable("a rectangle with round corners is not understood", _FLATTEN)
+            raise Unusable("a rectangle with rounded corners is not supported", _FLATTEN)
         return _path(f"M {size('x')!r} {size('y')!r} h {size('width')!r} v {size('height')!r} h {-size('width')!r} z")
     if shape.tag == "line":
         return _path(f"M {size('x1')!r} {size('y1')!r} L {size('x2')!r} {size('y2')!r}")
@@ -351,7 +351,7 @@ def _path(text: str) -> list[tuple[_Curve, bool]]:
             raise Unusable("it has more than one part", "Break it apart (Inkscape: Path > Break Apart) and name one part")
         here = segment.end
         if not cmath.isfinite(here):
-            raise Unusable("it goes beyond all bounds", broken)
+            raise Unusable("it is too large", broken)
         if isinstance(segment, Arc):
             curve = _arc(segment)
             if curve is not None:

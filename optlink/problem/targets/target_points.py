@@ -116,14 +116,14 @@ def read_file(raw: Mapping[str, Any], key: str, folder: Path) -> tuple[str, byte
     path, remedy = folder / name, "Give the path relative to the problem file"
     try:
         if not path.is_file():
-            reason = "it is a folder" if path.is_dir() else "it is no plain file" if path.exists() else "no such file"
+            reason = "it is a folder" if path.is_dir() else "it is not a regular file" if path.exists() else "no such file"
             raise Unusable(f"cannot read the file: {reason}", remedy, key, shortened(name))
         with path.open("rb") as file:
             data = file.read(MAX_BYTES + 1)
     except OSError as error:
         raise Unusable(f"cannot read the file: {error.strerror}", remedy, key, shortened(name)) from None
     if len(data) > MAX_BYTES:
-        raise Unusable(f"{shortened(name)} is larger than {MAX_BYTES / 1e6:g} MB", "Thin it out", key, shortened(name))
+        raise Unusable(f"{shortened(name)} is larger than {MAX_BYTES / 1e6:g} MB", "Reduce its size", key, shortened(name))
     return shortened(name), data
 
 

@@ -93,15 +93,15 @@ def export(subject: ReportModel, path: Path, options: Options | None = None) -> 
     options = options or Options()
     target(path, tuple(FORMATS), "drawing.dxf")
     if subject.cycle is None:
-        remedy = "Look at it with optlink validate, and export another design"
+        remedy = "Check it with optlink validate, and export another design"
         raise InputError(f"the design cannot be drawn: {subject.unmoved}", remedy, subject.problem.file)
     for name in ("hole", "width"):
         size = getattr(options, name)
         if size is not None and not 0.0 < size < math.inf:
-            raise InputError("a size is positive", 'Give one such as "8 mm"', key=f"--{name}", value=f"{size:g} m")
+            raise InputError("a size must be positive", 'Give one such as "8 mm"', key=f"--{name}", value=f"{size:g} m")
     if options.hole is not None and options.width is not None and options.width <= options.hole:
         remedy = "Give a width greater than the hole"
-        raise InputError("no link is narrower than its holes", remedy, key="--width", value=f"{options.width:g} m")
+        raise InputError("the link width is smaller than the hole", remedy, key="--width", value=f"{options.width:g} m")
     FORMATS[path.suffix.lower()](subject, subject.cycle, path, options)
 
 

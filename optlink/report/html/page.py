@@ -109,7 +109,7 @@ def _sections(subject: ReportModel, shown: Summary, effects: Sensitivities | Non
 def _matters(effects: Sensitivities) -> PageSection:
     """Return the section of the sensitivities."""
     drawn = chart_plotly.charts(sensitivity.charts(effects))
-    return PageSection("What matters", (*drawn, tuple(study_tables.sensitivity_parts(effects))))
+    return PageSection("Sensitivities", (*drawn, tuple(study_tables.sensitivity_parts(effects))))
 
 
 def sensitivities_of(subject: ReportModel) -> Sensitivities | None:

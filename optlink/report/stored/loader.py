@@ -81,7 +81,7 @@ def load_stored(text: str, problem: str | None = None, changes: Sequence[str] = 
     path = Path(text) / RESULT if folder else Path(text)
     if folder and not path.exists():
         remedy = "Give a folder that --out wrote; resume an interrupted study with --resume"
-        raise InputError(f"the folder holds no {RESULT}", remedy, text)
+        raise InputError(f"the folder contains no {RESULT}", remedy, text)
     document = read_document(path)
     schema = document.get("schema")
     further = next((view for view in REGISTERED.values() if view.schema and view.schema == schema), None)
@@ -99,7 +99,7 @@ def load_stored(text: str, problem: str | None = None, changes: Sequence[str] = 
             found = view_of(kind).page(record, file, path)
     except Contradiction as error:
         raise damaged(error, path) from None
-    notes = [f"shown as {path.name} recorded it"]
+    notes = [f"shown as recorded in {path.name}"]
     if record.optlink != VERSION:
         notes.append(f"that file was written by optlink {record.optlink}, this page by {VERSION}")
     return replace(found, notes=tuple(notes))
@@ -123,7 +123,7 @@ def _unknown(schema: object, path: Path) -> InputError:
         return InputError("a result of this kind has no page", PAGELESS[schema][1], str(path), "schema", schema)
     if command := COMMANDS.get(schema.rpartition("/")[0]):
         remedy = f"Run `{command}` again, or use the version that wrote it"
-        return InputError("the result is of another version of its format", remedy, str(path), "schema", schema)
+        return InputError("the result has another format version", remedy, str(path), "schema", schema)
     commands = ", ".join(dict.fromkeys(command for command, _ in KNOWN.values()))
     remedy = f"Give what --out of one of these wrote: {commands}; or the problem itself"
     return InputError("not a result that can be shown here", remedy, str(path), "schema", schema)

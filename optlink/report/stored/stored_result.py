@@ -38,7 +38,7 @@ from optlink.validation.check import Validation
 from optlink.validation.path import validate_path
 from optlink.version import VERSION
 
-RESTORED = "the certificate of the global optimum is that of the file; it is not computed anew"
+RESTORED = "the certificate of the global optimum is that of the file; it is not recomputed"
 
 
 def read_report_model(record: ResultRecord, file: ProblemFile, path: Path) -> ReportModel:
@@ -60,7 +60,7 @@ def read_report_model(record: ResultRecord, file: ProblemFile, path: Path) -> Re
     Contradiction
         If the record does not fit the problem.
     """
-    notes = [f"read from {path.name}; kinematics and checks are computed anew from the design in it"]
+    notes = [f"read from {path.name}; kinematics and checks are recomputed from the design in it"]
     if record.optlink != VERSION:
         notes.append(f"that file was written by optlink {record.optlink}, this page by {VERSION}")
     if isinstance(record, SensitivitiesRecord):

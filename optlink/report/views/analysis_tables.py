@@ -42,7 +42,7 @@ def machine(file: ProblemFile) -> Iterator[TableSpec]:
     mechanism = built.mechanism
     modes = model.mechanism.assembly if isinstance(model.mechanism, DyadsSection) else {}
     if isinstance(model.mechanism, DyadsSection):
-        yield table("[mechanism] sizes", "<<", [(name, str(quantity)) for name, quantity in model.quantities.items()])
+        yield table("[mechanism] dimensions", "<<", [(name, str(quantity)) for name, quantity in model.quantities.items()])
     order: list[Row] = [("crank", mechanism.crank.body, f"pivot {mechanism.crank.start}", "")]
     for group in mechanism.groups:
         bodies = ", ".join(link.body for link in group.links)
@@ -269,7 +269,7 @@ def simulation_parts(figures: Mapping[str, float], columns: Mapping[str, Array],
     share = figures["imbalance_J"] / figures["turnover_J"] if figures["turnover_J"] > 0.0 else 0.0
     account += [
         ("gain of kinetic and potential energy", number(float(columns["energy.gained_J"][-1]), 9), "J"),
-        ("largest imbalance on the way", f"{figures['imbalance_J']:.1e}", f"J, {share:.1e} of the largest amount"),
+        ("largest imbalance during the run", f"{figures['imbalance_J']:.1e}", f"J, {share:.1e} of the largest amount"),
     ]
     drift = f"{figures['drift_m']:.1e} m, {figures['drift_rad']:.1e} rad"
     tail = Paragraph(

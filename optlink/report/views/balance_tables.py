@@ -111,10 +111,12 @@ def _limits(outcome: Balance) -> Part:
         step = f"{limit.step * 1e3:.4g} g" if limit.unit == "kg" else f"{limit.step:.4g} {limit.unit}"
         buys = f"{step} {more} buys {100.0 * limit.buys:.3g} %"
         if limit.buys <= 1e-9:
-            buys = "nothing: of many optima that with the least mass was chosen"
+            buys = "no effect: of several optima the lightest was chosen"
         rows.append((limit.name, f"{limit.sense} {limit.bound:.6g} {limit.unit}", buys))
     if not rows:
-        return Paragraph(strong("Active constraints"), "none: only what can be added shapes this optimum")
+        return Paragraph(
+            strong("Active constraints"), "none: only the permitted counterweights and springs determine this optimum"
+        )
     return table("Active constraints and their shadow prices", "<<<", rows)
 
 
@@ -124,7 +126,7 @@ def _conflict(outcome: Balance) -> TableSpec:
         alone = "never" if not math.isfinite(item.alone) else f"{item.sense} {item.alone:.6g} {item.unit}"
         off = item.together - item.bound
         kept = abs(off) <= 1e-6 * max(abs(item.bound), 1e-9)
-        together = "as asked" if kept else f"{item.together:.6g} {item.unit} ({off:+.4g})"
+        together = "unchanged" if kept else f"{item.together:.6g} {item.unit} ({off:+.4g})"
         rows.append((item.name, f"{item.sense} {item.bound:.6g} {item.unit}", alone, together))
     columns = ["limit", "limit value", "feasible if relaxed alone", "together"]
     return table("These limits cannot hold together", columns, rows)
@@ -134,9 +136,9 @@ def _trade(trade: TradeOff) -> TableSpec:
     one, other = trade.first, trade.second
     title = f"Trade-off, {len(trade.points)} points"
     if math.isfinite(trade.ratio):
-        title += f"; a further point costs {trade.ratio:z.1%} of the first"
+        title += f"; a further point takes {trade.ratio:z.1%} of the first"
     if len(trade.points) == 1:
-        title = "No trade-off: one machine has the least of both"
+        title = "No trade-off: one machine minimises both"
     step, rows = max(1, math.ceil(len(trade.points) / SHOWN)), []
     ends = {len(trade.points) - 1: f"least {other.quantity}", 0: f"least {one.quantity}"}
     for k, point in enumerate(trade.points):

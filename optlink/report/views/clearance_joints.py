@@ -209,7 +209,7 @@ def impacts(turns: RevolutionCurves) -> list[ChartSpec]:
     caption = f"{len(result.impacts)} contacts, the last begins in revolution {math.floor(max(times)) + 1} of {turns.last}"
     lasting = [gap.point for gap in result.gaps if result[f"{gap.point}.contact"][-1] > 0.5]
     if lasting:
-        caption += f"; still touching at the end: {', '.join(lasting)}"
+        caption += f"; still in contact at the end: {', '.join(lasting)}"
     x = Axis("revolutions since the start", (float(begin), float(max(math.ceil(max(times)), begin + 1))))
     speeds = Axis(f"approach speed [{unit.unit}]", from_zero(fastest * unit.factor))
     panels = [
@@ -219,7 +219,9 @@ def impacts(turns: RevolutionCurves) -> list[ChartSpec]:
     where = Axis(CRANK_ANGLE, (0.0, FULL), step=60.0)
     return [
         ChartSpec("impacts", "Impacts over the revolutions", panels, x, turns.title("impacts"), caption, cursor=False),
-        ChartSpec("impacts", "Where contacts begin, and how fast", [Panel(speeds, around)], where, cursor=False, row=1),
+        ChartSpec(
+            "impacts", "Contacts: position and approach speed at their begin", [Panel(speeds, around)], where, cursor=False, row=1
+        ),
     ]
 
 
@@ -249,19 +251,19 @@ def _verdict(turns: RevolutionCurves) -> str:
     """Describe whether the motion is periodic and whether it is predictable."""
     found, predicted = repetition(turns), turns.result.prediction
     if turns.free:
-        caption = "under a given torque these are the ends of nominal periods, not of the crank's revolutions"
+        caption = "under a prescribed torque these are the ends of nominal periods, not of the crank's revolutions"
     elif found is None:
         caption = "too few revolutions to tell whether the motion repeats"
     elif found[0] is None:
-        caption = "not periodic: the journals' places at the ends of the revolutions do not repeat"
+        caption = "not periodic: the journals' positions at the ends of the revolutions do not repeat"
     else:
         after = "every revolution" if found[0] == 1 else f"every {found[0]} revolutions"
-        caption = f"periodic: the journals' places repeat {after} within {max(found[1], 1e-9):.1g} of the clearance"
+        caption = f"periodic: the journals' positions repeat {after} within {max(found[1], 1e-9):.1g} of the clearance"
     if predicted is not None and predicted.chaotic:
         caption += f"; sensitive: runs at two tolerances diverge after {predicted.parted:.2g} revolutions"
     elif predicted is not None and predicted.watched:
         turned = "revolution" if predicted.watched == 1 else f"{predicted.watched} revolutions"
-        caption += f"; runs at two tolerances keep together for the {turned} watched"
+        caption += f"; runs at two tolerances agree over the {turned} compared"
     return caption
 
 

@@ -35,7 +35,7 @@ def _status(outcome: ClearanceSimulation) -> Iterator[Line]:
     predicted = outcome.prediction
     if predicted is not None and not predicted.chaotic and predicted.watched:
         turns = "revolution" if predicted.watched == 1 else "revolutions"
-        yield f"Predictable: runs at two tolerances keep together for the {predicted.watched} {turns} that were watched"
+        yield f"Predictable: runs at two tolerances agree over the {predicted.watched} {turns} compared"
     yield from noted(outcome.notes)
 
 
@@ -85,7 +85,7 @@ def _account(outcome: ClearanceSimulation) -> TableSpec:
             words = f"lost at {point} {'in the contact' if kind == 'impact' else 'by friction'}"
         rows.append((words, number(found[name]), "J"))
     share = found["imbalance_J"] / found["largest_energy_J"] if found["largest_energy_J"] > 0.0 else 0.0
-    rows.append(("largest imbalance on the way", f"{found['imbalance_J']:.1e}", f"J, {share:.1e} of the largest energy"))
+    rows.append(("largest imbalance during the run", f"{found['imbalance_J']:.1e}", f"J, {share:.1e} of the largest energy"))
     return table("Drive and energy account", "<><", rows)
 
 
@@ -116,7 +116,7 @@ def tuning(outcome: Tuning) -> Summary:
     tried = f"{len(outcome.costs)} parameter sets tried" + (f", {stopped} of them stopped early as worse" if stopped else "")
     rows, words = (
         [("parameters of the problem", fixed(outcome.before * factor, 4))],
-        Paragraph("None is better than the parameters of the problem; these stay"),
+        Paragraph("No parameter set is better than that of the problem, which is kept"),
     )
     if outcome.best:
         rows.append(("best parameters", fixed(outcome.cost * factor, 4)))

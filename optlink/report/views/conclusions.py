@@ -152,7 +152,7 @@ def _limiting(limits: Iterable[LimitState]) -> str:
     bound = f"{first.sense} {figure(first.bound, first.unit)}".strip()
     others = len(active) - 1
     more = f"; {others} more limits are active" if others > 1 else "; one more limit is active" * others
-    return f"What limits it: {first.name} ({bound.replace('<=', '≤').replace('>=', '≥')}){more}."
+    return f"Active limits: {first.name} ({bound.replace('<=', '≤').replace('>=', '≥')}){more}."
 
 
 def _failed(checks: Sequence[Check]) -> str:
@@ -248,13 +248,15 @@ def comparison(found: Comparison) -> str:
     """Return the conclusion of a control comparison: the best control, and its gain."""
     done = {name: one for name, one in found.trials.items() if one.finished}
     if not done:
-        return "No kind of control finished its runs."
+        return "No controller completed its runs."
     best = min(done, key=lambda name: done[name].mean)
     if best == "none":
-        return f"No control is best: root mean square deviation {si(done[best].mean, found.unit)}; every controller increases it."
+        return (
+            f"Best without control: root mean square deviation {si(done[best].mean, found.unit)}; every controller increases it."
+        )
     less = f", {100.0 * (1.0 - done[best].mean / done['none'].mean):z.1f} % less than without control" if "none" in done else ""
     rms, peak = (si(value, found.unit) for value in (done[best].mean, float(np.max(done[best].peak))))
-    tail = "" if len(done) == len(found.trials) else " Not every run was finished."
+    tail = "" if len(done) == len(found.trials) else " Not every run was completed."
     return f"The best control is {best}: root mean square deviation {rms}{less}; peak {peak}.{tail}"
 
 
@@ -264,15 +266,15 @@ def balance(found: Balance) -> str:
         names = joined([f"{one.name} ({one.sense} {figure(one.bound, one.unit)})" for one in found.conflict][:4])
         eased = [one for one in found.conflict if math.isfinite(one.alone)]
         remedy = " or ".join(f"{one.name} to {figure(one.alone, one.unit)}" for one in eased[:3]) or "several of them together"
-        return f"No counterweights meet all limits: {names} contradict each other. To make it feasible, relax {remedy}."
+        return f"No counterweights meet all limits: {names} conflict. To make it feasible, relax {remedy}."
     if not found.rows:
         return "No balancing was found."
     left = found.objective if abs(found.objective) > SMALL * abs(found.before) else 0.0
     mass = sum(one.mass for one in found.added)
-    text = f"The {found.measure} falls by {100.0 * found.reduction:.4g} % to {figure(left, found.unit or '')}"
+    text = f"The {found.measure} decreases by {100.0 * found.reduction:.4g} % to {figure(left, found.unit or '')}"
     text = text.rstrip() + f" with {figure(mass, 'kg')} of counterweights"
     active = [one.name for one in found.limits if one.active]
-    limiting = f" What limits it: {joined(active[:3])}." if active else ""
+    limiting = f" Active limits: {joined(active[:3])}." if active else ""
     return f"{text}.{limiting}" if found.valid else f"Not valid. {text}.{limiting}"
 
 

@@ -162,8 +162,8 @@ def law(result: FunctionResult) -> list[ChartSpec]:
     if robust is not None:
         built = np.degrees(ErrorResiduals(problem).band(design, offsets))
         below.append(Band(crank, built[0], built[1], f"built, {robust.band}", LIMIT))
-        top, words = float(built[int(error[worst] > 0.0), worst]), f"{words} as drawn"
-    below.append(Curve(crank, error, "" if robust is None else "as drawn", LIMIT, 1.5, gid="error"))
+        top, words = float(built[int(error[worst] > 0.0), worst]), f"{words} nominal"
+    below.append(Curve(crank, error, "" if robust is None else "nominal", LIMIT, 1.5, gid="error"))
     below.append(Curve(marked, at_marks, "", LIMIT, mode="markers", size=3.0))
     mark = Mark(float(crank[worst]), top, words, size=1.0, prefer=(0.0, 1.0 if error[worst] > 0.0 else -1.0))
     panels = [Panel(Axis("rocker angle ψ [deg]"), above, 1.7), Panel(Axis("target minus generated [deg]"), below, marks=[mark])]

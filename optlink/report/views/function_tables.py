@@ -163,19 +163,19 @@ def _design(outcome: FunctionResult) -> TableSpec:
 def _objective(outcome: FunctionResult) -> TableSpec:
     rms, largest = (math.degrees(MEASURES[name].of(outcome.error())) for name in ("rms", "max"))
     robust = outcome.problem.spec.requirement.robust
-    remark = f"error{'' if robust is None else ' as drawn'}: rms {number(rms, 4)}, largest {number(largest, 4)} deg"
+    remark = f"error{'' if robust is None else ' at nominal dimensions'}: rms {number(rms, 4)}, largest {number(largest, 4)} deg"
     rows: list[Row] = [(outcome.measure, strong(number(outcome.objective)), outcome.unit, quiet(remark))]
     in_degrees = ("", strong(number(math.degrees(outcome.objective))), "deg")
     if robust is not None and outcome.unit == "rad":
         rows.append((*in_degrees, quiet("objective of the linkage with its tolerances")))
     if outcome.problem.spec.everywhere:
-        remark = f"the largest error is reached {outcome.alternations} times in turn, anywhere in the range"
+        remark = f"the largest error occurs {outcome.alternations} times in the range, with alternating sign"
         rows.append((*in_degrees, quiet(remark)))
     if outcome.first is not None:
         from optlink.synthesis.function_starts import WIDER
 
         error, bound = (number(math.degrees(value), 4) for value in (outcome.first.error, outcome.first.bound))
-        proof = f"; {bound} deg is the least at its start angles, proven" if outcome.first.proven else ""
+        proof = f"; {bound} deg is a lower bound at its start angles" if outcome.first.proven else ""
         limited = outcome.problem.spec.limits.transmission_at() is not None
         relaxed = f"; searched with the transmission-angle limits relaxed by {math.degrees(WIDER):g} deg" * limited
         remark = f"a starting point, with its error at the design positions alone{relaxed}{proof}"
@@ -207,7 +207,7 @@ def active(limits: Iterable[LimitState], objective: float, unit: str) -> Part:
         raised |= limit.sense == "=" and gain > 0
         rows.append((limit.name, f"{limit.sense} {limit.bound:g} {limit.unit}".rstrip(), buys))
     if not rows:
-        return Paragraph(strong("Active constraints"), "none: only the requirement shapes this design")
+        return Paragraph(strong("Active constraints"), "none: only the requirement determines this design")
     notes = [quiet(f"=: change of the objective if the value is raised by one unit{RELAXED * (len(rows) > 1)}")] if raised else []
     return table("Active constraints and their shadow prices", "<<<", rows, notes=notes)
 
@@ -227,7 +227,7 @@ def checks(selected: Sequence[Check], gathered: Sequence[Check] = ()) -> TableSp
         if one not in gathered
     ]
     if gathered:
-        rows.append((good("ok"), f"{len(gathered)} sizes within their bounds", "all", "", ""))
+        rows.append((good("ok"), f"{len(gathered)} dimensions within their bounds", "all", "", ""))
     title = f"Validation: {sum(check.passed for check in selected)} of {len(selected)} checks passed"
     return table(title, ["", "check", ">value", "", "limit"], rows, appendix=True)
 
@@ -377,7 +377,7 @@ def _listed(targets: TargetPoints) -> str:
 
 def listing(files: Iterable[ProblemFile]) -> TableSpec:
     """List the shipped problems, one per row."""
-    return table("Shipped problems", ["name", "kind", "what it is"], ((one.name, one.kind, one.model.title) for one in files))
+    return table("Shipped problems", ["name", "kind", "description"], ((one.name, one.kind, one.model.title) for one in files))
 
 
 def certificate_check(found: CertificateCheck) -> Summary:

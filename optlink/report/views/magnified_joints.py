@@ -302,7 +302,7 @@ def mechanism(result: ClearanceSimulation) -> Figure | None:
     sketch.lay(strip, columns, 0)
     sketch.show(stage, sketch.steps)
     place = f"φ {degrees(math.radians(float(turns.angle[row]) % FULL))}, largest contact force of {turns.span(1)}"
-    words = turns.title("play in the joints", place).split("\n")
+    words = turns.title("joint clearance, magnified", place).split("\n")
     made.suptitle("\n".join(heading(line, width - 0.4, TITLE) for line in words), fontsize=TITLE)
     stage.set_title(_exaggerated(sketch), fontsize=9.5)
     caption = heading("journals, their paths, contact forces on them", width if strip.get_position().x0 < 0.5 else 3.0, 9.5)
@@ -330,5 +330,5 @@ def frames(result: ClearanceSimulation, count: int = FRAMES) -> list[Image.Image
     rows = np.unique(np.linspace(begin, end, min(count, end - begin) + 1).round().astype(np.intp)[1:])
     sketch, gaps = MagnifiedMachine(turns, rows), len(result.gaps)
     columns = gaps if sketch.ratio < WIDE else 1 if gaps < 3 else 2
-    title = f"{result.problem.model.title}: play drawn {sketch.factor:g}-fold"
+    title = f"{result.problem.model.title}: clearance drawn {sketch.factor:g}-fold"
     return film(sketch, sketch.steps, lambda axes: sketch.lay(axes, columns), np.full((len(rows), 2), np.nan), title)

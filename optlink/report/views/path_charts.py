@@ -240,7 +240,7 @@ def errors(track: PathView) -> ChartSpec:
     what = "point" if turned is None else "pose"
     x = Axis(what, (0.4, count + 0.6), ticks=ticks)
     heading = title_of(track, 7.2, f"{track.task.title}: deviations", wrapped(figures(track), 7.2, "; "))
-    title, page = f"How far the {what}s are missed", not exact(track.design)
+    title, page = f"Deviations at the {what}s", not exact(track.design)
     return ChartSpec("errors", title, panels, x, heading, warning=not track.design.valid, cursor=False, page=page)
 
 

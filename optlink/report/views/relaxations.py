@@ -39,7 +39,7 @@ def conflict(limits: Sequence[Relaxation], together: Sequence[Relaxation]) -> Ta
 
 
 def contradiction(conflict: Sequence[Relaxation], together: Sequence[Relaxation]) -> str:
-    """State in a sentence which limits contradict each other, and which relaxation makes the problem feasible.
+    """State in a sentence which limits conflict, and which relaxation makes the problem feasible.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def contradiction(conflict: Sequence[Relaxation], together: Sequence[Relaxation]
         shared = [_option(one) for one in _ranges(together) if math.isfinite(one[0].amount)]
         remedy = f"relax together {joined(shared[:3])}" if shared else "drop one of them"
     names = joined([_name(one) for one in limits][:4])
-    subject = f"the limits {names} contradict each other" if len(limits) > 1 else f"the limit {names} cannot be met"
+    subject = f"the limits {names} conflict" if len(limits) > 1 else f"the limit {names} cannot be met"
     return f"No design meets all limits: {subject}. To make it feasible, {remedy}."
 
 

@@ -63,7 +63,7 @@ def sensitivity_parts(result: Sensitivities) -> Iterator[Part]:
         yield Paragraph("No parameter changes this optimum to first order.")
     still = [row.parameter.name for row in result.rows if not row.moves]
     if still:
-        yield Paragraph(quiet(f"Without effect here: {'; '.join(dict.fromkeys(still))}."))
+        yield Paragraph(quiet(f"No effect to first order: {'; '.join(dict.fromkeys(still))}."))
     if result.gap is not None:
         gap = verdict(f"largest difference {result.gap:.1e}", result.gap <= AGREES)
         yield Paragraph((quiet("Re-optimised on both sides of each: "), gap))
@@ -131,7 +131,7 @@ def outputs(found: OutputSensitivity) -> TableSpec:
         for i, angle in enumerate(np.degrees(found.crank_angles))
     ]
     columns = [">crank [deg]", f">{found.name} [{unit}]", *(f">{name}" for name in found.by)]
-    return table(f"{found.name}: change per size, at a crank angle that stays [{per}]", columns, rows)
+    return table(f"{found.name}: derivative with respect to each dimension at constant crank angle [{per}]", columns, rows)
 
 
 def sweep(result: Sweep) -> Summary:
@@ -187,7 +187,7 @@ def _rows(result: Sweep) -> Iterator[TableSpec]:
         for name in names:
             ends = [int(valid[of(columns[name][valid])]) for of in (np.nanargmin, np.nanargmax)]
             rows.append((name, *(text for k in ends for text in (number(columns[name][k]), _place(result, k)))))
-        yield table("Figures over all valid points", ["", ">least", ">at", ">largest", ">at"], rows)
+        yield table("Extremes over all valid points", ["", ">least", ">at", ">largest", ">at"], rows)
     varied = [f">{_short(axis.key, axis.unit)}" for axis in axes]
     if few:
         heads = [">" + name.replace(".", ".\n") for name in names]

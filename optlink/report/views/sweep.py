@@ -87,7 +87,7 @@ class Table:
     @property
     def empty(self) -> str:
         """Meaning of a point without a value."""
-        return "no valid figures" if self.result.evaluated else "no design"
+        return "no valid result" if self.result.evaluated else "no design"
 
     @property
     def shown(self) -> tuple[str, ...]:
@@ -292,7 +292,7 @@ def _design_panels(table: Table) -> Iterator[tuple[str, dict[str, Array]]]:
         name, unit = study_tables.named(column)
         by_unit.setdefault(unit, {})[name] = table.column(column)
     for unit, curves in by_unit.items():
-        yield _label("free sizes" if len(curves) > 1 else next(iter(curves)), unit), curves
+        yield _label("design variables" if len(curves) > 1 else next(iter(curves)), unit), curves
 
 
 def _analysis_panels(table: Table) -> Iterator[tuple[str, dict[str, Array]]]:

@@ -48,7 +48,7 @@ def stored_study(record: ToleranceRecord, file: ProblemFile, _: Path) -> StoredS
     by = "exact derivatives at the drawing"
     if record.monte_carlo is not None:
         samples, seed = record.monte_carlo.samples, record.monte_carlo.seed
-        by += f", and {samples:,} linkages with deviations drawn (Sobol, seed {seed}), moved exactly"
+        by += f", and {samples:,} sampled linkages (Sobol, seed {seed}), with exact kinematics"
     return StoredStudy(
         problem=file,
         kind="study of tolerances",
@@ -59,7 +59,7 @@ def stored_study(record: ToleranceRecord, file: ProblemFile, _: Path) -> StoredS
         sections=[PageSection("Scatter", chart_plotly.charts(charts(record))), PageSection("Figures", (shown.parts,))],
         moving=turning(file, {name: value for name, value in record.sizes_SI.items() if name in file.model.mechanism.quantities}),
         by=by,
-        drawn="The linkage as drawn.",
+        drawn="The linkage with nominal dimensions.",
         after=1,
     )
 
@@ -114,7 +114,7 @@ def _band(record: ToleranceRecord) -> ChartSpec:
     wide = x if len(x) > 1 else x + np.array([-0.5, 0.5])  # a single angle has a visible band too
     low, high = (np.broadcast_to(k * (base + column), wide.shape) for column in (linear.worst_low, linear.worst_high))
     traces: list[Trace] = [Band(wide, low, high, "worst case", SHADE, 1.0)]
-    traces += [Curve(x, k * base, "as drawn", FOUND, 2.0, mode=mode)] if error else []
+    traces += [Curve(x, k * base, "nominal", FOUND, 2.0, mode=mode)] if error else []
     for sign in (1.0, -1.0):
         three = k * (base + linear.shift + 3.0 * sign * linear.sigma)
         traces.append(Curve(x, three, "three standard deviations", FOUND, 1.2, "dash", mode, legend=sign > 0.0))

@@ -87,7 +87,7 @@ def _redesigned(file: ProblemFile, record: ToleranceRecord, robust: RobustRecord
         before, unit = display_value(name, robust.nominal_design_SI[name])
         rows.append((name, fixed(before), strong(fixed(display_value(name, robust.design_SI[name])[0])), unit))
     largest = (robust.largest_of_the_nominal_design_rad, robust.largest_rad)
-    words = "largest as drawn" if counted == YIELD else "largest"
+    words = "largest, nominal" if counted == YIELD else "largest"
     rows.append((words, *(fixed(math.degrees(value), 4) for value in largest), "deg"))
     best, own = robust.monte_carlo_of_the_nominal_design, record.monte_carlo
     if best is not None and own is not None and math.isfinite(record.limit):
@@ -99,9 +99,9 @@ def _redesigned(file: ProblemFile, record: ToleranceRecord, robust: RobustRecord
     failed = ": ".join(filter(None, ("not verified", ", ".join(robust.failed_checks or ()))))
     notes = [good(passed) if robust.valid else bad(failed)]
     if robust.the_nominal_design_yields_more:
-        notes.append(bad("The best as drawn yields more within this limit: build that one, or search --robust yield."))
+        notes.append(bad("The nominal optimum has a higher yield within this limit: use it, or search with --robust yield."))
     title = "Maximised: the yield" if counted == YIELD else f"Minimised: the largest error with {counted}"
-    return table(title, ["", ">best as drawn", ">robust", ""], rows, notes=notes)
+    return table(title, ["", ">nominal optimum", ">robust", ""], rows, notes=notes)
 
 
 def _contributions(file: ProblemFile, record: ToleranceRecord) -> TableSpec:
@@ -143,7 +143,7 @@ def _sampled(record: ToleranceRecord, sampled: MonteCarloRecord) -> TableSpec:
         rows.append((limit, strong(percent(sampled.share)), quiet(_between(sampled))))
         rows.append(("yield by the linear model", percent(sampled.yield_by_the_linear_model), ""))
     rows.append((quiet("time"), quiet(f"{sampled.seconds:z.2f} s"), ""))
-    title = f"{sampled.samples:,} linkages with deviations drawn (Sobol, seed {sampled.seed}), moved exactly"
+    title = f"{sampled.samples:,} sampled linkages (Sobol, seed {sampled.seed}), exact kinematics"
     return table(title, "<><", rows)
 
 
@@ -158,6 +158,6 @@ def _allocated(file: ProblemFile, record: ToleranceRecord, allocation: Allocatio
         rows.append((part.name, *sizes, number(allocation.cost_coefficients[part.name]), remark))
     checked = f"checked by {check.samples:,} others: {percent(check.share)}, {_between(check)}"
     share = number(allocation.cost / allocation.cost_of_specified)
-    title = f"The loosest tolerances for a yield of {percent(allocation.target_yield)}: cost {share} of the specified ones"
+    title = f"Least costly tolerances for a yield of {percent(allocation.target_yield)}: cost {share} of the specified ones"
     columns = ["", ">specified", ">allocated", ">cost coefficient", ""]
     return table(title, columns, rows, notes=[good(checked) if allocation.achieved else bad(checked)])

@@ -65,7 +65,7 @@ def cycle_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjec
     if limited is not None:
         sense = -1 if limited.max is None and limited.exactly is None else 1
         if limited.exactly is not None or (limited.min is not None and limited.max is not None):
-            remedy = f'Say which way: "minimise {limited.words}" or "maximise {limited.words}"'
+            remedy = f'State the direction: "minimise {limited.words}" or "maximise {limited.words}"'
             raise InputError("the limit bounds the term on both sides", remedy, problem.file, OPTION, name)
         raw = {key: value for key, value in problem.raw["limits"][name.removeprefix("limits.")].items() if key not in SIDES}
         return _termed(problem, raw, sense, number, name)

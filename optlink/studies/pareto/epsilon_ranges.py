@@ -173,7 +173,7 @@ class EpsilonRanges(ABC):
             raise InputError(fault.message, fault.remedy, self.problem.file, OPTION, text) from None
 
     def _no_end(self, aim: ParetoObjective, why: str) -> NoExtreme:
-        remedy = f'Say where to walk: "{aim.text}=LOW..HIGH{" " + aim.unit if aim.unit else ""}"'
+        remedy = f'Give a range: "{aim.text}=LOW..HIGH{" " + aim.unit if aim.unit else ""}"'
         return NoExtreme(f"the end with the {aim.best} cannot be found: {why}", remedy, self.problem.file, OPTION, aim.text)
 
 
@@ -192,7 +192,7 @@ class _LawRanges(EpsilonRanges):
         found = super().fixed
         for aim in (self.objectives[k] for k in self.constrained if k not in found):
             if not self.bare.model.shares_programme([aim.key]):
-                raise self._no_end(aim, "a function has many optima, its ends are not searched")
+                raise self._no_end(aim, "a function has many optima, so the ends of its front are not searched")
         return found
 
     @property

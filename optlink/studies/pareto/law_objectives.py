@@ -71,7 +71,7 @@ def law_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjecti
     quantity = task.quantities[key]
     if not quantity.free:
         remedy = f"Free it, for example: --set mechanism.{key}={range_example(quantity.kind)}"
-        raise InputError(f"{key} is fixed at {quantity}, it cannot move", remedy, problem.file, OPTION, name)
+        raise InputError(f"{key} is fixed at {quantity}, so it is not a design variable", remedy, problem.file, OPTION, name)
     return ParetoObjective(name, key, quantity.display[1], 1 if side == "max" else -1, f"mechanism.{key}.{side}")
 
 

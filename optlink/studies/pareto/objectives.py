@@ -48,12 +48,12 @@ def read_objectives(problem: ProblemFile, objectives: str) -> tuple[ParetoObject
     if not all(parts):
         raise InputError("an objective is empty", EXAMPLES, problem.file, OPTION, objectives)
     if not 2 <= len(parts) <= 3:
-        what = "one objective has no trade-off" if len(parts) == 1 else f"{len(parts)} objectives are more than a front shows"
+        what = "one objective has no trade-off" if len(parts) == 1 else f"{len(parts)} objectives are too many for a front"
         raise InputError(what, f"Give two or three. {EXAMPLES}", problem.file, OPTION, objectives)
     if problem.task not in RANGES:
         raise _no_front(problem)
     if not problem.model.free:
-        raise InputError("no design variables: every dimension is fixed", "Free a size", problem.file, "mechanism")
+        raise InputError("no design variables: every dimension is fixed", "Free a dimension", problem.file, "mechanism")
     aims = tuple(_ranged(problem, part, k + 1) for k, part in enumerate(parts))
     for k, aim in enumerate(aims):
         if any(aim.name == other.name for other in aims[:k]):
@@ -75,7 +75,7 @@ def _no_front(problem: ProblemFile) -> InputError:
     if getattr(problem.model, "balance", None) is not None:
         instead = f"that of two measures of balancing: optlink balance {problem.name} --trade force,torque"
         return InputError("the problem has nothing to design", f"{whose}; {instead}", problem.file)
-    return InputError("the problem has nothing to design", f"{whose}; add an [objective] and free sizes", problem.file)
+    return InputError("the problem has nothing to design", f"{whose}; add an [objective] and design variables", problem.file)
 
 
 def _ranged(problem: ProblemFile, part: str, number: int) -> ParetoObjective:
@@ -102,5 +102,5 @@ def _check_bounds(problem: ProblemFile, aim: ParetoObjective) -> None:
     low, high = quantity.bounds
     if (aim.sense > 0 and min(values) <= low) or (aim.sense < 0 and max(values) >= high):
         ends = " to ".join(f"{bound / factor(aim.unit, quantity.kind):g}" for bound in (low, high))
-        message = f"the range leaves the bounds of {name}, {ends} {aim.unit}"
+        message = f"the range exceeds the bounds of {name}, {ends} {aim.unit}"
         raise InputError(message, "Stay between them, or change the bounds", problem.file, OPTION, f"{aim.text}={aim.span}")

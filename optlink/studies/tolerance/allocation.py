@@ -160,7 +160,7 @@ def allocate(
     room = limit - np.abs(nominal.base)
     if np.min(room) <= 0.0:
         raise InputError(
-            "the design breaks the limit as it is drawn, so no tolerances keep it",
+            "the nominal design exceeds the limit, so no tolerances can meet it",
             "Give a wider --limit, or a better design",
             key="--limit",
         )

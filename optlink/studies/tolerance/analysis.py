@@ -377,10 +377,10 @@ def _check(samples: int, seed: int, shape: str, target_yield: float | None, limi
     if seed < 0:
         raise InputError("a seed is not negative", "Give 0 or more", key="--seed", value=seed)
     if shape not in CHOICES:
-        message = "clearances alone have this distribution, by themselves" if shape in SHAPES else "unknown distribution"
+        message = "only clearances have this distribution" if shape in SHAPES else "unknown distribution"
         raise InputError(message, nearest(shape, CHOICES), key="--distribution", value=shape)
     if target_yield is not None and not 0.0 < target_yield < 1.0:
-        raise InputError("no yield", "Give one between 0 and 100 %", key="--allocate", value=target_yield)
+        raise InputError("not a yield", "Give one between 0 and 100 %", key="--allocate", value=target_yield)
     if target_yield is not None and limit is None:
         raise InputError("a yield needs a limit", 'Add for example --limit "0.5 deg"', key="--allocate")
 

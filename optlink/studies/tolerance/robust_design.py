@@ -139,7 +139,7 @@ def most_reliable(problem: ProblemFile, tolerances: Sequence[str], limit: float,
     before = redesign.least(0.0)
     if before.value > limit:
         least = f"{math.degrees(before.value):.4g} deg"
-        message = f"no design keeps the limit, not even as drawn: the least largest error that was found is {least}"
+        message = f"no design meets the limit, even without tolerances: the smallest largest error found is {least}"
         raise InputError(message, f"Give more than {least}", problem.file, "--limit", f"{math.degrees(limit):.4g} deg")
     here, sigmas = redesign.least(1.0, before.free), 1.0
     for _ in range(STEPS):  # secant method: the minimum is nearly linear in them
@@ -160,8 +160,8 @@ def check_law(problem: ProblemFile) -> None:
         If it is no motion law of a four-bar.
     """
     if not problem.model.has_error:
-        message = "a robust design is found for motion laws of a four-bar only"
-        raise InputError(message, "Judge designs of it without --robust", problem.file, "--robust")
+        message = "robust design supports motion laws of a four-bar only"
+        raise InputError(message, "Analyse its designs without --robust", problem.file, "--robust")
 
 
 class RobustSearch:

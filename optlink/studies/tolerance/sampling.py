@@ -84,7 +84,7 @@ def read_yield(text: str) -> float:
     except ValueError:
         share = math.nan
     if not 0.0 < share < 1.0:
-        raise InputError("no yield", 'Give one between 0 and 100 %, such as "99.7 %"', key="--allocate", value=text)
+        raise InputError("not a yield", 'Give one between 0 and 100 %, such as "99.7 %"', key="--allocate", value=text)
     return share
 
 
@@ -101,7 +101,7 @@ def read_sigmas(text: str) -> float | str:
         return word
     number = read_number(text.strip().removesuffix("sigma"))
     if math.isnan(number):
-        raise InputError("no number of standard deviations", "Write 3, or worst, margin or yield", key="--robust", value=text)
+        raise InputError("not a number of standard deviations", "Write 3, or worst, margin or yield", key="--robust", value=text)
     return number
 
 
@@ -118,6 +118,6 @@ def read_costs(texts: Sequence[str]) -> dict[str, float]:
         name, _, value = text.partition("=")
         number = read_number(value)
         if not number > 0.0:
-            raise InputError("no cost coefficient", "Write NAME=NUMBER, for example coupler=2", key="--cost", value=text)
+            raise InputError("not a cost coefficient", "Write NAME=NUMBER, for example coupler=2", key="--cost", value=text)
         found[name.strip().removeprefix("mechanism.")] = number
     return found

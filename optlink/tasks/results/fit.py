@@ -401,7 +401,7 @@ def fixed_reasons(quantities: Mapping[str, Quantity], values: Mapping[str, float
             f"{name} = {show(values.get(name, quantities[name].value), quantities[name].kind)}" for name in fixed[:4]
         )
         more = f" and {len(fixed) - 4} more" if len(fixed) > 4 else ""
-        yield PoorFitReason(f"fixed sizes: {shown}{more}", "free those that need not be fixed, by bounds")
+        yield PoorFitReason(f"fixed dimensions: {shown}{more}", "free those that need not be fixed, by bounds")
 
 
 def _quantities(task: PathProblem) -> dict[str, Quantity]:
