@@ -18,7 +18,7 @@ from optlink.studies.tolerance.robust_design import YIELD, RobustRecord
 from optlink.studies.tolerance.sampling import CONFIDENCE
 from optlink.tasks.function import display_value
 
-SURE = f"{100.0 * CONFIDENCE:g} % sure"
+SURE = f"{100.0 * CONFIDENCE:g} % confidence"
 
 
 def tolerances(result: Tolerance) -> Summary:
