@@ -319,6 +319,23 @@ class TracedCycle:
         """Return the events of a design; None if the crank cannot rotate fully."""
         return next(self.samples([values])).structure
 
+    def strokeless(self, structure: EventOrder) -> tuple[str, Term, int] | None:
+        """Return a stroke term whose output has too few dead centres, with its key and their number.
+
+        A time ratio requires exactly two.
+
+        Parameters
+        ----------
+        structure : EventOrder
+        """
+        placed: list[tuple[str, Term]] = [("objective", goal) for goal in self.problem.goals]
+        for key, term in [*placed, *((bound.key, bound.term) for bound in self.problem.bounds)]:
+            if term.ended:
+                count = structure.which.count(self.event_of(term))
+                if count < 2 or (term.quantity not in ("stroke", "end") and count != 2):
+                    return key, term, count
+        return None
+
     def samples(self, designs: Sequence[Mapping[str, float]]) -> Iterator[Sample]:
         """Yield each design with what is needed to compute its events."""
         known = np.array([self.inputs(values) for values in designs])

@@ -222,7 +222,18 @@ class OrderSearch:
             best = self.best(name)
             found = self._from(self.nlp.x_of(self.begin.starts[k]), name, insist=self.insists and k == 0)
             worse = best is not None and found.status is not Status.OPTIMAL and rank(best) < rank(found)
-            self.runs[name].append(self._exchanged(found, name) if found.usable and not worse else found)
+            self.runs[name].append(self._reciprocating(self._exchanged(found, name) if found.usable and not worse else found))
+
+    def _reciprocating(self, found: Solution) -> Solution:
+        """Return a solution, as infeasible if an output no longer reciprocates as its stroke or time ratio requires.
+
+        The NLP knows the dead centres of its own order of events only: a design may have further ones.
+        """
+        trace = self.nlp.traced
+        structure = trace.structure(found.design) if found.usable else None
+        if structure is None or trace.strokeless(structure) is None:
+            return found
+        return replace(found, status=Status.INFEASIBLE, message="an output has further dead centres")
 
     def _exchanged(self, found: Solution, name: str) -> Solution:
         """Return the end of a search refined by the exchange method; an optimum that is known is not refined again."""

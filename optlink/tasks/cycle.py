@@ -26,7 +26,7 @@ from optlink.validation.cycle import validate_cycle
 
 if TYPE_CHECKING:
     from optlink.optimization.cycle_nlp import CycleNLP
-    from optlink.optimization.cycle_signals import EventOrder, TracedCycle
+    from optlink.optimization.cycle_signals import EventOrder
     from optlink.solvers.continuum import Continuum
     from optlink.solvers.cycle_search import CycleSearchResult, StartGroup, StartSequence
 
@@ -71,7 +71,7 @@ class CycleTask(DesignTask[CycleResult]):
         samples = StartSequence(trace, seed)
 
         def fits(structure: EventOrder) -> bool:
-            return _strokeless(task, trace, structure) is None
+            return trace.strokeless(structure) is None
 
         firsts = _firsts(problem, samples, count)
         if not firsts:
@@ -149,11 +149,10 @@ def _firsts(problem: ProblemFile, samples: StartSequence, count: int) -> list[St
     """
     from optlink.solvers.cycle_search import start_groups
 
-    task = task_of(problem)
     wrong: list[tuple[str, Term, int]] = []
 
     def fits(structure: EventOrder) -> bool:
-        fault = _strokeless(task, samples.trace, structure)
+        fault = samples.trace.strokeless(structure)
         if fault is not None:
             wrong.append(fault)
         return fault is None
@@ -213,17 +212,6 @@ def _optima(task: CycleProblem, winner: Solution, solutions: list[Solution], equ
     optimal = sorted((s for s in solutions if s.status is Status.OPTIMAL), key=lambda s: s.objective)
     kept = tally([(winner, 0), *((solution, 1) for solution in optimal)], alike)
     return tuple(Optimum(solution.design, solution.objective, max(hits, 1)) for solution, hits in kept)
-
-
-def _strokeless(task: CycleProblem, trace: TracedCycle, structure: EventOrder) -> tuple[str, Term, int] | None:
-    """Return a stroke term whose output has too few dead centres, with their number: a time ratio requires exactly two."""
-    placed: list[tuple[str, Term]] = [("objective", goal) for goal in task.goals]
-    for key, term in [*placed, *((bound.key, bound.term) for bound in task.bounds)]:
-        if term.ended:
-            count = structure.which.count(trace.event_of(term))
-            if count < 2 or (term.quantity not in ("stroke", "end") and count != 2):
-                return key, term, count
-    return None
 
 
 def _nowhere(problem: ProblemFile, seed: int, starts: int, seconds: dict[str, float]) -> CycleResult:

@@ -5,17 +5,18 @@ from __future__ import annotations
 import itertools
 import math
 import tomllib
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
 import optlink
-from optlink.errors import InputError
+from optlink.errors import InputError, Status
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.problem.file import ProblemFile, read
 from optlink.solvers import multistart
-from optlink.solvers.cycle_search import StartSequence, start_groups
+from optlink.solvers.cycle_search import OrderSearch, StartSequence, build_programme, start_groups
 from optlink.tasks.cycle import solve, validate
 from optlink.tasks.results.cycle import CycleResult, task_of
 
@@ -211,6 +212,33 @@ def test_without_a_feasible_point_no_objective_is_searched(monkeypatch):
     assert not result.valid
     assert [item.key for item in result.conflict] == ["limits.stroke"]
     assert 140.0 < result.conflict[0].relaxed < 300.0  # twice the longest crank, and a little more by the offset
+
+
+def test_a_design_without_the_dead_centres_of_its_limits_is_refused(monkeypatch):
+    """A local search may end where the rocker turns fully: the NLP does not see it, the time ratio is not defined there."""
+    task = task_of(optlink.load("shaper-design"))
+    trace = TracedCycle(task, slow=task.slow_assumed)
+    samples = StartSequence(trace, 0)
+    begin = start_groups(samples, 1, lambda structure: trace.strokeless(structure) is None)[0]
+    wrong = next(s.values for s in samples.first(200) if s.structure is not None and trace.strokeless(s.structure))
+    assert math.isnan(
+        next(check.value for check in validate(optlink.load("shaper-design"), wrong).validation.checks if "ratio" in check.name)
+    )
+    order = OrderSearch(build_programme(trace, begin), begin, ("ipopt",))
+
+    def end_at(values):
+        found = multistart.solution_at(order.nlp, order.nlp.x_of(values), "")
+        end = replace(found, design=dict(values), status=Status.STALLED, objective=0.5 * found.objective)
+        monkeypatch.setattr(order, "_from", lambda *_, **__: end)
+        monkeypatch.setattr(order, "_exchanged", lambda found, _: found)
+        order.advance(0)
+        return order.runs["ipopt"][-1]
+
+    assert end_at(begin.starts[0]).usable
+    refused = end_at(wrong)
+    assert refused.status is Status.INFEASIBLE
+    assert "dead centres" in refused.message
+    assert order.best("ipopt").design == begin.starts[0]
 
 
 # --- distinct designs ------------------------------------------------------------------------------------------------------
