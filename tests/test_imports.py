@@ -13,6 +13,7 @@ import optlink
 
 ROOT = Path(__file__).parent.parent
 NOT_FOR_A_LAW = {
+    "multiprocessing",
     "numpy.random",
     "optlink.clearance.state",
     "optlink.dynamics.counterweights",
@@ -43,7 +44,7 @@ def command(*words: str) -> str:
 @pytest.mark.parametrize(
     ("words", "unwanted"),
     [
-        (("--help",), {"numpy", "pydantic", "markdown_it", "pygments", "importlib.metadata"}),
+        (("--help",), {"numpy", "pydantic", "markdown_it", "optlink.units", "pygments", "importlib.metadata"}),
         (("analyze", "six-bar"), HEAVY | {"numpy.ma", "optlink.optimization", "optlink.synthesis", "optlink.tasks.function"}),
         (("simulate", "slider-crank"), HEAVY - {"casadi"} | {"scipy", "numpy.ma", "markdown_it"}),
         (("solve", "crank-rocker"), HEAVY - {"casadi"} | {"numpy.ma", "markdown_it"} | NOT_FOR_A_LAW),

@@ -13,7 +13,6 @@ from optlink.cli import console
 from optlink.cli.completion import keys, problem_names
 from optlink.io import load_extensions
 from optlink.solvers.contract import selectable
-from optlink.units import read_number
 
 OVERVIEW: tuple[list[str], ...] = ([], ["-h"], ["--help"], ["--version"])
 """Command lines that show no option of a command and nothing of an extension."""
@@ -63,6 +62,8 @@ def share_number(text: object) -> float:
     typer.BadParameter
         If it is none; the command line then ends with exit code 2.
     """
+    from optlink.units import read_number
+
     words = str(text).strip()
     number = read_number(words.removesuffix("%"))
     if math.isnan(number):

@@ -11,7 +11,6 @@ import threading
 import time
 import traceback
 from collections.abc import Callable
-from multiprocessing.reduction import ForkingPickler
 from typing import IO, Any, NamedTuple, Protocol, TypeVar
 
 from optlink.errors import Fault, InputError, OptlinkError, SolverError
@@ -88,6 +87,8 @@ def built(build: Callable[..., T], stated: bytes) -> T:
     stated : bytes
         Its arguments, a tuple, from `packed`.
     """
+    from multiprocessing.reduction import ForkingPickler
+
     key = build, stated
     if key not in _BUILT:
         while len(_BUILT) >= MOST_BUILT:
@@ -99,6 +100,8 @@ def built(build: Callable[..., T], stated: bytes) -> T:
 
 def packed(item: Any) -> bytes:
     """Return a task, the number of a chunk, or a result as bytes."""
+    from multiprocessing.reduction import ForkingPickler
+
     return bytes(ForkingPickler.dumps(item))
 
 
@@ -123,6 +126,8 @@ def receive(stream: IO[bytes]) -> Any:
     EOFError
         If the stream ends before.
     """
+    from multiprocessing.reduction import ForkingPickler
+
     size = int.from_bytes(stream.read(8), "little")
     item = stream.read(size)
     if not size or len(item) < size:
