@@ -315,6 +315,22 @@ class TracedCycle:
         events = casadi.vertcat(*self._found)
         return CompiledFunction([self._inputs], [events, casadi.jacobian(events, self._inputs[-1])])
 
+    def serves(self, values: Mapping[str, float]) -> bool:
+        """Return whether the loads of the trace are those of a design: none counts the angle of a swing from another turn.
+
+        They also differ where the middle of a swing has moved by more than a quarter of a turn, beyond which a search could come
+        upon the angle that is opposite to the middle in the trace.
+        """
+        own = self.problem.machine(values, self.slow)
+        middles = [[getattr(load, "middle", 0.0) for load in machine.loads] for machine in (self.base, own)]
+        moved = np.subtract(*middles)
+        moving = own.moving(np.linspace(0.0, TURN, GRID, endpoint=False), self.speed)
+        return all(
+            abs(moved[k]) <= 0.25 * TURN and np.allclose(one.torque, other.torque, rtol=1e-9)
+            for k in np.flatnonzero(moved)
+            for one, other in zip(self.base.loads[k].act(moving), own.loads[k].act(moving), strict=True)
+        )
+
     def structure(self, values: Mapping[str, float]) -> EventOrder | None:
         """Return the events of a design; None if the crank cannot rotate fully."""
         return next(self.samples([values])).structure

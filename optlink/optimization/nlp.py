@@ -6,7 +6,7 @@ The formulas are those of `linkage`, `objectives` and `constraints`, traced once
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -228,10 +228,17 @@ class NLP:
         names = ((v, value) for v, value in zip(self.variables, x, strict=True) if v.name != EPIGRAPH)
         return {variable.name: variable.origin + float(value) * variable.size for variable, value in names}
 
-    def x_of(self, values: dict[str, float]) -> Array:
-        """Return x for values of the design variables [SI], within the bounds; the epigraph variable takes its least value."""
+    def x_of(self, values: Mapping[str, float], *, bounded: bool = True) -> Array:
+        """Return x for values of the design variables [SI]; the epigraph variable takes its least value.
+
+        Parameters
+        ----------
+        values : mapping of str to float [SI]
+        bounded : bool
+            Whether values beyond a bound are moved to it.
+        """
         x = np.array([(values.get(v.name, 0.0) - v.origin) / v.size for v in self.variables])
-        return self.lifted(np.clip(x, self.x_low, self.x_high))
+        return self.lifted(np.clip(x, self.x_low, self.x_high) if bounded else x)
 
     @property
     def exchange_count(self) -> int:

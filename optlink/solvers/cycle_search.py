@@ -189,7 +189,7 @@ def build_programme(trace: TracedCycle, begin: StartGroup) -> CycleNLP:
     """
     slow = trace.slow_loads(begin.structure.slow) if begin.structure.slow else None
     if slow and slow != trace.slow:
-        trace = TracedCycle(trace.problem, slow=slow)
+        trace = TracedCycle(trace.problem, trace.values, slow)
     nlp = build_cycle(trace, begin.structure, begin.starts[0])
     nlp.set_exchange_points(peaks(nlp, nlp.lifted(nlp.x_start)).shares)
     return nlp
@@ -209,6 +209,7 @@ class OrderSearch:
     insists: bool = True  # whether the first search runs even without a feasible point near the start
     runs: dict[str, list[Solution]] = field(default_factory=dict)
     left: list[Solution] = field(default_factory=list)  # designs at the edge of the order, from which others were searched
+    strayed: list[Solution] = field(default_factory=list)  # designs whose loads are not those of the trace
 
     def __post_init__(self) -> None:
         self.runs = {name: [] for name in self.names}
@@ -222,18 +223,24 @@ class OrderSearch:
             best = self.best(name)
             found = self._from(self.nlp.x_of(self.begin.starts[k]), name, insist=self.insists and k == 0)
             worse = best is not None and found.status is not Status.OPTIMAL and rank(best) < rank(found)
-            self.runs[name].append(self._reciprocating(self._exchanged(found, name) if found.usable and not worse else found))
+            self.runs[name].append(self._kept(self._exchanged(found, name) if found.usable and not worse else found))
 
-    def _reciprocating(self, found: Solution) -> Solution:
-        """Return a solution, as infeasible if an output no longer reciprocates as its stroke or time ratio requires.
+    def _kept(self, found: Solution) -> Solution:
+        """Return the end of a search, infeasible where the NLP does not describe its design.
 
-        The NLP knows the dead centres of its own order of events only: a design may have further ones.
+        The NLP knows the dead centres of its own order of events only: a design may have further ones, so that an output does not
+        reciprocate as its stroke or time ratio requires. The angle of a load may count from another turn than in the trace.
         """
         trace = self.nlp.traced
         structure = trace.structure(found.design) if found.usable else None
-        if structure is None or trace.strokeless(structure) is None:
+        if structure is None:
             return found
-        return replace(found, status=Status.INFEASIBLE, message="an output has further dead centres")
+        if trace.strokeless(structure) is not None:
+            return replace(found, status=Status.INFEASIBLE, message="an output has further dead centres")
+        if trace.serves(found.design):
+            return found
+        self.strayed.append(found)
+        return replace(found, status=Status.INFEASIBLE, message="the angle of a load counts from another turn")
 
     def _exchanged(self, found: Solution, name: str) -> Solution:
         """Return the end of a search refined by the exchange method; an optimum that is known is not refined again."""
@@ -341,6 +348,7 @@ def search_all(
                     more = [OrderSearch(build_programme(trace, begin), begin, own, False) for begin in further()]
                 _round(more, k)
             _cross([*orders, *(more or ())], beside, own)
+            _return([*orders, *(more or ())], beside, own)
             count = k + 1
             done()
     except KeyboardInterrupt:
@@ -381,6 +389,30 @@ def _cross(orders: Sequence[OrderSearch], beside: list[OrderSearch], names: tupl
         winner.left.append(best)
         for begin in neighbours(winner.nlp, best):
             beside.append(OrderSearch(build_programme(winner.nlp.traced, begin), begin, names, insists=False))
+            beside[-1].advance(0)
+
+
+def _return(orders: Sequence[OrderSearch], beside: list[OrderSearch], names: tuple[str, ...]) -> None:
+    """Continue searches that ended at a design with other loads than the trace has, with the loads of that design.
+
+    Parameters
+    ----------
+    orders : sequence of OrderSearch
+    beside : list of OrderSearch
+        Searches beside these so far; those of this call are added.
+    names : tuple of str
+        Names of back ends.
+    """
+    while len(beside) < CROSSINGS * NEIGHBOURS:
+        order = next((order for order in (*orders, *beside) if order.strayed), None)
+        if order is None:
+            return
+        design, trace = order.strayed.pop().design, order.nlp.traced
+        own = TracedCycle(trace.problem, design, trace.slow)
+        structure = own.structure(design)
+        if structure is not None:
+            begin = StartGroup(replace(structure, slow=order.nlp.structure.slow), (design,))
+            beside.append(OrderSearch(build_programme(own, begin), begin, names, insists=False))
             beside[-1].advance(0)
 
 

@@ -16,104 +16,26 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import Array
-from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale
-from optlink.optimization.nlp import NLP, Variable
-from optlink.problem.function import EPIGRAPH
+from optlink.optimization.nlp import NLP
 from optlink.solvers.contract import BACKENDS, backend
+from optlink.solvers.elastic_programme import FREE, MET, Limit, elastic_programme, limit_sides, limits_of
 from optlink.solvers.multistart import starts
-from optlink.solvers.solution import Relaxation, key_of
+from optlink.solvers.solution import Relaxation
 
-MET = 1e-6  # total slack, in scaled units, below which a set of limits counts as feasible
 STARTS, LOOKED_AT = 6, 256  # starting points used, of those sampled: the first at which every limit is finite
 FIRST_ORDER, EVEN, ROUNDS = 1e-4, 1e-4, 4
 """Amount [display unit] for which the sides of a range first give equally; relative difference of their amounts that ends the
 rounds in which the shares of the sides are corrected."""
-FREE = 1e3  # upper bound of a slack, in scaled units
 ENOUGH = 3  # number of searches that end at the same least slack before it is accepted
 AGREEING = 2  # the same for the relaxation of one limit of a large NLP
 SAME = 1e-4  # relative difference of slacks that count as equal
 EXCHANGES, FOLLOWED = 5, 1e-4  # rounds of the exchange method, and the violation (scaled) at the peaks that ends them
 
 Follow = Callable[[Array], Array]
-
-
-@dataclass(frozen=True)
-class LimitSide:
-    """One side of one limit: the rows (and bounds) that share it."""
-
-    key: str
-    name: str
-    upper: bool
-    rows: tuple[int, ...]
-    variables: tuple[int, ...]
-    bound: float
-    scale: Scale
-    equation: bool = False
-
-    def displaced(self, amount: float) -> float:
-        """Return the bound moved outward by an amount, in display units; an angle between 0 and 180 deg for a cosine."""
-        moved = self.scale.to_display(self.bound) + (amount if self.upper != self.scale.cosine else -amount)
-        return min(max(moved, 0.0), 180.0) if self.scale.cosine else moved
-
-    def relaxation(self, slack: float, approximate: bool = False, both_sides: bool = False) -> Relaxation:
-        """Return the relaxed side in display units.
-
-        Parameters
-        ----------
-        slack : float
-            In the units of the rows; infinite if relaxing the limit does not suffice.
-        approximate : bool
-            Whether the limit may be exceeded between the positions of the NLP.
-        both_sides : bool
-            Whether the other side is relaxed as well.
-        """
-        upper = self.upper != self.scale.cosine
-        bound = self.scale.to_display(self.bound)
-        relaxed = self.scale.to_display(self.bound + (slack if self.upper else -slack)) if math.isfinite(slack) else math.nan
-        sense = "=" if self.equation else "<=" if upper else ">="
-        amount = abs(relaxed - bound)
-        return Relaxation(self.name, self.key, sense, bound, relaxed, amount, self.scale.unit, approximate, both_sides)
-
-
-@dataclass(frozen=True)
-class Limit:
-    """A limit that is relaxed as one: one side, or both sides of a range."""
-
-    sides: tuple[LimitSide, ...]
-
-    def shares(self, amount: float) -> Array:
-        """Return the slack of each side relative to that of the first one where all sides give an amount [display unit]."""
-        slacks = [abs(side.scale.to_internal(side.displaced(amount)) - side.bound) for side in self.sides]
-        shares = np.array([slack / slacks[0] if slacks[0] else 1.0 for slack in slacks])
-        return np.asarray(np.clip(shares, 0.1, 10.0))  # a root has no slope at zero
-
-    def relaxations(self, slacks: Array, nlp: NLP, x: Array, p: Array, approximate: bool) -> list[Relaxation]:
-        """Return the relaxation of each side that a design needs.
-
-        Parameters
-        ----------
-        slacks : array
-            That of each side; infinite if relaxing the limit does not suffice.
-        nlp : NLP
-        x : array (n,)
-            The design that needs the slack.
-        p : array
-            Parameters of the NLP.
-        approximate : bool
-            Whether the limit may be exceeded between the positions of the NLP.
-        """
-        found = list(zip(self.sides, slacks.tolist(), strict=True))
-        if len(found) > 1 and np.all(np.isfinite(slacks)):
-            g = nlp.values(x, p)[1]
-            over = [max((g[j] - side.bound) * (1.0 if side.upper else -1.0) for j in side.rows) for side in self.sides]
-            found = [pair for pair, excess in zip(found, over, strict=True) if excess > MET] or found
-        return [side.relaxation(slack, approximate, len(found) > 1) for side, slack in found]
 
 
 @dataclass(frozen=True)
@@ -127,123 +49,6 @@ class Explanation:
     x: Array
     conflict: tuple[Relaxation, ...]
     together: tuple[Relaxation, ...]
-
-
-def limit_sides(nlp: NLP) -> list[LimitSide]:
-    """Return every side of every limit that can conflict; rows of one limit and one side are combined.
-
-    Bounds of variables without influence on any limit are left out, as are bounds of an angle over a full revolution.
-    """
-    found: dict[tuple[str, str, bool], list[int]] = {}
-    for j, row in enumerate(nlp.rows):
-        if row.limit == EPIGRAPH or row.limit in nlp.states:
-            continue
-        for upper, bound in ((False, row.low), (True, row.high)):
-            if math.isfinite(bound):
-                found.setdefault((row.limit, row.label, upper), []).append(j)
-    result = []
-    for (key, name, upper), rows in found.items():
-        row = nlp.rows[rows[0]]
-        bound, equation = row.high if upper else row.low, row.low == row.high
-        result.append(LimitSide(key, name, upper, tuple(rows), (), bound, row.scale, equation))
-    asked = [j for j, row in enumerate(nlp.rows) if row.limit != EPIGRAPH]
-    used = casadi.which_depends(nlp.g_expression[asked], nlp.x_symbol, 1, False) if asked else [False] * len(nlp.variables)
-    for i, variable in enumerate(nlp.variables):
-        around = variable.scale is DEGREES and nlp.x_high[i] - nlp.x_low[i] >= 2.0 * math.pi
-        if variable.name in nlp.helpers or variable.name in nlp.states or around or not used[i]:
-            continue
-        for upper, bound in ((False, nlp.x_low[i]), (True, nlp.x_high[i])):
-            result.append(LimitSide(key_of(variable.name), variable.name, upper, (), (i,), float(bound), variable.scale))
-    return result
-
-
-def limits_of(sides: Sequence[LimitSide]) -> list[Limit]:
-    """Combine the two sides of each range that several values must keep; every other side is a limit of its own.
-
-    The sides belong together if they have the same name, or if they are the only ones of their key. A single value is never
-    beyond both sides of its range, and an equation has a slack for each side.
-
-    Parameters
-    ----------
-    sides : sequence of LimitSide
-    """
-    result: list[Limit] = []
-    paired: set[int] = set()
-    for i, side in enumerate(sides):
-        own = [k for k, other in enumerate(sides) if other.key == side.key and other.rows]
-        own = [k for k in own if sides[k].name == side.name] if len(own) > 2 else own
-        if i in paired:
-            continue
-        values = {row for k in own for row in sides[k].rows}
-        if (
-            side.rows
-            and not side.equation
-            and len(values) > 1
-            and [sides[k].upper for k in own] in ([False, True], [True, False])
-        ):
-            paired.update(own)
-            # in display units the lower side comes first
-            result.append(Limit(tuple(sorted((sides[k] for k in own), key=lambda one: one.upper != one.scale.cosine))))
-        else:
-            result.append(Limit((side,)))
-    return result
-
-
-def elastic_programme(nlp: NLP, limits: Sequence[Limit]) -> NLP:
-    """Return the elastic programme: minimise weights . s over x and slacks s >= 0, each limit relaxed by its s.
-
-    Its parameters are the weights (k,) and the shares of every side in the slack of its limit, followed by those of the NLP.
-
-    Parameters
-    ----------
-    nlp : NLP
-    limits : sequence of Limit
-        The k limits to relax.
-    """
-    sides = [(i, side) for i, limit in enumerate(limits) for side in limit.sides]
-    shares = casadi.SX.sym("shares", len(sides))
-    n, k = len(nlp.variables), len(limits)
-    x, s = casadi.SX.sym("x", n), casadi.SX.sym("s", k)
-    g = casadi.substitute(nlp.g_expression, nlp.x_symbol, x)
-    weights = casadi.SX.sym("weights", k)
-    # a target value stays one equation with slack to either side: two inequalities would have no interior
-    exact = {j: g[j] for _, side in sides for j in side.rows if side.equation}
-    for i, side in sides:
-        for j in exact.keys() & set(side.rows):
-            exact[j] = exact[j] + (-s[i] if side.upper else s[i])
-    rows = [replace(nlp.rows[j], value=value) for j, value in exact.items()]
-    for m, (i, side) in enumerate(sides):
-        give = -shares[m] * s[i] if side.upper else shares[m] * s[i]
-        low, high = (-math.inf, side.bound) if side.upper else (side.bound, math.inf)
-        rows += [ConstraintRow(side.key, side.name, g[j] + give, low, high, side.scale) for j in side.rows if j not in exact]
-        rows += [ConstraintRow(side.key, side.name, x[j] + give, low, high, side.scale) for j in side.variables]
-    rows += [replace(row, value=g[j]) for j, row in enumerate(nlp.rows) if row.limit in nlp.states]
-    bounded = np.array([v.name not in nlp.helpers for v in nlp.variables])
-    giving = {i for _, side in sides for i in side.variables}
-    fixed_variables = np.array([v.name in nlp.states or (bounded[i] and i not in giving) for i, v in enumerate(nlp.variables)])
-    length = np.array([v.name in LENGTHS or v.name.endswith(".length") for v in nlp.variables])
-    room = np.where(bounded, np.maximum(nlp.x_high - nlp.x_low, 1.0), 1.0)
-    lowest = np.where(length, 1e-3 * nlp.x_low, nlp.x_low - room)  # a length may shrink towards zero, not below
-    # helpers keep their bounds, except the largest error, which has no upper bound
-    lowest = np.where(fixed_variables, nlp.x_low, np.where(bounded, lowest, np.where(np.isfinite(nlp.x_low), nlp.x_low, 0.0)))
-    highest = np.where(
-        fixed_variables, nlp.x_high, np.where(bounded, nlp.x_high + room, np.where(np.isfinite(nlp.x_high), nlp.x_high, 1.0))
-    )
-    return NLP(
-        variables=(*nlp.variables, *(Variable(f"slack {i}", 1.0, PLAIN) for i in range(k))),
-        fixed=(),
-        rows=tuple(rows),
-        measure=nlp.measure,
-        x_start=np.concatenate([nlp.x_start, np.zeros(k)]),
-        x_low=np.concatenate([lowest, np.zeros(k)]),
-        x_high=np.concatenate([highest, np.full(k, FREE)]),
-        p=np.concatenate([np.ones(k + len(sides)), nlp.p]),
-        x_symbol=casadi.vertcat(x, s),
-        p_symbol=casadi.vertcat(weights, shares, nlp.p_symbol),
-        f_expression=casadi.dot(weights, s),
-        g_expression=casadi.vertcat(*[row.value for row in rows]),
-        residual_expression=casadi.SX(1, 1),
-    )
 
 
 class _Search:
@@ -368,7 +173,6 @@ def explain(
     *,
     quick: bool = False,
     follow: Follow | None = None,
-    paired: bool = True,
 ) -> Explanation | Array:
     """Identify the conflicting limits of an infeasible NLP; return the x of a feasible design if one is found.
 
@@ -386,11 +190,8 @@ def explain(
         For large NLPs: use the interior-point method alone, and after the first verdict one search per question, two per amount.
     follow : function, optional
         Function of a point x (n,) that returns the parameters of the NLP with its exchange points at the peaks there.
-    paired : bool
-        Relax both sides of a range together; otherwise each side is a limit of its own.
     """
-    sides = limit_sides(nlp)
-    limits = limits_of(sides) if paired else [Limit((side,)) for side in sides]
+    limits = limits_of(limit_sides(nlp))
     k = len(limits)
     search = _Search(nlp, limits, _begin(nlp, seed) if points is None else points, ("ipopt",) if quick else BACKENDS, follow)
     free = np.full(k, FREE)
@@ -401,7 +202,7 @@ def explain(
         return np.clip(x[: search.n], nlp.x_low, nlp.x_high)
     if not math.isfinite(total):
         return Explanation(search.points[0], (), ())
-    slacks = x[search.n :]
+    search.points, slacks = [x[: search.n], *search.points], x[search.n :]
     together: list[Relaxation] = []
     for limit, slack in zip(limits, slacks, strict=True):
         if slack > MET:
@@ -413,6 +214,31 @@ def explain(
         least, end = search.alone(i)
         conflict += limits[i].relaxations(least, nlp, end[: search.n], search.p, not search.exchange_converged)
     return Explanation(x[: search.n], tuple(conflict), tuple(together))
+
+
+def tightest(nlp: NLP, key: str, sense: str, point: Array) -> float:
+    """Return the tightest value [display unit] of a limit that a design meets with all other limits; NaN if none is found.
+
+    Parameters
+    ----------
+    nlp : NLP
+        Infeasible by this limit.
+    key : str
+        Key of the limit.
+    sense : "<=" or ">="
+        Side of the limit.
+    point : array (n,)
+        A design that meets all other limits.
+    """
+    sides = limit_sides(nlp)
+    own = [side for side in sides if (side.key, side.sense) == (key, sense)]
+    rows, variables = (tuple(i for side in own for i in getattr(side, name)) for name in ("rows", "variables"))
+    limits = [Limit((side,)) for side in (replace(own[0], rows=rows, variables=variables), *(s for s in sides if s not in own))]
+    search = _Search(nlp, limits, [point, *_begin(nlp, 0)])
+    _, x = search.least(np.ones(len(limits)), np.full(len(limits), FREE))
+    search.points += [x[: search.n]] if np.all(np.isfinite(x)) else []
+    search.enough = len(search.points) * len(search.solvers)  # from each by every back end: these ends can be local ones
+    return limits[0].sides[0].relaxation(float(search.alone(0)[0][0])).relaxed
 
 
 def _begin(nlp: NLP, seed: int) -> list[Array]:

@@ -201,23 +201,47 @@ def test_friction_is_refused_where_forces_are_asked_for():
         changed(**{"mechanism.guides.F.friction": 0.1})
 
 
-@pytest.mark.parametrize(("start", "end"), [(50.0, 60.0), (60.0, 50.0), (90.0, 75.0)])
-def test_a_torque_over_theta_is_that_of_every_design_that_a_search_passes(start, end):
-    """At 60 degrees of the frame, not at 50, the rocker swings across 180 degrees from +x, where theta must not jump."""
+def swinging(start: float, torque: str) -> optlink.ProblemFile:
+    """A crank-rocker with a torque over the angle of its rocker; its frame, free, has a direction [deg] at the start."""
     links = {"crank": {"joints": ["A", "B"], "length": "40 mm"}, "coupler": {"joints": ["B", "C"], "length": "290 mm"}}
     links["rocker"] = {"joints": ["D", "C"], "length": "160 mm"}
-    x, y = ([f(math.radians(at)) * 300.0 for at in (start, end)] for f in (math.cos, math.sin))
-    free = [{"start": f"{at[0]!r} mm", "bounds": ["-400 mm", "400 mm"]} for at in (x, y)]
+    at = [f(math.radians(start)) * 300.0 for f in (math.cos, math.sin)]
+    free = [{"start": f"{part!r} mm", "bounds": ["-400 mm", "400 mm"]} for part in at]
     raw = {
         "mechanism": {"ground": {"A": ["0 mm", "0 mm"], "D": free}, "links": links, "assembly": {"C": "left of B-D"}},
-        "loads": {"spring": {"on": "rocker", "torque": {"expression": "-5*theta", "unit": "N*m"}}},
+        "loads": {"spring": {"on": "rocker", "torque": {"expression": torque, "unit": "N*m"}}},
         "drive": {"speed": "60 rpm"},
         "objective": {"quantity": "torque"},
     }
-    file = optlink.read(raw)
-    design = {"D.x": 1e-3 * x[1], "D.y": 1e-3 * y[1]}
+    return optlink.read(raw)
+
+
+@pytest.mark.parametrize(("start", "end"), [(50.0, 60.0), (60.0, 50.0), (90.0, 75.0)])
+def test_a_torque_over_theta_is_that_of_every_design_that_a_search_passes(start, end):
+    """At 60 degrees of the frame, not at 50, the rocker swings across 180 degrees from +x, where theta must not jump."""
+    file = swinging(start, "-5*theta")
+    x, y = (f(math.radians(end)) * 0.3 for f in (math.cos, math.sin))
+    design = {"D.x": x, "D.y": y}
     trace = TracedCycle(file.model)
     angles = np.linspace(0.0, 2.0 * np.pi, 361)
     torque = trace.signals(*trace.inputs(design), angles)[0]
     alone = Cycle(file.model, design).machine.moving(angles, file.model.drive.speed.value)
     np.testing.assert_allclose(torque, MotionColumns(alone)["input.torque_Nm"], atol=1e-9)
+
+
+@pytest.mark.parametrize(("end", "serves"), [(60.0, True), (75.0, False), (150.0, False)])
+def test_a_trace_does_not_serve_a_design_whose_swing_counts_from_another_turn(end, serves):
+    """At 75 degrees of the frame the middle of the swing is beyond 180 degrees, where theta is negative; at 150 it is far off."""
+    file = swinging(50.0, "-5*theta")
+    design = dict(zip(("D.x", "D.y"), (f(math.radians(end)) * 0.3 for f in (math.cos, math.sin)), strict=True))
+    assert TracedCycle(file.model).serves(design) is serves
+    assert TracedCycle(file.model, design).serves(design)
+
+
+@pytest.mark.slow
+def test_a_search_crosses_the_direction_where_theta_jumps():
+    """The best direction of the frame turns with the free angle of a spring, and its torque stays the same."""
+    beyond, beside = (optlink.solve(swinging(50.0, torque), starts=1) for torque in ("-5*(theta + 2.5)", "-5*(theta - 2.5)"))
+    assert beyond.valid
+    assert beside.valid
+    assert beyond.objective == pytest.approx(beside.objective, rel=1e-6)

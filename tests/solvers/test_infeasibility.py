@@ -11,7 +11,8 @@ import pytest
 import optlink
 from optlink.optimization.nlp import build
 from optlink.report.views.relaxations import outward
-from optlink.solvers.infeasibility import Explanation, explain, limit_sides
+from optlink.solvers.elastic_programme import limit_sides
+from optlink.solvers.infeasibility import Explanation, explain, tightest
 from optlink.tasks.run import solve
 
 TEMPLATES = Path(__file__).parents[2] / "templates"
@@ -86,3 +87,32 @@ def test_both_sides_of_a_range_are_relaxed_as_one() -> None:
     assert high.relaxed == pytest.approx(180.0 - best, abs=1e-4)
     printed = [f"{outward(item, 6)!r} deg" for item in (low, high)]
     assert solve(file.override({"limits.transmission_angle": printed}), starts=5).valid
+
+
+def crank_rockers(ratio: float, least: float, count: int = 801) -> np.ndarray:
+    """Couplers and rockers (2, n) [mm] of a grid whose crank turns fully, with a least transmission angle and time ratio."""
+    a, b = (part.ravel() for part in np.meshgrid(*2 * [np.linspace(100.0, 900.0, count)[1:]], indexing="ij"))
+    turns = (np.maximum(a, b) + 100.0 <= 500.0 + np.minimum(a, b)) & (a + b >= 600.0)
+    a, b = a[turns], b[turns]
+    with np.errstate(all="ignore"):
+        inner, outer = ((a * a + b * b - side * side) / (2.0 * a * b) for side in (400.0, 600.0))
+        ends = [np.arccos((way**2 + 500.0**2 - b * b) / (1000.0 * way)) for way in (a - 100.0, a + 100.0)]
+    lag = np.abs(ends[0] - ends[1])
+    fits = (np.maximum(abs(inner), abs(outer)) <= math.cos(math.radians(least))) & (math.pi + lag >= ratio * (math.pi - lag))
+    return np.array([a[fits], b[fits]])
+
+
+@pytest.mark.parametrize(
+    ("name", "sense", "other"), [("coupler", "<=", 1), ("coupler", ">=", 1), ("rocker", "<=", 0), ("rocker", ">=", 0)]
+)
+def test_the_tightest_limit_is_that_of_a_grid(name, sense, other):
+    """From one design that meets the other limits, far from the end."""
+    limits = {"limits.time_ratio": {"min": 1.331}, "limits.transmission_angle": ["38 deg", "142 deg"]}
+    ends = ["100 mm", "100.001 mm"] if sense == "<=" else ["899.999 mm", "900 mm"]
+    problem = optlink.load("crank-rocker").override({**limits, f"mechanism.{name}": {"bounds": ends}})
+    grid = crank_rockers(1.331, 38)
+    point = dict(zip(("coupler", "rocker"), 1e-3 * grid[:, np.argsort(grid[other])[grid.shape[1] // 2]], strict=True))
+    nlp = build(problem.spec)
+    found = tightest(nlp, f"mechanism.{name}", sense, nlp.x_of(point, bounded=False))
+    best = np.min(grid[1 - other]) if sense == "<=" else np.max(grid[1 - other])
+    assert 0.0 <= (best - found) * (1.0 if sense == "<=" else -1.0) <= 2.0  # two steps of the grid

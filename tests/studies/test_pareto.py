@@ -32,6 +32,7 @@ from optlink.studies.pareto.epsilon_constraint import ENDS, Pareto, pareto
 from optlink.studies.pareto.objectives import read_objectives
 from optlink.studies.sweep import sweep
 from optlink.validation import validate as prove
+from tests.solvers.test_infeasibility import crank_rockers
 
 ANGLE = "limits.transmission_angle.max"
 PRESS = """
@@ -240,6 +241,14 @@ def test_the_reference_is_the_optimum_of_solve():
     problem = optlink.load("crank-rocker").override({"limits.time_ratio.min": 1.05})
     front = pareto(problem, "error, coupler=350..410 mm", points=2, workers=1)
     assert front.reference == pytest.approx((0.00759237, 412.865), rel=1e-5)
+
+
+def test_the_end_of_a_front_is_found_where_its_limit_conflicts_with_several():
+    """The least coupler: relaxed alone, its limit had no end; together with all others it has one."""
+    problem = optlink.load("crank-rocker").override({"limits.time_ratio.min": 1.05})
+    front = pareto(problem, "error, coupler", points=2, workers=1)
+    assert front.complete
+    assert 0.0 <= np.min(crank_rockers(1.05, 45)[0]) - front.points[-1].values[1] <= 2.0
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ import numpy as np
 from optlink.errors import InputError, Status
 from optlink.optimization.nlp import build
 from optlink.problem.file import ProblemFile
-from optlink.solvers.infeasibility import Explanation, explain
+from optlink.solvers.infeasibility import tightest
 from optlink.studies.cycle_task import with_starting_values
 from optlink.studies.grid import Axis, Grid
 from optlink.studies.pareto.cycle_objectives import cycle_figures, cycle_objective, epsilon_problem
@@ -243,7 +243,7 @@ class _LawRanges(EpsilonRanges):
 
         minimised = aims[self.first]
         best = once(minimised.best, lambda: optimum(free, minimised))
-        tight = {k: once(aims[k].best, partial(self._tight, free, aims[k]))["limit"] for k in unbound}
+        tight = {k: once(aims[k].best, partial(self._tight, free, aims[k], best["design"]))["limit"] for k in unbound}
         corners = {k: exact_text(aims[k].worsened(tight[k], NEAR * abs(tight[k])), aims[k].unit) for k in unbound}
         corners |= {k: axis.raw(len(axis.values) - 1) for k, axis in fixed.items()}
         others = {}
@@ -259,20 +259,17 @@ class _LawRanges(EpsilonRanges):
             found[k] = _axis(aims[k], tight[k], worst, self.count)
         return found, ()
 
-    def _tight(self, free: ProblemFile, aim: ParetoObjective) -> dict[str, float]:
-        """Return the tightest feasible value of a limit: the least relaxation of an infeasible one."""
+    def _tight(self, free: ProblemFile, aim: ParetoObjective, design: Mapping[str, float]) -> dict[str, float]:
+        """Return the tightest feasible value of a limit: the least relaxation of an infeasible one; `design` meets the others."""
         tight = free.override({aim.key: tightest_bound(free, aim)})
         found = self._optimum(tight)
         if found.solution is not None and found.solution.usable:  # feasible at the tightest bound that can be stated
             return {"limit": law_figure(tight.spec, aim, found.design)}
-        sense, conflict = "<=" if aim.sense > 0 else ">=", found.conflict
-        if any(item.both_sides for item in conflict):  # the other side of the range stays
-            alone = explain(build(tight.spec), paired=False)
-            conflict = alone.conflict if isinstance(alone, Explanation) else ()
-        for item in conflict:
-            if item.key == aim.key.rpartition(".")[0] and item.sense == sense and math.isfinite(item.relaxed):
-                return {"limit": item.relaxed}
-        raise self._no_end(aim, found.status.text)
+        nlp, side = build(tight.spec), "<=" if aim.sense > 0 else ">="
+        limit = tightest(nlp, aim.key.rpartition(".")[0], side, nlp.x_of(design, bounded=False))
+        if not math.isfinite(limit):
+            raise self._no_end(aim, found.status.text)
+        return {"limit": limit}
 
 
 class _CycleRanges(EpsilonRanges):
