@@ -12,12 +12,13 @@ import numpy as np
 
 from optlink.clearance.joint import Gap, Motion
 from optlink.clearance.spanning_tree import SpanningTree
-from optlink.dynamics.inertia import BodyMotion, Wrench, body_motion, wrench
+from optlink.dynamics.inertia import BodyMotion, Wrench, body_motion
+from optlink.dynamics.inverse import required_wrench
 from optlink.dynamics.loads import Acting
 from optlink.dynamics.machine import Machine, jet_parts
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import FRAME
-from optlink.linkage.vector2d import Value, Vector, minus, turn
+from optlink.linkage.vector2d import Value, Vector, minus, plus, turn
 
 SMOOTH = 1e-4
 """Share of the nominal speed (crank speed times size of the machine) where a load that opposes a motion has 76 % of its size."""
@@ -54,11 +55,6 @@ class ClearanceState:
             self._states[body] = body_motion((jet_parts(x), jet_parts(y)), (jet_parts(c), jet_parts(d)))
         return self._states[body]
 
-    def _lever(self, point: str, body: str) -> Vector:
-        state = self.state(body)
-        x, y = turn(self.tree.local.local(body, point), state.axis)
-        return state.start[0] + x, state.start[1] + y
-
     def position(self, point: str, body: str) -> Vector:
         """Return the position of a point of a body [m].
 
@@ -67,7 +63,8 @@ class ClearanceState:
         point : str
         body : str
         """
-        return self._lever(point, body)
+        state = self.state(body)
+        return plus(state.start, turn(self.tree.local.local(body, point), state.axis))
 
     def velocity(self, point: str, body: str) -> Vector:
         """Return the velocity of a point of a body [m/s].
@@ -77,7 +74,7 @@ class ClearanceState:
         point : str
         body : str
         """
-        return self.state(body).at(self._lever(point, body))[0]
+        return self.state(body).at(self.position(point, body))[0]
 
     def acceleration(self, point: str, body: str) -> Vector:
         """Return the acceleration of a point of a body [m/s^2].
@@ -87,7 +84,7 @@ class ClearanceState:
         point : str
         body : str
         """
-        return self.state(body).at(self._lever(point, body))[1]
+        return self.state(body).at(self.position(point, body))[1]
 
     def line(self, guide: str) -> Vector:
         """Return the unit vector of a guide's line."""
@@ -120,11 +117,7 @@ class ClearanceState:
 
     def needed(self) -> dict[str, Wrench]:
         """Return the total force, and moment about its start, that each body requires for its inertia and against gravity."""
-        nothing = Wrench((0.0, 0.0), 0.0)
-        found = dict.fromkeys(self.tree.mechanism.bodies, nothing)
-        for body, inertia in self.machine.inertias.items():
-            found[body] = wrench(inertia.parameters, self.state(body), self.machine.gravity)
-        return found
+        return required_wrench(self, loads=False)  # type: ignore[arg-type]
 
     def acting(self) -> dict[str, list[Acting]]:
         """Return the forces of each load, by the load's name."""
