@@ -169,8 +169,8 @@ class Torque(_Process):
             yield Acting(self.against, moving.state(self.against).start, (0.0, 0.0), -torque)
 
 
-class _Steady:
-    """Base class of loads without jumps."""
+class Steady:
+    """Base class of loads without jumps; they store no energy unless they are springs."""
 
     switching = False
 
@@ -178,9 +178,13 @@ class _Steady:
         """Return None: the load does not jump."""
         return
 
+    def potential(self, moving: Moving) -> Value:
+        """Return zero: the load stores no energy."""
+        return 0.0
+
 
 @dataclass(frozen=True)
-class Spring(_Steady):
+class Spring(Steady):
     """A linear spring and damper between two points: `stiffness` [N/m], `free` length [m], `damping` [N s/m]."""
 
     name: str
@@ -211,7 +215,7 @@ class Spring(_Steady):
 
 
 @dataclass(frozen=True)
-class TorsionSpring(_Steady):
+class TorsionSpring(Steady):
     """A torsion spring and damper between two bodies: `stiffness` [N m/rad], `free` angle [rad], `damping` [N m s/rad].
 
     `middle` [rad]: relative angle of the bodies near the middle of the swing, at most half a revolution from `free`; the
@@ -244,7 +248,7 @@ class TorsionSpring(_Steady):
 
 
 @dataclass(frozen=True)
-class SlideDamper(_Steady):
+class SlideDamper(Steady):
     """Viscous damping in a guide: `damping` [N s/m]."""
 
     name: str
@@ -262,7 +266,3 @@ class SlideDamper(_Steady):
         yield Acting(self.slider, point, (force * x, force * y), 0.0)
         if self.on != FRAME:
             yield Acting(self.on, point, (-force * x, -force * y), 0.0)
-
-    def potential(self, moving: Moving) -> Value:
-        """Return zero: the damper stores no energy."""
-        return 0.0

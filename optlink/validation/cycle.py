@@ -10,13 +10,13 @@ import numpy as np
 
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.inertia import Parameters
-from optlink.dynamics.loads import Acting
+from optlink.dynamics.loads import Acting, Steady
 from optlink.dynamics.machine import Machine, Moving, slider_names
 from optlink.dynamics.work import NODES, WEIGHTS, Work, gauss_points
 from optlink.linkage.extrema import extremes, maxima
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.stroke import Travel, reachable, travels
-from optlink.linkage.vector2d import TURN, Array, Value, turn
+from optlink.linkage.vector2d import TURN, Array, turn
 from optlink.problem.cycle.model import Bound, CycleProblem
 from optlink.problem.cycle.quantities import guide_of
 from optlink.problem.cycle.terms import Term, output_of
@@ -35,10 +35,8 @@ BALANCE = 1e-9  # relative difference permitted between the work of the drive an
 FINER = 3  # times that the steps of its quadrature are halved
 
 
-class _Weight:
+class _Weight(Steady):
     """Gravity on a body as a separate load, which remains if its inertia is removed."""
-
-    switching = False
 
     def __init__(self, body: str, parameters: Parameters, gravity: tuple[float, float]) -> None:
         self.name, self.body, self.parameters, self.gravity = f"weight of {body}", body, parameters, gravity
@@ -49,14 +47,6 @@ class _Weight:
         x, y = turn((along, across), state.axis)
         force = mass * self.gravity[0] + 0.0 * state.alpha, mass * self.gravity[1] + 0.0 * state.alpha
         yield Acting(self.body, state.start, force, x * self.gravity[1] - y * self.gravity[0])
-
-    def reversing(self, moving: Moving) -> None:
-        """Return None: the weight never jumps."""
-        return
-
-    def potential(self, moving: Moving) -> Value:
-        """Return 0: the potential is not used here."""
-        return 0.0
 
 
 def without_masses(machine: Machine) -> Machine:
@@ -153,18 +143,14 @@ class Cycle:
 
     def _work(self, term: Term) -> float:
         sense = math.copysign(TURN, self.speed)
+        whole, back = float(self.work(np.array([sense]))[0]), min(sense, 0.0)
         if term.of is None:
-            return float(self.work(np.array([sense]))[0])
+            return whole
         travel = self._travels[1][str(guide_of(str(term.of), self.mechanism))]
         begin, end = (travel.low_at, travel.high_at) if term.stroke == "forward" else (travel.high_at, travel.low_at)
-        if self.speed < 0.0:
-            begin, end = begin % TURN - TURN, end % TURN - TURN
-            whole = float(self.work(np.array([-TURN]))[0])
-            one = float(np.diff(self.work(np.array([begin, end])))[0])
-            return one if end <= begin else one + whole
-        begin, end = begin % TURN, end % TURN
-        whole, one = float(self.work(np.array([TURN]))[0]), float(np.diff(self.work(np.array([begin, end])))[0])
-        return one if end >= begin else one + whole
+        begin, end = begin % TURN + back, end % TURN + back
+        one = float(np.diff(self.work(np.array([begin, end])))[0])
+        return one if (end - begin) * sense >= 0.0 else one + whole
 
     def history(self, term: Term) -> tuple[Machine, Callable[[MotionColumns], Array]]:
         """Return the machine of a cyclic term, and a function that reads the term from a record."""
