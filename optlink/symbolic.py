@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import itertools
+import math
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -159,11 +160,13 @@ class _Block(BufferedFunction):
         self.size = size
 
     def evaluate(self, given: Array, out: Array) -> None:
-        """Write the values at some positions, at most `size`, to `out`; both arrays have a column for each position."""
-        count = given.shape[1]
-        self._given[:, :count] = given
-        self._evaluate()
-        out[:] = self._found[:, :count]
+        """Write the values at some positions to `out`; both arrays have a column for each position."""
+        for begin in range(0, given.shape[1], self.size):
+            own = given[:, begin : begin + self.size]
+            count = own.shape[1]
+            self._given[:, :count] = own
+            self._evaluate()
+            out[:, begin : begin + count] = self._found[:, :count]
 
 
 class NumpyEvaluator:
@@ -187,19 +190,19 @@ class NumpyEvaluator:
         -------
         array (outputs, rows, ...)
         """
-        arrays = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in inputs))
-        shape = arrays[0].shape
-        arrays = [np.atleast_1d(x) for x in arrays]
-        count, width = len(arrays[0]), int(np.prod(shape[1:]))
-        out = np.empty((self.outputs, count * width))
+        arrays = [np.asarray(x, dtype=float) for x in inputs]
+        shape = np.broadcast_shapes(*{x.shape for x in arrays})
+        first, *others = shape or (1,)
+        width = math.prod(others)
+        out = np.empty((self.outputs, first * width))
         rows = max(1, PORTION // max(1, width))
         with self._one_thread:
-            block = self._block(count * width)
-            for first in range(0, count, rows):
-                given = np.array([x[first : first + rows] for x in arrays]).reshape(len(arrays), -1)
-                for begin in range(0, given.shape[1], block.size):
-                    part = slice(begin, min(begin + block.size, given.shape[1]))
-                    block.evaluate(given[:, part], out[:, first * width + part.start : first * width + part.stop])
+            block = self._block(first * width)
+            for row in range(0, first, rows):
+                given = np.empty((len(arrays), min(rows, first - row), *others))
+                for own, x in zip(given, arrays, strict=True):
+                    own[...] = x[row : row + rows] if x.ndim == own.ndim and len(x) > 1 else x
+                block.evaluate(given.reshape(len(arrays), -1), out[:, row * width : (row + rows) * width])
         return out.reshape(self.outputs, *shape)
 
     def _block(self, count: int) -> _Block:
