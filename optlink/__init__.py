@@ -1,4 +1,4 @@
-"""optlink: state a planar linkage and what it must do; get a design that is optimal, verified and explained.
+"""optlink: describe a planar linkage and its requirements; get a design that is optimised, verified and explained.
 
 >>> import optlink
 >>> problem = optlink.load("crank-rocker")

@@ -37,7 +37,7 @@ NO_OUTPUT = (errno.EPIPE, errno.ENOSPC, errno.EIO, errno.EFBIG)
 
 app = App(
     name="optlink",
-    help="State a planar linkage and what it must do; get a design that is optimal, verified and explained.",
+    help="Describe a planar linkage and its requirements; get a design that is optimised, verified and explained.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},

@@ -48,7 +48,7 @@ WORKERS = (
     "Processes that share a long search or proof (not the proof of a largest error, which uses one); if given, also a short "
     "search. Default: all cores."
 )
-GAP = "--certify: share of the objective by which a better design may be missed. Default: 1e-6."
+GAP = "--certify: largest gap between design and lower bound, as a share of the objective. Default: 1e-6."
 CERTIFICATE = "Check the proof of the global optimum that solve --certify --out wrote: certificate.json, or its folder."
 
 
@@ -243,7 +243,7 @@ def balance(
     picture: Format = "png",
     out: Out = None,
 ) -> None:
-    """Optimise counterweights and springs: least shaking force, torque or reactions, with proof and shadow prices."""
+    """Optimise counterweights and springs: least shaking force, torque or reactions, with a lower bound and shadow prices."""
     from optlink.tasks.balance import balance as run
 
     file = console.load(problem, changes)

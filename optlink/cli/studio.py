@@ -24,7 +24,7 @@ def studio(
     browser: Annotated[bool, flag("Open the page in the browser.", "--browser/--no-browser")] = True,
     quiet: Quiet = False,
 ) -> None:
-    """Open a page on which the linkage is optimised again while you drag its points, sizes and limits."""
+    """Open an interactive page: drag points, dimensions and limits, and the optimum follows."""
     missing = [name for name in NEEDED if importlib.util.find_spec(name) is None]
     if missing:
         remedy = "Install them: pip install 'optlink[studio]'"

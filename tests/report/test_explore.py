@@ -116,7 +116,7 @@ def test_limits_that_conflict_are_named(rocker):
     rocker.sliders[LIMIT].value = 125.0
     rocker.sliders["mechanism.frame"].value = 250.0
     assert "no feasible design" in rocker.status.value
-    assert "These limits cannot hold together" in rocker.status.value
+    assert "Conflicting limits" in rocker.status.value
 
 
 def test_the_crank_moves_the_drawing(rocker):

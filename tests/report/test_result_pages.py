@@ -335,7 +335,7 @@ def test_limits_that_cannot_hold_together_are_named(tmp_path):
     assert done.exit_code == 1
     text = (tmp_path / "a.html").read_text()
     assert "No counterweights meet all limits" in text
-    assert "These limits cannot hold together" in text
+    assert "Conflicting limits" in text
 
 
 def test_what_matters_stands_on_the_page_of_a_result(results, tmp_path):

@@ -585,7 +585,7 @@ def test_the_command_solves_reports_and_validates(problem, tmp_path):
         (["tolerances={}"], ["a robust design needs tolerances", "[tolerances]"]),
         (["tolerances=1"], ["tolerances", "expected a table"]),
         (["tolerances.couplr=0.1 mm"], ["tolerances.couplr", "unknown dimension", 'Did you mean "coupler"']),
-        (["tolerances.coupler=-0.1 mm"], ["tolerances.coupler", "above zero"]),
+        (["tolerances.coupler=-0.1 mm"], ["tolerances.coupler", "must be positive"]),
         (["tolerances.coupler=0.1 deg"], ["tolerances.coupler", "not a unit of length"]),
         (["tolerances.coupler=0.1"], ["tolerances.coupler"]),
         (["tolerances.coupler=0.1 mm gaussian"], ["unknown distribution"]),

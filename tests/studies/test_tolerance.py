@@ -507,13 +507,13 @@ def test_the_command_writes_everything(tmp_path):
         (["--tolerance", "coupler"], ["expected NAME=TOLERANCE"]),
         (["--tolerance", "coupler=0.1"], ["needs a unit"]),
         (["--tolerance", "coupler=0.1 kg"], ["not a unit of length"]),
-        (["--tolerance", "coupler=0 mm"], ["above zero"]),
-        (["--tolerance", "coupler=-1 mm"], ["above zero"]),
+        (["--tolerance", "coupler=0 mm"], ["must be positive"]),
+        (["--tolerance", "coupler=-1 mm"], ["must be positive"]),
         (["--tolerance", "coupler=0.1 mm unifrm"], ["unknown distribution", '"uniform"']),
         (["--tolerance", "coupler=nowhere.csv"], ["no such file"]),
         (["--tolerance", "coupler=1 m"], ["more than half of the dimension"]),
         (["--tolerance", "coupler=1 mm", "--quantity", "rocker", "--angles", "0, 60"], ["--angles", "is not a unit"]),
-        (["--tolerance", "coupler=1 mm", "--quantity", "rocker", "--angles", "0..9"], ["--angles", "no range"]),
+        (["--tolerance", "coupler=1 mm", "--quantity", "rocker", "--angles", "0..9"], ["--angles", "not a range"]),
         (["--tolerance", "frame=1 mm", "--tolerance", "D.x=1 mm"], ["given twice"]),
         (["--tolerance", "C.clearence=0.1 mm"], ["unknown dimension", "C.clearance"]),
         (["--tolerance", "coupler=1 mm", "--quantity", "roker"], ["unknown output", '"rocker"']),
@@ -542,7 +542,7 @@ def test_bad_input_is_told(arguments, words):
 
 
 def test_a_limit_that_no_design_keeps_is_told(problem):
-    with pytest.raises(InputError, match=r"not even as drawn: the least largest error that was found is 1\.51"):
+    with pytest.raises(InputError, match=r"even without tolerances: the smallest largest error found is 1\.51"):
         tolerance(problem, ["coupler=1 mm"], limit="1 deg", robust="margin")
     with pytest.raises(InputError, match="a margin needs a limit"):
         tolerance(problem, ["coupler=1 mm"], robust="margin")

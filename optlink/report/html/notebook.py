@@ -110,7 +110,7 @@ def _svg(figure: Figure) -> str:
 
 PAUSE = 0.15  # s without a change of a slider before anything is computed
 NOTCHES = 20_000  # steps of a slider: its front end rounds to them, so that they are finer than what is shown
-SHOWN = ("These limits", "Objective", "Working and return")  # tables of the current design
+SHOWN = ("Conflicting limits", "Objective", "Working and return")  # tables of the current design
 QUICK = ("function",)  # kinds of problems that are optimised again in about a tenth of a second
 STYLE = "<style>.optlink-bad,.optlink-figures .bad{color:#b3261e}.optlink-figures .good{color:#1e7b34}</style>"
 

@@ -138,7 +138,7 @@ def verdict(subject: ReportModel | StoredStudy) -> str:
         beside = f"; {comparison}" if comparison else ""
         return (f"Valid, {fit.text}" if fit is not None and fit.grade == "poor" else "Valid: every check passed") + beside
     if subject.result.status is Status.INFEASIBLE:
-        return "No feasible design"
+        return "No feasible design found"
     failed = _failed(subject)
     return f"Not valid: {failed}" if failed else f"Not valid: {subject.result.status.value}"
 

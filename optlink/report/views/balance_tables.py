@@ -129,7 +129,7 @@ def _conflict(outcome: Balance) -> TableSpec:
         together = "unchanged" if kept else f"{item.together:.6g} {item.unit} ({off:+.4g})"
         rows.append((item.name, f"{item.sense} {item.bound:.6g} {item.unit}", alone, together))
     columns = ["limit", "limit value", "feasible if relaxed alone", "together"]
-    return table("These limits cannot hold together", columns, rows)
+    return table("Conflicting limits", columns, rows)
 
 
 def _trade(trade: TradeOff) -> TableSpec:

@@ -294,7 +294,7 @@ def sweep(found: Sweep) -> str:
     value = figure(float(found.best[name]), unit.replace("2", "²"))
     text = f"The objective is least, {value}, at {joined(where)}; {found.valid:,} of {total:,} points have a verified design."
     active = str(found.best.get("active", ""))
-    return text + (f" What limits the best: {active}." if active else "")
+    return text + (f" Active limits of the best: {active}." if active else "")
 
 
 def pareto(found: Pareto) -> str:

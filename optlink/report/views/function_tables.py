@@ -118,7 +118,7 @@ def search_verdict(status: Status, word: str, positive: bool, certificate: Certi
         Without a closed one an optimum is a local one.
     """
     if status is Status.INFEASIBLE:
-        return [bad("no feasible design")]
+        return [bad("no feasible design" if certificate is not None and certificate.closed else "no feasible design found")]
     ended = "given design" if status is Status.NOT_SEARCHED else status.value
     if status is Status.OPTIMAL and (certificate is None or not certificate.proven):
         ended = "locally optimal"

@@ -117,7 +117,7 @@ def _objective(design: PathDesign) -> TableSpec:
     rows: list[Row] = [(measure(task), objective, displayed_objective_unit(design), quiet(remark))]
     least = math.degrees(design.least_transmission)
     if math.isfinite(least):
-        remark = "from 0 or 180 deg, at its worst " + ("of the revolution" if design.crank_turns else "between the points")
+        remark = "least distance from 0 or 180 deg " + ("over the revolution" if design.crank_turns else "between the points")
         rows.append(("transmission angle", fixed(least, 2), "deg", quiet(remark)))
     return table("Objective", "<><<", rows)
 

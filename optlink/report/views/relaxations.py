@@ -35,7 +35,7 @@ def conflict(limits: Sequence[Relaxation], together: Sequence[Relaxation]) -> Ta
     if any(not math.isfinite(one.amount) for one in limits):
         rows += [(_name(one), _limit(one), f"together: {_relaxed(one) or 'dropped'}") for one in _ranges(together)]
     columns = ["limit", "limit value", "feasible if relaxed alone"]
-    return table("These limits cannot hold together", columns, rows, sections=[alone])
+    return table("Conflicting limits", columns, rows, sections=[alone])
 
 
 def contradiction(conflict: Sequence[Relaxation], together: Sequence[Relaxation]) -> str:
@@ -57,7 +57,7 @@ def contradiction(conflict: Sequence[Relaxation], together: Sequence[Relaxation]
         remedy = f"relax together {joined(shared[:3])}" if shared else "drop one of them"
     names = joined([_name(one) for one in limits][:4])
     subject = f"the limits {names} conflict" if len(limits) > 1 else f"the limit {names} cannot be met"
-    return f"No design meets all limits: {subject}. To make it feasible, {remedy}."
+    return f"No design was found that meets all limits: {subject}. To make it feasible, {remedy}."
 
 
 def _ranges(items: Sequence[Relaxation]) -> list[tuple[Relaxation, ...]]:

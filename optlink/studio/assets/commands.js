@@ -57,7 +57,7 @@ const KEYS = [
 ];
 $("keys-text").append(
   el("dl", {}, ...KEYS.flatMap(([key, text]) => [el("dt", { text: key }), el("dd", { text })])),
-  el("p", { text: "A circle is a handle: with a dot it is a fixed size, with two arrows it moves along a line, on an arc it is an angle. A red bar shows where feasibility ends. A dashed linkage is not verified; it is checked on release." })
+  el("p", { text: "A circle is a handle: with a dot it is a fixed dimension, with two arrows it moves along a line, on an arc it is an angle. A red bar shows where feasibility ends. A dashed linkage is not verified; it is checked on release." })
 );
 $("help").addEventListener("click", () => $("keys").showModal());
 

@@ -7,7 +7,7 @@ const VERDICTS = {
   verified: ["✓", "Verified", "good"],
   "not verified": ["○", "Not verified", "open"],
   "not valid": ["✗", "Not valid", "bad"],
-  infeasible: ["✗", "No feasible design", "bad"],
+  infeasible: ["✗", "No feasible design found", "bad"],
   failed: ["✗", "No solution", "bad"],
 };
 
@@ -227,7 +227,7 @@ export class Panel {
       parent.append(el("h2", { text: "Requirement and limits" }), el("div", { class: "list" }));
     }
     const sizes = handles.filter((one) => one.size).length;
-    setText(parent.firstChild, sizes === handles.length ? "Sizes" : sizes ? "Sizes, requirement and limits" : "Requirement and limits");
+    setText(parent.firstChild, sizes === handles.length ? "Sizes" : sizes ? "Dimensions, requirement and limits" : "Requirement and limits");
     keyed(parent.lastChild, handles, (one) => `${one.id} ${one.kind}`, (one) => this.slider(one), (node, one) => this.fillSlider(node, one));
   }
 
