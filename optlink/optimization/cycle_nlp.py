@@ -79,12 +79,19 @@ class CycleNLP(NLP):
         count = len(self.free)
         return {v.name: v.origin + float(y) * v.size for v, y in zip(self.variables[:count], x[:count], strict=True)}
 
-    def x_of(self, values: Mapping[str, float]) -> Array:
-        """Return x for values of the design variables [SI], with the corresponding events and largest values."""
+    def x_of(self, values: Mapping[str, float], *, bounded: bool = True) -> Array:
+        """Return x for values of the design variables [SI], with the corresponding events and largest values.
+
+        Parameters
+        ----------
+        values : mapping of str to float [SI]
+        bounded : bool
+            Whether values beyond a bound are moved to it.
+        """
         count = len(self.free)
         x = self.x_start.copy()
         x[:count] = [(values[v.name] - v.origin) / v.size for v in self.variables[:count]]
-        return self.lifted(np.clip(x, self.x_low, self.x_high))
+        return self.lifted(np.clip(x, self.x_low, self.x_high) if bounded else x)
 
     def lifted(self, x: Array) -> Array:
         """Return the same design with its own events (if they match the structure) and largest values."""

@@ -322,8 +322,8 @@ class TracedCycle:
         upon the angle that is opposite to the middle in the trace.
         """
         own = self.problem.machine(values, self.slow)
-        middles = [[getattr(load, "middle", 0.0) for load in machine.loads] for machine in (self.base, own)]
-        moved = np.subtract(*middles)
+        middles = np.array([[getattr(load, "middle", 0.0) for load in machine.loads] for machine in (self.base, own)])
+        moved = middles[0] - middles[1]
         moving = own.moving(np.linspace(0.0, TURN, GRID, endpoint=False), self.speed)
         return all(
             abs(moved[k]) <= 0.25 * TURN and np.allclose(one.torque, other.torque, rtol=1e-9)
