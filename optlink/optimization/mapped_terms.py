@@ -104,9 +104,15 @@ class MappedTerms:
     def programme(self) -> dict[str, Any]:
         """The programme for casadi.nlpsol."""
         x, p, given = self._given
-        z = self._everywhere.values(*given).T
-        f, g = casadi.Function("rows", [self.x, self.p, self.z], [self.f, self.g])(x, p, z)
+        z = self._everywhere.values.call(given, True, False)[0].T
+        f, g = (self._evaluated([part], z)[0] for part in (self.f, self.g))
         return {"x": x, "p": p, "f": f, "g": g}
+
+    def _evaluated(self, expressions: list[Any], z: Any) -> list[Any]:
+        """Evaluate expressions at values of z; what does not depend on z is computed without it."""
+        symbols, given = [self.x, self.p, self.z], [*self._given[:2], z]
+        count = 3 if any(casadi.which_depends(casadi.vertcat(*map(casadi.vec, expressions)), casadi.vec(self.z), 1, False)) else 2
+        return list(casadi.Function("terms", symbols[:count], expressions).call(given[:count]))
 
     @cached_property
     def _rates(self) -> Any:
@@ -130,12 +136,10 @@ class MappedTerms:
         return z, by_x, f, gradient, casadi.densify(g), casadi.project(g_x + casadi.mtimes(g_z, by_x), depends)
 
     def _parts(self, expression: Any, z: Any) -> list[Any]:
-        """Return an expression and its derivatives by x and by z; what does not depend on z is computed without it."""
-        x, p, _ = self._given
-        by_z = casadi.jacobian(expression, casadi.vec(self.z))
-        parts = [expression, casadi.jacobian(expression, self.x), by_z]
-        symbols, values = ([self.x, self.p, self.z], [x, p, z]) if by_z.nnz() else ([self.x, self.p], [x, p])
-        return list(casadi.Function("parts", symbols, parts).call(values))
+        """Return an expression and its derivatives by x and by z."""
+        return self._evaluated(
+            [expression, casadi.jacobian(expression, self.x), casadi.jacobian(expression, casadi.vec(self.z))], z
+        )
 
     @cached_property
     def values(self) -> CompiledFunction:

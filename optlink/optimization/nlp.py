@@ -6,7 +6,7 @@ The formulas are those of `linkage`, `objectives` and `constraints`, traced once
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -98,7 +98,8 @@ class NLP:
     position_symbol: Any = None  # crank rotation from the start, tabulated output: a position of the requirement
     position_expression: Any = None  # the residuals there, of which `residual_expression` has those of every position
     exchange_rows: tuple[int, int] = (0, 0)  # index of the first row of the exchange points, number of rows per position
-    mapped: MappedTerms | None = field(default=None, compare=False)  # the same programme, differentiated faster
+    cycle: bool = False  # of a machine cycle: the values at each position are many, and differentiated there
+    mapped: MappedTerms | None = field(default=None, compare=False)  # the same programme by vectors of positions
     cache: dict[str, Any] = field(default_factory=dict, compare=False)  # functions compiled for this NLP by back ends
 
     def __getstate__(self) -> dict[str, Any]:
@@ -140,12 +141,19 @@ class NLP:
     def _values(self) -> CompiledFunction:
         return CompiledFunction([self.x_symbol, self.p_symbol], [self.f_expression, self.g_expression])
 
+    @property
+    def programme(self) -> dict[str, Any]:
+        """The programme for casadi.nlpsol: x, p, f and g."""
+        if self.mapped is not None:
+            return self.mapped.programme
+        return {"x": self.x_symbol, "p": self.p_symbol, "f": self.f_expression, "g": self.g_expression}
+
     @cached_property
     def _all(self) -> CompiledFunction:
-        if self.mapped is not None:
+        if self.cycle and self.mapped is not None:
             return self.mapped.values
-        x, f, g = self.x_symbol, self.f_expression, self.g_expression
-        return CompiledFunction([x, self.p_symbol], [f, casadi.gradient(f, x), g, casadi.jacobian(g, x)])
+        x, p, f, g = self.programme.values()
+        return CompiledFunction([x, p], [f, casadi.gradient(f, x), g, casadi.jacobian(g, x)])
 
     @cached_property
     def _residuals(self) -> CompiledFunction:
@@ -168,10 +176,9 @@ class NLP:
 
     @cached_property
     def _hessian(self) -> BufferedFunction:
-        if self.mapped is not None:
+        if self.cycle and self.mapped is not None:
             return _symmetric(self.mapped.hessian)
-        parts = {"x": self.x_symbol, "p": self.p_symbol, "f": self.f_expression, "g": self.g_expression}
-        known = casadi.Function("programme", parts, ["x", "p"], ["f", "g"])
+        known = casadi.Function("programme", self.programme, ["x", "p"], ["f", "g"])
         lagrangian = {"gamma": ["f", "g"]}
         return _symmetric(known.factory("hessian", ["x", "p", "lam:f", "lam:g"], ["triu:hess:gamma:x:x"], lagrangian))
 
@@ -285,35 +292,23 @@ SMALLEST_SCALE = 1e-6  # least scale of the objective: for an exact solution, ro
 EXCHANGE_POINTS = 12  # positions that are moved to the maxima of the error
 
 
-def _residuals(
-    problem: DesignProblem,
-    values: dict[str, Any],
-    counted: dict[str, Any],
-    start: StartPosition,
-    offsets: Sequence[Any],
-    exchange: list[Any],
-    position: Any,
-) -> tuple[list[Any], Any]:
-    """Return the residuals at crank rotations from the start, and at a symbolic one: those of `optlink.problem.robust.residuals`.
+def _traced(problem: DesignProblem, values: dict[str, Any], counted: dict[str, Any], start: StartPosition) -> tuple[Any, Any]:
+    """Trace the residuals at one position: those of `optlink.problem.robust.residuals`.
 
-    They are traced once at a symbolic position, then evaluated at the design positions (the cost of numpy's dispatch is paid
-    once).
+    Returns
+    -------
+    Function of (known quantities and crank rotation from the start, tabulated output), and the known quantities
     """
     names = [*values, *counted]
-    inputs = casadi.SX.sym("inputs", len(names) + 6)
+    inputs, tabulated = casadi.SX.sym("inputs", len(names) + 5), casadi.SX.sym("tabulated")
     given = {name: inputs[i] for i, name in enumerate(names)}
-    at = StartPosition((inputs[-6], inputs[-5]), inputs[-4], inputs[-3])
-    error, slopes, robust = output_error(problem, given, at, inputs[-2], inputs[-1]), [], problem.requirement.robust
+    at = StartPosition((inputs[-5], inputs[-4]), inputs[-3], inputs[-2])
+    error, slopes, robust = output_error(problem, given, at, inputs[-1], tabulated), [], problem.requirement.robust
     if robust is not None:
-        slopes = ErrorDerivatives(problem).symbolic(given, turn(at.crank, unit(inputs[-2])))
+        slopes = ErrorDerivatives(problem).symbolic(given, turn(at.crank, unit(inputs[-1])))
     deviations = [replace(d, tolerance=given.get(f"tolerances.{d.name}", d.tolerance)) for d in problem.deviations]
-    one = casadi.Function("error", [inputs], [casadi.vertcat(*residuals(robust, deviations, error, slopes))])
-    known = [*values.values(), *counted.values(), *start.crank, start.phi0, start.psi0]
-    fixed = [
-        one(casadi.vertcat(*known, offset, float(tabulated)))
-        for offset, tabulated in zip(offsets, problem.law.tabulated, strict=True)
-    ]
-    return fixed + [one(casadi.vertcat(*known, offset, 0.0)) for offset in exchange], one(casadi.vertcat(*known, position))
+    one = casadi.Function("error", [inputs, tabulated], [casadi.vertcat(*residuals(robust, deviations, error, slopes))])
+    return one, casadi.vertcat(*values.values(), *counted.values(), *start.crank, start.phi0, start.psi0)
 
 
 def boxed(quantity: Quantity, variable: Variable) -> tuple[float, float, float]:
@@ -371,7 +366,9 @@ def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
         offsets = problem.law.offsets.tolist()
         if spanned:
             offsets = [span * (offset / problem.span) for offset in offsets]
-        columns, anywhere = _residuals(problem, values, tolerances, start, offsets, exchange, position)
+        one, known = _traced(problem, values, tolerances, start)
+        z = casadi.SX.sym("z", one.numel_out(0), len(offsets) + many)
+        columns = casadi.horzsplit(z)
         rows = limit_rows(problem, values, Reach(start.phi0, span, problem.sense), size)
         if minimax:
             labels = [f"error {math.degrees(offset):.4g} deg from the start" for offset in problem.law.offsets]
@@ -380,9 +377,12 @@ def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
             for label, column in zip(labels, columns, strict=True):
                 rows.append(ConstraintRow(EPIGRAPH, f"positive {label}", (x[-1] - column[0]) / p[0], 0.0, math.inf, DEGREES))
                 rows.append(ConstraintRow(EPIGRAPH, f"negative {label}", (x[-1] + column[-1]) / p[0], 0.0, math.inf, DEGREES))
-        vector = casadi.vertcat(*columns)
-        f = x[-1] if minimax else casadi.sumsqr(vector) / (len(columns) if measure.name == "rms" else 1)
+        f = x[-1] if minimax else casadi.sumsqr(z) / (len(columns) if measure.name == "rms" else 1)
         g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
+        angles = casadi.SX(casadi.horzcat(*offsets, *exchange))
+        senses = casadi.SX(casadi.horzcat(*problem.law.tabulated.tolist(), *[0.0] * many))
+        mapped = MappedTerms(x, p, one, known, len(free), angles, senses, z, f / p[0], g)
+        f, g, vector = mapped.expanded([mapped.f, g, casadi.vec(z)])
 
     def scaled(name: str) -> Variable:
         return Variable(name, sizes[name], Scale("mm", 1e3 * size) if name in LENGTHS else DEGREES)
@@ -400,7 +400,7 @@ def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
     return NLP(
         variables=tuple(variables),
         fixed=fixed,
-        rows=tuple(rows),
+        rows=tuple(replace(row, value=g[k]) for k, row in enumerate(rows)),
         measure=measure,
         x_start=at,
         x_low=low,
@@ -408,10 +408,11 @@ def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
         p=np.array([1.0, *values_fixed, *np.zeros(many)]),
         x_symbol=x,
         p_symbol=p,
-        f_expression=f / p[0],
+        f_expression=f,
         g_expression=g,
         residual_expression=vector,
         constants=tuple(constants),
         position_symbol=position,
-        position_expression=anywhere,
+        position_expression=one(casadi.vertcat(known, position[0]), position[1]),
+        mapped=mapped,
     )

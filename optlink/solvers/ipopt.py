@@ -77,10 +77,8 @@ class _Recorder(casadi.Callback):
 
 
 def _solver(nlp: NLP, extra: dict[str, Any]) -> Any:
-    if nlp.mapped is not None:
-        return casadi.nlpsol("ipopt", "ipopt", nlp.mapped.programme, {**OPTIONS, **CYCLE, **nlp.mapped.options, **extra})
-    programme = {"x": nlp.x_symbol, "p": nlp.p_symbol, "f": nlp.f_expression, "g": nlp.g_expression}
-    return casadi.nlpsol("ipopt", "ipopt", programme, {**OPTIONS, **extra})
+    own = {**CYCLE, **nlp.mapped.options} if nlp.cycle and nlp.mapped is not None else {}
+    return casadi.nlpsol("ipopt", "ipopt", nlp.programme, {**OPTIONS, **own, **extra})
 
 
 def compiled(nlp: NLP, tight: bool = False, close: bool = False) -> Any:

@@ -14,7 +14,7 @@ from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP, SMALLEST_SCALE
 from optlink.solvers.contract import SOLVERS, backend
 from optlink.solvers.feasibility import repair
-from optlink.solvers.newton import polish
+from optlink.solvers.newton import refined
 from optlink.solvers.solution import FEASIBLE, Attempt, Solution, verified_solution, violation
 
 SAME_OBJECTIVE = 1e-6  # relative
@@ -142,10 +142,13 @@ def conclude(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
         Parameters of the NLP.
     """
     x = nlp.lifted(attempt.x)
-    if FEASIBLE < violation(nlp, x, nlp.values(x, p)[1]) <= NEARLY:
+    point = nlp.at(x, p)
+    if FEASIBLE < violation(nlp, x, point.g) <= NEARLY:
         mended = repair(nlp, x, p, inside=0.0)
-        x = x if mended is None else mended
-    return verified_solution(nlp, polish(nlp, replace(attempt, x=x), p), p)
+        if mended is not None:
+            x, point = mended, nlp.at(mended, p)
+    end = refined(nlp, x, p, point)
+    return verified_solution(nlp, replace(attempt, x=end.x), p, end.point, end.conditions)
 
 
 def starts(nlp: NLP, count: int, seed: int) -> list[Array]:

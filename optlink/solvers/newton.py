@@ -7,13 +7,14 @@ error, which makes two back ends comparable to 1e-6 mm and the multipliers exact
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP, NLPValues
-from optlink.solvers.solution import FEASIBLE, Attempt, stationarity, violation
+from optlink.solvers.solution import FEASIBLE, Attempt, Stationarity, stationarity, violation
 
 NEAR = 1e-4  # a limit this close (scaled units), with a multiplier of the right sign, counts as active
 MAX_STEPS = 6
@@ -21,11 +22,20 @@ TRIES = 3  # active sets: a limit violated at the end is added to the next set
 LONGEST_STEP = 1e-2  # a longer step is rejected: it leaves the neighbourhood of the optimum
 CONVERGED = 1e-10
 ROUNDING = 1e-14
+SHORTEST_STEP = 1e-9  # after a step this short the error is its square: rounding
 NOISE = 1e-14  # share of the largest second derivative: rounding error of the gradient
 
 
+class Refined(NamedTuple):
+    """A point (n,), the NLP there, and its optimality conditions if the point has moved."""
+
+    x: Array
+    point: NLPValues
+    conditions: Stationarity | None = None
+
+
 def polish(nlp: NLP, attempt: Attempt, p: Array, near: float = NEAR) -> Attempt:
-    """Refine an attempt by Newton's method; return it unchanged if it does not improve.
+    """Refine an attempt by Newton's method; see `refined`.
 
     Parameters
     ----------
@@ -36,30 +46,48 @@ def polish(nlp: NLP, attempt: Attempt, p: Array, near: float = NEAR) -> Attempt:
     near : float
         Distance at which a limit counts as active, scaled.
     """
-    x = attempt.x
-    begin = nlp.at(x, p)
+    return replace(attempt, x=refined(nlp, attempt.x, p, nlp.at(attempt.x, p), near).x)
+
+
+def refined(nlp: NLP, x: Array, p: Array, begin: NLPValues, near: float = NEAR) -> Refined:
+    """Refine a point by Newton's method; return it unchanged if it does not improve.
+
+    Parameters
+    ----------
+    nlp : NLP
+    x : array (n,)
+        Scaled point.
+    p : array
+        Parameters of the NLP.
+    begin : NLPValues
+        The NLP at x.
+    near : float
+        Distance at which a limit counts as active, scaled.
+    """
+    same = Refined(x, begin)
     if not begin.finite:
-        return attempt
+        return same
     conditions = stationarity(nlp, x, begin, near)
     allowed = max(FEASIBLE, violation(nlp, x, begin.g))
     active = np.array(conditions.active, dtype=int)
     for _ in range(TRIES):
-        found = _refined(nlp, x, p, begin, active, conditions.multipliers.copy())
+        found = _converged(nlp, x, p, begin, active, conditions.multipliers.copy())
         if found is None:
-            return attempt
+            return same
         y, here, threshold = found
         values = np.concatenate([y, here.g])
         missed = np.flatnonzero(np.maximum(nlp.lower - values, values - nlp.upper) > allowed)
         if not missed.size:
-            worse = stationarity(nlp, y, here).kkt > max(conditions.kkt, threshold) or here.f > begin.f + 1e-3 * abs(begin.f)
-            return attempt if worse else replace(attempt, x=y)
+            end = stationarity(nlp, y, here)
+            worse = end.kkt > max(conditions.kkt, threshold) or here.f > begin.f + 1e-3 * abs(begin.f)
+            return same if worse else Refined(y, here, end)
         if np.any(np.isin(missed, active)):
-            return attempt
+            return same
         active = np.sort(np.concatenate([active, missed]))
-    return attempt
+    return same
 
 
-def _refined(
+def _converged(
     nlp: NLP, x: Array, p: Array, begin: NLPValues, active: NDArray[np.intp], multipliers: Array
 ) -> tuple[Array, NLPValues, float] | None:
     """Return the best Newton iterate of an active set, its values, and the residual tolerance; None without convergence."""
@@ -68,7 +96,7 @@ def _refined(
     values = np.concatenate([x, begin.g])
     bound = np.where(nlp.upper - values <= values - nlp.lower, nlp.upper, nlp.lower)[active]
     unit = np.eye(n)
-    y, last, stiffness, worse, best = x, np.inf, 0.0, 0, (x, begin)
+    y, last, stiffness, worse, best, moved = x, np.inf, 0.0, 0, (x, begin), np.inf
     for _ in range(MAX_STEPS):
         jacobian = np.vstack([unit, here.jacobian])[active]
         missing = np.concatenate([y, here.g])[active] - bound
@@ -79,7 +107,7 @@ def _refined(
             break
         if worse == 0:
             last, best = size, (y, here)
-        if size <= ROUNDING:
+        if size <= ROUNDING or (moved <= SHORTEST_STEP and last <= CONVERGED):
             break
         weights = np.zeros(len(here.g))
         weights[rows] = multipliers[rows + n]
@@ -88,6 +116,7 @@ def _refined(
         step = newton(hessian, jacobian, residual)
         if step is None:
             break
+        moved = float(np.max(np.abs(step[:n])))
         y = np.clip(y + step[:n], nlp.x_low, nlp.x_high)
         multipliers[active] += step[n:]
         here = nlp.at(y, p)

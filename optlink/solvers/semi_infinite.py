@@ -274,6 +274,7 @@ def with_places(nlp: NLP, slots: int, heights: Mapping[int, Any]) -> NLP:
         f_expression=f,
         g_expression=casadi.vertcat(g, slope),
         residual_expression=residual,
+        cycle=nlp.cycle,
         mapped=None if nlp.mapped is None else nlp.mapped.substituted(x, moved, slope),
         exact=nlp.exact,
         factor=nlp.factor,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import fmin_slsqp
@@ -17,19 +16,8 @@ from optlink.solvers.solution import Attempt
 UNDEFINED = 1e20
 
 
-class _Seen(NamedTuple):
-    """The NLP at one x in SLSQP's form: f, c_eq = 0, c_in >= 0, everything finite."""
-
-    f: float
-    gradient: Array
-    equal: Array
-    equal_jacobian: Array
-    inside: Array
-    inside_jacobian: Array
-
-
 class _View:
-    """Adapter of the NLP for SLSQP that evaluates each x once."""
+    """The NLP in SLSQP's form (f, c = 0, c >= 0), which evaluates each x once."""
 
     def __init__(self, nlp: NLP, x: Array, p: Array) -> None:
         self.nlp, self.p = nlp, p
@@ -39,11 +27,11 @@ class _View:
         low, high = nlp.low, nlp.high
         below = np.flatnonzero(np.isfinite(low) & (low != high))
         above = np.flatnonzero(np.isfinite(high) & (low != high))
-        self.equal = np.flatnonzero(low == high)
-        self.inside = np.concatenate([below, above])
-        self.target = low[self.equal]
-        self.sign = np.concatenate([np.ones(below.size), -np.ones(above.size)])
-        self.bound = np.concatenate([low[below], -high[above]])
+        self.equalities = np.flatnonzero(low == high)
+        self.inequalities = np.concatenate([below, above])
+        self.target = low[self.equalities]
+        self.sign: Array = np.concatenate([np.ones(below.size), -np.ones(above.size)])
+        self.bound: Array = np.concatenate([low[below], -high[above]])
         self.signed = self.sign[:, None] * self.size
         self.weight, point = 1.0, nlp.at(x, p)
         if point.finite:  # SLSQP starts from a unit Hessian: scaling by the largest true curvature keeps its first step short
@@ -51,32 +39,50 @@ class _View:
             bend = float(np.max(np.abs(np.linalg.eigvalsh(hessian)))) if np.all(np.isfinite(hessian)) else math.nan
             self.weight = 1.0 / bend if math.isfinite(bend) and bend > 0.0 else 1.0
         self.slope = self.size * self.weight
-        y = x / self.size
-        self.key, self.seen = y.tobytes(), self._look(point)
+        self.key, self.point = (x / self.size).tobytes(), _defined(point)
 
-    def at(self, y: Array) -> _Seen:
-        """Evaluate the NLP at x = size * y, with derivatives with respect to y."""
+    def at(self, y: Array) -> NLPValues:
+        """Evaluate the NLP at x = size * y, everything finite."""
         key = y.tobytes()
         if key != self.key:
-            self.key, self.seen = key, self._look(self.nlp.at(y * self.size, self.p))
-        return self.seen
+            self.key, self.point = key, _defined(self.nlp.at(y * self.size, self.p))
+        return self.point
 
-    def _look(self, point: NLPValues) -> _Seen:
-        if not point.finite:
-            point = NLPValues(
-                point.f if math.isfinite(point.f) else UNDEFINED,
-                np.nan_to_num(point.gradient),
-                np.nan_to_num(point.g, nan=-UNDEFINED, posinf=UNDEFINED, neginf=-UNDEFINED),
-                np.nan_to_num(point.jacobian),
-            )
-        return _Seen(
-            point.f * self.weight,
-            point.gradient * self.slope,
-            point.g.take(self.equal) - self.target,
-            point.jacobian.take(self.equal, axis=0) * self.size,
-            self.sign * point.g.take(self.inside) - self.bound,
-            self.signed * point.jacobian.take(self.inside, axis=0),
-        )
+    def f(self, y: Array) -> float:
+        """Objective."""
+        return self.at(y).f * self.weight
+
+    def gradient(self, y: Array) -> Array:
+        """Its derivatives with respect to y."""
+        return self.at(y).gradient * self.slope
+
+    def equal(self, y: Array) -> Array:
+        """Rows that must vanish."""
+        return self.at(y).g.take(self.equalities) - self.target
+
+    def equal_jacobian(self, y: Array) -> Array:
+        """Their derivatives with respect to y."""
+        return self.at(y).jacobian.take(self.equalities, axis=0) * self.size
+
+    def inside(self, y: Array) -> Array:
+        """Rows that must not be negative."""
+        return self.sign * self.at(y).g.take(self.inequalities) - self.bound
+
+    def inside_jacobian(self, y: Array) -> Array:
+        """Their derivatives with respect to y."""
+        return self.signed * self.at(y).jacobian.take(self.inequalities, axis=0)
+
+
+def _defined(point: NLPValues) -> NLPValues:
+    """Replace undefined values by very large ones."""
+    if point.finite:
+        return point
+    return NLPValues(
+        point.f if math.isfinite(point.f) else UNDEFINED,
+        np.nan_to_num(point.gradient),
+        np.nan_to_num(point.g, nan=-UNDEFINED, posinf=UNDEFINED, neginf=-UNDEFINED),
+        np.nan_to_num(point.jacobian),
+    )
 
 
 def slsqp(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = False) -> Attempt:
@@ -98,13 +104,13 @@ def slsqp(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = Fa
     path = [x.copy()]
     low, high = nlp.x_low / view.size, nlp.x_high / view.size
     found, _, count, _, message = fmin_slsqp(  # as `minimize` with less overhead
-        lambda y: view.at(y).f,
+        view.f,
         x / view.size,
-        fprime=lambda y: view.at(y).gradient,
-        f_eqcons=(lambda y: view.at(y).equal) if view.equal.size else None,
-        fprime_eqcons=lambda y: view.at(y).equal_jacobian,
-        f_ieqcons=(lambda y: view.at(y).inside) if view.inside.size else None,
-        fprime_ieqcons=lambda y: view.at(y).inside_jacobian,
+        fprime=view.gradient,
+        f_eqcons=view.equal if view.equalities.size else None,
+        fprime_eqcons=view.equal_jacobian,
+        f_ieqcons=view.inside if view.inequalities.size else None,
+        fprime_ieqcons=view.inside_jacobian,
         bounds=list(zip(low.tolist(), high.tolist(), strict=True)),
         callback=(lambda y: path.append(np.array(y) * view.size)) if track else None,
         acc=(1e-16 if tight else 1e-11) * min(1.0, view.weight),

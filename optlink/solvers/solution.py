@@ -169,10 +169,12 @@ def violation(nlp: NLP, x: Array, g: Array) -> float:
         Rows at x.
     """
     values = np.concatenate([x, g])
-    return float(np.max([nlp.lower - values, values - nlp.upper, 0.0 * values])) if np.all(np.isfinite(g)) else math.inf
+    return float(np.max(np.maximum(nlp.lower - values, values - nlp.upper), initial=0.0)) if np.all(np.isfinite(g)) else math.inf
 
 
-def verified_solution(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
+def verified_solution(
+    nlp: NLP, attempt: Attempt, p: Array, point: NLPValues | None = None, conditions: Stationarity | None = None
+) -> Solution:
     """Turn an attempt into a Solution by recomputing everything from the NLP at its x.
 
     Parameters
@@ -181,19 +183,25 @@ def verified_solution(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
     attempt : Attempt
     p : array
         Parameters of the NLP.
+    point : NLPValues, optional
+        The NLP at x, if it was evaluated before.
+    conditions : Stationarity, optional
+        The conditions at x, if they were computed before.
     """
     x = attempt.x
-    point = nlp.at(x, p)
+    point = point or nlp.at(x, p)
+    finite = point.finite
     residuals = nlp.residuals(x)
     worst = violation(nlp, x, point.g)
-    conditions = Stationarity(np.zeros(len(x) + len(point.g)), [], math.inf)
-    if point.finite:
-        conditions = stationarity(nlp, x, point)
-    if not point.finite and not math.isfinite(point.f):
+    if conditions is None:
+        conditions = Stationarity(np.zeros(len(x) + len(point.g)), [], math.inf)
+        if finite:
+            conditions = stationarity(nlp, x, point)
+    if not finite and not math.isfinite(point.f):
         status = Status.NON_FINITE
     elif worst > FEASIBLE:
         status = Status.INFEASIBLE
-    elif not point.finite:
+    elif not finite:
         status = Status.NON_FINITE
     else:
         status = Status.OPTIMAL if _optimal(nlp, x, p, point, conditions, residuals) else Status.STALLED
@@ -234,10 +242,10 @@ def stationarity(nlp: NLP, x: Array, point: NLPValues, within: float = ACTIVE) -
     """
     values = np.concatenate([x, point.g])
     low, high = nlp.lower, nlp.upper
-    jacobian = np.vstack([np.eye(len(x)), point.jacobian])
-    sign = np.where(high - values <= within, 1.0, 0.0) - np.where(values - low <= within, 1.0, 0.0)
+    jacobian = np.concatenate([np.eye(len(x)), point.jacobian])
+    sign = (high - values <= within) * 1.0 - (values - low <= within)
     equal = low == high
-    active = [int(i) for i in np.flatnonzero((sign != 0.0) | equal)]
+    active = np.flatnonzero((sign != 0.0) | equal).tolist()
     found: Array = np.zeros(0)
     while active:
         found = np.asarray(np.linalg.lstsq(jacobian[active].T, -point.gradient, rcond=None)[0], dtype=float)

@@ -154,7 +154,7 @@ class CycleProgramme:
         task = self.trace.problem
         start = {name: task.quantities[name].value for name in task.free}
         # solved many times: derivatives of the whole cycle take longer to build and half as long to evaluate
-        programme = replace(build_cycle(self.trace, self.structure, start), mapped=None)
+        programme = replace(build_cycle(self.trace, self.structure, start), cycle=False, mapped=None)
         multistart.prepare(programme, self.backend)
         programme.lifted(programme.x_start)
         return programme
