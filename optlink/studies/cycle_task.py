@@ -153,8 +153,7 @@ class CycleProgramme:
         assert self.structure is not None
         task = self.trace.problem
         start = {name: task.quantities[name].value for name in task.free}
-        # solved many times: derivatives of the whole cycle take longer to build and half as long to evaluate
-        programme = replace(build_cycle(self.trace, self.structure, start), cycle=False, mapped=None)
+        programme = build_cycle(self.trace, self.structure, start)
         multistart.prepare(programme, self.backend)
         programme.lifted(programme.x_start)
         return programme

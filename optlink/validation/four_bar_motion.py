@@ -46,9 +46,10 @@ class _Joints:
 class _Survey:
     """Figures of the motions, arrays (..., designs).
 
-    `least`, `largest`, `mean`: measured lengths of crank, coupler and rocker [m]; `heights`: extremes of the height of C above
-    B-D [m]; `fastest`, `longest`: of C, see `FourBarMotion`; `angle`, `cosine`: the position of the least and of the largest
-    cosine of the transmission angle among all, and its value; `nodes`, `samples`: positions about these, and the values there.
+    `least`, `largest`: measured lengths of crank, coupler and rocker [m]; `mean`: the mean of both; `heights`: extremes of the
+    height of C above B-D [m]; `fastest`, `longest`: of C, see `FourBarMotion`; `angle`, `cosine`: the position of the least and
+    of the largest cosine of the transmission angle among all, and its value; `nodes`, `samples`: positions about these, and the
+    values there.
     """
 
     least: Array
@@ -118,32 +119,40 @@ class FourBarMotion:
         """Return the figures of a block of designs."""
         with np.errstate(all="ignore"):
             squares = dot(joints.diagonal, joints.diagonal)
-            lengths = [np.sqrt(dot(way, way)) for way in (joints.arm, joints.coupler, joints.rocker)]
-            height = cross(joints.diagonal, joints.coupler) / np.sqrt(squares)
-            speed = np.abs(joints.rate) * lengths[2]
-            mean = np.array([np.mean(length, axis=1) for length in lengths])
-            cosine = included_cosine(mean[1, :, None], mean[2, :, None], squares)
-            longest = np.max(sum(np.square(x[:, 1:] - x[:, :-1]) for x in joints.c), axis=1)
+            lengths = [dot(way, way) for way in (joints.arm, joints.coupler, joints.rocker)]  # squared: fewer roots
+            across = cross(joints.coupler, joints.rocker)  # equal to that of B-D and the coupler
+            height = across / np.sqrt(squares)
+            speed = np.square(cross(joints.arm, joints.coupler) / across) * lengths[2]
+            least, largest = (np.sqrt([extreme(length, axis=1) for length in lengths]) for extreme in (np.min, np.max))
+            mean = 0.5 * (least + largest)
+            x, y = joints.c
+            step = x[:, 1:] - x[:, :-1], y[:, 1:] - y[:, :-1]
+            longest = np.max(dot(step, step), axis=1)
             if self.closed:
-                longest = np.maximum(longest, sum(np.square(x[:, 0] - x[:, -1]) for x in joints.c))
-        angle, value, nodes, samples = self._extremes_of_samples(cosine, part)
+                last = x[:, 0] - x[:, -1], y[:, 0] - y[:, -1]
+                longest = np.maximum(longest, dot(last, last))
+            angle, nodes, *samples = self._extremes_of_samples(squares, part)
+            cosine, cosines = (included_cosine(mean[1], mean[2], square) for square in samples)
         return _Survey(
-            least=np.array([np.min(length, axis=1) for length in lengths]),
-            largest=np.array([np.max(length, axis=1) for length in lengths]),
+            least=least,
+            largest=largest,
             mean=mean,
             heights=np.array([np.min(height, axis=1), np.max(height, axis=1)]),
-            fastest=np.max(speed, axis=1),
+            fastest=np.sqrt(np.max(speed, axis=1)),
             longest=np.sqrt(longest),
             angle=angle,
-            cosine=value,
+            cosine=cosine,
             nodes=nodes,
-            samples=samples,
+            samples=cosines,
         )
 
     def _extremes_of_samples(self, values: Array, part: slice) -> tuple[Array, Array, Array, Array]:
-        """Return angle and value (2, designs) of the least and of the largest sample, and those about it (points, 2, designs)."""
+        """Return angle and value (2, designs) of the largest and of the least sample, and those about it (points, 2, designs).
+
+        In the order: angle, angles about it, value, values about it.
+        """
         count = self.period or self.positions
-        best = np.array([np.argmin(values[:, :count], axis=1), np.argmax(values[:, :count], axis=1)])
+        best = np.array([np.argmax(values[:, :count], axis=1), np.argmin(values[:, :count], axis=1)])
         row, around = np.arange(values.shape[0]), np.arange(POINTS)[:, None, None] - POINTS // 2
         angles = self.angles if self.angles.ndim == 1 else self.angles[part]
         angle = angles[best] if angles.ndim == 1 else angles[row, best]
@@ -154,7 +163,7 @@ class FourBarMotion:
             samples = (
                 values[row, np.minimum(best + around, count - 1)] if count >= POINTS else np.full((POINTS, *best.shape), np.nan)
             )
-        return angle, values[row, best], angle + around * self.width, samples
+        return angle, angle + around * self.width, values[row, best], samples
 
     # --- figures by design ---------------------------------------------------------------------------------------------------
 

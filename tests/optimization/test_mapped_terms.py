@@ -1,4 +1,4 @@
-"""Derivatives by the chain rule over the positions of a cycle against those of the whole expression."""
+"""Programmes of vectors of positions against the same programmes of scalars."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 import optlink
 from optlink.optimization.cycle_nlp import build_cycle
 from optlink.optimization.cycle_signals import TracedCycle
-from optlink.optimization.nlp import NLP
+from optlink.optimization.nlp import NLP, build
 from optlink.solvers.semi_infinite import with_following_peaks
 from optlink.tasks.results.cycle import task_of
 
@@ -48,3 +48,22 @@ def test_derivatives_are_those_of_the_whole_expression(machine: str) -> None:
     same_derivatives(copy)
     if machine == "peaks":
         same_derivatives(with_following_peaks(copy, ((1, 0), (4, 2))))
+
+
+@pytest.mark.parametrize("name", ["crank-rocker", "function-exp", "crank-rocker-robust"])
+def test_a_law_by_vectors_is_that_by_scalars(name: str) -> None:
+    nlp = build(optlink.load(name).spec)
+    nlp.set_exchange_points(np.linspace(0.1, 0.9, nlp.exchange_count))
+    same_derivatives(nlp)
+    copy = pickle.loads(pickle.dumps(nlp))
+    assert copy.mapped is not None
+    same_derivatives(copy)
+
+
+def test_a_point_without_a_value_has_none_by_vectors_either() -> None:
+    nlp = build(optlink.load("crank-rocker").spec)
+    x = np.array([0.3, 0.3])  # too short to close the loop
+    one, other = nlp.at(x, nlp.p), replace(nlp, mapped=None, cache={}).at(x, nlp.p)
+    assert not one.finite
+    np.testing.assert_array_equal(np.isfinite(one.f), np.isfinite(other.f))
+    np.testing.assert_allclose(one.g, other.g, rtol=1e-14)

@@ -7,11 +7,12 @@ import pytest
 
 import optlink
 from optlink.errors import Status
+from optlink.optimization.nlp import build
 from optlink.optimization.path_nlp import build_path_nlp
 from optlink.solvers import multistart
 from optlink.solvers.ipopt import compiled
 from optlink.solvers.multistart import LEAST_VIOLATION, solve_from
-from optlink.solvers.solution import Attempt
+from optlink.solvers.solution import Attempt, stationarity
 
 
 @pytest.mark.parametrize(
@@ -61,3 +62,16 @@ def test_the_hessian_taken_from_ipopt_is_that_of_the_programme() -> None:
     assert np.max(np.abs(expected - expected.T)) == 0.0
     assert taken.hessian(x, taken.p, multipliers) == pytest.approx(expected, rel=1e-9, abs=1e-9)
     assert "_hessian" in vars(taken)
+
+
+@pytest.mark.parametrize("name", ["slsqp", "ipopt"])
+def test_the_conditions_of_an_optimum_are_those_of_its_design(name: str) -> None:
+    """Refinement computes them; they are not computed again."""
+    nlp = build(optlink.load("crank-rocker").spec)
+    found = solve_from(nlp, nlp.x_start, name)
+    point = nlp.at(found.x, found.p)
+    own = stationarity(nlp, found.x, point)
+    assert found.conditions.active == own.active
+    assert found.kkt == own.kkt <= 1e-12
+    np.testing.assert_array_equal(found.conditions.multipliers, own.multipliers)
+    np.testing.assert_array_equal(found.g, point.g)
