@@ -24,6 +24,7 @@ from optlink.io import LOCK, folder, locked, read_object, whole, write_json
 ABOUT, TABLE, CHUNKS = "study.json", "sweep.csv", "chunks"
 SPREAD = 1000  # chunks per folder
 SUM = "crc32 "  # prefix of the last line of a chunk, the check sum of the others
+DOCUMENT_SUM, TABLE_SUM = "crc32", "table_crc32"  # keys of the check sums of a document, and of the table in the definition
 
 Rows = Iterator[list[str]]
 Progress = Callable[[int, int], None]
@@ -53,7 +54,7 @@ class Store:
             raise _nothing(path)
         self._made = not path.exists()
         self.path, self.chunks = folder(path), path / CHUNKS
-        self.count = 0
+        self.count, self.about = 0, about
         self.sizes: Callable[[int], int] = int
         try:
             with contextlib.ExitStack() as taken:
@@ -79,6 +80,7 @@ class Store:
     def _begin(self, about: dict[str, Any], resume: bool) -> None:
         """Check that the folder holds this study or none; write the definition."""
         path, known = self.path, self._known()
+        self._sum = None if known is None else known.pop(TABLE_SUM, None)
         if known is None and resume and all(one.name == LOCK for one in path.iterdir()):
             raise _nothing(path)
         if known is None and self.table.exists():
@@ -145,8 +147,10 @@ class Store:
     # --- documents ----------------------------------------------------------------------------------------------------------
 
     def document(self, name: str) -> dict[str, Any]:
-        """Return a document of the study; empty if there is none that can be read."""
-        return read_object(self.path / name) or {}
+        """Return a document of the study; empty if there is none, or if it was changed."""
+        found = read_object(self.path / name) or {}
+        mark = found.pop(DOCUMENT_SUM, None)
+        return found if mark == _check_sum(json.dumps(found).encode()) else {}
 
     def keep(self, name: str, document: Mapping[str, Any]) -> None:
         """Write a document of the study.
@@ -158,7 +162,8 @@ class Store:
         document : mapping
             JSON compatible.
         """
-        write_json(self.path / name, dict(document))
+        own = {} if name == ABOUT else {DOCUMENT_SUM: _check_sum(json.dumps(document).encode())}
+        write_json(self.path / name, {**document, **own})
         self._mine.append(self.path / name)
 
     def withdraw(self) -> None:
@@ -198,7 +203,7 @@ class Store:
         except (OSError, ValueError):
             return None
         lines, mark, found = text.rpartition(SUM)
-        whole = mark and found == f"{zlib.crc32(lines.encode()):08x}\n" and lines.count("\n") == self.sizes(index)
+        whole = mark and found == f"{_check_sum(lines.encode())}\n" and lines.count("\n") == self.sizes(index)
         return lines if whole else None
 
     def write(self, index: int, text: str) -> None:
@@ -214,7 +219,7 @@ class Store:
         path = self._file(index)
         self._folder(path.parent)
         with whole(path) as temporary:
-            temporary.write_text(f"{text}{SUM}{zlib.crc32(text.encode()):08x}\n", encoding="utf-8")
+            temporary.write_text(f"{text}{SUM}{_check_sum(text.encode())}\n", encoding="utf-8")
         self._mine.append(path)
 
     def fill(
@@ -281,6 +286,8 @@ class Store:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(columns)
             writer.writerows(rows)
+        self._sum = _sum_of(self.table)
+        self.keep(ABOUT, {**self.about, TABLE_SUM: self._sum})
         self.drop()
 
     def drop(self) -> None:
@@ -296,18 +303,32 @@ class Store:
             If the table was changed.
         """
         number, expected = 0, sum(map(self.sizes, range(self.count)))
+        changed = self._sum not in (None, _sum_of(self.table))
         with self.table.open(encoding="utf-8", newline="", errors="replace") as file:
-            rows: Iterable[list[str]] = csv.reader(file)
+            rows: Iterable[list[str]] = () if changed else csv.reader(file)
             for number, row in enumerate(rows):
                 if len(row) != len(columns) or (number == 0 and row != columns):
                     break
                 if number:
                     yield row
             else:
-                if number == expected:
+                if number == expected and not changed:
                     return
         remedy = "Remove the folder and start again, or choose another one"
         raise InputError("the finished table has been changed or truncated", remedy, str(self.table), "--out")
+
+
+def _check_sum(data: bytes, begin: int = 0) -> str:
+    return f"{zlib.crc32(data, begin):08x}"
+
+
+def _sum_of(path: Path) -> str:
+    """Return the check sum of a file."""
+    found = "0"
+    with path.open("rb") as file:
+        while part := file.read(1 << 20):
+            found = _check_sum(part, int(found, 16))
+    return found
 
 
 def _nothing(path: Path) -> InputError:

@@ -171,7 +171,7 @@ BAD = {
         ({"quantity": "work", "of": "ram", "max": "1 J"}, "limits.x.stroke", "forward"),
         ({"quantity": "length", "of": "coupler", "max": "1 m"}, "limits.x.of", "coupler.length"),
         ({"quantity": "stroke", "of": "ram", "min": "3 mm", "max": "2 mm"}, "limits.x.min", "above"),
-        ({"quantity": "stroke", "of": "ram", "min": "3 mm", "exactly": "4 mm"}, "limits.x.exactly", "no room"),
+        ({"quantity": "stroke", "of": "ram", "min": "3 mm", "exactly": "4 mm"}, "limits.x.exactly", "given together"),
     ],
     "objective": [
         ({}, "objective.quantity", "torque"),

@@ -445,7 +445,7 @@ def test_ends_are_kept_and_not_searched_again(press, tmp_path, monkeypatch):
         with pytest.raises(KeyboardInterrupt):
             pareto(press, words, tmp_path / "run", points=5, workers=1)
     kept = json.loads((tmp_path / "run" / ENDS).read_text(encoding="utf-8"))
-    assert list(kept) == ["least rod.length", "best least transmission angle at E"]
+    assert list(kept) == ["least rod.length", "best least transmission angle at E", "crc32"]
     calls[0] = 3
 
     def fails_never(*arguments, **options):
@@ -466,12 +466,16 @@ def test_ends_are_kept_and_not_searched_again(press, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_ends_that_cannot_be_read_are_searched_again(press, tmp_path):
+@pytest.mark.parametrize(
+    "damage", [lambda text: "\x00{", lambda text: text.replace("1", "2", 1), lambda text: text.replace("0.", "null,", 1)]
+)
+def test_ends_that_cannot_be_read_or_were_changed_are_searched_again(press, tmp_path, damage):
     words = f"rod.length, {LEAST}"
     first = pareto(press, words, tmp_path, points=3, workers=1)
-    (tmp_path / ENDS).write_bytes(b"\xff{")
+    text = (tmp_path / ENDS).read_text(encoding="utf-8")
+    (tmp_path / ENDS).write_text(damage(text), encoding="utf-8")
     assert pareto(press, words, tmp_path, points=3, workers=1, resume=True).points == first.points
-    assert len(json.loads((tmp_path / ENDS).read_text(encoding="utf-8"))) == 4
+    assert (tmp_path / ENDS).read_text(encoding="utf-8") == text
 
 
 def test_a_front_without_an_end_leaves_nothing_behind(press, tmp_path):

@@ -374,7 +374,17 @@ def test_a_finished_run_tells_the_same_again(tmp_path):
     assert (again.valid, again.searched, again.changed, again.best) == (61, first.searched, 1, first.best)
 
 
-@pytest.mark.parametrize("damage", [lambda b: b[:-40], lambda b: b + b"1,2\n", lambda b: b.replace(b",", b";", 1), lambda b: b""])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda b: b[:-40],
+        lambda b: b + b"1,2\n",
+        lambda b: b.replace(b",", b";", 1),
+        lambda b: b"",
+        lambda b: b.replace(b".", b".x", 1),
+        lambda b: b.replace(b".", b".1", 1),
+    ],
+)
 def test_a_finished_table_that_was_changed_is_not_believed(tmp_path, damage):
     sweep(problem(), [f"{FRAME}:3"], tmp_path, workers=1)
     table = tmp_path / "sweep.csv"
