@@ -109,7 +109,7 @@ def test_outputs_are_those_of_the_commands():
 def test_every_status_is_explained():
     page = (DOCS / "reading-a-result.md").read_text(encoding="utf-8")
     for status in Status:
-        word = {Status.NOT_SEARCHED: "given design", Status.INFEASIBLE: "no feasible design"}.get(status, status.value)
+        word = {Status.NOT_SEARCHED: "given design", Status.INFEASIBLE: "no feasible design found"}.get(status, status.value)
         assert f"| `{word}` |" in page, word
 
 
