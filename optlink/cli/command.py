@@ -50,7 +50,7 @@ class Command(TyperCommand):
             raise
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command, and report what goes wrong."""
+        """Run the command, and report errors."""
         with reported(bool(ctx.params.get("as_json"))):
             return super().invoke(ctx)
 

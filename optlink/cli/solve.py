@@ -109,7 +109,7 @@ def solve(
 
 
 def _automatic(file: ProblemFile) -> bool:
-    """Return whether the optimum of a problem is certified without being asked for; see `optlink.tasks.certify.automatic`."""
+    """Return whether the optimum of a problem is certified by default; see `optlink.tasks.certify.automatic`."""
     from optlink.tasks.run import design_task
 
     if not design_task(file).certified:

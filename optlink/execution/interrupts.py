@@ -63,7 +63,7 @@ def check() -> None:
 
 
 def handled() -> None:
-    """State that the interrupt arrived: what is complete is being kept, and only a second Ctrl-C may disturb that."""
+    """Report the interrupt: complete results are being saved; only a second Ctrl-C stops that."""
     global _handled  # noqa: PLW0603
     _handled = _pressed
 

@@ -78,7 +78,7 @@ def run_chunk(task: ChunkTask, index: int) -> ChunkResult:
 
 
 def built(build: Callable[..., T], stated: bytes) -> T:
-    """Return what tasks share that follow one another in this process; it is built once.
+    """Return the data shared by consecutive tasks of this process; it is built once.
 
     Parameters
     ----------

@@ -114,7 +114,7 @@ class ConstraintRow:
 
 
 Term = Callable[[AnyProblem, Mapping[str, Value], Reach, float], Iterator[ConstraintRow]]
-"""(problem, values, crank angles asked for, reference length [m]) -> rows"""
+"""(problem, values, requested crank angles, reference length [m]) -> rows"""
 
 
 SAME = 1e-12  # cosines that differ by rounding alone

@@ -212,7 +212,7 @@ def check_length(values: Sequence[Any] | NDArray[Any], count: int, key: str) -> 
 
 
 def absent() -> Any:
-    """Return the default of a key that is left out where there is nothing to tell."""
+    """Return the default of a key that is left out if it has no value."""
     return Field(None, exclude_if=lambda value: value is None)
 
 

@@ -48,7 +48,7 @@ class View:
     page : function of (record, problem, path)
         Returns the page of a result that is shown as stored.
     schema : str
-        `schema` of the JSON document of a kind from outside the package, whose result files `report` shall read.
+        `schema` of the JSON document of a kind from outside the package, whose result files `report` reads.
     stored : function of (document, problem)
         Returns the result of such a document, a dictionary, and its problem; raises `Contradiction` if they do not fit.
     """

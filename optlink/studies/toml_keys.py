@@ -71,7 +71,7 @@ class Knob:
 
 
 def knobs(problem: ProblemFile) -> tuple[Knob, ...]:
-    """Return the numbers of a problem that can be changed by hand: design variables, fixed dimensions and limits."""
+    """Return the adjustable numbers of a problem: design variables, fixed dimensions and limits."""
     return (*_variables(problem), *_dimensions(problem), *_limits(problem))
 
 

@@ -1,4 +1,4 @@
-"""The design on the page: as the optimiser left it while a hand moves, or as the ordinary tasks find and validate it."""
+"""The design on the page: the optimum that follows a drag, or the validated result of the ordinary tasks."""
 
 from __future__ import annotations
 
@@ -200,7 +200,7 @@ def failure(error: OptlinkError, status: str = "failed") -> dict[str, Any]:
 
 
 def sentence(error: OptlinkError) -> str:
-    """Return what is wrong with a value that a hand has chosen, without its place in the file."""
+    """Return the fault of a value set on the page, without its place in the file."""
     if not isinstance(error, InputError):
         return str(error)
     fault = error.faults[0]

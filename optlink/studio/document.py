@@ -243,7 +243,7 @@ def rewritten(text: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
     ----------
     text : str
     old, new : mapping
-        Nested tables of the text, and those that it shall have, in the standard spelling.
+        Nested tables of the text, and the target tables, in the standard spelling.
     """
     target = dict(new)
     try:

@@ -1,4 +1,4 @@
-"""What leaves the page: drawings, tables and the report of the present design, and links that hold the problem."""
+"""Exports of the studio: drawings, tables and the report of the present design, and links that contain the problem."""
 
 from __future__ import annotations
 

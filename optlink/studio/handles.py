@@ -1,4 +1,4 @@
-"""Handles: the numbers of a problem file that a hand can drag, and where they lie on the drawing [mm, deg]."""
+"""Handles: the numbers of a problem file that can be dragged, and their positions on the drawing [mm, deg]."""
 
 from __future__ import annotations
 

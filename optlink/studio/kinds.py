@@ -1,4 +1,4 @@
-"""What the studio needs to know of each kind of problem: one entry of `KINDS` per kind."""
+"""Properties of each kind of problem in the studio: one entry of `KINDS` per kind."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class Kind:
         yield from ()
 
     def follower(self, problem: ProblemFile, values: Mapping[str, float], way: int) -> Follower | None:
-        """Return a follower of a problem; None if designs are only carried along while a hand moves.
+        """Return a follower of a problem; None if designs are not optimised during a drag.
 
         Parameters
         ----------
@@ -216,7 +216,7 @@ def kind_of(problem: ProblemFile) -> Kind:
 
 
 def structure(problem: ProblemFile) -> Any:
-    """Return what a programme of a problem depends on beyond its parameters and bounds; equal for problems that can share one."""
+    """Return the data that determine the structure of a programme; equal for problems that can share one."""
     model, raw = problem.model, problem.raw
     limits = {key: repr(value) if key in WORDS else _without_numbers(value) for key, value in (raw.get("limits") or {}).items()}
     parts: list[Any] = [problem.task, tuple(model.quantities), tuple(model.free), limits, raw["mechanism"].get("assembly")]

@@ -401,7 +401,7 @@ def warm() -> None:
 
 
 def warm_drawing() -> None:
-    """Import and run once what a drawn curve and a path would otherwise wait for, while the server is idle."""
+    """Import and run in advance, while the server is idle, the code for drawn curves and paths."""
     from optlink.studio.curve import CurveSearch, drawn
 
     CurveSearch(drawn([[50.0, 0.0], [-20.0, 40.0], [-30.0, -40.0]], closed=True), WARM).run(lambda done: None)

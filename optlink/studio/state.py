@@ -27,7 +27,7 @@ DIGITS = 6
 
 
 def targets(problem: ProblemFile, design: Design) -> dict[str, Any]:
-    """Return the points, poses or curve that a design shall reach [mm, deg].
+    """Return the target points, poses or curve of a design [mm, deg].
 
     Parameters
     ----------

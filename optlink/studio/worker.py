@@ -84,7 +84,7 @@ class Interrupts:
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
-        """Let a stop wait: what is sent must be whole."""
+        """Delay a stop until the message is sent completely."""
         before, self._open = self._open, False
         yield
         self._open = before

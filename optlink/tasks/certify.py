@@ -48,7 +48,7 @@ BUDGET = 2_000  # boxes of a certificate that is made by default; they take abou
 
 
 def automatic(problem: ProblemFile) -> bool:
-    """Return whether the optimum of a problem is certified without being asked for."""
+    """Return whether the optimum of a problem is certified by default."""
     return isinstance(problem.model, DesignProblem) and certified_by_default(problem.model)
 
 

@@ -44,7 +44,7 @@ NEARBY = 2.0  # times the best objective, up to which an optimum at the design p
 
 
 def certified_by_default(problem: DesignProblem) -> bool:
-    """Return whether the optimum is certified without being asked for: that of a motion law of few design variables."""
+    """Return whether the optimum is certified by default: that of a motion law of few design variables."""
     return problem.requirement.robust is None and 0 < len(problem.free) <= CERTIFIED
 
 

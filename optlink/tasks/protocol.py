@@ -1,4 +1,4 @@
-"""What a kind of design problem registers, `DesignTask`, and what all searches share: checked options, stages, progress."""
+"""`DesignTask`, which each kind of design problem registers, and common parts of searches: checked options, stages, progress."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What a machine does over its cycle: quantities, and objective and limits in them."""
+"""Quantities of a machine cycle, and objective and limits in them."""

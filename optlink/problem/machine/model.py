@@ -66,7 +66,7 @@ Fact = Annotated[str, Field(max_length=200)]
 
 
 class ReportSection(Section):
-    """What the head of a report page says about the part; none of it affects the result."""
+    """Head of a report page: data of the part, without effect on the result."""
 
     title: Fact = ""
     """Title of the page; default: that of the problem."""

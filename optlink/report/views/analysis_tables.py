@@ -160,7 +160,7 @@ def stroke_table(named: Mapping[str, Travel], speed: float, acting: tuple[Stroke
             begin, end, rotation = (f"{math.degrees(angle):z.3f}" for angle in (stroke.begin, stroke.end, stroke.rotation))
             rows.append((name, stroke.name, f"{begin} to {end}", rotation, stroke.pace, use))
     first = Column(unbroken=all(len(name) <= LONGEST for name in named))
-    columns: list[str | Column] = [first, "stroke", ">crank range deg", ">turns deg", "pace", "use"]
+    columns: list[str | Column] = [first, "stroke", ">crank range deg", ">rotation deg", "pace", "use"]
     if not any(row[-1] for row in rows):
         columns, rows = columns[:-1], [row[:-1] for row in rows]
     return table("Working and return strokes", columns, rows, unbroken=True) if rows else None

@@ -152,7 +152,7 @@ def _limiting(limits: Iterable[LimitState]) -> str:
     bound = f"{first.sense} {figure(first.bound, first.unit)}".strip()
     others = len(active) - 1
     more = f"; {others} more limits are active" if others > 1 else "; one more limit is active" * others
-    return f"Active limits: {first.name} ({bound.replace('<=', '≤').replace('>=', '≥')}){more}."
+    return f"Active limit: {first.name} ({bound.replace('<=', '≤').replace('>=', '≥')}){more}."
 
 
 def _failed(checks: Sequence[Check]) -> str:
@@ -298,7 +298,7 @@ def sweep(found: Sweep) -> str:
 
 
 def pareto(found: Pareto) -> str:
-    """Return the conclusion of a Pareto front: what is traded for what, and the knee."""
+    """Return the conclusion of a Pareto front: ranges of the objectives, and the knee."""
     if not found.points:
         return "No point of the front has a verified design: relax the limits or widen the ranges of the objectives."
     if found.single_point:
@@ -311,7 +311,7 @@ def pareto(found: Pareto) -> str:
     if found.knee is not None:
         at = found.points[found.knee[0]].values
         knee = joined([f"{aim.name} {figure(value, aim.unit)}" for aim, value in zip(found.objectives, at, strict=True)])
-        text += f" The best compromise (knee) is point {found.knee[0] + 1}: {knee}."
+        text += f" The knee of the front is point {found.knee[0] + 1}: {knee}."
     return text if found.complete else f"{text} Not every point is verified."
 
 

@@ -219,7 +219,7 @@ def _picks(found: Pareto, x: Array, y: Array) -> Picks:
         texts += [number(value, 7) for value in point.design.values()]
         rows.append((*texts, point.active or "nothing", point.mark or "–"))
     against = OTHERS.get(found.reference_label, found.reference_label)
-    what = f"point (changes: against {against})" if found.reference else "point"
+    what = f"point (changes relative to {against})" if found.reference else "point"
     return Picks(what, (*names, "active constraints", "mark"), tuple(rows), x, y, _chosen(found) or 0, range(len(rows)))
 
 

@@ -279,7 +279,7 @@ class BranchAndBound:
                 report(self)
 
     def step(self) -> None:
-        """Bound the next batch: the open boxes with the lowest bounds, and divide what is not discarded."""
+        """Bound the next batch, the open boxes with the lowest bounds, and divide the boxes that are not discarded."""
         batch = self._next()
         record = self._bounded(batch)
         self.boxes += len(batch)

@@ -1,4 +1,4 @@
-"""Pareto fronts of two or three objectives by the epsilon-constraint method; every point is a validated optimum.
+"""Pareto fronts of two or three objectives by the epsilon-constraint method; every point is a validated local optimum.
 
 One objective is minimised, each of the others is constrained by a limit that varies from its best value to its value at the
 optimum of the others. Unlike weighted sums, the method finds non-convex parts of a front. Grid, chunks, resuming and engines are

@@ -75,14 +75,14 @@ class Certificate:
     Parameters
     ----------
     status : str
-        "global": no design is better by more than a millionth; "within gap": nor by more than the gap that was asked for;
+        "global": no design is better by more than a millionth; "within gap": nor by more than the requested gap;
         "not closed": stopped before; "infeasible": no design is feasible.
     objective : float
         Of the best known design; infinite if there is none.
     lower_bound : float
         No feasible design has a smaller objective; infinite if there is none.
     asked : float
-        Relative gap that was asked for.
+        Requested relative gap.
     boxes, open_boxes : int
         Boxes bounded, and boxes left.
     unknowns : tuple of str

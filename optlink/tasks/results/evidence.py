@@ -57,7 +57,7 @@ def percent(share: float) -> str:
 
 
 def evidence(counts: Sequence[int]) -> Evidence:
-    """Estimate from the hits of every distinct optimum what a multistart search missed.
+    """Estimate the optima that a multistart search missed from the hits of every distinct optimum.
 
     Both estimates assume independent random starts, and `missed` also that the size of an optimum's region of attraction
     says nothing about its objective. Each is the larger one of two: that of Good and Chao counts the optima found once and
