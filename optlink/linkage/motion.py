@@ -60,7 +60,7 @@ class Motion:
         """Return the angle of a body [rad], continuous along the sweep, and its first and second derivative [rad/s, rad/s^2]."""
         with np.errstate(all="ignore"):
             jet = as_jet(angle(self.pose.direction(body)))
-        return Jet(_continuous(self._full(jet.value)), self._full(jet.rate), self._full(jet.acceleration))
+        return Jet(continuous(self._full(jet.value)), self._full(jet.rate), self._full(jet.acceleration))
 
     def body_rate(self, body: str) -> Array:
         """Return the angular velocity of a body [rad/s]."""
@@ -114,7 +114,7 @@ class Motion:
         return np.stack([self._full(part(as_jet(x))) for x in self.pose.points[point]], axis=-1)
 
 
-def _continuous(angles: Array) -> Array:
+def continuous(angles: Array) -> Array:
     """Unwrap angles along the last axis; NaN stays NaN and the values after a gap stay near those before it."""
     if np.all(np.isfinite(angles)):
         return np.unwrap(angles)

@@ -8,6 +8,7 @@ import numpy as np
 
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.work import Work
+from optlink.linkage.motion import continuous
 from optlink.linkage.vector2d import Array
 from optlink.tasks.results.analysis import Analysis
 
@@ -47,7 +48,7 @@ class CycleCurves:
         self.columns = {name: np.concatenate([record[name] for record in records])[order] for name in records[0].columns}
         for name in self.columns:
             if name.endswith(".angle_rad"):
-                self.columns[name] = _unwrapped(self.columns[name])
+                self.columns[name] = continuous(self.columns[name])
         self.columns["input.work_J"] = Work(machine, self.start, low, high, speed)(self.angles)
         for point, bodies in machine.mechanism.pins.items():
             for name in [point] if len(bodies) == 2 else [f"{point}.{body}" for body in bodies]:
@@ -139,9 +140,3 @@ class CycleCurves:
         """
         rising = slice(None) if self.way > 0.0 else slice(None, None, -1)
         return float(np.interp(crank_angle, self.angles[rising], self.columns[name][rising]))
-
-
-def _unwrapped(angles: Array) -> Array:
-    found, known = np.array(angles), np.isfinite(angles)
-    found[known] = np.unwrap(found[known])
-    return found
