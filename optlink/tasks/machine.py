@@ -16,7 +16,6 @@ from optlink.linkage.alignment import positions_text
 from optlink.linkage.stroke import Ranges, failure
 from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.file import ProblemFile
-from optlink.problem.fixed_design import fixed_design
 from optlink.problem.quantity import input_of
 
 _machines: dict[int, Machine] = {}
@@ -36,7 +35,7 @@ def turning_machine(problem: ProblemFile, design: Mapping[str, float]) -> Machin
     if not all(math.isfinite(value) for value in design.values()):
         return None
     try:
-        machine = machine_of(fixed_design(problem, design))
+        machine = machine_of(problem, {name: design[name] for name in problem.model.mechanism.quantities})
     except InputError:
         return None
     return machine if machine.ranges.full else None
