@@ -35,7 +35,7 @@ NEAR = 2e-3
 """Share of a row that one step of Runge and Kutta goes through without an error that counts."""
 
 DEEPEST = 0.2
-"""Share of the journal's radius: a deeper penetration is no contact any more."""
+"""Share of the journal's radius: a deeper penetration is no longer a contact."""
 
 
 class Impact(NamedTuple):

@@ -115,7 +115,7 @@ def _failure(error: Any) -> BaseException:
     if param is not None:
         key = (param.metavar or param.name.upper()) if param.param_type_name == "argument" else max(param.opts, key=len)
         message, _, better = error.message.rstrip(".").partition(". ")
-        return InputError(message or "it is missing", better or remedy, command, key)
+        return InputError(message or "the argument is missing", better or remedy, command, key)
     possible, option = getattr(error, "possibilities", None), getattr(error, "option_name", None)
     message, _, better = error.message.rstrip(".").partition(". ")
     message = message[:1].lower() + message[1:].removesuffix(f": {option}").replace(f" '{option}'", "")

@@ -148,7 +148,7 @@ def new(
     from optlink.problem.templates import template, templates
 
     if listed or not name:
-        console.refuse({"--out": out, "--force": force}, "a list is not written to a file", "Name a template: new law")
+        console.refuse({"--out": out, "--force": force}, "--list writes no file", "Name a template: new law")
         found = [template(one) for one in templates()]
         if as_json:
             rows = [{"name": one.name, "summary": one.summary, "commands": one.commands} for one in found]

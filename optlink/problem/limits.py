@@ -42,7 +42,7 @@ MOST_ALIGNMENT, MOST_LENGTH_MARGIN = np.radians(45.0), 0.1
 
 _LEAST_ALIGNMENT = where(
     lambda angle: SMALLEST_ALIGNMENT * (1.0 - 1e-9) <= angle <= MOST_ALIGNMENT,
-    "the least angle from alignment lies between 0.1 and 45 deg",
+    "the least angle from alignment must lie between 0.1 and 45 deg",
     'Write "1 deg", the default, or leave it out',
 )
 _LENGTH_MARGIN = where(

@@ -152,7 +152,7 @@ def read_certificate(problem: ProblemFile, path: Path) -> CertificateFile:
         raise InputError("there is no such file", remedy, str(path), "--certificate")
     document = read_document(path)
     if document.get("schema") != SCHEMA:
-        raise InputError("this is no certificate", remedy, str(path), "schema", document.get("schema"))
+        raise InputError("this is not a certificate", remedy, str(path), "schema", document.get("schema"))
     found = read_record(CertificateFile, document, path)
     if found.problem_hash != problem.hash:
         message = f"this is the certificate of another problem, or of this one before it was changed (here {problem.hash})"

@@ -293,7 +293,7 @@ def _sizes(tested: Cycle) -> Iterator[Check]:
             yield bound(name, quantity, tested.design[name], size).of()
     fixed = [name for name, quantity in tested.problem.quantities.items() if not quantity.free]
     worst = max((abs(tested.design[name] - tested.problem.quantities[name].value) for name in fixed), default=0.0)
-    yield Check("all other sizes as given", worst == 0.0, worst, "= 0", "")
+    yield Check("all other dimensions as given", worst == 0.0, worst, "= 0", "")
     motion = sweep(tested.mechanism, tested.design, np.linspace(0.0, TURN, POSITIONS, endpoint=False))
     yield link_lengths(
         motion, lambda link: tested.design[link.length] if isinstance(link.length, str) else link.length, size

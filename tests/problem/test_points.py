@@ -641,7 +641,7 @@ BAD_DRAWINGS = {
     "odd polyline": ('<polyline id="p" points="0 0 1"/>', "path", "cannot be read"),
     "empty polygon": ('<polygon id="p" points=""/>', "path", "cannot be read"),
     "rounded corners": ('<rect id="p" width="3" height="3" rx="1"/>', "path", "rounded corners"),
-    "percent": ('<circle id="p" r="50%"/>', "path", "r is no plain number"),
+    "percent": ('<circle id="p" r="50%"/>', "path", "r is not a plain number"),
     "flat circle": ('<circle id="p"/>', "path", "no length"),
 }
 

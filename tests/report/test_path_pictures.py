@@ -665,7 +665,7 @@ def test_exact_designs_say_so_in_the_table():
 
 def test_bounds_that_hold_are_one_line_and_those_that_fail_one_each():
     text = told(result("path"), 80)
-    assert "9 dimensions within their bounds" in text
+    assert "9 dimensions within bounds" in text
     assert "crank within its bounds" not in text
     count = len(result("path").best.validation.checks)
     assert f"Validation: {count} of {count} checks passed" in text
@@ -673,7 +673,7 @@ def test_bounds_that_hold_are_one_line_and_those_that_fail_one_each():
     text = told(outcome(nearest=long), 80)
     assert "FAIL" in text
     assert "coupler within its bounds" in text
-    assert "8 dimensions within their bounds" in text
+    assert "8 dimensions within bounds" in text
 
 
 @pytest.mark.parametrize(

@@ -248,7 +248,7 @@ def test_conclusions_state_the_main_figures(results):
     assert said["play"].endswith(f"N at {gap}.")
     best = min(told["compared"]["trials"].items(), key=lambda one: np.mean(one[1]["rms"]))[0]
     assert f"The best control is {best}:" in said["compared"]
-    assert f"falls by {100 * told['balance']['reduction']:.4g} %" in said["balance"]
+    assert f"decreases by {100 * told['balance']['reduction']:.4g} %" in said["balance"]
     assert "24 of 24 points" in said["sweep"]
     assert f"point {told['front']['knee']['point'] + 1}:" in said["front"]
 
@@ -447,7 +447,7 @@ def test_a_sweep_needs_its_table(results, tmp_path):
         table[: len(table) // 2]: "cannot read the table|not that of this sweep",
         table.replace("rocker_mm", "rocker_m"): "not that of this sweep",
         "\n".join(table.split("\n")[:-4]): "not that of this sweep",
-        table.replace("0.00", "zero", 1): "holds no number",
+        table.replace("0.00", "zero", 1): "contains no number",
     }.items():
         if text is not None:
             (folder / "sweep.csv").write_text(text)
@@ -648,7 +648,7 @@ def test_a_table_with_numbers_without_measure_is_refused(results, tmp_path):
     cells = lines[1].split(",")
     cells[1] = "1e308"
     (tmp_path / "sweep.csv").write_text("\n".join([lines[0], ",".join(cells), *lines[2:]]))
-    with pytest.raises(InputError, match="holds no number"):
+    with pytest.raises(InputError, match="contains no number"):
         load_stored(str(tmp_path))
 
 

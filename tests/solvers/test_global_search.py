@@ -194,7 +194,7 @@ def test_a_killed_proof_resumes_to_the_same_bound(crank_rocker, tmp_path):
     assert (resumed.lower_bound, resumed.boxes) == (whole.lower_bound, whole.boxes)
     assert [len(cover.test) for cover in resumed.covers] == [len(cover.test) for cover in whole.covers]
     assert not list(tmp_path.iterdir())
-    with pytest.raises(InputError, match="no interrupted proof"):
+    with pytest.raises(InputError, match="no interrupted certificate"):
         certify(result, 1e-3, folder=tmp_path, resume=True)
 
 

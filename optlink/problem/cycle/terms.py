@@ -128,11 +128,13 @@ def check_shape(term: Term) -> None:
     if term.measure is not None and not nature.cyclic:
         raise Unusable(f"{_a(what)} is one figure, it has no measure", "Leave it out", "measure", term.measure)
     if term.measure is None and nature.cyclic and len(nature.measures) > 1 and nature.measures[0] != "peak":
-        raise Unusable(f"which {what}", f'Add measure = "{nature.measures[0]}" or "{nature.measures[1]}"', "measure")
+        raise Unusable(
+            f"the measure of {_a(what)} is missing", f'Add measure = "{nature.measures[0]}" or "{nature.measures[1]}"', "measure"
+        )
     if term.measure is not None and term.measure not in nature.measures:
         raise Unusable(f"not a measure of {_a(what)}", nearest(term.measure, nature.measures), "measure", term.measure)
     if nature.of and term.of is None and what != "work" and not nature.general:
-        raise Unusable(f"of which {nature.of}", 'Add of = "..."', "of")
+        raise Unusable(f"the {nature.of} is missing", 'Add of = "..."', "of")
     if not nature.of and term.of is not None:
         raise Unusable(f"the {what} is that of the whole machine", "Leave it out", "of", term.of)
     if term.on is not None and what != "reaction":
@@ -146,7 +148,7 @@ def check_shape(term: Term) -> None:
     if term.stroke in ("slow", "quick") and what != "time ratio":
         raise Unusable(f"{_a(what)} has its stroke by direction", 'Write "forward" or "backward"', "stroke", term.stroke)
     if (what == "end" or (what == "work" and term.of is not None)) and term.stroke is None:
-        raise Unusable("which stroke", 'Add stroke = "forward" or "backward"', "stroke")
+        raise Unusable("the stroke is missing", 'Add stroke = "forward" or "backward"', "stroke")
 
 
 class Goal(Term):

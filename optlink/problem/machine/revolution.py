@@ -55,8 +55,8 @@ class Revolution:
             if play >= least:
                 at = float(np.degrees(self.moving.motion.crank_angle[assembled][int(np.argmin(spare))]))
                 message = (
-                    f"the clearance lets the mechanism come apart: at a crank angle of {at:z.0f} deg the group of {group.joint} "
-                    f"closes with {least * 1e3:.4g} mm to spare, and its joints have {play * 1e3:.4g} mm of play"
+                    f"the clearance is too large for the mechanism: at a crank angle of {at:z.0f} deg the group of {group.joint} "
+                    f"closes with {least * 1e3:.4g} mm to spare, and its joints have {play * 1e3:.4g} mm of clearance"
                 )
                 raise Unusable(message, "Give a smaller clearance, or other lengths", f"joints.{in_group[0].point}.clearance")
 

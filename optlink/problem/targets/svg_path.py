@@ -309,7 +309,7 @@ def _curves(shape: _Element, name: str) -> list[tuple[_Curve, bool]]:
     def size(key: str) -> float:
         text = shape.attributes.get(key, "0").strip()
         if not re.fullmatch(rf"{_N}(?:px)?", text):
-            raise Unusable(f"its {key} is no plain number", _FLATTEN, "", shortened(text))
+            raise Unusable(f"its {key} is not a plain number", _FLATTEN, "", shortened(text))
         return float(text.removesuffix("px"))
 
     if shape.tag in ("circle", "ellipse"):

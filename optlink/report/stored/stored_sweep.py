@@ -81,7 +81,7 @@ def _check_numbers(path: Path, name: str, texts: list[str]) -> None:
         except ValueError:
             sound = False
         if not sound:
-            raise InputError(f"row {row + 1} of the table holds no number", AGAIN, str(path), name, text)
+            raise InputError(f"row {row + 1} of the table contains no number", AGAIN, str(path), name, text)
 
 
 def _axis(record: AxisRecord, k: int, table: Mapping[str, list[str]]) -> Axis:

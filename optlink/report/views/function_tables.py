@@ -227,7 +227,7 @@ def checks(selected: Sequence[Check], gathered: Sequence[Check] = ()) -> TableSp
         if one not in gathered
     ]
     if gathered:
-        rows.append((good("ok"), f"{len(gathered)} dimensions within their bounds", "all", "", ""))
+        rows.append((good("ok"), f"{len(gathered)} dimensions within bounds", "all", "", ""))
     title = f"Validation: {sum(check.passed for check in selected)} of {len(selected)} checks passed"
     return table(title, ["", "check", ">value", "", "limit"], rows, appendix=True)
 
@@ -340,7 +340,7 @@ ABSENT = {
     "start": "none",
     "mark": "none",
 }
-"""What holds where a key is left out that is no limit."""
+"""Defaults of the keys that are not limits."""
 
 
 def _plain(name: str, value: object) -> str:

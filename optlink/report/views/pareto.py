@@ -62,7 +62,7 @@ def read(record: ParetoRecord, file: ProblemFile, path: Path) -> Pareto:
     ends = tuple(record.ends[name] for name in columns) if record.front else ()
     knee = None if record.knee is None else (record.knee.point, record.knee.distance)
     if any(not 0 <= k < len(record.front) for k in (*ends, *([knee[0]] if knee else []))):
-        raise Contradiction("ends", "an end or the knee is no point of the front")
+        raise Contradiction("ends", "an end or the knee is not a point of the front")
     for k, axis_ in enumerate(record.constrained):
         if not 0 < axis_.values <= grid.MAX_POINTS:
             raise Contradiction(f"constrained[{k}].values", "no front has so many", axis_.values)

@@ -138,7 +138,7 @@ def sweep(result: Sweep) -> Summary:
     """Summarise a parameter sweep."""
     every = " x ".join(f"{len(axis.values):,}" for axis in result.grid.axes)
     counted = points(result.grid.count) + (f" ({every})" if len(result.grid.axes) > 1 else "")
-    conflict = "Which limits conflict where there is no design: `optlink solve` with --set at such a point"
+    conflict = "Conflicting limits at a point without a design: `optlink solve` with --set at that point"
     status = [(f"{counted}, ", verdict(_counted(result), result.complete)), *([conflict] if result.infeasible else [])]
     axes = [
         (axis.key, f"{axis.values[0]:g} ... {axis.values[-1]:g} {axis.unit}".rstrip(), quiet(f"{len(axis.values):,} values"))

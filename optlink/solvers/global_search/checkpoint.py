@@ -93,7 +93,7 @@ class Checkpoint:
                     _restore(search, state, {name: arrays.get(f"{k}.{name}") for name in _NAMES})
                 return {str(name): float(value) for name, value in document["design"].items()}
         except FileNotFoundError:
-            message = "there is no interrupted proof in this folder"
+            message = "there is no interrupted certificate in this folder"
             raise InputError(message, REMEDY, str(self.path.parent), "--resume") from None
         except (OSError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile):
             raise InputError("the checkpoint of the proof is damaged", REMEDY, str(self.path), "--resume") from None

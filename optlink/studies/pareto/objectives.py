@@ -60,7 +60,7 @@ def read_objectives(problem: ProblemFile, objectives: str) -> tuple[ParetoObject
             raise InputError("the same objective twice", "Give each once", problem.file, OPTION, aim.text)
     if problem.task != "cycle" and all(aim.key for aim in aims):
         remedy = f'One objective must be minimised directly: write "{ERROR}, {aims[0].text}"'
-        raise InputError("limits alone are no trade-off", remedy, problem.file, OPTION, objectives)
+        raise InputError("two limits alone do not define a trade-off", remedy, problem.file, OPTION, objectives)
     return aims
 
 
