@@ -1106,7 +1106,7 @@ REFUSED = {
         "not smaller than the bearing",
         "Exchange",
     ),
-    "radii that contradict": ({C + "journal_radius": "9.4 mm"}, C + "clearance", "differ by 0.6 mm", "Take one"),
+    "radii that contradict": ({C + "journal_radius": "9.4 mm"}, C + "clearance", "differ by 0.6 mm", "Remove one"),
     "clearance as large as the bearing": ({C + "clearance": "10 mm"}, C + "clearance", "no journal is left", "Check"),
     "no radius": ({C + "bearing_radius": None}, C + "bearing_radius", "are missing", "bearing_radius"),
     "restitution of zero": ({C + "restitution": 0.0}, C + "restitution", "above 0", "0.9"),
@@ -1130,7 +1130,7 @@ REFUSED = {
     "a mechanism that comes apart": (
         {C + "clearance": "71 mm", C + "bearing_radius": "90 mm"},
         C + "clearance",
-        "come apart: at a crank angle of 90 deg",
+        "too large for the mechanism: at a crank angle of 90 deg",
         "smaller clearance",
     ),
     "friction without clearance": ({"joints.B.friction": 0.1}, "joints.B.friction", "no clearance", "Add clearance"),
@@ -1170,7 +1170,7 @@ NOT_SIMULATED = {
     "rod without mass": ({"bodies.rod": None, "joints.B": NEAR}, {}, "bodies.rod", "no inertia", "mass"),
     "friction in a guide": ({"mechanism.guides.G.friction": 0.1}, {}, "mechanism.guides.G.friction", "together", "or the clear"),
     "no clearance": ({"joints": None, "control": None}, {}, "joints", "no joint of the problem", "clearance"),
-    "control without a servo": ({"drive.servo": None}, {"control": "pid"}, "drive.servo", "follows a command", "servo ="),
+    "control without a servo": ({"drive.servo": None}, {"control": "pid"}, "drive.servo", "needs a servo drive", "servo ="),
     "control of nothing": ({"control": None}, {"control": "inverse"}, "control", "the controlled joint", "[control]"),
     "PID without gains": (
         {"control.proportional": None, "control.integral": None},
