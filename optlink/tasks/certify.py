@@ -19,7 +19,7 @@ from optlink.linkage.vector2d import Array
 from optlink.optimization.box_models import DesignBoxes, box_problem
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
-from optlink.solvers.global_search.branch_and_bound import BATCH, Bounder, BranchAndBound, joint_history
+from optlink.solvers.global_search.branch_and_bound import BATCH, FEW, Bounder, BranchAndBound, joint_history
 from optlink.solvers.global_search.checkpoint import FILE, Checkpoint
 from optlink.solvers.global_search.lagrangian import Guess, LagrangianBounds
 from optlink.solvers.global_search.quadratic import least_squares
@@ -206,7 +206,7 @@ class _Search:
         """Return a search in terms of squared deviations."""
         share = INSIDE * self.gap
         share = share * (2.0 - share) if self._square else share
-        return BranchAndBound(bounds, best, share, better, batch, divisible=True, runs=self.runs)
+        return BranchAndBound(bounds, best, share, better, batch, 2 * FEW, divisible=True, runs=self.runs)
 
     # --- the best known design -------------------------------------------------------------------------------------
 

@@ -27,7 +27,7 @@ from optlink.solvers.global_search.lagrangian import CUT, OPEN, BoxRecord
 
 BATCH = 256  # boxes that are bounded together
 LONG, WIDE = 10_000, 8  # boxes after which a search takes steps of several batches, for several processes; batches of a step
-FEW = 128  # open boxes below which they are divided before they are bounded: small batches take nearly as long as larger ones
+FEW = 64  # open boxes below which they are divided before they are bounded: small batches take nearly as long as larger ones
 STEEP, NARROW = 1.5, 1e-4  # widths of the first boxes as multiples of their distance from the best known design, and least one
 RARELY = 1.3  # factor of the number of boxes after a search for a better design in vain until the next one
 SMALLEST = 1e-12  # width of a box, relative to the bounds, below which it is not divided
@@ -200,6 +200,8 @@ class BranchAndBound:
         the best known design.
     batch : int
         Boxes that are bounded together.
+    few : int
+        Open boxes below which they are divided before they are bounded.
     divisible : bool
         Whether batches may be bounded by copies of `bounder`: a long search then takes steps of several batches.
     runs : function, optional
@@ -217,6 +219,7 @@ class BranchAndBound:
     gap: float
     improve: Callable[[Array], float] | None = None
     batch: int = BATCH
+    few: int = FEW
     divisible: bool = False
     runs: Runs | None = None
     boxes: int = 0
@@ -314,7 +317,7 @@ class BranchAndBound:
 
     def _enough(self, boxes: Boxes) -> Boxes:
         """Return boxes, divided until there are enough with the open ones."""
-        while 0 < len(boxes) < FEW - len(self.open):
+        while 0 < len(boxes) < self.few - len(self.open):
             boxes = boxes.halves(np.argmax(self._widths(boxes), axis=1))
         return boxes
 
