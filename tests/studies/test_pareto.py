@@ -605,8 +605,8 @@ def test_objectives_without_sense_are_refused(objectives, words):
     [
         ("peak torqe, rod.length", 'Did you mean "torque"'),
         ("torque, guide force in G", "no such guide"),
-        ("torque, guide force", "of which guide"),
-        ("torque, transmission angle at E", "which transmission angle"),
+        ("torque, guide force", "the guide is missing"),
+        ("torque, transmission angle at E", "the measure of a transmission angle is missing"),
         ("torque, limits.stroke", "on both sides"),
         ("maximise peak torque, rod.length", "can only be minimised"),
         ("torque, rod.length=1..2 kN", "not a unit of"),
