@@ -386,7 +386,7 @@ def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
         following = steps[depth + 1]
         if not isinstance(table, dict) and _coordinate(tuple(steps[: depth + 1]), table, following) is None:
             above = ".".join(steps[: depth + 1])
-            raise InputError(f"{above} is a single value without a key {following}", f"Set {above} itself", file, key, value)
+            raise InputError(f"{above} has no key {following}", f"Set {above} itself", file, key, value)
     place = _coordinate(tuple(steps[:-1]), table, steps[-1])
     if place is not None:
         table[place] = value

@@ -210,7 +210,7 @@ def test_a_coordinate_has_a_key():
     assert moved["A.x"].value == pytest.approx(3e-3)
     assert moved["C.y"].bounds == pytest.approx((-0.33, -0.18))
     for key, words in (
-        ("mechanism.ground.A.z", "it has no z"),
+        ("mechanism.ground.A.z", "has no key z"),
         ("mechanism.ground.A.along", "it has no along"),
         ("mechanism.links.crank.joints.x", "it has no x"),
         ("limits.guide.max.x", "it has no x"),

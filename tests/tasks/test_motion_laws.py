@@ -143,7 +143,7 @@ FAULTS = {
     "a key too many": ({"law": {"slide": "s0", "unit": "mm", "span": 1}}, "requirement.law.span", "unknown key"),
     "constant": ({"law": {"slide": "s0 + 3", "unit": "mm"}}, "requirement.law", "does not move"),
     "a pole": ({"law": {"slide": "s0 + 1/(phi - phi0)", "unit": "mm"}}, "requirement.law", "divides by zero"),
-    "no span": ({"span": None}, "requirement.span", "needs it"),
+    "no span": ({"span": None}, "requirement.span", "needs a span"),
     "more than a revolution": ({"span": "400 deg"}, "requirement.span", "one revolution"),
     "angle of a guide": ({"law": "psi0 + phi"}, "requirement.output", "body that turns"),
     "slide of a body": ({"output": "rod"}, "requirement.output", "name of a guide"),

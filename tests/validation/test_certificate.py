@@ -207,7 +207,7 @@ def _a_result(document: Document) -> None:
         (_no_objective, "objective: the result is damaged: this is missing"),
         (_unknown_key, "no result has this key"),
         (_other_problem, "certificate of another problem"),
-        (_a_result, "no certificate"),
+        (_a_result, "not a certificate"),
     ],
 )
 def test_a_damaged_file_is_answered_with_one_sentence(
