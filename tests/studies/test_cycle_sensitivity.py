@@ -211,9 +211,9 @@ def test_a_coordinate_has_a_key():
     assert moved["C.y"].bounds == pytest.approx((-0.33, -0.18))
     for key, words in (
         ("mechanism.ground.A.z", "has no key z"),
-        ("mechanism.ground.A.along", "it has no along"),
-        ("mechanism.links.crank.joints.x", "it has no x"),
-        ("limits.guide.max.x", "it has no x"),
+        ("mechanism.ground.A.along", "has no key along"),
+        ("mechanism.links.crank.joints.x", "has no key x"),
+        ("limits.guide.max.x", "has no key x"),
     ):
         with pytest.raises(InputError, match=words):
             problem.override({key: "1 mm"})
