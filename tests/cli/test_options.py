@@ -107,7 +107,7 @@ def test_other_spellings_are_the_same_option(old, new):
             ("solve", "x", "--json=3"),
             "optlink solve: --json: option does not take a value. `optlink solve --help` lists its options",
         ),
-        (("solve", "--quiet"), "optlink solve: PROBLEM: it is missing. `optlink solve --help` lists its options"),
+        (("solve", "--quiet"), "optlink solve: PROBLEM: the argument is missing. `optlink solve --help` lists its options"),
         (("solve", "x", "y"), "optlink solve: got unexpected extra argument(s) (y). `optlink solve --help` lists its options"),
     ],
 )
