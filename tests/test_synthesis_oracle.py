@@ -341,6 +341,7 @@ def test_feet() -> None:
 # --- judges -------------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [1, 2, 5, 9, 18, 60])
 def test_planted_answers_are_free(kind: str, n: int) -> None:
     rng = np.random.default_rng(n)

@@ -72,6 +72,7 @@ def test_next_command_gives_a_valid_result(name, tmp_path, monkeypatch):
         assert Path(f"{name}.html").stat().st_size > 100_000
 
 
+@pytest.mark.slow
 def test_foot_of_the_walker_is_level_between_the_points():
     result = optlink.solve(optlink.read(tomllib.loads(template("walker").text), "walker"))
     design, points = result.best, result.definite.raw["requirement"]["points"]

@@ -813,9 +813,8 @@ SPARSE = [
 ]
 
 
-@pytest.mark.parametrize(
-    "case", [pytest.param(c, marks=pytest.mark.slow) if str(c).startswith("a short flight") else c for c in SPARSE], ids=str
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("case", SPARSE, ids=str)
 def test_contacts_shorter_than_a_row_are_found(case):
     """Ten times as many rows show the same contacts."""
     until = case.window * 60.0 / abs(case.speed)

@@ -160,6 +160,7 @@ EVERY = {
 # --- curves --------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "kind", "column", "unit"),
     [
@@ -331,6 +332,7 @@ def bodies_in(axes) -> dict[str, list]:
     return found
 
 
+@pytest.mark.slow
 def test_positions_are_the_telling_ones():
     extreme = analysed("six-bar").extremes["input.torque_Nm"]
     named = analysis.positions(course("six-bar"))
@@ -570,6 +572,7 @@ def test_a_title_with_dollars_or_strange_letters_breaks_nothing(tmp_path):
 # --- what is left out, and what breaks down ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_no_forces_no_pictures_of_them(tmp_path):
     files = view_of("analysis").write(analysed("no masses"), tmp_path)
     assert [file.name for file in files] == ["result.json", "cycle.csv", "mechanism.png", "motion.png", "motion.gif"]

@@ -27,6 +27,8 @@ from optlink.tasks.clearance import simulate_clearance
 from optlink.tasks.control_comparison import compare
 from optlink.tasks.results.clearance import ClearanceSimulation
 
+pytestmark = pytest.mark.slow  # simulations of many revolutions
+
 GAP = {"clearance": "0.5 mm", "bearing_radius": "10 mm", "modulus": "207 GPa", "friction": 0.1}
 BAR = {"mass": "1 kg", "inertia": "uniform bar"}
 
@@ -180,7 +182,6 @@ def test_small_helpers() -> None:
     assert rough(math.radians(0.123456), "deg") == "0.1235°"
 
 
-@pytest.mark.slow
 def test_turns_know_their_revolutions() -> None:
     turns = RevolutionCurves(simulated("periodic"))
     assert (turns.points, turns.kept, turns.begin, turns.shown) == (72, 13, 6, 8)
@@ -199,7 +200,6 @@ def test_turns_know_their_revolutions() -> None:
 # --- every picture of every machine ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", MACHINES)
 def test_every_picture_can_be_drawn_and_says_its_units(name: str) -> None:
     for kind in KINDS:
@@ -229,7 +229,6 @@ def test_without_rows_there_are_no_pictures(tmp_path: Path, monkeypatch: pytest.
     assert control_comparison.compensation({"none": result}) == []
 
 
-@pytest.mark.slow
 def test_all_files_are_written(tmp_path: Path) -> None:
     result = simulated("interrupted")
     written = view_of("clearance").write(result, tmp_path)
@@ -298,7 +297,6 @@ def test_error_states_the_statistics() -> None:
     assert "running-in" not in words(shown("fast", "error"))
 
 
-@pytest.mark.slow
 def test_orbit_has_contact_outside_the_circle_and_flight_inside() -> None:
     for name, count in (("chaotic", 1), ("three gaps", 3)):
         result, made = simulated(name), shown(name, "orbit")
@@ -476,7 +474,6 @@ def compared():
     return compare(problem, 2, 2, SEED, kinds=("none", "inverse+pid"), points=60, tolerance=1e-6)
 
 
-@pytest.mark.slow
 def test_compensation() -> None:
     made = pictures(control_comparison.compensation(compared().examples))["compensation"]
     assert len(made.axes) == 2

@@ -312,6 +312,7 @@ def bars(axes, gid: str) -> np.ndarray:
     return np.array([patch.get_height() for patch in axes.patches if patch.get_gid() == gid])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["path", "tolerances", "poses", "slider", "miss", "lift"])
 def test_bars_are_the_deviations(name):
     panels = picture(name, "errors").axes
@@ -436,6 +437,7 @@ def test_what_is_only_like_a_cognate_is_none(change):
 # --- what is not valid, and what is not there ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_what_is_not_valid_says_so_everywhere(tmp_path, monkeypatch):
     for kind in ("path", "errors"):
         figure = picture("miss", kind)
@@ -565,6 +567,7 @@ DRAWN = [(name, kind) for name in POINTED for kind in ("path", "errors")]
 DRAWN += [(name, kind) for name in ("function", "transmission") for kind in ("mechanism", "curve")] + [("cognates", "designs")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), DRAWN)
 def test_labels_keep_in_and_off_one_another(name, kind):
     figure = picture(name, kind)

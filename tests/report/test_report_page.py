@@ -509,6 +509,7 @@ def test_a_page_in_a_browser(driver, tmp_path, name):
     assert requests(driver, path) == []
 
 
+@pytest.mark.slow
 def test_the_slider_of_the_crank_rocker_by_the_law_of_cosines(driver, tmp_path, crank_rocker_subject):
     """Where the page puts the rocker's end, against the textbook."""
     path = tmp_path / "a.html"

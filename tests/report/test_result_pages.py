@@ -146,6 +146,7 @@ def test_a_page_is_complete_small_and_safe(results, tmp_path, name):
     assert "nan" not in re.findall(r"[a-z]+", words)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RECORDED)
 def test_every_chart_is_a_figure_that_plotly_knows(results, name):
     made = sheet(results, name)
@@ -158,6 +159,7 @@ def test_every_chart_is_a_figure_that_plotly_knows(results, name):
             assert chart.figure["data"][-1]["x"] == [chart.picks.x[chart.picks.first]]
 
 
+@pytest.mark.slow
 def test_a_simulation_at_constant_speed_is_the_analysis(results):
     """Published extremes of the torque and of the slide, read from the curves."""
     made = sheet(results, "course")
@@ -189,6 +191,7 @@ def test_a_simulation_is_drawn_with_the_sizes_that_ran(tmp_path):
     assert _sheet(load_stored(str(tmp_path)), 90).moving is None  # the sizes of the file are those of another linkage
 
 
+@pytest.mark.slow
 def test_an_orbit_stays_in_its_gap(results):
     told, made = document(results, "play"), sheet(results, "play")
     [gap] = told["gaps"]
@@ -205,6 +208,7 @@ def test_an_orbit_stays_in_its_gap(results):
     assert np.nanmax(np.abs(error)) <= math.degrees(told["figures"]["peak_rad"]) * (1 + 1e-6)
 
 
+@pytest.mark.slow
 def test_a_balance_is_proven_anew(results, tmp_path):
     """The full force balance leaves no shaking force (Berkof and Lowen 1969); a heavier weight in the file is found out."""
     made, told = sheet(results, "balance"), document(results, "balance")
@@ -219,6 +223,7 @@ def test_a_balance_is_proven_anew(results, tmp_path):
         load_stored(str(tmp_path))
 
 
+@pytest.mark.slow
 def test_the_tolerances_of_a_page_add_up(results):
     told, made = document(results, "tolerance"), sheet(results, "tolerance")
     bands = {one["name"]: one for one in made.charts[0].figure["data"] if "customdata" in one}
@@ -238,6 +243,7 @@ def test_the_tolerances_of_a_page_add_up(results):
     assert f"{100 * low:.3f} % ... {100 * high:.3f} %" in text
 
 
+@pytest.mark.slow
 def test_conclusions_state_the_main_figures(results):
     told = {name: document(results, name) for name in RECORDED}
     said = {name: sheet(results, name).conclusion for name in RECORDED}
@@ -253,6 +259,7 @@ def test_conclusions_state_the_main_figures(results):
     assert f"point {told['front']['knee']['point'] + 1}:" in said["front"]
 
 
+@pytest.mark.slow
 def test_a_sweep_by_its_table(results):
     """Best row and changes of the active set, found in the CSV file by other means."""
     made = sheet(results, "sweep")
@@ -271,6 +278,7 @@ def test_a_sweep_by_its_table(results):
     assert made.moving.scene.points["D"][0][0] == pytest.approx(frame)
 
 
+@pytest.mark.slow
 def test_a_map_has_every_point_at_its_place(results):
     made = sheet(results, "map")
     shaded = trace(made, "objective")
@@ -283,6 +291,7 @@ def test_a_map_has_every_point_at_its_place(results):
             assert made.charts[0].picks.rows[number][0] == f"{float(row['mechanism.frame_mm']):g}"
 
 
+@pytest.mark.slow
 def test_a_front_by_its_table(results):
     """The knee by the distance from the chord, and every design that can be picked."""
     made = sheet(results, "front")
@@ -301,6 +310,7 @@ def test_a_front_by_its_table(results):
     assert np.hypot(*(rocker - crank).T) == pytest.approx(float(rows[picks.first]["coupler_mm"]), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_three_objectives_have_a_colour(results, tmp_path):
     """A front of three, made from one of two: the colour of every point is its third objective."""
     told = document(results, "front")
@@ -338,6 +348,7 @@ def test_limits_that_cannot_hold_together_are_named(tmp_path):
     assert "Conflicting limits" in text
 
 
+@pytest.mark.slow
 def test_what_matters_stands_on_the_page_of_a_result(results, tmp_path):
     """Sensitivities of a recorded optimum are those of the searched one, for which another test solves the problem again."""
     for name in ("solve", "sensitivity"):
@@ -351,6 +362,7 @@ def test_what_matters_stands_on_the_page_of_a_result(results, tmp_path):
     assert text.index('id="sensitivities"') < text.index('id="design-and-checks"')
 
 
+@pytest.mark.slow
 def test_a_sensitivity_that_is_no_optimum_is_found_out(results, tmp_path):
     told = document(results, "sensitivity")
     told["design"]["rocker"] += 1.0
@@ -401,6 +413,7 @@ def test_whatever_is_damaged_is_shown_or_refused_in_a_sentence(results, tmp_path
     assert refused > 25
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["penetration_max_m", "normal_max_N"])
 def test_a_simulation_without_its_largest_values_is_refused(results, tmp_path, what):
     """Nothing else in the file can stand for the largest values between rows."""
@@ -412,6 +425,7 @@ def test_a_simulation_without_its_largest_values_is_refused(results, tmp_path, w
         load_stored(str(tmp_path))
 
 
+@pytest.mark.slow
 def test_the_sentences_of_damaged_results(results, tmp_path):
     good = document(results, "tolerance")
     bad = {
@@ -436,6 +450,7 @@ def test_the_sentences_of_damaged_results(results, tmp_path):
         assert not (tmp_path / "a.html").exists()
 
 
+@pytest.mark.slow
 def test_a_sweep_needs_its_table(results, tmp_path):
     folder = tmp_path / "sweep"
     folder.mkdir()
@@ -462,6 +477,7 @@ def test_a_folder_without_a_result(tmp_path):
     assert "--resume" in done.stderr
 
 
+@pytest.mark.slow
 def test_a_shipped_problem_goes_before_a_folder_of_its_name(results, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "six-bar").mkdir()
@@ -470,6 +486,7 @@ def test_a_shipped_problem_goes_before_a_folder_of_its_name(results, tmp_path, m
     assert run("report", "six-bar/", "-o", "a.html").stdout.endswith("Finished\n")
 
 
+@pytest.mark.slow
 def test_a_study_is_no_one_design_to_export(results, tmp_path):
     done = run("export", str(results / "sweep"), "-o", str(tmp_path / "a.dxf"))
     assert done.exit_code == 2
@@ -477,6 +494,7 @@ def test_a_study_is_no_one_design_to_export(results, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_texts_of_a_result_stay_texts(results, tmp_path):
     evil = "<script>window.caught = 1</script><img src=x onerror=alert(1)>"
     told = document(results, "front")
@@ -610,6 +628,7 @@ def test_a_page_prints_its_points_without_sliders(driver, pages):
         driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", [-1e308, 1e200, 10**400, math.inf], ids=["low", "high", "whole", "endless"])
 @pytest.mark.parametrize(
     "place", [("linear", "worst_high", 1), ("limit",), ("monte_carlo", "samples"), ("tolerances", 0, "tolerance_SI")]
@@ -626,6 +645,7 @@ def test_numbers_without_measure_are_refused_in_a_sentence(results, tmp_path, pl
     assert done.stderr.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_the_largest_numbers_that_are_shown_make_a_page(results, tmp_path):
     told = document(results, "tolerance")
     told["linear"]["worst_high"][1] = LARGEST_NUMBER
@@ -633,6 +653,7 @@ def test_the_largest_numbers_that_are_shown_make_a_page(results, tmp_path):
     assert run("report", str(tmp_path), "-o", str(tmp_path / "a.html")).exit_code == 0
 
 
+@pytest.mark.slow
 def test_a_sensitivity_with_an_unknown_unit_is_damaged(results, tmp_path):
     told = document(results, "sensitivity")
     told["design_units"]["rocker"] = "x"
@@ -642,6 +663,7 @@ def test_a_sensitivity_with_an_unknown_unit_is_damaged(results, tmp_path):
     assert 'design_units.rocker = "x": the result is damaged: the unit "x" is unknown' in done.stderr
 
 
+@pytest.mark.slow
 def test_a_table_with_numbers_without_measure_is_refused(results, tmp_path):
     (tmp_path / "result.json").write_text(json.dumps(document(results, "sweep") | {"table": None}))
     lines = (results / "sweep" / "sweep.csv").read_text().split("\n")
@@ -652,6 +674,7 @@ def test_a_table_with_numbers_without_measure_is_refused(results, tmp_path):
         load_stored(str(tmp_path))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("counted", "row"), [("yield", "largest, nominal"), ("3 standard deviations", "largest")])
 def test_the_largest_figure_of_a_robust_design_says_what_it_is_of(results, tmp_path, counted, row):
     """With standard deviations they stand in the table's title; of a most-yield design the figure has no scatter in it."""
@@ -666,6 +689,7 @@ def test_the_largest_figure_of_a_robust_design_says_what_it_is_of(results, tmp_p
     assert ("largest, nominal" in texts) is (counted == "yield")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [-7, 0, 10**15])
 def test_a_front_along_no_or_endless_values_is_damaged(results, tmp_path, count):
     told = document(results, "front")
@@ -675,6 +699,7 @@ def test_a_front_along_no_or_endless_values_is_damaged(results, tmp_path, count)
         load_stored(str(tmp_path))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "place", [("monte_carlo", "samples"), ("allocation", "check", "samples"), ("allocation", "cost_of_specified")]
 )
@@ -688,6 +713,7 @@ def test_what_shares_are_taken_of_is_not_zero(results, tmp_path, place):
         load_stored(str(tmp_path))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("key", "value"), [("before", [0.0, 1.0]), ("before", [1.0, None]), ("first_point_s", 0)])
 def test_a_trade_is_told_against_what_was_before(results, tmp_path, key, value):
     told = document(results, "balance")

@@ -183,6 +183,7 @@ def test_a_gap_is_rounded_up(share, text):
     assert share_text(share) == text
 
 
+@pytest.mark.slow
 def test_a_killed_proof_resumes_to_the_same_bound(crank_rocker, tmp_path):
     problem = crank_rocker.override(FREE_FRAME)
     result = optlink.solve(problem, certify=False)

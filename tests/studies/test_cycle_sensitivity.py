@@ -248,6 +248,7 @@ def test_one_per_cent_more_of_a_negative_speed_is_faster(pump):
     assert row.effect == row.objective * row.parameter.step
 
 
+@pytest.mark.slow
 def test_gravity_that_is_tilted_has_two_figures():
     found = sensitivities(changed(gravity=["1 m/s^2", "-9.7 m/s^2"]), starts=1)
     assert {"gravity.x", "gravity.y"} <= {row.parameter.key for row in found.moving}

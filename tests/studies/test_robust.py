@@ -280,6 +280,7 @@ def test_the_validator_measures_the_error_with_tolerances_itself(problem):
     assert given.objective == pytest.approx(figure(0.42, 0.225, "3 sigma"), rel=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("robust", "measure"), CASES)
 def test_a_wrong_claim_is_found(problem, robust, measure):
     changed = problem.override({"requirement.robust": robust, "requirement.measure": measure})

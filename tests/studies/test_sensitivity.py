@@ -81,6 +81,7 @@ def test_scaling_the_given_lengths_scales_the_design(crank_rocker):
         assert 100.0 * crank.design[name] + 500.0 * frame.design[name] == pytest.approx(value, rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "overrides",
     [
@@ -122,6 +123,7 @@ def test_a_chart_of_effects_is_left_out_where_all_are_zero(crank_rocker):
     assert charts(quiet) == []
 
 
+@pytest.mark.slow
 def test_a_path_with_its_frame_at_a_bound():
     result = sensitivities(optlink.load("path-ellipse10"), starts=64, check=True)
     (row,) = result.moving

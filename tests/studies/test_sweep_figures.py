@@ -127,6 +127,7 @@ def test_stroke_time_ratio_and_work_are_columns(pump):
         assert result.columns["input.work_per_revolution_J"][i] == pytest.approx(work, rel=1e-8)
 
 
+@pytest.mark.slow
 def test_both_routes_to_a_row_agree(pump, monkeypatch):
     """Designs in batches, and one by one as `optlink analyze` does."""
     columns = ["B.f_N", "input.torque_Nm", "rod.omega_rad_s.min", "E.vx_m_s.max"]

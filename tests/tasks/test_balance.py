@@ -363,6 +363,7 @@ def test_where_discs_do_not_reach_the_bound_that_is_said(mass):
     assert result.objective / result.before == pytest.approx(min(found), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_given_place_and_radius_is_exact():
     weight = {"body": "coupler", "radius": "20 mm", "at": ["-30 mm", "0 mm"]}
     result = optlink.balance(four_bar("rms shaking moment", [weight]))
@@ -499,6 +500,7 @@ def test_six_bar_is_quick():
 # --- other machines -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["shaper", "slider-crank", "toggle-press", "whitworth", "stephenson-iii", "scotch-yoke"])
 @pytest.mark.parametrize("measure", ["rms shaking force", "rms driving torque"])
 def test_a_random_disc_on_other_machines_against_local_search(name, measure):

@@ -228,6 +228,7 @@ CONTINUED = [
 ][:24]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("assembly", ["left, continue", "right, continue"])
 @pytest.mark.parametrize("lengths", CONTINUED)
 def test_motion_is_followed_smoothly_as_the_oracle_continues_it(lengths, assembly):

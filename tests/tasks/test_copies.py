@@ -138,7 +138,8 @@ def test_a_copied_optimum_has_its_proof(kind: str) -> None:
     compare(one, other)
 
 
-@pytest.mark.parametrize("kind", ["function", pytest.param("analysis", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["function", "analysis"])
 def test_a_copy_is_reported(kind: str, tmp_path: Path) -> None:
     result = pickle.loads(pickle.dumps(made("law" if kind == "function" else kind)))
     view_of(kind).write(result, tmp_path)

@@ -128,6 +128,7 @@ def test_an_answer_has_one_figure_everywhere() -> None:
     assert coarse.objective < result.objective * (1.0 - 1e-6)  # what the programme of the design positions alone has
 
 
+@pytest.mark.slow
 def test_every_answer_says_its_assembly_mode() -> None:
     from optlink.report import terminal
     from optlink.report.views import function_tables
@@ -142,6 +143,7 @@ def test_every_answer_says_its_assembly_mode() -> None:
     assert f"joint C lies to the {result.assembly} of B -> D" in text.get()
 
 
+@pytest.mark.slow
 def test_a_given_design_is_checked_in_the_assembly_mode_that_fits_it() -> None:
     either = short(**{"mechanism.assembly": "either"})
     found = optlink.solve(either, starts=1)

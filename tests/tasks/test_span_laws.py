@@ -85,6 +85,7 @@ def test_the_default_margins_are_those_of_the_oracle() -> None:
     assert MARGINS == {"alignment": "1 deg", "length_margin": 1e-4}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(FEW))
 def test_no_random_span_law_locks(seed: int) -> None:
     assert faults(seed) == []

@@ -325,6 +325,7 @@ def test_nothing_assembles_anywhere() -> None:
     assert {"reached", "assembled", "objective"} <= found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(15))
 def test_validator_and_oracle_agree_on_random_linkages(seed: int) -> None:
     """Any four lengths, any points, in and out of order: valid by the one is free of defects by the other."""
