@@ -72,18 +72,22 @@ def refined(nlp: NLP, x: Array, p: Array, begin: NLPValues, near: float = NEAR) 
     active = np.array(conditions.active, dtype=int)
     for _ in range(TRIES):
         found = _converged(nlp, x, p, begin, active, conditions.multipliers.copy())
-        if found is None:
-            return same
-        y, here, threshold = found
-        values = np.concatenate([y, here.g])
-        missed = np.flatnonzero(np.maximum(nlp.lower - values, values - nlp.upper) > allowed)
-        if not missed.size:
+        if found is not None:
+            y, here, threshold = found
+            values = np.concatenate([y, here.g])
+            missed = np.flatnonzero(np.maximum(nlp.lower - values, values - nlp.upper) > allowed)
+            if missed.size:
+                if np.any(np.isin(missed, active)):
+                    return same
+                active = np.sort(np.concatenate([active, missed]))
+                continue
             end = stationarity(nlp, y, here)
-            worse = end.kkt > max(conditions.kkt, threshold) or here.f > begin.f + 1e-3 * abs(begin.f)
-            return same if worse else Refined(y, here, end)
-        if np.any(np.isin(missed, active)):
+            if end.kkt <= max(conditions.kkt, threshold) and here.f <= begin.f + 1e-3 * abs(begin.f):
+                return Refined(y, here, end)
+        touching = stationarity(nlp, x, begin, FEASIBLE).active
+        if len(touching) >= active.size:
             return same
-        active = np.sort(np.concatenate([active, missed]))
+        active = np.array(touching, dtype=int)  # a limit that is only near can have a multiplier of zero
     return same
 
 

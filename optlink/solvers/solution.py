@@ -133,13 +133,23 @@ class Solution(Summary):
         return curvature(self.nlp, self.x, self.p, point, self.conditions) if point.finite else math.nan
 
     @cached_property
+    def _least_multiplier(self) -> float:
+        """Multipliers up to this size are rounding errors of zero."""
+        return LEAST_PRICE * abs(self.nlp.values(self.x, self.p)[0])
+
+    @cached_property
+    def active(self) -> list[int]:
+        """Bounds (0 ... n - 1) and rows (from n) at their limit whose multiplier is not zero, and equalities."""
+        multipliers, equal = self.conditions.multipliers, self.nlp.lower == self.nlp.upper
+        return [i for i in self.conditions.active if equal[i] or abs(multipliers[i]) > self._least_multiplier]
+
+    @cached_property
     def limits(self) -> tuple[LimitState, ...]:
         """State of every bound and limit, in display units."""
-        least = LEAST_PRICE * abs(self.nlp.values(self.x, self.p)[0])
         residuals = np.abs(self.nlp.residuals(self.x))
         met = bool(np.max(residuals, initial=0.0) <= self.nlp.exact)  # no improvement is possible
         multipliers = self.conditions.multipliers
-        kept = np.where(met | (np.abs(multipliers) <= least), 0.0, multipliers)
+        kept = np.where(met | (np.abs(multipliers) <= self._least_multiplier), 0.0, multipliers)
         return tuple(_limit_states(self.nlp, self.x, self.g, kept, self.price))
 
     @property

@@ -320,7 +320,7 @@ def conflicting(solution: Solution) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 def active(solution: Solution) -> tuple[str, ...]:
     """Return the labels of the active limits and bounds of a design, each once."""
-    return _labels(solution.nlp, solution.conditions.active, solution.conditions.multipliers)
+    return _labels(solution.nlp, solution.active, solution.conditions.multipliers)
 
 
 def _labels(nlp: NLP, entries: Iterable[int], sides: Array) -> tuple[str, ...]:

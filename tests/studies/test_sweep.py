@@ -586,7 +586,7 @@ def test_a_worker_that_dies_costs_only_its_chunk(tmp_path):
 
 @pytest.mark.slow
 def test_a_chunk_that_kills_every_worker_is_named(tmp_path):
-    with pytest.raises(SolverError, match=r"chunk 3 .* ended 3 processes"):
+    with pytest.raises(SolverError, match=r"chunk 3 .* terminated 3 processes"):
         list(runner.run(Square(tmp_path, deadly=3, always=True), range(6), workers=2))
 
 

@@ -188,6 +188,16 @@ def test_price_of_a_limit_is_what_re_solving_finds(crank_rocker, changes, key, u
     assert abs(limit.multiplier) > 1e-9
 
 
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_limit_that_is_only_near_has_no_price(crank_rocker, backend):
+    """At 178.5 deg the optimum has 0.2 um to spare to the Grashof condition, whose gradient is nearly that of the angle's limit."""
+    result = optlink.solve(crank_rocker.override({"limits.transmission_angle": ["45 deg", "178.5 deg"]}), backend)
+    assert [limit.name for limit in result.solution.limits if limit.multiplier] == ["largest transmission angle"]
+    assert result.solution.kkt < 1e-12
+    spare = result.design["coupler"] + result.design["rocker"] - 0.60005
+    assert 1e-7 < spare < 3e-7
+
+
 @pytest.mark.parametrize("backend", [*BACKENDS, "both"])
 def test_infeasible_transmission_limits(crank_rocker, backend):
     """80..100 deg: no linkage keeps the range; its least relaxation is checked against a brute-force grid of the formulas."""

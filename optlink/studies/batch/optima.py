@@ -219,7 +219,7 @@ def active_sides(solution: Solution) -> NDArray[np.int8]:
     multipliers, n = solution.conditions.multipliers, len(solution.x)
     sides, basis = np.zeros(len(multipliers), dtype=np.int8), np.zeros((0, n))
     jacobian = np.vstack([np.eye(n), solution.nlp.at(solution.x, solution.p).jacobian])
-    for entry in solution.conditions.active:
+    for entry in solution.active:
         rest = jacobian[entry] - basis.T @ (basis @ jacobian[entry])
         size = np.linalg.norm(rest)
         if size > INDEPENDENT * np.linalg.norm(jacobian[entry]):
