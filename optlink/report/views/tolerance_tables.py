@@ -18,7 +18,7 @@ from optlink.studies.tolerance.robust_design import YIELD, RobustRecord
 from optlink.studies.tolerance.sampling import CONFIDENCE
 from optlink.tasks.function import display_value
 
-SURE = f"{100.0 * CONFIDENCE:g} % confidence"
+INTERVAL = f"{100.0 * CONFIDENCE:g} % CI"
 
 
 def tolerances(result: Tolerance) -> Summary:
@@ -76,7 +76,7 @@ def _distribution(part: DeviationRecord) -> str:
 
 def _between(sampled: MonteCarloRecord) -> str:
     low, high = sampled.interval
-    return f"{100.0 * low:z.3f} ... {percent(high)} ({SURE})"
+    return f"{100.0 * low:z.3f} ... {percent(high)} ({INTERVAL})"
 
 
 def _redesigned(file: ProblemFile, record: ToleranceRecord, robust: RobustRecord) -> TableSpec:
@@ -94,7 +94,7 @@ def _redesigned(file: ProblemFile, record: ToleranceRecord, robust: RobustRecord
         limit = f"within {number(math.degrees(record.limit))} deg"
         rows.append(("yield", percent(best.share), strong(percent(own.share)), quiet(limit)))
         for end, name in enumerate(("at least", "at most")):
-            rows.append([quiet(text) for text in (name, *(percent(one.interval[end]) for one in (best, own)), SURE)])
+            rows.append([quiet(text) for text in (name, *(percent(one.interval[end]) for one in (best, own)), INTERVAL)])
     passed = "verified; no design with a higher yield was found" if counted == YIELD else "verified"
     failed = ": ".join(filter(None, ("not verified", ", ".join(robust.failed_checks or ()))))
     notes = [good(passed) if robust.valid else bad(failed)]
