@@ -190,7 +190,7 @@ def test_price_of_a_limit_is_what_re_solving_finds(crank_rocker, changes, key, u
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_a_limit_that_is_only_near_has_no_price(crank_rocker, backend):
-    """At 178.5 deg the optimum has 0.2 um to spare to the Grashof condition, whose gradient is nearly that of the angle's limit."""
+    """At 178.5 deg the optimum has 0.2 um to spare to the Grashof condition, nearly parallel to the angle's limit."""
     result = optlink.solve(crank_rocker.override({"limits.transmission_angle": ["45 deg", "178.5 deg"]}), backend)
     assert [limit.name for limit in result.solution.limits if limit.multiplier] == ["largest transmission angle"]
     assert result.solution.kkt < 1e-12
