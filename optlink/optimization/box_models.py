@@ -14,10 +14,10 @@ import numpy as np
 
 from optlink.errors import Fault, InputError
 from optlink.linkage.fourbar import lengths_of, transmission_cosine
-from optlink.linkage.taylor_model import TaylorModel, pairs
 from optlink.linkage.vector2d import TURN, Array, unit
 from optlink.optimization.constraints import FOUR_BAR, GENERAL, ConstraintRow, position_rows
 from optlink.optimization.objectives import output_error
+from optlink.optimization.taylor_model import TaylorModel, pairs
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem, StartPosition
 from optlink.problem.limits import Reach

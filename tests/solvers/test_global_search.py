@@ -10,8 +10,8 @@ import pytest
 import optlink
 from optlink.errors import InputError
 from optlink.execution.runner import pool
-from optlink.linkage.taylor_model import TaylorModel, pairs
 from optlink.optimization.box_models import BoxModels, DesignBoxes, box_problem
+from optlink.optimization.taylor_model import TaylorModel, pairs
 from optlink.solvers.global_search import branch_and_bound, lagrangian, quadratic
 from optlink.solvers.global_search.branch_and_bound import BranchAndBound
 from optlink.solvers.global_search.lagrangian import LagrangianBounds

@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.taylor_model import TINY, UNIT, pairs
 from optlink.linkage.vector2d import Array
+from optlink.optimization.taylor_model import TINY, UNIT, pairs
 from optlink.solvers.global_search.quadratic import quadratic_bound
 
 Complex = NDArray[np.complex128]

@@ -1,4 +1,4 @@
-"""Bounds of a minimisation problem over boxes of designs, by Taylor models (`optlink.linkage.taylor_model`).
+"""Bounds of a minimisation problem over boxes of designs, by Taylor models (`optlink.optimization.taylor_model`).
 
 A box is discarded if
 
@@ -31,9 +31,10 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.taylor_model import ROUNDING, TINY, UNIT, UPWARD, TaylorModel, pairs
 from optlink.linkage.vector2d import Array
 from optlink.optimization.box_models import BoxModels
+from optlink.optimization.taylor_model import ROUNDING, TINY, UNIT, TaylorModel, pairs
+from optlink.optimization.taylor_rules import UPWARD
 from optlink.solvers.global_search.quadratic import box_minimum, cut_box, quadratic_bound
 
 ROUNDS = 3  # multipliers that are raised for a box, one after the other

@@ -26,11 +26,10 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import ArrayLike, NDArray
 
 from optlink.linkage.vector2d import Array
+from optlink.optimization.taylor_rules import DERIVATIVES, LIBRARY, UPWARD, Rule, power
 
 UNIT = 2.0**-53  # largest relative error of a rounded operation
 ROUNDING = 64.0 * UNIT  # bounds the rounding errors of all coefficients of one operation, relative to the sum of their sizes
-LIBRARY = 2.0**-48  # bounds the error of sin, cos, arctan (absolute) and exp, log, power (relative): at least 16 ulp
-UPWARD = 1.0 + 2.0**-44  # makes up for the rounding of a remainder, a sum and product of fewer than 100 positive numbers
 TINY = 1e-290  # makes up for underflow
 INTEGER_POWERS = 16  # largest integer exponent that is expanded into products
 
@@ -272,11 +271,7 @@ def _multiply(a: Any, b: Any) -> TaylorModel:
     return TaylorModel(out, remainder * UPWARD + TINY, n)
 
 
-Derivatives = tuple[Array, Array, Array, Array]
-"""Value, first and second derivative at the centre, and a bound of the size of the third over the range."""
-
-
-def _compose(x: TaylorModel, rule: Callable[[Array, Array, Array], Derivatives], error: float = 0.0) -> TaylorModel:
+def _compose(x: TaylorModel, rule: Rule, error: float = 0.0) -> TaylorModel:
     """Return f(x) from f, f', f'' at the centre and a bound of f''' over the range of x.
 
     Parameters
@@ -313,58 +308,10 @@ def _compose(x: TaylorModel, rule: Callable[[Array, Array, Array], Derivatives],
     return TaylorModel(out, remainder * UPWARD + TINY, n)
 
 
-def _sqrt(x: Array, low: Array, high: Array) -> Derivatives:
-    low = np.where(low > 0.0, low, np.nan)
-    root = np.sqrt(x)
-    return root, 0.5 / root, -0.25 / (root * x), 0.375 * UPWARD / (low * low * np.sqrt(low))
-
-
-def _reciprocal(x: Array, low: Array, high: Array) -> Derivatives:
-    inverse = 1.0 / x
-    least = np.where(low > 0.0, low, np.where(high < 0.0, -high, np.nan))
-    square = least * least
-    return inverse, -inverse * inverse, 2.0 * inverse * inverse * inverse, 6.0 * UPWARD / (square * square)
-
-
-def _sin(x: Array, low: Array, high: Array) -> Derivatives:
-    s, c = np.sin(x), np.cos(x)
-    return s, c, -s, np.ones_like(x)
-
-
-def _cos(x: Array, low: Array, high: Array) -> Derivatives:
-    s, c = np.sin(x), np.cos(x)
-    return c, -s, -c, np.ones_like(x)
-
-
-def _arctan(x: Array, low: Array, high: Array) -> Derivatives:
-    w = 1.0 / (1.0 + x * x)
-    return np.arctan(x), w, -2.0 * x * w * w, np.full_like(x, 2.0)
-
-
-def _exp(x: Array, low: Array, high: Array) -> Derivatives:
-    e = np.exp(x)
-    return e, e, e, np.exp(high) * (1.0 + LIBRARY) * UPWARD
-
-
-def _log(x: Array, low: Array, high: Array) -> Derivatives:
-    low, inverse = np.where(low > 0.0, low, np.nan), 1.0 / x
-    return np.log(x), inverse, -inverse * inverse, 2.0 * UPWARD / (low * low * low)
-
-
-def _power_rule(p: float) -> Callable[[Array, Array, Array], Derivatives]:
-    def rule(x: Array, low: Array, high: Array) -> Derivatives:
-        f, low = np.power(x, p), np.where(low > 0.0, low, np.nan)
-        third = abs(p * (p - 1.0) * (p - 2.0)) * np.maximum(np.power(low, p - 3.0), np.power(high, p - 3.0))
-        slope = p * f / x
-        return f, slope, (p - 1.0) * slope / x, third * (1.0 + LIBRARY) * UPWARD
-
-    return rule
-
-
 def _divide(a: Any, b: Any) -> TaylorModel:
     if not isinstance(b, TaylorModel):
         return _multiply(a, 1.0 / TaylorModel.constant(b, a.count))
-    inverse = _compose(b, _reciprocal)
+    inverse = _compose(b, DERIVATIVES[np.reciprocal])
     return inverse if isinstance(a, float | int) and a == 1.0 else _multiply(a, inverse)
 
 
@@ -374,7 +321,7 @@ def _power(base: Any, exponent: Any) -> TaylorModel:
         return np.exp(exponent * np.log(base))  # type: ignore[no-any-return]
     n = float(exponent)
     if n != int(n) or abs(n) > INTEGER_POWERS:
-        return _compose(base, _power_rule(n))
+        return _compose(base, power(n))
     found = base if n else TaylorModel.constant(1.0, base.count)
     for _ in range(abs(int(n)) - 1):
         found = found * base
@@ -387,9 +334,9 @@ def _arctan2(y: Any, x: Any) -> TaylorModel:
     centre = np.arctan2(y.value, x.value)
     c, s = np.cos(centre), np.sin(centre)
     along, across = x * c + y * s, y * c - x * s
-    slope = across * _compose(along, _reciprocal)
+    slope = across * _compose(along, DERIVATIVES[np.reciprocal])
     valid = along.low > 0.0
-    found = _compose(slope, _arctan, LIBRARY)
+    found = _compose(slope, DERIVATIVES[np.arctan], LIBRARY)
     remainder = np.where(valid, found.remainder + 4.0 * LIBRARY, np.inf)
     out = found.coefficients.copy()
     out[0] += centre
@@ -438,7 +385,7 @@ def _minimum(a: Any, b: Any) -> TaylorModel:
 
 def _root(x: TaylorModel) -> TaylorModel:
     """Square root; where x is negative in a part of the box, the range of the root in the other part."""
-    found, low, high = _compose(x, _sqrt), x.low, x.high
+    found, low, high = _compose(x, DERIVATIVES[np.sqrt]), x.low, x.high
     partly = (low <= 0.0) & (high > 0.0) & np.isfinite(high)
     if not np.any(partly):
         return found
@@ -456,16 +403,16 @@ _RULES: dict[np.ufunc, Callable[..., TaylorModel]] = {
     np.positive: lambda x: x,
     np.square: lambda x: _multiply(x, x),
     np.sqrt: _root,
-    np.sin: lambda x: _compose(x, _sin, LIBRARY),
-    np.cos: lambda x: _compose(x, _cos, LIBRARY),
+    np.sin: lambda x: _compose(x, DERIVATIVES[np.sin], LIBRARY),
+    np.cos: lambda x: _compose(x, DERIVATIVES[np.cos], LIBRARY),
     np.tan: lambda x: np.sin(x) / np.cos(x),
     np.arcsin: lambda x: _arctan2(x, np.sqrt(1.0 - x * x)),
     np.arccos: lambda x: _arctan2(np.sqrt(1.0 - x * x), x),
-    np.arctan: lambda x: _compose(x, _arctan, LIBRARY),
+    np.arctan: lambda x: _compose(x, DERIVATIVES[np.arctan], LIBRARY),
     np.arctan2: _arctan2,
-    np.exp: lambda x: _compose(x, _exp),
-    np.log: lambda x: _compose(x, _log, LIBRARY),
-    np.log10: lambda x: _compose(x, _log, LIBRARY) * (1.0 / np.log(10.0)),
+    np.exp: lambda x: _compose(x, DERIVATIVES[np.exp]),
+    np.log: lambda x: _compose(x, DERIVATIVES[np.log], LIBRARY),
+    np.log10: lambda x: _compose(x, DERIVATIVES[np.log], LIBRARY) * (1.0 / np.log(10.0)),
     np.sinh: lambda x: 0.5 * (np.exp(x) - np.exp(-x)),
     np.cosh: lambda x: 0.5 * (np.exp(x) + np.exp(-x)),
     np.tanh: lambda x: 1.0 - 2.0 / (np.exp(2.0 * x) + 1.0),
