@@ -22,11 +22,9 @@ from optlink.linkage.vector2d import Array
 from optlink.optimization.cycle_constraints import EVENT
 from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
 from optlink.optimization.cycle_signals import EventOrder, Sample, TracedCycle
-from optlink.problem.function import EPIGRAPH
 from optlink.solvers import multistart
 from optlink.solvers.contract import backend
 from optlink.solvers.feasibility import repair
-from optlink.solvers.infeasibility import Explanation, explain
 from optlink.solvers.semi_infinite import exchange, peaks, restart_from
 from optlink.solvers.solution import ACTIVE, LEAST_PRICE, Relaxation, Solution
 
@@ -34,7 +32,6 @@ STARTS = 8  # default number of starting points
 SAMPLES = 64  # random designs per starting point; only those with the structure of the initial design are used
 BLOCK = 32  # random designs whose events are determined together
 ORDERS = 2  # further orders of events searched while no feasible design is known
-COARSE, TRIED = 24, 2  # positions per revolution, and starts, of the infeasibility analysis
 STEPS = (1e-3, 1e-2)  # of the range of a design variable: from a design at the edge of its order of events to the next order
 NEIGHBOURS, CROSSINGS = 4, 12  # other orders searched from one such design; designs from which orders beside are searched
 
@@ -439,35 +436,3 @@ def reconcile_backends(nlp: CycleNLP, found: dict[str, Solution]) -> dict[str, S
 def rank(solution: Solution) -> tuple[bool, bool, float]:
     """Return a sort key, best first: feasible, optimal, low objective."""
     return not solution.usable, solution.status is not Status.OPTIMAL, solution.objective
-
-
-def explain_infeasibility(found: CycleSearchResult, names: Sequence[str]) -> CycleSearchResult:
-    """Return the conflicting limits and the nearest design of an infeasible problem, or a feasible design if one is found.
-
-    The conflict among [limits] is analysed on an NLP with fewer positions; the bounds of the design variables are kept.
-
-    Parameters
-    ----------
-    found : CycleSearchResult
-        A search without a feasible design.
-    names : sequence of str
-        Names of back ends.
-    """
-    nlp, order = found.orders[0].nlp, found.orders[0]
-    coarse = build_cycle(nlp.traced, nlp.structure, nlp.design(nlp.x_start), nodes=COARSE)
-    required = {bound.key for bound in coarse.traced.problem.bounds}
-    kept = coarse.states.union(coarse.free, {row.limit for row in coarse.rows} - required - {EPIGRAPH})
-    ends = [nlp.design(solution.x) for solution in next(iter(order.runs.values()))[:TRIED]]
-    points = [coarse.x_of(values) for values in (*order.begin.starts[:TRIED], *ends)]
-
-    def follow(x: Array) -> Array:
-        coarse.set_exchange_points(peaks(coarse, x).shares)
-        return coarse.p
-
-    reason = explain(replace(coarse, states=kept), points=points, quick=True, follow=follow)
-    if isinstance(reason, Explanation):
-        miss = multistart.infeasible_at(nlp, nlp.x_of(coarse.design(reason.x)), "nearest design")
-        return replace(found, nlp=nlp, best=dict.fromkeys(names, miss), conflict=reason.conflict, together=reason.together)
-    x = nlp.x_of(coarse.design(reason))
-    again = {name: exchange(nlp, multistart.solve_from(nlp, x, name)) for name in names}
-    return replace(found, nlp=nlp, best=reconcile_backends(nlp, again))

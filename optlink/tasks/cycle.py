@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from optlink.errors import InputError, Status
 from optlink.execution import interrupts
+from optlink.linkage.vector2d import Array
 from optlink.problem.cycle.model import Bound, CycleProblem
 from optlink.problem.cycle.terms import Term
 from optlink.problem.file import ProblemFile
+from optlink.problem.function import EPIGRAPH
 from optlink.problem.quantity import input_of
 from optlink.solvers.solution import Solution
 from optlink.tasks.analyze import quick_stroke_notes
@@ -32,6 +35,7 @@ if TYPE_CHECKING:
 
 
 ALIKE = 1e-6  # relative, of the objectives of two designs of one continuum
+COARSE, TRIED = 24, 2  # positions per revolution, and starts, of the infeasibility analysis
 MOST_NODES, EXACT = 400, 1e-7  # positions per revolution, and relative accuracy of integrals against the fine sweep
 
 
@@ -58,7 +62,6 @@ class CycleTask(DesignTask[CycleResult]):
         from optlink.solvers.cycle_search import (
             STARTS,
             StartSequence,
-            explain_infeasibility,
             further_start_groups,
             rank,
             search_all,
@@ -89,7 +92,7 @@ class CycleTask(DesignTask[CycleResult]):
 
         result = search_all(trace, firsts, names, advance, lambda: further_start_groups(samples, firsts, count, fits))
         if not result.usable:
-            result = explain_infeasibility(result, names)
+            result = _explained(result, names)
         nlp, found = _dense(result.nlp, result.best)
         winner = min(found.values(), key=rank)
         chosen = next(name for name, solution in found.items() if solution is winner)
@@ -137,6 +140,37 @@ class CycleTask(DesignTask[CycleResult]):
 
 TASK = CycleTask()
 solve, validate = TASK.solve, TASK.validate
+
+
+def _explained(found: CycleSearchResult, names: Sequence[str]) -> CycleSearchResult:
+    """Return the conflicting limits and the nearest design of an infeasible problem, or a feasible design if one is found.
+
+    The conflict among [limits] is analysed on an NLP with fewer positions; the bounds of the design variables are kept.
+    """
+    from optlink.optimization.cycle_nlp import build_cycle
+    from optlink.solvers import multistart
+    from optlink.solvers.cycle_search import reconcile_backends
+    from optlink.solvers.infeasibility import Explanation, explain
+    from optlink.solvers.semi_infinite import exchange, peaks
+
+    nlp, order = found.orders[0].nlp, found.orders[0]
+    coarse = build_cycle(nlp.traced, nlp.structure, nlp.design(nlp.x_start), nodes=COARSE)
+    required = {bound.key for bound in coarse.traced.problem.bounds}
+    kept = coarse.states.union(coarse.free, {row.limit for row in coarse.rows} - required - {EPIGRAPH})
+    ends = [nlp.design(solution.x) for solution in next(iter(order.runs.values()))[:TRIED]]
+    points = [coarse.x_of(values) for values in (*order.begin.starts[:TRIED], *ends)]
+
+    def follow(x: Array) -> Array:
+        coarse.set_exchange_points(peaks(coarse, x).shares)
+        return coarse.p
+
+    reason = explain(replace(coarse, states=kept), points=points, quick=True, follow=follow)
+    if isinstance(reason, Explanation):
+        miss = multistart.infeasible_at(nlp, nlp.x_of(coarse.design(reason.x)), "nearest design")
+        return replace(found, nlp=nlp, best=dict.fromkeys(names, miss), conflict=reason.conflict, together=reason.together)
+    x = nlp.x_of(coarse.design(reason))
+    again = {name: exchange(nlp, multistart.solve_from(nlp, x, name)) for name in names}
+    return replace(found, nlp=nlp, best=reconcile_backends(nlp, again))
 
 
 def _firsts(problem: ProblemFile, samples: StartSequence, count: int) -> list[StartGroup]:

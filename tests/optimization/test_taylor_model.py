@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 from flint import arb
 
-from optlink.optimization import taylor_model, taylor_rules
 from optlink.linkage.dyads import rrr
 from optlink.linkage.fourbar import dead_centre, transmission_cosine
 from optlink.linkage.vector2d import angle_from
+from optlink.optimization import taylor_model, taylor_rules
 from optlink.optimization.taylor_model import TaylorModel, pairs
 from optlink.validation.balls import Ball
 
