@@ -89,7 +89,7 @@ class AnalysisTask(FiguresTask):
             elif name in single or (name.rpartition(".")[0] in columns and name.rpartition(".")[2] in FIGURES):
                 found[name] = None
             else:
-                raise InputError("no such column", nearest(name, (*columns, *single)), self.file, "--column", name)
+                raise InputError("no such column", nearest(name, (*columns, *single)), self.source.file, "--column", name)
         return tuple(found)
 
     def lines(self, index: int) -> list[list[str]]:

@@ -361,7 +361,7 @@ def _about(task: SweepTask) -> dict[str, Any]:
     return {
         "schema": "optlink/study/1",
         "optlink": task.version,
-        "problem": task.name,
+        "problem": task.source.name,
         "problem_hash": task.hash,
         "mode": task.mode,
         "axes": [[axis.key, axis.unit, list(axis.values)] for axis in task.grid.axes],

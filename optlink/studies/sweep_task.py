@@ -13,11 +13,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
-from pathlib import Path
 from typing import Any, ClassVar
 
 from optlink.errors import InputError, Status
-from optlink.problem.file import ProblemFile, read
+from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import Quantity
 from optlink.studies.grid import Grid, column
 from optlink.version import VERSION
@@ -39,10 +38,7 @@ class SweepTask(ABC):
     mode: ClassVar[str]
     """What is computed at every point: "analyse", "simulate" or "optimise"."""
 
-    raw: Mapping[str, Any]
-    name: str
-    file: str
-    folder: Path
+    source: ProblemFile
     hash: str
     grid: Grid
     chunk: int
@@ -51,14 +47,7 @@ class SweepTask(ABC):
     @classmethod
     def problem_fields(cls, problem: ProblemFile) -> dict[str, Any]:
         """Return the fields that come from the problem."""
-        return {
-            "raw": problem.raw,
-            "name": problem.name,
-            "file": problem.file,
-            "folder": problem.folder,
-            "hash": problem.hash,
-            "version": VERSION,
-        }
+        return {"source": problem, "hash": problem.hash, "version": VERSION}
 
     @property
     def chunks(self) -> int:
@@ -78,7 +67,7 @@ class SweepTask(ABC):
 
     @cached_property
     def problem(self) -> ProblemFile:
-        """The problem, read in the process of the chunk.
+        """The problem, read again in the process of the chunk.
 
         Raises
         ------
@@ -87,10 +76,10 @@ class SweepTask(ABC):
         """
         if self.version != VERSION:
             message = f"this worker runs optlink {VERSION}, the study optlink {self.version}"
-            raise InputError(message, "Install one version everywhere", self.file)
-        problem = read(self.raw, self.name, self.file, self.folder)
+            raise InputError(message, "Install one version everywhere", self.source.file)
+        problem = self.source.override({})
         if problem.hash != self.hash:
-            raise InputError("a file that the problem refers to has changed", "Begin a new study", self.file)
+            raise InputError("a file that the problem refers to has changed", "Begin a new study", problem.file)
         return problem
 
     @cached_property

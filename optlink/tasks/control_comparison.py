@@ -19,7 +19,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range
 from optlink.tasks.clearance import checked
 from optlink.tasks.machine import machine_of
-from optlink.tasks.parallel_runs import RunResult, job_of, run_jobs
+from optlink.tasks.parallel_runs import RunJob, RunResult, run_jobs
 from optlink.tasks.results.checkpoint import ComparisonCheckpoint, RunRecord, TuningCheckpoint, damaged, read_checkpoint
 from optlink.tasks.results.control_comparison import Comparison, Trials, Tuning
 
@@ -141,7 +141,7 @@ def compare(
     order = [(kind, k) for k in range(starts) for kind in kinds]
     runs: dict[tuple[str, int], RunResult] = {key: kept[key] for key in order if key in kept and key[1] > 0}
     todo = [key for key in order if key not in runs]
-    jobs = [job_of(problem, control=kind, start=float(angles[k]), whole=k == 0, **common) for kind, k in todo]
+    jobs = [RunJob(problem, control=kind, start=float(angles[k]), whole=k == 0, **common) for kind, k in todo]
     if progress is not None:
         progress(len(runs) / len(order))
     with pool(engine, workers or (1 if engine == "local" else None), scheduler) as work:
@@ -277,7 +277,7 @@ def tune(
             done.append(kept[len(done)])
         else:
             limit = starts * min((one for one, _ in done), default=np.inf)
-            jobs = [job_of(changed, control=control, start=float(start), limit=limit, **common) for start in angles]
+            jobs = [RunJob(changed, control=control, start=float(start), limit=limit, **common) for start in angles]
             runs = dict(run_jobs(jobs, work))
             useless = any(run.hopeless or not run.finished for run in runs.values())
             found = None if useless else _trials([runs[k] for k in range(starts)])

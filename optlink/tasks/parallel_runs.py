@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ import numpy as np
 from optlink.dynamics.ending import Ending
 from optlink.execution.runner import Runs
 from optlink.linkage.vector2d import Array
-from optlink.problem.file import ProblemFile, read
+from optlink.problem.file import ProblemFile
 from optlink.tasks.clearance import revolutions_counted, simulate_clearance
 from optlink.tasks.machine import machine_of
 from optlink.tasks.results.clearance import ClearanceSimulation
@@ -29,8 +28,7 @@ class RunJob:
 
     Parameters
     ----------
-    raw, name, file, folder
-        Problem, as in `optlink.problem.file.read`.
+    problem : ProblemFile
     control : str
     start : float [rad]
     revolutions, points : int
@@ -45,10 +43,7 @@ class RunJob:
         Whether to return the whole simulation, not only its figures.
     """
 
-    raw: Mapping[str, Any]
-    name: str
-    file: str
-    folder: Path
+    problem: ProblemFile
     control: str
     start: float
     revolutions: int
@@ -85,18 +80,6 @@ class RunResult:
         return ClearanceSimulation(problem=problem, machine=machine_of(problem, design), **self.parts)
 
 
-def job_of(problem: ProblemFile, **options: Any) -> RunJob:
-    """Return a run of a problem.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-    **options
-        Further fields of `RunJob`.
-    """
-    return RunJob(problem.raw, problem.name, problem.file, problem.folder, **options)
-
-
 def run_job(job: RunJob) -> RunResult:
     """Perform a run.
 
@@ -107,7 +90,6 @@ def run_job(job: RunJob) -> RunResult:
     KeyboardInterrupt
         On interruption.
     """
-    problem = read(job.raw, job.name, job.file, job.folder)
     count, seen, square = revolutions_counted(job.revolutions), 0, 0.0
 
     def judge(columns: Mapping[str, Array]) -> None:
@@ -122,7 +104,7 @@ def run_job(job: RunJob) -> RunResult:
     options["integrator"] = job.integrator
     try:
         run = simulate_clearance(
-            problem,
+            job.problem,
             job.revolutions,
             job.points,
             job.speed,

@@ -311,7 +311,7 @@ def test_tuning_resumes_and_stops_runs_that_cannot_win():
     on = optlink.tune(rocker(), "pid", ("proportional",), resume=middle, **options)
     np.testing.assert_array_equal(on.costs, whole.costs)
     assert dict(on.best) == dict(whole.best)
-    job = parallel_runs.job_of(rocker(), control="none", start=0.3, limit=1e-9, **SHORT)
+    job = parallel_runs.RunJob(rocker(), control="none", start=0.3, limit=1e-9, **SHORT)
     assert parallel_runs.run_job(job).hopeless
     assert not parallel_runs.run_job(replace(job, limit=1.0)).hopeless
 

@@ -14,8 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +21,7 @@ from optlink.errors import InputError
 from optlink.execution.runner import Runs, ordered
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP, build
-from optlink.problem.file import ProblemFile, read
+from optlink.problem.file import ProblemFile
 from optlink.problem.tolerances import NORMAL, Deviation
 from optlink.studies.tolerance.analysis import linear_analysis
 from optlink.studies.tolerance.monte_carlo import largest_errors, monte_carlo
@@ -85,7 +83,7 @@ def maximise_yield(
         nominal = nominal_design(file, None, None, design)
         return monte_carlo(linear_analysis(file, nominal, deviations, limit), samples, seed, runs=runs).share
 
-    task = YieldSearchTask(file.raw, file.name, file.file, file.folder, tuple(deviations), limit, seed + 1, tuple(starts))
+    task = YieldSearchTask(file, tuple(deviations), limit, seed + 1, tuple(starts))
     found = list(ordered(task, len(starts), runs))
     able = [design for design in found if validate(file, design).valid]
     best = max([*starts, *able], key=share)
@@ -95,15 +93,9 @@ def maximise_yield(
 
 @dataclass(frozen=True)
 class YieldSearchTask:
-    """Searches from several designs [SI], each one a chunk for `optlink.execution.runner`.
+    """Searches from several designs [SI], each one a chunk for `optlink.execution.runner`."""
 
-    `raw`, `name`, `file` and `folder` are the problem, as in `optlink.problem.file.read`.
-    """
-
-    raw: Mapping[str, Any]
-    name: str
-    file: str
-    folder: Path
+    file: ProblemFile
     deviations: tuple[Deviation, ...]
     limit: float
     seed: int
@@ -111,9 +103,8 @@ class YieldSearchTask:
 
     def __call__(self, index: int) -> dict[str, float]:
         """Return the design [SI] that is found from a start."""
-        file = read(self.raw, self.name, self.file, self.folder)
-        nlp = build(file.override({"requirement.measure": "sum of squares"}).spec)
-        return _Search(file, nlp, self.deviations, self.limit, self.seed, self.starts[index]).end()
+        nlp = build(self.file.override({"requirement.measure": "sum of squares"}).spec)
+        return _Search(self.file, nlp, self.deviations, self.limit, self.seed, self.starts[index]).end()
 
 
 class _Search:
