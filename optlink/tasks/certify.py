@@ -198,7 +198,10 @@ class _Search:
             interrupts.handled()
             interrupted = True
         self._keep(searches)
-        certificate = self._certificate(searches, variants)
+        return self._with(self._certificate(searches, variants), begin, interrupted=interrupted)
+
+    def _with(self, certificate: Certificate | None, begin: float, *, interrupted: bool) -> Any:
+        """Return the result with its certificate and the time since the begin of the proof."""
         taken = self.result.seconds | {"certify": time.perf_counter() - begin}
         return replace(self.result, certificate=certificate, seconds=taken, interrupted=self.result.interrupted or interrupted)
 
@@ -356,9 +359,7 @@ class _ErrorSearch(_Search):
             improved=self.improved,
             history=np.array(found.history, dtype=float).reshape(-1, 3),
         )
-        taken = self.result.seconds | {"certify": time.perf_counter() - begin}
-        interrupted = self.result.interrupted or found.status == INTERRUPTED
-        return replace(self.result, certificate=certificate, seconds=taken, interrupted=interrupted)
+        return self._with(certificate, begin, interrupted=found.status == INTERRUPTED)
 
     def _from_candidate(self, design: dict[str, float], side: int) -> float:
         """Search from a candidate [m, rad] of an assembly mode; return the objective of the best known design."""
@@ -389,10 +390,7 @@ class _PathSearch(_Search):
             interrupts.handled()
             interrupted = True
         self._keep([search])
-        taken = self.result.seconds | {"certify": time.perf_counter() - begin}
-        interrupted = self.result.interrupted or interrupted
-        certificate = self._certificate([search], [self.stated])
-        return replace(self.result, certificate=certificate, seconds=taken, interrupted=interrupted)
+        return self._with(self._certificate([search], [self.stated]), begin, interrupted=interrupted)
 
     def _from_box(self, bounds: TimedPathBounds, x: Array) -> float:
         """Search from the four-bar at a point, if it is within the bounds and searches for better ones have not failed often."""
@@ -429,12 +427,7 @@ def _local(result: FunctionResult | PathResult, variant: ProblemFile, start: dic
 
         backend = result.backend if result.backend != "none" else "ipopt"
         found = completed(function.solve(variant, backend, seed=seed, begin=start))
-        kept = {
-            name: getattr(result, name)
-            for name in ("starts", "optima", "counts", "notes")
-            if name in FunctionResult.__dataclass_fields__
-        }
-        return replace(found, **kept)
+        return replace(found, starts=result.starts, optima=result.optima, counts=result.counts)
     from optlink.solvers import multistart
     from optlink.solvers.contract import BACKENDS
     from optlink.solvers.path_exchange import solve_semi_infinite

@@ -30,41 +30,6 @@ WIDEN = 1e-9  # relative or absolute [rad] enlargement of bounds, which leaves n
 CLOSED, STOPPED, INTERRUPTED = "closed", "stopped", "interrupted"
 
 
-@dataclass(frozen=True)
-class FunctionBound:
-    """Lower bound of the largest output error over all linkages within the bounds and limits of a problem.
-
-    Parameters
-    ----------
-    lower : float [rad]
-        No linkage has a smaller largest error.
-    best : float [rad]
-        Largest error of the best known design.
-    gap : float
-        Share of `best` by which a better linkage may exist.
-    boxes : int
-        Boxes that were bounded.
-    seconds : float
-    status : str
-        "closed" if the requested gap is proven; "stopped" at the limit of time or boxes; "interrupted" by Ctrl-C.
-    open : array (boxes, 2, 4)
-        Corners of the boxes that are left: phi0, psi0 [rad], frame over crank, frame over rocker.
-    better : list of (dict [m, rad], int)
-        Designs better than all known before and their assembly modes, in the order of their discovery.
-    history : list of (boxes, lower, best)
-    """
-
-    lower: float
-    best: float
-    gap: float
-    boxes: int
-    seconds: float
-    status: str
-    open: Array
-    better: list[tuple[dict[str, float], int]]
-    history: list[tuple[int, float, float]]
-
-
 def certify_function(
     problem: DesignProblem,
     best: float,
@@ -74,7 +39,7 @@ def certify_function(
     boxes: float = math.inf,
     progress: Callable[[float, float], None] | None = None,
     improve: Improve | None = None,
-) -> FunctionBound:
+) -> FunctionSearch:
     """Bound the largest error of all linkages from below, both assembly modes where the problem leaves them open.
 
     Parameters
@@ -105,9 +70,9 @@ def certify_function(
         raise ValueError("only the largest error of a function, without tolerances, is bounded")
     if not (0.0 < best < 0.25 * math.pi and 0.0 < gap < 1.0):
         raise ValueError(f"best lies between 0 and pi/4 rad, and gap between 0 and 1, not {best} and {gap}")
-    search = _Search(problem, best, None if design is None else dict(design), improve)
+    search = FunctionSearch(problem, best, None if design is None else dict(design), improve)
     search.run([level for level in LEVELS if level > gap] + [gap], seconds, boxes, progress)
-    return search.finding()
+    return search
 
 
 def linkage_sets(problem: DesignProblem, error: float) -> list[LinkageSet]:
@@ -150,19 +115,60 @@ def _ratio(problem: DesignProblem, name: str) -> tuple[float, float]:
 
 
 @dataclass
-class _Search:
+class FunctionSearch:
+    """Search of all linkages within the bounds and limits of a problem for one with a smaller largest output error.
+
+    Parameters
+    ----------
+    problem : DesignProblem
+    best : float [rad]
+        Largest error of the best known design.
+    design : dict [m, rad] or None
+        That design.
+    improve : function or None
+        See `certify_function`.
+    proven : float [rad]
+        Lower bound of the last gap that is proven.
+    boxes : int
+        Boxes that were bounded.
+    status : str
+        "closed" if the requested gap is proven; "stopped" at the limit of time or boxes; "interrupted" by Ctrl-C.
+    better : list of (dict [m, rad], int)
+        Designs better than all known before and their assembly modes, in the order of their discovery.
+    history : list of (boxes, lower, best)
+    tried : list of array (4,)
+        Places of the candidates that were tried.
+    searches : list of BranchAndBound
+        Those of the present gap.
+    """
+
     problem: DesignProblem
     best: float
     design: dict[str, float] | None
     improve: Improve | None
-    lower: float = 0.0
+    proven: float = 0.0
     boxes: int = 0
-    seconds: float = 0.0
     status: str = STOPPED
     better: list[tuple[dict[str, float], int]] = field(default_factory=list)
     history: list[tuple[int, float, float]] = field(default_factory=list)
     tried: list[Array] = field(default_factory=list)
     searches: list[BranchAndBound] = field(default_factory=list)
+
+    @property
+    def lower(self) -> float:
+        """Lower bound [rad]: no linkage has a smaller largest error."""
+        return min(self.proven, self.best)
+
+    @property
+    def gap(self) -> float:
+        """Share of `best` by which a better linkage may exist."""
+        return 1.0 - self.lower / self.best
+
+    @property
+    def open(self) -> Array:
+        """Corners of the boxes that are left (boxes, 2, 4): phi0, psi0 [rad], frame over crank, frame over rocker."""
+        left = [np.stack([part.low, part.high], axis=1) for search in self.searches for part in (search.open, search.tiny)]
+        return np.concatenate(left) if left else np.zeros((0, 2, 4))
 
     def run(self, levels: list[float], seconds: float, boxes: float, progress: Callable[[float, float], None] | None) -> None:
         """Prove one gap after the other."""
@@ -178,15 +184,14 @@ class _Search:
                     search.run(seconds - (time.perf_counter() - begin), boxes - self.boxes, report)
                     self.boxes += search.boxes - before
                     self.best = min(self.best, search.best)
-                self.seconds = time.perf_counter() - begin
                 if not all(search.closed for search in self.searches):
                     return
-                self.lower = max(self.lower, min(search.lower for search in self.searches))
-                self.history.append((self.boxes, self.lower, self.best))
+                self.proven = max(self.proven, min(search.lower for search in self.searches))
+                self.history.append((self.boxes, self.proven, self.best))
             self.status = CLOSED
         except KeyboardInterrupt:
             interrupts.handled()
-            self.status, self.seconds = INTERRUPTED, time.perf_counter() - begin
+            self.status = INTERRUPTED
 
     def _searches(self, level: float) -> list[BranchAndBound]:
         """Return a search of every set of linkages; each begins with the boxes that the one before has discarded."""
@@ -199,26 +204,10 @@ class _Search:
                 search.open = Boxes(low, high, np.zeros(len(low)))
         return found
 
-    def finding(self) -> FunctionBound:
-        """Return what was proven so far."""
-        lower = min(self.lower, self.best)
-        left = [np.stack([part.low, part.high], axis=1) for search in self.searches for part in (search.open, search.tiny)]
-        return FunctionBound(
-            lower=lower,
-            best=self.best,
-            gap=1.0 - lower / self.best,
-            boxes=self.boxes,
-            seconds=self.seconds,
-            status=self.status,
-            open=np.concatenate(left) if left else np.zeros((0, 2, 4)),
-            better=self.better,
-            history=self.history,
-        )
-
     def _report(self, search: BranchAndBound, k: int, progress: Callable[[float, float], None]) -> None:
         whole = float(np.prod(search.bounder.high - search.bounder.low))
         left = float(np.sum(np.prod(search.open.high - search.open.low, axis=1))) / whole
-        progress((k + 1.0 - min(left, 1.0)) / len(self.searches), 1.0 - min(self.lower, self.best) / self.best)
+        progress((k + 1.0 - min(left, 1.0)) / len(self.searches), self.gap)
 
     def _bounds(self, linkages: LinkageSet) -> FunctionBounds:
         law = self.problem.requirement.law
