@@ -237,8 +237,8 @@ def transmission_sides(problem: AnyProblem, joint: str = COUPLER_JOINT) -> Itera
         high = math.inf if stated.low is None else _cosine(stated.low)
     own = _chosen(low >= -most - SAME, low, -math.inf), _chosen(high <= most + SAME, high, math.inf)
     if stated is not None and np.any((own[0] > -math.inf) | (own[1] < math.inf)):
-        yield CosineLimit(stated.key, *own, problem.transmission_over)
-    same = problem.transmission_over == required
+        yield CosineLimit(stated.key, *own, problem.limits.transmission_range)
+    same = problem.limits.transmission_range == required
     floor = _chosen(same & (abs(own[0] + most) <= SAME), -math.inf, -most)
     ceiling = _chosen(same & (abs(own[1] - most) <= SAME), math.inf, most)
     if np.any((floor > -math.inf) | (ceiling < math.inf)):

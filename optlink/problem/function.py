@@ -186,11 +186,6 @@ class DesignProblem(Problem):
         """Whether a lower bound of the largest error over all linkages is available: of a function, without tolerances."""
         return self.everywhere and self.requirement.robust is None
 
-    @property
-    def transmission_over(self) -> str:
-        """Crank range of the transmission limits: "revolution" or "span"."""
-        return self.limits.transmission_over or ("span" if self.limits.crank == "span" else "revolution")
-
     def start_position(self, values: Mapping[str, Value]) -> StartPosition:
         """Return the start of the requirement for given quantities; elementwise, NaN where it does not exist."""
         lengths = lengths_of(values)

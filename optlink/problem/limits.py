@@ -111,6 +111,11 @@ class Limits(Margins):
     link_ratio: NumberInterval | None = None
     """Length of each moving link divided by that of the frame; four-bar only."""
 
+    @property
+    def transmission_range(self) -> str:
+        """Crank range over which the transmission angle is limited: "revolution" or "span"."""
+        return self.transmission_over or ("span" if self.crank == "span" else "revolution")
+
     def transmission_at(self, joint: str = COUPLER_JOINT) -> TransmissionLimit | None:
         """Return the limit of the transmission angle at a joint, see `transmission_limit`."""
         cosine = self.transmission_cosine

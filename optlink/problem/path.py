@@ -29,7 +29,6 @@ from optlink.problem.targets.points import TargetPoints, closed, read_points
 START, MARK, ZERO = "start", "mark", "zero"
 """Names of the quantities that a task adds to those of the mechanism."""
 
-KINDS = ("path", "motion", "function", "transmission")
 POSITIONS = 60  # default number of positions of an expression or a function
 FINE = 721  # positions at which the travel of a law is computed
 GRID = 36  # crank angles at which the transmission of a mechanism other than a four-bar is evaluated
@@ -377,11 +376,6 @@ class PathProblem(Problem):
             turned = turn(pose.direction(self.body), unit(values[MARK]))
             found.append(self.radian * angle_from((target[2], target[3]), turned))
         return found
-
-    @property
-    def transmission_over(self) -> str:
-        """Crank range of the transmission limits: "revolution" or "span"."""
-        return self.limits.transmission_over or ("span" if self.limits.crank == "span" else "revolution")
 
     def crank_angles(self, values: Mapping[str, float], angles: Array | None) -> Array:
         """Return the crank angle [rad] at each point.

@@ -24,7 +24,7 @@ from optlink.linkage.mechanism import FRAME, Guide
 from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import TURN, Array, Vector
 from optlink.report.labels import Label
-from optlink.report.shapes import Part, finite, hatching, hull, rectangle, spread, stem, zigzag
+from optlink.report.shapes import Part, finite, hatching, hull, in_line, rectangle, spread, stem, zigzag
 from optlink.report.style import BODIES, CRANK, GROUND, QUIET, Scale, figure, scale
 
 FAR = 8.0  # positions beyond this multiple of the median distance from the crank pivot do not set the scale
@@ -160,14 +160,8 @@ class Sketch:
                 if np.linalg.norm(arm[1] - arm[0]) > 0.5 * self.size:
                     found.append(Part("bar", arm))
         if len(own) > 1:
-            first, last = own[0], own[int(np.argmax(np.linalg.norm(own - own[0], axis=1)))]
-            along = (last - first) / np.linalg.norm(last - first)
-            off = (own - first) @ np.array([-along[1], along[0]])
-            if np.max(np.abs(off)) < 0.05 * self.size:
-                order = np.argsort((own - first) @ along)
-                found.append(Part("bar", own[[order[0], order[-1]]]))
-            else:
-                found.append(Part("plate", hull(own)))
+            order = in_line(own, 0.05 * self.size)
+            found.append(Part("plate", hull(own)) if order is None else Part("bar", own[order[[0, -1]]]))
         return found
 
     # --- ground ----------------------------------------------------------------------------------------------------------

@@ -91,6 +91,22 @@ def stem(own: Array, ends: Array) -> Array:
     return np.array([own[nearest], feet[nearest]])
 
 
+def in_line(points: Array, near: float) -> NDArray[np.intp] | None:
+    """Return the order of points along a line; None if one lies farther than `near` from the line of the two outer ones.
+
+    Parameters
+    ----------
+    points : array (n, 2)
+        Two different points at least.
+    near : float
+    """
+    arms = points - points[0]
+    lengths = np.linalg.norm(arms, axis=1)
+    along = arms[np.argmax(lengths)] / np.max(lengths)
+    beside = np.abs(arms @ np.array([-along[1], along[0]]))
+    return None if np.max(beside) > near else np.argsort(arms @ along)
+
+
 def hull(points: Array) -> Array:
     """Return the corners of the convex hull, counter-clockwise."""
     ordered = points[np.lexsort((points[:, 1], points[:, 0]))]

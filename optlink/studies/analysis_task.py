@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from optlink.dynamics.change_points import pin_columns
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.machine import Machine, slider_names
 from optlink.errors import InputError
@@ -164,8 +165,7 @@ def available_figures(problem: ProblemFile) -> tuple[tuple[str, ...], tuple[str,
     machine, drive = machine_of(problem), problem.model.drive
     mechanism = machine.mechanism
     columns = list(MotionColumns(machine.moving(np.array([drive.start.value]), crank_speed(problem))).columns)
-    for point, bodies in mechanism.pins.items():
-        columns += [f"{point}.f_N"] if len(bodies) == 2 else [f"{point}.{body}.f_N" for body in bodies]
+    columns += [name for name, _, _ in pin_columns(machine)]
     sliders = set(slider_names(machine).values())
     single = [f"{name}.{kind}" for name in sliders for kind in ("stroke_m", "time_ratio")]
     for link in mechanism.links:
@@ -175,10 +175,8 @@ def available_figures(problem: ProblemFile) -> tuple[tuple[str, ...], tuple[str,
 
 def _unreached(problem: ProblemFile, machine: Machine, ranges: Ranges) -> str:
     """Return where the crank can turn, and what stops it."""
-    deg = math.degrees
     if ranges.ranges:
-        reach = ", ".join(f"{deg(low):.6g} ... {deg(high):.6g} deg" for low, high in ranges.ranges)
-        return f"the crank does not turn fully; reachable: {reach}"
+        return f"the crank does not turn fully; reachable: {ranges.text}"
     failed = failure(machine.mechanism, machine.sizes, problem.model.drive.start.value)
     return f"no crank angle can be reached{f': {failed}' if failed else ''}"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -29,8 +29,6 @@ SHOWN = 4  # designs
 TRIED = 12  # candidates of the first round of which valid ones are shown before they are refined
 SMALLEST = 1e-3  # mm
 ROUNDS = 12
-
-Send = Callable[[Mapping[str, Any]], None]
 
 
 def drawn(points: Any, *, closed: bool) -> Document:

@@ -245,8 +245,8 @@ class BallProblem:
             high = high if stated.low is None else math.cos(stated.low)
             low, high = low if low >= -most - SAME else -math.inf, high if high <= most + SAME else math.inf
             if math.isfinite(low) or math.isfinite(high):
-                yield stated.key, low, high, problem.transmission_over
-        replaced = problem.transmission_over == required  # by a limit of the file that is as tight
+                yield stated.key, low, high, problem.limits.transmission_range
+        replaced = problem.limits.transmission_range == required  # by a limit of the file that is as tight
         floor = -math.inf if replaced and abs(low + most) <= SAME else -most
         ceiling = math.inf if replaced and abs(high - most) <= SAME else most
         if math.isfinite(floor) or math.isfinite(ceiling):

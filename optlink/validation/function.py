@@ -301,7 +301,7 @@ def _transmission(tested: _Tested) -> Iterator[Checks]:
     """Check the extremes of the transmission angle, by sweep and refinement."""
     limit = tested.problem.limits.transmission_at()
     if limit is not None:
-        motion = tested.revolution if tested.problem.transmission_over == "revolution" else tested.span
+        motion = tested.revolution if tested.problem.limits.transmission_range == "revolution" else tested.span
         least, largest = motion.transmission_extremes
         yield from transmission_checks(np.degrees(least), np.degrees(largest), limit)
 

@@ -215,7 +215,7 @@ class _Tested:
 
     def limited_motion(self) -> Motion:
         """Return the motion over which the transmission angle is limited."""
-        whole = self.problem.transmission_over == "revolution" and self.revolution is not None
+        whole = self.problem.limits.transmission_range == "revolution" and self.revolution is not None
         return self.revolution if whole and self.revolution is not None else self.span
 
 

@@ -18,7 +18,7 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.report.export.svg import svg
 from optlink.report.html.theme import readable
 from optlink.report.scene import FLIP, Scene, scene
-from optlink.report.shapes import finite, hull
+from optlink.report.shapes import finite, hull, in_line
 from optlink.report.style import GROUND
 from optlink.tasks.results.analysis import Analysis
 
@@ -129,11 +129,9 @@ def _neighbours(points: Array) -> list[tuple[int, int]]:
         return []
     if len(points) == 2:
         return [(0, 1)]
-    along = points[int(np.argmax(np.linalg.norm(points - points[0], axis=1)))] - points[0]
-    along /= np.linalg.norm(along)
-    off = (points - points[0]) @ np.array([-along[1], along[0]])
-    if np.max(np.abs(off)) < 1e-3 * np.ptp(points, axis=0).max():
-        return list(itertools.pairwise(np.argsort((points - points[0]) @ along).tolist()))
+    order = in_line(points, 1e-3 * np.ptp(points, axis=0).max())
+    if order is not None:
+        return list(itertools.pairwise(order.tolist()))
     ring = [int(np.argmin(np.linalg.norm(points - corner, axis=1))) for corner in hull(points)]
     inner = [k for k in range(len(points)) if k not in ring]
     return [*itertools.pairwise([*ring, ring[0]]), *((k, ring[0]) for k in inner)]

@@ -22,7 +22,7 @@ from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import Array
 from optlink.report.files import whole
 from optlink.report.scene import scene
-from optlink.report.shapes import hull
+from optlink.report.shapes import hull, in_line
 from optlink.tasks.results.analysis import Analysis
 
 if TYPE_CHECKING:
@@ -213,7 +213,9 @@ def rounded(points: Array, radius: float) -> tuple[Vertex, ...]:
     extent = float(np.max(np.ptp(points, axis=0)))
     corners = _distinct(points, SAME * max(extent, radius))
     if len(corners) > 2:
-        corners = _strict(hull(corners), SAME * extent)
+        corners = hull(corners)
+        order = in_line(corners, SAME * extent)
+        corners = corners if order is None else corners[order[[0, -1]]]
     if len(corners) == 1:
         x, y = corners[0]
         return ((x - radius, y, 1.0), (x + radius, y, 1.0))
@@ -233,17 +235,6 @@ def _distinct(points: Array, near: float) -> Array:
         if all(np.linalg.norm(point - other) > near for other in kept):
             kept.append(point)
     return np.array(kept)
-
-
-def _strict(corners: Array, near: float) -> Array:
-    """Return the two end points if all corners of a hull are collinear, otherwise the corners."""
-    centre = corners[int(np.argmax(np.linalg.norm(corners - corners[0], axis=1)))]
-    along = (centre - corners[0]) / np.linalg.norm(centre - corners[0])
-    off = (corners - corners[0]) @ np.array([-along[1], along[0]])
-    if np.max(np.abs(off)) <= near:
-        shares = (corners - corners[0]) @ along
-        return corners[[int(np.argmin(shares)), int(np.argmax(shares))]]
-    return corners
 
 
 # --- drawing -----------------------------------------------------------------------------------------------------------------

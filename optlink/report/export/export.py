@@ -126,10 +126,9 @@ def place_of(subject: ReportModel, cycle: Analysis, at: float | None) -> float:
         return at
     if cycle.ranges.holding(at) is None:
         failed = failure(cycle.machine.mechanism, cycle.machine.sizes, at)
-        reach = ", ".join(f"{math.degrees(low):.6g} ... {math.degrees(high):.6g} deg" for low, high in cycle.ranges.ranges)
         message = str(failed) if failed else "the mechanism cannot be assembled there"
         shown = f"{math.degrees(at):.6g} deg"
-        raise InputError(message, f"Give an angle within {reach}", subject.problem.file, "--at", shown)
+        raise InputError(message, f"Give an angle within {cycle.ranges.text}", subject.problem.file, "--at", shown)
     return at
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from optlink.dynamics.change_points import pin_columns
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.work import Work
 from optlink.linkage.motion import continuous
@@ -50,9 +51,8 @@ class CycleCurves:
             if name.endswith(".angle_rad"):
                 self.columns[name] = continuous(self.columns[name])
         self.columns["input.work_J"] = Work(machine, self.start, low, high, speed)(self.angles)
-        for point, bodies in machine.mechanism.pins.items():
-            for name in [point] if len(bodies) == 2 else [f"{point}.{body}" for body in bodies]:
-                self.columns[f"{name}.f_N"] = np.hypot(self.columns[f"{name}.fx_N"], self.columns[f"{name}.fy_N"])
+        for name, _, _ in pin_columns(machine):
+            self.columns[name] = np.hypot(*(self.columns[name.replace(".f_N", f".f{axis}_N")] for axis in "xy"))
         self._pairs = np.flatnonzero(np.diff(self.angles) == 0.0)
 
     def __getitem__(self, name: str) -> Array:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from optlink.dynamics.change_points import pin_columns
 from optlink.dynamics.inverse import shaking as shaken
 from optlink.linkage import extrema
 from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Dash, Line, Mark, Panel
@@ -63,13 +64,8 @@ def torque(course: CycleCurves, given: CycleCurves | None = None) -> list[ChartS
 
 def joints(course: CycleCurves) -> dict[str, str]:
     """Return the column of the force magnitude of every joint reaction, by label."""
-    found = {}
-    for point, bodies in course.result.machine.mechanism.pins.items():
-        if len(bodies) == 2:
-            found[point] = f"{point}.f_N"
-        else:
-            found |= {f"{point} on {body}": f"{point}.{body}.f_N" for body in bodies}
-    return found
+    names = [name for name, _, _ in pin_columns(course.result.machine)]
+    return {name.removesuffix(".f_N").replace(".", " on "): name for name in names}
 
 
 def reactions(course: CycleCurves) -> list[ChartSpec]:

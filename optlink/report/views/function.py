@@ -192,7 +192,7 @@ def transmission(result: FunctionResult) -> list[ChartSpec]:
     lines = []
     for bound, low in transmission_limits(result):
         name = f"{'at least' if low else 'at most'} {bound:.5g}°"
-        if problem.transmission_over == "revolution":
+        if problem.limits.transmission_range == "revolution":
             lines.append(Line(bound, name, LIMIT, 1.3))
         else:
             traces.append(Curve(np.sort([start, start + span]), np.full(2, bound), name, LIMIT, 1.3, "dash"))

@@ -277,7 +277,7 @@ def problem(file: ProblemFile) -> Summary:
     if isinstance(model.mechanism, FourBarSection):
         parts.append(_section("mechanism", model.mechanism))
     if isinstance(model, DesignProblem | PathProblem):
-        over = {"transmission_over": model.transmission_over}
+        over = {"transmission_over": model.limits.transmission_range}
         task = holding(model) if isinstance(model, PathProblem) else None
         parts += [_section("requirement", model.requirement, task), _section("limits", model.limits, over)]
     if isinstance(model, CycleProblem):
