@@ -121,7 +121,6 @@ class Integration:
             self.works = np.zeros(len(self.equations.losses))
         self._chunk = 0
         self._busy = 0
-        self.calls = 0
         self.open: dict[int, Impact] = {}
         self.peaks = Peaks(self.equations.gaps, self._again)
         self.stop: Callable[[], bool] = lambda: False
@@ -191,7 +190,6 @@ class Integration:
 
     def _solve(self, state: Array, given: Array, count: int) -> tuple[Array, Array]:
         """States at the begin and after each of `count` equal steps of the span, and the works after each [J]."""
-        self.calls += 1
         try:
             with silent():
                 stiff = self._stiff(given[-len(self.equations.gaps) :])

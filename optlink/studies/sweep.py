@@ -51,15 +51,14 @@ class ActiveSetChange:
 
 @dataclass
 class _Summary:
-    """Summary of a table, accumulated row by row."""
+    """Summary of a table, accumulated row by row; see `Sweep`."""
 
-    objective: str | None
     valid: int = 0
     statuses: Counter[str] = field(default_factory=Counter)
     searched: int = 0
     changed: int = 0
     best: dict[str, str] | None = None
-    changes: list[ActiveSetChange] = field(default_factory=list)
+    changes: tuple[ActiveSetChange, ...] = ()
 
 
 def _numbers(best: dict[str, str] | None) -> dict[str, str] | None:
@@ -275,7 +274,7 @@ def sweep(
         store.divide(task.size, task.chunks)
         mine, cpu = store.fill(task, engine, workers, scheduler, progress)
         names = [*task.columns, *(() if evaluated else (CHANGED,))]
-        summary = _Summary(None if evaluated else next(name for name in names if name.startswith("objective")))
+        summary = _Summary()
         if store.finished:
             store.drop()
             rows = store.finished_rows(names)
@@ -289,12 +288,7 @@ def sweep(
             mode=task.mode,
             path=store.table,
             names=tuple(names),
-            valid=summary.valid,
-            statuses=summary.statuses,
-            searched=summary.searched,
-            changed=summary.changed,
-            best=summary.best,
-            changes=tuple(summary.changes),
+            **vars(summary),
             done=mine,
             seconds=time.perf_counter() - begin,
             cpu=cpu,
@@ -374,13 +368,14 @@ def _about(task: SweepTask) -> dict[str, Any]:
 def _marked(rows: Iterator[list[str]], grid: Grid, names: list[str], summary: _Summary) -> Iterator[list[str]]:
     """Yield rows with a mark of active-set changes, if applicable, and accumulate the summary."""
     status, valid = names.index("status"), names.index("valid")
-    if summary.objective is None:
+    if CHANGED not in names:
         for row in rows:
             summary.statuses[row[status]] += 1
             summary.valid += row[valid] == "true"
             yield row
         return
-    active, method, objective = (names.index(name) for name in ("active", "method", summary.objective))
+    active, method = names.index("active"), names.index("method")
+    objective = next(k for k, name in enumerate(names) if name.startswith("objective"))
     before, length, least = None, grid.row, math.inf
     for number, row in enumerate(rows):
         now = None if row[status] == Status.INFEASIBLE.value else row[active]
@@ -393,7 +388,7 @@ def _marked(rows: Iterator[list[str]], grid: Grid, names: list[str], summary: _S
             if len(summary.changes) < KEPT:
                 assert before is not None
                 at = {axis.column: value for axis, value in zip(grid.axes, grid.values(number), strict=True)}
-                summary.changes.append(ActiveSetChange(at, before, row[active]))
+                summary.changes += (ActiveSetChange(at, before, row[active]),)
         if row[valid] == "true":
             summary.valid += 1
             if float(row[objective]) < least:

@@ -77,7 +77,6 @@ class CompiledIntegration(Integration):
         states, works = np.empty((rows, n)), np.empty((rows, len(self._gained)))
         every, approach, events = np.empty((rows, k)), np.empty((rows, k)), np.empty((EVENTS, 6))
         self._clock[motion.AHEAD] = self.ahead
-        self.calls += 1
         status, done, written = self._advance(
             self._model, self.equations.closing, self.row, rows, self.step, self.tolerance, float(self.further),
             self.equations.tree.driven, self._limits, STEPS, BUSY, SLOWEST,
