@@ -198,7 +198,8 @@ class CycleTerms:
         """
         angles, senses, z = (casadi.horzcat(*parts) for parts in zip(*self.places, strict=True))
         g = casadi.vertcat(*[row.value for row in self.rows])
-        return MappedTerms(self.x, self.p, self.trace.at, self.known, len(self.free), casadi.SX(angles), senses, z, f, g)
+        places = (casadi.SX(angles),), (senses,), (z,)
+        return MappedTerms(self.x, self.p, (self.trace.at,), self.known, len(self.free), *places, f, g)
 
     def _at_events(self) -> None:
         """Evaluate the functions at the events: event values, which must vanish, and the positions of the outputs."""

@@ -1,49 +1,53 @@
-"""Derivatives of a programme whose terms are values of one function at many crank angles.
+"""Derivatives of a programme whose terms are values of functions at many crank angles.
 
-casadi differentiates the function once, at one crank angle, and evaluates it in a loop over the angles; the chain rule joins
+casadi differentiates each function once, at one crank angle, and evaluates it for vectors of crank angles; the chain rule joins
 the results. Differentiating the whole expression instead takes twenty times longer, and its second derivatives are slower.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
 import casadi
+import numpy as np
 
 from optlink.symbolic import CompiledFunction, elementwise
 
 
 @dataclass(frozen=True)
 class MappedTerms:
-    """Objective and rows as expressions of x, p and the values `z` of a function at every position.
+    """Objective and rows as expressions of x, p and the values `z` of functions, each at its own positions.
+
+    `at`, `angles`, `senses` and `z` have an element for each function.
 
     Parameters
     ----------
     x, p : casadi symbols (n,), (q,)
-    at : casadi.Function
+    at : tuple of casadi.Function
         (inputs, senses) -> values: the inputs are the known quantities followed by the crank angle.
     known : casadi expression (k,)
         Known quantities as a function of the first `local` components of x, and of p.
     local : int
-    angles : casadi expression (1, positions)
+    angles : tuple of casadi expression (1, positions)
         Crank angles as a function of the other components of x, and of p.
-    senses : casadi expression (senses, positions)
-        Piecewise constant.
-    z : casadi symbols (values, positions)
+    senses : tuple of casadi expression (senses, positions)
+        Piecewise constant as functions of x.
+    z : tuple of casadi symbols (values, positions)
     f, g : casadi expressions
         Objective and rows.
     """
 
     x: Any
     p: Any
-    at: Any
+    at: tuple[Any, ...]
     known: Any
     local: int
-    angles: Any
-    senses: Any
-    z: Any
+    angles: tuple[Any, ...]
+    senses: tuple[Any, ...]
+    z: tuple[Any, ...]
     f: Any
     g: Any
 
@@ -54,10 +58,11 @@ class MappedTerms:
 
     def expanded(self, expressions: list[Any]) -> list[Any]:
         """Return expressions of x, p and z as expressions of x and p alone."""
-        columns = [self.at(casadi.vertcat(self.known, self.angles[i]), self.senses[:, i]) for i in range(self.angles.shape[1])]
-        return list(
-            casadi.Function("expand", [self.x, self.p, self.z], expressions).call([self.x, self.p, casadi.horzcat(*columns)])
-        )
+        values = []
+        for at, angles, senses in zip(self.at, self.angles, self.senses, strict=True):
+            columns = [at(casadi.vertcat(self.known, angles[i]), senses[:, i]) for i in range(angles.shape[1])]
+            values.append(casadi.horzcat(*columns))
+        return list(casadi.Function("expand", [self.x, self.p, *self.z], expressions).call([self.x, self.p, *values]))
 
     def substituted(self, x: Any, moved: tuple[list[Any], list[Any]], rows: Any) -> MappedTerms:
         """Return the terms as functions of other variables, with further rows.
@@ -69,120 +74,164 @@ class MappedTerms:
         moved : (list of casadi symbols, list of casadi expressions)
             What to replace by what.
         rows : casadi expression
-            Further rows, as a function of `x` and p.
+            Further rows, as a function of `x`, p and z.
         """
-        known, angles, senses, f, g = casadi.substitute([self.known, self.angles, self.senses, self.f, self.g], *moved)
+        count = len(self.at)
+        found = casadi.substitute([self.known, self.f, self.g, *self.angles, *self.senses], *moved)
+        known, f, g, angles, senses = *found[:3], tuple(found[3 : 3 + count]), tuple(found[3 + count :])
         made = replace(self, x=x, known=known, angles=angles, senses=senses, f=f, g=casadi.vertcat(g, rows))
         vars(made)["_everywhere"] = self._everywhere
         return made
 
+    def of_rows(self, rows: Sequence[int]) -> MappedTerms:
+        """Return the terms with some of the rows, without positions on which they do not depend.
+
+        Parameters
+        ----------
+        rows : sequence of int
+            Indices of the rows.
+        """
+        g, parts = self.g[rows], []
+        for z, angles, senses in zip(self.z, self.angles, self.senses, strict=True):
+            used = np.reshape(casadi.which_depends(casadi.vertcat(self.f, g), casadi.vec(z), 1, False), z.shape, order="F")
+            keep = np.flatnonzero(used.any(axis=0)).tolist()
+            parts.append((angles[:, keep], senses[:, keep], z[:, keep]))
+        angles, senses, z = zip(*parts, strict=True)
+        return replace(self, angles=angles, senses=senses, z=z, g=g)
+
+    def with_slopes(self, heights: Sequence[Any], places: Sequence[Any]) -> tuple[MappedTerms, Any]:
+        """Return the terms with the derivatives of the functions by the crank angle as further values, and slopes made of these.
+
+        Parameters
+        ----------
+        heights : sequence of casadi expressions
+            Of x, p and z.
+        places : sequence of casadi symbols
+            Components of p; each height is differentiated by its own.
+        """
+        at, values = [], []
+        slopes = [casadi.jacobian(height, place) for height, place in zip(heights, places, strict=True)]
+        for function, angles, z in zip(self.at, self.angles, self.z, strict=True):
+            if any(casadi.which_depends(angles, casadi.vertcat(*places), 1, True)):
+                inputs, senses = function.sx_in()
+                found, rates = function(inputs, senses), casadi.SX.sym("rates", *z.shape)
+                for k, (height, place) in enumerate(zip(heights, places, strict=True)):
+                    moved = rates * casadi.repmat(casadi.jacobian(angles, place).T, rates.shape[0], 1)
+                    slopes[k] += casadi.mtimes(casadi.jacobian(height, casadi.vec(z)), casadi.vec(moved))
+                more = casadi.vertcat(found, casadi.jacobian(found, inputs[-1]))
+                function, z = casadi.Function("rates", [inputs, senses], [more]), casadi.vertcat(z, rates)
+            at.append(function)
+            values.append(z)
+        return replace(self, at=tuple(at), z=tuple(values)), casadi.vertcat(*slopes)
+
     # --- one position ----------------------------------------------------------------------------------------------------
 
     @cached_property
-    def _one(self) -> tuple[list[Any], Any, Any, Any]:
-        """Inputs (own components of x, p, crank angle, senses) at one position, the values there, own components, angle."""
-        own, angle = casadi.SX.sym("own", self.local), casadi.SX.sym("angle")
-        senses = casadi.SX.sym("senses", self.senses.shape[0])
-        known = casadi.substitute(self.known, self.x[: self.local], own)
-        return [own, self.p, angle, senses], self.at(casadi.vertcat(known, angle), senses), own, angle
-
-    @cached_property
-    def _everywhere(self) -> _Everywhere:
-        """The functions of one position at all of them; `substituted` terms use the same."""
-        return _Everywhere(*self._one, self.angles.shape[1])
+    def _everywhere(self) -> tuple[_Everywhere, ...]:
+        """Each function of one position at all of its positions; `substituted` terms use the same."""
+        made = []
+        for at, angles, senses in zip(self.at, self.angles, self.senses, strict=True):
+            own, angle, sense = casadi.SX.sym("own", self.local), casadi.SX.sym("angle"), casadi.SX.sym("senses", senses.shape[0])
+            known = casadi.substitute(self.known, self.x[: self.local], own)
+            values = casadi.densify(at(casadi.vertcat(known, angle), sense))
+            made.append(_Everywhere([own, self.p, angle, sense], values, own, angle, angles.shape[1]))
+        return tuple(made)
 
     # --- the whole programme ---------------------------------------------------------------------------------------------
 
     @cached_property
-    def _given(self) -> tuple[Any, Any, list[Any]]:
-        """Symbols x and p, and the inputs at all positions as expressions of them."""
-        x, p = casadi.MX.sym("x", self.x.shape[0]), casadi.MX.sym("p", self.p.shape[0])
-        places = casadi.Function("places", [self.x, self.p], [self.angles.T, self.senses.T])
-        return x, p, [x[: self.local].T, p.T, *places(x, p)]
+    def _symbols(self) -> tuple[Any, Any]:
+        """Symbols x and p of the whole programme."""
+        return casadi.MX.sym("x", self.x.shape[0]), casadi.MX.sym("p", self.p.shape[0])
+
+    @cached_property
+    def _given(self) -> list[list[Any]]:
+        """For each function its inputs at all positions."""
+        x, p = self._symbols
+        places = casadi.Function("places", [self.x, self.p], [part.T for part in (*self.angles, *self.senses)]).call([x, p])
+        count = len(self.at)
+        return [[x[: self.local].T, p.T, *each] for each in zip(places[:count], places[count:], strict=True)]
 
     @cached_property
     def programme(self) -> dict[str, Any]:
         """The programme for casadi.nlpsol."""
-        x, p, given = self._given
-        z = self._everywhere.values.call(given, True, False)[0].T
+        z = [each.values.call(given, True, False)[0].T for each, given in zip(self._everywhere, self._given, strict=True)]
         f, g = (self._evaluated([part], z)[0] for part in (self.f, self.g))
+        x, p = self._symbols
         return {"x": x, "p": p, "f": f, "g": g}
 
-    def _evaluated(self, expressions: list[Any], z: Any) -> list[Any]:
-        """Evaluate expressions at values of z; what does not depend on z is computed without it."""
-        symbols, given = [self.x, self.p, self.z], [*self._given[:2], z]
-        count = 3 if any(casadi.which_depends(casadi.vertcat(*map(casadi.vec, expressions)), casadi.vec(self.z), 1, False)) else 2
-        return list(casadi.Function("terms", symbols[:count], expressions).call(given[:count]))
+    def _evaluated(self, expressions: list[Any], z: list[Any]) -> list[Any]:
+        """Evaluate expressions at values of z; only the functions on which they depend are evaluated."""
+        whole, pairs = casadi.veccat(*expressions), zip(self.z, z, strict=True)
+        used = [pair for pair in pairs if any(casadi.which_depends(whole, casadi.vec(pair[0]), 1, False))]
+        symbols, given = [self.x, self.p, *(own for own, _ in used)], [*self._symbols, *(value for _, value in used)]
+        return list(casadi.Function("terms", symbols, expressions).call(given))
 
     @cached_property
-    def _rates(self) -> Any:
-        """Derivatives of the crank angles by the other components of x (positions, others)."""
-        rates = casadi.densify(casadi.jacobian(self.angles, self.x[self.local :]))
-        return casadi.Function("rates", [self.x, self.p], [rates])(*self._given[:2])
+    def _rates(self) -> list[Any]:
+        """Derivatives of the crank angles of each function by the other components of x (positions, others)."""
+        rates = [casadi.jacobian(angles, self.x[self.local :]) for angles in self.angles]
+        return list(casadi.Function("rates", [self.x, self.p], rates).call(list(self._symbols)))
 
     @cached_property
-    def _first(self) -> tuple[Any, Any, Any, Any, Any, Any]:
-        """Values at all positions and their derivatives by x (values * positions, n); objective, gradient, rows, Jacobian."""
-        x, p, given = self._given
-        values, by_own, by_angle = self._everywhere.slopes(*given)
-        z, width = values.T, values.shape[1]
-        own = [casadi.vec(part.T) for part in casadi.horzsplit(by_own, width)] if self.local else []
-        others = [casadi.vec(casadi.mtimes(casadi.diag(rate), by_angle).T) for rate in casadi.horzsplit(self._rates)]
-        by_x = casadi.horzcat(*own, *others)
-        f, f_x, f_z = self._parts(self.f, z)
-        g, g_x, g_z = self._parts(self.g, z)
-        gradient = casadi.densify(f_x + casadi.mtimes(f_z, by_x) if f_z.nnz() else f_x).T
+    def _first(self) -> tuple[list[Any], Any, Any, Any, Any, Any]:
+        """Values of each function at all positions; derivatives of all by x; objective, gradient, rows, Jacobian."""
+        x, p = self._symbols
+        z, slopes = [], []
+        for each, given, rates in zip(self._everywhere, self._given, self._rates, strict=True):
+            values, by_own, by_angle = each.slopes(*given)
+            z.append(values.T)
+            slopes.append(casadi.horzcat(each.by_own(by_own), each.by_others(by_angle, rates)))
+        (f, by_f), (g, by_g) = (self._sloped(expression, z, slopes) for expression in (self.f, self.g))
         depends = casadi.Function("rows", [x, p], [self.programme["g"]]).jac_sparsity(0, 0)
-        return z, by_x, f, gradient, casadi.densify(g), casadi.project(g_x + casadi.mtimes(g_z, by_x), depends)
+        return z, casadi.vertcat(*slopes), f, casadi.densify(by_f).T, casadi.densify(g), casadi.project(by_g, depends)
 
-    def _parts(self, expression: Any, z: Any) -> list[Any]:
-        """Return an expression and its derivatives by x and by z."""
-        return self._evaluated(
-            [expression, casadi.jacobian(expression, self.x), casadi.jacobian(expression, casadi.vec(self.z))], z
-        )
+    def _sloped(self, expression: Any, z: list[Any], slopes: list[Any]) -> tuple[Any, Any]:
+        """Return an expression and its derivatives by x; `slopes` are those of the values of each function."""
+        parts = [casadi.jacobian(expression, by) for by in (self.x, *map(casadi.vec, self.z))]
+        found, total, *by_z = self._evaluated([expression, *parts], z)
+        for part, slope in zip(by_z, slopes, strict=True):
+            total = total + casadi.mtimes(part, slope) if part.nnz() else total
+        return found, total
 
     @cached_property
     def values(self) -> CompiledFunction:
         """(x, p) -> objective, gradient, rows, Jacobian."""
-        x, p, _ = self._given
-        return CompiledFunction([x, p], list(self._first[2:]))
+        return CompiledFunction(list(self._symbols), list(self._first[2:]))
 
     @cached_property
     def hessian(self) -> Any:
         """(x, p, factor of the objective, multipliers) -> upper triangle of the Hessian of the Lagrangian."""
-        x, p, given = self._given
+        x, p = self._symbols
         z, by_x = self._first[:2]
         factor, multipliers = casadi.SX.sym("factor"), casadi.SX.sym("multipliers", self.g.shape[0])
         symbols = [casadi.MX.sym("factor"), casadi.MX.sym("multipliers", self.g.shape[0])]
-        whole, both = factor * self.f + casadi.dot(multipliers, self.g), casadi.vertcat(self.x, casadi.vec(self.z))
+        whole, both = factor * self.f + casadi.dot(multipliers, self.g), casadi.veccat(self.x, *self.z)
         bent, slope = casadi.hessian(whole, both)
         count = self.x.shape[0]
-        outer = casadi.Function("outer", [self.x, self.p, self.z, factor, multipliers], [bent, slope[count:]])
-        bend, prices = outer(x, p, z, *symbols)
-        found, by_angle = self._bent(given, casadi.reshape(prices, *self.z.shape))
-        weights = casadi.SX.sym("weights", *self.angles.shape)
-        turned = casadi.hessian(casadi.dot(weights, self.angles), self.x)[0]
-        angles = casadi.Function("angles", [self.x, self.p, weights], [turned])(x, p, by_angle.T)
+        ends = np.cumsum([count, *(part.numel() for part in self.z)]).tolist()
+        prices = [casadi.reshape(slope[a:b], *part.shape) for a, b, part in zip(ends[:-1], ends[1:], self.z, strict=True)]
+        outer = casadi.Function("outer", [self.x, self.p, *self.z, factor, multipliers], [bent, *map(casadi.densify, prices)])
+        bend, *prices = outer(x, p, *z, *symbols)
         chained = casadi.vertcat(casadi.MX.eye(count), by_x)
-        total = casadi.mtimes([chained.T, bend, chained]) + found + angles
+        total = casadi.mtimes([chained.T, bend, chained])
+        for each, given, rates, price, angles in zip(
+            self._everywhere, self._given, self._rates, prices, self.angles, strict=True
+        ):
+            found, by_angle = each.bent(given, price.T, rates)
+            weights = casadi.SX.sym("weights", *angles.shape)
+            turned = casadi.hessian(casadi.dot(weights, angles), self.x)[0]
+            total += found + casadi.Function("angles", [self.x, self.p, weights], [turned])(x, p, by_angle.T)
         return casadi.Function("hessian", [x, p, *symbols], [casadi.triu(casadi.densify(total))])
-
-    def _bent(self, given: list[Any], prices: Any) -> tuple[Any, Any]:
-        """Return the second derivatives by x of all values times their prices, and the derivatives of these by the angles."""
-        by_own, by_both, by_angles, by_angle = self._everywhere.curvatures(*given, prices.T)
-        mixed = casadi.mtimes(by_both.T, self._rates)
-        own = casadi.reshape(casadi.sum1(by_own), self.local, self.local)
-        others = casadi.mtimes([self._rates.T, casadi.diag(by_angles), self._rates])
-        return casadi.vertcat(casadi.horzcat(own, mixed), casadi.horzcat(mixed.T, others)), by_angle
 
     @property
     def options(self) -> dict[str, Any]:
         """Options of casadi.nlpsol: the derivatives."""
-        x, p, _ = self._given
+        symbols = list(self._symbols)
         _, _, f, gradient, g, jacobian = self._first
         return {
-            "grad_f": casadi.Function("gradient", [x, p], [f, gradient]),
-            "jac_g": casadi.Function("jacobian", [x, p], [g, jacobian]),
+            "grad_f": casadi.Function("gradient", symbols, [f, gradient]),
+            "jac_g": casadi.Function("jacobian", symbols, [g, jacobian]),
             "hess_lag": self.hessian,
         }
 
@@ -198,23 +247,71 @@ class _Everywhere:
     positions: int
 
     def _made(self, inputs: list[Any], outputs: list[Any]) -> Any:
-        return elementwise(casadi.Function("one", inputs, outputs), 2, self.positions)
+        return elementwise(casadi.Function("one", inputs, outputs, {"cse": True}), 2, self.positions)
 
     @cached_property
     def values(self) -> Any:
         return self._made(self.inputs, [self.outputs])
 
     @cached_property
-    def slopes(self) -> Any:
-        """Values, their derivatives by the own components of x (a column after the other) and by the angle."""
-        by = [casadi.jacobian(self.outputs, one) for one in (self.own, self.angle)]
-        return self._made(self.inputs, [self.outputs, *by])
+    def _by_own(self) -> Any:
+        return casadi.jacobian(self.outputs, self.own)
 
     @cached_property
-    def curvatures(self) -> Any:
-        """Second derivatives of the values times their prices, the last input: by own components, by one and the angle, by the
-        angle; derivative by the angle."""
+    def slopes(self) -> Any:
+        """Values, their derivatives by the own components of x (those that do not vanish) and by the angle."""
+        by_angle = casadi.densify(casadi.jacobian(self.outputs, self.angle))
+        return self._made(self.inputs, [self.outputs, casadi.vertcat(*self._by_own.nonzeros()), by_angle])
+
+    def by_own(self, slopes: Any) -> Any:
+        """Return the derivatives (values * positions, local) of the values by the own components of x."""
+        one = self._by_own.sparsity()
+        ends = one.colind()
+        every = casadi.repmat(one, self.positions, 1)
+        found = [casadi.vec(part.T) for part in casadi.horzsplit(slopes, ends)] if one.nnz() else []
+        return casadi.MX(every, casadi.vertcat(*found)) if one.nnz() else casadi.MX(*every.shape)
+
+    def by_others(self, slopes: Any, rates: Any) -> Any:
+        """Return the derivatives (values * positions, others) of the values by the other components of x.
+
+        Parameters
+        ----------
+        slopes : casadi expression (positions, values)
+            By the angle.
+        rates : casadi expression (positions, others)
+            Of the angles.
+        """
+        count = self.outputs.shape[0]
+        every = casadi.kron(rates.sparsity(), casadi.Sparsity.dense(count, 1))
+        if not rates.nnz():
+            return casadi.MX(*every.shape)
+        each = casadi.vec(rates.nz[:])
+        return casadi.MX(every, casadi.vec((slopes[rates.sparsity().row(), :] * casadi.repmat(each, 1, count)).T))
+
+    @cached_property
+    def _curvatures(self) -> tuple[Any, Any]:
+        """Second derivatives of the values times their prices, the last input: by own components (those that do not vanish), by
+        one and the angle, by the angle; derivative by the angle. With them the pattern of the first."""
         price, count = casadi.SX.sym("price", self.outputs.shape[0]), self.own.shape[0]
         bent, slope = casadi.hessian(casadi.dot(price, self.outputs), casadi.vertcat(self.own, self.angle))
-        parts = [bent[:count, :count], bent[:count, count], bent[count, count], slope[count]]
-        return self._made([*self.inputs, price], parts)
+        own: Any = casadi.triu(bent[:count, :count])
+        parts = [casadi.densify(part) for part in (bent[:count, count], bent[count, count], slope[count])]
+        return self._made([*self.inputs, price], [casadi.vertcat(*own.nonzeros()), *parts]), own.sparsity()
+
+    def bent(self, given: list[Any], prices: Any, rates: Any) -> tuple[Any, Any]:
+        """Return the second derivatives by x of all values times their prices, and the derivatives of these by the angles.
+
+        Parameters
+        ----------
+        given : list of casadi expressions
+            Inputs of the function.
+        prices : casadi expression (positions, values)
+        rates : casadi expression (positions, others)
+            Of the angles, by the other components of x.
+        """
+        function, pattern = self._curvatures
+        by_own, by_both, by_angles, by_angle = function(*given, prices)
+        mixed = casadi.mtimes(by_both.T, rates)
+        own = casadi.triu2symm(casadi.MX(pattern, casadi.sum1(by_own).T))
+        others = casadi.mtimes([rates.T, casadi.diag(by_angles), rates])
+        return casadi.vertcat(casadi.horzcat(own, mixed), casadi.horzcat(mixed.T, others)), by_angle

@@ -98,7 +98,7 @@ class NLP:
     position_symbol: Any = None  # crank rotation from the start, tabulated output: a position of the requirement
     position_expression: Any = None  # the residuals there, of which `residual_expression` has those of every position
     exchange_rows: tuple[int, int] = (0, 0)  # index of the first row of the exchange points, number of rows per position
-    cycle: bool = False  # of a machine cycle: the values at each position are many, and differentiated there
+    cycle: bool = False  # of a machine cycle
     mapped: MappedTerms | None = field(default=None, compare=False)  # the same programme by vectors of positions
     cache: dict[str, Any] = field(default_factory=dict, compare=False)  # functions compiled for this NLP by back ends
 
@@ -150,7 +150,7 @@ class NLP:
 
     @cached_property
     def _all(self) -> CompiledFunction:
-        if self.cycle and self.mapped is not None:
+        if self.mapped is not None:
             return self.mapped.values
         x, p, f, g = self.programme.values()
         return CompiledFunction([x, p], [f, casadi.gradient(f, x), g, casadi.jacobian(g, x)])
@@ -176,7 +176,7 @@ class NLP:
 
     @cached_property
     def _hessian(self) -> BufferedFunction:
-        if self.cycle and self.mapped is not None:
+        if self.mapped is not None:
             return _symmetric(self.mapped.hessian)
         known = casadi.Function("programme", self.programme, ["x", "p"], ["f", "g"])
         lagrangian = {"gamma": ["f", "g"]}
@@ -381,7 +381,7 @@ def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
         g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
         angles = casadi.SX(casadi.horzcat(*offsets, *exchange))
         senses = casadi.SX(casadi.horzcat(*problem.law.tabulated.tolist(), *[0.0] * many))
-        mapped = MappedTerms(x, p, one, known, len(free), angles, senses, z, f / p[0], g)
+        mapped = MappedTerms(x, p, (one,), known, len(free), (angles,), (senses,), (z,), f / p[0], g)
         f, g, vector = mapped.expanded([mapped.f, g, casadi.vec(z)])
 
     def scaled(name: str) -> Variable:

@@ -16,6 +16,7 @@ import numpy as np
 
 from optlink.linkage.vector2d import TURN, Array, Value, unit
 from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale, position_rows, rows as limit_rows
+from optlink.optimization.mapped_terms import MappedTerms
 from optlink.optimization.nlp import NLP, Variable, boxed
 from optlink.optimization.objectives import ErrorMeasure, error_measures
 from optlink.problem.function import EPIGRAPH
@@ -109,44 +110,41 @@ def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = 
         width = data.columns.shape[1]
         columns = [parts[width * k : width * (k + 1)] for k in range(count)]
         stretch = casadi.vertcat(1.0, 1.0, parts[-1] / problem.radian) if problem.requirement.kind == "motion" else 1.0
+    origin = 0.0 if own or problem.timing != "from start" else 1.0  # factor of the start angle in the crank angles of the points
     if own:
         angles: list[Any] = [x[len(free) + i] for i in range(count)]
     else:
-        start: Any = values[START] if problem.timing == "from start" else 0.0
         assert data.offsets is not None
-        angles = [start + offset for offset in data.offsets]
-        direction = 1 if data.offsets[-1] >= data.offsets[0] else -1
+        angles = data.offsets.tolist()
+        direction = 1 if angles[-1] >= angles[0] else -1
     with symbols_in_numpy():
-        residual, at_angle = _traced(problem, values)
-        names = [values[name] for name in problem.quantities]
-        errors = [
-            residual(casadi.vertcat(*names, angle, *row)) * root * stretch
-            for angle, row, root in zip(angles, columns, data.roots, strict=True)
-        ]
-        span = angles[-1] - angles[0]
-        if problem.closed and own:
-            span = direction * TURN
-        rows = limit_rows(problem, values, Reach(angles[0], span, direction), size)
-        if has_position_limits(problem):  # the extremes of a four-bar are known instead
+        known = casadi.vertcat(*(values[name] for name in problem.quantities))
+        residual, (limit, placed) = _traced(problem)
+        watched = _Positions(residual)
+        errors = [watched.at(angle, origin, *row) for angle, row in zip(angles, columns, strict=True)]
+        errors = [error * root * stretch for error, root in zip(errors, data.roots, strict=True)]
+        span = direction * TURN if problem.closed and own else angles[-1] - angles[0]
+        begin = angles[0] + values[START] if origin else angles[0]
+        rows = limit_rows(problem, values, Reach(begin, span, direction), size)
+        limited = _Positions(limit)
+        kinds = sorted({row.over_span for row in placed})
 
-            def limits_at(angle: Any, over_span: bool) -> dict[int, ConstraintRow]:
-                found = at_angle[0](casadi.vertcat(*names, angle))
-                own = ((k, row) for k, row in enumerate(at_angle[1]) if row.over_span == over_span)
-                return {k: replace(row, value=found[k]) for k, row in own}
+        def limits_at(angle: Any, over_span: bool) -> dict[int, ConstraintRow]:
+            found = limited.at(angle, origin if along_points(problem, over_span=over_span) else 0.0)
+            return {k: replace(row, value=found[k]) for k, row in enumerate(placed) if row.over_span == over_span}
 
-            kinds = sorted({row.over_span for row in at_angle[1]})
-            for over_span in kinds:
-                for angle in _fixed_positions(problem, angles, over_span):
-                    rows += limits_at(angle, over_span).values()
+        for over_span in kinds:
+            for angle in _fixed_positions(problem, angles, over_span):
+                rows += limits_at(angle, over_span).values()
         first, further = len(rows), list[Any]()
         for k in range(many):
             exchanged: dict[int, ConstraintRow] = {}
             for over_span in kinds:
                 begin, whole = required_motion(problem, angles, over_span=over_span)
                 exchanged |= limits_at(begin + whole * p[exchanged_from + k], over_span)
-            rows += [exchanged[j] for j in range(len(at_angle[1]))]
+            rows += [exchanged[j] for j in range(len(placed))]
             if has_sampled_objective(problem):
-                further.append(residual(casadi.vertcat(*names, TURN * p[exchanged_from + k], 0.0)))
+                further.append(watched.at(TURN * p[exchanged_from + k], 0.0, 0.0))
                 largest = (x[-1] * x[-1] - casadi.sumsqr(further[-1])) / (p[0] * p[0])
                 rows.append(ConstraintRow(EPIGRAPH, "transmission angle at another crank angle", largest, 0.0, math.inf, PLAIN))
         if own:
@@ -169,6 +167,9 @@ def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = 
         vector = casadi.vertcat(*errors, *further)
         f = x[-1] if minimax else casadi.sumsqr(vector) / (share**2 * (count if measure.name == "rms" else 1))
         g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
+        at, places, senses, z = zip(*(each.terms for each in (watched, limited) if each.places), strict=True)
+        mapped = MappedTerms(x, p, at, known, len(free), places, senses, z, f / p[0], g)
+        f, g, vector = mapped.expanded([mapped.f, g, vector])
 
     between = (np.arange(EXCHANGE_POINTS) + 0.5) / EXCHANGE_POINTS  # initially half-way between two positions of the grid
     box = [boxed(problem.quantities[v.name], v) for v in variables[: len(free)]]
@@ -181,7 +182,7 @@ def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = 
     return NLP(
         variables=tuple(variables),
         fixed=fixed,
-        rows=tuple(rows),
+        rows=tuple(replace(row, value=g[k]) for k, row in enumerate(rows)),
         measure=measure,
         x_start=x_start,
         x_low=x_low,
@@ -189,14 +190,15 @@ def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = 
         p=np.array([1.0, *constant_values(problem, [*constants, *moving]), *between[:many]]),
         x_symbol=x,
         p_symbol=p,
-        f_expression=f / p[0],
+        f_expression=f,
         g_expression=g,
         residual_expression=vector,
         exact=EXACT * share,
         factor=share if minimax else share**2,
         helpers=frozenset(helpers),
-        exchange_rows=(first, len(at_angle[1]) + has_sampled_objective(problem)),
+        exchange_rows=(first, len(placed) + has_sampled_objective(problem)),
         constants=(*constants, *moving),
+        mapped=mapped,
     )
 
 
@@ -260,13 +262,25 @@ def required_motion(problem: PathProblem, angles: Any, *, over_span: bool = Fals
     over_span : bool
         Whether the limits apply from the first point to the last, even if the crank must turn fully.
     """
-    over_span = over_span or problem.limits.crank == "span"
-    return (angles[0], angles[-1] - angles[0]) if over_span else (0.0, TURN)
+    along = along_points(problem, over_span=over_span)
+    return (angles[0], angles[-1] - angles[0]) if along else (0.0, TURN)
+
+
+def along_points(problem: PathProblem, *, over_span: bool) -> bool:
+    """Return whether limits apply from the first point to the last instead of over the whole revolution.
+
+    Parameters
+    ----------
+    problem : PathProblem
+    over_span : bool
+        Whether they apply there even if the crank must turn fully.
+    """
+    return over_span or problem.limits.crank == "span"
 
 
 def _fixed_positions(problem: PathProblem, angles: list[Any], over_span: bool) -> list[Any]:
     """Return the crank angles [rad] at which position limits always apply."""
-    if not over_span and problem.limits.crank != "span":
+    if not along_points(problem, over_span=over_span):
         return list(np.linspace(0.0, TURN, GRID, endpoint=False))
     between = [a + (b - a) * (k / (BETWEEN + 1)) for a, b in itertools.pairwise(angles) for k in range(BETWEEN + 1)]
     return [*between, angles[-1]]
@@ -303,18 +317,40 @@ def limit_excesses(problem: PathProblem, values: Mapping[str, Value], angles: An
     return np.where(np.isfinite(found), found, -np.inf)
 
 
-def _traced(problem: PathProblem, values: dict[str, Any]) -> tuple[Any, tuple[Any, list[ConstraintRow]]]:
-    """Trace the residual and the limits at one crank angle once, for evaluation at many angles."""
+def _traced(problem: PathProblem) -> tuple[Any, tuple[Any, list[ConstraintRow]]]:
+    """Trace the residual and the limits at one crank angle.
+
+    Both are functions of the quantities and a crank angle, and of the factor of the start angle that is added; the residual also
+    of the target.
+    """
     names, width = list(problem.quantities), problem.data.columns.shape[1]
-    inputs = casadi.SX.sym("inputs", len(names) + 1 + width)
+    inputs, senses = casadi.SX.sym("inputs", len(names) + 1), casadi.SX.sym("senses", 1 + width)
     own = {name: inputs[i] for i, name in enumerate(names)}
-    pose = problem.linkage.pose(own, unit(inputs[len(names)]))
-    target = tuple(inputs[len(names) + 1 + k] for k in range(width))
-    residual = casadi.Function("residual", [inputs], [casadi.vertcat(*problem.deviation(pose, own, target))])
-    rows = position_rows(problem, pose)
-    cut = inputs[: len(names) + 1]
-    limits = casadi.Function("limits", [cut], [casadi.vertcat(*[row.value for row in rows])])
+    angle = inputs[len(names)] + (senses[0] * own[START] if START in own else 0.0)
+    pose = problem.linkage.pose(own, unit(angle))
+    target = tuple(senses[1 + k] for k in range(width))
+    residual = casadi.Function("residual", [inputs, senses], [casadi.vertcat(*problem.deviation(pose, own, target))])
+    rows = position_rows(problem, pose) if has_position_limits(problem) else []
+    limits = casadi.Function("limits", [inputs, senses[0]], [casadi.vertcat(*[row.value for row in rows])])
     return residual, (limits, rows)
+
+
+class _Positions:
+    """Positions of a function from `_traced`, and symbols for its values there."""
+
+    def __init__(self, function: Any) -> None:
+        self.function = function
+        self.places: list[tuple[Any, Any, Any]] = []  # crank angle, other inputs, symbols
+
+    def at(self, angle: Any, *senses: Any) -> Any:
+        """Return symbols for the values at a further position."""
+        self.places.append((angle, casadi.vertcat(*senses), casadi.SX.sym("z", self.function.numel_out(0))))
+        return self.places[-1][-1]
+
+    @property
+    def terms(self) -> tuple[Any, ...]:
+        """The function, its crank angles, other inputs and symbols; see `MappedTerms`."""
+        return self.function, *(casadi.SX(casadi.horzcat(*each)) for each in zip(*self.places, strict=True))
 
 
 def objective_excess(problem: PathProblem, values: Mapping[str, Value], largest: float, shares: Array) -> Array:

@@ -77,7 +77,7 @@ class _Recorder(casadi.Callback):
 
 
 def _solver(nlp: NLP, extra: dict[str, Any]) -> Any:
-    own = {**CYCLE, **nlp.mapped.options} if nlp.cycle and nlp.mapped is not None else {}
+    own = (CYCLE if nlp.cycle else {}) | ({} if nlp.mapped is None else nlp.mapped.options)
     return casadi.nlpsol("ipopt", "ipopt", nlp.programme, {**OPTIONS, **own, **extra})
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import casadi
 import numpy as np
 
 from optlink.errors import Status
@@ -137,9 +138,13 @@ def _with_moving_peaks(nlp: NLP, many: int) -> NLP:
     first, each = nlp.exchange_rows
     names = {(row.limit, row.label) for row in nlp.rows[first : first + each]}
     keep = [j for j, row in enumerate(nlp.rows) if j >= first or (row.limit, row.label) not in names]
-    heights = {slot: nlp.g_expression[first + slot * each + slot % each] for slot in range(many)}
-    rows = tuple(nlp.rows[j] for j in keep)
-    return with_places(replace(nlp, rows=rows, g_expression=nlp.g_expression[keep], cache={}), nlp.exchange_count, heights)
+    rows, slots = tuple(nlp.rows[j] for j in keep), [first + slot * each + slot % each for slot in range(many)]
+    kept = replace(nlp, rows=rows, g_expression=nlp.g_expression[keep], cache={})
+    heights = dict(enumerate(casadi.vertsplit(nlp.g_expression[slots])))
+    assert nlp.mapped is not None
+    places = casadi.vertsplit(nlp.p_symbol)[len(nlp.p) - nlp.exchange_count :]
+    terms = nlp.mapped.of_rows(keep).with_slopes(casadi.vertsplit(nlp.mapped.g[slots]), places[:many])
+    return with_places(kept, nlp.exchange_count, heights, terms)
 
 
 def _merit(found: Solution, tops: list[RowPeak]) -> float:

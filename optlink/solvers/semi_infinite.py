@@ -16,6 +16,7 @@ from optlink.linkage.vector2d import Array
 from optlink.optimization.constraints import PLAIN, ConstraintRow
 from optlink.optimization.cycle_constraints import WatchedTerm
 from optlink.optimization.cycle_nlp import CycleNLP
+from optlink.optimization.mapped_terms import MappedTerms
 from optlink.optimization.nlp import NLP, Variable
 from optlink.solvers import multistart
 from optlink.solvers.contract import CLOSE, backend
@@ -237,7 +238,7 @@ def with_following_peaks(nlp: CycleNLP, inner: tuple[tuple[int, int], ...]) -> N
     return with_places(nlp, nlp.slots, {slot: nlp.watched[index].height(nlp.exchanged[slot]) for slot, index in inner})
 
 
-def with_places(nlp: NLP, slots: int, heights: Mapping[int, Any]) -> NLP:
+def with_places(nlp: NLP, slots: int, heights: Mapping[int, Any], terms: tuple[MappedTerms, Any] | None = None) -> NLP:
     """Return an NLP with some exchange points as additional unknowns: each where the derivative of a height vanishes.
 
     Parameters
@@ -248,6 +249,9 @@ def with_places(nlp: NLP, slots: int, heights: Mapping[int, Any]) -> NLP:
         Number of exchange points.
     heights : mapping of int to casadi expression
         For the number of a exchange point, the height as a function of x and p of the NLP.
+    terms : (MappedTerms, casadi expression), optional
+        The NLP by vectors of positions, and the derivatives of the heights by the exchange points in its terms. Default: those of
+        the NLP, and derivatives in terms of x and p.
     """
     n, first, count = len(nlp.variables), len(nlp.p) - slots, len(heights)
     x = casadi.SX.sym("x", n + count)
@@ -257,7 +261,8 @@ def with_places(nlp: NLP, slots: int, heights: Mapping[int, Any]) -> NLP:
         p[first + slot] = x[n + k]
     given = [nlp.f_expression, nlp.g_expression, nlp.residual_expression, casadi.vertcat(*slopes)]
     moved: tuple[list[Any], list[Any]] = ([nlp.x_symbol, nlp.p_symbol], [x[:n], casadi.vertcat(*p)])
-    f, g, residual, slope = casadi.substitute(given, *moved)
+    mapped, rates = terms or (nlp.mapped, given[-1])
+    f, g, residual, slope, rates = casadi.substitute([*given, rates], *moved)
     at = np.array([nlp.p[first + slot] for slot in heights])
     names = [f"{PEAK} {k + 1}" for k in range(count)]
     return NLP(
@@ -275,7 +280,7 @@ def with_places(nlp: NLP, slots: int, heights: Mapping[int, Any]) -> NLP:
         g_expression=casadi.vertcat(g, slope),
         residual_expression=residual,
         cycle=nlp.cycle,
-        mapped=None if nlp.mapped is None else nlp.mapped.substituted(x, moved, slope),
+        mapped=None if mapped is None else mapped.substituted(x, moved, rates),
         exact=nlp.exact,
         factor=nlp.factor,
         helpers=nlp.helpers | {PEAK, *names},

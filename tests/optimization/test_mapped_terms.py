@@ -12,6 +12,9 @@ import optlink
 from optlink.optimization.cycle_nlp import build_cycle
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.optimization.nlp import NLP, build
+from optlink.optimization.path_nlp import build_path_nlp
+from optlink.problem.path import PathProblem
+from optlink.solvers.path_exchange import PER_ROW, _with_moving_peaks
 from optlink.solvers.semi_infinite import with_following_peaks
 from optlink.tasks.results.cycle import task_of
 
@@ -67,3 +70,36 @@ def test_a_point_without_a_value_has_none_by_vectors_either() -> None:
     assert not one.finite
     np.testing.assert_array_equal(np.isfinite(one.f), np.isfinite(other.f))
     np.testing.assert_allclose(one.g, other.g, rtol=1e-14)
+
+
+PATHS = {
+    "untimed": ("path-vline6", {}),
+    "untimed, root mean square": ("path-vline6", {"requirement.measure": "rms"}),
+    "prescribed angles": ("path-arc5", {}),
+    "from a free start angle": ("path-closed18", {}),
+    "from a fixed start angle": ("path-conveyor", {"requirement.start": "20 deg"}),
+    "from a free start angle, tolerances": ("path-conveyor", {}),
+    "largest deviation": ("path-ellipse10", {"requirement.measure": "max"}),
+    "poses": ("motion-3-poses", {}),
+    "limits over the revolution": ("path-slider-egg", {}),
+    "limits over the span": ("path-scott-russell", {}),
+    "limits over revolution and span": ("path-stephenson-dwell", {"limits.transmission_over": "span"}),
+    "law of several dyads": ("law-six-bar", {"requirement.measure": "max"}),
+    "worst transmission": ("path-watt-leg", {"requirement": {"kind": "transmission"}}),
+}
+
+
+@pytest.mark.parametrize("kind", PATHS)
+def test_a_path_by_vectors_is_that_by_scalars(kind: str) -> None:
+    name, changes = PATHS[kind]
+    task = optlink.load(name, changes).variants()[0].model
+    assert isinstance(task, PathProblem)
+    nlp = build_path_nlp(task)
+    same_derivatives(nlp)
+    same_derivatives(pickle.loads(pickle.dumps(nlp)))
+    same_derivatives(build_path_nlp(task, -1, movable=True))
+    if nlp.exchange_count:
+        moving = _with_moving_peaks(nlp, PER_ROW * nlp.exchange_rows[1])
+        moving.x_start[len(nlp.x_start) :] += 0.013
+        assert moving.mapped is not None
+        same_derivatives(moving)
