@@ -21,7 +21,7 @@ from optlink.validation.margins import included_cosine
 
 Index = NDArray[np.intp]
 
-BLOCK = 24_000  # positions that are worked on at a time
+BLOCK = 40_000  # positions that are worked on at a time
 ROUNDS = 60  # of the refinement of a dead centre
 
 

@@ -18,7 +18,7 @@ from optlink.linkage.extrema import maxima
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.motion import Motion, sweep
-from optlink.linkage.vector2d import TURN, Array, Vector, unit
+from optlink.linkage.vector2d import TURN, Array, Value, Vector, unit
 from optlink.problem.function import DEAD_CENTRES, DesignProblem
 from optlink.problem.limits import limits_in_file
 from optlink.problem.robust import EXPECTED, WORST
@@ -152,12 +152,17 @@ class _Tested:
 
         At crank rotations from the start. Default: the design positions.
         """
-        law = self.problem.law
-        at, tabulated = (law.offsets, law.tabulated) if offsets is None else (offsets, 0.0)
+        return self._design_errors if offsets is None else self._errors(offsets, 0.0)
+
+    @cached_property
+    def _design_errors(self) -> Array:
+        return self._errors(self.problem.law.offsets, self.problem.law.tabulated)
+
+    def _errors(self, at: Array, tabulated: Value) -> Array:
         _, c, d = self._placed(self.phi0 + at)
         actual = np.arctan2(c[1] - d[1], c[0] - d[0])
         with np.errstate(all="ignore"):
-            target = np.asarray(law.target(at, tabulated, self.phi0, self.psi0) + 0.0 * at, dtype=float)
+            target = np.asarray(self.problem.law.target(at, tabulated, self.phi0, self.psi0) + 0.0 * at, dtype=float)
         error: Array = np.remainder(target - actual + np.pi, TURN) - np.pi
         return error
 
