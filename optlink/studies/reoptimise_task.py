@@ -28,7 +28,7 @@ from optlink.problem.quantity import nearest
 from optlink.solvers import multistart
 from optlink.solvers.contract import selectable
 from optlink.solvers.solution import ACTIVE, FEASIBLE, Solution
-from optlink.studies.batch.blocks import Blocks
+from optlink.studies.batch.blocks import MOST, Blocks, coarse_block
 from optlink.studies.batch.newton import BatchProblem
 from optlink.studies.batch.optima import GridSearch
 from optlink.studies.continuation import FOLLOWED, follow_optimum
@@ -99,8 +99,13 @@ class ReoptimiseTask(OptimumTask):
         """Search for the optima of the common programme."""
         assert self.programme is not None
         nlp = BatchNLP(self.programme.nlp, self.template.spec.law)
-        blocks, large = Blocks(self.grid, self.most), Blocks(self.grid, self.grid.count)
-        return GridSearch(nlp, blocks, self._problem, self._search, large, self._search_many)
+        large = Blocks(self.grid, self.grid.count)
+
+        def searches(most: int | None, coarse: GridSearch | None = None) -> GridSearch:
+            return GridSearch(nlp, Blocks(self.grid, most), self._problem, self._search, large, self._search_many, coarse)
+
+        coarse = coarse_block(self.grid.count)
+        return searches(self.most, searches(coarse) if self.most is None and coarse > MOST else None)
 
     def lines(self, index: int) -> list[list[str]]:
         """Return the rows of a chunk."""
@@ -171,11 +176,11 @@ class ReoptimiseTask(OptimumTask):
         labels = {key: "; ".join(_labels(nlp, np.flatnonzero(key), np.array(key))) for key in set(keys)}
         methods = np.where(found.searched[done], SEARCHED, FOLLOWED).tolist()
         sizes = [values[name] / quantity.si_per_unit for name, quantity in self.free.items()]
-        figures = np.array([*self.grid.columns(points), *sizes, objective]).T.tolist()
+        figures, status = np.array([*self.grid.columns(points), *sizes, objective]).T.tolist(), Status.OPTIMAL.value
         return {
             point: [
                 *map(repr, figures[k]),
-                Status.OPTIMAL.value,
+                status,
                 "true" if valid[k] else "false",
                 "" if valid[k] else "; ".join(failed[k]),
                 labels[keys[k]],

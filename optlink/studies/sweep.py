@@ -376,9 +376,9 @@ def _marked(rows: Iterator[list[str]], grid: Grid, names: list[str], summary: _S
         return
     active, method = names.index("active"), names.index("method")
     objective = next(k for k, name in enumerate(names) if name.startswith("objective"))
-    before, length, least = None, grid.row, math.inf
+    before, length, least, infeasible = None, grid.row, math.inf, Status.INFEASIBLE.value
     for number, row in enumerate(rows):
-        now = None if row[status] == Status.INFEASIBLE.value else row[active]
+        now = None if row[status] == infeasible else row[active]
         changed = number % length != 0 and now is not None and before is not None and before != now
         row = [*row, "true" if changed else "false"]
         summary.statuses[row[status]] += 1

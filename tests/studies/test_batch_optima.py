@@ -15,6 +15,7 @@ from optlink.optimization.nlp import build
 from optlink.solvers import multistart
 from optlink.studies import reoptimise_task
 from optlink.studies.batch.blocks import MOST, Blocks
+from optlink.studies.batch.prediction import block_nodes
 from optlink.studies.grid import Axis, Grid, read_grid
 from optlink.studies.reoptimise_task import FOLLOWED, ReoptimiseTask, chunk_of
 from optlink.studies.sweep import sweep
@@ -214,3 +215,80 @@ def test_workers_that_take_turns_get_neighbouring_chunks(count, workers):
     assert sorted(order) == list(range(count))
     if count >= 2 * workers:
         assert all(order[k + workers] == order[k] + 1 for k in range(workers * (count // workers - 1)))
+
+
+# --- coarse blocks ---------------------------------------------------------------------------------------------------
+
+FINE = ["mechanism.frame=450..550 mm:50", f"{LIMIT}=125..140 deg:52"]  # 2600 points, in coarse blocks of at most 200
+
+
+@pytest.fixture(scope="module")
+def fine_rows() -> list[list[str]]:
+    return task(FINE, 2600).lines(0)
+
+
+@pytest.mark.slow
+def test_coarse_blocks_need_fewer_searches_for_the_same_optima(fine_rows, monkeypatch):
+    monkeypatch.setattr(reoptimise_task, "coarse_block", lambda count: 0)
+    own = task(FINE, 2600)
+    assert own.grid_search.coarse is None
+    every, names = own.lines(0), own.columns
+    searched = [sum(row[names.index("method")] == reoptimise_task.SEARCHED for row in rows) for rows in (fine_rows, every)]
+    assert searched[0] <= 0.6 * searched[1]
+    numbers = [np.array([[float(cell) for cell in row[:5]] for row in rows]) for rows in (fine_rows, every)]
+    np.testing.assert_allclose(numbers[0], numbers[1], rtol=1e-9)
+    assert [row[5:-1] for row in fine_rows] == [row[5:-1] for row in every]
+
+
+@pytest.mark.slow
+def test_rows_of_coarse_blocks_do_not_depend_on_the_batch(fine_rows, monkeypatch):
+    monkeypatch.setattr(reoptimise_task, "BATCH", 5)
+    parts = task(FINE, 13)
+    for index in (199, 0, 103):
+        assert parts.lines(index) == fine_rows[13 * index : 13 * index + 13]
+
+
+def test_the_prediction_of_a_block_is_close_to_its_optima():
+    own = task(FINE)
+    search = own.grid_search.coarse
+    blocks = search.blocks
+    points = np.flatnonzero(blocks.of(np.arange(own.grid.count)) == 7)
+    found = search.optima(points)
+    x, _ = search._predictions_of(np.array([7]))[7].at(np.unravel_index(points, blocks.shape))
+    middle = search.at_middle(7).x
+    assert np.max(np.abs(x - found.x)) < 1e-5 < 1e-3 < np.max(np.abs(middle - found.x))
+    nodes = blocks.points(block_nodes(blocks.ends(7)))
+    np.testing.assert_allclose(x[np.searchsorted(points, nodes)], found.x[np.searchsorted(points, nodes)], rtol=1e-9)
+
+
+def test_a_block_with_two_active_sets_has_no_prediction():
+    own = task(["mechanism.coupler.max=405..420 mm:150"])  # the bound of the coupler is active up to 412.865 mm
+    search = own.grid_search
+    assert set(search._predictions_of(np.array([*search.blocks]))) == {0, 2}
+    assert block_nodes([(0, 28)]) is None
+    assert [own.tolist() for own in block_nodes([(0, 40), (3, 3)])] == [[0, 4, 14, 26, 36, 40], [3]]
+
+
+@pytest.mark.slow
+def test_fine_blocks_are_searched_where_a_coarse_search_ends_elsewhere(monkeypatch):
+    """One of 13 coarse searches ends at an optimum of 0.36 instead of 0.0012 rad^2."""
+    vary = ["mechanism.crank=98..102 mm:2601"]
+    own = task(vary, 2601, **WIDE)
+    fine, nlp = own.grid_search, own.programme.nlp
+    coarse = fine.coarse
+    real, bad = coarse.search, coarse.blocks.middle(4)
+
+    def misled(point: int):
+        good = real(point)
+        if point != bad:
+            return good
+        ends = [multistart.solve_from(nlp, np.clip([0.8, 0.5, phi], nlp.x_low, nlp.x_high), "ipopt") for phi in (-2.5, -1.5, 2.5)]
+        return next(end for end in ends if end.usable and end.objective > 100.0 * good.objective)
+
+    monkeypatch.setattr(coarse, "search", misled)
+    points = np.arange(bad - 20, bad + 20)
+    found = fine.optima(points)
+    assert coarse.calm(np.arange(8)).tolist() == [True, True, True, False, False, False, True, True]
+    assert len(fine._searches) > 0
+    monkeypatch.setattr(coarse, "search", real)
+    np.testing.assert_allclose(found.objective, task(vary, **WIDE).grid_search.optima(points).objective, rtol=1e-9)

@@ -18,6 +18,11 @@ FEWEST = 3
 """Blocks of a grid, about: each has a search of its own, so that a small grid does not depend on a single one."""
 
 
+def coarse_block(count: int) -> int:
+    """Return the number of points of a coarse block in a grid of `count` points: 25 blocks in 10,000 points, 250 in a million."""
+    return 4 * math.isqrt(count)
+
+
 class Blocks:
     """Blocks of few points, fewer in small grids, about as long along every axis; they depend on the grid alone.
 
@@ -47,19 +52,23 @@ class Blocks:
 
     def middle(self, block: int) -> int:
         """Return the point in the middle of a block."""
-        return self._point([(first + last) // 2 for first, last in self._ends(block)])
+        return self._point([(first + last) // 2 for first, last in self.ends(block)])
 
     def corners(self, block: int) -> tuple[int, ...]:
         """Return two opposite corners of a block, once if they are one point."""
-        return tuple(dict.fromkeys(self._point(places) for places in zip(*self._ends(block), strict=True)))
+        return tuple(dict.fromkeys(self._point(places) for places in zip(*self.ends(block), strict=True)))
 
-    def _ends(self, block: int) -> list[tuple[int, int]]:
+    def ends(self, block: int) -> list[tuple[int, int]]:
         """Return the first and last place of a block along every axis."""
         own = np.unravel_index(block, self.counts)
         return [
             (-(-int(k) * size // count), -(-(int(k) + 1) * size // count) - 1)
             for k, count, size in zip(own, self.counts, self.shape, strict=True)
         ]
+
+    def points(self, places: Sequence[Index]) -> Index:
+        """Return the points at all combinations of places along the axes, the last axis varying fastest."""
+        return np.ravel_multi_index(np.ix_(*places), self.shape).ravel()
 
     def _point(self, places: Sequence[int]) -> int:
         return int(np.ravel_multi_index(places, self.shape))

@@ -23,6 +23,8 @@ Index = NDArray[np.intp]
 
 ACTIVE_SETS = 5  # that are tried at each point
 LARGEST_STEP = 1.0  # of variables and multipliers; a larger one may come from dependent limits
+ROUNDING = 1e-12  # residual of the optimality conditions at which the iterations end
+SLOWER = 0.1  # ratio of successive residuals above which a small one is rounding error
 SAME = 1e-9  # difference of the derivatives of limits that are the same one
 INDEPENDENT = 1e-9  # least diagonal element of the triangular factor of independent limits
 
@@ -153,7 +155,7 @@ def _iterated(
     bound = np.where(sides > 0, problem.upper, problem.lower)
     values, objective = np.full(problem.lower.shape, np.nan), np.full(count, np.nan)
     jacobian, hessian = np.full((*values.shape, n), np.nan), np.full((count, n, n), np.nan)
-    converged = np.zeros(count, dtype=bool)
+    converged, last = np.zeros(count, dtype=bool), np.full(count, np.inf)
     todo = np.arange(count)
     for step in range(MAX_STEPS + 1):
         if not todo.size:
@@ -168,8 +170,8 @@ def _iterated(
             residual = np.concatenate([here.gradient[points] + pull, missing], axis=1)
             size[points] = np.max(np.abs(residual), axis=1)
             moves.append((points, active, slope, residual))
-        ends = size <= CONVERGED
-        at = todo[ends]
+        ends = (size <= CONVERGED) & ((size <= ROUNDING) | (size > SLOWER * last[todo]))
+        at, last[todo] = todo[ends], size
         converged[at], values[at], objective[at] = True, here.values[ends], here.objective[ends]
         jacobian[at], hessian[at] = here.jacobian[ends], here.hessian[ends]
         far = np.max(np.abs(x[todo] - start[todo]), axis=1) > LONGEST

@@ -2,14 +2,16 @@
 
 The optimum of the search in the middle of a block is compared with those of the neighbouring blocks, continued to that point;
 where they differ, every point of the block takes the best one. So it does with other optima, which searches from many starting
-points find in the middles of a few large blocks. The result at a point depends on the grid alone, not on the points that are
-computed with it.
+points find in the middles of a few large blocks. A grid of many points has coarse blocks too: where the searches of these agree
+with each other, their points need no others. The result at a point depends on the grid alone, not on the points that are computed
+with it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +22,15 @@ from optlink.solvers.multistart import SAME_OBJECTIVE
 from optlink.solvers.solution import Solution
 from optlink.studies.batch.blocks import Blocks
 from optlink.studies.batch.newton import INDEPENDENT, BatchOptima, BatchProblem, batch_newton
+from optlink.studies.batch.prediction import Prediction, block_nodes
 
+T = TypeVar("T")
 Index = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 
 SHARES = (0.25, 0.5, 0.75, 1.0)  # of the way to a problem that Newton's method does not reach at once
 KEPT = 4096  # searches that are kept for further blocks
+ASTRAY = 1e-2  # scaled distance from its prediction at which an optimum may be another one
 BETTER = 1e-9  # share of the objective by which another optimum must be smaller
 BRANCHES = 8  # optima of a large block, the best ones
 NEARBY = 2.0  # optima of a large block up to this many times the objective in a block's middle are continued to its points
@@ -57,6 +62,8 @@ class GridSearch:
         A few large blocks.
     search_many : function of a point to a list of Solution
         Distinct optima, best first, that depend on the point alone.
+    coarse : GridSearch, optional
+        Search of the same grid with larger blocks, whose optima are taken where its searches agree.
 
     Each optimum of a large block has a number like a block, from the number of blocks on.
     """
@@ -69,11 +76,14 @@ class GridSearch:
         search: Callable[[int], Solution],
         large: Blocks,
         search_many: Callable[[int], list[Solution]],
+        coarse: GridSearch | None = None,
     ) -> None:
         self.nlp, self.blocks, self.problem, self.search = nlp, blocks, problem, search
-        self.large, self.search_many = large, search_many
+        self.large, self.search_many, self.coarse = large, search_many, coarse
         self._searches: dict[int, tuple[Solution, NDArray[np.int8]]] = {}
-        self._branches: dict[int, list[tuple[Solution, NDArray[np.int8]]]] = {}
+        self._branches: dict[int, list[tuple[Solution, NDArray[np.int8]]]] = {} if coarse is None else coarse._branches
+        self._predictions: dict[int, Prediction | None] = {}
+        self._calm: dict[int, bool] = {}
 
     def at_middle(self, block: int) -> Solution:
         """Return the result of the search in the middle of a block."""
@@ -86,9 +96,7 @@ class GridSearch:
 
     def _many(self, point: int) -> list[tuple[Solution, NDArray[np.int8]]]:
         if point not in self._branches:
-            if len(self._branches) >= KEPT:
-                del self._branches[next(iter(self._branches))]
-            self._branches[point] = [(solution, active_sides(solution)) for solution in self.search_many(point)[:BRANCHES]]
+            _keep(self._branches, point, [(solution, active_sides(solution)) for solution in self.search_many(point)[:BRANCHES]])
         return self._branches[point]
 
     def _further(self, block: int) -> list[int]:
@@ -110,10 +118,8 @@ class GridSearch:
             one, rank = divmod(block - self.blocks.count, BRANCHES)
             return self._many(self.large.middle(one))[rank]
         if block not in self._searches:
-            if len(self._searches) >= KEPT:
-                del self._searches[next(iter(self._searches))]
             solution = self.search(self.blocks.middle(block))
-            self._searches[block] = solution, active_sides(solution)
+            _keep(self._searches, block, (solution, active_sides(solution)))
         return self._searches[block]
 
     def nearest(self, point: int) -> Solution | None:
@@ -124,6 +130,32 @@ class GridSearch:
 
     def optima(self, points: Index) -> GridOptima:
         """Return the best optima found at points of the grid (points,)."""
+        if self.coarse is None:
+            return self._optima(points)
+        of_point = self.coarse.blocks.of(points)
+        each, which = np.unique(of_point, return_inverse=True)
+        some = np.flatnonzero(self.coarse.calm(each)[which])
+        found = self.coarse._optima(points[some])
+        others = np.setdiff1d(np.arange(len(points)), some[found.optimal])
+        order = np.argsort(np.concatenate([some[found.optimal], others]))
+        further = vars(self._optima(points[others]))
+        return GridOptima(
+            **{name: np.concatenate([own[found.optimal], further[name]])[order] for name, own in vars(found).items()}
+        )
+
+    def calm(self, blocks: Index) -> Bools:
+        """Return for each block (blocks,) whether its search and those beside it lead to one optimum in its middle."""
+        new = [block for block in blocks.tolist() if block not in self._calm]
+        beside = [self.blocks.neighbours(block) for block in new]
+        others = self._others(np.array(new, dtype=np.intp), beside)
+        found = {block: self._calm[block] for block in blocks.tolist() if block in self._calm}
+        for block, own, differing in zip(new, beside, others, strict=True):
+            found[block] = not differing and all(self.at_middle(one).usable for one in (block, *own))
+            _keep(self._calm, block, found[block])
+        return np.array([found[block] for block in blocks.tolist()], dtype=bool)
+
+    def _optima(self, points: Index) -> GridOptima:
+        """Return the best optima that are found from these blocks, and from the large ones."""
         problem, of_point = self.problem(points), self.blocks.of(points)
         count = len(points)
         found = GridOptima(
@@ -133,7 +165,7 @@ class GridSearch:
             optimal=np.zeros(count, dtype=bool),
             searched=np.zeros(count, dtype=bool),
         )
-        self._follow(found, problem, np.arange(count), of_point)
+        self._follow(found, problem, np.arange(count), of_point, points)
         blocks, which = np.unique(of_point, return_inverse=True)
         found.searched[:] = found.optimal & (points == np.array([self.blocks.middle(int(block)) for block in blocks])[which])
         beside = [[*self.blocks.neighbours(int(block)), *self._further(int(block))] for block in blocks]
@@ -146,14 +178,17 @@ class GridSearch:
             self._follow(found, problem, some, begin[which[some]])
         return found
 
-    def _follow(self, found: GridOptima, problem: BatchProblem, points: Index, blocks: Index) -> None:
-        """Continue the optima in the middle of blocks to points, and keep those that are better."""
+    def _follow(self, found: GridOptima, problem: BatchProblem, some: Index, blocks: Index, points: Index | None = None) -> None:
+        """Continue the optima in the middle of blocks to some points, and keep those that are better.
+
+        With the points of the grid, which lie in these blocks, the iterations begin at the predictions of the blocks.
+        """
         usable = self._usable(blocks)
-        points, blocks = points[usable], blocks[usable]
-        ended = self._continued(problem.part(points), blocks)
+        some, blocks = some[usable], blocks[usable]
+        ended = self._continued(problem.part(some), blocks, None if points is None else points[some])
         with np.errstate(invalid="ignore"):
-            better = ended.optimal & (ended.objective < found.objective[points] - BETTER * np.abs(ended.objective))
-        at = points[better]
+            better = ended.optimal & (ended.objective < found.objective[some] - BETTER * np.abs(ended.objective))
+        at = some[better]
         found.x[at], found.sides[at], found.objective[at] = ended.x[better], ended.sides[better], ended.objective[better]
         found.optimal[at], found.searched[at] = True, False
 
@@ -185,27 +220,56 @@ class GridSearch:
         return others
 
     def _usable(self, blocks: Index) -> Bools:
-        return np.array([self.at_middle(block).usable for block in blocks.tolist()], dtype=bool)
+        each, which = np.unique(blocks, return_inverse=True)
+        return np.array([self.at_middle(block).usable for block in each.tolist()], dtype=bool)[which]
 
-    def _continued(self, problem: BatchProblem, blocks: Index) -> BatchOptima:
-        """Continue the optima in the middle of blocks (points,) to the problem of each point."""
+    def _predictions_of(self, blocks: Index) -> dict[int, Prediction]:
+        """Return the predictions of blocks (blocks,) that have one."""
+        new = [block for block in blocks.tolist() if block not in self._predictions]
+        found = dict.fromkeys(new) | {block: self._predictions[block] for block in blocks.tolist() if block not in new}
+        nodes = {block: own for block in new if (own := block_nodes(self.blocks.ends(block))) is not None}
+        if nodes:
+            points = [self.blocks.points(own) for own in nodes.values()]
+            sizes = [len(own) for own in points]
+            ended = self._continued(self.problem(np.concatenate(points)), np.repeat([*nodes], sizes))
+            for (block, own), last, size in zip(nodes.items(), np.cumsum(sizes), sizes, strict=True):
+                part = BatchOptima(**{name: one[last - size : last] for name, one in vars(ended).items()})
+                found[block] = Prediction.through(own, part)
+        for block in new:
+            _keep(self._predictions, block, found[block])
+        return {block: one for block, one in found.items() if one is not None}
+
+    def _continued(self, problem: BatchProblem, blocks: Index, points: Index | None = None) -> BatchOptima:
+        """Continue the optima in the middle of blocks (points,) to the problem of each point.
+
+        With the points of the grid, which lie in these blocks, the iterations begin at the predictions of the blocks.
+        """
         each, which = np.unique(blocks, return_inverse=True)
         begin = [self.at_middle(int(block)) for block in each]
         if not begin:
             return batch_newton(self.nlp, problem, np.zeros((0, self.nlp.size)), problem.lower, problem.lower.astype(np.int8))
         sides = np.array([self._searched(int(block))[1] for block in each])[which]
-        sides[(sides != 0) & (problem.lower == problem.upper)] = 2
-        multipliers = np.array([one.conditions.multipliers for one in begin])
+        multipliers = np.array([one.conditions.multipliers for one in begin])[which]
         scale = np.array([one.p[0] for one in begin])
         p = problem.p.copy()
         p[:, 0] = scale[which]
-        x = np.array([one.x for one in begin])
+        x = np.array([one.x for one in begin])[which]
+        first, predicted = (x.copy(), multipliers.copy(), sides.copy()), np.zeros(len(x), dtype=bool)
+        if points is not None:
+            for block, prediction in self._predictions_of(each).items():
+                part = blocks == block
+                first[0][part], first[1][part] = prediction.at(np.unravel_index(points[part], self.blocks.shape))
+                first[2][part], predicted[part] = prediction.sides, True
         own = BatchProblem(p, problem.lower, problem.upper)
-        direct = batch_newton(self.nlp, own, x[which], multipliers[which], sides)
+        equal = problem.lower == problem.upper
+        for one in (sides, first[2]):
+            one[(one != 0) & equal] = 2
+        direct = batch_newton(self.nlp, own, *first)
+        direct.optimal[predicted & ~(np.max(np.abs(direct.x - first[0]), axis=1) <= ASTRAY)] = False
         far = np.flatnonzero(~direct.optimal)
         if far.size:
             middles = self.problem(np.array([self._middle(int(block)) for block in each])).part(which[far])
-            start = BatchOptima(x[which[far]], multipliers[which[far]], sides[far], direct.objective[far], direct.optimal[far])
+            start = BatchOptima(x[far], multipliers[far], sides[far], direct.objective[far], direct.optimal[far])
             for share in SHARES:
                 between = middles.towards(own.part(far), share)
                 start = batch_newton(self.nlp, between, start.x, start.multipliers, start.sides)
@@ -226,3 +290,10 @@ def active_sides(solution: Solution) -> NDArray[np.int8]:
             sides[entry] = 1 if multipliers[entry] > 0.0 else -1
             basis = np.vstack([basis, rest / size])
     return sides
+
+
+def _keep(known: dict[int, T], key: int, value: T) -> None:
+    """Keep a value, in place of the oldest one if there are many."""
+    if len(known) >= KEPT:
+        del known[next(iter(known))]
+    known[key] = value
