@@ -56,6 +56,11 @@ def significant(value: float) -> str:
     return fixed(value, digits)
 
 
+def dimension(value: float) -> str:
+    """Format a dimension with three decimals; six significant digits below 1."""
+    return number(value) if 1e-5 <= abs(value) < 1.0 else fixed(value)
+
+
 def pretty(text: str) -> str:
     """Write units in a text with their signs: N·m, rad²."""
     return _PRODUCT.sub("N·m", text).replace("^2", "²")

@@ -221,7 +221,12 @@ def _extremes(machine: Machine, low: float, high: float, ranges: Ranges, speed: 
     amounts = work(places)
     if np.any(np.isfinite(amounts)):
         i, j = int(np.nanargmin(amounts)), int(np.nanargmax(amounts))
-        found["input.work_J"] = Extreme(float(amounts[i]), placed(places[i]), float(amounts[j]), placed(places[j]))
+        end = high if speed > 0.0 else low  # work does not repeat: the end of the cycle is not its start
+        rounding = 1e-10 * float(np.nanmax(np.abs(amounts)))
+        at_least, at_largest = (
+            float(end) if full and places[k] == end and abs(amounts[k]) > rounding else placed(places[k]) for k in (i, j)
+        )
+        found["input.work_J"] = Extreme(float(amounts[i]), at_least, float(amounts[j]), at_largest)
     return found
 
 

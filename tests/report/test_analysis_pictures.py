@@ -223,6 +223,28 @@ def test_extremes_are_marked_at_their_exact_crank_angles():
         assert np.nanmin(curve[:, 1]) == pytest.approx(marks[0][1])
 
 
+@pytest.mark.parametrize("speed", [1.0, -1.0])
+def test_the_work_of_a_whole_cycle_is_marked_at_its_end(speed):
+    """Work does not repeat: its largest value at the end of the cycle does not lie at the start."""
+    result = analyze(optlink.load("shaper"), speed=speed)
+    extreme = result.extremes["input.work_J"]
+    assert (extreme.least, extreme.least_at) == (0.0, 0.0)
+    assert (extreme.largest, extreme.largest_at) == (pytest.approx(result.work), pytest.approx(speed * TURN))
+    assert result.to_dict()["extremes"]["input.work_J"]["max_at_deg"] == pytest.approx(speed * 360.0)
+    figure = pictures(analysis_forces.work(CycleCurves(result)))["work"]
+    curve = drawn(figure, "input.work_J")
+    for marker in by_gid(figure, "extreme input.work_J"):
+        assert np.min(np.hypot(*((curve - marker.get_xydata()[0]) / [360.0, result.work]).T)) < 1e-9
+
+
+def test_a_shaking_moment_of_rounding_is_not_drawn():
+    """The shaking force of a Scotch yoke passes through the crank pivot."""
+    figure = pictures(analysis_forces.shaking(CycleCurves(analyze(optlink.load("scotch-yoke")))))["shaking"]
+    assert by_gid(figure, "frame.shaking_fx_N")
+    assert not by_gid(figure, "frame.shaking_moment_Nm")
+    assert not [words for words in titles(figure) if "crank pivot" in words]
+
+
 def slopes(xy: np.ndarray) -> float:
     """The steepest finite piece of a curve, in heights of the curve per degree."""
     rises = np.diff(xy[:, 1])

@@ -13,7 +13,7 @@ from rich.console import Console
 
 import optlink
 from optlink.report import terminal
-from optlink.report.format import change, fixed, significant
+from optlink.report.format import change, dimension, fixed, significant
 from optlink.report.registry import table_of
 from optlink.report.table_spec import Part, Summary
 from optlink.report.views import path as path_view
@@ -36,6 +36,22 @@ def words(shown: Summary | Part) -> str:
 
 def shown(result: optlink.FunctionResult) -> str:
     return words(table_of(result.problem.task)(result))
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(412.8654, "412.865"), (1.0, "1.000"), (0.08733787, "0.0873379"), (-0.02, "-0.02"), (0.0, "0.000"), (-1e-9, "0.000")],
+)
+def test_a_dimension_of_a_small_linkage_keeps_its_digits(value: float, text: str) -> None:
+    assert dimension(value) == text
+
+
+def test_the_table_of_a_small_linkage_is_its_design() -> None:
+    lengths = {"crank": "20 um", "coupler": "87.3379 um", "rocker": "45 um", "frame": "80 um"}
+    small = optlink.load("crank-rocker").override({f"mechanism.{name}": value for name, value in lengths.items()})
+    text = shown(validate(small, {}))
+    assert "coupler 0.0873379 mm" in text
+    assert "crank 0.02 mm" in text
 
 
 def test_a_multistart_search_is_not_recommended_after_one(solved: optlink.FunctionResult) -> None:

@@ -499,6 +499,12 @@ def test_the_command_writes_everything(tmp_path):
     assert "yield, within 2.32 deg" in told
 
 
+def test_a_single_tolerance_has_no_chart_of_shares(tmp_path):
+    result = run("crank-rocker", "--tolerance", "coupler=0.1 mm", "--samples", "0", "--out", str(tmp_path))
+    assert result.exit_code == 0, result.output
+    assert {path.name for path in tmp_path.glob("*.png")} == {"band.png"}
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -121,8 +121,9 @@ class CycleCurves:
 
     def inside(self, crank_angle: float) -> float:
         """Return the crank angle [rad] shifted by whole periods into the range of the course."""
-        low = min(self.start, self.end)
-        return low + (crank_angle - low) % self.result.cycle if self.result.full else crank_angle
+        low, high = sorted((self.start, self.end))
+        within = low <= crank_angle <= high or not self.result.full
+        return crank_angle if within else low + (crank_angle - low) % self.result.cycle
 
     def in_order(self, crank_angles: Sequence[float]) -> list[float]:
         """Return crank angles [rad] shifted into the range of the course, in the order of the motion."""

@@ -274,11 +274,12 @@ def shaking(course: CycleCurves, given: CycleCurves | None = None) -> list[Chart
         found.append(hodograph(course, x, y, unit, "shaking", caption, [mark], heading))
         traces = [*curves(course, x, unit, "in x", FOUND, given=given), *curves(course, y, unit, "in y", CRANK, given=given)]
         panels.append(panel(course, f"shaking force [{unit.unit}]", traces))
-    unit = scale(course.peak(moment), "N m")
-    traces = curves(course, moment, unit, "", BODIES[3], given=given)
-    panels.append(panel(course, f"moment [{unit.unit}]", traces, 1.0, extremes(course, moment, unit)))
-    about = f"moment about the crank pivot {course.result.machine.mechanism.crank.start}"
-    title = f"Shaking of the frame, {about}" if forced else f"Shaking {about}"
+    title = "Shaking of the frame"
+    if course.peak(moment) > NOTHING * course.peak(x, y) * _extent(course):
+        unit = scale(course.peak(moment), "N m")
+        traces = curves(course, moment, unit, "", BODIES[3], given=given)
+        panels.append(panel(course, f"moment [{unit.unit}]", traces, 1.0, extremes(course, moment, unit)))
+        title = f"Shaking{' of the frame,' * forced} moment about the crank pivot {course.result.machine.mechanism.crank.start}"
     remark = "" if forced else "force-balanced: no shaking force"
     found.append(chart(course, "shaking", title, panels, heading=heading, remark=remark, width=5.8 if forced else 7.6))
     return found

@@ -12,7 +12,7 @@ from optlink.linkage.stroke import Travel
 from optlink.linkage.vector2d import Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import DyadsSection
-from optlink.report.format import fixed, number
+from optlink.report.format import dimension, fixed, number
 from optlink.report.table_spec import (
     Column,
     Paragraph,
@@ -121,7 +121,7 @@ def _travels(outcome: Analysis) -> Iterator[Part | None]:
     for name, travel in (outputs | others).items():
         factor, unit = (1e3, "mm") if name.endswith(" slides") else (math.degrees(1.0), "deg")
         centres = "\n".join(f"{math.degrees(at):z.3f}" for at in travel.dead_centres)
-        ends = (fixed(value * factor) for value in (travel.low, travel.high, travel.span))
+        ends = (dimension(value * factor) for value in (travel.low, travel.high, travel.span))
         rows.append((strong(name) if name in outputs else name, *ends, unit, centres, fixed(travel.time_ratio, 5)))
     columns = ["", ">from", ">to", ">span", "", ">reverses deg", ">time ratio"]
     yield table("Strokes of sliders, swings of bodies", columns, rows)
@@ -221,9 +221,7 @@ def _work(outcome: Analysis) -> TableSpec:
     if "input.work_J" in outcome.extremes:
         extreme = outcome.extremes["input.work_J"]
         for word, amount, at in (("least", *extreme[:2]), ("largest", *extreme[2:])):
-            last = abs(amount - outcome.work) <= ROUNDING * scale < abs(amount)  # the end shares its crank angle with the start
-            where = "the end" if last else f"{math.degrees(at):z.4f} deg"
-            rows.append((f"{word} since the start", number(amount, 9), f"J at {where}"))
+            rows.append((f"{word} since the start", number(amount, 9), f"J at {math.degrees(at):z.4f} deg"))
     wheel = outcome.flywheel
     if wheel:
         alone = "of the mean speed under it, without a flywheel"

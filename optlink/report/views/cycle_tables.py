@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from optlink.errors import Status
 from optlink.problem.cycle.model import CycleProblem, StrokeProblem
-from optlink.report.format import change, fixed, number, times
+from optlink.report.format import change, dimension, fixed, number, times
 from optlink.report.table_spec import Line, Paragraph, Part, Row, Summary, TableSpec, noted, quiet, strong, summary, table
 from optlink.report.views.analysis_tables import machine_strokes
 from optlink.report.views.function_tables import active, checks, ending, graded, search_verdict
@@ -81,7 +81,9 @@ def _sizes(outcome: CycleResult) -> TableSpec:
         quantity = outcome.task.quantities[name]
         size, unit = quantity.display
         low, high = (bound * size for bound in quantity.bounds)
-        rows.append((name, strong(fixed(value * size)), unit, fixed(quantity.value * size), quiet(f"{low:g} ... {high:g}")))
+        rows.append(
+            (name, strong(dimension(value * size)), unit, dimension(quantity.value * size), quiet(f"{low:g} ... {high:g}"))
+        )
     title = "Design" if outcome.status is not Status.INFEASIBLE else "Nearest design found (it does not meet the limits)"
     return table(title, ["", ">result", "", ">initial", ""], rows)
 
@@ -101,7 +103,7 @@ def _optima(outcome: CycleResult) -> TableSpec:
     reached = sum(optimum.count for optimum in outcome.optima)
     rows = []
     for optimum in outcome.optima[:8]:
-        values = [fixed(optimum.design[name] * outcome.task.quantities[name].display[0], 2) for name in free]
+        values = [dimension(optimum.design[name] * outcome.task.quantities[name].display[0]) for name in free]
         rows.append((number(optimum.objective, 7), *values, str(optimum.count)))
     title = f"Distinct optima: {len(outcome.optima)}, reached by {reached} searches"
     return table(title, [">objective", *(f">{name}" for name in free), ">searches"], rows, appendix=True)

@@ -24,6 +24,7 @@ from optlink.report.animation import film, there_and_back
 from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line, Mark, Panel, Span, Trace, crank_angle
 from optlink.report.drawing import Sketch, merged_positions
 from optlink.report.files import verdict
+from optlink.report.format import dimension
 from optlink.report.labels import place_labels
 from optlink.report.style import FOUND, LIMIT, QUIET, ROCKER, TARGET, figure, figure as new_figure, heading, panels, styled
 from optlink.report.view import View
@@ -158,7 +159,7 @@ def law(result: FunctionResult) -> list[ChartSpec]:
     ]
     robust, worst = problem.requirement.robust, int(np.nanargmax(np.abs(error)))
     below: list[Trace] = []
-    top, words = float(error[worst]), f"largest {error[worst]:+z.3f}°"
+    top, words = float(error[worst]), f"largest {error[worst]:+z.3f}°".replace("-", "−")
     if robust is not None:
         built = np.degrees(ErrorResiduals(problem).band(design, offsets))
         below.append(Band(crank, built[0], built[1], f"built, {robust.band}", LIMIT))
@@ -348,7 +349,11 @@ def objective_map(result: FunctionResult) -> Figure | None:
     ticks = [t for t in range(math.floor(np.log10(low)), math.ceil(np.log10(high)) + 1) if np.log10(low) <= t <= np.log10(high)]
     bar.set_ticks(ticks, labels=[f"10{str(t).translate(RAISED)}" for t in ticks])
     bar.set_label(f"{result.measure} [{unit_of(result)}]")
-    axes.set_title(heading(f"{problem.title}: {result.objective:.6g} at {at[0]:z.3f}, {at[1]:z.3f}", 6.8, 10.5), fontsize=10.5)
+    place = ", ".join(
+        f"{name} {dimension(value)} {display_value(name, 1.0)[1]}" for name, value in zip(problem.free, at, strict=True)
+    )
+    words = f"{problem.title}: {result.measure} {result.objective:.6g} {unit_of(result)} at {place}"
+    axes.set_title(heading(words, 6.8, 10.5), fontsize=10.5)
     return figure
 
 

@@ -17,7 +17,7 @@ from optlink.problem.interval import Interval
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.target_points import TargetPoints
-from optlink.report.format import fixed, number, times
+from optlink.report.format import dimension, fixed, number, times
 from optlink.report.table_spec import (
     Inline,
     Line,
@@ -155,7 +155,7 @@ def _design(outcome: FunctionResult) -> TableSpec:
             low, high = (display_value(name, bound)[0] for bound in quantity.bounds)
             remark = f"free, {low:g} ... {high:g}" if quantity.free else "fixed"
         free = quantity is not None and quantity.free
-        rows.append((name, strong(fixed(shown)) if free else fixed(shown), unit, quiet(remark)))
+        rows.append((name, strong(dimension(shown)) if free else dimension(shown), unit, quiet(remark)))
     rows.append(("assembly", outcome.assembly, "", quiet(f"joint C lies to the {outcome.assembly} of B -> D")))
     return table("Design" if not outcome.conflict else "Nearest design found (it does not meet the limits)", "<><<", rows)
 
@@ -243,7 +243,7 @@ def _optima(outcome: FunctionResult) -> Iterator[Part]:
         yield Paragraph(strong("Multistart search"), f"{hits}; {found.chance}", appendix=True)
     rows = []
     for optimum in outcome.optima[:12]:
-        values = [fixed(display_value(name, optimum.design[name])[0]) for name in free]
+        values = [dimension(display_value(name, optimum.design[name])[0]) for name in free]
         mode = [optimum.assembly] if modes else []
         rows.append((number(optimum.objective, 6 if modes else 8), *values, *mode, str(optimum.count)))
     range_ = ", largest error over the whole range" if outcome.problem.spec.everywhere else ""

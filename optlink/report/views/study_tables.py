@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from optlink.report.format import change, fixed, number, points, signed
+from optlink.report.format import change, dimension, fixed, number, points, signed
 from optlink.report.table_spec import (
     Inline,
     Line,
@@ -51,7 +51,7 @@ def step(row: Sensitivity) -> str:
 def sensitivities(result: Sensitivities) -> Summary:
     """Summarise the sensitivities of an optimum to its fixed parameters, largest effect first."""
     rows = [("objective", strong(number(result.solution.objective)), result.unit)]
-    rows += [(name, strong(fixed(value)), result.units[name]) for name, value in result.values.items()]
+    rows += [(name, strong(dimension(value)), result.units[name]) for name, value in result.values.items()]
     return summary(result.problem.model.title, noted(result.notes), table("Optimum", "<><", rows), *sensitivity_parts(result))
 
 

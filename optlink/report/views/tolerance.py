@@ -81,7 +81,8 @@ def charts(record: ToleranceRecord) -> list[ChartSpec]:
     """Return variance contributions, band over the crank angle, and histogram of the samples."""
     sampled = record.monte_carlo
     histogram = [_histogram(record, sampled)] if sampled is not None and len(sampled.histogram.counts) else []
-    return [_contributions(record), _band(record), *histogram]
+    shares = [_contributions(record)] if len(record.tolerances) > 1 else []  # of a single tolerance it is all
+    return [*shares, _band(record), *histogram]
 
 
 def _contributions(record: ToleranceRecord) -> ChartSpec:

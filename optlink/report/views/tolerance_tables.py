@@ -9,7 +9,7 @@ import numpy as np
 from optlink.problem.base_model import Contradiction
 from optlink.problem.file import ProblemFile
 from optlink.problem.tolerances import CONTACT
-from optlink.report.format import fixed, number, percent
+from optlink.report.format import dimension, fixed, number, percent
 from optlink.report.table_spec import Row, Summary, TableSpec, bad, good, quiet, strong, summary, table
 from optlink.studies.tolerance.allocation import AllocationRecord
 from optlink.studies.tolerance.analysis import DeviationRecord, Tolerance, ToleranceRecord
@@ -85,7 +85,7 @@ def _redesigned(file: ProblemFile, record: ToleranceRecord, robust: RobustRecord
         if name not in robust.design_SI or name not in robust.nominal_design_SI:
             raise Contradiction(f"robust.design_SI.{name}", "this is missing")
         before, unit = display_value(name, robust.nominal_design_SI[name])
-        rows.append((name, fixed(before), strong(fixed(display_value(name, robust.design_SI[name])[0])), unit))
+        rows.append((name, dimension(before), strong(dimension(display_value(name, robust.design_SI[name])[0])), unit))
     largest = (robust.largest_of_the_nominal_design_rad, robust.largest_rad)
     words = "largest, nominal" if counted == YIELD else "largest"
     rows.append((words, *(fixed(math.degrees(value), 4) for value in largest), "deg"))

@@ -23,7 +23,8 @@ from optlink.problem.file import ProblemFile
 class Extreme(NamedTuple):
     """Least and largest value of a column over the motion, and the crank angles [rad] at which they occur.
 
-    If the crank turns fully, the angles lie within one cycle from 0 on; otherwise within the range.
+    If the crank turns fully, the angles lie within one cycle from 0 on, except the end of the cycle for the work since the start;
+    otherwise within the range.
     """
 
     least: float
