@@ -183,6 +183,21 @@ def test_where_other_limits_begin_to_hold_is_marked():
     assert result.searched == 4  # in the middle of each block; from there, Newton's method changes the active set itself
 
 
+def test_a_limit_that_an_optimum_nearly_touches_is_not_listed():
+    """At 178.5 deg the margin of the crank's rotation is 0.2 um away, nearly parallel to the limit that is active."""
+    assert sweep(problem(), [f"{LIMIT}=178..179 deg:3"], workers=1).columns["active"].tolist() == [
+        "largest transmission angle",
+        "largest transmission angle",
+        "crank + frame <= coupler + rocker",
+    ]
+
+
+def test_rows_do_not_depend_on_sweeps_before_in_the_same_process():
+    vary = f"{LIMIT}=85..179 deg:21"
+    first, _, again = [sweep(problem(), [own], workers=1) for own in (vary, f"{LIMIT}=80..150 deg:5", vary)]
+    assert again.path.read_bytes() == first.path.read_bytes()
+
+
 def test_points_without_a_design_are_rows_too():
     result = sweep(problem(), [f"{LIMIT}=70..100 deg:4"], workers=1)
     table = result.columns
