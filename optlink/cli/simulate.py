@@ -37,7 +37,6 @@ from optlink.errors import InputError
 from optlink.execution import interrupts
 
 if TYPE_CHECKING:
-    from optlink.dynamics.ending import Ending
     from optlink.problem.file import ProblemFile
 
 COMPARE = "compare"
@@ -116,7 +115,7 @@ def simulate(
 
         with console.share("simulating") as progress:
             ideal_run = run(file, time, progress=progress, flywheel=inertia, **common, **console.given(rows=points))
-        _deliver(ideal_run, "simulation", ideal_run.run.ending, as_json, out, csv)
+        _deliver(ideal_run, "simulation", ideal_run.run.ending.value, as_json, out, csv)
         return
     turns = _revolutions(file, revolutions, time, common["speed"])
     common |= {"compiling": _compiling, **console.given(points=points, tolerance=tolerance, integrator=integrator)}
@@ -130,16 +129,14 @@ def simulate(
 
         with _kept(out, resume, "runs", "comparing") as kept:
             compared = compare(file, turns, **common, **many, **kept)
-        console.deliver(compared, "control comparison", as_json, out)
-        if not compared.finished:
-            raise typer.Exit(3)
+        _deliver(compared, "control comparison", compared.status, as_json, out)
     elif tune:
         from optlink.tasks.control_comparison import tune as search
 
         with _kept(out, resume, "evaluations", "tuning") as kept:
             common |= console.given(revolutions=None if revolutions is None and time is None else turns, evaluations=evaluations)
             tuned = search(file, control or "inverse+pid", tuple(tune), **common, **many, **kept)
-        console.deliver(tuned, "tuning", as_json, out)
+        _deliver(tuned, "tuning", tuned.status, as_json, out)
     else:
         from optlink.report.files import checkpoint, write_json
         from optlink.tasks.clearance import simulate_clearance
@@ -150,14 +147,14 @@ def simulate(
         common |= {"control": control or "none", "flywheel": inertia, "checkpoint": keep, "resume": begun}
         with _streamed(csv, done) as stream, console.share("simulating") as progress:
             found = simulate_clearance(file, turns, progress=progress, stream=stream, **common)
-        _deliver(found, "clearance", found.ending, as_json, out)
+        _deliver(found, "clearance", found.ending.value, as_json, out)
 
 
-def _deliver(result: Any, kind: str, ending: Ending, as_json: bool, out: Path | None, csv: Path | None = None) -> None:
-    """Write and show a simulation, and exit with the code of its ending."""
+def _deliver(result: Any, kind: str, ending: str, as_json: bool, out: Path | None, csv: Path | None = None) -> None:
+    """Write and show simulations, and exit with the code of their ending."""
     console.deliver(result, kind, as_json, out, csv)
     if not result.finished:
-        raise typer.Exit(3 if ending.value == "stalled" else 1)
+        raise typer.Exit(3 if ending == "stalled" else 1)
 
 
 def _compiling() -> contextlib.AbstractContextManager[None]:

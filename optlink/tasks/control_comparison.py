@@ -48,10 +48,12 @@ def random_crank_angles(count: int, seed: int) -> Array:
 
 
 def _trials(runs: Sequence[RunResult]) -> Trials:
-    """Return the figures of one kind of control from its runs."""
+    """Return the figures of one kind of control from its runs; NaN for a run that stalled."""
     unit = runs[0].unit
     names = (f"rms_{unit}", f"peak_{unit}", "correction_rms_rad", "torque_rms_Nm")
-    rms, peak, correction, torque = np.array([[run.figures[name] for name in names] for run in runs]).T
+    rms, peak, correction, torque = np.array(
+        [[run.figures[name] if run.finished else np.nan for name in names] for run in runs]
+    ).T
     return Trials(rms, peak, correction, torque, all(run.finished for run in runs))
 
 

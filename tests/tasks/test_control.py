@@ -22,7 +22,9 @@ from optlink.clearance.output import default_output
 from optlink.clearance.reference_signal import ReferenceSignal, constant_speed
 from optlink.dynamics.inverse import reactions
 from optlink.errors import InputError
+from optlink.report.views import clearance_tables, conclusions, control_comparison as control_comparison_view
 from optlink.tasks import control_comparison, parallel_runs
+from optlink.tasks.results.control_comparison import Comparison
 
 CRANK, ROD = 0.05, 0.12
 SPEED = 1200.0 * math.pi / 30.0
@@ -284,6 +286,39 @@ def test_interrupted_comparison_resumes_with_what_is_complete(monkeypatch):
         optlink.compare(rocker(), resume=kept[-1], **{**options, "seed": 3})
     with pytest.raises(InputError, match="damaged"):
         optlink.compare(rocker(), resume={**kept[-1], "runs": [{"control": "none"}]}, **options)
+
+
+@pytest.mark.slow
+def test_runs_that_stall_have_no_figures():
+    """A run that stalls at once has no deviation: it must not count as one without deviation, which no control could beat."""
+    sinking = {"joints.C.modulus": None, "joints.C.poisson": None, "joints.C.stiffness": "1 N/m^1.5"}
+    problem = optlink.load("crank-rocker-clearance", sinking)
+    found = optlink.compare(problem, starts=1, kinds=("none", "pid"), **SHORT)
+    assert (found.finished, found.status) == (False, "stalled")
+    for trials in found.trials.values():
+        assert math.isnan(trials.mean)
+        assert trials.stalled == 1
+    text = str(clearance_tables.comparison(found))
+    assert "Stalled: 1 of 1 runs with control pid, which therefore has no mean" in text
+    assert found.to_dict()["trials"]["pid"]["mean"] is None
+    assert control_comparison_view.charts(found) == []
+    assert conclusions.comparison(found) == "No controller completed its runs."
+    tuned = optlink.tune(problem, "pid", evaluations=4, starts=1, **SHORT)
+    assert (tuned.finished, tuned.status, dict(tuned.best)) == (False, "stalled", {})
+    assert "No result: with every parameter set, that of the problem too, a run stalled" in str(clearance_tables.tuning(tuned))
+
+
+def test_one_run_of_several_that_stalls_leaves_its_control_without_a_mean():
+    figures = {"rms_m": 1e-3, "peak_m": 2e-3, "correction_rms_rad": 0.0, "torque_rms_Nm": 1.0}
+    runs = [parallel_runs.RunResult(figures | {"rms_m": rms}, "m", finished) for rms, finished in ((1e-3, True), (1e-6, False))]
+    trials = control_comparison._trials(runs)
+    assert (trials.finished, trials.stalled, trials.rms[0]) == (False, 1, 1e-3)
+    assert math.isnan(trials.mean)
+    full = control_comparison._trials(runs[:1] * 2)
+    found = Comparison(optlink.load("slider-crank-clearance"), {"none": full, "pid": trials}, np.zeros(2), 0, 2, {}, "m")
+    [chart] = control_comparison_view.charts(found)
+    assert [label for _, label in chart.panels[0].y.ticks] == ["no control"]
+    assert conclusions.comparison(found).endswith("Not every run was completed.")
 
 
 def test_checkpoints_of_other_kinds_are_refused():

@@ -94,17 +94,19 @@ def comparison(outcome: Comparison) -> Summary:
     factor, displayed = DISPLAYED[outcome.unit]
     count = len(outcome.starts)
     starts = "one crank angle at the start" if count == 1 else f"{count} crank angles at the start"
-    status = f"{outcome.revolutions} revolutions from each of {starts} (seed {outcome.seed})"
+    status: list[Line] = [f"{outcome.revolutions} revolutions from each of {starts} (seed {outcome.seed})"]
     rows: list[Row] = []
     for kind, trials in outcome.trials.items():
-        gain = "" if kind == "none" or "none" not in outcome.trials else f"{outcome.gain(kind):z.1%}"
+        gain = math.nan if kind == "none" or "none" not in outcome.trials else outcome.gain(kind)
         effort, torque = math.degrees(float(np.mean(trials.correction))), float(np.mean(trials.torque))
         sizes = [fixed(value * factor, 4) for value in (trials.mean, trials.scatter, float(np.max(trials.peak)))]
-        row = [kind, *sizes, gain, fixed(effort, 3), fixed(torque, 3)]
+        row = [kind, *sizes, f"{gain:z.1%}" if math.isfinite(gain) else "", fixed(effort, 3), fixed(torque, 3)]
         rows.append([*row] if trials.finished else [bad(cell) for cell in row])
+        if trials.stalled:
+            status.append(bad(f"Stalled: {trials.stalled} of {count} runs with control {kind}, which therefore has no mean"))
     columns = ["control", f">rms {displayed}", ">scatter", ">peak", ">gain", ">crank deg", ">torque Nm"]
     title = "Deviation of the output, and effort of the control: rms of correction and torque"
-    return summary(outcome.problem.model.title, [status], table(title, columns, rows))
+    return summary(outcome.problem.model.title, status, table(title, columns, rows))
 
 
 def tuning(outcome: Tuning) -> Summary:
@@ -113,10 +115,16 @@ def tuning(outcome: Tuning) -> Summary:
     starts = "one crank angle" if outcome.starts == 1 else f"{outcome.starts} crank angles"
     runs = f"{outcome.revolutions} revolutions from each of {starts} at the start (seed {outcome.seed})"
     stopped = int(np.sum(~np.isfinite(outcome.costs)))
-    tried = f"{len(outcome.costs)} parameter sets tried" + (f", {stopped} of them stopped early as worse" if stopped else "")
+    tried = f"{len(outcome.costs)} parameter sets tried" + (
+        f", {stopped} of them stalled or stopped early as worse" if stopped else ""
+    )
     rows, words = (
         [("parameters of the problem", fixed(outcome.before * factor, 4))],
-        Paragraph("No parameter set is better than that of the problem, which is kept"),
+        Paragraph(
+            "No parameter set is better than that of the problem, which is kept"
+            if outcome.finished
+            else bad("No result: with every parameter set, that of the problem too, a run stalled")
+        ),
     )
     if outcome.best:
         rows.append(("best parameters", fixed(outcome.cost * factor, 4)))

@@ -250,13 +250,12 @@ def comparison(found: Comparison) -> str:
     if not done:
         return "No controller completed its runs."
     best = min(done, key=lambda name: done[name].mean)
+    tail = "" if len(done) == len(found.trials) else " Not every run was completed."
     if best == "none":
-        return (
-            f"Best without control: root mean square deviation {si(done[best].mean, found.unit)}; every controller increases it."
-        )
+        rms = si(done[best].mean, found.unit)
+        return f"Best without control: root mean square deviation {rms}; every controller that completed increases it.{tail}"
     less = f", {100.0 * (1.0 - done[best].mean / done['none'].mean):z.1f} % less than without control" if "none" in done else ""
     rms, peak = (si(value, found.unit) for value in (done[best].mean, float(np.max(done[best].peak))))
-    tail = "" if len(done) == len(found.trials) else " Not every run was completed."
     return f"The best control is {best}: root mean square deviation {rms}{less}; peak {peak}.{tail}"
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -23,8 +24,10 @@ from optlink.tasks.results.control_comparison import Comparison, ComparisonRecor
 
 
 def charts(found: Comparison) -> list[ChartSpec]:
-    """Return the charts of a control comparison; that of single runs only where these are known."""
-    return [*compensation(found.examples), trials(found)]
+    """Return the charts of a control comparison, of the kinds whose runs finished; those of single runs where these are known."""
+    done = {name: one for name, one in found.trials.items() if one.finished}
+    examples = {name: run for name, run in found.examples.items() if name in done}
+    return [*compensation(examples), *([trials(replace(found, trials=done))] if done else [])]
 
 
 def _mean_turn(turns: RevolutionCurves, values: Array) -> tuple[Array, Array, Array, Array]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Literal, Self
@@ -20,7 +21,7 @@ from optlink.tasks.results.clearance import ClearanceSimulation
 class Trials:
     """One kind of control from several starts: rms and peak of the error [m, rad], correction, torque; arrays (starts,).
 
-    `correction` [rad] and `torque` [N m] are root mean squares of the control effort.
+    `correction` [rad] and `torque` [N m] are root mean squares of the control effort. A run that stalled has no figures: NaN.
     """
 
     rms: Column
@@ -30,8 +31,13 @@ class Trials:
     finished: bool
 
     @property
+    def stalled(self) -> int:
+        """Number of runs that stalled."""
+        return int(np.sum(np.isnan(self.rms)))
+
+    @property
     def mean(self) -> float:
-        """Mean of the rms errors."""
+        """Mean of the rms errors; NaN if a run stalled."""
         return float(np.mean(self.rms))
 
     @property
@@ -130,7 +136,6 @@ class Tuning(Recorded):
     """
 
     record = TuningRecord
-    status = "finished"
 
     problem: ProblemFile
     best: Mapping[str, str | float]
@@ -145,3 +150,13 @@ class Tuning(Recorded):
     seed: int = 0
     revolutions: int = 11
     unit: str = "m"
+
+    @property
+    def finished(self) -> bool:
+        """Whether the runs of some parameter set finished."""
+        return math.isfinite(self.cost)
+
+    @property
+    def status(self) -> str:
+        """Whether the runs of some parameter set finished, in a word."""
+        return "finished" if self.finished else "stalled"
