@@ -19,7 +19,7 @@ KEPT = 30
 """Revolutions whose rows stay in memory; all rows are streamed to whoever takes them."""
 
 LISTED = 10_000
-"""Revolutions whose summary stays in memory, and contacts."""
+"""Revolutions whose summary stays in memory, and contacts; all of them are counted."""
 
 APART = 0.1
 """Share of the smallest clearance (for an angle: per size of the machine) by which outputs of twins differ that have parted."""
@@ -43,7 +43,7 @@ class Statistics:
         self.poincare_map: deque[dict[str, float]] = deque(maxlen=LISTED)
         self.impacts: deque[Impact] = deque(maxlen=LISTED)
         self.meanings: dict[str, str] = {}
-        self.count = self.contacts = 0
+        self.count = 0
         self.largest = self.imbalance = 0.0
         self.first: float | None = None
         self.sums: dict[str, float] = dict.fromkeys(("square", "rows", "effort", "torque"), 0.0)
@@ -51,6 +51,7 @@ class Statistics:
         self.peak = self.torque = self.correction = 0.0
         self.depths = [0.0] * len(plant.equations.gaps)  # largest at every gap [m]
         self.forces = [0.0] * len(plant.equations.gaps)  # [N]
+        self.contacts = [0] * len(plant.equations.gaps)  # ended
         self.settled = 0
 
     def add(self, settled: bool) -> dict[str, Array]:
@@ -132,8 +133,9 @@ class Statistics:
         correction = rows.get("command.correction_rad", np.zeros(1))
         self.depths = [max(both) for both in zip(self.depths, turn.depths, strict=True)]
         self.forces = [max(both) for both in zip(self.forces, turn.forces, strict=True)]
-        self.contacts += len(impacts)
         self.impacts.extend(impacts)
+        for impact in impacts:
+            self.contacts[impact.gap] += 1
         self.torque = max(self.torque, turn.torque)
         figures = {
             "revolution": float(self.count),
@@ -180,7 +182,8 @@ class Statistics:
         """Return the summary statistics by name (SI)."""
         unit = self.closed_loop.output.unit
         rows, every, turns = max(self.sums["rows"], 1.0), max(self.every["rows"], 1.0), max(self.settled or self.count, 1)
-        gaps = self.closed_loop.equations.gaps
+        gaps, lasting = self.closed_loop.equations.gaps, self.closed_loop.integration.open
+        contacts = {f"{gap.point}.contacts": float(self.contacts[k] + (k in lasting)) for k, gap in enumerate(gaps)}
         works = dict(zip(self.closed_loop.equations.losses, self.closed_loop.integration.works, strict=True))
         return {
             "revolutions": float(self.count),
@@ -189,7 +192,8 @@ class Statistics:
             f"mean_square_{unit}2": self.sums["square"] / rows,
             f"peak_{unit}": self.peak,
             f"rms_from_start_{unit}": math.sqrt(self.every["square"] / every),
-            "contacts": float(self.contacts + len(self.closed_loop.integration.open)),
+            "contacts": sum(contacts.values()),
+            **contacts,
             "largest_penetration_m": max(self.depths),
             "largest_normal_N": max(self.forces),
             **{f"{gap.point}.penetration_max_m": depth for gap, depth in zip(gaps, self.depths, strict=True)},

@@ -21,7 +21,12 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.clearance import closed_loop as plant_module, columns as record_module, equations as equations_module
+from optlink.clearance import (
+    closed_loop as plant_module,
+    columns as record_module,
+    equations as equations_module,
+    statistics as statistics_module,
+)
 from optlink.clearance.contact_laws import SLOWEST
 from optlink.clearance.hermite import crossing, summit
 from optlink.clearance.integration import Impact, Integration
@@ -878,6 +883,18 @@ def test_memory_is_bounded_and_all_rows_are_streamed():
     error = np.concatenate([rows["slider.error_m"] for rows in streamed])
     assert found.figures["rms_m"] == pytest.approx(math.sqrt(float(np.mean(error[60:] ** 2))), rel=1e-12)
     assert found.figures["rms_from_start_m"] == pytest.approx(math.sqrt(float(np.mean(error**2))), rel=1e-12)
+
+
+def test_every_contact_is_counted_however_few_stay_in_memory(monkeypatch):
+    raw = edited(PERIODIC, {"joints.C.law": "hertz", "joints.C.friction": 0.0})
+    known = simulate(raw, 2, 90)
+    monkeypatch.setattr(statistics_module, "LISTED", 5)
+    found = simulate(raw, 2, 90)
+    counted = len(known.impacts)
+    assert len(found.impacts) < 10 < counted
+    assert found.figures["contacts"] == found.figures["C.contacts"] == counted
+    contacts = clearance_tables.simulation(found).parts[1]
+    assert contacts.rows[0][4].text == str(counted)
 
 
 def test_figures_of_revolutions_are_those_of_their_rows():

@@ -59,8 +59,8 @@ def _error(outcome: ClearanceSimulation) -> TableSpec:
 def _contacts(outcome: ClearanceSimulation) -> TableSpec:
     found = outcome.figures
     rows = []
-    for k, gap in enumerate(outcome.gaps):
-        count = str(sum(impact.gap == k for impact in outcome.impacts))
+    for gap in outcome.gaps:
+        count = str(int(found[f"{gap.point}.contacts"]))
         share = f"{float(np.mean(outcome.per_revolution[f'{gap.point}.contact_share'])):z.1%}"
         most = number(found[f"{gap.point}.normal_max_N"], 5), fixed(found[f"{gap.point}.penetration_max_m"] * 1e6, 2)
         rows.append((gap.point, gap.journal, gap.bearing, number(gap.clearance * 1e3), count, share, *most))
