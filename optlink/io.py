@@ -15,7 +15,8 @@ import os
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator
+import zlib
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -25,6 +26,7 @@ from optlink.version import VERSION
 GROUP = "optlink.extensions"
 Item = TypeVar("Item")
 
+SUM = "crc32"  # key of the check sum of a document
 LOCK = ".optlink.lock"
 LOCKED_BYTE = 1 << 30  # on Windows, whose locks forbid reading: far behind the process number in the file
 _records: list[set[Path]] = []
@@ -126,6 +128,29 @@ def read_object(path: Path) -> dict[str, Any] | None:
     except (OSError, ValueError, RecursionError):
         return None
     return found if isinstance(found, dict) else None
+
+
+def check_sum(data: bytes, begin: int = 0) -> str:
+    """Return the check sum of data; it detects a changed file, not a forged one.
+
+    Parameters
+    ----------
+    data : bytes
+    begin : int, optional
+        Value of the check sum of the data before.
+    """
+    return f"{zlib.crc32(data, begin):08x}"
+
+
+def with_check_sum(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a JSON document with the check sum of its entries."""
+    return {**document, SUM: check_sum(json.dumps(document).encode())}
+
+
+def checked(document: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return a document without its check sum; None if it was changed."""
+    found = {name: value for name, value in document.items() if name != SUM}
+    return found if with_check_sum(found)[SUM] == document.get(SUM) else None
 
 
 @contextlib.contextmanager

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from optlink.errors import InputError
-from optlink.io import locked, read_object, write_json, written_files
+from optlink.io import check_sum, locked, read_object, write_json, written_files
 
 MANIFEST = ".optlink-run.json"
 """What an earlier run in the folder was, and the files that it wrote with their check sums."""
@@ -97,6 +96,6 @@ def _writers(schema: str) -> list[str]:
 
 def _sum(path: Path) -> str | None:
     try:
-        return f"{zlib.crc32(path.read_bytes()):08x}"
+        return check_sum(path.read_bytes())
     except OSError:
         return None

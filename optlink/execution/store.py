@@ -11,7 +11,6 @@ import csv
 import io
 import json
 import shutil
-import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Self
@@ -19,12 +18,12 @@ from typing import Any, Self
 from optlink.errors import InputError
 from optlink.execution.runner import run
 from optlink.execution.worker import ChunkTask
-from optlink.io import LOCK, folder, locked, read_object, whole, write_json
+from optlink.io import LOCK, check_sum, checked, folder, locked, read_object, whole, with_check_sum, write_json
 
 ABOUT, TABLE, CHUNKS = "study.json", "sweep.csv", "chunks"
 SPREAD = 1000  # chunks per folder
 SUM = "crc32 "  # prefix of the last line of a chunk, the check sum of the others
-DOCUMENT_SUM, TABLE_SUM = "crc32", "table_crc32"  # keys of the check sums of a document, and of the table in the definition
+TABLE_SUM = "table_crc32"  # key of the check sum of the table in the definition
 
 Rows = Iterator[list[str]]
 Progress = Callable[[int, int], None]
@@ -148,9 +147,7 @@ class Store:
 
     def document(self, name: str) -> dict[str, Any]:
         """Return a document of the study; empty if there is none, or if it was changed."""
-        found = read_object(self.path / name) or {}
-        mark = found.pop(DOCUMENT_SUM, None)
-        return found if mark == _check_sum(json.dumps(found).encode()) else {}
+        return checked(read_object(self.path / name) or {}) or {}
 
     def keep(self, name: str, document: Mapping[str, Any]) -> None:
         """Write a document of the study.
@@ -162,8 +159,7 @@ class Store:
         document : mapping
             JSON compatible.
         """
-        own = {} if name == ABOUT else {DOCUMENT_SUM: _check_sum(json.dumps(document).encode())}
-        write_json(self.path / name, {**document, **own})
+        write_json(self.path / name, dict(document) if name == ABOUT else with_check_sum(document))
         self._mine.append(self.path / name)
 
     def withdraw(self) -> None:
@@ -203,7 +199,7 @@ class Store:
         except (OSError, ValueError):
             return None
         lines, mark, found = text.rpartition(SUM)
-        whole = mark and found == f"{_check_sum(lines.encode())}\n" and lines.count("\n") == self.sizes(index)
+        whole = mark and found == f"{check_sum(lines.encode())}\n" and lines.count("\n") == self.sizes(index)
         return lines if whole else None
 
     def write(self, index: int, text: str) -> None:
@@ -219,7 +215,7 @@ class Store:
         path = self._file(index)
         self._folder(path.parent)
         with whole(path) as temporary:
-            temporary.write_text(f"{text}{SUM}{_check_sum(text.encode())}\n", encoding="utf-8")
+            temporary.write_text(f"{text}{SUM}{check_sum(text.encode())}\n", encoding="utf-8")
         self._mine.append(path)
 
     def fill(
@@ -318,16 +314,12 @@ class Store:
         raise InputError("the finished table has been changed or truncated", remedy, str(self.table), "--out")
 
 
-def _check_sum(data: bytes, begin: int = 0) -> str:
-    return f"{zlib.crc32(data, begin):08x}"
-
-
 def _sum_of(path: Path) -> str:
     """Return the check sum of a file."""
     found = "0"
     with path.open("rb") as file:
         while part := file.read(1 << 20):
-            found = _check_sum(part, int(found, 16))
+            found = check_sum(part, int(found, 16))
     return found
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from optlink.errors import InputError
-from optlink.io import folder, read_object, whole, write_json
+from optlink.io import checked, folder, read_object, whole, write_json
 from optlink.problem.file import ProblemFile, dump
 from optlink.problem.fixed_design import with_files_beside
 from optlink.problem.quantity import input_of
@@ -132,6 +132,6 @@ def checkpoint(out: Path | None) -> dict[str, Any]:
         raise InputError("needs the folder of the run", "Add --out DIR", key="--resume")
     path = out / "checkpoint.json"
     found = read_object(path)
-    if found is None:
-        raise InputError("there is no readable checkpoint", "Start without --resume", str(path), "--resume")
+    if found is None or checked(found) is None:
+        raise InputError("there is no checkpoint, or it is damaged", "Start without --resume", str(path), "--resume")
     return found

@@ -32,7 +32,7 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range, input_of, nearest
 from optlink.tasks.machine import check_regular, machine_of, motion_range, with_flywheel
-from optlink.tasks.results.checkpoint import ClearanceCheckpoint, damaged, read_checkpoint
+from optlink.tasks.results.checkpoint import ClearanceCheckpoint, read_checkpoint
 from optlink.tasks.results.clearance import RUNNING_IN, ClearanceSimulation
 
 EVERY = 5.0
@@ -202,19 +202,17 @@ def simulate_clearance(
         "integrator": str(integrator),
         "design": None if design is None else dict(design),
         "flywheel_kg_m2": flywheel,
+        "twin": twin,
     }
     if resume is not None:
         begun = read_checkpoint(ClearanceCheckpoint, resume, options)
         if begun.revolutions > revolutions:
             message = f"{begun.revolutions} revolutions are already complete"
             raise InputError(message, "Request more", key="revolutions", value=revolutions)
-        try:
-            plant.restore(begun.closed_loop)
-            account.restore(begun.statistics)
-            if pair is not None and begun.predictability is not None:
-                pair.restore(begun.predictability)
-        except (KeyError, TypeError, ValueError, IndexError):
-            raise damaged("a state") from None
+        plant.restore(begun.closed_loop)
+        account.restore(begun.statistics)
+        if pair is not None and begun.predictability is not None:
+            pair.restore(begun.predictability)
 
     def save() -> dict[str, Any]:
         return {"closed_loop": plant.save(), "predictability": None if pair is None else pair.save()}
@@ -222,7 +220,7 @@ def simulate_clearance(
     def keep() -> None:
         if checkpoint is not None and account.count:
             state = ClearanceCheckpoint(**options, **saved, revolutions=account.count, statistics=account.save())
-            checkpoint(state.model_dump())
+            checkpoint(state.document())
 
     kept_at, saved = time.monotonic(), save()
     ending, message, notes = Ending.FINISHED, f"{revolutions} revolutions were simulated", list(_sample_time_note(setting, plant))

@@ -20,7 +20,7 @@ from optlink.problem.quantity import check_range
 from optlink.tasks.clearance import checked
 from optlink.tasks.machine import machine_of
 from optlink.tasks.parallel_runs import RunJob, RunResult, run_jobs
-from optlink.tasks.results.checkpoint import ComparisonCheckpoint, RunRecord, TuningCheckpoint, damaged, read_checkpoint
+from optlink.tasks.results.checkpoint import ComparisonCheckpoint, RunRecord, TuningCheckpoint, read_checkpoint
 from optlink.tasks.results.control_comparison import Comparison, Trials, Tuning
 
 KINDS = tuple(str(kind) for kind in Control)
@@ -166,13 +166,7 @@ def _run(key: tuple[str, int], ran: RunResult) -> RunRecord:
 
 def _runs(begun: ComparisonCheckpoint) -> dict[tuple[str, int], RunResult]:
     """Return the runs of a checkpoint."""
-    found = {(one.control, one.start): RunResult(one.figures, one.unit, one.finished) for one in begun.runs}
-    try:
-        for ran in found.values():
-            _trials([ran])
-    except KeyError as error:
-        raise damaged(f"the figure {error}") from None
-    return found
+    return {(one.control, one.start): RunResult(one.figures, one.unit, one.finished) for one in begun.runs}
 
 
 RANGES: dict[str, tuple[float, float]] = {

@@ -22,6 +22,7 @@ from optlink.clearance.output import default_output
 from optlink.clearance.reference_signal import ReferenceSignal, constant_speed
 from optlink.dynamics.inverse import reactions
 from optlink.errors import InputError
+from optlink.report import files
 from optlink.report.views import clearance_tables, conclusions, control_comparison as control_comparison_view
 from optlink.tasks import control_comparison, parallel_runs
 from optlink.tasks.results.control_comparison import Comparison
@@ -284,8 +285,8 @@ def test_interrupted_comparison_resumes_with_what_is_complete(monkeypatch):
         np.testing.assert_array_equal(on.trials[kind].rms, trials.rms)
     with pytest.raises(InputError, match="another command"):
         optlink.compare(rocker(), resume=kept[-1], **{**options, "seed": 3})
-    with pytest.raises(InputError, match="damaged"):
-        optlink.compare(rocker(), resume={**kept[-1], "runs": [{"control": "none"}]}, **options)
+    with pytest.raises(InputError, match="was changed since it was written"):
+        optlink.compare(rocker(), resume={**kept[-1], "runs": kept[-1]["runs"][:3]}, **options)
 
 
 @pytest.mark.slow
@@ -321,20 +322,54 @@ def test_one_run_of_several_that_stalls_leaves_its_control_without_a_mean():
     assert conclusions.comparison(found).endswith("Not every run was completed.")
 
 
-def test_checkpoints_of_other_kinds_are_refused():
-    """Of an earlier version, of another kind, or cut short: one sentence before any run."""
+@pytest.fixture(scope="module")
+def saved():
+    """The checkpoints of a simulation and of a comparison, as read from their files."""
+    kept: list[dict] = []
+    optlink.simulate_clearance(rocker(), 1, 60, tolerance=1e-6, checkpoint=kept.append)
+    optlink.compare(rocker(), starts=1, kinds=("none",), checkpoint=kept.append, **SHORT)
+    return [json.loads(json.dumps(document)) for document in kept]
+
+
+def test_checkpoints_of_other_kinds_are_refused(saved):
+    """Of another version, of another kind, or of another run: one sentence before any run."""
     options = {"starts": 1, "kinds": ("none",), **SHORT}
-    label = {"problem_hash": rocker().hash, "kinds": ["none"], "starts": 1, "seed": 0, "design": None, "speed": None, **SHORT}
-    with pytest.raises(InputError, match=r"has another format: its schema is 'optlink/trials/1'.*--resume"):
-        optlink.compare(rocker(), resume={**label, "schema": "optlink/trials/1", "complete": 0, "of": 1, "runs": []}, **options)
-    saved = {**label, "schema": "optlink/comparison-checkpoint/2", "complete": 1, "total": 1}
-    with pytest.raises(InputError, match=r"damaged: runs\.0\.unit"):
-        optlink.compare(rocker(), resume={**saved, "runs": [{"control": "none", "start": 0}]}, **options)
-    run = {"control": "none", "start": 0, "unit": "rad", "finished": True, "figures": {"rms_rad": 1e-3}}
-    with pytest.raises(InputError, match="damaged: the figure 'peak_rad'"):
-        optlink.compare(rocker(), resume={**saved, "runs": [run]}, **options)
-    with pytest.raises(InputError, match="has another format"):
-        optlink.simulate_clearance(rocker(), 2, 60, resume=saved)
+    simulation, comparison = saved
+    assert optlink.compare(rocker(), resume=comparison, **options).finished
+    for changes, message in (
+        ({"schema": "optlink/trials/1"}, r"has another format: its schema is 'optlink/trials/1'.*--resume"),
+        ({"optlink": "0.0.1"}, r"is that of another version: its optlink is '0\.0\.1'"),
+        ({"seed": 1}, "is that of another command: its seed is 1, not 0"),
+        (simulation, "has another format"),
+    ):
+        with pytest.raises(InputError, match=message):
+            optlink.compare(rocker(), resume={**comparison, **changes}, **options)
+    with pytest.raises(InputError, match="is that of another command: its twin is True, not False"):
+        optlink.simulate_clearance(rocker(), 2, 60, tolerance=1e-6, twin=False, resume=simulation)
+
+
+@pytest.mark.parametrize(
+    ("part", "entry", "value"),
+    [
+        ("closed_loop", "row", 360),
+        ("closed_loop", "works", [0.0, 0.0, 0.0]),
+        ("closed_loop", "further", 0.3),
+        ("closed_loop", "open", [[7, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]]),
+        ("statistics", "count", "x"),
+        ("statistics", "sums", {}),
+        ("predictability", "parted", "x"),
+    ],
+)
+def test_checkpoint_that_was_changed_is_refused(saved, tmp_path, part, entry, value):
+    """A changed state would go on with other numbers, a changed type end in a traceback."""
+    simulation = saved[0]
+    simulation = {**simulation, part: {**simulation[part], entry: value}}
+    with pytest.raises(InputError, match="was changed since it was written"):
+        optlink.simulate_clearance(rocker(), 2, 60, tolerance=1e-6, resume=simulation)
+    for document in (simulation, {**saved[0], "revolutions": "x"}, {}):
+        (tmp_path / "checkpoint.json").write_text(json.dumps(document), encoding="utf-8")
+        with pytest.raises(InputError, match="there is no checkpoint, or it is damaged"):
+            files.checkpoint(tmp_path)
 
 
 @pytest.mark.slow

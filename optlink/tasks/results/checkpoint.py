@@ -5,38 +5,50 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal, TypeVar, get_args
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from optlink.errors import InputError
+from optlink.io import checked, with_check_sum
 from optlink.problem.base_model import Never, Number, Record
+from optlink.version import VERSION
 
 C = TypeVar("C", bound="Checkpoint")
 
 
 class Checkpoint(Record):
-    """The common entries of the checkpoints: problem and options of the run."""
+    """The common entries of the checkpoints: version of optlink, problem and options of the run."""
 
     format: str = Field(alias="schema")
+    optlink: str = VERSION
     problem_hash: str
     points: int
     tolerance: float
     design: dict[str, float] | None
 
+    def document(self) -> dict[str, Any]:
+        """Return the JSON document, with its check sum."""
+        return with_check_sum(super().document())
+
 
 class ClearanceCheckpoint(Checkpoint):
     """Options of a clearance simulation, its complete revolutions, and the states of its integrators."""
 
-    format: Literal["optlink/clearance-checkpoint/2"] = Field("optlink/clearance-checkpoint/2", alias="schema")
+    format: Literal["optlink/clearance-checkpoint/3"] = Field("optlink/clearance-checkpoint/3", alias="schema")
     speed_rad_s: float
     start_rad: float
     control: str
     skipped: int
-    integrator: str = "cvodes"
+    integrator: str
     flywheel_kg_m2: float
+    twin: bool
     revolutions: int
     closed_loop: dict[str, Any]
     predictability: dict[str, Any] | None
     statistics: dict[str, Any]
+
+    def document(self) -> dict[str, Any]:
+        """Return the JSON document, with its check sum; NaN stays, as the end of a contact that lasts."""
+        return with_check_sum(self.model_dump(warnings=False))
 
 
 class ManyRuns(Checkpoint):
@@ -46,7 +58,7 @@ class ManyRuns(Checkpoint):
     revolutions: int
     starts: int
     seed: int
-    integrator: str = "cvodes"
+    integrator: str
     complete: int
     total: int
 
@@ -64,7 +76,7 @@ class RunRecord(Record):
 class ComparisonCheckpoint(ManyRuns):
     """Complete runs of a comparison of control."""
 
-    format: Literal["optlink/comparison-checkpoint/2"] = Field("optlink/comparison-checkpoint/2", alias="schema")
+    format: Literal["optlink/comparison-checkpoint/3"] = Field("optlink/comparison-checkpoint/3", alias="schema")
     kinds: list[str]
     runs: list[RunRecord]
 
@@ -72,7 +84,7 @@ class ComparisonCheckpoint(ManyRuns):
 class TuningCheckpoint(ManyRuns):
     """Cost and scatter of the parameters of the problem, then of every complete evaluation."""
 
-    format: Literal["optlink/tuning-checkpoint/2"] = Field("optlink/tuning-checkpoint/2", alias="schema")
+    format: Literal["optlink/tuning-checkpoint/3"] = Field("optlink/tuning-checkpoint/3", alias="schema")
     control: str
     names: list[str]
     evaluations: int
@@ -95,20 +107,15 @@ def read_checkpoint(kind: type[C], document: Mapping[str, Any], options: Mapping
         If the checkpoint is that of other options or of another version, or damaged.
     """
     [schema] = get_args(kind.model_fields["format"].annotation)
-    document = {"integrator": "cvodes", **document}  # that of versions without another one
-    for name, value in {"schema": schema, **options}.items():
+    for name, value in {"schema": schema, "optlink": VERSION, **options}.items():
         if document.get(name) != value:
-            whose = "has another format" if name == "schema" else "is that of another command"
+            whose = {"schema": "has another format", "optlink": "is that of another version"}.get(
+                name, "is that of another command"
+            )
             message = f"the checkpoint {whose}: its {name} is {document.get(name)!r}, not {value!r}"
             remedy = "Resume with the command and version of optlink that wrote it, or start again without --resume"
             raise InputError(message, remedy, key="resume")
-    try:
-        return kind.model_validate(document)
-    except ValidationError as error:
-        place = ".".join(map(str, error.errors()[0]["loc"]))
-        raise damaged(place) from None
-
-
-def damaged(place: str) -> InputError:
-    """Return the error for a checkpoint that cannot be resumed because of an entry."""
-    return InputError(f"the checkpoint is damaged: {place} cannot be read", "Start again without --resume", key="resume")
+    found = checked(document)
+    if found is None:
+        raise InputError("the checkpoint was changed since it was written", "Start again without --resume", key="resume")
+    return kind.model_validate(found)
