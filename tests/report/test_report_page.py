@@ -11,6 +11,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -28,8 +29,10 @@ from optlink.report.report_model import ReportModel, report_model_of, solve_or_v
 from optlink.report.scene import scene
 from optlink.report.stored.loader import load_stored
 from optlink.report.style import BODIES, CRANK, LIMIT, QUIET, TARGET
-from optlink.report.views import sensitivity
+from optlink.report.views import conclusions, sensitivity
 from optlink.report.views.relaxations import outward
+from optlink.tasks.analyze import analyze
+from optlink.tasks.results.analysis import Extreme
 from tests.browser import colours, console, faults, opened, requests
 from tests.cli.test_cli import run
 from tests.solved import folder_once
@@ -150,6 +153,22 @@ def test_a_page_begins_with_its_conclusion(crank_rocker_subject):
     assert f"relax transmission angle to {low:g}° ... {high:g}°" in text
     worse = page(subject("crank-rocker", {"coupler": 0.41, "rocker": 0.22}))
     assert re.search(r"Not valid: largest transmission angle is [\d.]+°, required &lt;= 135", worse)
+
+
+def test_the_conclusion_of_a_machine_has_the_figures_of_its_table():
+    """The largest reactions of the shaper lie beside a jump of its load, between two rows of the table."""
+    result = analyze(optlink.load("shaper"))
+    largest = max((extreme.largest, name) for name, extreme in result.extremes.items() if name.endswith(".f_N"))[0]
+    assert f"largest joint reaction is {1e-3 * largest:.4g} kN at A." in conclusions.analysis(result)
+    names = dict.fromkeys(("B", "C"), 1.0) | {"C.rocker": 2.5}
+    shared = {f"{name}.f_N": Extreme(0.0, 0.0, size, 0.0) for name, size in names.items()}
+    assert "largest joint reaction is 2.5 N at C on rocker." in conclusions.analysis(replace(result, extremes=shared))
+
+
+def test_long_names_of_points_stay_apart_in_the_words_of_a_drawing():
+    changes = {"ground": {"motor": ["0 mm", "0 mm"]}, "links": {"crank": {"joints": ["motor", "B"], "length": "40 mm"}}}
+    crank = analyze(optlink.read({"title": "Crank", "mechanism": changes}))
+    assert "crank motor–B 40" in dimensioned(crank, "Test").words
 
 
 def test_the_drawing_has_the_dimensions_of_the_design(crank_rocker_subject):

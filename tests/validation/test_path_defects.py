@@ -12,6 +12,7 @@ import pytest
 from optlink.linkage.fourbar import LENGTHS
 from optlink.problem.path import PathProblem
 from optlink.validation.path import deviations, validate_path
+from optlink.validation.timing import passing
 from tests import synthesis_oracle as oracle
 from tests.stated import document, four_bar_section, model
 
@@ -77,6 +78,15 @@ def test_what_is_right_passes() -> None:
     report = oracle.judge_path(DESIGN, PLANTED, PHI, closed=True)
     assert report.free
     assert report.sse < 1e-20
+
+
+@pytest.mark.parametrize("rotation", ["counter-clockwise", "clockwise"])
+@pytest.mark.parametrize("start", [0.4, 2.9, -2.9])
+def test_free_crank_angles_start_within_half_a_revolution_of_zero(rotation: str, start: float) -> None:
+    """The crank angles of a given design are those at which it was made, without whole revolutions."""
+    angles = start + (PHI - PHI[0]) * (1.0 if rotation == "counter-clockwise" else -1.0)
+    problem = planted(points=oracle.planted_path(DESIGN, angles), rotation=rotation)
+    np.testing.assert_allclose(passing(problem, quantities(DESIGN)), angles, atol=1e-5)
 
 
 def test_the_figures_are_those_of_the_oracle() -> None:

@@ -119,7 +119,8 @@ def _links(cycle: Analysis, drawn: Scene, *, named: bool = False) -> Iterator[_L
         for i, j in _neighbours(np.array([points[k] for k in apart]).reshape(-1, 2)):
             p, q = points[apart[i]], points[apart[j]]
             length = _mm(float(np.linalg.norm(q - p)))
-            text = f"{body} {own[apart[i]]}{own[apart[j]]} {length}" if named else length
+            ends = own[apart[i]], own[apart[j]]
+            text = f"{body} {('' if max(map(len, ends)) < 3 else '–').join(ends)} {length}" if named else length
             yield _Length((p, q), text, GROUND if body == FRAME else _colour(drawn, body))
 
 

@@ -192,11 +192,10 @@ def analysis(outcome: Analysis) -> str:
         low = abs(torque.least) > abs(torque.largest)
         value, at = (torque.least, torque.least_at) if low else (torque.largest, torque.largest_at)
         words.append(f"the drive needs up to {si(abs(value), 'N m')} (at a crank angle of {figure(math.degrees(at), 'deg')})")
-    pins = [pin for pin in outcome.machine.mechanism.pins if f"{pin}.fx_N" in outcome.columns]
-    forces = {pin: np.nanmax(np.hypot(outcome[f"{pin}.fx_N"], outcome[f"{pin}.fy_N"])) for pin in pins}
-    if max(forces.values(), default=0.0) > 0.0:
+    forces = {name.removesuffix(".f_N"): extreme.largest for name, extreme in extremes.items() if name.endswith(".f_N")}
+    if max(forces.values(), default=0.0) > 0.0 and not outcome.unbounded:
         pin = max(forces, key=lambda one: forces[one])
-        words.append(f"the largest joint reaction is {si(float(forces[pin]), 'N')} at {pin}")
+        words.append(f"the largest joint reaction is {si(forces[pin], 'N')} at {pin.replace('.', ' on ')}")
     if not words:
         words = [f"the stroke of {name} is {si(one.high - one.low, 'm')}" for name, one in list(outcome.strokes.items())[:2]]
         words = words or [
