@@ -23,7 +23,7 @@ from optlink.optimization.output_derivatives import ErrorDerivatives
 from optlink.problem.function import EPIGRAPH, DesignProblem, StartPosition
 from optlink.problem.limits import Reach
 from optlink.problem.quantity import Quantity
-from optlink.problem.robust import EXPECTED, residuals
+from optlink.problem.robust import EXPECTED, SMOOTHED, residuals
 from optlink.problem.targets.expression import Expression
 from optlink.symbolic import BufferedFunction, CompiledFunction, packed, symbols_in_numpy, unpacked
 
@@ -97,6 +97,7 @@ class NLP:
     constants: tuple[Variable, ...] = ()  # the fixed quantities and tolerances in `p`, from its second component on
     position_symbol: Any = None  # crank rotation from the start, tabulated output: a position of the requirement
     position_expression: Any = None  # the residuals there, of which `residual_expression` has those of every position
+    smoothing: int = 0  # index in `p` of the smoothing of a scatter (`optlink.problem.robust.SMOOTHED`); 0: none
     exchange_rows: tuple[int, int] = (0, 0)  # index of the first row of the exchange points, number of rows per position
     cycle: bool = False  # of a machine cycle
     mapped: MappedTerms | None = field(default=None, compare=False)  # the same programme by vectors of positions
@@ -223,8 +224,11 @@ class NLP:
         return self._hessian(x, p, multipliers)[0].reshape(len(x), len(x))
 
     def residuals(self, x: Array) -> Array:
-        """Return the residuals of the objective, not scaled."""
-        return self._residuals(x, self.p)[0]
+        """Return the residuals of the objective, neither scaled nor smoothed."""
+        p = self.p.copy()
+        if self.smoothing:
+            p[self.smoothing] = 0.0
+        return self._residuals(x, p)[0]
 
     def residual_derivatives(self, x: Array) -> Array:
         """Return the exact derivatives (residuals, n) of the residuals with respect to x."""
@@ -250,7 +254,7 @@ class NLP:
     @property
     def exchange_count(self) -> int:
         """Number of exchange points."""
-        return len(self.p) - 1 - len(self.constants)
+        return len(self.p) - 1 - len(self.constants) - (self.smoothing > 0)
 
     def set_exchange_points(self, offsets: Array) -> None:
         """Set the last exchange points (at most `exchange_count`): crank rotations [rad], or shares of the motion or stroke."""
@@ -276,7 +280,7 @@ class NLP:
         """Return the same design with the epigraph variable (if there is one) at the largest residual."""
         if self.variables[-1].name != EPIGRAPH:
             return x
-        largest = float(np.max(self.measure.sizes(self.residuals(x)))) / self.variables[-1].size
+        largest = float(np.max(self.measure.sizes(self._residuals(x, self.p)[0]))) / self.variables[-1].size
         return np.append(x[:-1], largest if math.isfinite(largest) else 1.0)
 
 
@@ -307,7 +311,8 @@ def _traced(problem: DesignProblem, values: dict[str, Any], counted: dict[str, A
     if robust is not None:
         slopes = ErrorDerivatives(problem).symbolic(given, turn(at.crank, unit(inputs[-1])))
     deviations = [replace(d, tolerance=given.get(f"tolerances.{d.name}", d.tolerance)) for d in problem.deviations]
-    one = casadi.Function("error", [inputs, tabulated], [casadi.vertcat(*residuals(robust, deviations, error, slopes))])
+    parts = residuals(robust, deviations, error, slopes, given.get(SMOOTHING, 0.0))
+    one = casadi.Function("error", [inputs, tabulated], [casadi.vertcat(*parts)])
     return one, casadi.vertcat(*values.values(), *counted.values(), *start.crank, start.phi0, start.psi0)
 
 
@@ -325,6 +330,7 @@ def boxed(quantity: Quantity, variable: Variable) -> tuple[float, float, float]:
 
 SPAN = "requirement.span"
 """Name of the parameter that is the crank rotation of a law."""
+SMOOTHING = "smoothing"
 
 
 def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
@@ -355,6 +361,8 @@ def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
     )  # with scatter the error is flatter
     spanned = movable and isinstance(problem.requirement.law, Expression)
     constant = len(fixed) + len(counted) + spanned
+    smoothing = 1 + constant if robust is not None and robust.text != EXPECTED else 0
+    constant += smoothing > 0
     p = casadi.SX.sym("p", 1 + constant + many)
     values = {name: x[i] * sizes[name] for i, name in enumerate(free)}
     values |= {name: p[1 + i] * sizes[name] for i, name in enumerate(fixed)}
@@ -362,7 +370,9 @@ def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
     with symbols_in_numpy():
         start = problem.start_position(values)
         exchange, position = [p[1 + constant + i] for i in range(many)], casadi.SX.sym("position", 2)
-        span = p[constant] if spanned else problem.span
+        if smoothing:
+            tolerances[SMOOTHING] = p[smoothing]
+        span = p[1 + len(fixed) + len(counted)] if spanned else problem.span
         offsets = problem.law.offsets.tolist()
         if spanned:
             offsets = [span * (offset / problem.span) for offset in offsets]
@@ -396,7 +406,7 @@ def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
         box.append((0.0, math.inf, 1.0))
     low, high, at = np.array(box).reshape(-1, 3).T.copy()
     values_fixed = [*(problem.quantities[name].value / sizes[name] for name in fixed), *(t / size for t in counted.values())]
-    values_fixed += [problem.span] if spanned else []
+    values_fixed += [problem.span] * spanned + [SMOOTHED] * (smoothing > 0)
     return NLP(
         variables=tuple(variables),
         fixed=fixed,
@@ -412,6 +422,7 @@ def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
         g_expression=g,
         residual_expression=vector,
         constants=tuple(constants),
+        smoothing=smoothing,
         position_symbol=position,
         position_expression=one(casadi.vertcat(known, position[0]), position[1]),
         mapped=mapped,

@@ -21,7 +21,7 @@ from optlink.problem.tolerances import Deviation
 MOST = 100.0  # standard deviations
 WORST, EXPECTED = "worst case", "expected value"
 SQUARES, LARGEST = ("sum of squares", "rms"), ("max",)  # measures for the expected value, and for the others
-FLOOR = 1e-24  # rad^2; keeps the derivative of a standard deviation finite where it vanishes; adds 1e-12 rad there
+SMOOTHED = 1e-8  # rad; a programme has sqrt(s^2 + SMOOTHED^2) for |s|, which has a derivative where the scatter s vanishes
 _SIGMAS = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?) *sigma")
 _REMEDY = f'Write robust = "3 sigma" or "{WORST}" with measure = "max", or "{EXPECTED}" with squares'
 
@@ -78,7 +78,9 @@ def read_robust(raw: object) -> Robust | None:
 Robustness = Annotated[Robust | None, BeforeValidator(read_robust)]
 
 
-def residuals(robust: Robust | None, deviations: Sequence[Deviation], error: Value, slopes: Sequence[Value]) -> list[Value]:
+def residuals(
+    robust: Robust | None, deviations: Sequence[Deviation], error: Value, slopes: Sequence[Value], smoothed: Value = 0.0
+) -> list[Value]:
     """Return the residuals at one position, elementwise: the error, or the error with its scatter.
 
     Parameters
@@ -91,6 +93,8 @@ def residuals(robust: Robust | None, deviations: Sequence[Deviation], error: Val
         Nominal error.
     slopes : sequence of float, array or symbol [rad/SI]
         Derivatives of the error with respect to the dimension of every deviation.
+    smoothed : float or symbol [rad]
+        See `SMOOTHED`; 0: none.
 
     Returns
     -------
@@ -104,13 +108,14 @@ def residuals(robust: Robust | None, deviations: Sequence[Deviation], error: Val
     if robust.text == WORST:
         ends = [d.ends for d in deviations]
         middle = error + sum(0.5 * (low + high) * by for (low, high), by in zip(ends, slopes, strict=True))
-        spread = sum(0.5 * (high - low) * np.abs(by) for (low, high), by in zip(ends, slopes, strict=True))
+        parts = [0.5 * (high - low) * by for (low, high), by in zip(ends, slopes, strict=True)]
+        spread = sum(np.sqrt(part * part + smoothed * smoothed) for part in parts)
         return [middle + spread, middle - spread]
     mean = error + sum(d.mean * by for d, by in zip(deviations, slopes, strict=True))
     each = [d.sigma * by for d, by in zip(deviations, slopes, strict=True)]
     if robust.text == EXPECTED:
         return [mean, *each]
-    spread = robust.sigmas * np.sqrt(sum(part * part for part in each) + FLOOR)
+    spread = robust.sigmas * np.sqrt(sum(part * part for part in each) + smoothed * smoothed)
     return [mean + spread, mean - spread]
 
 

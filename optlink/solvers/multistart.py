@@ -12,7 +12,8 @@ import numpy as np
 from optlink.errors import Status
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP, SMALLEST_SCALE
-from optlink.solvers.contract import SOLVERS, backend
+from optlink.problem.robust import SMOOTHED
+from optlink.solvers.contract import MINIMAX, SOLVERS, backend
 from optlink.solvers.feasibility import repair
 from optlink.solvers.newton import refined
 from optlink.solvers.solution import FEASIBLE, Attempt, Solution, verified_solution, violation
@@ -20,6 +21,7 @@ from optlink.solvers.solution import FEASIBLE, Attempt, Solution, verified_solut
 SAME_OBJECTIVE = 1e-6  # relative
 SAME_ERROR = 1e-8  # rad; errors that differ by less count as equal
 SAME_DESIGN = 1e-5  # in scaled units
+SMOOTHING = 1e-3, 1e-5, 1e-7  # rad; of successive searches for a robust design
 CONTINUATIONS = 3  # number of restarts, with tighter tolerances, from an end that is not optimal
 NEARLY = 1e-3  # a violation up to this, in scaled units, is attributed to the solver's tolerance and repaired
 LEAST_VIOLATION = "Infeasible_Problem_Detected"  # message of IPOPT at a locally least violation
@@ -93,6 +95,9 @@ def solve_from(
 ) -> Solution:
     """Run one local search from x.
 
+    The scatter of a robust error has kinks where a derivative of the error vanishes. From a start that is not close to an
+    optimum, they are smoothed first, then less and less.
+
     Parameters
     ----------
     nlp : NLP
@@ -111,9 +116,14 @@ def solve_from(
     if start is None and not math.isfinite(nlp.values(x, nlp.p)[0]):
         return infeasible_at(nlp, x, "the start could not be repaired")
     x = nlp.lifted(x if start is None else start)
+    smoothed = _smoothed(nlp, x, name, track) if nlp.smoothing and SOLVERS[name].selectable else None
+    if smoothed is not None:
+        x, name = nlp.lifted(smoothed.x), MINIMAX
     run = backend(name)
     p = scaled_parameters(nlp, x)
     solution = conclude(nlp, run(nlp, x, p, track=track), p)
+    if smoothed is not None:
+        solution = replace(solution, iterations=smoothed.iterations + solution.iterations, path=smoothed.path)
     for _ in range(continuations):
         fine = scaled_parameters(nlp, solution.x)
         if solution.status is Status.OPTIMAL and fine[0] >= RESCALE * p[0]:
@@ -129,6 +139,20 @@ def solve_from(
         steps = solution.iterations + again.iterations
         solution = replace(best([again, solution]), iterations=steps, path=solution.path)
     return solution
+
+
+def _smoothed(nlp: NLP, x: Array, name: str, track: bool) -> Attempt:
+    """Search from x where kinks are smoothed less and less; the path is that of the first of these searches."""
+    found = Attempt(x, 0, "")
+    try:
+        for k, nlp.p[nlp.smoothing] in enumerate(SMOOTHING):
+            x = nlp.lifted(found.x)
+            p = scaled_parameters(nlp, x)
+            one = conclude(nlp, backend(MINIMAX if k else name)(nlp, x, p, track=track and not k), p)
+            found = Attempt(one.x if one.usable else x, found.iterations + one.iterations, "", found.path if k else one.path)
+    finally:
+        nlp.p[nlp.smoothing] = SMOOTHED
+    return found
 
 
 def conclude(nlp: NLP, attempt: Attempt, p: Array) -> Solution:

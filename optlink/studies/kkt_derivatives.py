@@ -119,7 +119,7 @@ class KKTSystem:
             hessian, gradient, _ = lagrangian(nlp)(x, p, self.multipliers[n:])
         self.by_p = gradient[n:]
         # such positions are determined by the vanishing slope of the quantity that is largest there
-        first, bend = 1 + len(nlp.constants), float(np.max(np.abs(hessian), initial=1.0))
+        first, bend = len(p) - nlp.exchange_count, float(np.max(np.abs(hessian), initial=1.0))
         exchange = [n + k for k in range(first, len(p)) if abs(hessian[n + k, n + k]) > CURVED * bend and p[k] != 0.0]
         exchange = [k for k in exchange if abs(gradient[k]) <= 1e-4 * abs(hessian[k, k])]
         self.unknown = np.array([*range(n), *exchange], dtype=int)

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 from typer.testing import CliRunner
 
 import optlink
@@ -625,3 +626,53 @@ def test_spellings():
     assert read_robust("2.5 sigma").sigmas == 2.5
     assert read_robust("2 sigma").named("max") == "max with 2 sigma"
     assert read_robust(None) is None
+
+
+def test_worst_case_whose_tolerances_change_sign_at_the_worst_angle():
+    """Where the effect of a tolerance on the critical error vanishes, the worst case has a kink: the optimum lies on one."""
+    crank, frame, clockwise = 0.09, 0.26, np.radians(-5.0) * np.arange(17)
+    problem = optlink.read(
+        {
+            "title": "A lever in proportion to a crank that turns clockwise",
+            "mechanism": {
+                "type": "four-bar",
+                "crank": "90 mm",
+                "frame": "260 mm",
+                "coupler": {"start": "250 mm", "bounds": ["100 mm", "500 mm"]},
+                "rocker": {"start": "150 mm", "bounds": ["80 mm", "400 mm"]},
+                "assembly": "right",
+            },
+            "tolerances": {name: f"{1e3 * size} mm" for name, size in ENDS.items()},
+            "requirement": {
+                "kind": "function",
+                "law": "psi0 + 0.45*(phi - phi0)",
+                "from": {"start": "280 deg", "bounds": ["180 deg", "360 deg"]},
+                "span": "-80 deg",
+                "points": 16,
+                "measure": "max",
+                "robust": "worst case",
+            },
+            "limits": {"crank": "span", "transmission_angle": ["40 deg", "140 deg"]},
+        }
+    )
+
+    def worst(design):
+        coupler, rocker, phi0 = design
+        phi = phi0 + clockwise
+
+        def angle(by):
+            sizes = np.array([crank, coupler, rocker, frame, 0.0]) + by
+            return -rocker_angle(-phi, *sizes[:4], -sizes[4])  # the mirror image of C to the left
+
+        error = angle(np.zeros(5))[0] + 0.45 * clockwise - angle(np.zeros(5))
+        steps = 1e-6 * np.eye(5)
+        by = np.array([(angle(step) - angle(-step)) / 2e-6 for step in steps])
+        by = np.vstack([by, by[1]])
+        return np.max(np.abs(error) + np.sum(np.abs(by) * np.array(list(ENDS.values()))[:, None], axis=0))
+
+    best = minimize(worst, (0.281, 0.196, 5.01), method="Nelder-Mead", options={"xatol": 1e-10, "fatol": 1e-13, "maxfev": 2000})
+    for backend in ("ipopt", "slsqp"):
+        found = solve(problem, backend, starts=1)
+        assert found.valid, [check for check in found.validation.checks if not check.passed]
+        assert found.objective == pytest.approx(best.fun, rel=1e-6)
+        assert found.objective == pytest.approx(worst([found.design[name] for name in ("coupler", "rocker", "phi0")]), rel=1e-7)
