@@ -83,7 +83,7 @@ class GridSearch:
         self._searches: dict[int, tuple[Solution, NDArray[np.int8]]] = {}
         self._branches: dict[int, list[tuple[Solution, NDArray[np.int8]]]] = {} if coarse is None else coarse._branches
         self._predictions: dict[int, Prediction | None] = {}
-        self._calm: dict[int, bool] = {}
+        self._others_of: dict[int, set[int]] = {}
 
     def at_middle(self, block: int) -> Solution:
         """Return the result of the search in the middle of a block."""
@@ -145,14 +145,14 @@ class GridSearch:
 
     def calm(self, blocks: Index) -> Bools:
         """Return for each block (blocks,) whether its search and those beside it lead to one optimum in its middle."""
-        new = [block for block in blocks.tolist() if block not in self._calm]
-        beside = [self.blocks.neighbours(block) for block in new]
-        others = self._others(np.array(new, dtype=np.intp), beside)
-        found = {block: self._calm[block] for block in blocks.tolist() if block in self._calm}
-        for block, own, differing in zip(new, beside, others, strict=True):
-            found[block] = not differing and all(self.at_middle(one).usable for one in (block, *own))
-            _keep(self._calm, block, found[block])
-        return np.array([found[block] for block in blocks.tolist()], dtype=bool)
+        beside = [self.blocks.neighbours(block) for block in blocks.tolist()]
+        return np.array(
+            [
+                others.isdisjoint(own) and all(self.at_middle(one).usable for one in (block, *own))
+                for block, own, others in zip(blocks.tolist(), beside, self._differing(blocks), strict=True)
+            ],
+            dtype=bool,
+        )
 
     def _optima(self, points: Index) -> GridOptima:
         """Return the best optima that are found from these blocks, and from the large ones."""
@@ -168,8 +168,7 @@ class GridSearch:
         self._follow(found, problem, np.arange(count), of_point, points)
         blocks, which = np.unique(of_point, return_inverse=True)
         found.searched[:] = found.optimal & (points == np.array([self.blocks.middle(int(block)) for block in blocks])[which])
-        beside = [[*self.blocks.neighbours(int(block)), *self._further(int(block))] for block in blocks]
-        others = self._others(blocks, beside)
+        beside, others = [self._around(block) for block in blocks.tolist()], self._differing(blocks)
         for rank in range(max(map(len, beside), default=0)):
             begin = np.array([own[rank] if rank < len(own) else -1 for own in beside])
             differs = np.array([one in other for one, other in zip(begin.tolist(), others, strict=True)])
@@ -191,6 +190,19 @@ class GridSearch:
         at = some[better]
         found.x[at], found.sides[at], found.objective[at] = ended.x[better], ended.sides[better], ended.objective[better]
         found.optimal[at], found.searched[at] = True, False
+
+    def _around(self, block: int) -> list[int]:
+        """Return the blocks beside a block, then the numbers of the optima of the large blocks around it."""
+        return [*self.blocks.neighbours(block), *self._further(block)]
+
+    def _differing(self, blocks: Index) -> list[set[int]]:
+        """Return for every block those around it that have another optimum, see `_others`."""
+        new = [block for block in blocks.tolist() if block not in self._others_of]
+        found = {block: self._others_of[block] for block in blocks.tolist() if block not in new}
+        found |= zip(new, self._others(np.array(new, dtype=np.intp), [self._around(block) for block in new]), strict=True)
+        for block in new:
+            _keep(self._others_of, block, found[block])
+        return [found[block] for block in blocks.tolist()]
 
     def _others(self, blocks: Index, beside: list[list[int]]) -> list[set[int]]:
         """Return for every block the blocks beside it whose optimum, continued to its middle, is another than its own.
