@@ -9,7 +9,9 @@ An infeasible problem or a design that fails its validation raises no exception:
 
 from __future__ import annotations
 
+import contextlib
 import enum
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -22,6 +24,9 @@ def shown(value: object) -> str:
     if isinstance(value, int) and value.bit_length() > 256:  # Python refuses to print the largest ones
         return f"an integer of {value.bit_length():,} bits"
     text = f'"{value}"' if isinstance(value, str) else str(value)
+    if isinstance(value, bool | list | dict):  # as in the file
+        with contextlib.suppress(TypeError, ValueError, RecursionError):
+            text = json.dumps(value, ensure_ascii=False, default=str)
     text = " ".join(text.split())
     return text if len(text) <= SHOWN else text[: SHOWN - 4] + " ..."
 

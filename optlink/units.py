@@ -277,7 +277,8 @@ def parse(text: object, kind: str) -> tuple[float, str]:
     """
     expected_kind = KINDS[kind]
     if isinstance(text, bool) or not isinstance(text, (str, int, float)):
-        raise UnitProblem(f"expected {_a(kind)}, found {type(text).__name__}", f'Write it as text: "{expected_kind.example}"')
+        found = {bool: "a logical value", list: "a list", dict: "a table"}.get(type(text), type(text).__name__)
+        raise UnitProblem(f"expected {_a(kind)}, found {found}", f'Write it as text: "{expected_kind.example}"')
     if not isinstance(text, str):
         if abs(text) > 1e300 or not math.isfinite(text):
             raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{expected_kind.example}"')

@@ -415,10 +415,10 @@ REFUSED = [  # text, kind, what the message says
     ("1 " + "m" * 10_000, "length", "not a length"),
     ("1 " + "mm" * 80, "length", "unknown"),
     ("1 m" + "*m" * 90, "length", "not a unit|not a length"),
-    (True, "length", "found bool"),
+    (True, "length", "found a logical value"),
     (None, "length", "found NoneType"),
-    (["1 mm"], "length", "found list"),
-    ({"value": 1}, "length", "found dict"),
+    (["1 mm"], "length", "found a list"),
+    ({"value": 1}, "length", "found a table"),
     (b"1 mm", "length", "found bytes"),
 ]
 

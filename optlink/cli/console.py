@@ -215,9 +215,10 @@ def load(problem: str, changes: list[str] | None) -> ProblemFile:
     changes : list of str or None
         KEY=VALUE.
     """
-    from optlink.problem.file import load as read, parse_assignment
+    from optlink.problem.assignment import parse_assignments
+    from optlink.problem.file import load as read
 
-    return read(problem, dict(parse_assignment(text) for text in changes or []))
+    return read(problem, parse_assignments(changes or []))
 
 
 def read_design_option(file: ProblemFile, design: list[str] | None, varied: Collection[str] = ()) -> dict[str, float] | None:
@@ -317,7 +318,9 @@ def places(out: Path | None, command: str, problem: str, csv: Path | None = None
     if csv is not None and csv.is_dir():
         remedy = "Give the name of a file, for example motion.csv"
         raise InputError("this is a folder", remedy, key="--csv", value=str(csv))
-    if out is not None:
+    if out is None:
+        refuse({"--format": None if pictures == "png" else pictures}, "pictures need a folder", "Add --out DIR")
+    else:
         _kept[-1].enter_context(_result_folder(out, command, problem))
     if csv is not None:
         folder(csv.parent, "--csv")

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import hashlib
 import json
 import os
-import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,7 +23,6 @@ from optlink.problem.limits import MARGINS, Alignment
 from optlink.problem.machine.model import Problem
 from optlink.problem.quantity import input_of, nearest
 from optlink.problem.tolerances import with_tolerance
-from optlink.units import plain, split, split_range
 
 MAX_BYTES = 1_000_000
 STROKE = "stroke"
@@ -279,56 +276,6 @@ def complete(problem: ProblemFile) -> dict[str, Any]:
     return raw
 
 
-def parse_assignment(text: str, option: str = "--set") -> tuple[str, object]:
-    """Split KEY=VALUE; the value is read as TOML, or as plain text if it is not TOML (quotes are optional).
-
-    Parameters
-    ----------
-    text : str
-        The assignment.
-    option : str
-        Command-line option, for errors.
-
-    Raises
-    ------
-    InputError
-        when there is no "=" or no key, or when a list or table is malformed.
-    """
-    key, equals, value = text.partition("=")
-    key, value = key.strip(), value.strip()
-    if not equals or not key or not value:
-        raise InputError("expected KEY=VALUE", 'Write for example mechanism.frame="480 mm"', key=option, value=text)
-    try:
-        read_back = tomllib.loads(f"value = {value}")
-        if len(read_back) == 1:
-            return key, read_back["value"]
-        raise InputError("a value is one line", f"Repeat {option} for every key", key=key, value=value)
-    except (tomllib.TOMLDecodeError, ValueError, RecursionError):
-        repaired = _BARE.sub(_quoted, value) if value[0] in "[{" and len(value) <= MOST_BARE else plain(value)
-        with contextlib.suppress(tomllib.TOMLDecodeError, ValueError, RecursionError):
-            if repaired != value:
-                return key, tomllib.loads(f"value = {repaired}")["value"]
-        if value[0] in "[{\"'":
-            remedy = f"""Put it into single quotes, and texts in it into double quotes: {option} '{key}=["40 deg", "140 deg"]'"""
-            raise InputError("the value is not valid TOML", remedy, key=key, value=value) from None
-        return key, value
-
-
-_BARE = re.compile(r"""(?<=[\[,=])(\s*)([^\s\[\]{},="'](?:[^\[\]{},="']*[^\s\[\]{},="'])?)(?=\s*[\],}])""")
-MOST_BARE = 1000
-"""Longest list or table, in characters, in which the shell may have removed the quotes."""
-
-
-def _quoted(bare: re.Match[str]) -> str:
-    """Put the quotes back around a name, a quantity or a range; numbers and logical values have none."""
-    text = bare[2]
-    known = split(text)
-    if text in ("true", "false") or (known is not None and not known[1]):
-        return bare[0]
-    named = re.fullmatch(r"[A-Za-z][\w -]*", text) is not None
-    return f'{bare[1]}"{text}"' if named or known is not None or split_range(text) is not None else bare[0]
-
-
 def _read_toml(path: Path) -> dict[str, Any]:
     file = str(path)
     try:
@@ -344,13 +291,16 @@ def _read_toml(path: Path) -> dict[str, Any]:
     if len(data) > MAX_BYTES:
         raise InputError(f"the file is larger than {MAX_BYTES:,} bytes", "Put long tables into a CSV file", file)
     try:
-        return tomllib.loads(data.decode("utf-8-sig"))
+        text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(f"not UTF-8 text: byte {error.start}", "Save the file as UTF-8", file) from None
+        kind = " (it is UTF-16)" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else ""
+        raise InputError(f"not UTF-8 text: byte {error.start}{kind}", "Save the file as UTF-8", file) from None
+    try:
+        return tomllib.loads(text)
     except RecursionError:
         raise InputError("brackets are nested too deep", "Simplify the file", file) from None
     except ValueError as error:  # TOMLDecodeError, and integers of thousands of digits
-        raise InputError(toml_fault(str(error), file)) from None
+        raise InputError(toml_fault(str(error), file, text)) from None
 
 
 def _change(raw: dict[str, Any], changes: Mapping[str, object], file: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import re
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -144,7 +145,7 @@ TOML_FAULTS = (
 """Messages of the TOML parser (a pattern), each in plain words with its remedy."""
 
 
-def toml_fault(message: str, file: str) -> Fault:
+def toml_fault(message: str, file: str, text: str = "") -> Fault:
     """Return the fault of a file that is not valid TOML.
 
     Parameters
@@ -153,7 +154,16 @@ def toml_fault(message: str, file: str) -> Fault:
         That of the parser, with line and column in brackets at its end.
     file : str
         Name of the file.
+    text : str
+        Content of the file.
     """
+    if text.lstrip().startswith("{"):
+        remedy = "Give the problem, and a result.json with --design; only `report` and `export` read a result.json itself"
+        return Fault("this is JSON, not a problem file in TOML", remedy, file)
+    if "\0" in text:
+        return Fault("not UTF-8 text: it contains NUL characters", "Save the file as UTF-8", file)
+    if "\r" in text and "\n" not in text:
+        return Fault("the lines end with carriage returns alone", "Save the file with the line ends LF or CRLF", file)
     for pattern, words, remedy in TOML_FAULTS:
         found = re.match(pattern, message)
         if found is not None:
@@ -164,6 +174,8 @@ def toml_fault(message: str, file: str) -> Fault:
 
 
 def _plain(value: object) -> object:
+    if isinstance(value, datetime.date | datetime.time):
+        return value.isoformat()
     return value if isinstance(value, str | int | float | list | dict) else type(value).__name__
 
 

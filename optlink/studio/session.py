@@ -8,7 +8,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from optlink.errors import InputError, OptlinkError
-from optlink.problem.file import ProblemFile, parse_assignment
+from optlink.problem.assignment import parse_assignment
+from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import references
 from optlink.studio import state
 from optlink.studio.design import (

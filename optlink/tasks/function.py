@@ -19,8 +19,9 @@ from optlink.errors import InputError, Status
 from optlink.execution import interrupts
 from optlink.linkage.fourbar import LENGTHS
 from optlink.optimization.objectives import MEASURES
+from optlink.problem.assignment import parse_assignments
 from optlink.problem.base_model import Number, Record, absent
-from optlink.problem.file import ProblemFile, parse_assignment
+from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design, started
 from optlink.problem.quantity import Quantity, input_of, nearest, read_quantity
 from optlink.solvers.function_exchange import ALONG, error_at, error_function
@@ -372,16 +373,14 @@ def _merged(found: list[FunctionResult]) -> FunctionResult:
     )
 
 
-def _pairs(text: str, quantities: Mapping[str, Quantity]) -> list[tuple[str, object]]:
-    """Return KEY=VALUE as one assignment, a result.json as one per quantity (phi0 and psi0 only if not derived)."""
-    if not text.endswith(".json"):
-        return [parse_assignment(text, "--design")]
+def _stored(text: str, quantities: Mapping[str, Quantity]) -> list[tuple[str, object]]:
+    """Return the assignments of a result.json, one per quantity (phi0 and psi0 only if not derived)."""
     try:
         design = json.loads(Path(text).read_text(encoding="utf-8"))["design"].items()
         parts = [(*key.rpartition("_"), float(value)) for key, value in design if not isinstance(value, bool)]
         return [(name, f"{value!r} {unit}") for name, _, unit, value in parts if name in quantities or name in LENGTHS]
     except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-        reason = getattr(error, "strerror", None) or f"no design in it ({type(error).__name__})"
+        reason = getattr(error, "strerror", None) or "no design in it"
         raise InputError(
             f"cannot read a design: {reason}", "Give a result.json that `solve --out` wrote", text, "--design"
         ) from None
@@ -409,7 +408,9 @@ def read_design(problem: ProblemFile, assignments: list[str], varied: Collection
     """
     quantities = problem.model.quantities
     given: dict[str, float] = {}
-    for key, value in (pair for text in assignments for pair in _pairs(text, quantities)):
+    stored = [pair for text in assignments if text.endswith(".json") for pair in _stored(text, quantities)]
+    stated = parse_assignments([text for text in assignments if not text.endswith(".json")], "--design")
+    for key, value in (*stored, *stated.items()):
         name = key.removeprefix("mechanism.")
         if name not in quantities:
             raise InputError("unknown quantity of the design", nearest(name, quantities), problem.file, "--design", key)

@@ -150,6 +150,18 @@ def test_infeasible_with_out_still_writes_the_result(tmp_path):
         (("validate", "crank-rocker", "--design", "coupler=3"), "needs a unit"),
         (("validate", "crank-rocker", "--design", "nowhere.json"), "cannot read a design"),
         (("show", "nothing"), "no such problem"),
+        (
+            ("show", "crank-rocker", "--set", "mechanism.crank=true"),
+            "mechanism.crank = true: expected a length, found a logical value",
+        ),
+        (("show", "crank-rocker", "--set", "mechanism.crank=1979-05-27"), 'mechanism.crank = "1979-05-27"'),
+        (("show", "crank-rocker", "--set", "mechanism.coupler.bounds=[9 mm, 1 mm]"), '= ["9 mm", "1 mm"]: the lower bound'),
+        (("solve", "crank-rocker", *["--set", "mechanism.frame=480 mm"] * 2), "--set mechanism.frame"),
+        (("validate", "crank-rocker", *["--design", "coupler=412 mm"] * 2), "--design coupler"),
+        (("validate", "crank-rocker", "--design", "out"), 'coupler="400 mm", or give a result.json'),
+        (("validate", "crank-rocker", "--design", "design.toml"), 'coupler="400 mm", or give a result.json'),
+        (("solve", "crank-rocker", "--format", "svg"), "Add --out DIR"),
+        (("analyze", "six-bar", "--format", "pdf"), "Add --out DIR"),
         (("fly",), "fly"),
     ],
 )

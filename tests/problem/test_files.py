@@ -12,7 +12,8 @@ import pytest
 
 import optlink
 from optlink.errors import InputError
-from optlink.problem.file import load, parse_assignment, read
+from optlink.problem.assignment import parse_assignment
+from optlink.problem.file import load, read
 
 LONG = "1+" * 5000 + "1"
 DEEP = "(" * 1000 + "1" + ")" * 1000
@@ -185,6 +186,10 @@ def test_several_faults_are_all_named(crank_rocker):
     ("content", "words"),
     [
         (b"title = ", "not valid TOML"),
+        (b'{"schema": "optlink/result/3"}', "this is JSON.*--design"),
+        ("title = 'x'".encode("utf-16"), "byte 0 .it is UTF-16"),
+        ("title = 'x'".encode("utf-16-le"), "NUL characters"),
+        (b"title = 'x'\r[mechanism]\r", "carriage returns"),
         (b"\xff\xfe\x00", "not UTF-8"),
         (b"a = " + b"[" * 5000, "TOML|nested"),
         (b"a = " + b"9" * 6000, "not valid TOML"),

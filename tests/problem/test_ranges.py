@@ -9,8 +9,9 @@ from hypothesis import given, settings, strategies as st
 
 from optlink.cli.show import _template
 from optlink.errors import InputError
+from optlink.problem.assignment import parse_assignment
 from optlink.problem.base_model import with_ranges
-from optlink.problem.file import load, parse_assignment, read
+from optlink.problem.file import load, read
 from optlink.problem.interval import _read_interval
 from optlink.problem.quantity import Unusable, read_quantity
 from optlink.units import UnitProblem, parse, split_range

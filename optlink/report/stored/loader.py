@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from optlink.errors import InputError
+from optlink.problem.assignment import parse_assignments
 from optlink.problem.base_model import Contradiction, Record, damaged, read_document, read_record
-from optlink.problem.file import ProblemFile, load, parse_assignment, shipped
+from optlink.problem.file import ProblemFile, load, shipped
 from optlink.report.format import single_units
 from optlink.report.registry import REGISTERED, records, view_of
 from optlink.report.report_model import ReportModel, report_model_of
@@ -150,7 +151,7 @@ def problem_of(name: str, expected: str, path: Path, problem: str | None = None,
         If the problem is not found or has a different hash.
     """
     places = [problem] if problem is not None else list(_places(name, path))
-    overrides = dict(parse_assignment(text) for text in changes)
+    overrides = parse_assignments(changes)
     hashes = []
     for place in places:
         file = load(place, overrides)
