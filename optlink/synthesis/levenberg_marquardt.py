@@ -249,16 +249,18 @@ def _bounded_step(system: Array, right: Array, least: Array, most: Array) -> tup
     """
     diagonal = np.arange(system.shape[1])
     active = ((least >= 0.0) & (right < 0.0)) | ((most <= 0.0) & (right > 0.0))
-    step = np.zeros_like(right)
+    step, reduced, left = np.zeros_like(right), np.empty_like(system), np.arange(len(right))
     for _ in range(1 + HITS):
-        reduced = np.where(active[:, :, None] | active[:, None, :], 0.0, system)
-        reduced[:, diagonal, diagonal] += active
-        fixed = np.where(active, step, 0.0)
-        step = np.linalg.solve(reduced, np.where(active, fixed, right - np.einsum("bij,bj->bi", system, fixed))[..., None])[
-            ..., 0
-        ]
-        hit = ~active & ((step < least) | (step > most))
-        if not hit.any():
+        held, own = active[left], system[left]
+        part = np.where(held[:, :, None] | held[:, None, :], 0.0, own)
+        part[:, diagonal, diagonal] += held
+        fixed = np.where(held, step[left], 0.0)
+        free = right[left] - np.einsum("bij,bj->bi", own, fixed)
+        found = np.linalg.solve(part, np.where(held, fixed, free)[..., None])[..., 0]
+        low, high = least[left], most[left]
+        hit = ~held & ((found < low) | (found > high))
+        step[left], active[left], reduced[left] = np.where(hit, np.clip(found, low, high), found), held | hit, part
+        left = left[hit.any(axis=1)]  # the others do not change any more
+        if not len(left):
             break
-        step, active = np.where(hit, np.clip(step, least, most), step), active | hit
     return step, active, reduced
