@@ -86,11 +86,8 @@ class ClosedLoop:
         sample_time: float = np.inf,
     ) -> None:
         self.period = TURN / abs(nominal)
-        self.samples = 1 if not np.isfinite(sample_time) else max(1, round(self.period / sample_time))
-        least = np.lcm(points, self.samples) if self.samples > 1 else points
-        if least > 20 * max(points, self.samples, DENSE):  # no small common multiple: change the number of samples
-            self.samples = points * max(1, round(self.samples / points))
-            least = max(points, self.samples)
+        self.samples = _samples(self.period / sample_time, points)
+        least = int(np.lcm(points, self.samples))
         wished = LOOKS * self.period / vibration(machine, gaps, nominal)
         dense = min(max(DENSE, wished), DENSEST)
         self.rows = int(least * max(1, math.ceil(dense / least)))
@@ -222,6 +219,13 @@ class ClosedLoop:
     def record(self, revolution: Revolution) -> ClearanceColumns:
         """Return all columns of the rows of a revolution."""
         return ClearanceColumns(self.equations, revolution.block, revolution.further)
+
+
+def _samples(wished: float, points: int) -> int:
+    """Return the nearest number of samples per revolution that has a small common multiple with the rows of output."""
+    near = np.arange(max(1, round(wished) - points), round(wished) + points + 1)
+    fits = near[np.lcm(points, near) <= 20 * np.maximum(near, max(points, DENSE))]
+    return int(fits[np.argmin(np.abs(np.log(fits / max(wished, 1.0))))])
 
 
 def vibration(machine: Machine, gaps: Sequence[Gap], speed: float) -> float:

@@ -253,7 +253,9 @@ def simulate_clearance(
         keep()
     if ending is Ending.STALLED:
         notes.append(f"The state then: {_state(plant)}")
-        notes.append("Results up to that time are kept. A softer contact, a higher restitution, masses or a lower speed may help")
+        notes.append(
+            "Results up to that time are kept. Another contact stiffness, a higher restitution, masses or a lower speed may help"
+        )
     prediction = pair.prediction if pair is not None and account.count else None
     if prediction is not None and prediction.chaotic:
         notes.append(

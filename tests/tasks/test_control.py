@@ -15,8 +15,10 @@ import numpy as np
 import pytest
 
 import optlink
+from optlink.clearance.closed_loop import DENSE, ClosedLoop
 from optlink.clearance.compiled.choice import installed
 from optlink.clearance.controller import PID, Controller, Gains
+from optlink.clearance.equations import Drive, Servo
 from optlink.clearance.inverse_model import POINTS, Inverse, leverage, predicted
 from optlink.clearance.output import default_output
 from optlink.clearance.reference_signal import ReferenceSignal, constant_speed
@@ -66,6 +68,20 @@ def test_pid_keeps_its_limit_and_does_not_wind_up():
     assert wound.integral == pytest.approx(50.0)
     assert pid.integral <= 0.2
     assert pid(-0.1) < 0.2  # it leaves the limit with the first error of the other sign
+
+
+@pytest.mark.parametrize("points", [72, 200, 360, 500])
+@pytest.mark.parametrize("rpm", [50.0, 900.0, 1300.0, 1800.0, 10_000.0])
+def test_sample_time_is_near_the_requested_one(problem, parts, rpm, points):
+    """With any number of rows: gains of half the sample time are those of another controller."""
+    machine, gaps, output = parts
+    speed = rpm * math.pi / 30.0
+    options = {"start": 0.0, "speed": speed, "nominal": speed, "points": points, "tolerance": 1e-6, "sample_time": 2.5e-4}
+    plant = ClosedLoop(machine, gaps, Drive(Servo(2e3, 0.7), constant_speed(0.0, speed)), output, **options)
+    assert plant.samples * plant.sample_time == pytest.approx(60.0 / rpm)
+    assert plant.sample_time == pytest.approx(2.5e-4, rel=0.03)
+    assert plant.rows % points == plant.rows % plant.samples == 0
+    assert plant.rows <= 20 * max(points, plant.samples, DENSE)
 
 
 def test_controller_refers_the_error_to_the_crank_and_knows_the_branch_of_an_angle():

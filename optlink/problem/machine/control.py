@@ -63,7 +63,7 @@ class ControlSection(Section):
         Duration,
         where(lambda t: t >= 1e-6, "a controller samples at intervals, of a microsecond at least", 'Give for example "0.25 ms"'),
     ] = Quantity(2.5e-4, "time", "s")
-    """Sample time of the PID, rounded to the nearest value that divides the revolution."""
+    """Sample time of the PID, rounded to the nearest value that divides the revolution and fits its rows."""
     proportional: Number = 0.0
     """Proportional gain of the PID on the output error, referred to the crank [-]."""
     integral: Number = 0.0
