@@ -7,6 +7,7 @@ starts, then linear programming steps in a trust region on the largest error at 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +32,14 @@ class Function:
     def target(self, n: int) -> tuple[Array, Array]:
         """Rotations of the crank and of the rocker [rad]."""
         t = np.linspace(0.0, 1.0, n)
+        least, most = self.values
+        return self.input * t, self.output * (self.y(t) - least) / (most - least)
+
+    @cached_property
+    def values(self) -> tuple[float, float]:
+        """Least and largest value of y."""
         fine = self.y(np.linspace(0.0, 1.0, 20001))
-        return self.input * t, self.output * (self.y(t) - fine.min()) / (fine.max() - fine.min())
+        return float(fine.min()), float(fine.max())
 
 
 def rocker(x: Array, side: int, offsets: Array) -> tuple[Array, Array]:
