@@ -55,14 +55,20 @@ def subject(name: str, given: dict[str, float] | None = None, **changes: object)
     return report_model_of(file, solve_or_validate(file, given=given))
 
 
-@pytest.fixture(scope="module", params=PROBLEMS)
+@functools.cache
+def shipped(name: str) -> ReportModel:
+    """What the page of a shipped problem shows, computed once per process."""
+    return subject(name)
+
+
+@pytest.fixture(params=PROBLEMS)
 def about(request) -> ReportModel:
-    return subject(request.param)
+    return shipped(request.param)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def crank_rocker_subject() -> ReportModel:
-    return subject("crank-rocker")
+    return shipped("crank-rocker")
 
 
 class Reader(HTMLParser):
@@ -239,7 +245,7 @@ def test_the_checker_would_notice():
 
 
 def test_the_torque_chart_is_the_analysis():
-    about = subject("six-bar")
+    about = shipped("six-bar")
     chart = next(chart for chart in chart_plotly.charts(charts(about)) if chart.title == "Driving torque")
     torque = next(trace for trace in chart.figure["data"] if trace["name"] == "driving torque")
     values = np.array([np.nan if value is None else value for value in torque["y"]])
@@ -263,7 +269,7 @@ def test_what_matters_by_searching_again(crank_rocker_subject):
     text = page(crank_rocker_subject)
     assert "Sensitivities" in text
     assert "-1.929 %" in text
-    assert "Sensitivities" not in page(subject("motion-3-poses"))  # all poses are met exactly: nothing is left to gain
+    assert "Sensitivities" not in page(shipped("motion-3-poses"))  # all poses are met exactly: nothing is left to gain
 
 
 def test_the_moving_drawing_is_the_linkage(about):
@@ -305,12 +311,12 @@ def test_texts_stay_texts(tmp_path):
     assert read.handlers == []
     assert "img" not in read.texts
     assert EVIL in " ".join(read.texts["h1"])
-    plain = Reader(page(subject("crank-rocker")))
+    plain = Reader(page(shipped("crank-rocker")))
     assert read.texts.keys() | {"br"} == plain.texts.keys() | {"br"}  # column names of the sensitivities have line breaks
 
 
 def test_the_check_of_texts_would_notice(tmp_path):
-    text = page(subject("crank-rocker")).replace("Crank-rocker that", EVIL)
+    text = page(shipped("crank-rocker")).replace("Crank-rocker that", EVIL)
     assert Reader(text).scripts > 4
     assert set(Reader(text).handlers) == {"onerror"}
 
@@ -495,7 +501,7 @@ def slide_to(driver, index: int) -> None:
 @pytest.mark.parametrize("name", ["crank-rocker", "motion-3-poses", "shaper", "oscillating-cylinder"])
 def test_a_page_in_a_browser(driver, tmp_path, name):
     """No complaint, no request, all charts drawn; the slider moves the linkage to where the kinematics has it."""
-    about, path = subject(name), tmp_path / "a.html"
+    about, path = shipped(name), tmp_path / "a.html"
     write_page(about, path)
     complaints, asked = opened(driver, path)
     assert complaints == []

@@ -9,6 +9,7 @@ import json
 import math
 import re
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import get_args
 
@@ -88,14 +89,16 @@ def results(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def pages(results, tmp_path_factory) -> Callable[[str], Path]:
-    """The page of a result, written when it is first asked for."""
-    folder = tmp_path_factory.mktemp("pages")
+    """The page of a result, beside what the command says of it; written when it is first asked for, once for all processes."""
 
+    @cache
     def page(name: str) -> Path:
-        path = folder / f"{name}.html"
-        if not path.exists():
-            assert run("report", str(results / name), "-o", str(path)).exit_code == 0
-        return path
+        def fill(folder: Path) -> None:
+            done = run("report", str(results / name), "-o", str(folder / "a.html"), "--json")
+            assert done.exit_code == 0, done.stderr
+            (folder / "told.json").write_text(done.stdout, encoding="utf-8")
+
+        return folder_once(f"page of recorded {name}", tmp_path_factory.mktemp(name), fill) / "a.html"
 
     return page
 
@@ -104,6 +107,7 @@ def document(results: Path, name: str) -> dict:
     return json.loads((results / name / "result.json").read_text())
 
 
+@cache
 def sheet(results: Path, name: str) -> PageContent:
     found = load_stored(str(results / name))
     assert isinstance(found, StoredStudy)
@@ -129,11 +133,9 @@ def test_schemas_are_those_of_the_records():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", RECORDED)
-def test_a_page_is_complete_small_and_safe(results, tmp_path, name):
-    path = tmp_path / "a.html"
-    done = run("report", str(results / name), "-o", str(path), "--json")
-    assert done.exit_code == 0, done.stderr
-    assert json.loads(done.stdout)["bytes"] == path.stat().st_size < LARGEST
+def test_a_page_is_complete_small_and_safe(results, pages, name):
+    path = pages(name)
+    assert json.loads(path.with_name("told.json").read_text())["bytes"] == path.stat().st_size < LARGEST
     read, told = Reader(path.read_text()), document(results, name)
     assert read.scripts == 4
     assert read.handlers == []
@@ -349,16 +351,14 @@ def test_limits_that_cannot_hold_together_are_named(tmp_path):
 
 
 @pytest.mark.slow
-def test_what_matters_stands_on_the_page_of_a_result(results, tmp_path):
+def test_what_matters_stands_on_the_page_of_a_result(pages):
     """Sensitivities of a recorded optimum are those of the searched one, for which another test solves the problem again."""
     for name in ("solve", "sensitivity"):
-        path = tmp_path / f"{name}.html"
-        assert run("report", str(results / name), "-o", str(path)).exit_code == 0
-        text = path.read_text()
+        text = pages(name).read_text()
         assert "Sensitivities" in text
         assert "-1.929 %" in text
         assert ("Re-optimised on both sides of each" in text) is (name == "sensitivity")
-    text = (tmp_path / "sensitivity.html").read_text()
+    text = pages("sensitivity").read_text()
     assert text.index('id="sensitivities"') < text.index('id="design-and-checks"')
 
 
