@@ -12,14 +12,17 @@ import json
 import re
 import shlex
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from unittest import mock
 
 from typer.testing import CliRunner
 
 from optlink.cli.app import app
 from optlink.problem.templates import Template, template, templates
+from optlink.report import registry
+from optlink.report.view import View
 
 if TYPE_CHECKING:
     from mkdocs.config.defaults import MkDocsConfig
@@ -44,6 +47,17 @@ class Answer:
     result: dict[str, Any]
 
 
+def machine_alone(view: View) -> View:
+    """Return a view that draws nothing but the pictures of the machine: charts and animations take most of the time.
+
+    Parameters
+    ----------
+    view : View
+    """
+    drawings = {name: draw for name, draw in view.drawings.items() if f"{name}.png" in PICTURES}
+    return replace(view, drawings=drawings, charts=lambda _: (), frames=lambda _: [])
+
+
 @functools.cache
 def answer(name: str) -> Answer:
     """Run the first command of a template, once per build.
@@ -57,8 +71,12 @@ def answer(name: str) -> Answer:
     RuntimeError
         If the command fails.
     """
-    made = template(name)
-    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+    made, view_of = template(name), registry.view_of
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        contextlib.chdir(folder),
+        mock.patch.object(registry, "view_of", lambda kind: machine_alone(view_of(kind))),
+    ):
         Path(f"{name}.toml").write_text(made.text, encoding="utf-8")
         words = [*shlex.split(made.commands[0])[1:], "--out", "out"]
         done = CliRunner().invoke(app, words, env={"COLUMNS": WIDTH, "NO_COLOR": "1"})
