@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import gc
+import inspect
 import os
 import signal
 from collections.abc import Iterator
@@ -13,6 +15,8 @@ import pytest
 import typer.main
 
 import optlink
+from optlink.report import registry
+from optlink.report.view import View
 from tests import solved as shared
 from tests.browser import browser
 
@@ -32,11 +36,16 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 FIRST = (
     "test_the_site_builds",
     "test_notebooks.py",
+    "test_the_safest_design",
     "test_certify_timed_path.py",
     "test_random_problems.py",
     "test_some_of_them_searched_again",
     "test_six_bars.py",
     "test_path_evidence.py",
+    "test_function_problems.py",
+    "test_no_random_span_law_of_many",
+    "test_resting_contact",
+    "test_best_known_value_is_reached",
     "test_compiled.py",
     "test_control.py",
     "test_extrema.py",
@@ -75,6 +84,26 @@ def _one_command_line() -> Iterator[None]:
     """Build the tree of all commands once per process: it takes as long as most calls that tests make."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("typer.testing._get_command", functools.cache(typer.main.get_command))
+        yield
+
+
+FRAMES = 6
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _short_films() -> Iterator[None]:
+    """Let commands draw animations of a few frames; the tests of pictures write their views themselves, and whole ones."""
+    view_of = registry.view_of
+
+    def shortened(kind: str) -> View:
+        view = view_of(kind)
+        frames = (
+            functools.partial(view.frames, count=FRAMES) if "count" in inspect.signature(view.frames).parameters else view.frames
+        )
+        return dataclasses.replace(view, frames=frames)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(registry, "view_of", shortened)
         yield
 
 

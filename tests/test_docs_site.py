@@ -162,6 +162,13 @@ def test_the_site_builds_without_a_warning_and_asks_no_network(tmp_path, monkeyp
         config = load_config(str(ROOT / "mkdocs.yml"), strict=True, site_dir=str(site))
         monkeypatch.setattr(config.hooks["docs/hooks/recipes.py"], "answer", answer)
         monkeypatch.setattr(config.hooks["docs/hooks/validation.py"], "solved", solution)
+        gallery = config.hooks["docs/hooks/gallery.py"]
+        searched = gallery.solve_or_validate
+
+        def shared(problem, **options):
+            return solution(problem.name) if problem.task == "path" else searched(problem, **options)
+
+        monkeypatch.setattr(gallery, "solve_or_validate", shared)
         build(config)
     assert caplog.records == []
     pages = list(site.rglob("*.html"))
