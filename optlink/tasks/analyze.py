@@ -20,7 +20,7 @@ from optlink.linkage.stroke import Ranges, Travel, range_end_reason, travels, wi
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range
-from optlink.tasks.machine import MARGIN, crank_speed, machine_of, motion_range, table_angles
+from optlink.tasks.machine import MARGIN, crank_speed, machine_of, motion_range, start_value_notes, table_angles
 from optlink.tasks.results.analysis import Analysis, Extreme
 
 MAX_POINTS = 1_000_000
@@ -293,10 +293,7 @@ def _notes(
     jammed: Array,
     undefined: Array,
 ) -> list[str]:
-    notes = []
-    free = [name for name in problem.model.free if design is None or name not in design]
-    if free:
-        notes.append(f"design variables are at their start values: {', '.join(free)} (--design takes a result)")
+    notes = start_value_notes(problem, design)
     if not ranges.full:
         notes.append(f"the crank cannot turn fully; reachable: {ranges.text} (without the last 0.1 % at either end)")
         for low, high in ranges.ranges[:1]:

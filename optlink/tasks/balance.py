@@ -25,7 +25,7 @@ from optlink.problem.fixed_design import fixed_design
 from optlink.problem.machine.balance import check_measure, read_measure
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import check_range, input_of
-from optlink.tasks.machine import check_regular, crank_speed, machine_of, motion_range, table_angles
+from optlink.tasks.machine import check_regular, crank_speed, machine_of, motion_range, start_value_notes, table_angles
 from optlink.tasks.results.balance import (
     AddedCounterweight,
     Balance,
@@ -410,10 +410,7 @@ def _notes(
     idle = [weight.body for weight in task.counterweights if weight.body not in [one.body for one in added]]
     if idle:
         notes.append(f"no counterweight is of use on {', '.join(idle)}")
-    if task.problem.model.free:
-        notes.append(
-            f"design variables are at their start values: {', '.join(task.problem.model.free)} (--design takes a result)"
-        )
+    notes += start_value_notes(task.problem)
     if len(task.angles) != task.section.positions:
         notes.append("the crank cannot turn fully: the positions are those of its range")
     notes += _between(task, goal, heavier)

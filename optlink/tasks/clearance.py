@@ -31,7 +31,7 @@ from optlink.execution import interrupts
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range, input_of, nearest
-from optlink.tasks.machine import check_regular, machine_of, motion_range, with_flywheel
+from optlink.tasks.machine import check_regular, machine_of, motion_range, start_value_notes, with_flywheel
 from optlink.tasks.results.checkpoint import ClearanceCheckpoint, read_checkpoint
 from optlink.tasks.results.clearance import RUNNING_IN, ClearanceSimulation
 
@@ -223,7 +223,8 @@ def simulate_clearance(
             checkpoint(state.document())
 
     kept_at, saved = time.monotonic(), save()
-    ending, message, notes = Ending.FINISHED, f"{revolutions} revolutions were simulated", list(_sample_time_note(setting, plant))
+    ending, message = Ending.FINISHED, f"{revolutions} revolutions were simulated"
+    notes = [*start_value_notes(problem, design), *_sample_time_note(setting, plant)]
     try:
         with _interruptible(plants):
             for k in range(account.count, revolutions):

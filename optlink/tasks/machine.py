@@ -41,6 +41,18 @@ def turning_machine(problem: ProblemFile, design: Mapping[str, float]) -> Machin
     return machine if machine.ranges.full else None
 
 
+def start_value_notes(problem: ProblemFile, design: Mapping[str, object] | None = None) -> list[str]:
+    """Return a note that names the design variables without a given value, if there are any.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    design : mapping of str to value, optional
+    """
+    free = [name for name in problem.model.free if design is None or name not in design]
+    return [f"design variables are at their start values: {', '.join(free)} (--design takes a result)"] if free else []
+
+
 def machine_of(problem: ProblemFile, design: Mapping[str, Value] | None = None) -> Machine:
     """Return the machine of a problem at a given design.
 

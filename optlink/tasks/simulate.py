@@ -22,7 +22,7 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.base_model import Columns, Contradiction, Number, Recorded, ResultRecord
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range
-from optlink.tasks.machine import machine_of, motion_range, with_flywheel
+from optlink.tasks.machine import machine_of, motion_range, start_value_notes, with_flywheel
 
 MAX_ROWS = 1_000_000
 
@@ -157,7 +157,7 @@ def simulate(
         duration = drive.duration.value if drive.duration is not None else TURN / abs(drive.speed.value)
     _check(duration, rows, speed, torque is not None)
     ranges, low, high = motion_range(problem, machine, start)
-    notes = []
+    notes = start_value_notes(problem, design)
     if torque is not None:
         inertia, _ = reduced_inertia(machine, np.linspace(low, high, 361)[1:-1])
         if not np.nanmin(inertia) > 0.0:

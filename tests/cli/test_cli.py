@@ -339,7 +339,10 @@ def test_split_values_are_read():
 
 
 def test_list_and_show():
-    assert "crank-rocker" in run("list").stdout
+    rows = [line.split(maxsplit=1) for line in run("list").stdout.splitlines()]
+    assert ["crank-rocker", "Crank-rocker that reproduces a motion law (four-bar,"] in [
+        [cell.strip() for cell in row] for row in rows
+    ]
     assert "crank-rocker" in [problem["name"] for problem in json.loads(run("list", "--json").stdout)["problems"]]
     shown = run("show", "crank-rocker").stdout
     for words in ("frame", "500 mm", "free, 100 mm ... 900 mm", "psi0 + 2/(3*pi)*(phi - phi0)^2", "default"):

@@ -396,6 +396,23 @@ def test_simulate_from_the_command_line(tmp_path):
     assert len((tmp_path / "course.csv").read_text().splitlines()) == 22
 
 
+@pytest.mark.parametrize(
+    "clearance", [(), ("--set", "joints.B={ clearance = '0.5 mm', bearing_radius = '10 mm', modulus = '207 GPa' }")]
+)
+def test_a_simulation_names_the_design_variables_at_their_start_values(clearance):
+    masses = (
+        "--set",
+        "bodies.coupler={mass='1 kg', inertia='uniform bar'}",
+        "--set",
+        "bodies.rocker={mass='1 kg', inertia='uniform bar'}",
+    )
+    words = ("simulate", "crank-rocker", *masses, *clearance, *(("--revolutions", "1") if clearance else ()))
+    assert "Note: design variables are at their start values: coupler, rocker" in run(*words).output
+    done = run(*words, "--design", "coupler=412 mm", "--design", "rocker=232 mm")
+    assert done.exit_code == 0, done.output
+    assert "start values" not in done.output
+
+
 def test_simulate_under_a_torque_from_the_command_line():
     done = run("simulate", "six-bar", "--torque", "600 N*m", "--duration", "0.1 s", "--flywheel", "5 kg*m^2", "--points", "5")
     assert done.exit_code == 0

@@ -377,7 +377,7 @@ def _listed(targets: TargetPoints) -> str:
 
 def listing(files: Iterable[ProblemFile]) -> TableSpec:
     """List the shipped problems, one per row."""
-    return table("Shipped problems", ["name", "kind", "description"], ((one.name, one.kind, one.model.title) for one in files))
+    return table("Shipped problems", ["name", "description"], ((one.name, f"{one.model.title} ({one.kind})") for one in files))
 
 
 def certificate_check(found: CertificateCheck) -> Summary:
