@@ -241,14 +241,14 @@ def tune(
     Raises
     ------
     InputError
-        If an argument is out of range, the problem has no clearance, servo or controller, or the checkpoint belongs to other
-        options.
+        If an argument is out of range, a parameter has no effect with this control, the problem has no clearance, servo or
+        controller, or the checkpoint belongs to other options.
     KeyboardInterrupt
         On interruption; the last checkpoint contains all complete evaluations.
     """
     from scipy.stats import qmc
 
-    names = [SPELLINGS.get(name, name) for name in names]
+    names = list(dict.fromkeys(SPELLINGS.get(name, name) for name in names))
     unknown = [name for name in names if name not in RANGES]
     if unknown or not names:
         raise InputError("no such parameter", f"Known: {', '.join(RANGES)}", key="names", value=", ".join(unknown))
@@ -263,6 +263,9 @@ def tune(
     runs = starts * (evaluations + 1)
     output, integrator = checked(problem, control=control, integrator=integrator, runs=runs, compiling=compiling, **common)
     common["integrator"] = integrator
+    idle = next((name for name in names if not _acts(name, Control(control))), None)
+    if idle is not None:
+        raise InputError(f"the parameter has no effect with control {control}", "Tune inverse+pid", key="names", value=idle)
     label = {**common, "problem_hash": problem.hash, "control": control, "names": list(names)}
     label |= {"evaluations": evaluations, "starts": starts, "seed": seed, "design": None if design is None else dict(design)}
     kept = [] if resume is None else read_checkpoint(TuningCheckpoint, resume, label).costs
@@ -317,6 +320,11 @@ def tune(
         revolutions,
         output.unit,
     )
+
+
+def _acts(name: str, kind: Control) -> bool:
+    """Return whether a parameter has an effect on a kind of control."""
+    return {"regularisation": kind is not Control.NONE, "bandwidth": kind.inverted}.get(name, kind.fed_back)
 
 
 def _sizes(problem: ProblemFile, output: Output, design: Mapping[str, float] | None) -> dict[str, float]:

@@ -388,6 +388,21 @@ def test_checkpoint_that_was_changed_is_refused(saved, tmp_path, part, entry, va
             files.checkpoint(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("control", "names", "idle"),
+    [
+        ("none", ("regularisation",), "regularisation"),
+        ("inverse", ("regularisation", "integral"), "integral"),
+        ("pid", ("proportional", "bandwidth"), "bandwidth"),
+    ],
+)
+def test_parameter_without_effect_is_not_tuned(monkeypatch, control, names, idle):
+    """It would find that nothing is better."""
+    monkeypatch.setattr(control_comparison, "run_jobs", None)
+    with pytest.raises(InputError, match=f"{idle}.*: the parameter has no effect with control {control}"):
+        optlink.tune(rocker(), control, names, evaluations=4, **SHORT)
+
+
 @pytest.mark.slow
 def test_tuning_resumes_and_stops_runs_that_cannot_win():
     kept: list[dict] = []
