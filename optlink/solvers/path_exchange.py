@@ -116,6 +116,8 @@ def _followed(
         nlp.cache[key] = _with_moving_peaks(nlp, many)
     moving: NLP = nlp.cache[key]
     moving.p[:] = nlp.p
+    for k, j in enumerate(_moving_rows(nlp)):
+        moving.limit(len(moving.variables) + k, nlp.low[j], nlp.high[j])
     n, fixed = len(start.x), np.array([slot not in used for slot in range(many)])
     x, reach = np.concatenate([start.x, places[:many]]), min(REACH * max(1.0, radius / RADIUS), FARTHEST)
     room = np.where(fixed, 0.0, reach)
@@ -135,9 +137,7 @@ def _followed(
 
 def _with_moving_peaks(nlp: NLP, many: int) -> NLP:
     """Return the NLP with the positions of peaks as unknowns, one row after the other, and without its fixed positions."""
-    first, each = nlp.exchange_rows
-    names = {(row.limit, row.label) for row in nlp.rows[first : first + each]}
-    keep = [j for j, row in enumerate(nlp.rows) if j >= first or (row.limit, row.label) not in names]
+    keep, (first, each) = _moving_rows(nlp), nlp.exchange_rows
     rows, slots = tuple(nlp.rows[j] for j in keep), [first + slot * each + slot % each for slot in range(many)]
     kept = replace(nlp, rows=rows, g_expression=nlp.g_expression[keep], cache={})
     heights = dict(enumerate(casadi.vertsplit(nlp.g_expression[slots])))
@@ -145,6 +145,13 @@ def _with_moving_peaks(nlp: NLP, many: int) -> NLP:
     places = casadi.vertsplit(nlp.p_symbol)[len(nlp.p) - nlp.exchange_count :]
     terms = nlp.mapped.of_rows(keep).with_slopes(casadi.vertsplit(nlp.mapped.g[slots]), places[:many])
     return with_places(kept, nlp.exchange_count, heights, terms)
+
+
+def _moving_rows(nlp: NLP) -> list[int]:
+    """Return the rows without those at fixed positions."""
+    first, each = nlp.exchange_rows
+    names = {(row.limit, row.label) for row in nlp.rows[first : first + each]}
+    return [j for j, row in enumerate(nlp.rows) if j >= first or (row.limit, row.label) not in names]
 
 
 def _merit(found: Solution, tops: list[RowPeak]) -> float:

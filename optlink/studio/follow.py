@@ -136,9 +136,11 @@ class PathFollower:
         with np.errstate(all="ignore"):
             rows = limit_rows(task, values, Reach(0.0, 1.0, self.way), self.task.size)
             placed = position_rows(task, task.linkage.pose(values, unit(0.0))) if has_position_limits(task) else []
-        if [row.limit for row in rows] != [row.limit for row in nlp.rows[: len(rows)]]:
-            return False
         anywhere = {(row.limit, row.label): row for row in placed}
+        first, each = nlp.exchange_rows
+        known = [(row.limit, row.label) for row in nlp.rows[first : first + each] if row.limit not in nlp.helpers]
+        if [row.limit for row in rows] != [row.limit for row in nlp.rows[: len(rows)]] or list(anywhere) != known:
+            return False
         nlp.p[1 : 1 + len(nlp.constants)] = constant_values(task, nlp.constants)
         for i, v in enumerate(nlp.variables):
             if v.name not in nlp.helpers:
