@@ -104,13 +104,16 @@ def _rising(found: list[Array], low: float, high: float) -> Array:
 
 
 class Work:
-    """Work [J] of the drive since the crank angle `start` [rad], for any crank angle from `low` to `high`."""
+    """Work [J] of the drive since the crank angle `start` [rad], for any crank angle from `low` to `high`.
+
+    `jumps`: crank angles [rad] at which loads or friction jump; `breaks`: also those at which they have a corner.
+    """
 
     def __init__(self, machine: Machine, start: float, low: float, high: float, speed: float) -> None:
         self.machine, self.speed = machine, speed
         self.jumps = jumps(machine, low, high)
-        bends = corners(machine, low, high, speed)
-        self.knots = distinct(np.concatenate([np.linspace(low, high, _panels(low, high) + 1), self.jumps, bends]))
+        self.breaks = distinct(np.concatenate([self.jumps, corners(machine, low, high, speed)]))
+        self.knots = distinct(np.concatenate([np.linspace(low, high, _panels(low, high) + 1), self.breaks]))
         pieces = self._integral(self.knots[:-1], self.knots[1:])
         self._sum = np.concatenate([[0.0], np.cumsum(pieces)])
         self._start = 0.0

@@ -25,7 +25,7 @@ from optlink.optimization.cycle_signals import EventOrder, Sample, TracedCycle
 from optlink.solvers import multistart
 from optlink.solvers.contract import backend
 from optlink.solvers.feasibility import repair
-from optlink.solvers.semi_infinite import exchange, peaks, restart_from
+from optlink.solvers.semi_infinite import exchange, peaks, rank, reconcile_backends
 from optlink.solvers.solution import ACTIVE, LEAST_PRICE, Relaxation, Solution
 
 STARTS = 8  # default number of starting points
@@ -64,8 +64,10 @@ class StartSequence:
             yield self._known[k]
 
 
-def start_groups(samples: StartSequence, count: int, fits: Callable[[EventOrder], bool]) -> list[StartGroup]:
-    """Return up to `count` starting points per choice of slow strokes that share the structure of the first suitable one.
+def start_groups(
+    samples: StartSequence, count: int, fits: Callable[[EventOrder], bool], order: EventOrder | None = None
+) -> list[StartGroup]:
+    """Return up to `count` starting points per choice of slow strokes that share one order of events.
 
     Parameters
     ----------
@@ -74,12 +76,13 @@ def start_groups(samples: StartSequence, count: int, fits: Callable[[EventOrder]
         Greatest number of starting points of each Begin.
     fits : function of a Structure
         Whether every output with a stroke oscillates.
+    order : EventOrder, optional
+        Default: that of the first suitable starting point.
 
     Returns
     -------
     list of Begin, that of the first starting point first; empty if none is suitable
     """
-    order: EventOrder | None = None
     found: dict[tuple[bool, ...], StartGroup] = {}
     choices = list(itertools.product((True, False), repeat=len(samples.trace.paced)))
     for k, sample in enumerate(samples.first(SAMPLES * count)):
@@ -206,6 +209,7 @@ class OrderSearch:
     insists: bool = True  # whether the first search runs even without a feasible point near the start
     runs: dict[str, list[Solution]] = field(default_factory=dict)
     left: list[Solution] = field(default_factory=list)  # designs at the edge of the order, from which others were searched
+    explored: bool = False  # beside the first orders: whether its order is searched from random starting points
     strayed: list[Solution] = field(default_factory=list)  # designs whose loads are not those of the trace
 
     def __post_init__(self) -> None:
@@ -317,6 +321,7 @@ def search_all(
     names: Sequence[str],
     done: Callable[[], None],
     further: Callable[[], Sequence[StartGroup]] = lambda: (),
+    alike: Callable[[EventOrder], Sequence[StartGroup]] = lambda _: (),
 ) -> CycleSearchResult:
     """Search from every starting point with every back end, refine by the exchange method, reconcile the back ends.
 
@@ -331,9 +336,11 @@ def search_all(
         Called after each starting point.
     further : function that returns a sequence of StartGroup
         Searched as well while no feasible design is found.
+    alike : function of an EventOrder that returns a sequence of StartGroup
+        Searched as well if the best design has that order.
     """
     own = tuple(names)
-    orders = [OrderSearch(build_programme(trace, begin), begin, own) for begin in firsts]
+    orders = [OrderSearch(build_programme(trace, begin), begin, own, explored=True) for begin in firsts]
     more: list[OrderSearch] | None = None
     beside: list[OrderSearch] = []
     count, interrupted = 0, False
@@ -342,10 +349,11 @@ def search_all(
             _round(orders, k)
             if not any(order.usable for order in orders):
                 if more is None:
-                    more = [OrderSearch(build_programme(trace, begin), begin, own, False) for begin in further()]
+                    more = [OrderSearch(build_programme(trace, begin), begin, own, False, explored=True) for begin in further()]
                 _round(more, k)
             _cross([*orders, *(more or ())], beside, own)
             _return([*orders, *(more or ())], beside, own)
+            _explore([*orders, *(more or ())], beside, own, alike)
             count = k + 1
             done()
     except KeyboardInterrupt:
@@ -389,6 +397,24 @@ def _cross(orders: Sequence[OrderSearch], beside: list[OrderSearch], names: tupl
             beside[-1].advance(0)
 
 
+def _explore(
+    orders: Sequence[OrderSearch],
+    beside: list[OrderSearch],
+    names: tuple[str, ...],
+    alike: Callable[[EventOrder], Sequence[StartGroup]],
+) -> None:
+    """Search the order of events of the best design from its own starting points, for all slow strokes, unless that was done."""
+    winner = min((*orders, *beside), key=OrderSearch.rank)
+    structure = winner.nlp.structure
+    if not winner.usable or any(structure.like(one.nlp.structure) for one in (*orders, *beside) if one.explored):
+        return
+    winner.explored = True
+    for begin in alike(structure):
+        beside.append(OrderSearch(build_programme(winner.nlp.traced, begin), begin, names, insists=False, explored=True))
+        for k in range(len(begin.starts)):
+            beside[-1].advance(k)
+
+
 def _return(orders: Sequence[OrderSearch], beside: list[OrderSearch], names: tuple[str, ...]) -> None:
     """Continue searches that ended at a design with other loads than the trace has, with the loads of that design.
 
@@ -411,28 +437,3 @@ def _return(orders: Sequence[OrderSearch], beside: list[OrderSearch], names: tup
             begin = StartGroup(replace(structure, slow=order.nlp.structure.slow), (design,))
             beside.append(OrderSearch(build_programme(own, begin), begin, names, insists=False))
             beside[-1].advance(0)
-
-
-def reconcile_backends(nlp: CycleNLP, found: dict[str, Solution]) -> dict[str, Solution]:
-    """Restart the worse back end from the better one's design if they ended at different optima.
-
-    At a true local optimum it stays there; otherwise the two still disagree and the validation reports it.
-
-    Parameters
-    ----------
-    nlp : CycleNLP
-    found : dict of str to Solution
-        Best solution for each back end.
-    """
-    winner = min(found.values(), key=rank)
-    return {
-        name: solution
-        if multistart.compare(solution, winner).same
-        else min((solution, restart_from(nlp, winner, name)), key=rank)
-        for name, solution in found.items()
-    }
-
-
-def rank(solution: Solution) -> tuple[bool, bool, float]:
-    """Return a sort key, best first: feasible, optimal, low objective."""
-    return not solution.usable, solution.status is not Status.OPTIMAL, solution.objective

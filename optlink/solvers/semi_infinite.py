@@ -117,6 +117,31 @@ def restart_from(nlp: CycleNLP, solution: Solution, name: str) -> Solution:
     return solution if near is None else exchange(nlp, near)
 
 
+def reconcile_backends(nlp: CycleNLP, found: dict[str, Solution]) -> dict[str, Solution]:
+    """Restart the worse back end from the better one's design if they ended at different optima.
+
+    At a true local optimum it stays there; otherwise the two still disagree and the validation reports it.
+
+    Parameters
+    ----------
+    nlp : CycleNLP
+    found : dict of str to Solution
+        Best solution for each back end.
+    """
+    winner = min(found.values(), key=rank)
+    return {
+        name: solution
+        if multistart.compare(solution, winner).same
+        else min((solution, restart_from(nlp, winner, name)), key=rank)
+        for name, solution in found.items()
+    }
+
+
+def rank(solution: Solution) -> tuple[bool, bool, float]:
+    """Return a sort key, best first: feasible, optimal, low objective."""
+    return not solution.usable, solution.status is not Status.OPTIMAL, solution.objective
+
+
 def _merit(nlp: CycleNLP, x: Array, found: Peaks) -> float:
     """Return the objective measured at the peaks plus a penalty on limits violated there."""
     x, missed = x.copy(), 0.0

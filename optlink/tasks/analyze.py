@@ -198,8 +198,8 @@ def _extremes(machine: Machine, low: float, high: float, ranges: Ranges, speed: 
     count = GRID * (max(1, round(cycle / TURN)) if full else 1)
     even = np.asarray(low + (high - low) / count * np.arange(count + 1), dtype=float)
     nearly_zero = _least_forces(MotionColumns(machine.moving(even, speed)), even, pins)
-    grid = distinct(np.concatenate([even, work.jumps, nearly_zero]))
-    at, best = extremes(values, grid, tuple(work.jumps), [name.rpartition("_")[2] for name in names], periodic=full)
+    grid = distinct(np.concatenate([even, work.breaks, nearly_zero]))
+    at, best = extremes(values, grid, tuple(work.breaks), [name.rpartition("_")[2] for name in names], periodic=full)
     if work.jumps.size:
         before = values(work.jumps, side=-1)
         for k, sign in ((0, 1.0), (1, -1.0)):

@@ -63,9 +63,10 @@ class CycleTask(DesignTask[CycleResult]):
             STARTS,
             StartSequence,
             further_start_groups,
-            rank,
             search_all,
+            start_groups,
         )
+        from optlink.solvers.semi_infinite import rank
 
         names, seed, timer, progress = search.names, search.seed, search.timer, search.progress
         task, count = task_of(problem), STARTS if search.starts is None else search.starts
@@ -90,7 +91,10 @@ class CycleTask(DesignTask[CycleResult]):
             if progress:
                 progress(min(done / count, 1.0))
 
-        result = search_all(trace, firsts, names, advance, lambda: further_start_groups(samples, firsts, count, fits))
+        def alike(order: EventOrder) -> list[StartGroup]:
+            return start_groups(samples, count, fits, order)
+
+        result = search_all(trace, firsts, names, advance, lambda: further_start_groups(samples, firsts, count, fits), alike)
         if not result.usable:
             result = _explained(result, names)
         nlp, found = _dense(result.nlp, result.best)
@@ -149,9 +153,8 @@ def _explained(found: CycleSearchResult, names: Sequence[str]) -> CycleSearchRes
     """
     from optlink.optimization.cycle_nlp import build_cycle
     from optlink.solvers import multistart
-    from optlink.solvers.cycle_search import reconcile_backends
     from optlink.solvers.infeasibility import Explanation, explain
-    from optlink.solvers.semi_infinite import exchange, peaks
+    from optlink.solvers.semi_infinite import exchange, peaks, reconcile_backends
 
     nlp, order = found.orders[0].nlp, found.orders[0]
     coarse = build_cycle(nlp.traced, nlp.structure, nlp.design(nlp.x_start), nodes=COARSE)

@@ -179,7 +179,8 @@ class Cycle:
             record = MotionColumns(machine.moving(angles, self.speed, side=side))
             return np.array([score(read(record)) for score, read in reads])
 
-        found = maxima(values, np.linspace(0.0, TURN, POSITIONS + 1), tuple(jumps), periodic=True)[1]
+        breaks = tuple(np.remainder(self.work.breaks, TURN))
+        found = maxima(values, np.linspace(0.0, TURN, POSITIONS + 1), breaks, periodic=True)[1]
         if jumps.size:
             found = np.maximum(found, np.nanmax(values(jumps, side=-1), axis=1))
         return np.where([term.how == "least" for term in terms], -found, found)

@@ -310,3 +310,58 @@ def test_a_row_of_a_load_table_that_the_slider_no_longer_reaches_ends_no_search(
     assert result.valid
     assert result.values["crank.length"] == pytest.approx(0.05, rel=1e-6)
     assert result.objective == pytest.approx(0.05 * 10.0**2, rel=1e-6)
+
+
+RAMP = """
+title = "Slider against a table of forces, whose best design reaches fewer of its rows than the first one, in the quick stroke"
+gravity = "9.81 m/s^2"
+[mechanism.ground]
+A = ["0 mm", "0 mm"]
+[mechanism.links]
+crank = { joints = ["A", "B"], length = { bounds = ["20 mm", "90 mm"] } }
+rod = { joints = ["B", "C"], length = { bounds = ["60 mm", "300 mm"] } }
+slider = { joints = ["C"] }
+[mechanism.guides]
+G = { slider = "slider", through = "A", direction = "30 deg", offset = { bounds = ["-80 mm", "80 mm"] } }
+[mechanism.assembly]
+C = "backward"
+[bodies]
+crank = { mass = "1 kg", inertia = "uniform bar" }
+rod = { mass = "2 kg", inertia = "uniform bar" }
+slider = { mass = "4 kg" }
+[loads.ramp]
+on = "slider"
+acts = "opposing"
+stroke = "backward"
+force = { over = "s", at = ["-200 mm", "-150 mm", "-100 mm"], values = ["3 kN", "1 kN", "0 kN"] }
+[drive]
+body = "crank"
+speed = "-240 rpm"
+[objective]
+quantity = "torque"
+measure = "peak"
+[limits]
+stroke = { quantity = "stroke", of = "slider", min = "100 mm" }
+ratio = { quantity = "time ratio", of = "slider", min = 1.15 }
+pressure = { quantity = "pressure angle", of = "C", max = "55 deg" }
+"""
+
+
+@pytest.mark.slow
+def test_the_order_of_events_of_the_best_design_is_searched_with_both_slow_strokes():
+    """Differential evolution with the slider-crank in closed form finds a design beside it; one order alone ends at 10.41 N m."""
+    result = solve(problem(RAMP), starts=4)
+    assert result.valid
+    assert result.objective == pytest.approx(7.943908807, rel=1e-6)  # closed form, 2880 positions
+
+
+def test_a_peak_at_a_row_of_a_load_table_is_measured_there():
+    """The torque has a corner where the slider reaches -100 mm: between the positions it is 0.6 % larger than at any of them.
+
+    The reference is the rate of the energy of this slider-crank in closed form, on both sides of the row (by Fourier series).
+    """
+    checked = validate(problem(RAMP), {"crank.length": 48.7870e-3, "rod.length": 83.1383e-3, "G.offset": 14.5462e-3})
+    assert checked.objective == pytest.approx(7.97573, rel=2e-5)
+    assert checked.analysis is not None
+    largest = checked.analysis.figures["input.torque_Nm.max"], checked.analysis.figures["input.torque_Nm.min"]
+    assert max(map(abs, largest)) == pytest.approx(checked.objective, rel=1e-9)
