@@ -203,7 +203,7 @@ def _show(result: FunctionResult | PathResult | CycleResult | Balance, as_json: 
 
 def analyze(
     problem: Problem,
-    points: Annotated[int, number("Steps of the table per revolution.")] = 360,
+    points: Annotated[int | None, number("Steps of the table per revolution. Default: 360.")] = None,
     step: Annotated[str | None, option("ANGLE", 'Step of the table, instead of --points: --step "5 deg".')] = None,
     speed: Speed = None,
     changes: Set = None,
@@ -217,11 +217,13 @@ def analyze(
     """Analyse a machine: motion, joint reactions, driving torque and work over the cycle."""
     from optlink.tasks.analyze import analyze as run
 
+    if step is not None:
+        console.refuse({"--points": points}, "--step sets the rows of the table", "Give one of the two")
     file = console.load(problem, changes)
     given = console.read_design_option(file, design)
     console.places(out, "analyze", problem, csv)
     turn, rate = console.quantity(step, "angle", "--step"), console.quantity(speed, "angular velocity", "--speed")
-    result = run(file, points, turn, rate, given)
+    result = run(file, step=turn, speed=rate, design=given, **console.given(points=points))
     console.deliver(result, "analysis", as_json, out, csv)
     if not result.sound:
         raise typer.Exit(1)

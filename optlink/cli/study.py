@@ -202,8 +202,8 @@ def tolerance(
     ] = None,
     angles: Annotated[str | None, option("LIST", 'Crank angles: "0 deg, 60 deg" or "0..330 deg:12".', "--angles")] = None,
     limit: Annotated[str | None, option("SIZE", 'Permitted error or deviation, for the yield: "0.5 deg".')] = None,
-    samples: Annotated[int, option("N", "Number of sampled linkages; 0: linear analysis only.")] = 131072,
-    seed: Annotated[int, option("S", "Seed of the samples.")] = 0,
+    samples: Annotated[int, number("Number of sampled linkages; 0: linear analysis only.")] = 131072,
+    seed: Annotated[int, number("Seed of the samples.", metavar="S")] = 0,
     distribution: Annotated[str, option("NAME", SHAPE)] = "normal",
     allocate: Annotated[str | None, option("YIELD", 'Find the least costly tolerances that reach a yield: "99.7 %".')] = None,
     cost: Annotated[

@@ -158,7 +158,7 @@ def toml_fault(message: str, file: str, text: str = "") -> Fault:
         Content of the file.
     """
     if text.lstrip().startswith("{"):
-        remedy = "Give the problem, and a result.json with --design; only `report` and `export` read a result.json itself"
+        remedy = "Give the problem, with --design FILE or --certificate FILE; only `report` and `export` read a result itself"
         return Fault("this is JSON, not a problem file in TOML", remedy, file)
     if "\0" in text:
         return Fault("not UTF-8 text: it contains NUL characters", "Save the file as UTF-8", file)

@@ -251,7 +251,7 @@ def tune(
     names = list(dict.fromkeys(SPELLINGS.get(name, name) for name in names))
     unknown = [name for name in names if name not in RANGES]
     if unknown or not names:
-        raise InputError("no such parameter", f"Known: {', '.join(RANGES)}", key="names", value=", ".join(unknown))
+        raise InputError("no such parameter", f"Known: {', '.join(RANGES)}", key="--tune", value=", ".join(unknown))
     check_range("evaluations", evaluations, 4, 100_000)
     angles = random_crank_angles(starts, seed)
     low, high = (np.log([RANGES[name][side] for name in names]) for side in (0, 1))

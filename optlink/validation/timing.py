@@ -42,7 +42,8 @@ def passing(problem: PathProblem, design: Mapping[str, float]) -> Array:
     rotation = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(problem.requirement.rotation)
     found = [_one_way(problem, design, way) for way in ((1.0, -1.0) if rotation is None else (rotation,))]
     angles = min(found, key=lambda each: each[1])[0]
-    return angles - TURN * np.round(angles[0] / TURN)
+    begun: Array = angles - TURN * np.round(angles[0] / TURN)
+    return begun
 
 
 def _squares(problem: PathProblem, design: Mapping[str, float], angles: Array) -> Array:

@@ -162,6 +162,9 @@ def test_infeasible_with_out_still_writes_the_result(tmp_path):
         (("validate", "crank-rocker", "--design", "design.toml"), 'coupler="400 mm", or give a result.json'),
         (("solve", "crank-rocker", "--format", "svg"), "Add --out DIR"),
         (("analyze", "six-bar", "--format", "pdf"), "Add --out DIR"),
+        (("analyze", "six-bar", "--points", "90", "--step", "5 deg"), '--points = "90": --step sets the rows'),
+        (("study", "tolerance", "crank-rocker", "--samples", "1e12"), '"1e12" is not a whole number'),
+        (("simulate", "slider-crank-clearance", "--tune", "force"), '--tune = "force": no such parameter'),
         (("fly",), "fly"),
     ],
 )
