@@ -21,6 +21,7 @@ from optlink.studies.sweep import sweep
 from optlink.studies.tolerance.analysis import tolerance
 from optlink.tasks.function import solve, validate
 from optlink.validation import validate as prove
+from tests.solved import solution
 
 SIZES = ("crank", "coupler", "rocker", "D.x", "D.y", "C.clearance")
 SIGMAS = {
@@ -190,7 +191,7 @@ def test_a_function_is_robust_anywhere_in_its_range():
     )
     found = solve(problem)
     assert found.valid
-    plain = solve(optlink.load("function-sin"))
+    plain = solution("function-sin")
     x = np.linspace(0.0, math.pi / 2.0, 4001)
     largest = []
     for design in (found.design, plain.design):
