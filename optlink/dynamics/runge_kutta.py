@@ -200,6 +200,8 @@ def _first_size(rates: Callable[[Array], Array], state: Array, first: Array, spa
         return float(np.linalg.norm(values / scale)) / math.sqrt(len(state))
 
     sizes = norm(state), norm(first)
+    if math.isinf(sizes[1]):  # no step size would do
+        return 0.0
     short = min(1e-6 if min(sizes) < 1e-5 else 0.01 * sizes[0] / sizes[1], span)
     bend = norm(rates(state + short * first) - first) / short
     flat = sizes[1] <= 1e-15 and bend <= 1e-15

@@ -364,6 +364,13 @@ def test_arguments_out_of_range(arguments, key):
 # --- flywheel ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("torque", [1e150, 1e300, -1e300])
+def test_acceleration_whose_square_overflows_stalls_the_run(torque):
+    found = optlink.simulate(optlink.load("slider-crank", {"drive.torque": f"{torque} N*m"}), 1.0, 10)
+    assert found.run.ending is Ending.STALLED
+    assert found.run.stopped < 1e-70
+
+
 def test_flywheel_keeps_the_fluctuation_in_the_simulation():
     """The flywheel from the energy equation, then simulated under the constant mean torque from the right start speed."""
     problem = optlink.load("six-bar").override({"loads.process.acts": "opposing", "loads.process.direction": None})
