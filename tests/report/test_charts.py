@@ -49,7 +49,10 @@ def test_picture_and_page_show_the_same_values() -> None:
     assert [text.get_text() for text in picture.axes[0].texts] == ["largest 1°"]
     assert "largest 1°" in str(page.figure["data"])
     assert sorted(text.get_text() for text in picture.axes[1].texts) == ["↑ 0.866", "↑ 0.866", "↑ 1"] or picture.axes[1].texts
-    assert len(page.figure["layout"]["shapes"]) == 2
+    shapes = page.figure["layout"]["shapes"]
+    assert len(shapes) == 2
+    swatch = next(trace for trace in page.figure["data"] if trace["name"] == "quick")["marker"]
+    assert [(swatch["color"], swatch["opacity"])] == [(one["fillcolor"], one["opacity"]) for one in shapes if "fillcolor" in one]
 
 
 def test_the_crank_turning_clockwise_runs_to_the_right() -> None:

@@ -215,10 +215,13 @@ def _traces(spec: ChartSpec, panel: Panel) -> list[Trace]:
     for one in panel.lines:
         found.append(_curve(Curve(ends, np.full(2, one.at), one.name, one.colour, one.width, one.dash, hover=bool(one.name))))
     if panel is spec.panels[0]:
-        square, entry = {"symbol": "square", "size": 11, "opacity": 0.8}, {"x": [None], "y": [None], "hoverinfo": "skip"}
+        square, entry = {"symbol": "square", "size": 11}, {"x": [None], "y": [None], "hoverinfo": "skip"}
         looks: list[tuple[str, Trace]] = [
             *((one.name, {"mode": "lines", "line": {"color": one.colour, "dash": one.dash}}) for one in spec.lines),
-            *((one.name, {"mode": "markers", "marker": square | {"color": one.colour}}) for one in spec.spans),
+            *(
+                (one.name, {"mode": "markers", "marker": square | {"color": one.colour, "opacity": one.opacity}})
+                for one in spec.spans
+            ),
         ]
         found += [{"type": "scatter", "name": escape(name)} | entry | look for name, look in looks if name]
     return found + _marks(spec, panel)
