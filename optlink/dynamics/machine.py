@@ -105,6 +105,11 @@ class Machine:
         """Whether a force jumps where a motion reverses."""
         return bool(self.friction) or any(load.switching for load in self.loads)
 
+    @property
+    def tabulated(self) -> bool:
+        """Whether a load has a table, at whose rows it has a corner."""
+        return any(hasattr(getattr(load, "magnitude", None), "at") for load in self.loads)
+
 
 class Moving:
     """A machine in motion: states of the bodies, computed once and shared by inertia, loads and reactions.

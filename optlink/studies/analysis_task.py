@@ -116,8 +116,9 @@ class AnalysisTask(FiguresTask):
         """Return the outcomes of the designs clear of all singular positions, by their index."""
         stems = {name.rpartition(".")[0] for name in self.figures}
         columns, _ = available_figures(self.problem)
-        jumps = machine_of(self.problem).switching or any(load.by_pace for load in self.problem.model.loads.values())
-        if jumps or not stems <= {name for name in columns if not name.endswith(ANGLE)}:
+        machine = machine_of(self.problem)
+        breaks = machine.switching or machine.tabulated or any(load.by_pace for load in self.problem.model.loads.values())
+        if breaks or not stems <= {name for name in columns if not name.endswith(ANGLE)}:
             return {}
         extremes, clear = batch_extremes(self.problem, designs, tuple(sorted(stems)))
         numbers = np.flatnonzero(clear)

@@ -271,3 +271,15 @@ def test_batches_leave_designs_whose_least_force_lies_elsewhere_to_single_analys
             found, clear = batch_extremes(file, {size: [quantity.value]}, [f"{joint}.f_N"])
             assert clear.tolist() == [beside]
             assert math.isclose(found[f"{joint}.f_N"][0, 0], least, rel_tol=1e-6) is beside
+
+
+def test_a_peak_at_a_row_of_a_load_table_is_that_of_the_analysis(pump):
+    """Two catches push the plunger within 0.04 mm each: the positions of a sweep are farther apart."""
+    table = 'force = { over = "s", at = ["90 mm", "90.02 mm", "90.04 mm", "130 mm", "130.02 mm", "130.04 mm"], '
+    table += 'values = ["0 N", "300 N", "0 N", "0 N", "310 N", "0 N"] }'
+    problem = optlink.load(pump(f'[loads.stop]\non = "plunger"\n{table}\n'))
+    names = ["input.torque_Nm.max", "input.torque_Nm.min"]
+    found = sweep(problem, ["mechanism.links.rod.length=131..133 mm:3"], analyze=True, columns=names, workers=1).columns
+    for i, rod in enumerate((131, 132, 133)):
+        figures = optlink.analyze(problem.override({"mechanism.links.rod.length": f"{rod} mm"})).figures
+        assert [found[name][i] for name in names] == pytest.approx([figures[name] for name in names], rel=1e-9)

@@ -215,4 +215,4 @@ def test_work_at_the_end_is_told_from_work_at_the_start(tmp_path):
     )
     assert least[-1] == "deg"
     assert largest[4] == whole[2]
-    assert largest[-2:] == ["the", "end"]
+    assert largest[-2:] == ["360.0000", "deg"]
