@@ -205,7 +205,7 @@ def build_cycle(
         constants=tuple(parts.constants),
         helpers=frozenset(helpers),
         states=frozenset({EVENT, *(v.name for v in parts.variables[count : count + events])}),
-        position_limits=True,
+        cycle=True,
         mapped=mapped,
         trace=trace,
         structure=structure,

@@ -99,7 +99,7 @@ class NLP:
     position_expression: Any = None  # the residuals there, of which `residual_expression` has those of every position
     smoothing: int = 0  # index in `p` of the smoothing of a scatter (`optlink.problem.robust.SMOOTHED`); 0: none
     exchange_rows: tuple[int, int] = (0, 0)  # index of the first row of the exchange points, number of rows per position
-    position_limits: bool = False  # limits at many positions of the motion
+    cycle: bool = False  # of a machine cycle
     mapped: MappedTerms | None = field(default=None, compare=False)  # the same programme by vectors of positions
     cache: dict[str, Any] = field(default_factory=dict, compare=False)  # functions compiled for this NLP by back ends
 

@@ -198,7 +198,6 @@ def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = 
         helpers=frozenset(helpers),
         exchange_rows=(first, len(placed) + has_sampled_objective(problem)),
         constants=(*constants, *moving),
-        position_limits=has_position_limits(problem),
         mapped=mapped,
     )
 

@@ -40,8 +40,8 @@ OPTIONS: dict[str, Any] = {
 
 TIGHT = {f"ipopt.{name}": 1e-11 for name in ("tol", "constr_viol_tol", "compl_inf_tol", "dual_inf_tol")}
 
-AT_POSITIONS = {"ipopt.adaptive_mu_globalization": "kkt-error"}
-"""Programmes with limits at many positions: fewer iterations, as the barrier parameter seldom falls back to monotone decrease."""
+CYCLE = {"ipopt.adaptive_mu_globalization": "kkt-error"}
+"""Programmes of machine cycles: half the iterations, as the barrier parameter seldom falls back to a monotone decrease."""
 
 NEAR = {"ipopt.mu_strategy": "monotone", "ipopt.mu_init": 1e-4}
 
@@ -77,7 +77,7 @@ class _Recorder(casadi.Callback):
 
 
 def _solver(nlp: NLP, extra: dict[str, Any]) -> Any:
-    own = (AT_POSITIONS if nlp.position_limits else {}) | ({} if nlp.mapped is None else nlp.mapped.options)
+    own = (CYCLE if nlp.cycle else {}) | ({} if nlp.mapped is None else nlp.mapped.options)
     return casadi.nlpsol("ipopt", "ipopt", nlp.programme, {**OPTIONS, **own, **extra})
 
 

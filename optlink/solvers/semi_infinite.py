@@ -304,7 +304,7 @@ def with_places(nlp: NLP, slots: int, heights: Mapping[int, Any], terms: tuple[M
         f_expression=f,
         g_expression=casadi.vertcat(g, slope),
         residual_expression=residual,
-        position_limits=nlp.position_limits,
+        cycle=nlp.cycle,
         mapped=None if mapped is None else mapped.substituted(x, moved, rates),
         exact=nlp.exact,
         factor=nlp.factor,
