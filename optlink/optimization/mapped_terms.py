@@ -78,7 +78,7 @@ class MappedTerms:
         """
         count = len(self.at)
         found = casadi.substitute([self.known, self.f, self.g, *self.angles, *self.senses], *moved)
-        known, f, g, angles, senses = *found[:3], tuple(found[3 : 3 + count]), tuple(found[3 + count :])
+        (known, f, g), angles, senses = found[:3], tuple(found[3 : 3 + count]), tuple(found[3 + count :])
         made = replace(self, x=x, known=known, angles=angles, senses=senses, f=f, g=casadi.vertcat(g, rows))
         vars(made)["_everywhere"] = self._everywhere
         return made
