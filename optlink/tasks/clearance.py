@@ -223,7 +223,7 @@ def simulate_clearance(
             checkpoint(state.document())
 
     kept_at, saved = time.monotonic(), save()
-    ending, message = Ending.FINISHED, f"{revolutions} revolutions were simulated"
+    ending, message = Ending.FINISHED, f"{revolutions} revolution{' was' if revolutions == 1 else 's were'} simulated"
     notes = [*start_value_notes(problem, design), *_sample_time_note(setting, plant)]
     try:
         with _interruptible(plants):
