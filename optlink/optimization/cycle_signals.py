@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -136,10 +136,10 @@ class TracedCycle:
         self.speed = problem.drive.speed.value
         self.direction = -1.0 if self.speed < 0.0 else 1.0
         self.names = list(problem.quantities)
-        self.base, self.slow = problem.machine(values, slow), slow
         self.terms: tuple[Term, ...] = (*problem.goals, *(bound.term for bound in problem.bounds))
         self.cyclic = [term for term in self.terms if term.nature.cyclic]
         self.works = any(term.quantity == "work" for term in self.terms)
+        self.base, self.slow = self._relevant(problem.machine(values, slow)), slow
         self.events = self._events()
         inputs = casadi.SX.sym("inputs", len(self.names) + 1)
         with symbols_in_numpy():
@@ -149,6 +149,11 @@ class TracedCycle:
             found = [event.value(moving) for event in self.events]
         self.at_event = casadi.Function("event", [inputs], [casadi.vertcat(*found, *ends)])
         self._inputs, self._machine, self._found, self._margins = inputs, moving, found, margins
+
+    def _relevant(self, machine: Machine) -> Machine:
+        """Return the machine, without its loads if no term depends on forces: their switches would only divide the search."""
+        forced = self.works or any(term.nature.forces for term in self.cyclic)
+        return machine if forced else replace(machine, loads=())
 
     def __reduce__(self) -> tuple[Any, ...]:
         return TracedCycle, (self.problem, self.values, self.slow)
@@ -238,7 +243,7 @@ class TracedCycle:
         return {
             name: keys.index(guides[name] if guides[name] in keys else ("load", name))
             for name, section in self.problem.loads.items()
-            if section.by_pace
+            if section.by_pace and name in guides
         }
 
     @cached_property
@@ -321,7 +326,7 @@ class TracedCycle:
         They also differ where the middle of a swing has moved by more than a quarter of a turn, beyond which a search could come
         upon the angle that is opposite to the middle in the trace.
         """
-        own = self.problem.machine(values, self.slow)
+        own = self._relevant(self.problem.machine(values, self.slow))
         middles = np.array([[getattr(load, "middle", 0.0) for load in machine.loads] for machine in (self.base, own)])
         moved = middles[0] - middles[1]
         moving = own.moving(np.linspace(0.0, TURN, GRID, endpoint=False), self.speed)

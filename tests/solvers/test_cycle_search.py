@@ -365,3 +365,14 @@ def test_a_peak_at_a_row_of_a_load_table_is_measured_there():
     assert checked.analysis is not None
     largest = checked.analysis.figures["input.torque_Nm.max"], checked.analysis.figures["input.torque_Nm.min"]
     assert max(map(abs, largest)) == pytest.approx(checked.objective, rel=1e-9)
+
+
+def test_loads_do_not_divide_a_search_in_which_no_term_depends_on_forces():
+    """With the load the search ends at 233.226 N; differential evolution with a closed form finds 231.03 N."""
+    shaking = RAMP.replace('"torque"', '"shaking force"')
+    result = solve(problem(shaking))
+    assert result.valid
+    assert result.objective == pytest.approx(231.0301, rel=1e-6)
+    kinds = [{event.key[0] for event in TracedCycle(task_of(problem(text))).events} for text in (shaking, RAMP)]
+    assert "corner" not in kinds[0]
+    assert "corner" in kinds[1]
