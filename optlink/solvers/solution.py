@@ -337,7 +337,7 @@ def _limit_states(nlp: NLP, x: Array, g: Array, multipliers: Array, price: float
         if v.name not in nlp.helpers
     ]
     entries += [
-        (row.limit, row.label, g[j], row.low, row.high, row.scale, multipliers[n + j])
+        (row.limit, row.label, g[j], nlp.low[j], nlp.high[j], row.scale, multipliers[n + j])
         for j, row in enumerate(nlp.rows)
         if row.limit not in nlp.helpers
     ]

@@ -25,3 +25,6 @@ def test_a_path_follows_new_and_moved_limits() -> None:
         near = follower.follow(changed, near)
         assert near.status is expected.status is Status.OPTIMAL
         assert near.objective == pytest.approx(expected.objective, rel=1e-8)
+        bounds = [{(one.name, one.sense): one.bound for one in s.limits if one.active} for s in (near, expected)]
+        assert bounds[0] == pytest.approx(bounds[1], rel=1e-9)
+        assert any(key[0].startswith("transmission") for key in bounds[0]), bounds
