@@ -171,7 +171,16 @@ class FunctionSearch:
         return np.concatenate(left) if left else np.zeros((0, 2, 4))
 
     def run(self, levels: list[float], seconds: float, boxes: float, progress: Callable[[float, float], None] | None) -> None:
-        """Prove one gap after the other."""
+        """Prove one gap after the other.
+
+        Parameters
+        ----------
+        levels : list of float
+            Gaps to prove, largest first.
+        seconds, boxes : float
+            Limits of time [s] and of the number of boxes.
+        progress : function of (share, gap), optional
+        """
         begin = time.perf_counter()
         try:
             for level in levels:
