@@ -13,6 +13,8 @@ from typing import Any
 
 import pytest
 from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.support.expected_conditions import frame_to_be_available_and_switch_to_it
+from selenium.webdriver.support.ui import WebDriverWait
 
 import optlink
 from optlink.errors import InputError
@@ -118,8 +120,7 @@ def test_a_drag_in_a_notebook(tmp_path: Path) -> None:
         def shown(status: str) -> str:
             return f"return document.querySelector('#canvas').dataset.status === '{status}'"
 
-        until("return window.frames.length === 1 && document.querySelector('#cell')")
-        driver.switch_to.frame(0)
+        WebDriverWait(driver, 60).until(frame_to_be_available_and_switch_to_it(0))
         until(f"{shown('verified')} && document.documentElement.dataset.searching === undefined")
         within.stop()
         knob = within.find('[data-handle="mechanism.frame"] .ring')
