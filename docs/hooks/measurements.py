@@ -16,8 +16,7 @@ def page() -> str:
     record = json.loads(RECORD.read_text(encoding="utf-8"))
     packages = ", ".join(f"{name} {version}" for name, version in record["packages"].items() if version)
     lines = [
-        f"Measured on {record['date']} with Python {record['python']}, {packages}; {record['system']}; other "
-        "programs ran at the same time.",
+        f"Measured on {record['date']} with Python {record['python']}, {packages}; {record['system']}.",
         "",
         "| what | ratio | target | note |",
         "|---|---|---|---|",
