@@ -23,6 +23,7 @@ DESIGNS, ANGLES = 1000, 360
 STEP = 2.0 * np.pi / ANGLES
 PHI = np.arange(ANGLES) * STEP
 REPETITIONS, ROUNDS = 15, 3
+PORTION = 127  # designs whose intermediate arrays stay in the cache of a processor
 
 # Operations on full arrays in `Mechanism.pose` of a four-bar, counted in its formulas: the crank pin takes 2 products
 # and 2 sums; the dyad 10 products, 5 sums, 4 differences, 1 quotient, 1 root. One value per design is not counted.
@@ -50,12 +51,22 @@ def whole(sizes: dict[str, Array]) -> Callable[[], object]:
 
 
 def portions(sizes: dict[str, Array]) -> Callable[[], object]:
-    """The batch call: portions that stay in the cache, gathered in one array."""
+    """The pose formula on portions that stay in the cache, gathered in one array."""
     from optlink.linkage.fourbar import four_bar
-    from optlink.linkage.motion import positions
 
-    linkage = four_bar()
-    return lambda: positions(linkage, sizes, PHI)
+    linkage, crank = four_bar(), (np.cos(PHI), np.sin(PHI))
+
+    def run() -> tuple[Array, Array]:
+        points, margins = np.empty((2, 2, DESIGNS, ANGLES)), np.empty((DESIGNS, ANGLES))
+        for first in range(0, DESIGNS, PORTION):
+            part = slice(first, first + PORTION)
+            pose = linkage.pose({name: size[part] for name, size in sizes.items()}, crank)
+            for k, name in enumerate("BC"):
+                points[k, 0, part], points[k, 1, part] = pose.points[name]
+            margins[part] = pose.margins["C"]
+        return points, margins
+
+    return run
 
 
 def bare() -> Callable[[], object]:

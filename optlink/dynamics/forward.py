@@ -52,23 +52,17 @@ def required_torque(moving: Moving, geared: Moving) -> tuple[Value, Reactions | 
     return virtual_torque(required_wrench(moving), geared), None
 
 
-def crank_acceleration(machine: Machine, crank_angle: Array, speed: Value, torque: Value, direction: Value = None) -> Array:
+def crank_acceleration(geared: Moving, speed: Value, torque: Value, direction: Value) -> Value:
     """Compute the angular acceleration of the crank [rad/s^2] under a driving torque, elementwise (forward dynamics).
 
     Parameters
     ----------
-    machine : Machine
-    crank_angle : array (n,) [rad]
+    geared : Moving
+        The positions (n,) at a crank speed of 1 rad/s.
     speed, torque : float or array (n,) [rad/s], [N m]
-    direction : +1 or -1, optional
-        Sense in which the crank turns, or is about to turn. Default: that of the speed, +1 at rest.
+    direction : float or array (n,)
+        Sense in which the crank turns, or is about to turn: +1 or -1.
     """
-    geared = machine.moving(crank_angle, 1.0)
-    way = np.where(np.asarray(speed) < 0.0, -1.0, 1.0) if direction is None else direction
-    return np.asarray(_forward(geared, speed, torque, way) + 0.0 * crank_angle)
-
-
-def _forward(geared: Moving, speed: Value, torque: Value, direction: Value) -> Value:
     inertia = 2.0 * geared.kinetic
     needed, _ = required_torque(geared.scaled(speed, 0.0, direction), geared)
     alpha = (torque - needed) / inertia
@@ -161,7 +155,7 @@ class _Plant:
             torque, found = required_torque(moving, geared)
             return 0.0, torque, moving, found
         torque = self.torque(angle, speed)
-        alpha = _forward(geared, speed, torque, self.direction)
+        alpha = crank_acceleration(geared, speed, torque, self.direction)
         moving = geared.scaled(speed, alpha, self.direction)
         return alpha, torque, moving, reactions(moving) if self.machine.friction else None
 
@@ -410,7 +404,7 @@ def _result(plant: _Plant, times: Array, states: Array, ways: Array, steps: int,
             torques = np.broadcast_to(np.asarray(torque, dtype=float), angles.shape)
         else:
             torques = np.broadcast_to(np.asarray(plant.drive({"phi": angles, "omega": speeds}), dtype=float), angles.shape)
-            accelerations = np.broadcast_to(np.asarray(_forward(geared, speeds, torques, ways)), angles.shape)
+            accelerations = np.broadcast_to(np.asarray(crank_acceleration(geared, speeds, torques, ways)), angles.shape)
         if ending is Ending.AT_REST and speeds[-1] == 0.0:
             accelerations = np.where(np.arange(len(times)) == len(times) - 1, 0.0, accelerations)
         moving = geared.scaled(speeds, accelerations, ways)

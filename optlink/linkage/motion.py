@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.mechanism import Mechanism, Pose
-from optlink.linkage.vector2d import Array, Value, angle, unit
+from optlink.linkage.vector2d import Array, Value, angle
 
 
 @dataclass(frozen=True)
@@ -123,63 +123,6 @@ def continuous(angles: Array) -> Array:
         known = np.isfinite(row)
         row[known] = np.unwrap(row[known])
     return result
-
-
-BATCH = 46_000
-"""Positions that are worked on at a time: their intermediate arrays stay in the processor's cache."""
-
-
-@dataclass(frozen=True)
-class Positions:
-    """Positions of a batch of designs: `points` (point, x or y, designs, angles) [m] in the order of `names`.
-
-    `margins` (group, designs, angles) are the assembly margins in the order of the mechanism's groups.
-    """
-
-    names: tuple[str, ...]
-    points: Array
-    margins: Array
-
-    def of(self, name: str) -> Array:
-        """Return the coordinates [m] of one point, (2, designs, angles)."""
-        points: Array = self.points[self.names.index(name)]
-        return points
-
-
-def positions(mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: ArrayLike, names: Sequence[str] = ()) -> Positions:
-    """Compute the positions of a batch of designs at many crank angles, in portions that fit the processor cache.
-
-    Parameters
-    ----------
-    mechanism : Mechanism
-    sizes : mapping of parameter name to float or array (designs, 1) [m]
-    crank_angle : array (angles,) [rad]
-    names : sequence of str
-        Points to compute. Default: the end of the crank and the inner joint of every group.
-
-    Returns
-    -------
-    Positions, NaN where the mechanism cannot be assembled. One array is allocated for all results, so memory grows with the
-    results alone.
-    """
-    angles = np.atleast_1d(np.asarray(crank_angle, dtype=float))
-    arrays = {name: np.asarray(size, dtype=float) for name, size in sizes.items()}
-    designs = max([1, *(len(size) for size in arrays.values() if size.ndim == 2)])
-    chosen = tuple(names) or (mechanism.crank.end, *(group.joint for group in mechanism.groups))
-    crank = unit(angles)
-    points = np.empty((len(chosen), 2, designs, angles.size))
-    margins = np.empty((len(mechanism.groups), designs, angles.size))
-    step = max(1, BATCH // angles.size)
-    for first in range(0, designs, step):
-        part = slice(first, first + step)
-        portion = {name: size[part] if size.ndim == 2 and len(size) > 1 else size for name, size in arrays.items()}
-        with np.errstate(all="ignore"):
-            pose = mechanism.pose(portion, crank, angles)
-        for i, name in enumerate(chosen):
-            points[i, 0, part], points[i, 1, part] = pose.points[name]
-        for i, group in enumerate(mechanism.groups):
-            margins[i, part] = pose.margins[group.joint]
-    return Positions(chosen, points, margins)
 
 
 def sweep(

@@ -101,7 +101,7 @@ def test_inverse_after_forward_dynamics_returns_the_torque(name, speed):
     if not machine.inertias:
         machine = machine.with_(inertias={body: Inertia(1.0, 0.1, 0.02, 0.01) for body in machine.mechanism.bodies})
     torque = 12.5 * np.cos(2.0 * ANGLES)
-    alpha = crank_acceleration(machine, ANGLES, speed, torque)
+    alpha = crank_acceleration(machine.moving(ANGLES, 1.0), speed, torque, np.sign(speed))
     found = reactions(machine.moving(ANGLES, speed, alpha)).torque
     scale = np.max(np.abs(reactions(machine.moving(ANGLES, speed)).torque)) + 12.5
     np.testing.assert_allclose(found, torque, rtol=0.0, atol=1e-11 * scale)
@@ -110,7 +110,7 @@ def test_inverse_after_forward_dynamics_returns_the_torque(name, speed):
 def test_inverse_after_forward_dynamics_sees_a_wrong_inertia(monkeypatch):
     machine = machine_of(slider_crank())
     heavier = machine.with_(inertias={**machine.inertias, "slider": Inertia(0.41)})
-    alpha = crank_acceleration(heavier, ANGLES, 7.0, 1.0)
+    alpha = crank_acceleration(heavier.moving(ANGLES, 1.0), 7.0, 1.0, 1.0)
     assert np.max(np.abs(reactions(machine.moving(ANGLES, 7.0, alpha)).torque - 1.0)) > 1e-3
 
 
@@ -118,7 +118,7 @@ def test_friction_that_depends_on_the_acceleration_is_undone_too():
     machine = machine_of(slider_crank(**ROUGH, **{"loads": LOADED["loads"]}))
     torque = 5.0 * np.sin(ANGLES)
     for speed in (20.0, -20.0):
-        alpha = crank_acceleration(machine, ANGLES, speed, torque)
+        alpha = crank_acceleration(machine.moving(ANGLES, 1.0), speed, torque, np.sign(speed))
         found = reactions(machine.moving(ANGLES, speed, alpha)).torque
         np.testing.assert_allclose(found, torque, rtol=0.0, atol=1e-11 * 30.0)
 

@@ -85,7 +85,7 @@ def test_an_open_proof_says_what_holds_and_how_to_go_on(unfinished):
     assert "proven" not in conclusions.design(unfinished, ())
     assert unfinished.to_dict()["message"].startswith("a local optimum")
     assert "better than that of the local search" not in text
-    found = replace(unfinished, certificate=unfinished.certificate.of(improved=True))
+    found = replace(unfinished, certificate=replace(unfinished.certificate, improved=True))
     assert "better than that of the local search" in shown(found)
 
 
@@ -153,7 +153,7 @@ def test_pictures_only_of_what_is_there(solved, unfinished):
     assert "bounds" not in charts(unfinished)
     [cover] = solved.certificate.covers
     many = {name: np.repeat(getattr(cover, name), SHOWN // len(cover.test) + 1, axis=0) for name in ("low", "high", "test")}
-    large = replace(solved, certificate=solved.certificate.of(covers=(replace(cover, **many),)))
+    large = replace(solved, certificate=replace(solved.certificate, covers=(replace(cover, **many),)))
     assert "boxes" not in charts(large)
     assert not {"boxes", "bounds"} & set(charts(replace(solved, certificate=None)))
 

@@ -157,10 +157,6 @@ class Certificate:
         """Return whether it is the certificate of a design with this objective (infinite without a valid design)."""
         return self.objective == objective or abs(self.objective - objective) <= SAME * max(abs(objective), TINY)
 
-    def of(self, **values: Any) -> Certificate:
-        """Return the certificate with other values."""
-        return Certificate(**(vars(self) | values))
-
 
 def message(status: Status, certificate: Certificate | None) -> str:
     """Describe how a search ended: by its certificate where that proves more than the status of the local search.
