@@ -243,6 +243,18 @@ def test_the_reference_is_the_optimum_of_solve():
     assert front.reference == pytest.approx((0.00759237, 412.865), rel=1e-5)
 
 
+@pytest.mark.slow
+def test_a_degenerate_optimum_of_a_search_is_kept():
+    """At the loose end three limits meet at the optimum of two design variables; Newton's method stays away from it."""
+    sizes = {"mechanism.crank": "177 mm", "mechanism.frame": "398 mm", "limits.transmission_angle": ["18 deg", "149 deg"]}
+    sizes |= {f"mechanism.{name}": {"bounds": pair} for name, pair in (("coupler", "82..783 mm"), ("rocker", "137..609 mm"))}
+    law = {"requirement.law": "psi0 + 0.249*(phi - phi0)^2", "requirement.span": "107 deg", "requirement.points": 20}
+    limits = {"limits.time_ratio": {"min": 1.039}, "limits.swing_angle": {"max": "63 deg"}}
+    problem = optlink.load("crank-rocker").override(sizes | law | limits)
+    front = pareto(problem, "error, limits.swing_angle.min=57.2205..58.5 deg", points=2, workers=1)
+    assert front.points[0].values == pytest.approx((optlink.solve(problem).objective, 57.2205), rel=1e-6)
+
+
 def test_the_end_of_a_front_is_found_where_its_limit_conflicts_with_several():
     """The least coupler: relaxed alone, its limit had no end; together with all others it has one."""
     problem = optlink.load("crank-rocker").override({"limits.time_ratio.min": 1.05})

@@ -167,7 +167,8 @@ class GridSearch:
         )
         self._follow(found, problem, np.arange(count), of_point, points)
         blocks, which = np.unique(of_point, return_inverse=True)
-        found.searched[:] = found.optimal & (points == np.array([self.blocks.middle(int(block)) for block in blocks])[which])
+        at_middle = points == np.array([self.blocks.middle(int(block)) for block in blocks])[which]
+        found.searched[:] = found.optimal & at_middle
         beside, others = [self._around(block) for block in blocks.tolist()], self._differing(blocks)
         for rank in range(max(map(len, beside), default=0)):
             begin = np.array([own[rank] if rank < len(own) else -1 for own in beside])
@@ -175,6 +176,9 @@ class GridSearch:
             beyond = begin >= self.blocks.count
             some = np.flatnonzero((begin[which] >= 0) & (differs[which] | (~found.optimal & ~beyond[which])))
             self._follow(found, problem, some, begin[which[some]])
+        for k in np.flatnonzero(at_middle & found.optimal):  # an optimum of a search that Newton's method left is not given up
+            own = self.at_middle(int(of_point[k]))
+            found.optimal[k] = not (own.usable and own.objective < found.objective[k] - BETTER * abs(own.objective))
         return found
 
     def _follow(self, found: GridOptima, problem: BatchProblem, some: Index, blocks: Index, points: Index | None = None) -> None:
