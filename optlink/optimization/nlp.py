@@ -65,6 +65,7 @@ class NLPValues(NamedTuple):
         return math.isfinite(self.f) and all(bool(np.all(np.isfinite(a))) for a in (self.gradient, self.g, flat))
 
 
+FEW = 4  # free quantities up to which casadi differentiates a whole programme sooner than its terms at one position
 MAPPED = "mapped "  # prefix of the parts of `NLP.mapped` in a pickle
 
 
@@ -149,10 +150,17 @@ class NLP:
             return self.mapped.programme
         return {"x": self.x_symbol, "p": self.p_symbol, "f": self.f_expression, "g": self.g_expression}
 
+    @property
+    def derivatives(self) -> MappedTerms | None:
+        """The terms if their derivatives are made at one position; None if casadi differentiates `programme`."""
+        if self.mapped is not None and (self.cycle or self.mapped.local > FEW):
+            return self.mapped
+        return None
+
     @cached_property
     def _all(self) -> CompiledFunction:
-        if self.mapped is not None:
-            return self.mapped.values
+        if self.derivatives is not None:
+            return self.derivatives.values
         x, p, f, g = self.programme.values()
         return CompiledFunction([x, p], [f, casadi.gradient(f, x), g, casadi.jacobian(g, x)])
 
@@ -177,8 +185,8 @@ class NLP:
 
     @cached_property
     def _hessian(self) -> BufferedFunction:
-        if self.mapped is not None:
-            return _symmetric(self.mapped.hessian)
+        if self.derivatives is not None:
+            return _symmetric(self.derivatives.hessian)
         known = casadi.Function("programme", self.programme, ["x", "p"], ["f", "g"])
         lagrangian = {"gamma": ["f", "g"]}
         return _symmetric(known.factory("hessian", ["x", "p", "lam:f", "lam:g"], ["triu:hess:gamma:x:x"], lagrangian))

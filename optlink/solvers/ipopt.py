@@ -77,7 +77,7 @@ class _Recorder(casadi.Callback):
 
 
 def _solver(nlp: NLP, extra: dict[str, Any]) -> Any:
-    own = (CYCLE if nlp.cycle else {}) | ({} if nlp.mapped is None else nlp.mapped.options)
+    own = (CYCLE if nlp.cycle else {}) | ({} if nlp.derivatives is None else nlp.derivatives.options)
     return casadi.nlpsol("ipopt", "ipopt", nlp.programme, {**OPTIONS, **own, **extra})
 
 
