@@ -184,8 +184,7 @@ class OptimumTask(SweepTask):
     @property
     def objective_column(self) -> str:
         """Name of the column of the objective."""
-        model: Any = self.template.model
-        return column("objective", model.objective_unit)
+        return column("objective", self.template.model.objective_unit)
 
     def optimum(self, point: int, found: FoundOptimum) -> list[str]:
         """Return the row of an optimum; design and objective of other than optimal and stalled searches are left out.

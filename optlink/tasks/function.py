@@ -32,7 +32,7 @@ from optlink.tasks.results.certificate import CertificateRecord, message
 from optlink.tasks.results.common import SingleRecord, SingleResult, shortest_link
 from optlink.tasks.results.evidence import Evidence, evidence
 from optlink.tasks.results.fit import Fit, law_fit
-from optlink.units import display_unit, show
+from optlink.units import show
 from optlink.validation import Check, validate as validate_law
 
 if TYPE_CHECKING:
@@ -43,19 +43,6 @@ Start = NDArray[np.float64]
 SAME_DESIGN = 1e-6  # of the frame
 LEVEL = 0.99  # fraction of the largest error that counts as an extreme value
 FLAT = 1e-7  # least curvature, for an objective scaled to 1, of a unique optimum
-
-
-def display_value(name: str, value: float) -> tuple[float, str]:
-    """Return a quantity of a design in its display unit (mm or deg), and the unit.
-
-    Parameters
-    ----------
-    name : str
-        Name of the quantity.
-    value : float [m, rad]
-    """
-    factor, unit = display_unit("angle" if name in ("phi0", "psi0") else "length")
-    return value * factor, unit
 
 
 class FunctionObjectiveRecord(Record):
@@ -215,8 +202,7 @@ class FunctionResult(SingleResult):
 
     def displayed(self, design: Mapping[str, float]) -> dict[str, float]:
         """Return a design [SI] in display units, which end the keys."""
-        whole = self.problem.spec.design(design)
-        return {f"{name}_{display_value(name, value)[1]}": display_value(name, value)[0] for name, value in whole.items()}
+        return super().displayed(self.problem.spec.design(design))
 
 
 class FunctionTask(DesignTask[FunctionResult]):

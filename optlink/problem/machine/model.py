@@ -26,6 +26,7 @@ from optlink.problem.machine.revolution import Revolution
 from optlink.problem.mechanism import DyadsSection, FourBarSection, sizes_of
 from optlink.problem.quantity import FixedAngle, FixedLength, Number, Quantity, Unusable, below, nearest
 from optlink.problem.tolerances import Deviation, Tolerances, deviations, with_deviating_pivots
+from optlink.units import display_unit
 
 
 class Expected(Section):
@@ -131,6 +132,11 @@ class Problem(Section):
         return tuple(name for name, quantity in self.quantities.items() if quantity.free)
 
     @property
+    def objective_unit(self) -> str:
+        """SI unit of the objective; empty for a plain number, and without an objective."""
+        return ""
+
+    @property
     def sense(self) -> float:
         """Sense of crank rotation by its sign: the crank speed [rad/s]."""
         return float(self.drive.speed.value) or 1.0
@@ -138,6 +144,15 @@ class Problem(Section):
     def design(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return every quantity [SI] for values of design variables; those not named have their value in the file."""
         return {**sizes_of(self.quantities), **values}
+
+    def display(self, name: str) -> tuple[float, str]:
+        """Return the factor of a value of a design from SI to its display unit, and that unit; derived values are angles."""
+        return display_unit(self.quantities[name].kind if name in self.quantities else "angle")
+
+    def displayed(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return values of a design in display units, each unit appended to the key."""
+        shown = {name: self.display(name) for name in values}
+        return {f"{name}_{shown[name][1]}": value * shown[name][0] for name, value in values.items()}
 
     def start(self, values: Mapping[str, float]) -> float:
         """Return the crank angle [rad] at which the motion of a design begins."""

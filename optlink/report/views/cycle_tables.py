@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import replace
 
 from optlink.errors import Status
 from optlink.problem.cycle.model import CycleProblem, StrokeProblem
-from optlink.report.format import change, dimension, fixed, number, times
-from optlink.report.table_spec import Line, Paragraph, Part, Row, Summary, TableSpec, noted, quiet, strong, summary, table
+from optlink.report.format import change, dimension, number
+from optlink.report.table_spec import Part, Row, Summary, TableSpec, quiet, strong, table
 from optlink.report.views.analysis_tables import machine_strokes
-from optlink.report.views.function_tables import active, checks, ending, graded, search_verdict
-from optlink.report.views.relaxations import conflict
+from optlink.report.views.function_tables import NEAREST, active, searched
 from optlink.solvers.solution import LimitState
 from optlink.tasks.results.cycle import CycleResult
 from optlink.units import factor
@@ -20,23 +19,10 @@ from optlink.units import factor
 
 def cycle_result(outcome: CycleResult) -> Summary:
     """Summarise a cycle optimisation: design, cycle quantities, active constraints, validation, optima."""
-    limits: Part | None = None
-    if outcome.conflict:
-        limits = conflict(outcome.conflict, outcome.together)
-    elif outcome.solution is not None:
-        limits = priced(outcome, outcome.solution.limits)
-    return summary(
-        outcome.task.title,
-        _status(outcome),
-        _sizes(outcome),
-        _figures(outcome),
-        machine_strokes(outcome.built, outcome.task.drive.speed.value) if outcome.built is not None else None,
-        limits,
-        checks(outcome.validation.checks),
-        _optima(outcome) if len(outcome.optima) > 1 else None,
-        _backends(outcome) if len(outcome.backends) > 1 else None,
-        Paragraph(quiet(f"{outcome.backend}, {outcome.starts} starts; {times(outcome.seconds)}"), appendix=True),
-    )
+    strokes = None if outcome.built is None else machine_strokes(outcome.built, outcome.task.drive.speed.value)
+    limits = None if outcome.solution is None else priced(outcome, outcome.solution.limits)
+    tail = f"; {outcome.comparison}" if outcome.comparison else ""
+    return searched(outcome, (_sizes(outcome), _figures(outcome), strokes), limits, tail=tail)
 
 
 def priced(outcome: CycleResult, limits: Iterable[LimitState]) -> Part:
@@ -68,13 +54,6 @@ def cycle_problem(task: CycleProblem) -> TableSpec:
     return table(f"{required}[objective] and [limits]", "<<<", rows)
 
 
-def _status(outcome: CycleResult) -> Iterator[Line]:
-    line = search_verdict(outcome.status, "valid" if outcome.valid else "not valid", outcome.valid)
-    yield from graded(line, outcome.fit if outcome.valid else None, f"; {outcome.comparison}" if outcome.comparison else "")
-    yield from noted(outcome.notes)
-    yield ending(outcome.status, outcome.starts)
-
-
 def _sizes(outcome: CycleResult) -> TableSpec:
     rows = []
     for name, value in outcome.design.items():
@@ -84,7 +63,7 @@ def _sizes(outcome: CycleResult) -> TableSpec:
         rows.append(
             (name, strong(dimension(value * size)), unit, dimension(quantity.value * size), quiet(f"{low:g} ... {high:g}"))
         )
-    title = "Design" if outcome.status is not Status.INFEASIBLE else "Nearest design found (it does not meet the limits)"
+    title = "Design" if outcome.status is not Status.INFEASIBLE else NEAREST
     return table(title, ["", ">result", "", ">initial", ""], rows)
 
 
@@ -96,27 +75,3 @@ def _figures(outcome: CycleResult) -> TableSpec:
     if not outcome.task.single:
         rows.append(("weighted sum", "", strong(number(outcome.objective, 8)), "", "", quiet("minimised")))
     return table("Objective and limits, measured over the cycle", ["", ">initial", ">result", "", ">change", "limit"], rows)
-
-
-def _optima(outcome: CycleResult) -> TableSpec:
-    free = list(outcome.design)[:4]
-    reached = sum(optimum.count for optimum in outcome.optima)
-    rows = []
-    for optimum in outcome.optima[:8]:
-        values = [dimension(optimum.design[name] * outcome.task.quantities[name].display[0]) for name in free]
-        rows.append((number(optimum.objective, 7), *values, str(optimum.count)))
-    title = f"Distinct optima: {len(outcome.optima)}, reached by {reached} searches"
-    return table(title, [">objective", *(f">{name}" for name in free), ">searches"], rows, appendix=True)
-
-
-def _backends(outcome: CycleResult) -> TableSpec:
-    found = outcome.backends.values()
-    rows = [
-        ("status", *(solution.status.value for solution in found), ""),
-        ("objective", *(number(solution.objective, 9) for solution in found), outcome.unit),
-    ]
-    for name in outcome.design:
-        size, unit = outcome.task.quantities[name].display
-        rows.append((name, *(fixed(solution.design[name] * size, 5) for solution in found), unit))
-    rows.append(("KKT residual", *(f"{solution.kkt:.1e}" for solution in found), ""))
-    return table("Back ends", ["", *(f">{name}" for name in outcome.backends), ""], rows, appendix=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import itertools
 import math
 from typing import Any
@@ -31,7 +30,7 @@ from optlink.report.view import View
 from optlink.report.views.certificate_charts import certificate_charts
 from optlink.report.views.path_view import failed
 from optlink.solvers.contract import selectable
-from optlink.tasks.function import FunctionResult, display_value
+from optlink.tasks.function import FunctionResult
 
 
 def _moved(result: FunctionResult, angles: Array) -> Motion:
@@ -120,9 +119,8 @@ def charts(result: FunctionResult) -> list[ChartSpec]:
 
 def certified(result: FunctionResult) -> list[ChartSpec]:
     """Return the charts of the certificate of the global optimum."""
-    scale, design = (1.0, unit_of(result)), {} if result.conflict else result.design
-    display = functools.partial(display_value, value=1.0)
-    return certificate_charts(result.certificate, result.problem.spec.title, scale, design, result.assembly, display)
+    spec, design = result.problem.spec, {} if result.conflict else result.design
+    return certificate_charts(result.certificate, spec.title, (1.0, unit_of(result)), design, result.assembly, spec.display)
 
 
 def function_values(result: FunctionResult) -> list[ChartSpec]:
@@ -350,7 +348,7 @@ def objective_map(result: FunctionResult) -> Figure | None:
     bar.set_ticks(ticks, labels=[f"10{str(t).translate(RAISED)}" for t in ticks])
     bar.set_label(f"{result.measure} [{unit_of(result)}]")
     place = ", ".join(
-        f"{name} {dimension(value)} {display_value(name, 1.0)[1]}" for name, value in zip(problem.free, at, strict=True)
+        f"{name} {dimension(value)} {problem.display(name)[1]}" for name, value in zip(problem.free, at, strict=True)
     )
     words = f"{problem.title}: {result.measure} {result.objective:.6g} {unit_of(result)} at {place}"
     axes.set_title(heading(words, 6.8, 10.5), fontsize=10.5)

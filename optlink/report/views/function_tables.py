@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,17 +38,23 @@ from optlink.report.table_spec import (
 from optlink.report.views.certificate_view import certificate_table, certified
 from optlink.report.views.relaxations import conflict
 from optlink.solvers.solution import LimitState
-from optlink.tasks.function import FunctionResult, display_value
+from optlink.tasks.function import FunctionResult
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.certificate import Certificate, message, share_text
 from optlink.tasks.results.fit import Fit
 from optlink.validation import Check
 
 if TYPE_CHECKING:
+    from optlink.problem.machine.model import Problem
     from optlink.problem.path import PathProblem
+    from optlink.tasks.results.cycle import CycleResult
     from optlink.validation.certificate import CertificateCheck
 
+    SearchedResult = FunctionResult | CycleResult
+
 MOST = 8  # largest number of points listed
+LISTED, WIDEST = 12, 6  # largest number of optima listed, and of their design variables
+NEAREST = "Nearest design found (it does not meet the limits)"
 RELAXED = "; <=, >=: its improvement if the bound is relaxed by one unit"
 
 
@@ -56,53 +62,67 @@ def result(outcome: FunctionResult) -> Summary:
     """Summarise a function synthesis result: design, objective, active constraints, validation, optima, back ends."""
     from optlink.report.views.analysis_tables import machine_strokes
 
+    spec = outcome.problem.spec
     machine = turning_machine(outcome.problem, outcome.design)
-    parts: list[Part | None] = [_design(outcome)]
-    parts.append(None if machine is None else machine_strokes(machine, outcome.problem.spec.span))
-    if outcome.conflict:
-        parts.append(conflict(outcome.conflict, outcome.together))
-    else:
-        parts.append(_objective(outcome))
-        if outcome.solution:
-            parts.append(active(outcome.solution.limits, outcome.objective, outcome.unit))
-        parts.append(checks(outcome.validation.checks))
-    if outcome.certificate is not None:
-        parts.insert(
-            len(parts) - (not outcome.conflict), certificate_table(outcome.certificate, 1.0, outcome.unit, outcome.seconds)
-        )
-    if outcome.optima and (len(outcome.optima) > 1 or outcome.starts > 1):
-        parts += _optima(outcome)
-    if outcome.backends:
-        parts.append(_backends(outcome))
-    iterations = outcome.solution.iterations if outcome.solution else 0  # none of a stored result
-    effort = (f"{outcome.backend}, {iterations} iterations; " if iterations else "") + times(outcome.seconds, 1)
-    if effort:
-        parts.append(Paragraph(quiet(effort), appendix=True))
-    return summary(outcome.problem.spec.title, _status(outcome), *parts)
+    strokes = None if machine is None else machine_strokes(machine, spec.span)
+    own = (_design(outcome), strokes, None if outcome.conflict else _objective(outcome))
+    priced = active(outcome.solution.limits, outcome.objective, outcome.unit) if outcome.solution else None
+    found, hits = outcome.evidence, None
+    if found is not None and not certified(outcome.certificate):
+        different = f"{found.optima} distinct value{'s' * (found.optima > 1)}"
+        reached = f"{found.hits} of {found.starts} random starts reached the best value, {different}"
+        hits = Paragraph(strong("Multistart search"), f"{reached}; {found.chance}", appendix=True)
+    return searched(outcome, own, priced, hits, over=", largest error over the whole range" * spec.everywhere)
 
 
-def _status(outcome: FunctionResult) -> Iterator[Line]:
-    word = "valid" if outcome.valid else "not valid"
-    if outcome.status not in (Status.OPTIMAL, Status.NOT_SEARCHED):
-        word = "no design"
-    line = search_verdict(outcome.status, word, outcome.valid, outcome.certificate)
-    yield from graded(line, outcome.fit if outcome.valid else None)
-    yield from noted(outcome.notes)
-    yield ending(outcome.status, outcome.starts, outcome.certificate)
-
-
-def ending(status: Status, starts: int, certificate: Certificate | None = None) -> Line:
-    """Describe how a search ended; an uncertified optimum of one starting point with the option that searches from several.
+def searched(
+    outcome: SearchedResult,
+    own: Iterable[Part | None],
+    priced: Part | None,
+    hits: Part | None = None,
+    tail: str = "",
+    over: str = "",
+) -> Summary:
+    """Summarise the search of one design: its own tables, then those that every such search has.
 
     Parameters
     ----------
-    status : Status
-    starts : int
-        Starting points of the search.
-    certificate : Certificate, optional
+    outcome : FunctionResult or CycleResult
+    own : iterable of Part
+        Design and objective.
+    priced : Part, optional
+        Active constraints.
+    hits : Part, optional
+        Statistics of the starting points.
+    tail : str, optional
+        Addition to the verdict.
+    over : str, optional
+        Addition to the title of the distinct optima.
     """
-    text = message(status, certificate)
-    return quiet(text + " (use --starts N for a multistart search)" * (text == Status.OPTIMAL.text and starts == 1))
+    proof, solution = outcome.certificate, outcome.solution
+    counted = [outcome.backend, f"{outcome.starts} start{'s' * (outcome.starts != 1)}" if outcome.starts else ""]
+    counted.append(f"{solution.iterations} iterations" if solution is not None else "")
+    effort = "; ".join(filter(None, [", ".join(filter(None, counted)), times(outcome.seconds, 1)]))
+    return summary(
+        outcome.problem.model.title,
+        _status(outcome, tail),
+        *own,
+        conflict(outcome.conflict, outcome.together) if outcome.conflict else priced,
+        None if proof is None else certificate_table(proof, 1.0, outcome.problem.model.objective_unit, outcome.seconds),
+        checks(outcome.validation.checks),
+        hits if outcome.optima else None,
+        _optima(outcome, over) if len(outcome.optima) > 1 or (outcome.optima and outcome.starts > 1) else None,
+        _backends(outcome) if len(outcome.backends) > 1 else None,
+        Paragraph(quiet(effort), appendix=True),
+    )
+
+
+def _status(outcome: SearchedResult, tail: str) -> Iterator[Line]:
+    line = search_verdict(outcome.status, "valid" if outcome.valid else "not valid", outcome.valid, outcome.certificate)
+    yield from graded(line, outcome.fit if outcome.valid else None, tail)
+    yield from noted(outcome.notes)
+    text = message(outcome.status, outcome.certificate)
+    yield quiet(text + " (use --starts N for a multistart search)" * (text == Status.OPTIMAL.text and outcome.starts == 1))
 
 
 def search_verdict(status: Status, word: str, positive: bool, certificate: Certificate | None = None) -> list[Inline]:
@@ -144,20 +164,36 @@ def graded(line: Sequence[Inline], fit: Fit | None, tail: str = "") -> Iterator[
 
 
 def _design(outcome: FunctionResult) -> TableSpec:
-    problem, rows = outcome.problem.spec, []
-    for name, value in outcome.design.items():
-        shown, unit = display_value(name, value)
-        quantity = problem.quantities.get(name)
-        if quantity is None:
-            where = str(problem.requirement.start) if name == "phi0" else "the rocker's own angle there"
-            remark = where if name == "psi0" else f"at the {where}"
-        else:
-            low, high = (display_value(name, bound)[0] for bound in quantity.bounds)
-            remark = f"free, {low:g} ... {high:g}" if quantity.free else "fixed"
-        free = quantity is not None and quantity.free
-        rows.append((name, strong(dimension(shown)) if free else dimension(shown), unit, quiet(remark)))
+    start = str(outcome.problem.spec.requirement.start)
+    derived = {"phi0": f"at the {start}", "psi0": "the rocker's own angle there"}
+    rows = dimension_rows(outcome.problem.spec, outcome.design, derived)
     rows.append(("assembly", outcome.assembly, "", quiet(f"joint C lies to the {outcome.assembly} of B -> D")))
-    return table("Design" if not outcome.conflict else "Nearest design found (it does not meet the limits)", "<><<", rows)
+    return table("Design" if not outcome.conflict else NEAREST, "<><<", rows)
+
+
+def dimension_rows(
+    model: Problem, values: Mapping[str, float], derived: Mapping[str, str], shown: Callable[[float], str] = dimension
+) -> list[Row]:
+    """Return the rows of a design: name, value, unit, and whether it is free.
+
+    Parameters
+    ----------
+    model : Problem
+    values : mapping of str to float [SI]
+    derived : mapping of str to str
+        Remarks on values that are no quantities of the problem.
+    shown : function of float to str, optional
+        Format of a value.
+    """
+    rows: list[Row] = []
+    for name, value in values.items():
+        (factor, unit), quantity = model.display(name), model.quantities.get(name)
+        if quantity is None or not quantity.free:
+            rows.append((name, shown(value * factor), unit, quiet(derived[name] if quantity is None else "fixed")))
+            continue
+        low, high = (bound * factor for bound in quantity.bounds)
+        rows.append((name, strong(shown(value * factor)), unit, quiet(f"free, {low:g} ... {high:g}")))
+    return rows
 
 
 def _objective(outcome: FunctionResult) -> TableSpec:
@@ -232,38 +268,41 @@ def checks(selected: Sequence[Check], gathered: Sequence[Check] = ()) -> TableSp
     return table(title, ["", "check", ">value", "", "limit"], rows, appendix=True)
 
 
-def _optima(outcome: FunctionResult) -> Iterator[Part]:
-    """Yield the statistics of a multistart search and its distinct optima."""
-    free = outcome.problem.spec.free
-    modes = len({optimum.assembly for optimum in outcome.optima}) > 1
-    found = outcome.evidence
-    if found is not None and not certified(outcome.certificate):
-        different = f"{found.optima} distinct value{'s' * (found.optima > 1)}"
-        hits = f"{found.hits} of {found.starts} random starts reached the best value, {different}"
-        yield Paragraph(strong("Multistart search"), f"{hits}; {found.chance}", appendix=True)
+def _optima(outcome: SearchedResult, over: str) -> TableSpec:
+    """Tabulate the distinct optima of a multistart search."""
+    model, listed = outcome.problem.model, outcome.optima[:LISTED]
+    free, modes = list(model.free)[:WIDEST], len({optimum.assembly for optimum in outcome.optima}) > 1
     rows = []
-    for optimum in outcome.optima[:12]:
-        values = [dimension(display_value(name, optimum.design[name])[0]) for name in free]
+    for optimum in listed:
+        values = [dimension(optimum.design[name] * model.display(name)[0]) for name in free]
         mode = [optimum.assembly] if modes else []
         rows.append((number(optimum.objective, 6 if modes else 8), *values, *mode, str(optimum.count)))
-    range_ = ", largest error over the whole range" if outcome.problem.spec.everywhere else ""
-    columns = [">objective", *(f">{name}" for name in free), *(["assembly"] if modes else []), ">starts"]
-    listed = sum(optimum.count for optimum in outcome.optima[:12])
-    others = f"; {outcome.starts - listed} of them ended at worse optima that are not listed, or at none"
-    counted = f"starts: of all {outcome.starts} starting points, random and given{others if listed < outcome.starts else ''}"
-    notes = [quiet(counted)] if outcome.starts > 1 else []
-    yield table(f"Distinct optima{range_}", columns, rows, appendix=True, notes=notes)
+    left = outcome.starts - sum(optimum.count for optimum in listed)  # negative: searches of several back ends
+    columns = [
+        ">objective",
+        *(f">{name}" for name in free),
+        *(["assembly"] if modes else []),
+        ">starts" if left >= 0 else ">searches",
+    ]
+    others = f"; {left} of them ended at worse optima that are not listed, or at none" if left > 0 else ""
+    notes = (
+        [quiet(f"starts: of all {outcome.starts} starting points, random and given{others}")]
+        if outcome.starts > 1 and left >= 0
+        else []
+    )
+    return table(f"Distinct optima{over}", columns, rows, appendix=True, notes=notes)
 
 
-def _backends(outcome: FunctionResult) -> TableSpec:
-    free = outcome.problem.spec.free
-    few, rows = len(free) < 3, []
-    for name, solution in outcome.backends.items():
-        values = [fixed(display_value(key, solution.design[key])[0], 6 if few else 3) for key in free]
-        shown = number(solution.objective, 9 if few else 6)
-        rows.append((name, solution.status.value, shown, *values, str(solution.iterations), f"{solution.kkt:.1e}"))
-    columns = ["back end", "status", ">objective", *(f">{name}" for name in free), ">steps", ">KKT"]
-    return table("Back ends", columns, rows, appendix=True)
+def _backends(outcome: SearchedResult) -> TableSpec:
+    model, found = outcome.problem.model, outcome.backends.values()
+    rows = [("status", *(one.status.value for one in found), "")]
+    rows.append(("objective", *(number(one.objective, 9) for one in found), model.objective_unit))
+    for name in model.free:
+        factor, unit = model.display(name)
+        rows.append((name, *(fixed(one.design[name] * factor, 5) for one in found), unit))
+    rows.append(("steps", *(str(one.iterations) for one in found), ""))
+    rows.append(("KKT residual", *(f"{one.kkt:.1e}" for one in found), ""))
+    return table("Back ends", ["", *(f">{name}" for name in outcome.backends), ""], rows, appendix=True)
 
 
 def problem(file: ProblemFile) -> Summary:

@@ -53,8 +53,7 @@ def charts(result: PathResult) -> list[ChartSpec]:
     own = [Close(track).chart(), errors(track)] if track.task.pointed else [curve(track), *function_values(track)]
     task, design = track.task, track.design
     values, scale = design.values if design.valid else {}, objective_scale(task)
-    display = {name: quantity.display for name, quantity in task.quantities.items()}
-    return own + certificate_charts(result.certificate, task.title, scale, values, design.assembly, display.__getitem__)
+    return own + certificate_charts(result.certificate, task.title, scale, values, design.assembly, task.display)
 
 
 def columns(design: PathDesign) -> dict[str, Array]:

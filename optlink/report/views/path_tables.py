@@ -27,7 +27,7 @@ from optlink.report.table_spec import (
     table,
 )
 from optlink.report.views.certificate_view import certificate_lines, certificate_table, certified
-from optlink.report.views.function_tables import active, checks, graded, search_verdict
+from optlink.report.views.function_tables import active, checks, dimension_rows, graded, search_verdict
 from optlink.report.views.relaxations import conflict
 from optlink.solvers.solution import LimitState
 from optlink.tasks.machine import turning_machine
@@ -81,13 +81,8 @@ def _status(outcome: PathResult, best: PathDesign) -> Iterator[Line]:
 
 
 def _sizes(design: PathDesign, chosen: bool) -> TableSpec:
-    task, rows = design.task, []
-    for name, quantity in task.quantities.items():
-        factor, unit = quantity.display
-        low, high = (bound * factor for bound in quantity.bounds)
-        value = significant(design.values[name] * factor)
-        remark = quiet(f"free, {low:g} ... {high:g}" if quantity.free else "fixed")
-        rows.append((name, strong(value) if quantity.free else value, unit, remark))
+    values = {name: design.values[name] for name in design.task.quantities}
+    rows = dimension_rows(design.task, values, {}, significant)
     rows.append(("assembly", strong(words(design)), "", quiet("chosen" if chosen else "fixed")))
     return table("Design", "<><<", rows)
 

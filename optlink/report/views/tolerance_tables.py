@@ -16,7 +16,6 @@ from optlink.studies.tolerance.analysis import DeviationRecord, Tolerance, Toler
 from optlink.studies.tolerance.monte_carlo import MonteCarloRecord
 from optlink.studies.tolerance.robust_design import YIELD, RobustRecord
 from optlink.studies.tolerance.sampling import CONFIDENCE
-from optlink.tasks.function import display_value
 
 INTERVAL = f"{100.0 * CONFIDENCE:g} % CI"
 
@@ -84,8 +83,9 @@ def _redesigned(file: ProblemFile, record: ToleranceRecord, robust: RobustRecord
     for name in file.model.free:
         if name not in robust.design_SI or name not in robust.nominal_design_SI:
             raise Contradiction(f"robust.design_SI.{name}", "this is missing")
-        before, unit = display_value(name, robust.nominal_design_SI[name])
-        rows.append((name, dimension(before), strong(dimension(display_value(name, robust.design_SI[name])[0])), unit))
+        factor, unit = file.model.display(name)
+        before, after = (dimension(factor * design[name]) for design in (robust.nominal_design_SI, robust.design_SI))
+        rows.append((name, before, strong(after), unit))
     largest = (robust.largest_of_the_nominal_design_rad, robust.largest_rad)
     words = "largest, nominal" if counted == YIELD else "largest"
     rows.append((words, *(fixed(math.degrees(value), 4) for value in largest), "deg"))

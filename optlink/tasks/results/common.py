@@ -29,19 +29,6 @@ class Optimum:
     assembly: str = ""
 
 
-def in_display_units(values: Mapping[str, float], quantities: Mapping[str, Quantity]) -> dict[str, float]:
-    """Return quantities in their display units, each unit appended to the key.
-
-    Parameters
-    ----------
-    values : mapping of str to float [SI]
-    quantities : mapping of str to Quantity
-        Contains every name of `values`.
-    """
-    shown = {name: quantities[name].display for name in values}
-    return {f"{name}_{shown[name][1]}": value * shown[name][0] for name, value in values.items()}
-
-
 def shortest_link(quantities: Mapping[str, Quantity], crank: str) -> tuple[str, ...]:
     """Return a message if the bounds of a four-bar prevent full rotation of the crank: the shortest link cannot be the shortest.
 
@@ -129,6 +116,10 @@ class SingleResult(Recorded):
     def definite(self) -> ProblemFile:
         """The problem with the assembly modes of the design."""
         return self.problem
+
+    def displayed(self, design: Mapping[str, float]) -> dict[str, float]:
+        """Return a design [SI] in display units, which end the keys."""
+        return self.problem.model.displayed(design)
 
     @property
     def best(self) -> Self:

@@ -20,7 +20,7 @@ from optlink.problem.fixed_design import fixed_design
 from optlink.problem.quantity import Unusable
 from optlink.tasks.analyze import analyze
 from optlink.tasks.results.analysis import Analysis, stroke_document
-from optlink.tasks.results.common import SingleRecord, SingleResult, in_display_units
+from optlink.tasks.results.common import SingleRecord, SingleResult
 from optlink.tasks.results.fit import Fit, transmission_fit
 from optlink.units import KINDS, display_unit, factor
 from optlink.validation.check import Validation
@@ -74,7 +74,7 @@ class CycleRecord(SingleRecord):
         """
         kind = result.task.unit_kind
         objective = CycleObjectiveRecord(value=result.objective, unit=KINDS[kind].si if kind else "")
-        design = in_display_units(result.complete(result.design), result.task.quantities)
+        design = result.displayed(result.complete(result.design))
         return super().of(result, design=design, objective=objective, **values)
 
 
@@ -199,10 +199,6 @@ class CycleResult(SingleResult):
         size = 1.0 / factor(unit, kind) if kind else 1.0
         values = [math.nan if cycle is None else cycle.figure(term) * size for cycle in (initial, final)]
         return CycleFigure(name, term.words, values[0], values[1], limit, unit)
-
-    def displayed(self, design: Mapping[str, float]) -> dict[str, float]:
-        """Return a design [SI] in display units, which end the keys."""
-        return in_display_units(design, self.task.quantities)
 
     @property
     def free(self) -> tuple[str, ...]:

@@ -28,7 +28,7 @@ from optlink.solvers.solution import LimitState, Relaxation, Solution
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.analysis import stroke_document
 from optlink.tasks.results.certificate import Certificate, CertificateRecord, message
-from optlink.tasks.results.common import SearchRecord, in_display_units, verified
+from optlink.tasks.results.common import SearchRecord, verified
 from optlink.tasks.results.evidence import Evidence
 from optlink.tasks.results.fit import Fit, FitRecord, path_fit, transmission_fit
 from optlink.units import DISPLAYED
@@ -265,7 +265,7 @@ class PathDesignRecord(Record):
         if measured.turned is not None:
             points["turned_deg"] = np.degrees(measured.turned)
             objective["largest_turned_deg"] = math.degrees(float(np.max(np.abs(measured.turned))))
-        names = in_display_units({name: result.values[name] for name in task.quantities}, task.quantities)
+        names = task.displayed({name: result.values[name] for name in task.quantities})
         values |= {name: getattr(result.solution, name, None) for name in ("kkt", "violation", "iterations")}
         least = math.degrees(result.least_transmission)
         return super().of(result, design=names, objective=objective, points=points, least_transmission_deg=least, **values)
