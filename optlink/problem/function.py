@@ -22,7 +22,7 @@ from optlink.problem.quantity import Angle, FixedAngle, Quantity, Unusable, near
 from optlink.problem.robust import Robustness, check_robust
 from optlink.problem.targets.expression import Expression
 from optlink.problem.targets.function import Function
-from optlink.problem.targets.law import Law, Table, check_rotation, read_law, rotation
+from optlink.problem.targets.law import Law, Table, begins_at_psi0, check_rotation, read_law, rotation
 
 MAX_POINTS = 10_000
 NUMBERS = ("mechanism.", "limits.", "tolerances.", "requirement.from", "requirement.psi0")
@@ -132,7 +132,7 @@ class DesignProblem(Problem):
     @property
     def _itself(self) -> bool:
         """Whether the error at the start is zero by definition."""
-        return self.tied and self.requirement.robust is None
+        return self.tied and self.requirement.robust is None and begins_at_psi0(self.requirement.law)
 
     @property
     def counted(self) -> dict[str, float]:
@@ -145,19 +145,15 @@ class DesignProblem(Problem):
     def law(self) -> Law:
         """The law at its design positions.
 
-        If psi0 is the actual rocker angle at the start, the error there is zero by definition and the start position is left out.
-        For a robust design it is kept, as the built linkage deviates there too.
+        If psi0 is the actual rocker angle at the start and the law prescribes just this there, the error is zero by definition,
+        and the start position is left out. For a robust design it is kept, as the built linkage deviates there too.
         """
-        source, points = self.requirement.law, self.requirement.points
-        first = 0.0
-        if isinstance(source, Table):
-            first = source.phi[0] if source.from_start else 0.0
-            if points is None:
-                offsets = np.asarray(source.phi) - (0.0 if source.from_start else source.phi[0])
-                own = self._itself and source.from_start and offsets[0] == 0.0 and source.psi[0] == 0.0
-                return Law(source, offsets[1:] if own else offsets)
+        source, points, begin = self.requirement.law, self.requirement.points, int(self._itself)
+        first = source.phi[0] if isinstance(source, Table) and source.from_start else 0.0
+        if isinstance(source, Table) and points is None:
+            return Law(source, (np.asarray(source.phi) - (0.0 if source.from_start else source.phi[0]))[begin:])
         count = points or POSITIONS
-        steps = np.arange(1 if self._itself and first == 0.0 else 0, count + 1) / count
+        steps = np.arange(begin, count + 1) / count
         return Law(source, first + (self.span - first) * steps)
 
     @property

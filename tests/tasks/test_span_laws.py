@@ -155,3 +155,38 @@ def test_a_given_design_that_locks_is_not_valid() -> None:
     judged = validate(problem, closer)
     assert not judged.valid
     assert any("off alignment" in check.name and not check.passed for check in judged.validation.checks)
+
+
+ROWS = ["0 deg", "30 deg", "60 deg"]
+
+
+@pytest.mark.parametrize(
+    ("requirement", "counted"),
+    [
+        ({"law": "psi0 + 0.5*(phi - phi0)^2", "span": "60 deg", "points": 4}, False),
+        ({"law": "2 + 0.5*(phi - phi0)", "span": "60 deg", "points": 4}, True),
+        ({"law": "psi0 + 0.1 + 0.5*(phi - phi0)", "span": "60 deg", "points": 4}, True),
+        ({"law": {"phi": ROWS, "psi": ROWS}, "points": 4}, False),
+        ({"law": {"phi": ROWS, "psi": ROWS}}, False),
+        ({"law": {"phi": ROWS, "psi": ["5 deg", "9 deg", "20 deg"]}, "points": 4}, True),
+        ({"law": {"phi": ROWS, "psi": ["100 deg", "110 deg", "130 deg"], "measured_from": "frame"}, "points": 4}, True),
+    ],
+)
+def test_the_start_counts_unless_its_error_is_zero_by_definition(requirement, counted):
+    """A law that prescribes another angle than the rocker's own has an error at the start, which can be the largest one."""
+    begin = {} if "measured_from" in requirement["law"] else {"from": "40 deg"}
+    mechanism = {"type": "four-bar", "crank": "100 mm", "coupler": "400 mm", "frame": "500 mm"}
+    mechanism |= {"rocker": {"bounds": ["280 mm", "320 mm"]}, "assembly": "left"}
+    problem = optlink.read(
+        {"title": "start", "mechanism": mechanism, "requirement": {**requirement, **begin, "kind": "function", "measure": "max"}}
+    )
+    assert (problem.spec.law.offsets[0] == 0.0) == counted
+    result = optlink.solve(problem)
+    r, a, b, f = (result.design[name] for name in ("crank", "coupler", "rocker", "frame"))
+    at = np.radians([0.0, 30.0, 60.0])
+    line = f - r * np.exp(1j * (result.design["phi0"] + at))  # from B to D
+    square = np.abs(line) ** 2
+    rocker = np.angle(-line) - np.arccos((b * b + square - a * a) / (2.0 * b * np.sqrt(square)))
+    error = problem.spec.law.curve(at, result.design["phi0"], result.design["psi0"]) - rocker
+    assert result.valid
+    assert result.objective >= np.max(np.abs(np.angle(np.exp(1j * error)))) * (1.0 - 1e-9)

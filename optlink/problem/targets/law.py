@@ -22,6 +22,8 @@ NAMES = ("phi", "phi0", "psi0")
 SLIDE_NAMES = ("phi", "phi0", "s0")
 SLIDE = 'law = { slide = "s0 + 40*(1 - cos(phi - phi0))", unit = "mm" }'
 MAX_ROWS = 10_000
+STARTS = np.array([[0.3, 1.9, -2.2], [-0.8, 2.5, 0.6]])  # phi0, psi0 [rad] at which a law is tested
+SAME = 1e-12  # rad
 
 
 @dataclass(frozen=True)
@@ -106,6 +108,20 @@ class SlideExpression:
 
 
 Source = Expression | SlideExpression | Function | Table
+
+
+def begins_at_psi0(law: Source) -> bool:
+    """Return whether the law prescribes psi0 itself at the start, whatever phi0 and psi0 are.
+
+    Parameters
+    ----------
+    law : Expression, SlideExpression, Function or Table
+    """
+    if isinstance(law, Table):
+        return law.from_start and law.phi[0] == 0.0 and law.psi[0] == 0.0
+    phi0, psi0 = STARTS
+    with np.errstate(all="ignore"):
+        return not np.any(np.abs(law({"phi": phi0, "phi0": phi0, "psi0": psi0}) - psi0) > SAME)
 
 
 def rotation(law: Source, span: Quantity | None) -> float:
