@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from functools import cache
 
 import numpy as np
@@ -16,6 +14,7 @@ from optlink.dynamics.columns import MotionColumns
 from optlink.problem.cycle.terms import Limit
 from optlink.tasks.cycle import CycleResult, solve, validate
 from optlink.validation.cycle import Cycle, validate_cycle
+from tests.cli.test_cli import run
 from tests.solved import once
 from tests.tasks.test_fit import drag_link, torque
 
@@ -229,16 +228,10 @@ def test_result_is_json_and_the_design_a_machine(tmp_path):
     ],
 )
 def test_command_line(arguments, code, words):
-    done = subprocess.run(
-        [sys.executable, "-m", "optlink", "solve", "shaper-design", "--json", *arguments],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == code, done.stderr[-2000:]
+    done = run("solve", "shaper-design", "--json", *arguments)
+    assert done.exit_code == code, done.stderr[-2000:]
     assert words in done.stdout
-    assert "Traceback" not in done.stderr
+    assert isinstance(done.exception, SystemExit | None)
 
 
 @pytest.mark.slow
