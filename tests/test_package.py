@@ -48,13 +48,14 @@ def test_wheel_works_elsewhere(unpacked, tmp_path):
 @pytest.mark.slow
 def test_installed_wheel_works_in_a_clean_environment(unpacked, tmp_path):
     """With pip, and with the command that it makes; the libraries are those of this environment."""
-    subprocess.run([sys.executable, "-m", "venv", str(tmp_path / "new")], check=True, capture_output=True)
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(tmp_path / "new")], check=True, capture_output=True)
     scripts = tmp_path / "new" / ("Scripts" if os.name == "nt" else "bin")
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     options = {"capture_output": True, "encoding": "utf-8", "cwd": tmp_path, "env": environment}
     wheel = next(unpacked.parent.glob("*.whl"))
     python = str(scripts / "python")
-    done = subprocess.run([python, "-m", "pip", "install", "--no-index", "--no-deps", str(wheel)], check=False, **options)
+    into = [sys.executable, "-m", "pip", "--python", python, "install", "--no-index", "--no-deps", "--no-compile"]
+    done = subprocess.run([*into, str(wheel)], check=False, **options)
     assert done.returncode == 0, done.stderr
     site = Path(
         subprocess.run(
