@@ -13,7 +13,7 @@ from tests import synthesis_oracle as oracle
 from tests.random_linkages import RECOVERED, TIMINGS, VARIANTS, defects, four_bar_of, recover, round_trip
 
 COUNTS = (5, 9, 18, 60)
-FEW, MANY = 3, 6  # linkages: with six every variant is among them
+FEW = 3  # linkages
 
 
 @pytest.mark.parametrize("timing", TIMINGS)
@@ -28,10 +28,9 @@ def test_own_curve_is_recovered(timing: str) -> None:
 @pytest.mark.parametrize("count", COUNTS)
 @pytest.mark.parametrize("timing", TIMINGS)
 def test_many_curves_are_recovered(timing: str, count: int) -> None:
-    """Plain, tiny, huge, turned and shifted ones in turn: size and place do not matter."""
-    names = list(VARIANTS)
-    assert len(names) <= MANY
-    for seed in range(MANY):
+    """Size and place do not matter: every timing and every number of points has plain, tiny, huge, turned and shifted curves."""
+    names, first = list(VARIANTS), 2 * COUNTS.index(count) + TIMINGS.index(timing)
+    for seed in (first, first + 1):
         found = recover(round_trip(seed, count, timing, **VARIANTS[names[seed % len(names)]]), designs=1)
         assert not found.faults, (seed, found)
         assert found.recovered, (seed, found)
