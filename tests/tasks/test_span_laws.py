@@ -14,7 +14,7 @@ from optlink.problem.limits import MARGINS
 from optlink.tasks.function import solve, validate
 
 LEAST = 1.0 - 6e-3  # deg, and of the length margin: half a percent is the validator's
-MANY, FEW = 3000, 24
+LAWS = range(0, 3000, 60)
 
 
 def random_law(seed: int) -> dict[str, Any]:
@@ -86,15 +86,9 @@ def test_the_default_margins_are_those_of_the_oracle() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(FEW))
-def test_no_random_span_law_locks(seed: int) -> None:
-    assert faults(seed) == []
-
-
-@pytest.mark.slow
 def test_no_random_span_law_of_many_locks() -> None:
-    """Every thirtieth of the `MANY`."""
-    wrong = {seed: found for seed in range(0, MANY, 30) if (found := faults(seed))}
+    """Every sixtieth of 3000; that the limit against it is met where it is active is tested below."""
+    wrong = {seed: found for seed in LAWS if (found := faults(seed))}
     assert wrong == {}
 
 
