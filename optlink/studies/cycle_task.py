@@ -197,7 +197,7 @@ class CycleProgramme:
         )
 
 
-def with_bounds(nlp: CycleNLP, bounds: Mapping[str, float]) -> CycleNLP:
+def with_bounds(nlp: CycleNLP, bounds: Mapping[str, float], **changes: Any) -> CycleNLP:
     """Return the programme with other bounds of limits; compiled parts are shared.
 
     Parameters
@@ -205,6 +205,8 @@ def with_bounds(nlp: CycleNLP, bounds: Mapping[str, float]) -> CycleNLP:
     nlp : CycleNLP
     bounds : mapping of str to float [unit of the file]
         Bounds by key, including their side.
+    **changes
+        Other attributes, which leave the compiled parts as they are.
     """
     rows, watched, task = list(nlp.rows), list(nlp.watched), nlp.traced.problem
     followed = [""] * sum(goal.extreme for goal in task.goals)  # in the order of `watched`
@@ -225,7 +227,7 @@ def with_bounds(nlp: CycleNLP, bounds: Mapping[str, float]) -> CycleNLP:
     kept = {  # derived programmes have the rows of this one, then their own
         key: _rebound(own, (*rows, *own.rows[len(rows) :]), p) if isinstance(own, NLP) else own for key, own in nlp.cache.items()
     }
-    return _rebound(nlp, tuple(rows), p, watched=tuple(watched), cache=kept)
+    return _rebound(nlp, tuple(rows), p, watched=tuple(watched), cache=kept, **changes)
 
 
 def _rebound(nlp: N, rows: tuple[ConstraintRow, ...], p: Array, **changes: Any) -> N:

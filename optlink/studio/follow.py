@@ -21,6 +21,7 @@ from optlink.optimization.path_nlp import build_path_nlp, constant_values, has_p
 from optlink.problem.cycle.model import Bound, CycleProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.limits import Reach
+from optlink.problem.machine.model import Problem
 from optlink.problem.path import PathProblem
 from optlink.solvers import multistart
 from optlink.solvers.contract import MINIMAX
@@ -142,10 +143,7 @@ class PathFollower:
         if [row.limit for row in rows] != [row.limit for row in nlp.rows[: len(rows)]] or list(anywhere) != known:
             return False
         nlp.p[1 : 1 + len(nlp.constants)] = constant_values(task, nlp.constants)
-        for i, v in enumerate(nlp.variables):
-            if v.name not in nlp.helpers:
-                low, high = task.quantities[v.name].bounds
-                nlp.limit(i, v.scaled(low), v.scaled(high))
+        _set_bounds(nlp, task)
         for j, own in enumerate(nlp.rows):
             row = rows[j] if j < len(rows) else anywhere.get((own.limit, own.label))
             if row is not None:
@@ -240,38 +238,21 @@ class CycleFollower:
         """Return the programme with the fixed sizes, bounds and limits of a problem, and the last positions of the peaks."""
         trace = object.__new__(TracedCycle)  # its copy would be traced again
         vars(trace).update(vars(self.programme.trace) | {"problem": task})
-        nlp = with_bounds(replace_trace(self.programme.nlp, trace), dict(_moved(self.task, task)))
+        own = self.programme.nlp
+        movable = {"x_low": own.x_low.copy(), "x_high": own.x_high.copy()}
+        nlp = with_bounds(own, dict(_moved(self.task, task)), trace=trace, **movable)
         nlp.p[:] = last.p
-        quantities = task.quantities
-        for i, constant in enumerate(nlp.constants):
-            nlp.p[1 + i] = (quantities[constant.name].value - constant.origin) / constant.size
-        for i, v in enumerate(nlp.variables[: len(nlp.free)]):
-            low, high = quantities[v.name].bounds
-            nlp.limit(i, v.scaled(low), v.scaled(high))
+        nlp.p[1 : 1 + len(nlp.constants)] = [v.scaled(task.quantities[v.name].value) for v in nlp.constants]
+        _set_bounds(nlp, task)
         return nlp
 
 
-def replace_trace(nlp: CycleNLP, trace: TracedCycle) -> CycleNLP:
-    """Return a programme with another trace of the same structure, and all compiled parts.
-
-    Parameters
-    ----------
-    nlp : CycleNLP
-    trace : TracedCycle
-    """
-    made = replace(nlp, trace=trace)
-    for name, value in vars(nlp).items():
-        if name not in vars(made):
-            vars(made)[name] = value
-    for name in ("low", "high", "lower", "upper"):
-        vars(made).pop(name, None)
-    return replace_bounds(made)
-
-
-def replace_bounds(nlp: CycleNLP) -> CycleNLP:
-    """Return a programme whose bounds of the variables may be moved without moving those of another one."""
-    vars(nlp)["x_low"], vars(nlp)["x_high"] = nlp.x_low.copy(), nlp.x_high.copy()
-    return nlp
+def _set_bounds(nlp: NLP, task: Problem) -> None:
+    """Set the bounds of the design variables to those of a problem."""
+    for i, v in enumerate(nlp.variables):
+        if v.name not in nlp.helpers:
+            low, high = task.quantities[v.name].bounds
+            nlp.limit(i, v.scaled(low), v.scaled(high))
 
 
 def _moved(old: CycleProblem, new: CycleProblem) -> list[tuple[str, float]]:
