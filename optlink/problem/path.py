@@ -25,6 +25,7 @@ from optlink.problem.mechanism import FourBarSection
 from optlink.problem.quantity import Angle, Coordinate, FixedAngle, FixedLength, Quantity, Unusable, nearest
 from optlink.problem.targets.law import Law, Table, read_output_law, rotation
 from optlink.problem.targets.points import TargetPoints, closed, read_points
+from optlink.units import DISPLAYED
 
 START, MARK, ZERO = "start", "mark", "zero"
 """Names of the quantities that a task adds to those of the mechanism."""
@@ -247,6 +248,12 @@ class PathProblem(Problem):
     def objective_unit(self) -> str:
         """SI unit of the objective."""
         return f"{self.unit}^2" if self.measure == "sum of squares" and self.unit else self.unit
+
+    @property
+    def objective_display(self) -> tuple[float, str]:
+        """Factor from SI to the displayed value of the objective, and the unit of that."""
+        factor, unit = DISPLAYED[self.unit]
+        return (factor**2, f"{unit}^2" if unit else unit) if self.measure == "sum of squares" else (factor, unit)
 
     @property
     def whole(self) -> float:

@@ -17,11 +17,10 @@ from optlink.problem.limits import MARGINS
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.expression import Expression
 from optlink.problem.targets.function import Function
-from optlink.report.views.path_tables import objective_scale as path_scale
 from optlink.solvers.function_exchange import error_at
 from optlink.solvers.solution import Solution
 from optlink.studio.follow import CycleFollower, Follower, FunctionFollower, PathFollower
-from optlink.units import DISPLAYED, display_unit
+from optlink.units import DISPLAYED
 from optlink.validation.path import deviations
 
 if TYPE_CHECKING:
@@ -167,7 +166,7 @@ class _PathSynthesis(_Searched):
     def objective(self, model: Any) -> tuple[float, str, str]:
         words = {"max": "largest deviation", "rms": "root mean square deviation"}.get(model.measure, "sum of squared deviations")
         words = "worst cosine of the transmission angle" if model.requirement.kind == "transmission" else words
-        per, unit = path_scale(model)
+        per, unit = model.objective_display
         return per, unit.replace("^2", "²"), words
 
     def error_curves(self, design: Design) -> Iterator[ErrorCurve]:
@@ -195,8 +194,7 @@ class _CycleOptimisation(_Searched):
         return "machine"
 
     def objective(self, model: Any) -> tuple[float, str, str]:
-        words = model.goals[0].words if model.single else "objective"
-        return (*display_unit(model.unit_kind), words) if model.unit_kind else (1.0, "", words)
+        return (*model.objective_display, model.goals[0].words if model.single else "objective")
 
     def follower(self, problem: ProblemFile, values: Mapping[str, float], way: int) -> Follower | None:
         return CycleFollower(problem, values)

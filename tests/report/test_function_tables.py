@@ -6,6 +6,7 @@ import ast
 import io
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -73,13 +74,18 @@ def test_the_price_of_an_equality_has_its_sign() -> None:
     def limit(sense: str, multiplier: float) -> LimitState:
         return LimitState("key", "time ratio", 1.6, 1.6, sense, "", True, multiplier, 0.0)
 
-    rising, falling = words(active([limit("=", 5.0)], 100.0, "N")), words(active([limit("=", -5.0)], 100.0, "N"))
+    def priced(*limits: LimitState, size: float = 1.0) -> str:
+        return words(active(SimpleNamespace(objective_display=(size, "N")), 100.0 / size, limits))
+
+    rising, falling = priced(limit("=", 5.0)), priced(limit("=", -5.0))
     assert "= 1.6 +5 N per unit (5.00%) =: change of the objective if the value is raised by one unit" in rising
     assert "= 1.6 -5 N per unit" in falling
-    relaxed = words(active([limit("<=", -5.0)], 100.0, "N"))
+    assert "= 1.6 -5 N per unit (5.00%)" in priced(limit("=", 5.0), size=-1.0)  # of a maximised force
+    assert "= 1.6 +5000 N per unit (5000.00%)" in priced(limit("=", 5.0), size=1e3)
+    relaxed = priced(limit("<=", -5.0))
     assert "<= 1.6 5 N per unit" in relaxed
     assert "raised" not in relaxed
-    none = words(active([limit("=", 0.0), limit(">=", 0.0)], 100.0, "N"))
+    none = priced(limit("=", 0.0), limit(">=", 0.0))
     assert none.count("no effect") == 2
     assert "nothing" not in none
 

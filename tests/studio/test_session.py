@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import math
 import signal
 import threading
 import time
@@ -17,6 +18,7 @@ import pytest
 import optlink
 from optlink.problem.file import read
 from optlink.studies.toml_keys import exact_text, knobs
+from optlink.studio import state
 from optlink.studio.document import Document, named, rewritten, tables
 from optlink.studio.files import deflated, inflated
 from optlink.studio.session import Session
@@ -361,3 +363,11 @@ def test_random_drags_show_nothing_as_verified_that_the_validator_rejects(benchm
 @pytest.mark.slow
 def test_saved_problems_are_solved_to_the_same_design(benchmark_: Any) -> None:
     assert benchmark_.saved_problems(("crank-rocker", "stroke-crank-rocker"), 2, watch=lambda text: None) == []
+
+
+def test_a_maximised_quantity_has_its_own_sign() -> None:
+    raw = {**optlink.load("stroke-crank-rocker").raw, "expected": None}
+    raw["objective"] = {"quantity": "transmission angle", "of": "C", "measure": "least", "sense": "maximise"}
+    shown = state.objective(read({key: value for key, value in raw.items() if value is not None}), -0.5)
+    assert shown is not None
+    assert (shown["value"], shown["unit"]) == (pytest.approx(math.degrees(0.5)), "deg")

@@ -21,7 +21,7 @@ from optlink.problem.limits import Alignment, check_transmission, transmission_l
 from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import FourBarSection, check_one_mode, sizes_of
 from optlink.problem.quantity import FixedAngle, Unusable, below, check_keys, nearest
-from optlink.units import KINDS
+from optlink.units import KINDS, display_unit
 
 
 @dataclass(frozen=True)
@@ -120,6 +120,12 @@ class CycleProblem(Problem):
     def objective_unit(self) -> str:
         """SI unit of the objective; empty for a plain number."""
         return KINDS[self.unit_kind].si.replace("**", "^") if self.unit_kind else ""
+
+    @property
+    def objective_display(self) -> tuple[float, str]:
+        """Factor from the minimised value [SI], the negative of a maximised one, to the displayed value, and the unit of that."""
+        size, unit = display_unit(self.unit_kind) if self.unit_kind else (1.0, "")
+        return (-size if self.single and self.goals[0].sense == "maximise" else size), unit
 
     @property
     def single(self) -> bool:

@@ -137,6 +137,11 @@ class Problem(Section):
         return ""
 
     @property
+    def objective_display(self) -> tuple[float, str]:
+        """Factor from the minimised value [SI] to the displayed value of the objective, and the unit of that."""
+        return 1.0, self.objective_unit
+
+    @property
     def sense(self) -> float:
         """Sense of crank rotation by its sign: the crank speed [rad/s]."""
         return float(self.drive.speed.value) or 1.0

@@ -21,7 +21,6 @@ from optlink.report.views import (
     analysis_charts,
     analysis_forces,
     conclusions,
-    cycle_tables,
     function_tables,
     path_tables,
     sensitivity,
@@ -194,24 +193,16 @@ def _with_recorded_limits(subject: ReportModel, shown: Summary) -> list[Part]:
     parts = list(shown.parts)
     if subject.limits and not _priced(subject.result):
         titles = [part.title if isinstance(part, TableSpec) else "" for part in parts]
-        parts.insert(next((k for k, title in enumerate(titles) if "Validation" in title), len(parts)), _recorded(subject))
+        parts.insert(
+            next((k for k, title in enumerate(titles) if "Validation" in title), len(parts)),
+            function_tables.active(subject.problem.model, subject.objective, subject.limits),
+        )
     return parts
 
 
 def _priced(outcome: Outcome) -> bool:
     """Return whether the result has its own shadow prices."""
     return getattr(outcome, "solution", None) is not None
-
-
-def _recorded(subject: ReportModel) -> Part:
-    """Tabulate the stored active constraints with their shadow prices in display units."""
-    outcome, limits = subject.result, subject.limits
-    if isinstance(outcome, PathResult) and outcome.best is not None:
-        return path_tables.priced(outcome.best, limits)
-    if isinstance(outcome, CycleResult):
-        return cycle_tables.priced(outcome, limits)
-    unit = outcome.unit if isinstance(outcome, FunctionResult) else ""
-    return function_tables.active(limits, subject.objective, unit)
 
 
 def _by(subject: ReportModel) -> str:

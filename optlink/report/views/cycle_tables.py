@@ -3,42 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import replace
 
 from optlink.errors import Status
 from optlink.problem.cycle.model import CycleProblem, StrokeProblem
 from optlink.report.format import change, dimension, number
-from optlink.report.table_spec import Part, Row, Summary, TableSpec, quiet, strong, table
+from optlink.report.table_spec import Row, Summary, TableSpec, quiet, strong, table
 from optlink.report.views.analysis_tables import machine_strokes
-from optlink.report.views.function_tables import NEAREST, active, searched
-from optlink.solvers.solution import LimitState
+from optlink.report.views.function_tables import NEAREST, searched
 from optlink.tasks.results.cycle import CycleResult
-from optlink.units import factor
 
 
 def cycle_result(outcome: CycleResult) -> Summary:
     """Summarise a cycle optimisation: design, cycle quantities, active constraints, validation, optima."""
     strokes = None if outcome.built is None else machine_strokes(outcome.built, outcome.task.drive.speed.value)
-    limits = None if outcome.solution is None else priced(outcome, outcome.solution.limits)
     tail = f"; {outcome.comparison}" if outcome.comparison else ""
-    return searched(outcome, (_sizes(outcome), _figures(outcome), strokes), limits, tail=tail)
-
-
-def priced(outcome: CycleResult, limits: Iterable[LimitState]) -> Part:
-    """Tabulate the active constraints with their shadow prices in the display unit of the objective.
-
-    Parameters
-    ----------
-    outcome : CycleResult
-    limits : iterable of LimitState
-        Multipliers of the minimised objective [SI], which is the negative of a maximised quantity.
-    """
-    size = 1.0 / factor(outcome.unit, outcome.task.unit_kind) if outcome.unit else 1.0
-    if outcome.task.single and outcome.task.goals[0].sense == "maximise":
-        size = -size
-    scaled = [replace(limit, multiplier=limit.multiplier * size) for limit in limits]
-    return active(scaled, outcome.objective * size, outcome.unit)
+    return searched(outcome, (_sizes(outcome), _figures(outcome), strokes), tail=tail)
 
 
 def cycle_problem(task: CycleProblem) -> TableSpec:

@@ -66,19 +66,17 @@ def result(outcome: FunctionResult) -> Summary:
     machine = turning_machine(outcome.problem, outcome.design)
     strokes = None if machine is None else machine_strokes(machine, spec.span)
     own = (_design(outcome), strokes, None if outcome.conflict else _objective(outcome))
-    priced = active(outcome.solution.limits, outcome.objective, outcome.unit) if outcome.solution else None
     found, hits = outcome.evidence, None
     if found is not None and not certified(outcome.certificate):
         different = f"{found.optima} distinct value{'s' * (found.optima > 1)}"
         reached = f"{found.hits} of {found.starts} random starts reached the best value, {different}"
         hits = Paragraph(strong("Multistart search"), f"{reached}; {found.chance}", appendix=True)
-    return searched(outcome, own, priced, hits, over=", largest error over the whole range" * spec.everywhere)
+    return searched(outcome, own, hits, over=", largest error over the whole range" * spec.everywhere)
 
 
 def searched(
     outcome: SearchedResult,
     own: Iterable[Part | None],
-    priced: Part | None,
     hits: Part | None = None,
     tail: str = "",
     over: str = "",
@@ -90,8 +88,6 @@ def searched(
     outcome : FunctionResult or CycleResult
     own : iterable of Part
         Design and objective.
-    priced : Part, optional
-        Active constraints.
     hits : Part, optional
         Statistics of the starting points.
     tail : str, optional
@@ -99,16 +95,17 @@ def searched(
     over : str, optional
         Addition to the title of the distinct optima.
     """
-    proof, solution = outcome.certificate, outcome.solution
+    proof, solution, model = outcome.certificate, outcome.solution, outcome.problem.model
+    priced = None if solution is None else active(model, outcome.objective, solution.limits)
     counted = [outcome.backend, f"{outcome.starts} start{'s' * (outcome.starts != 1)}" if outcome.starts else ""]
     counted.append(f"{solution.iterations} iterations" if solution is not None else "")
     effort = "; ".join(filter(None, [", ".join(filter(None, counted)), times(outcome.seconds, 1)]))
     return summary(
-        outcome.problem.model.title,
+        model.title,
         _status(outcome, tail),
         *own,
         conflict(outcome.conflict, outcome.together) if outcome.conflict else priced,
-        None if proof is None else certificate_table(proof, 1.0, outcome.problem.model.objective_unit, outcome.seconds),
+        None if proof is None else certificate_table(proof, *model.objective_display, outcome.seconds),
         checks(outcome.validation.checks),
         hits if outcome.optima else None,
         _optima(outcome, over) if len(outcome.optima) > 1 or (outcome.optima and outcome.starts > 1) else None,
@@ -219,7 +216,7 @@ def _objective(outcome: FunctionResult) -> TableSpec:
     return table("Objective", "<><<", rows)
 
 
-def active(limits: Iterable[LimitState], objective: float, unit: str) -> Part:
+def active(model: Problem, objective: float, limits: Iterable[LimitState]) -> Part:
     """Tabulate the active constraints with their shadow prices.
 
     The price of an inequality is the improvement of the objective per unit by which its bound is relaxed; that of an equality
@@ -227,19 +224,20 @@ def active(limits: Iterable[LimitState], objective: float, unit: str) -> Part:
 
     Parameters
     ----------
+    model : Problem
+        Its display unit of the objective is that of the prices.
+    objective : float [SI]
+        Minimised value, for relative prices.
     limits : iterable of LimitState
         All constraints; inactive ones are left out.
-    objective : float
-        Value of the objective, for relative prices.
-    unit : str
-        Unit of the objective.
     """
-    rows, raised = [], False
+    (factor, unit), rows, raised = model.objective_display, [], False
     for limit in (limit for limit in limits if limit.active):
-        gain = abs(limit.multiplier)
-        share = f" ({gain / objective:z.2%})" if 5e-5 * objective <= gain < 100.0 * objective else ""  # otherwise not informative
-        price = f"{limit.multiplier:+.4g}" if limit.sense == "=" else f"{gain:.4g}"
-        buys = f"{price} {unit} per {limit.unit or 'unit'}{share}" if gain > 0 else "no effect"
+        price, base = limit.multiplier * factor, objective * factor
+        gain = abs(price)
+        share = f" ({gain / base:z.2%})" if 5e-5 * base <= gain < 100.0 * base else ""  # otherwise not informative
+        shown = f"{price:+.4g}" if limit.sense == "=" else f"{gain:.4g}"
+        buys = f"{shown} {unit} per {limit.unit or 'unit'}{share}" if gain > 0 else "no effect"
         raised |= limit.sense == "=" and gain > 0
         rows.append((limit.name, f"{limit.sense} {limit.bound:g} {limit.unit}".rstrip(), buys))
     if not rows:

@@ -37,7 +37,6 @@ from optlink.report.views.path_drawings import (
     output_film,
     trim,
 )
-from optlink.report.views.path_tables import objective_scale
 from optlink.report.views.path_view import LINE, SMALL, PathView, assembly, best, entitle, failed, headed, wrapped
 from optlink.tasks.results.path import PathDesign, PathResult
 
@@ -52,7 +51,7 @@ def charts(result: PathResult) -> list[ChartSpec]:
         return []
     own = [Close(track).chart(), errors(track)] if track.task.pointed else [curve(track), *function_values(track)]
     task, design = track.task, track.design
-    values, scale = design.values if design.valid else {}, objective_scale(task)
+    values, scale = design.values if design.valid else {}, task.objective_display
     return own + certificate_charts(result.certificate, task.title, scale, values, design.assembly, task.display)
 
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -15,7 +14,6 @@ from optlink.report.format import fixed, number, precise, significant, times
 from optlink.report.table_spec import (
     Line,
     Paragraph,
-    Part,
     Row,
     Summary,
     TableSpec,
@@ -29,7 +27,6 @@ from optlink.report.table_spec import (
 from optlink.report.views.certificate_view import certificate_lines, certificate_table, certified
 from optlink.report.views.function_tables import active, checks, dimension_rows, graded, search_verdict
 from optlink.report.views.relaxations import conflict
-from optlink.solvers.solution import LimitState
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.path import LEVEL, PathDesign, PathResult
 from optlink.units import DISPLAYED
@@ -44,26 +41,27 @@ def path_result(outcome: PathResult) -> Summary:
     """Summarise a synthesis result: best design, deviations, active constraints, validation, alternatives, cognates."""
     from optlink.report.views.analysis_tables import machine_strokes
 
-    title, best = outcome.problem.model.title, outcome.best
+    model, best, found = outcome.problem.model, outcome.best, outcome.certificate
+    certificate = None if found is None else certificate_table(found, *model.objective_display, outcome.seconds)
     impossible = conflict(outcome.conflict, outcome.together) if outcome.conflict else None
     if best is None:
         remark = "no start could be assembled at all points within the bounds; widen them, or give more starts"
         proof = certificate_lines(outcome.certificate)
         status = [bad("no linkage found"), *(proof if certified(outcome.certificate) else [quiet(remark), *proof])]
-        return summary(title, status, impossible, _certificate(outcome), _times(outcome))
+        return summary(model.title, status, impossible, certificate, _times(outcome))
     machine = turning_machine(best.problem, best.values)
     strokes = None if machine is None else machine_strokes(machine, float(best.crank_angles[-1] - best.crank_angles[0]))
     bounds = [check for check in best.validation.checks if check.passed and check.name.endswith(BOUNDED)]
     return summary(
-        title,
+        model.title,
         _status(outcome, best),
         _sizes(best, "either" in str(outcome.problem.model.mechanism.assembly)),
         _objective(best),
         strokes,
         impossible,
         _points(best) if best.task.pointed else None,
-        priced(best, best.limits) if best.solution is not None else None,
-        _certificate(outcome),
+        active(best.task, best.objective, best.limits) if best.solution is not None else None,
+        certificate,
         checks(best.validation.checks, bounds if len(bounds) > 1 else ()),
         _alternatives(outcome) if len(outcome.designs) > 1 else None,
         _cognates(outcome, best) if best.cognates else None,
@@ -108,8 +106,8 @@ def _objective(design: PathDesign) -> TableSpec:
         remark += f"; between the points up to {number(1e3 * float(np.nanmax(design.between)), 3)} mm"
     if measured.turned is not None:
         remark += f"; angle: largest {number(math.degrees(float(abs(measured.turned).max())), 4)} deg"
-    objective = strong(precise(displayed_objective(design), 8))
-    rows: list[Row] = [(measure(task), objective, displayed_objective_unit(design), quiet(remark))]
+    scale, square = task.objective_display
+    rows: list[Row] = [(measure(task), strong(precise(scale * design.objective, 8)), square, quiet(remark))]
     least = math.degrees(design.least_transmission)
     if math.isfinite(least):
         remark = "least distance from 0 or 180 deg " + ("over the revolution" if design.crank_turns else "between the points")
@@ -120,43 +118,6 @@ def _objective(design: PathDesign) -> TableSpec:
 def measure(task: PathProblem) -> str:
     """Return the name of the measure of the deviations, with a note if it is weighted."""
     return task.measure + (", weighted" if task.target_points.weights is not None else "")
-
-
-def objective_scale(task: PathProblem) -> tuple[float, str]:
-    """Return the factor of the objective from SI to its display unit, and that unit."""
-    factor, unit = DISPLAYED[task.unit]
-    return (factor**2, f"{unit}^2" if unit else unit) if task.measure == "sum of squares" else (factor, unit)
-
-
-def displayed_objective_unit(design: PathDesign) -> str:
-    """Return the display unit of the objective."""
-    return objective_scale(design.task)[1]
-
-
-def displayed_objective(design: PathDesign) -> float:
-    """Return the objective in its display unit."""
-    return design.objective * objective_scale(design.task)[0]
-
-
-def _certificate(outcome: PathResult) -> TableSpec | None:
-    task = outcome.problem.model
-    assert isinstance(task, PathProblem)
-    found = outcome.certificate
-    return None if found is None else certificate_table(found, *objective_scale(task), outcome.seconds)
-
-
-def priced(design: PathDesign, limits: Iterable[LimitState]) -> Part:
-    """Tabulate the active constraints with their shadow prices in the display unit of the objective.
-
-    Parameters
-    ----------
-    design : PathDesign
-    limits : iterable of LimitState
-        Multipliers of the objective [SI].
-    """
-    factor = displayed_objective(design) / design.objective if design.objective > 0.0 else 1.0
-    scaled = [replace(limit, multiplier=limit.multiplier * factor) for limit in limits]
-    return active(scaled, displayed_objective(design), displayed_objective_unit(design))
 
 
 def _points(design: PathDesign) -> TableSpec:
@@ -193,10 +154,9 @@ def decimals(largest: float) -> int:
 
 def _alternatives(outcome: PathResult) -> TableSpec:
     """Tabulate the distinct designs side by side."""
-    designs, related = outcome.designs, kin(outcome.designs)
-    best, task = designs[0], designs[0].task
+    designs, related, task = outcome.designs, kin(outcome.designs), outcome.designs[0].task
     columns = [_column(design, related.get(k)) for k, design in enumerate(designs)]
-    names = [(measure(task), displayed_objective_unit(best)), ("least transmission angle", "deg"), ("same curve as", "")]
+    names = [(measure(task), task.objective_display[1]), ("least transmission angle", "deg"), ("same curve as", "")]
     names += [(name, quantity.display[1]) for name, quantity in task.quantities.items() if quantity.free]
     names += [(joint, "") for joint in dict.fromkeys(f"assembly {one}".rstrip() for design in designs for one in modes(design))]
     rows: list[Row] = [
@@ -210,7 +170,7 @@ def _alternatives(outcome: PathResult) -> TableSpec:
 
 def _column(design: PathDesign, related: int | None) -> dict[str, str]:
     """Return the cells of a design by row; `related` is the design whose cognate it is."""
-    found = {measure(design.task): "exact" if exact(design) else precise(displayed_objective(design), 5)}
+    found = {measure(design.task): "exact" if exact(design) else precise(design.task.objective_display[0] * design.objective, 5)}
     if math.isfinite(design.least_transmission):
         found["least transmission angle"] = fixed(math.degrees(design.least_transmission), 1)
     if related is not None:
