@@ -20,7 +20,7 @@ from optlink.linkage.stroke import Ranges, Travel, range_end_reason, travels, wi
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range
-from optlink.tasks.machine import MARGIN, crank_speed, machine_of, motion_range, start_value_notes, table_angles
+from optlink.tasks.machine import MARGIN, check_arguments, crank_speed, machine_of, motion_range, start_value_notes, table_angles
 from optlink.tasks.results.analysis import Analysis, Extreme
 
 MAX_POINTS = 1_000_000
@@ -61,6 +61,7 @@ def analyze(
     InputError
         If the mechanism cannot be assembled, or an argument is out of range.
     """
+    check_arguments(problem, design)
     model = problem.model
     speed = crank_speed(problem) if speed is None else speed
     _check(points, step, speed)

@@ -25,7 +25,15 @@ from optlink.problem.fixed_design import fixed_design
 from optlink.problem.machine.balance import check_measure, read_measure
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import check_range, input_of
-from optlink.tasks.machine import check_regular, crank_speed, machine_of, motion_range, start_value_notes, table_angles
+from optlink.tasks.machine import (
+    check_arguments,
+    check_regular,
+    crank_speed,
+    machine_of,
+    motion_range,
+    start_value_notes,
+    table_angles,
+)
 from optlink.tasks.results.balance import (
     AddedCounterweight,
     Balance,
@@ -177,6 +185,7 @@ def balance(
     InputError
         If the problem or an argument is invalid.
     """
+    check_arguments(problem, design)
     begin = time.perf_counter()
     importlib.import_module("cvxpy")
     seconds = {"loading cvxpy": time.perf_counter() - begin}

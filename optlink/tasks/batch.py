@@ -22,7 +22,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import nearest
 from optlink.tasks.analyze import GRID, chord_shares
-from optlink.tasks.machine import crank_speed, machine_of
+from optlink.tasks.machine import check_arguments, crank_speed, machine_of
 
 PORTION = 12_000
 """Positions that are worked on at a time: a few dozen intermediate arrays of them stay in the processor's cache."""
@@ -87,6 +87,7 @@ def analyze_batch(
     InputError
         For unknown quantities or columns, arrays of different length, or values that are not finite.
     """
+    check_arguments(problem)
     arrays = _read(problem, designs)
     count = len(next(iter(arrays.values())))
     drive = problem.model.drive

@@ -31,7 +31,7 @@ from optlink.execution import interrupts
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range, input_of, nearest
-from optlink.tasks.machine import check_regular, machine_of, motion_range, start_value_notes, with_flywheel
+from optlink.tasks.machine import check_arguments, check_regular, machine_of, motion_range, start_value_notes, with_flywheel
 from optlink.tasks.results.checkpoint import ClearanceCheckpoint, read_checkpoint
 from optlink.tasks.results.clearance import RUNNING_IN, ClearanceSimulation
 
@@ -369,6 +369,7 @@ def _setting(
     design: Mapping[str, float] | None,
     flywheel: float,
 ) -> _Setting:
+    check_arguments(problem, design)
     model, name = problem.model, problem.file
     if control not in [str(kind) for kind in Control]:
         raise InputError(

@@ -130,13 +130,16 @@ class CycleTask(DesignTask[CycleResult]):
     def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> CycleResult:
         """Validate given dimensions; those not named have their value in the file.
 
+        Another value of a fixed dimension is a failed check.
+
         Parameters
         ----------
         problem : ProblemFile
         design : mapping of str to float [SI]
         """
         task, begin = task_of(problem), time.perf_counter()
-        own = {name: design.get(name, task.quantities[name].value) for name in task.free}
+        named = (*task.free, *(name for name in task.quantities if name in design and name not in task.free))
+        own = {name: design.get(name, task.quantities[name].value) for name in named}
         verification = validate_cycle(task, own)
         seconds = {"build": 0.0, "solve": 0.0, "validate": time.perf_counter() - begin}
         return CycleResult(problem, Status.NOT_SEARCHED, "none", own, verification.objective, verification, seconds, 0, 0)

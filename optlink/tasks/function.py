@@ -23,10 +23,10 @@ from optlink.problem.assignment import parse_assignments
 from optlink.problem.base_model import Number, Record, absent
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design, started
-from optlink.problem.quantity import Quantity, input_of, nearest, read_quantity
+from optlink.problem.quantity import Quantity, input_of, read_quantity
 from optlink.solvers.function_exchange import ALONG, error_at, error_function
 from optlink.solvers.solution import Relaxation, Solution
-from optlink.tasks.machine import turning_machine
+from optlink.tasks.machine import check_names, turning_machine
 from optlink.tasks.protocol import DesignTask, Search, Timer, agreement, part
 from optlink.tasks.results.certificate import CertificateRecord, message
 from optlink.tasks.results.common import SingleRecord, SingleResult, shortest_link
@@ -398,16 +398,33 @@ def read_design(problem: ProblemFile, assignments: list[str], varied: Collection
     stated = parse_assignments([text for text in assignments if not text.endswith(".json")], "--design")
     for key, value in (*stored, *stated.items()):
         name = key.removeprefix("mechanism.")
-        if name not in quantities:
-            raise InputError("unknown quantity of the design", nearest(name, quantities), problem.file, "--design", key)
+        check_names(problem, [name], quantities)
         if isinstance(value, dict | list):
             remedy = f'Give one value, such as {name}="{show(quantities[name].value, quantities[name].kind)}"'
             raise InputError("a given design has no bounds", remedy, problem.file, f"--design {name}", value)
         with input_of(problem.file, f"--design {name}", value):
             given[name] = float(read_quantity(value, quantities[name].kind).value)
-    missing = [name for name in problem.model.free if name not in given and name not in varied]
+    check_complete(problem, {*given, *varied})
+    return given
+
+
+def check_complete(problem: ProblemFile, names: Collection[str]) -> None:
+    """Refuse a design without a value for each of the design variables.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    names : collection of str
+        Quantities that have a value.
+
+    Raises
+    ------
+    InputError
+        If one is missing.
+    """
+    quantities = problem.model.quantities
+    missing = [name for name in problem.model.free if name not in names]
     if missing:
         starts = ((name, show(quantities[name].value, quantities[name].kind)) for name in missing)
         example = " ".join(f'--design {name}="{value}"' for name, value in starts)
         raise InputError(f"the design lacks {', '.join(missing)}", f"Add for example {example}", problem.file, "--design")
-    return given

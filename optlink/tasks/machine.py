@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import weakref
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from optlink.linkage.alignment import positions_text
 from optlink.linkage.stroke import Ranges, failure
 from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.file import ProblemFile
-from optlink.problem.quantity import input_of
+from optlink.problem.quantity import input_of, nearest
 
 _machines: dict[int, Machine] = {}
 """Machines at fixed and starting values by the identity of their problem, with their ranges and compiled functions."""
@@ -39,6 +39,53 @@ def turning_machine(problem: ProblemFile, design: Mapping[str, float]) -> Machin
     except InputError:
         return None
     return machine if machine.ranges.full else None
+
+
+def check_names(problem: ProblemFile, names: Iterable[str], known: Collection[str]) -> None:
+    """Refuse names that are no quantities of a design.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    names : iterable of str
+    known : collection of str
+        The valid names.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown.
+    """
+    for name in names:
+        if name not in known:
+            raise InputError("unknown quantity of the design", nearest(name, known), problem.file, "--design", name)
+
+
+def check_arguments(problem: object, design: object = None) -> None:
+    """Refuse arguments of a function of the package that are no problem, or no design of it.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    design : mapping of str to float [SI], optional
+        The angles phi0 and psi0 of a motion law may be in it although they follow from the lengths, as in `result.design`.
+
+    Raises
+    ------
+    InputError
+        If an argument has another type, or the design a name that the problem does not know.
+    """
+    if not isinstance(problem, ProblemFile):
+        raise InputError(
+            "not a problem", 'Load it: optlink.load("crank-rocker"), or optlink.load("mine.toml")', None, "problem", problem
+        )
+    if design is None:
+        return
+    if not isinstance(design, Mapping):
+        remedy = "Give values by name in SI units, for example result.design"
+        raise InputError("not a design", remedy, problem.file, "design", design)
+    follow = () if problem.task in ("path", "cycle") else ("phi0", "psi0")
+    check_names(problem, design, dict.fromkeys((*problem.model.quantities, *follow)))
 
 
 def start_value_notes(problem: ProblemFile, design: Mapping[str, object] | None = None) -> list[str]:

@@ -48,6 +48,9 @@ def add_task(kind: str, task: type[DesignTask[Any]]) -> None:
 
 def design_task(problem: ProblemFile) -> DesignTask[Any]:
     """Return the task of a problem."""
+    from optlink.tasks.machine import check_arguments
+
+    check_arguments(problem)
     return TASKS[problem.task]()
 
 
@@ -155,7 +158,8 @@ def validate(problem: ProblemFile, design: Mapping[str, float]) -> FunctionResul
     problem : ProblemFile
         From `optlink.load`, with a requirement or an objective.
     design : mapping of str to float [SI]
-        Values of the design variables by name; `optlink.read_design` reads them from text or from a result file.
+        Value of every design variable by name, for example `result.design`; `optlink.read_design` reads them from text or
+        from a result file.
 
     Returns
     -------
@@ -165,9 +169,16 @@ def validate(problem: ProblemFile, design: Mapping[str, float]) -> FunctionResul
     Raises
     ------
     InputError
-        If the problem has no requirement or objective.
+        If the problem has no requirement or objective, or if the design has unknown names or lacks a design variable.
     """
-    found: FunctionResult | PathResult | CycleResult = design_task(problem).validate(problem, design)
+    from optlink.tasks.function import check_complete
+    from optlink.tasks.machine import check_arguments
+
+    task = design_task(problem)
+    if task.most_starts is not None:  # a kind with design variables
+        check_arguments(problem, design)
+        check_complete(problem, design)
+    found: FunctionResult | PathResult | CycleResult = task.validate(problem, design)
     return found
 
 

@@ -22,7 +22,7 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.base_model import Columns, Contradiction, Number, Recorded, ResultRecord
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range
-from optlink.tasks.machine import machine_of, motion_range, start_value_notes, with_flywheel
+from optlink.tasks.machine import check_arguments, machine_of, motion_range, start_value_notes, with_flywheel
 
 MAX_ROWS = 1_000_000
 
@@ -143,6 +143,7 @@ def simulate(
     InputError
         If the mechanism cannot be assembled, or an argument is out of range.
     """
+    check_arguments(problem, design)
     drive = problem.model.drive
     torque = drive.torque
     machine, start = machine_of(problem, design), drive.start.value

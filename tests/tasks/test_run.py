@@ -58,6 +58,56 @@ def test_balancing_is_solved_and_has_no_starting_points() -> None:
         optlink.validate(SOLVED["balance-four-bar"], {})
 
 
+@pytest.mark.parametrize(
+    ("name", "design", "message"),
+    [
+        ("crank-rocker", {"coupler": 0.4, "rocker": 0.3, "phi": 1.0}, '"phi": unknown quantity.*"phi0"'),
+        ("crank-rocker", {"coupler": 0.4}, "the design lacks rocker"),
+        ("path-arc5", {}, "the design lacks crank, coupler"),
+        ("path-arc5", {"phi0": 1.0}, '"phi0": unknown quantity'),
+        ("shaper-design", {"C.y": -0.2}, "the design lacks C.x"),
+        ("shaper-design", [0.1, 0.2], "not a design.*result.design"),
+    ],
+)
+def test_a_design_with_unknown_or_missing_names_is_refused(name: str, design: object, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        optlink.validate(SOLVED[name], design)  # type: ignore[arg-type]
+
+
+def test_another_value_of_a_fixed_dimension_is_a_failed_check() -> None:
+    file = SOLVED["shaper-design"]
+    initial = {name: quantity.value for name, quantity in file.model.quantities.items()}
+    failed = [
+        {check.name for check in optlink.validate(file, design).validation.checks if not check.passed}
+        for design in (initial, initial | {"A.x": 0.01})
+    ]
+    assert "all other dimensions as given" not in failed[0]
+    assert "all other dimensions as given" in failed[1]
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        optlink.solve,
+        optlink.analyze,
+        optlink.simulate,
+        optlink.balance,
+        optlink.simulate_clearance,
+        lambda problem: optlink.validate(problem, {}),
+        lambda problem: optlink.analyze_batch(problem, {"crank": [1.0]}),
+    ],
+)
+def test_the_name_of_a_problem_in_place_of_the_problem_is_refused(use) -> None:
+    with pytest.raises(InputError, match=r'problem = "six-bar": not a problem\. Load it: optlink\.load'):
+        use("six-bar")
+
+
+@pytest.mark.parametrize("use", [optlink.analyze, optlink.simulate])
+def test_a_machine_refuses_unknown_names_of_a_design(use) -> None:
+    with pytest.raises(InputError, match=r'"crank": unknown quantity of the design\. Did you mean "crank\.length"'):
+        use(QUESTIONS["six-bar"], design={"crank": 0.1})
+
+
 @pytest.mark.parametrize("name", ["crank-rocker", "balance-four-bar", "shaper-design"])
 def test_several_designs_are_those_of_paths(name: str) -> None:
     with pytest.raises(InputError, match="several designs"):

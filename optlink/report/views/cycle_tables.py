@@ -40,7 +40,13 @@ def _sizes(outcome: CycleResult) -> TableSpec:
         size, unit = quantity.display
         low, high = (bound * size for bound in quantity.bounds)
         rows.append(
-            (name, strong(dimension(value * size)), unit, dimension(quantity.value * size), quiet(f"{low:g} ... {high:g}"))
+            (
+                name,
+                strong(dimension(value * size)),
+                unit,
+                dimension(quantity.value * size),
+                quiet(f"{low:g} ... {high:g}" if quantity.free else "fixed"),
+            )
         )
     title = "Design" if outcome.status is not Status.INFEASIBLE else NEAREST
     return table(title, ["", ">result", "", ">initial", ""], rows)
