@@ -27,10 +27,12 @@ def browser() -> Iterator[Any]:
     options.binary_location = CHROMIUM
     for argument in ("--headless=new", "--disable-dev-shm-usage", "--window-size=1200,1000", "--disable-gpu"):
         options.add_argument(argument)
+    options.add_argument("--force-prefers-reduced-motion")  # a linkage that moves by itself would take a core
     if os.name == "posix" and os.geteuid() == 0:
         options.add_argument("--no-sandbox")  # Chromium's sandbox is not for the superuser
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+    driver.set_script_timeout(120)  # axe-core reads a page for as long as the machine is busy
     try:
         yield driver
     finally:

@@ -108,7 +108,6 @@ MACHINES = {
     "drag link": lambda: run(crank_rocker("B", lengths=(300, 200, 250, 100)), 2),
     "large": lambda: run(slider_crank("C", size=20.0, title=LONG, drive={"speed": "60 rpm"})),
     "clockwise": lambda: run(slider_crank("C", drive={"speed": "-1200 rpm", "start": "50 deg"}), 2),
-    "slow": lambda: run(slider_crank("C", drive={"speed": "60 rpm"})),
     "fast": lambda: run(slider_crank("C", drive={"speed": "10000 rpm"})),
     "torque": lambda: run(slider_crank("C", drive={"speed": "600 rpm", "torque": "0.3 N*m", "initial_speed": "500 rpm"}), 2),
     "interrupted": lambda: stopped(2.4),

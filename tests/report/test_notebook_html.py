@@ -14,7 +14,7 @@ import optlink
 from optlink.linkage.motion import sweep
 from optlink.studies.pareto.epsilon_constraint import pareto
 from optlink.studies.sensitivity import sensitivities
-from tests.browser import browser, console, requests
+from tests.browser import console, requests
 
 LARGEST = 150_000  # bytes
 
@@ -75,25 +75,25 @@ def test_a_design_that_cannot_be_assembled_has_a_table_alone():
 
 
 @pytest.mark.slow
-def test_two_results_on_a_page_move_apart(result, tmp_path):
+def test_two_results_on_a_page_move_apart(driver, result, tmp_path):
     """In a browser: the slider of the second output moves its own drawing and nothing of the first."""
     path, shaper = tmp_path / "two.html", optlink.analyze(optlink.load("shaper"))._repr_html_()
     path.write_text(f"<meta charset='utf-8'><link rel='icon' href='data:,'>{result._repr_html_()}{shaper}")
-    with browser() as shown:
-        shown.get(path.as_uri())
-        read = "return [...document.querySelectorAll('.optlink-motion')].map((one) => one.querySelector('svg').outerHTML)"
-        before = shown.execute_script(read)
-        assert len(before) == 2
-        shown.execute_script(
-            "const slider = document.querySelectorAll('.optlink-motion input')[1];"
-            "slider.value = 30; slider.dispatchEvent(new Event('input'))"
-        )
-        after = shown.execute_script(read)
-        assert after[0] == before[0]
-        pose = motion(shaper)["bodies"]["coupler"]
-        x, y, angle = (repr(pose[name][30]).removesuffix(".0") for name in "xya")
-        assert f'data-body="coupler" transform="translate({x} {y}) rotate({angle})"' in after[1]
-        angle = shown.execute_script("return document.querySelectorAll('.optlink-motion output')[arguments[0]].textContent", 3)
-        assert angle == f"{motion(shaper)['slider']['values'][30]:.1f}°"
-        assert console(shown) == []
-        assert requests(shown, path) == []
+    console(driver), requests(driver, path)  # those of pages before
+    driver.get(path.as_uri())
+    read = "return [...document.querySelectorAll('.optlink-motion')].map((one) => one.querySelector('svg').outerHTML)"
+    before = driver.execute_script(read)
+    assert len(before) == 2
+    driver.execute_script(
+        "const slider = document.querySelectorAll('.optlink-motion input')[1];"
+        "slider.value = 30; slider.dispatchEvent(new Event('input'))"
+    )
+    after = driver.execute_script(read)
+    assert after[0] == before[0]
+    pose = motion(shaper)["bodies"]["coupler"]
+    x, y, angle = (repr(pose[name][30]).removesuffix(".0") for name in "xya")
+    assert f'data-body="coupler" transform="translate({x} {y}) rotate({angle})"' in after[1]
+    angle = driver.execute_script("return document.querySelectorAll('.optlink-motion output')[arguments[0]].textContent", 3)
+    assert angle == f"{motion(shaper)['slider']['values'][30]:.1f}°"
+    assert console(driver) == []
+    assert requests(driver, path) == []

@@ -71,7 +71,7 @@ class Page:
             assert time.monotonic() < end, (
                 f"in vain: {script}; {self.run('return toast.textContent + document.body.innerText')[:600]}"
             )
-            time.sleep(0.02)
+            time.sleep(0.05)  # each question costs both processes and the browser some milliseconds
         return value
 
     def find(self, selector: str) -> Any:

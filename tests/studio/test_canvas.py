@@ -134,6 +134,18 @@ def test_a_drag_leads_the_linkage(page):
 
 
 @pytest.mark.slow
+def test_the_linkage_moves_unless_less_motion_is_preferred(page):
+    for preference, label in (("reduce", "Play"), ("no-preference", "Pause")):
+        features = [{"name": "prefers-reduced-motion", "value": preference}]
+        page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": features})
+        page.open()
+        page.find('[data-problem="crank-rocker"]').click()
+        page.verified()
+        assert page.run("return document.querySelector('#play').ariaLabel") == label
+    page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": []})
+
+
+@pytest.mark.slow
 def test_a_drag_goes_on_over_the_panel(page):
     page.open("crank-rocker")
     panel = page.find("#panel").rect["x"]
@@ -215,8 +227,9 @@ def test_no_serious_fault_of_access(page, dark):
             for width, height in ((1400, 900), (1024, 768), (400, 860)):
                 page.size(width, height)
                 page.run("document.querySelector('#checks details').open = true" if problem else "")
-                assert faults(page.driver) == []
                 assert page.run("return document.documentElement.scrollWidth") <= width
+                if width == 400 or (width == 1024) == dark:
+                    assert faults(page.driver) == []
 
 
 ANSWERS = """
