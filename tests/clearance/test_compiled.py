@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import casadi
 import numpy as np
@@ -53,8 +55,13 @@ def test_engines_agree():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("control", ["none", "inverse", "pid", "inverse+pid"])
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize(
+    ("name", "control"),
+    [
+        *((name, control) for name in SHIPPED[:2] for control in ("none", "inverse", "pid", "inverse+pid")),
+        *((SHIPPED[2], control) for control in ("none", "inverse+pid")),
+    ],
+)
 def test_engines_agree_on_the_shipped_machines(name, control):
     """Three gaps scatter: their runs are compared until differences of rounding have grown by a few powers of ten."""
     part = 0.1 if name.endswith("three-gaps") else 0.5
@@ -281,12 +288,19 @@ def test_cache_that_cannot_be_written_is_elsewhere(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_processes_that_compile_at_the_same_time_agree(tmp_path):
-    """Two processes with one empty cache; a third finds all in it."""
+    """Two processes without the equations of a machine in their cache; a third finds them. The engine is copied there before."""
+    simulate_clearance(optlink.load(SHIPPED[0]), 1, 12, twin=False, integrator="compiled")  # compiles the engine, if it has to
+    source = Path(machine.engine().__file__)
+    shutil.copy2(source, tmp_path)
+    (tmp_path / "__pycache__").mkdir()
+    for file in source.parent.glob(f"__pycache__/{source.stem}.*"):
+        shutil.copy2(file, tmp_path / "__pycache__")
     code = """
 import sys, optlink
 found = optlink.simulate_clearance(optlink.load("slider-crank-clearance"), 1, 12, twin=False, integrator="compiled")
 from optlink.clearance.compiled import machine
-print(repr(found.figures["rms_m"]), sum(machine.engine().advance.stats.cache_hits.values()))
+[equations] = [module for module in sys.modules.values() if hasattr(module, "rhs") and hasattr(module, "project")]
+print(repr(found.figures["rms_m"]), equations.rhs.cache_hits, sum(machine.engine().advance.stats.cache_hits.values()))
 """
     room = {**os.environ, machine.FOLDER: str(tmp_path)}
 
@@ -300,6 +314,7 @@ print(repr(found.figures["rms_m"]), sum(machine.engine().advance.stats.cache_hit
 
     found = [end(process) for process in [begin() for _ in range(2)]]
     last = end(begin())
-    assert {figure for figure, _ in [*found, last]} == {last[0]}
-    assert last[1] == "1"
+    assert {figure for figure, *_ in [*found, last]} == {last[0]}
+    assert "0" in [hits for _, hits, _ in found]  # at least the first one compiled
+    assert last[1:] == ["1", "1"]
     assert not list(tmp_path.glob("*.tmp"))

@@ -163,7 +163,7 @@ TUNED = (
 
 @posix
 @pytest.mark.slow
-@pytest.mark.parametrize("after", [2.5, 6.0])
+@pytest.mark.parametrize("after", [2.5, 4.0])
 def test_ctrl_c_of_a_terminal_ends_tuning_and_all_its_processes(after, files):
     """A terminal sends the signal to every process, also to those that are just starting: one sentence, nobody left."""
     with subprocess.Popen(
@@ -192,7 +192,7 @@ def test_ctrl_c_of_a_terminal_ends_tuning_and_all_its_processes(after, files):
 @pytest.mark.slow
 @pytest.mark.parametrize("case", LONG)
 def test_ctrl_c_ends_long_work_with_one_sentence_and_no_pictures(case, files):
-    code, _, err = press(LONG[case], 2.0, files)
+    code, _, err = press(LONG[case], 1.5, files)
     assert code == 130, err
     assert "Traceback" not in err
     assert "nterrupted" in err
@@ -205,8 +205,8 @@ def test_ctrl_c_ends_long_work_with_one_sentence_and_no_pictures(case, files):
 @posix
 @pytest.mark.slow
 def test_ctrl_c_during_a_proof_keeps_the_design_and_the_bound(files):
-    """Seven seconds of work: the local search takes two of them, the proof would take minutes."""
-    code, out, err = press(("solve", "law-slider-crank", "--certify", "--gap", "1e-9"), 7.0, files)
+    """Five seconds of work: the local search takes two of them, the proof would take minutes."""
+    code, out, err = press(("solve", "law-slider-crank", "--certify", "--gap", "1e-9"), 5.0, files)
     assert code == 130, err
     assert "Interrupted: the design is complete, the proof that it is the global optimum is not closed" in err
     assert "Traceback" not in err

@@ -178,9 +178,10 @@ def test_no_value_lies_outside() -> None:
 
 
 @pytest.mark.slow
-def test_no_value_of_a_million_lies_outside() -> None:
-    compared, outside = _outside(EVERY, 1_000_000 // len(EVERY) + 1, 2)
-    assert compared >= 1_000_000
+def test_no_value_of_two_hundred_thousand_lies_outside() -> None:
+    """A few thousand of each case: each planted defect below shows within a thousand."""
+    compared, outside = _outside(EVERY, 200_000 // len(EVERY) + 1, 2)
+    assert compared >= 200_000
     assert outside == 0
 
 

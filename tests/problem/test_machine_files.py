@@ -604,12 +604,12 @@ def mutate(tree: dict[str, Any], rng: random.Random) -> None:
 
 
 @pytest.mark.slow
-def test_three_thousand_mutated_machines_never_break_the_loader():
+def test_fifteen_hundred_mutated_machines_never_break_the_loader():
     """Every mutated machine either loads, and moves, or is refused with faults; no other exception (or warning), ever."""
     rng = random.Random(23)
     bases = [dict(load(name).raw) for name in ("six-bar", "shaper", "toggle-press")]
     loaded = refused = analysed = 0
-    for k in range(3000):
+    for k in range(1500):
         raw = copy.deepcopy(bases[k % 3])
         for _ in range(rng.randint(1, 3)):
             mutate(raw, rng)
@@ -632,9 +632,9 @@ def test_three_thousand_mutated_machines_never_break_the_loader():
                 continue
             analysed += 1
             json.dumps(analysis.to_dict(), allow_nan=False)
-    assert loaded > 300
-    assert refused > 1500
-    assert analysed > 15
+    assert loaded > 150
+    assert refused > 750
+    assert analysed > 7
 
 
 def test_mutated_bytes_never_break_the_loader(tmp_path):

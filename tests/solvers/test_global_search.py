@@ -420,7 +420,7 @@ def contradicted(problem):
 def test_no_certificate_of_a_random_problem_is_contradicted():
     rng = np.random.default_rng(11)
     statuses = []
-    for _ in range(25):
+    for _ in range(12):
         try:
             problem = random_problem(rng)
         except InputError:  # a law or span that no file may have
@@ -428,5 +428,5 @@ def test_no_certificate_of_a_random_problem_is_contradicted():
         wrongly, found = contradicted(problem)
         assert not wrongly
         statuses.append(found.status)
-    assert statuses.count(NOT_CLOSED) <= 2
-    assert statuses.count(WITHIN_GAP) >= 18
+    assert statuses.count(NOT_CLOSED) <= 1
+    assert statuses.count(WITHIN_GAP) >= 8

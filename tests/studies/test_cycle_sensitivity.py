@@ -183,12 +183,13 @@ def test_all_of_them_searched_again():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "gap", "every"), [("shaper-design", 1e-5, 4), ("press-toggle", 1e-3, 6)])
-def test_some_of_them_searched_again(name, gap, every):
+@pytest.mark.parametrize(("name", "gap"), [("shaper-design", 1e-5), ("press-toggle", 1e-3)])
+def test_some_of_them_searched_again(name, gap):
+    """Three, evenly spread over the keys."""
     found = sensitivities(optlink.load(name), starts=1)
-    assert len(found.moving[::every]) >= 3
+    chosen = [found.moving[k * len(found.moving) // 3] for k in range(3)]
     known = sensitivity_module.CycleParameters(found.problem, sensitivity_module.KKTSystem(found.solution))
-    for row in found.moving[::every]:
+    for row in chosen:
         check = sensitivity_module._searched_again(known, found.solution, row, "ipopt", degenerate=False)
         assert check is not None
         assert check.gap < gap, row.parameter.key

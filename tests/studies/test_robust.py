@@ -19,7 +19,8 @@ from optlink.problem.tolerances import with_tolerance
 from optlink.studies.sensitivity import sensitivities
 from optlink.studies.sweep import sweep
 from optlink.studies.tolerance.analysis import tolerance
-from optlink.tasks.function import solve, validate
+from optlink.tasks import function
+from optlink.tasks.function import validate
 from optlink.validation import validate as prove
 from tests.solved import solution
 
@@ -38,6 +39,11 @@ ENDS = {"crank": 0.5e-3, "coupler": 1e-3, "rocker": 0.8e-3, "D.x": 1e-3, "D.y": 
 @pytest.fixture(scope="module")
 def problem():
     return optlink.load("crank-rocker-robust")
+
+
+def solve(problem, backend="ipopt", starts=4):
+    """Few of the usual 49 starting points: what is found is compared with formulas and searches outside optlink."""
+    return function.solve(problem, backend, starts=starts)
 
 
 def rocker_angle(phi, crank, coupler, rocker, dx, dy=0.0):
@@ -216,7 +222,7 @@ def test_a_function_is_robust_anywhere_in_its_range():
 
 @pytest.mark.slow
 def test_what_a_tolerance_costs_is_its_derivative(problem):
-    found = sensitivities(problem, check=True)
+    found = sensitivities(problem, starts=4, check=True)
     assert found.gap < 1e-4
     coupler = found["tolerances.coupler"]
     assert coupler.parameter.value == pytest.approx(1.0)
@@ -307,16 +313,16 @@ def test_the_validator_fails_on_a_linkage_that_answers_otherwise(problem):
 
 @pytest.mark.slow
 def test_a_sweep_over_a_tolerance_and_over_a_length(problem):
-    found = sweep(problem, ["tolerances.rocker=0.2..1 mm:3"])
+    found = sweep(problem, ["tolerances.rocker=0.2..1 mm:2"])
     assert found.complete
     for value, objective in zip(found.columns["tolerances.rocker_mm"], found.columns["objective_rad"], strict=True):
         one = problem.override({"tolerances.rocker": {"tolerance": f"{value} mm", "distribution": "uniform"}})
         assert objective == pytest.approx(solve(one).objective, rel=1e-8)
-    lengths = sweep(problem, ["mechanism.frame=490..510 mm:3"])
+    lengths = sweep(problem, ["mechanism.frame=490..510 mm:2"])
     assert lengths.complete
     for value, objective in zip(lengths.columns["mechanism.frame_mm"], lengths.columns["objective_rad"], strict=True):
         assert objective == pytest.approx(solve(problem.override({"mechanism.frame": f"{value} mm"})).objective, rel=1e-8)
-    counted = sweep(problem, ["requirement.robust=1..3 sigma:3"])
+    counted = sweep(problem, ["requirement.robust=1..3 sigma:2"])
     assert counted.complete
     assert np.all(np.diff(counted.columns["objective_rad"]) > 0.0)
 
@@ -479,7 +485,7 @@ def test_no_design_yields_more_than_the_one_with_most_yield(problem, law, span, 
     assert surplus(found.robust.nominal) > 3.0
     assert surplus(margin.design) > -1.0
     base, tried = found.robust.result.problem, 0
-    while tried < 25:
+    while tried < 10:
         near = {name: value + random.normal() * 0.01 * abs(value) for name, value in found.robust.free.items()}
         if optlink.validate(base, near).valid:
             tried += 1

@@ -425,10 +425,11 @@ def test_a_robust_design_yields_more_than_the_best_as_drawn(problem):
     ("name", "limit", "texts", "mode"),
     [
         ("crank-rocker", 1.8, WIDE, "left"),
-        pytest.param("function-sin", 0.3, ["crank=0.2 mm", "coupler=0.2 mm"], "left", marks=pytest.mark.slow),
-        pytest.param("function-log10", 0.05, ["crank=0.2 mm", "coupler=0.2 mm"], "right", marks=pytest.mark.slow),
+        ("function-sin", 0.3, ["crank=0.2 mm", "coupler=0.2 mm"], "left"),
+        ("function-log10", 0.05, ["crank=0.2 mm", "coupler=0.2 mm"], "right"),
     ],
 )
+@pytest.mark.slow
 def test_the_safest_design_keeps_the_limit_with_most_standard_deviations(monkeypatch, name, limit, texts, mode):
     """More at its worst crank angle than the nominal optimum, and than those that were made for fewer or more."""
     problem, drawn = optlink.load(name), solution(name)
