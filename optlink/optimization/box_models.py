@@ -14,6 +14,7 @@ import numpy as np
 
 from optlink.errors import Fault, InputError
 from optlink.linkage.fourbar import lengths_of, transmission_cosine
+from optlink.linkage.margins import MISSED
 from optlink.linkage.vector2d import TURN, Array, unit
 from optlink.optimization.constraints import FOUR_BAR, GENERAL, ConstraintRow, position_rows
 from optlink.optimization.objectives import output_error
@@ -97,12 +98,16 @@ class DesignBoxes:
                 residuals, rows = _timed(self.problem, values, low.shape[1])
         sides: list[TaylorModel] = []
         limits: list[str] = []
+        shape, count = (len(low),), low.shape[1]
         for row in rows:
             for bound, sign in ((row.low, 1.0), (row.high, -1.0)):
-                if np.isfinite(bound):
-                    sides.append(sign * (row.value - bound))
+                slack = sign * (row.value - bound) if np.isfinite(bound) else np.inf
+                if not isinstance(slack, TaylorModel):  # no design changes it
+                    least = np.min(slack)
+                    slack = TaylorModel.constant(least, count) if least < -MISSED else None
+                if slack is not None:
+                    sides.append(slack)
                     limits.append(row.limit)
-        shape, count = (len(low),), low.shape[1]
         slacks = _joined([column for side in sides for column in _columns(side, shape, count)], shape, count)
         widths = [1 if side.remainder.ndim < 2 else side.remainder.shape[-1] for side in sides]
         self.limits = tuple(limit for limit, width in zip(limits, widths, strict=True) for _ in range(width))
@@ -221,7 +226,7 @@ def _timed(problem: PathProblem, values: dict[str, Any], count: int) -> Evaluate
 
 
 def _limits(problem: DesignProblem | PathProblem, values: dict[str, Any], reach: Reach) -> list[ConstraintRow]:
-    """Return the limits that can be evaluated with Taylor models and depend on the design."""
+    """Return the limits that can be evaluated with Taylor models."""
     rows: list[ConstraintRow] = []
     for term in (*FOUR_BAR, *GENERAL) if isinstance(problem.mechanism, FourBarSection) else GENERAL:
         found: Iterator[ConstraintRow] = iter(term(problem, values, reach, 1.0))
@@ -233,7 +238,7 @@ def _limits(problem: DesignProblem | PathProblem, values: dict[str, Any], reach:
             if row is None:
                 break
             rows.append(row)
-    return [row for row in rows if isinstance(row.value, TaylorModel)]
+    return rows
 
 
 def _columns(model: TaylorModel, shape: tuple[int, ...], count: int) -> list[TaylorModel]:

@@ -17,6 +17,7 @@ import numpy as np
 from flint import arb
 
 from optlink.linkage.dyad_types import RRR, Transmitting
+from optlink.linkage.margins import MISSED
 from optlink.linkage.mechanism import Pose
 from optlink.linkage.vector2d import cross, dot, minus, turn
 from optlink.problem.function import DEAD_CENTRES, DesignProblem
@@ -171,13 +172,13 @@ class BallProblem:
         ----------
         values : mapping of str to Ball
         constant : bool
-            Whether rows that do not depend on the design are included.
+            Whether all rows that do not depend on the design are included, not only those that every design misses.
         """
         found = []
         for key, value, low, high in self._rows(values):
-            if value.slope is not None or constant:
-                found += [(key, value - low)] if math.isfinite(low) else []
-                found += [(key, high - value)] if math.isfinite(high) else []
+            for slack in ([value - low] if math.isfinite(low) else []) + ([high - value] if math.isfinite(high) else []):
+                if slack.slope is not None or constant or bool(slack.centre < -MISSED):
+                    found.append((key, slack))
         return found
 
     def _rows(self, values: Mapping[str, Ball]) -> Iterator[Row]:

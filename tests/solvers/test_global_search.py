@@ -31,6 +31,11 @@ IMPOSSIBLE = {
         "mechanism.coupler": {"start": "200 mm", "bounds": ["100 mm", "250 mm"]},
         "mechanism.rocker": {"start": "200 mm", "bounds": ["100 mm", "250 mm"]},
     },
+    "fixed links": {  # no limit that is missed depends on the design variable
+        "mechanism.coupler": "300 mm",
+        "mechanism.rocker": "200 mm",
+        "requirement.psi0": {"bounds": ["60 deg", "120 deg"]},
+    },
 }
 
 

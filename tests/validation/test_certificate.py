@@ -75,6 +75,13 @@ def test_a_certificate_that_no_design_is_feasible_holds(tmp_path: Path) -> None:
     )
 
 
+def test_a_certificate_holds_where_no_design_variable_changes_the_missed_limit(tmp_path: Path) -> None:
+    fixed = {"mechanism.coupler": "300 mm", "mechanism.rocker": "200 mm", "requirement.psi0": {"bounds": ["60 deg", "120 deg"]}}
+    problem = optlink.load("crank-rocker", fixed)
+    found = _checked(problem, _certificate(problem), tmp_path)
+    assert found.valid, found.checks
+
+
 def _box_removed(document: Document) -> None:
     for name in ("low", "high", "test", "multipliers"):
         del document["covers"][0][name][7]
