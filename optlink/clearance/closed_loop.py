@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -101,6 +101,7 @@ class ClosedLoop:
         self.integration = Integration(self.equations, state, self.period / self.rows, tolerance, wished > SLOW)
         self.start, self.nominal = start, nominal
         self.controller: Controller | None = None
+        self.advanced: Callable[[float], None] = lambda revolutions: None
         self.partial: Revolution | None = None  # rows of an interrupted revolution
 
     def _ideal(self, machine: Machine, start: float, speed: float) -> Array:
@@ -188,6 +189,7 @@ class ClosedLoop:
                 course.further = self.controller(sample, self.measured())
             for block in course.advance(stride):
                 parts.append((block, np.full(len(block.time), course.further)))
+                self.advanced(course.row / self.rows)
 
     def save(self) -> dict[str, Any]:
         """Return the state at the end of a revolution as plain numbers; `restore` continues from it bit-identically."""

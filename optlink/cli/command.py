@@ -43,15 +43,22 @@ class Command(TyperCommand):
         """
         known = {name for param in self.params for name in param.opts}
         end = args.index("--") if "--" in args else len(args)
+        words = [*(_present(word, known) for word in args[:end]), *args[end:]]
         try:
-            return super().parse_args(ctx, [*(_present(word, known) for word in args[:end]), *args[end:]])
+            rest = super().parse_args(ctx, words.copy())
         except UsageError as error:
             error.ctx = error.ctx or ctx  # an option without its value does not say of which command
             raise
+        values, _, _ = self.make_parser(ctx).parse_args(words)  # before they are converted
+        for param in self.params:
+            if param.param_type_name == "option" and isinstance(text := values.get(param.name), str):
+                option = max(param.opts, key=len)
+                ctx.meta.update(dict.fromkeys((param.name, *param.opts), (option, text)))
+        return rest
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command, and report errors."""
-        with reported(bool(ctx.params.get("as_json"))):
+        with reported(bool(ctx.params.get("as_json")), ctx.meta):
             return super().invoke(ctx)
 
 

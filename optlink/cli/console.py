@@ -7,12 +7,13 @@ import json
 import os
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from optlink.errors import InputError, OptlinkError, shown
+from optlink.errors import Fault, InputError, OptlinkError, shown
 from optlink.execution import interrupts
 
 if TYPE_CHECKING:
@@ -32,10 +33,16 @@ _kept: list[contextlib.ExitStack] = []  # contexts held until the command ends
 
 
 @contextlib.contextmanager
-def reported(as_json: bool) -> Iterator[None]:
+def reported(as_json: bool, options: Mapping[str, tuple[str, str]] | None = None) -> Iterator[None]:
     """Print an `OptlinkError` as a message on standard error (and as JSON on request), and exit with its code.
 
     An interrupted command ends with the exit code 130, also if it has shown complete results.
+
+    Parameters
+    ----------
+    as_json : bool
+    options : mapping of str to (str, str), optional
+        Option and its value as typed, by the names of its parameter: a library function names the parameter, and the value [SI].
     """
     try:
         with contextlib.ExitStack() as stack:
@@ -47,15 +54,16 @@ def reported(as_json: bool) -> Iterator[None]:
     except typer.Exit as end:
         raise typer.Exit(interrupts.EXIT_CODE if interrupts.interrupted() else end.exit_code) from None
     except OptlinkError as error:
-        faults = error.faults if isinstance(error, InputError) else ()
-        for line in [str(fault) for fault in faults] or [str(error)]:
+        faults = [_as_typed(fault, options or {}) for fault in error.faults] if isinstance(error, InputError) else []
+        lines = [str(fault) for fault in faults] or [str(error)]
+        for line in lines:
             print(f"Error: {line}", file=sys.stderr)
         if as_json:
             listed = [
                 {key: item if item is None or isinstance(item, str) else shown(item) for key, item in vars(fault).items()}
                 for fault in faults
             ]
-            print_failure(str(error), listed)
+            print_failure("\n".join(lines), listed)
         raise typer.Exit(error.exit_code) from None
     except (Exception, KeyboardInterrupt) as error:
         if not (interrupts.interrupted() or isinstance(error, KeyboardInterrupt)):
@@ -68,6 +76,15 @@ def reported(as_json: bool) -> Iterator[None]:
         raise typer.Exit(interrupts.EXIT_CODE) from None
     if interrupts.interrupted():
         raise typer.Exit(interrupts.EXIT_CODE)
+
+
+def _as_typed(fault: Fault, options: Mapping[str, tuple[str, str]]) -> Fault:
+    """Return a fault with the option that it is about, and its value, as typed."""
+    key = fault.key or ""
+    if key not in options or (fault.file is not None and not key.startswith("-")):  # a key of the file
+        return fault
+    option, text = options[key]
+    return replace(fault, key=option, value=None if fault.value is None else text)
 
 
 def print_json(document: dict[str, Any]) -> None:
@@ -313,17 +330,14 @@ def places(out: Path | None, command: str, problem: str, csv: Path | None = None
     InputError
         If nothing can be written, or the folder holds or receives the results of another command or problem.
     """
-    from optlink.io import folder
-
-    if csv is not None and csv.is_dir():
-        remedy = "Give the name of a file, for example motion.csv"
-        raise InputError("this is a folder", remedy, key="--csv", value=str(csv))
     if out is None:
         refuse({"--format": None if pictures == "png" else pictures}, "pictures need a folder", "Add --out DIR")
     else:
         _kept[-1].enter_context(_result_folder(out, command, problem))
     if csv is not None:
-        folder(csv.parent, "--csv")
+        from optlink.report.files import target
+
+        target(csv, (), "motion.csv", "--csv")
 
 
 def study_place(out: Path, command: str, problem: str) -> None:

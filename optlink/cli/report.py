@@ -43,7 +43,7 @@ def report(
     quiet: Quiet = False,
 ) -> None:
     """Write a self-contained HTML page of a design, simulation or study: results, checks, charts, animation, sources."""
-    from optlink.report.export.export import target
+    from optlink.report.files import target
 
     target(output, (".html", ".htm"), "report.html")
     facts = {"title": title, "company": company, "author": author, "part": part, "revision": revision, "date": date}
@@ -80,7 +80,8 @@ def export(
     quiet: Quiet = False,
 ) -> None:
     """Export a design to DXF, SVG, CSV or JSON."""
-    from optlink.report.export.export import FORMATS, Options, export as write, target
+    from optlink.report.export.export import FORMATS, Options, export as write
+    from optlink.report.files import target
 
     target(output, tuple(FORMATS), "drawing.dxf")
     angle = console.quantity(at, "angle", "--at")

@@ -184,7 +184,7 @@ def new(
 
 def _check(out: Path, force: bool) -> None:
     """Refuse a file that cannot be written, and one that exists unless it may be overwritten."""
-    from optlink.report.export.export import target
+    from optlink.report.files import target
 
     target(out, (".toml",), "mine.toml")
     if out.exists() and not force:

@@ -197,14 +197,19 @@ def _revolutions(file: ProblemFile, revolutions: int | None, duration: float | N
     """Return the number of revolutions."""
     if revolutions is not None and duration is not None:
         raise InputError("revolutions and a duration are given", "Give one of the two", key="--duration")
-    if duration is None and revolutions is None and file.model.drive.duration is not None:
-        duration = file.model.drive.duration.value
-    if duration is None:
-        return 20 if revolutions is None else revolutions
-    from optlink.tasks.machine import crank_speed
+    if revolutions is not None:
+        return revolutions
+    from optlink.tasks.machine import crank_speed, duration_of
 
-    period = 2.0 * math.pi / abs(speed or crank_speed(file))
-    return max(1, math.ceil(duration / period * (1.0 - 1e-9)))
+    duration = duration_of(file, duration)
+    if duration is None:
+        return 20
+    exact = duration * abs(crank_speed(file, speed)) / (2.0 * math.pi)
+    whole = max(1, math.ceil(exact * (1.0 - 1e-9)))
+    if not (math.isclose(exact, whole, rel_tol=1e-6) or console.quiet):
+        what = f"{duration:.6g} s are {exact:.6g} revolutions"
+        print(f"Note: {what}; with clearance whole revolutions are simulated: {whole}", file=sys.stderr)
+    return whole
 
 
 @contextlib.contextmanager

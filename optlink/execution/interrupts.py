@@ -14,6 +14,7 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import TYPE_CHECKING, NoReturn
 
@@ -48,6 +49,28 @@ def listen() -> None:
 def interrupted() -> bool:
     """Return whether Ctrl-C was pressed."""
     return _pressed
+
+
+@contextlib.contextmanager
+def watched() -> Iterator[Callable[[], bool]]:
+    """Yield a function that returns whether Ctrl-C was pressed, which long work asks again and again; a second one raises."""
+    plain = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if threading.current_thread() is not threading.main_thread() or not plain:
+        yield interrupted
+        return
+    requested = False
+
+    def ask(*_: object) -> None:
+        nonlocal requested
+        if requested:
+            raise KeyboardInterrupt
+        requested = True
+
+    signal.signal(signal.SIGINT, ask)
+    try:
+        yield lambda: requested
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def check() -> None:

@@ -77,6 +77,12 @@ SPELLED = ("balance", "control", "objective", "requirement")
 """Sections whose keys have such spellings; the names in them are never the user's."""
 
 
+class Ends(list[Any]):
+    """The two ends of a range, with the text of the file that states them."""
+
+    text = ""
+
+
 def with_spellings(raw: Mapping[str, Any]) -> dict[str, Any]:
     """Replace American spellings of keys and values in the tables of a problem; a key that is there twice remains."""
 
@@ -116,11 +122,13 @@ def with_ranges(raw: Any, path: tuple[str, ...] = (), skip: Collection[str] = ()
     if isinstance(raw, Mapping):
         return {key: with_ranges(item, (*path, str(key)), skip) for key, item in raw.items()}
     if isinstance(raw, list):
-        return [with_ranges(item, (*path, ""), skip) for item in raw]
+        return raw if isinstance(raw, Ends) else [with_ranges(item, (*path, ""), skip) for item in raw]
     sides = split_range(raw) if isinstance(raw, str) else None
     if sides is None:
         return raw
-    ends = list(sides.values()) if len(sides) == 2 else None
+    ends = Ends(sides.values()) if len(sides) == 2 else None
+    if ends is not None:
+        ends.text = raw
     if path[-1] == "bounds" or (path[0] == "requirement" and path[-1] == "x"):
         return ends or raw
     if path[0] in ("mechanism", "requirement") and path[:2] not in LIMITED:

@@ -17,7 +17,7 @@ import pydantic
 from optlink.errors import InputError, shown
 from optlink.io import data_files, load_extensions
 from optlink.problem.base_model import SPELLED, SPELLINGS, with_ranges, with_spellings
-from optlink.problem.file_errors import SECTIONS, faults, known_keys, of_dyads, toml_fault
+from optlink.problem.file_errors import SECTIONS, as_written, faults, known_keys, of_dyads, toml_fault
 from optlink.problem.function import DesignProblem
 from optlink.problem.limits import MARGINS, Alignment
 from optlink.problem.machine.model import Problem
@@ -199,10 +199,11 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
     model = _model(raw, file)
     try:
         problem = model.model_validate({"title": name[:200], **raw}, context={"folder": where})
-    except pydantic.ValidationError as error:
-        raise InputError(list(faults(error, model, raw, file))) from None
-    with input_of(file):
-        problem.check()
+        with input_of(file):
+            problem.check()
+    except (pydantic.ValidationError, InputError) as error:
+        found = error.faults if isinstance(error, InputError) else faults(error, model, raw, file)
+        raise InputError([as_written(fault, raw) for fault in found]) from None
     return ProblemFile(name, file, where, raw, problem)
 
 

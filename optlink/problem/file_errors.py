@@ -5,15 +5,42 @@ from __future__ import annotations
 import datetime
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import pydantic
 
 from optlink.errors import Fault
 from optlink.io import Registry
+from optlink.problem.base_model import Ends
 from optlink.problem.function import DesignProblem
 from optlink.problem.machine.model import Problem
 from optlink.problem.quantity import Unusable, nearest
+from optlink.units import split
+
+
+def as_written(fault: Fault, raw: object) -> Fault:
+    """Return a fault whose value is that of a quantity or a range with the value as it stands in the file.
+
+    Parameters
+    ----------
+    fault : Fault
+    raw : mapping
+        Nested tables of the file.
+    """
+    if isinstance(fault.value, Ends):
+        return replace(fault, value=fault.value.text)
+    if not isinstance(fault.value, str) or fault.key is None:
+        return fault
+    for step in fault.key.split("."):
+        if not isinstance(raw, Mapping) or step not in raw:
+            return fault
+        raw = raw[step]
+    ends = raw if isinstance(raw, list) else [raw]
+    if fault.value in ends or not all(isinstance(end, str) and split(end) for end in ends):  # no quantity, or an end of a range
+        return fault
+    return replace(fault, value=raw.text if isinstance(raw, Ends) else raw)
+
 
 UNKNOWN, MISSING = "unknown key", "this key is missing"
 

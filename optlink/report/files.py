@@ -6,6 +6,7 @@ import contextlib
 import csv
 import itertools
 import math
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -14,9 +15,44 @@ from optlink.errors import InputError
 from optlink.io import checked, folder, read_object, whole, write_json
 from optlink.problem.file import ProblemFile, dump
 from optlink.problem.fixed_design import with_files_beside
-from optlink.problem.quantity import input_of
+from optlink.problem.quantity import input_of, nearest
 
-__all__ = ["checkpoint", "folder", "stream", "whole", "write_csv", "write_design", "write_json"]
+__all__ = ["checkpoint", "folder", "stream", "target", "whole", "write_csv", "write_design", "write_json"]
+
+LONGEST = 255  # largest length of a file name on common systems [bytes]
+
+
+def target(path: Path, endings: tuple[str, ...], example: str, key: str = "--out") -> Path:
+    """Check that a file can be written and return its path.
+
+    Parameters
+    ----------
+    path : Path
+    endings : tuple of str
+        Permitted extensions with dot; none: any.
+    example : str
+        File name to suggest in messages.
+    key : str
+        Command-line option that the message names.
+
+    Raises
+    ------
+    InputError
+        If the extension is unknown, or the folder does not exist or is not writable.
+    """
+    if len(os.fsencode(path.name)) > LONGEST:
+        raise InputError("the name is too long", f"Give a shorter one, for example {example}", key=key, value=str(path))
+    if path.is_dir():
+        raise InputError("this is a folder", f"Give the name of a file, for example {example}", key=key, value=str(path))
+    if endings and path.suffix.lower() not in endings:
+        message = f'cannot write "{path.suffix}" files' if path.suffix else "the name has no ending"
+        remedy = nearest(path.suffix, endings) if path.suffix else f"Write one of {', '.join(endings)}"
+        raise InputError(message, remedy, key=key, value=str(path))
+    if not path.parent.is_dir():
+        message = f"there is no folder {path.parent}"
+        raise InputError(message, "Make it first, or choose another place", key=key, value=str(path))
+    folder(path.parent, key)
+    return path
 
 
 def write_design(directory: Path, machine: ProblemFile, comment: str) -> list[Path]:

@@ -91,7 +91,7 @@ def analyze_batch(
     arrays = _read(problem, designs)
     count = len(next(iter(arrays.values())))
     drive = problem.model.drive
-    way = crank_speed(problem) if speed is None else speed
+    way = crank_speed(problem, speed)
     follows = problem.model.mechanism.follows
     turns = _most_turns(problem, arrays) if follows else 1
     angles = drive.start.value + np.copysign(TURN, way) * np.arange(turns * points) / points

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import math
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from optlink.clearance.closed_loop import ClosedLoop
+from optlink.clearance.closed_loop import ClosedLoop, vibration
 from optlink.clearance.compiled.choice import IntegratorKind, chosen, resumed
 from optlink.clearance.controller import PID, Control, Controller, Gains
 from optlink.clearance.equations import Drive, Servo, Weightless
@@ -31,7 +29,16 @@ from optlink.execution import interrupts
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range, input_of, nearest
-from optlink.tasks.machine import check_arguments, check_regular, machine_of, motion_range, start_value_notes, with_flywheel
+from optlink.tasks.machine import (
+    check_arguments,
+    check_pace,
+    check_regular,
+    crank_speed,
+    machine_of,
+    motion_range,
+    start_value_notes,
+    with_flywheel,
+)
 from optlink.tasks.results.checkpoint import ClearanceCheckpoint, read_checkpoint
 from optlink.tasks.results.clearance import RUNNING_IN, ClearanceSimulation
 
@@ -222,11 +229,15 @@ def simulate_clearance(
             state = ClearanceCheckpoint(**options, **saved, revolutions=account.count, statistics=account.save())
             checkpoint(state.document())
 
+    if progress is not None:
+        plant.advanced = lambda done: progress(done / revolutions)
     kept_at, saved = time.monotonic(), save()
     ending, message = Ending.FINISHED, f"{revolutions} revolution{' was' if revolutions == 1 else 's were'} simulated"
     notes = [*start_value_notes(problem, design), *_sample_time_note(setting, plant)]
     try:
-        with _interruptible(plants):
+        with interrupts.watched() as stop:
+            for one in plants:
+                one.integration.stop = stop
             for k in range(account.count, revolutions):
                 rows = account.add(k >= skipped)
                 if stream is not None:
@@ -234,8 +245,6 @@ def simulate_clearance(
                 if pair is not None:
                     pair.follow(rows[setting.output.column])
                 saved = save()
-                if progress is not None:
-                    progress((k + 1) / revolutions)
                 if time.monotonic() - kept_at > EVERY or k + 1 == revolutions:
                     keep()
                     kept_at = time.monotonic()
@@ -333,33 +342,6 @@ def checked(
     return setting.output, str(integrator)
 
 
-@contextlib.contextmanager
-def _interruptible(plants: Sequence[ClosedLoop]) -> Iterator[None]:
-    """End the work after the present integrator call on a keyboard interrupt; at once on a second one."""
-    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is not (
-        signal.default_int_handler
-    ):
-        for plant in plants:
-            plant.integration.stop = interrupts.interrupted
-        yield
-        return
-    requested = False
-
-    def ask(*_: object) -> None:
-        nonlocal requested
-        if requested:
-            raise KeyboardInterrupt
-        requested = True
-
-    for plant in plants:
-        plant.integration.stop = lambda: requested
-    signal.signal(signal.SIGINT, ask)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
 def _setting(
     problem: ProblemFile,
     points: int,
@@ -397,9 +379,13 @@ def _setting(
     if not ranges.full:
         message = "the crank cannot turn fully; simulation with clearance needs full revolutions"
         raise InputError(message, "Change the dimensions so that it can", name, "mechanism")
-    nominal = drive.speed.value if speed is None else speed
-    if not math.isfinite(nominal) or nominal == 0.0 or abs(nominal) > 1e6:
-        raise InputError("out of range", "Give a speed other than zero", key="speed", value=f"{nominal:.6g} rad/s")
+    nominal = crank_speed(problem, speed)
+    processes = {
+        "drive.speed" if speed is None else "--speed": (
+            "a vibration of a journal on its bearing",
+            vibration(machine, gaps, nominal),
+        )
+    }
     servo = None if drive.servo is None else Servo(drive.servo.bandwidth.value, drive.servo.damping)
     if kind is not Control.NONE:
         if servo is None:
@@ -410,6 +396,11 @@ def _setting(
             raise InputError(f"control {kind} needs the controlled joint", remedy, name, "control")
         if kind.fed_back and not any((model.control.proportional, model.control.integral, model.control.derivative)):
             raise InputError("all gains of the PID are zero", "Give proportional = 0.05 or integral = 10.0", name, "control")
+        if kind.fed_back:
+            processes["control.sample_time"] = ("a sample", model.control.sample_time.value)
+    if servo is not None:
+        processes["drive.servo.bandwidth"] = ("a vibration of the servo", TURN / servo.bandwidth)
+    check_pace(problem, nominal, processes)
     first = nominal
     if drive.torque is not None:
         first = drive.initial_speed.value if drive.initial_speed is not None else 0.0

@@ -265,7 +265,7 @@ def tune(
     common["integrator"] = integrator
     idle = next((name for name in names if not _acts(name, Control(control))), None)
     if idle is not None:
-        raise InputError(f"the parameter has no effect with control {control}", "Tune inverse+pid", key="names", value=idle)
+        raise InputError(f"the parameter has no effect with control {control}", "Tune inverse+pid", key="--tune", value=idle)
     label = {**common, "problem_hash": problem.hash, "control": control, "names": list(names)}
     label |= {"evaluations": evaluations, "starts": starts, "seed": seed, "design": None if design is None else dict(design)}
     kept = [] if resume is None else read_checkpoint(TuningCheckpoint, resume, label).costs

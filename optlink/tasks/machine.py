@@ -21,6 +21,9 @@ from optlink.problem.quantity import input_of, nearest
 _machines: dict[int, Machine] = {}
 """Machines at fixed and starting values by the identity of their problem, with their ranges and compiled functions."""
 
+SLOWEST, FASTEST = 1e-9, 1e6  # rad/s
+SHORTEST, LONGEST = 1e-9, 1e7  # s
+MOST_PERIODS = 200_000  # of the fastest process within a revolution: minutes of computing time
 MARGIN = 1e-3  # fraction of a limited range omitted at either end: speeds are infinite at a dead position
 
 
@@ -124,19 +127,86 @@ def machine_of(problem: ProblemFile, design: Mapping[str, Value] | None = None) 
     return machine
 
 
-def crank_speed(problem: ProblemFile) -> float:
+def crank_speed(problem: ProblemFile, speed: float | None = None, key: str = "speed") -> float:
     """Return the constant speed of the crank [rad/s].
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    speed : float [rad/s], optional
+        In place of that of the problem.
+    key : str
+        Key of the drive that states the speed of the problem.
 
     Raises
     ------
     InputError
-        If it is zero, as in a file that is simulated from rest.
+        If it is zero, as in a file that is simulated from rest, or out of range.
     """
-    speed = problem.model.drive.speed
-    if speed.value == 0.0:
-        remedy = "Give another speed: a revolution at constant speed is simulated"
-        raise InputError("the crank speed is zero", remedy, problem.file, "drive.speed", str(speed))
-    return speed.value
+    value: float = getattr(problem.model.drive, key).value if speed is None else speed
+    if not SLOWEST <= abs(value) <= FASTEST:
+        message = "the crank speed is zero" if value == 0.0 else "out of range"
+        remedy = 'Give one between 1e-9 and 1e6 rad/s, for statics a low one such as "0.01 rpm"'
+        if speed is not None:
+            raise InputError(message, remedy, key="speed", value=f"{speed:.6g} rad/s")
+        raise _of_drive(problem, f"drive.{key}", message, remedy)
+    return value
+
+
+def duration_of(problem: ProblemFile, duration: float | None = None) -> float | None:
+    """Return the simulated time [s]; None if neither the argument nor the problem states it.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    duration : float [s], optional
+        In place of that of the problem.
+
+    Raises
+    ------
+    InputError
+        If it is out of range.
+    """
+    stated = problem.model.drive.duration
+    value = duration if duration is not None or stated is None else stated.value
+    if value is not None and not SHORTEST <= value <= LONGEST:
+        remedy = "Give a time from 1e-9 s to 1e7 s"
+        if duration is not None:
+            raise InputError("out of range", remedy, key="duration", value=f"{duration:.6g} s")
+        raise _of_drive(problem, "drive.duration", "out of range", remedy)
+    return value
+
+
+def check_pace(problem: ProblemFile, speed: float, processes: Mapping[str, tuple[str, float]]) -> None:
+    """Refuse a revolution that lasts so much longer than the fastest process of the machine that it would take hours.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    speed : float [rad/s]
+    processes : mapping of str to (str, float [s])
+        By the key that determines it: the process, and its period.
+
+    Raises
+    ------
+    InputError
+        With the key.
+    """
+    turn = TURN / abs(speed)
+    for key, (process, period) in processes.items():
+        if turn > MOST_PERIODS * period:
+            message = f"{process} takes {period:.3g} s, so that a revolution of {turn:.3g} s contains {turn / period:.2g}"
+            raise _of_drive(
+                problem, key, message, f"Give another value or another speed, so that there are at most {MOST_PERIODS:,}"
+            )
+
+
+def _of_drive(problem: ProblemFile, key: str, message: str, remedy: str) -> InputError:
+    """Return the error for a key of the drive or the controller."""
+    value: object = problem.raw
+    for step in key.split("."):
+        value = value.get(step) if isinstance(value, Mapping) else None
+    return InputError(message, remedy, problem.file, key, value)
 
 
 def with_flywheel(machine: Machine, inertia: float) -> Machine:

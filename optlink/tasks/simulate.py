@@ -22,7 +22,16 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.base_model import Columns, Contradiction, Number, Recorded, ResultRecord
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range
-from optlink.tasks.machine import check_arguments, machine_of, motion_range, start_value_notes, with_flywheel
+from optlink.tasks.machine import (
+    LONGEST,
+    check_arguments,
+    crank_speed,
+    duration_of,
+    machine_of,
+    motion_range,
+    start_value_notes,
+    with_flywheel,
+)
 
 MAX_ROWS = 1_000_000
 
@@ -148,15 +157,18 @@ def simulate(
     torque = drive.torque
     machine, start = machine_of(problem, design), drive.start.value
     machine = with_flywheel(machine, flywheel)
-    if speed is None:
-        given = drive.initial_speed if torque is not None else None
-        speed = given.value if given is not None else 0.0 if torque is not None else drive.speed.value
+    initial = speed if speed is not None or drive.initial_speed is None else drive.initial_speed.value
+    if torque is not None and not initial:
+        speed = 0.0
+    else:
+        speed = crank_speed(problem, speed, "speed" if torque is None else "initial_speed")
+    duration = duration_of(problem, duration)
     if duration is None:
-        if drive.duration is None and drive.speed.value == 0.0:
-            message = "how long the machine is simulated does not follow from a speed of zero"
+        if LONGEST * abs(drive.speed.value) < TURN:
+            message = "the simulated time is not stated, and does not follow from so low a speed"
             raise InputError(message, 'Give drive.duration = "2 s"', problem.file, "drive.duration")
-        duration = drive.duration.value if drive.duration is not None else TURN / abs(drive.speed.value)
-    _check(duration, rows, speed, torque is not None)
+        duration = TURN / abs(drive.speed.value)
+    check_range("points", rows, 1, MAX_ROWS)
     ranges, low, high = motion_range(problem, machine, start)
     notes = start_value_notes(problem, design)
     if torque is not None:
@@ -184,15 +196,6 @@ def simulate(
     columns, meanings = _columns(machine, found)
     driven = "torque" if torque is not None else "constant speed"
     return Simulation(problem, machine, found, columns, meanings, driven, tuple(notes))
-
-
-def _check(duration: float, rows: int, speed: float, free: bool) -> None:
-    if not 1e-9 <= duration <= 1e7:
-        raise InputError("out of range", "Give a time from 1e-9 s to 1e7 s", key="duration", value=f"{duration:.6g} s")
-    check_range("points", rows, 1, MAX_ROWS)
-    if not math.isfinite(speed) or abs(speed) > 1e6 or (speed == 0.0 and not free):
-        remedy = "Give a speed other than zero, or a torque under [drive]"
-        raise InputError("out of range", remedy, key="speed", value=f"{speed:.6g} rad/s")
 
 
 def _columns(machine: Machine, found: Run) -> tuple[dict[str, Array], dict[str, str]]:

@@ -33,7 +33,7 @@ REFUSED = {
         ("crank-rocker", "--design", "coupler=412 mm", "--design", "rocker=232 mm", "--certify"),
         "--certify: a given design is validated, not optimised. Leave it out",
     ),
-    "a large gap": (("crank-rocker", "--gap", "2"), "--gap = 2.0: out of range. Give a share from 1e-12 to less than 1"),
+    "a large gap": (("crank-rocker", "--gap", "2"), '--gap = "2": out of range. Give a share from 1e-12 to less than 1'),
     "no gap": (("crank-rocker", "--gap", "nan"), '--gap: "nan" is not a number'),
     "an unknown unit": (("crank-rocker", "--time-limit", "5 furlongs"), 'the unit "furlongs" is unknown. Use a unit of time'),
     "no time": (("crank-rocker", "--time-limit", "-1 s"), '--time-limit = "-1 s": out of range. Give a time above zero'),

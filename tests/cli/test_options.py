@@ -224,3 +224,89 @@ def test_completion_can_be_installed(monkeypatch):
     shown = run("--help").stdout
     assert "--install-completion" in shown
     assert "COMP_WORDS" in CliRunner().invoke(app, ["--show-completion", "bash"], prog_name="optlink").stdout
+
+
+GAPPED = ("simulate", "slider-crank-clearance")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "written", "remedy"),
+    [
+        (("export", "crank-rocker", "-o", "a.dxf", "--hole", "-3 mm"), '--hole = "-3 mm"', 'such as "8 mm"'),
+        (("export", "crank-rocker", "-o", "a.dxf", "--width", "30000 km"), '--width = "30000 km"', 'such as "8 mm"'),
+        (("export", "crank-rocker", "-o", "a.svg", "--at", "1e30 deg"), '--at = "1e30 deg"', 'such as "30 deg"'),
+        (("export", "crank-rocker", "-o", "a.dxf", "--points", "-3"), '--points = "-3"', "from 1"),
+        (("solve", "crank-rocker", "--starts", "-3"), '--starts = "-3"', "from 1"),
+        (("solve", "crank-rocker", "--certify", "--gap", "200%"), '--gap = "200%"', "less than 1"),
+        (("solve", "crank-rocker", "--certify", "--time-limit", "-3 min"), '--time-limit = "-3 min"', '"5 min"'),
+        (("analyze", "six-bar", "--speed", "9e9 rpm"), '--speed = "9e9 rpm"', "1e6 rad/s"),
+        (("simulate", "six-bar", "--speed", "-0 rpm"), '--speed = "-0 rpm"', "1e-9"),
+        (("simulate", "six-bar", "--duration", "-2 min"), '--duration = "-2 min"', "from 1e-9 s"),
+        ((*GAPPED, "--duration", "-2 min"), '--duration = "-2 min"', "from 1e-9 s"),
+        ((*GAPPED, "--tolerance", "1e-20"), '--tolerance = "1e-20"', "1e-13"),
+        ((*GAPPED, "--flywheel", "-1 kg*m^2"), '--flywheel = "-1 kg*m^2"', "from 0"),
+        ((*GAPPED, "--set", "drive.speed=1e-300 rpm"), 'toml: drive.speed = "1e-300 rpm"', "1e-9"),
+        ((*GAPPED, "--set", "drive.duration=1e300 s"), 'toml: drive.duration = "1e300 s"', "1e7 s"),
+        (("solve", "crank-rocker", "--set", "limits.swing_angle=200.000000001 deg"), ' = "200.000000001 deg"', "30 deg"),
+        (("solve", "crank-rocker", "--set", "limits.transmission_angle=140..40 deg"), ' = "140..40 deg"', "Exchange"),
+        (("solve", "crank-rocker", "--set", "limits.transmission_angle=-5..40 deg"), ' = "-5..40 deg"', "Give a range"),
+        (("solve", "crank-rocker", "--set", "mechanism.coupler=900..100 mm"), ' = "900..100 mm"', "Exchange"),
+    ],
+    ids=lambda value: " ".join(value[2:]) if isinstance(value, tuple) else "",
+)
+def test_a_value_is_shown_as_it_was_written(arguments, written, remedy, tmp_path, monkeypatch):
+    """With its unit and all its digits, also where a function of the library refuses the number [SI] that it was converted to."""
+    monkeypatch.chdir(tmp_path)
+    done = run(*arguments)
+    assert done.exit_code == 2
+    assert written in done.stderr
+    assert remedy in done.stderr
+    assert list(tmp_path.iterdir()) == []
+    fault = json.loads(run(*arguments, "--json").stdout)["faults"][0]
+    assert json.dumps(fault["value"]) == written.partition(" = ")[2]
+    assert written.partition(" = ")[0].rpartition(": ")[2] in fault["key"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "option"),
+    [
+        (("analyze", "six-bar", "--csv"), "--csv"),
+        (("simulate", "six-bar", "--csv"), "--csv"),
+        ((*GAPPED, "--revolutions", "1", "--csv"), "--csv"),
+        (("balance", "balance-six-bar", "--csv"), "--csv"),
+        (("export", "crank-rocker", "-o"), "--out"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
+)
+def test_the_folder_of_a_file_must_exist(arguments, option, tmp_path, monkeypatch):
+    """Only `--out DIR` makes folders, and a file of `--csv` may lie in such a one."""
+    monkeypatch.chdir(tmp_path)
+    done = run(*arguments, "nowhere/a.csv")
+    assert done.exit_code == 2
+    assert f'{option} = "nowhere/a.csv": there is no folder nowhere. Make it first' in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_table_may_lie_in_the_folder_of_the_results(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    arguments = ("analyze", "crank-rocker", "--points", "20", "--csv", "out/rows.csv", "--out", "out")
+    assert run(*arguments).exit_code == 0
+    assert (tmp_path / "out" / "rows.csv").exists()
+    before = (tmp_path / "out" / "rows.csv").stat().st_ino
+    assert run(*arguments).exit_code == 0  # replaced as a whole, like all files
+    assert (tmp_path / "out" / "rows.csv").stat().st_ino != before
+
+
+@pytest.mark.parametrize(
+    ("options", "note"),
+    [
+        (("--duration", "0.08 s"), "0.08 s are 1.6 revolutions; with clearance whole revolutions are simulated: 2"),
+        (("--set", "drive.duration=0.012 s"), "0.012 s are 0.24 revolutions; with clearance whole revolutions are simulated: 1"),
+        (("--duration", "0.1 s"), None),
+        (("--duration", "0.08 s", "--quiet"), None),
+    ],
+)
+def test_a_duration_that_is_rounded_to_revolutions_is_noted(options, note):
+    done = run(*GAPPED, "--points", "12", *options)
+    assert done.exit_code == 0
+    assert done.stderr.strip() == ("" if note is None else f"Note: {note}")

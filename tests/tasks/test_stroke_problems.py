@@ -184,3 +184,29 @@ def test_wrong_requirements_are_named(name: str) -> None:
     (fault,) = caught.value.faults
     assert fault.key == key
     assert words in str(fault)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"requirement.stroke": "370 deg"}, 'requirement.stroke = "370 deg": a rocker between crank and frame swings by less'),
+        ({"requirement.stroke": ">= 180 deg"}, 'requirement.stroke.min = "180 deg": a rocker between crank and frame'),
+        ({"requirement.stroke": "0 deg"}, 'requirement.stroke = "0 deg": a stroke is positive'),
+        ({"requirement.stroke": "-20..30 deg"}, 'requirement.stroke.min = "-20 deg": a stroke is positive'),
+        ({"limits.swing": {"quantity": "stroke", "of": "rocker", "exactly": "3.5 rad"}}, 'limits.swing.exactly = "3.5 rad"'),
+    ],
+)
+def test_strokes_that_no_linkage_has_are_refused(changes: Raw, words: str) -> None:
+    with pytest.raises(InputError, match="Give") as caught:
+        optlink.load("stroke-crank-rocker", changes)
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("stroke", ["179 deg", "30..370 deg", "<= 200 deg", "0..60 deg"])
+def test_strokes_that_a_linkage_may_have_are_read(stroke: str) -> None:
+    assert optlink.load("stroke-crank-rocker", {"requirement.stroke": stroke}).model.bounds  # type: ignore[attr-defined]
+
+
+def test_other_bodies_may_swing_further() -> None:
+    changes = {"requirement.output": "coupler", "requirement.stroke": "200 deg"}
+    assert optlink.load("stroke-crank-rocker", changes).model.bounds  # type: ignore[attr-defined]

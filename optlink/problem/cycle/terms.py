@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, model_validator
 
-from optlink.linkage.mechanism import Mechanism
+from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.problem.base_model import Section
 from optlink.problem.cycle.quantities import GUIDE, QUANTITIES, QuantityType, guide_of, moving_points
 from optlink.problem.interval import STROKES, Interval, check_time_ratio
@@ -286,11 +286,32 @@ class Limit(Term):
                 raise Unusable("the largest size over the cycle is positive", "Give a limit above zero", key, getattr(self, key))
             if self.quantity == "time ratio":
                 check_time_ratio(self.stroke, value, key, low and low[0], high and high[0])
+            if self.quantity == "stroke":
+                self._check_stroke(key, value, mechanism)
             most = {"transmission angle": 180.0, "pressure angle": 90.0}.get(self.quantity)
             if most is not None and not 0.0 < value < math.radians(most):
                 raise Unusable("out of range", f'Give an angle between 0 and {most:g} deg, for example "45 deg"', key, str(value))
         first = next(iter(found.values()))
         return Interval(low[0] if low else None, high[0] if high else None, kind or None, first[1])
+
+    def _check_stroke(self, key: str, value: float, mechanism: Mechanism) -> None:
+        """Refuse a stroke that no linkage has, or that its bound `key` does not limit."""
+        if value < 0.0 or (value == 0.0 and key != "min"):
+            raise Unusable("a stroke is positive", "Give one above zero", key, getattr(self, key))
+        if key != "max" and value >= math.pi and self.of in rockers(mechanism):
+            message = "a rocker between crank and frame swings by less than 180 deg"
+            raise Unusable(message, 'Give less, for example "60 deg"', key, getattr(self, key))
+
+
+def rockers(mechanism: Mechanism) -> list[str]:
+    """Return the bodies that are pinned to the frame and swing with one link between them and the crank."""
+    found = []
+    for group in mechanism.groups:
+        if len(pins := dict(group.outer_pins)) == 2:
+            bodies = {body: mechanism.owners[pin] for body, pin in pins.items()}
+            if any(mechanism.crank.body in owners for owners in bodies.values()):
+                found += [body for body, owners in bodies.items() if FRAME in owners]
+    return found
 
 
 def read_figure(raw: object, kind: str, key: str) -> tuple[float, str]:

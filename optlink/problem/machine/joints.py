@@ -102,7 +102,10 @@ class JointSection(Section):
     friction: Friction = 0.0
     """Coulomb friction coefficient, below 10."""
     slip_speed: Annotated[
-        Velocity, where(lambda v: v > 0.0, "friction changes its sign over some speed", 'Give for example "0.01 m/s"')
+        Velocity,
+        where(
+            lambda v: v >= 1e-6, "friction changes its sign over some speed, of 1e-6 m/s at least", 'Give for example "0.01 m/s"'
+        ),
     ] = Quantity(0.01, "velocity", "m/s")
     """The friction force is `friction` times normal force times tanh(slip / `slip_speed`)."""
     damping: Damping = Quantity(0.0, "damping", "N*s/m")

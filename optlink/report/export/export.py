@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,61 +16,47 @@ from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import sweep
 from optlink.linkage.stroke import failure
 from optlink.linkage.vector2d import Vector
-from optlink.problem.quantity import check_range, nearest
+from optlink.problem.quantity import LONGEST, SHORTEST, check_range
 from optlink.report.export.dxf import travelled, write_dxf
 from optlink.report.export.svg import svg
-from optlink.report.files import folder, whole, write_csv, write_json
+from optlink.report.files import target, whole, write_csv, write_json
 from optlink.report.report_model import ReportModel
 from optlink.report.scene import scene
 from optlink.tasks.analyze import MAX_POINTS, analyze
 from optlink.tasks.results.analysis import Analysis
 
 SCHEMA = "optlink/geometry/1"
-LONGEST = 255  # largest length of a file name on common systems [bytes]
+MOST_ANGLE = 1e6  # rad; sines of larger ones lose digits
 FORCES = ("_N", "_Nm", "_J", "_W")
 """Endings of columns that say nothing of a linkage without masses and loads."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Export options: crank angle `at` [rad] (default: start of the motion), hole and width [m], rows of the table."""
+    """Export options: crank angle `at` [rad] (default: start of the motion), hole and width [m], rows of the table.
+
+    Raises
+    ------
+    InputError
+        If one is out of range.
+    """
 
     at: float | None = None
     hole: float | None = None
     width: float | None = None
     points: int = 360
 
-
-def target(path: Path, endings: tuple[str, ...], example: str) -> Path:
-    """Check that a file can be written and return its path.
-
-    Parameters
-    ----------
-    path : Path
-    endings : tuple of str
-        Permitted extensions with dot.
-    example : str
-        File name to suggest in messages.
-
-    Raises
-    ------
-    InputError
-        If the extension is unknown, or the folder does not exist or is not writable.
-    """
-    key = "--out"
-    if len(os.fsencode(path.name)) > LONGEST:
-        raise InputError("the name is too long", f"Give a shorter one, for example {example}", key=key, value=str(path))
-    if path.is_dir():
-        raise InputError("this is a folder", f"Give the name of a file, for example {example}", key=key, value=str(path))
-    if path.suffix.lower() not in endings:
-        message = f'cannot write "{path.suffix}" files' if path.suffix else "the name has no ending"
-        remedy = nearest(path.suffix, endings) if path.suffix else f"Write one of {', '.join(endings)}"
-        raise InputError(message, remedy, key=key, value=str(path))
-    if not path.parent.is_dir():
-        message = f"there is no folder {path.parent}"
-        raise InputError(message, "Make it first, or choose another place", key=key, value=str(path))
-    folder(path.parent, key)
-    return path
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if self.at is not None and not abs(self.at) <= MOST_ANGLE:
+            raise InputError("out of range", 'Give one such as "30 deg"', key="--at", value=f"{self.at:g} rad")
+        for name, size in (("hole", self.hole), ("width", self.width)):
+            if size is not None and not SHORTEST <= size <= LONGEST:
+                raise InputError("no link has such a size", 'Give one such as "8 mm"', key=f"--{name}", value=f"{size:g} m")
+        if self.hole is not None and self.width is not None and self.width <= self.hole:
+            remedy = "Give a width greater than the hole"
+            raise InputError("the link width is smaller than the hole", remedy, key="--width", value=f"{self.width:g} m")
+        check_range("--points", self.points, 1, MAX_POINTS)
 
 
 def export(subject: ReportModel, path: Path, options: Options | None = None) -> None:
@@ -95,13 +80,6 @@ def export(subject: ReportModel, path: Path, options: Options | None = None) -> 
     if subject.cycle is None:
         remedy = "Check it with optlink validate, and export another design"
         raise InputError(f"the design cannot be drawn: {subject.unmoved}", remedy, subject.problem.file)
-    for name in ("hole", "width"):
-        size = getattr(options, name)
-        if size is not None and not 0.0 < size < math.inf:
-            raise InputError("a size must be positive", 'Give one such as "8 mm"', key=f"--{name}", value=f"{size:g} m")
-    if options.hole is not None and options.width is not None and options.width <= options.hole:
-        remedy = "Give a width greater than the hole"
-        raise InputError("the link width is smaller than the hole", remedy, key="--width", value=f"{options.width:g} m")
     FORMATS[path.suffix.lower()](subject, subject.cycle, path, options)
 
 
@@ -147,7 +125,6 @@ def _svg(subject: ReportModel, cycle: Analysis, path: Path, options: Options) ->
 
 def _csv(subject: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
     """Write the motion as a table, without force columns if there are no masses and loads."""
-    check_range("--points", options.points, 1, MAX_POINTS)
     rows = cycle if options.points == len(cycle["time_s"]) - 1 else analyze(cycle.problem, options.points, speed=cycle.speed)
     columns = {name: values for name, values in rows.columns.items() if subject.forces or not name.endswith(FORCES)}
     write_csv(path, columns)
