@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from optlink.linkage.mechanism import Link
 from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import Number
@@ -168,46 +167,56 @@ def bound(name: str, quantity: Quantity, value: ArrayLike, size: ArrayLike) -> C
     return Checks(f"{name} within its bounds", inside, value * factor, limit, unit)
 
 
-def link_lengths(motion: Motion, nominal: Callable[[Link], ArrayLike], size: ArrayLike) -> Checks:
-    """Check that all links keep their lengths in motion.
+def link_lengths(motion: Motion, size: ArrayLike) -> Checks:
+    """Check that all links of a design keep their lengths in motion.
 
     Parameters
     ----------
     motion : Motion
-        Of one design, or of several.
-    nominal : function of Link
-        Returns its length [m], of several designs (designs, 1).
-    size : float or array (designs,) [m]
+    size : float [m]
         Reference length.
     """
-    lengths = {link: motion.distance(link.start, link.end) for link in motion.mechanism.links if link.end}
-    worst = [worst_miss(np.min(own, axis=-1), np.max(own, axis=-1), nominal(link)) for link, own in lengths.items()]
-    return length_check(np.max(worst, axis=0), size)
+    links = [link for link in motion.mechanism.links if link.end]
+    measured = ((motion.distance(link.start, link.end), motion.pose.size(link.length)) for link in links)
+    return length_check(((np.min(own), np.max(own), nominal) for own, nominal in measured), size)
 
 
-def worst_miss(least: Array, largest: Array, nominal: ArrayLike) -> Array:
-    """Return the largest deviation of measured lengths from a length [m]; NaN if one of them is not finite.
+def length_check(lengths: Iterable[tuple[ArrayLike, ArrayLike, ArrayLike]], size: ArrayLike) -> Checks:
+    """Check the largest deviation of all link lengths; NaN if one of them is not finite.
 
     Parameters
     ----------
-    least, largest : array (designs,) [m]
-        Extremes of the measured lengths.
-    nominal : float or array (designs,) [m]
-    """
-    return np.asarray(np.maximum(largest - np.asarray(nominal), np.asarray(nominal) - least))
-
-
-def length_check(worst: ArrayLike, size: ArrayLike) -> Checks:
-    """Check the largest deviation of all link lengths.
-
-    Parameters
-    ----------
-    worst : float or array (designs,) [m]
+    lengths : iterable of (float or array (designs,), float or array (designs,), float or array (designs,)) [m]
+        Least and largest measured length of each link, and its length.
     size : float or array (designs,) [m]
         Reference length.
     """
-    worst, limit = np.asarray(worst) * 1e3, LENGTH_TOLERANCE * np.asarray(size) * 1e3
+    misses = [np.maximum(largest - np.asarray(nominal), nominal - np.asarray(least)) for least, largest, nominal in lengths]
+    worst, limit = np.max(misses, axis=0) * 1e3, LENGTH_TOLERANCE * np.asarray(size) * 1e3
     return Checks("link lengths re-measured in motion", worst <= limit, worst, text("<= {:.1e}", limit), "mm")
+
+
+def same_objective(found: ArrayLike, claimed: ArrayLike, least: float, rounding: float = 0.0, *, squared: bool = False) -> Checks:
+    """Check that the measured objective is that of the optimiser: relatively, or within rounding of a deviation of nearly zero.
+
+    Parameters
+    ----------
+    found, claimed : float or array (designs,)
+        Measured objective, and that of the optimiser.
+    least : float
+        Objective to which differences of smaller ones are related.
+    rounding : float, optional
+        Difference of two deviations that is rounding.
+    squared : bool, optional
+        Whether the objective is a sum of squared deviations.
+    """
+    found, claimed = np.asarray(found, dtype=float), np.asarray(claimed, dtype=float)
+    gap = np.abs(found - claimed) / np.maximum(np.abs(found), least)
+    error, other = (np.sqrt(np.maximum(one, 0.0)) if squared else one for one in (found, claimed))
+    missed = np.abs(error - other)
+    near, tiny = gap <= 1e-6, missed <= rounding  # NaN is neither
+    limit = text("{}", np.where(near | ~tiny, "<= 1e-06", f"<= {rounding:.0e}"))
+    return Checks("objective measured in motion", near | tiny, np.where(near | ~tiny, gap, missed), limit, "")
 
 
 def finely(offsets: Array) -> tuple[Array, NDArray[np.intp]]:

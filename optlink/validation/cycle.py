@@ -24,10 +24,9 @@ from optlink.problem.limits import stroke_ratio
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import Unusable
 from optlink.units import KINDS, factor
-from optlink.validation.check import POSITIONS, Check, Validation, bound, link_lengths
+from optlink.validation.check import POSITIONS, Check, Validation, bound, link_lengths, same_objective
 from optlink.validation.margins import alignment_checks
 
-AGREE = 1e-6  # relative difference of a value computed by two methods
 MEET = 1e-6  # relative violation permitted for a limit
 ROUNDING = 1e-6  # of the size of the signal, below which a mean or a work counts as zero
 NOTHING = 1e-3  # of the size of the signal, the reference for the tolerance of a limit of zero
@@ -281,8 +280,7 @@ def validate_cycle(
     if tested.full:
         checks += [check for bound_ in problem.bounds for check in _limit(tested, bound_)]
     if objective is not None:
-        gap = abs(found - objective) / max(abs(found), tested.natural(), 1e-300)
-        checks.append(Check("objective measured in motion", bool(gap <= AGREE), gap, f"<= {AGREE:.0e}", ""))
+        checks.append(same_objective(found, objective, max(tested.natural(), 1e-300)).of())
     return Validation(tuple(checks), found)
 
 
@@ -296,9 +294,7 @@ def _sizes(tested: Cycle) -> Iterator[Check]:
     worst = max((abs(tested.design[name] - tested.problem.quantities[name].value) for name in fixed), default=0.0)
     yield Check("all other dimensions as given", worst == 0.0, worst, "= 0", "")
     motion = sweep(tested.mechanism, tested.design, np.linspace(0.0, TURN, POSITIONS, endpoint=False))
-    yield link_lengths(
-        motion, lambda link: tested.design[link.length] if isinstance(link.length, str) else link.length, size
-    ).of()
+    yield link_lengths(motion, size).of()
 
 
 def _motion(tested: Cycle) -> Iterator[Check]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from optlink.linkage.extrema import POINTS, refined_minima, refined_roots
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import TURN, Array, Value, Vector, cross, dot, minus
-from optlink.validation.check import Checks, length_check, worst_miss
+from optlink.validation.check import Checks, length_check
 from optlink.validation.margins import included_cosine
 
 Index = NDArray[np.intp]
@@ -177,11 +177,8 @@ class FourBarMotion:
             Reference length.
         """
         found = self._survey
-        worst = [
-            worst_miss(least, largest, lengths[name])
-            for name, least, largest in zip(("crank", "coupler", "rocker"), found.least, found.largest, strict=True)
-        ]
-        return length_check(np.max(worst, axis=0), size)
+        named = zip(("crank", "coupler", "rocker"), found.least, found.largest, strict=True)
+        return length_check(((least, largest, lengths[name]) for name, least, largest in named), size)
 
     def least_height(self, side: int) -> Array:
         """Return the least height of C on a side (+1: left) of the line B-D (designs,) [m]."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -33,6 +34,7 @@ from optlink.validation.check import (
     joined,
     registered_checks,
     revolutions_check,
+    same_objective,
     text,
     transmission_checks,
 )
@@ -87,14 +89,9 @@ def validate_batch(
     found = tested.objective()
     checks = [check for group in (_sizes, _crank, _circuit, _transmission, _requirement, _extra) for check in group(tested)]
     if objective is not None:
-        objective = np.asarray(objective, dtype=float)
-        gap = np.abs(found - objective) / np.maximum(np.abs(found), 1e-12)
-        error, claimed = (np.maximum(f, 0.0) for f in (found, objective))
-        if tested.squared:
-            error, claimed = np.sqrt(error), np.sqrt(claimed)
-        agrees = (gap <= 1e-6) | (np.abs(error - claimed) <= ROUNDING)
-        what = "objective" if problem.requirement.robust is None else "error with tolerances"
-        checks.append(Checks(f"{what} measured in motion", agrees, gap, "<= 1e-06", ""))
+        agrees = same_objective(found, objective, 1e-12, ROUNDING, squared=tested.squared)
+        robust = problem.requirement.robust is not None
+        checks.append(replace(agrees, name="error with tolerances measured in motion") if robust else agrees)
     return Validations(tuple(checks), found)
 
 

@@ -27,6 +27,7 @@ from optlink.validation.check import (
     nan_last,
     registered_checks,
     revolutions_check,
+    same_objective,
     transmission_checks,
 )
 from optlink.validation.margins import alignment_checks, grashof_check
@@ -166,13 +167,7 @@ def validate_path(
     checks = [check for group in groups for check in group(tested)]
     if objective is not None:
         squared = problem.measure == "sum of squares"
-        gap = abs(found - objective) / max(abs(found), 1e-300)
-        error, claimed = (math.sqrt(f) if squared else f for f in (max(found, 0.0), max(objective, 0.0)))
-        missed = abs(error - claimed) / problem.whole
-        if gap <= 1e-6 or not missed <= ROUNDING:  # NaN does not count as nearly zero
-            checks.append(Check("objective measured in motion", gap <= 1e-6, gap, "<= 1e-06", ""))
-        else:
-            checks.append(Check("objective measured in motion", True, missed, f"<= {ROUNDING:.0e} of the size", ""))
+        checks.append(same_objective(found, objective, 1e-300, ROUNDING * problem.whole, squared=squared).of())
     return Validation(tuple(checks), found)
 
 
@@ -225,10 +220,7 @@ def _sizes(tested: _Tested) -> Iterator[Check]:
     for name, quantity in tested.problem.quantities.items():
         yield bound(name, quantity, tested.design[name], size).of()
     longest = max(size, *(tested.design[name] for name in tested.problem.mechanism.quantities))
-    nominal = {
-        link.body: tested.design[link.length] if isinstance(link.length, str) else link.length for link in tested.mechanism.links
-    }
-    yield link_lengths(tested.required, lambda link: nominal[link.body], longest).of()
+    yield link_lengths(tested.required, longest).of()
 
 
 def _closure(tested: _Tested) -> Iterator[Check]:
