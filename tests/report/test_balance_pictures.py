@@ -15,9 +15,8 @@ from PIL import Image
 
 import optlink
 from optlink.dynamics.counterweights import BalanceMeasure, quantities_of
-from optlink.report import terminal
+from optlink.report import registry, terminal
 from optlink.report.chart_mpl import pictures
-from optlink.report.registry import view_of
 from optlink.report.views import balance, balance_drawing, balance_tables as tables
 
 SPRUNG = {
@@ -164,7 +163,7 @@ def test_no_picture_of_what_is_not_there():
 
 
 def test_files_can_be_opened(tmp_path):
-    for path in view_of("balance").write(result(), tmp_path):
+    for path in registry.view_of("balance").write(result(), tmp_path):  # with a short animation
         assert path.stat().st_size > 100
         if path.suffix == ".png":
             with Image.open(path) as picture:

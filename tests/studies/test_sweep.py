@@ -668,7 +668,6 @@ def kill_one(done, wanted):
 
 if __name__ == "__main__":
     vary, file = ["mechanism.frame=450..550 mm:400"], optlink.load("crank-rocker")
-    sweep(file, vary, Path(sys.argv[1], "dask"), engine="dask", workers=2)
     sweep(file, vary, Path(sys.argv[1], "killed"), engine="dask", workers=2, progress=kill_one)
     begin = time.monotonic()
     try:
@@ -679,7 +678,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.slow
-def test_a_cluster_gives_the_same_bytes_and_survives_a_killed_worker(undisturbed, tmp_path):
+def test_a_cluster_whose_worker_is_killed_gives_the_same_bytes(undisturbed, tmp_path):
     pytest.importorskip("distributed")
     script = tmp_path / "cluster.py"
     script.write_text(DASK)
@@ -688,7 +687,6 @@ def test_a_cluster_gives_the_same_bytes_and_survives_a_killed_worker(undisturbed
         [sys.executable, str(script), str(tmp_path)], check=False, capture_output=True, text=True, env=environment, timeout=300
     )
     assert done.returncode == 0, done.stderr
-    assert (tmp_path / "dask" / "sweep.csv").read_bytes() == undisturbed
     assert "killed" in done.stdout
     assert (tmp_path / "killed" / "sweep.csv").read_bytes() == undisturbed
     assert "no scheduler answers there within 10 s" in done.stdout
