@@ -102,8 +102,8 @@ class DesignBoxes:
         for row in rows:
             for bound, sign in ((row.low, 1.0), (row.high, -1.0)):
                 slack = sign * (row.value - bound) if np.isfinite(bound) else np.inf
-                if not isinstance(slack, TaylorModel):  # no design changes it
-                    least = np.min(slack)
+                if not isinstance(slack, TaylorModel) or slack.remainder.ndim < 2:  # no design changes it
+                    least = np.min(slack.high if isinstance(slack, TaylorModel) else slack)
                     slack = TaylorModel.constant(least, count) if least < -MISSED else None
                 if slack is not None:
                     sides.append(slack)
