@@ -100,13 +100,28 @@ __all__ = [
 ]
 
 
+STUDIES = {
+    "pareto": "optlink.studies.pareto.epsilon_constraint",
+    "sensitivities": "optlink.studies.sensitivity",
+    "tolerance": "optlink.studies.tolerance.analysis",
+}
+"""Studies that are looked for here, by their modules."""
+
+
+def __dir__() -> list[str]:
+    """Return the public names, for the completion of editors and notebooks."""
+    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
+
+
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first used, so that `optlink --help` loads nothing heavy."""
     import importlib
 
     home = next((module for module, names in _NAMES.items() if name in names), None)
     if home is None:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        study = STUDIES.get(name)
+        hint = "" if study is None else f". It is a study: from {study} import {name}"
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{hint}")
     from optlink.problem.base_model import Recorded
 
     Recorded.notebook = staticmethod(_notebook)

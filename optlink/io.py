@@ -42,7 +42,7 @@ def data_folder(name: str) -> Path:
 
 def data_files(name: str) -> dict[str, Path]:
     """Return names and files of the TOML files of a folder of shipped data."""
-    return {path.stem: path for path in sorted(data_folder(name).glob("*.toml"))}
+    return {path.stem: path for path in sorted(data_folder(name).glob("*.toml"), key=lambda path: path.stem)}
 
 
 def folder(path: Path, option: str = "--out") -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import subprocess
 import sys
 import tomllib
@@ -122,3 +123,14 @@ def test_no_module_evaluates_text():
                 assert node.func.id not in forbidden, f"{path}: {node.func.id}"
             if isinstance(node, ast.Import):
                 assert not {alias.name for alias in node.names} & {"pickle", "shelve", "marshal"}, path
+
+
+def test_the_package_completes_its_public_names_and_names_the_module_of_a_study() -> None:
+    assert set(optlink.__all__) <= set(dir(optlink))
+    assert "TYPE_CHECKING" not in dir(optlink)
+    for name, module in optlink.STUDIES.items():
+        assert callable(getattr(importlib.import_module(module), name))
+        with pytest.raises(AttributeError, match=f"from {module} import {name}"):
+            getattr(optlink, name)
+    with pytest.raises(AttributeError, match=r"has no attribute 'nothing'$"):
+        _ = optlink.nothing

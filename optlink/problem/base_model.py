@@ -29,7 +29,7 @@ from pydantic import (
 from optlink.errors import InputError
 from optlink.io import Summary, finite
 from optlink.linkage.mechanism import FRAME
-from optlink.problem.quantity import Unusable
+from optlink.problem.quantity import Unusable, nearest
 from optlink.units import split_range
 from optlink.version import VERSION
 
@@ -315,6 +315,17 @@ class Recorded(Summary):
     def to_dict(self) -> dict[str, Any]:
         """Return the result as a JSON document: SI, or the unit that ends the key; null where there is no finite value."""
         return self.record.of(self).document()
+
+
+class Tabled(Recorded):
+    """Base class of results with columns, which `result["input.torque_Nm"]` returns by their names."""
+
+    columns: Mapping[str, NDArray[np.float64]]
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        if name not in self.columns:
+            raise KeyError(f"no column {name}. {nearest(name, self.columns)}")
+        return self.columns[name]
 
 
 def read_document(path: Path) -> dict[str, Any]:

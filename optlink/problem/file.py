@@ -17,7 +17,7 @@ import pydantic
 from optlink.errors import InputError, shown
 from optlink.io import data_files, load_extensions
 from optlink.problem.base_model import SPELLED, SPELLINGS, with_ranges, with_spellings
-from optlink.problem.file_errors import SECTIONS, as_written, faults, known_keys, of_dyads, toml_fault
+from optlink.problem.file_errors import SECTIONS, as_written, faults, keys_ending, known_keys, of_dyads, toml_fault
 from optlink.problem.function import DesignProblem
 from optlink.problem.limits import MARGINS, Alignment
 from optlink.problem.machine.model import Problem
@@ -328,7 +328,7 @@ def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
         if place is None and step not in table:
             known = known_keys(path) if _fixed(path) else list(table)
             if step not in known:
-                remedy = nearest(step, known)
+                remedy = nearest(step, known, [] if path else keys_ending(raw, key))
                 if not _fixed(path):
                     remedy += f". Give a new table as a whole:  {'.'.join(steps[: depth + 1])}={{ ... }}"
                 raise InputError("unknown key", remedy, file, key)

@@ -76,6 +76,24 @@ def known_keys(path: tuple[str | int, ...], *kinds: type[Problem]) -> list[str]:
     return list(dict.fromkeys(field.alias or name for model in models for name, field in model.model_fields.items()))
 
 
+def keys_ending(raw: Mapping[str, Any], end: str, above: str = "") -> list[str]:
+    """Return the dotted keys of a file that end with the given steps, for example `mechanism.crank` for `crank`.
+
+    Parameters
+    ----------
+    raw : mapping
+        Nested tables of the file.
+    end : str
+        One or several steps.
+    above : str
+        Steps that lead to `raw`, each followed by a dot.
+    """
+    found = [f"{above}{name}" for name in raw if above and f".{above}{name}".endswith(f".{end}")]
+    return found + [
+        key for name, item in raw.items() if isinstance(item, Mapping) for key in keys_ending(item, end, f"{above}{name}.")
+    ]
+
+
 def _models(annotation: Any) -> Iterator[Any]:
     """Yield the sections that a key can contain; for the limits of a cycle also the named limits."""
     from optlink.problem.cycle.model import CycleLimits
@@ -141,7 +159,8 @@ def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[
             below = f".{problem.key}" if problem.key and not problem.key.startswith("[") else problem.key
             yield Fault(problem.message, problem.remedy, file, key + below, problem.value if problem.key else _plain(value))
         elif kind == "extra_forbidden":
-            yield Fault(UNKNOWN, nearest(str(path[-1]), _fitting(tuple(path[:-1]), model, raw)), file, key)
+            fitting = _fitting(tuple(path[:-1]), model, raw)
+            yield Fault(UNKNOWN, nearest(str(path[-1]), fitting, [] if path[1:] else keys_ending(raw, key)), file, key)
         elif kind == "union_tag_invalid":
             given = raw["mechanism"].get("type")
             yield Fault("not a type of linkage", nearest(str(given), ("four-bar", "dyads")), file, f"{key}.type", _plain(given))
@@ -209,6 +228,7 @@ def _plain(value: object) -> object:
 _EXAMPLES = {
     "mechanism": "Add the section [mechanism]",
     "requirement": "Add the section [requirement]",
+    "balance.minimise": 'Add minimise = "rms shaking force"',
     "requirement.law": 'Add law = "psi0 + 0.5*(phi - phi0)"',
     "requirement.points": "Give a whole number from 1 to 10000, for example points = 30",
     "expected.source": "State the source of the expected values",
@@ -227,4 +247,5 @@ def _example(key: str) -> str:
         return "See `optlink show six-bar --toml` for an example"
     if key.startswith("mechanism."):
         return f'Add {key.split(".")[1]} = "100 mm", or {{ start = "400 mm", bounds = ["100 mm", "900 mm"] }}'
-    return _EXAMPLES.get(key, "See `optlink show crank-rocker --toml` for an example")
+    shown = {"balance": "balance-four-bar", "objective": "shaper-design", "control": "slider-crank-three-gaps"}
+    return _EXAMPLES.get(key, f"See `optlink show {shown.get(section, 'crank-rocker')} --toml` for an example")

@@ -67,7 +67,20 @@ def input_of(file: str | None, key: str | None = None, value: object = None) -> 
         raise InputError(error.message, error.remedy, file, *place) from None
 
 
-def nearest(key: str, known: Iterable[str]) -> str:
+OTHER_WORDS = {
+    **dict.fromkeys(("max", "maximum"), ("peak", "largest")),
+    **dict.fromkeys(("min", "minimum"), ("least",)),
+    **dict.fromkeys(("slider-crank", "crank-slider", "six-bar", "sixbar"), ("dyads",)),
+    "crank-rocker": ("four-bar",),
+    "dwell": ("path",),
+    "poses": ("motion",),
+    "law": ("function",),
+    "swing": ("stroke",),
+}
+"""Names that other programs and books use, with those of problem files."""
+
+
+def nearest(key: str, known: Iterable[str], deeper: Sequence[str] = ()) -> str:
     """Return a remedy for an unknown name: the shortest that contain it, or else the closest one, and all known ones.
 
     Parameters
@@ -75,10 +88,13 @@ def nearest(key: str, known: Iterable[str]) -> str:
     key : str
         The unknown name.
     known : iterable of str
+    deeper : sequence of str
+        Full names that end with it, which are meant rather than others.
     """
     names, quoted = list(known), '"{}"'.format
+    meant = [*deeper, *(name for name in OTHER_WORDS.get(key.lower(), ()) if name in names)]
     inside = sorted((name for name in names if len(key) > 2 and key in name), key=len)
-    close = inside or difflib.get_close_matches(key, names, n=1, cutoff=0.5)
+    close = meant or inside or difflib.get_close_matches(key, names, n=1, cutoff=0.5)
     guess = f"Did you mean {' or '.join(map(quoted, close[:3]))}? " if close else ""
     return f"{guess}Known: {', '.join(quoted(name) if ',' in name else name for name in names)}"
 

@@ -244,7 +244,7 @@ def of_solution(
         moved = np.where(np.abs(moved) <= ROUNDING * abs(parameter.rate()), 0.0, moved)
         design = {v.name: float(change * factors[v.name]) for v, change in design_variables(nlp, moved)}
         rows.append(Sensitivity(parameter, objective, design, below, above))
-    rows.sort(key=lambda row: -abs(row.effect))
+    rows.sort(key=lambda row: -float(f"{abs(row.effect):.6g}"))  # equal effects in the order of the parameters
     if check:
         moving = [row for row in rows if row.moves]
         for done, row in enumerate(moving):

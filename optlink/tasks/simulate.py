@@ -19,7 +19,7 @@ from optlink.errors import InputError
 from optlink.execution import interrupts
 from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.vector2d import TURN, Array
-from optlink.problem.base_model import Columns, Contradiction, Number, Recorded, ResultRecord
+from optlink.problem.base_model import Columns, Contradiction, Number, ResultRecord, Tabled
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range
 from optlink.tasks.machine import (
@@ -70,7 +70,7 @@ class SimulationRecord(ResultRecord):
 
 
 @dataclass(frozen=True, repr=False)
-class Simulation(Recorded):
+class Simulation(Tabled):
     """Simulation in time: `run` as integrated, `columns` by name over the output times, and their meanings."""
 
     record = SimulationRecord
@@ -83,9 +83,6 @@ class Simulation(Recorded):
     meanings: Mapping[str, str]
     driven: str
     notes: tuple[str, ...]
-
-    def __getitem__(self, name: str) -> Array:
-        return self.columns[name]
 
     @property
     def finished(self) -> bool:

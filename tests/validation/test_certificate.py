@@ -84,7 +84,11 @@ def test_a_certificate_holds_where_no_design_variable_changes_the_missed_limit(t
 
 def test_a_certificate_of_a_linkage_of_fixed_lengths_holds(tmp_path: Path) -> None:
     """Of a slider-crank whose slide at the start alone is free, no limit depends on the design variable."""
-    fixed = {"mechanism.links.crank.length": "50 mm", "mechanism.links.rod.length": "150 mm", "mechanism.guides.G.offset": "10 mm"}
+    fixed = {
+        "mechanism.links.crank.length": "50 mm",
+        "mechanism.links.rod.length": "150 mm",
+        "mechanism.guides.G.offset": "10 mm",
+    }
     problem = optlink.load("law-slider-crank", fixed | {"requirement.start": "20 deg"})
     document = _certificate(problem)
     assert document["lower_bound"] == pytest.approx(document["objective"], rel=1e-6)

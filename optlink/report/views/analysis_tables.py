@@ -253,20 +253,18 @@ def simulation_parts(figures: Mapping[str, float], columns: Mapping[str, Array],
     """
     speed, turns = figures["end.speed_rad_s"], figures["end.crank_angle_rad"] / (2.0 * math.pi)
     end = [
-        ("time", number(figures["end.time_s"], 9), "s"),
-        ("crank angle", number(figures["end.crank_angle_rad"], 10), f"rad ({turns:z.4f} turns)"),
-        ("crank speed", number(speed, 10), f"rad/s ({speed * 30.0 / math.pi:.6g} rpm)"),
+        ("time", number(figures["end.time_s"]), "s"),
+        ("crank angle", number(figures["end.crank_angle_rad"]), f"rad ({turns:z.4f} turns)"),
+        ("crank speed", number(speed), f"rad/s ({speed * 30.0 / math.pi:.6g} rpm)"),
     ]
     if "last_turn.mean_speed_rad_s" in figures:
         mean, share = figures["last_turn.mean_speed_rad_s"], figures["last_turn.fluctuation"]
         end.append(("last turn: mean speed", number(mean), f"rad/s, mean over time; fluctuation {share:z.4%}"))
     works = {name.removesuffix(".work_J"): work for name, work in figures.items() if name.endswith(".work_J")}
-    account = [
-        ("work of the drive" if name == "input" else f"work of {name}", number(work, 9), "J") for name, work in works.items()
-    ]
+    account = [("work of the drive" if name == "input" else f"work of {name}", number(work), "J") for name, work in works.items()]
     share = figures["imbalance_J"] / figures["turnover_J"] if figures["turnover_J"] > 0.0 else 0.0
     account += [
-        ("gain of kinetic and potential energy", number(float(columns["energy.gained_J"][-1]), 9), "J"),
+        ("gain of kinetic and potential energy", number(float(columns["energy.gained_J"][-1])), "J"),
         ("largest imbalance during the run", f"{figures['imbalance_J']:.1e}", f"J, {share:.1e} of the largest amount"),
     ]
     drift = f"{figures['drift_m']:.1e} m, {figures['drift_rad']:.1e} rad"

@@ -107,7 +107,9 @@ def _objective(design: PathDesign) -> TableSpec:
     if measured.turned is not None:
         remark += f"; angle: largest {number(math.degrees(float(abs(measured.turned).max())), 4)} deg"
     scale, square = task.objective_display
-    rows: list[Row] = [(measure(task), strong(precise(scale * design.objective, 8)), square, quiet(remark))]
+    rows: list[Row] = [
+        (measure(task), strong((number if exact(design) else precise)(scale * design.objective, 8)), square, quiet(remark))
+    ]
     least = math.degrees(design.least_transmission)
     if math.isfinite(least):
         remark = "least distance from 0 or 180 deg " + ("over the revolution" if design.crank_turns else "between the points")

@@ -149,7 +149,7 @@ def sweep(result: Sweep) -> Summary:
         omitted = ("status", "valid", "failed", "method", "active_set_changed")
         best = {name: value for name, value in result.best.items() if name not in omitted}
         rows = (
-            ("active constraints", value or "none") if name == "active" else (column_label(name), number(float(value), 8))
+            ("active constraints", value or "none") if name == "active" else (column_label(name), number(float(value)))
             for name, value in best.items()
         )
         parts.append(table("Best", "<>", rows))

@@ -16,7 +16,7 @@ from optlink.dynamics.machine import Machine
 from optlink.dynamics.strokes import StrokeLoad, acting_loads, named_travels, use_of, working_stroke
 from optlink.linkage.stroke import Ranges, Travel, within_cycle
 from optlink.linkage.vector2d import TURN, Array
-from optlink.problem.base_model import Columns, Number, Record, Recorded, ResultRecord, absent
+from optlink.problem.base_model import Columns, Number, Record, ResultRecord, Tabled, absent
 from optlink.problem.file import ProblemFile
 
 
@@ -133,7 +133,7 @@ class AnalysisRecord(ResultRecord):
 
 
 @dataclass(frozen=True, repr=False)
-class Analysis(Recorded):
+class Analysis(Tabled):
     """Result of the analysis of a machine over its cycle.
 
     `columns` by name (unit at the end), each an array over the sampled crank angles; `meanings` describe them; `extremes` are
@@ -162,9 +162,6 @@ class Analysis(Recorded):
     notes: tuple[str, ...]
     flywheel: Flywheel | None = None
     unbounded: tuple[str, ...] = ()
-
-    def __getitem__(self, name: str) -> Array:
-        return self.columns[name]
 
     @property
     def full(self) -> bool:

@@ -16,7 +16,7 @@ from optlink.clearance.statistics import Prediction
 from optlink.dynamics.ending import Ending
 from optlink.dynamics.machine import Machine
 from optlink.linkage.vector2d import Array
-from optlink.problem.base_model import Columns, Number, Record, Recorded, ResultRecord
+from optlink.problem.base_model import Columns, Number, Record, ResultRecord, Tabled
 from optlink.problem.file import ProblemFile
 
 RUNNING_IN = 5
@@ -83,7 +83,7 @@ class ClearanceRecord(ResultRecord):
 
 
 @dataclass(frozen=True, repr=False)
-class ClearanceSimulation(Recorded):
+class ClearanceSimulation(Tabled):
     """Simulation of a machine with joint clearance.
 
     `columns` by name over the rows of the retained revolutions, `meanings` describe them; `per_revolution`: figures of each
@@ -114,9 +114,6 @@ class ClearanceSimulation(Recorded):
     notes: tuple[str, ...]
     tolerance: float
     integrator: str = "cvodes"
-
-    def __getitem__(self, name: str) -> Array:
-        return self.columns[name]
 
     @property
     def finished(self) -> bool:

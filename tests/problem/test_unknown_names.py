@@ -1,0 +1,37 @@
+"""Unknown names that beginners write, and the remedy that names what they mean."""
+
+from __future__ import annotations
+
+import pytest
+
+import optlink
+from optlink.errors import InputError
+
+
+@pytest.mark.parametrize(
+    ("problem", "change", "remedy"),
+    [
+        ("shaper-design", {"objective.measure": "max"}, 'Did you mean "peak" or "largest"'),
+        ("crank-rocker", {"crank": "90 mm"}, 'Did you mean "mechanism.crank"'),
+        ("shaper-design", {"coupler.length": "150 mm"}, 'Did you mean "mechanism.links.coupler.length"'),
+        ("six-bar", {"mechanism.type": "slider-crank"}, 'Did you mean "dyads"'),
+        ("crank-rocker", {"requirement.kind": "dwell"}, 'Did you mean "path"'),
+        ("balance-four-bar", {"balance.minimise": None}, 'Add minimise = "rms shaking force"'),
+        ("balance-four-bar", {"balance.counterweights": [{}]}, "optlink show balance-four-bar"),
+    ],
+)
+def test_the_remedy_names_what_is_meant(problem: str, change: dict[str, object], remedy: str) -> None:
+    with pytest.raises(InputError) as error:
+        optlink.load(problem).override(change)
+    assert remedy in str(error.value)
+
+
+def test_the_shipped_problems_are_in_the_order_of_their_names() -> None:
+    assert list(optlink.shipped()) == sorted(optlink.shipped())
+
+
+def test_an_unknown_column_of_a_result_is_named_with_the_closest() -> None:
+    result = optlink.analyze(optlink.load("six-bar"), points=12)
+    assert result["input.torque_Nm"].shape == (13,)
+    with pytest.raises(KeyError, match=r"no column torque\. Did you mean \"input\.torque_Nm\""):
+        _ = result["torque"]
