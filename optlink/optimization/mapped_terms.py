@@ -247,7 +247,7 @@ class _Everywhere:
     positions: int
 
     def _made(self, inputs: list[Any], outputs: list[Any]) -> Any:
-        return elementwise(casadi.Function("one", inputs, outputs, {"cse": True}), 2, self.positions)
+        return elementwise(casadi.Function("one", inputs, outputs), 2, self.positions)
 
     @cached_property
     def values(self) -> Any:
