@@ -44,13 +44,11 @@ FIRST = (
     "test_path_evidence.py",
     "test_function_problems.py",
     "test_no_random_span_law_of_many",
-    "test_resting_contact",
     "test_best_known_value_is_reached",
     "test_compiled.py",
     "test_control.py",
     "test_extrema.py",
     "test_taylor_model.py",
-    "test_a_cluster_gives",
     "test_templates.py",
 )
 """What takes ten seconds and more."""

@@ -425,7 +425,6 @@ def test_a_robust_design_yields_more_than_the_best_as_drawn(problem):
     ("name", "limit", "texts", "mode"),
     [
         ("crank-rocker", 1.8, WIDE, "left"),
-        ("function-sin", 0.3, ["crank=0.2 mm", "coupler=0.2 mm"], "left"),
         ("function-log10", 0.05, ["crank=0.2 mm", "coupler=0.2 mm"], "right"),
     ],
 )
