@@ -47,18 +47,13 @@ class Page:
         self.driver, self.address = driver, address
 
     def open(self, problem: str | None = None) -> Page:
-        """Load the page anew, and open a shipped problem on it; its motion is stopped."""
+        """Load the page anew, and open a shipped problem on it; it stands still, as less motion is preferred."""
         self.driver.get(self.address)
         self.until("return document.documentElement.dataset.ready !== undefined")
         if problem is not None:
             self.find(f'[data-problem="{problem}"]').click()
             self.verified()
-            self.stop()
         return self
-
-    def stop(self) -> None:
-        """Stop the motion."""
-        self.run("if (arguments[0].ariaLabel === 'Pause') arguments[0].click()", self.find("#play"))
 
     def run(self, script: str, *arguments: Any) -> Any:
         """Return the value of a script."""

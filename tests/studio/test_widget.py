@@ -123,7 +123,6 @@ def test_a_drag_in_a_notebook(driver: Any, tmp_path: Path) -> None:
 
     WebDriverWait(driver, 60).until(frame_to_be_available_and_switch_to_it(0))
     until(f"{shown('verified')} && document.documentElement.dataset.searching === undefined")
-    within.stop()
     knob = within.find('[data-handle="mechanism.frame"] .ring')
     ActionChains(driver, duration=0).click_and_hold(knob).perform()
     for _ in range(4):
