@@ -25,7 +25,7 @@ from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import TURN, Array, Vector
 from optlink.report.labels import Label
 from optlink.report.shapes import Part, finite, hatching, hull, in_line, rectangle, spread, stem, zigzag
-from optlink.report.style import BODIES, CRANK, GROUND, QUIET, Scale, figure, scale
+from optlink.report.style import BODIES, CRANK, GROUND, QUIET, Scale, figure, scale, short_name
 
 FAR = 8.0  # positions beyond this multiple of the median distance from the crank pivot do not set the scale
 SHARE = 0.035  # height of a ground pivot
@@ -352,7 +352,7 @@ class Sketch:
             Index of the position.
         """
         return [
-            Label(axes, (float(x), float(y)), name, GROUND, clear=2.5)
+            Label(axes, (float(x), float(y)), short_name(name), GROUND, clear=2.5)
             for name in self.names
             for x, y in self.position(motion, name)[k : k + 1]
         ]

@@ -43,6 +43,7 @@ STYLE: dict[Any, Any] = {
 
 P = ParamSpec("P")
 T = TypeVar("T")
+LONGEST_NAME = 12  # most letters of the name of a point in a drawing
 LARGEST = 1_500_000  # largest size of an animation [bytes]
 
 
@@ -187,3 +188,8 @@ def one_palette(pictures: Sequence[NDArray[np.uint8]], colours: int = 160) -> li
 
 def _unpacked(colours: NDArray[Any]) -> NDArray[np.uint8]:
     return np.stack([colours >> 16, (colours >> 8) & 255, colours & 255], axis=-1).astype(np.uint8)
+
+
+def short_name(name: str) -> str:
+    """Return a name as drawings show it: without the middle if it is long, as the ends of similar names differ."""
+    return name if len(name) <= LONGEST_NAME else f"{name[:6]}\u2026{name[-5:]}"

@@ -293,6 +293,7 @@ def test_dead_centres_and_the_quick_stroke():
     (shade,) = (patch for patch in column.patches if patch.get_gid() == "shade")
     assert (shade.get_x(), shade.get_x() + shade.get_width()) == pytest.approx(centres)  # 207 ... 333 deg, the quicker one
     assert "quick 125.93°, slow 234.07°" in legend(figure)
+    assert legend(figure).count("dead centre") == 2  # once for each output
     wrapped = [patch for patch in picture("six-bar", "motion").axes[0].patches if patch.get_gid() == "shade"]
     assert sum(patch.get_width() for patch in wrapped) == pytest.approx(
         360.0 / (1.0 + analysed("six-bar").strokes["slider"].time_ratio)

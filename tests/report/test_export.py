@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import errno
+import itertools
 import json
 import math
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -22,8 +24,10 @@ from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of
 from optlink.report.export import dxf
 from optlink.report.export.export import FORMATS, Options, export, geometry
+from optlink.report.export.svg import svg
 from optlink.report.report_model import ReportModel, report_model_of, solve_or_validate
 from optlink.report.scene import scene
+from optlink.tasks.analyze import analyze
 from tests.cli.test_cli import run
 
 MACHINES = ("crank-rocker", "shaper", "watt-i", "toggle-press", "scotch-yoke", "slider-crank", "oscillating-cylinder")
@@ -504,3 +508,47 @@ def test_no_permission(tmp_path, monkeypatch):
     done = run(*GOOD, "-o", str(tmp_path / "a.dxf"))
     assert done.exit_code == 2
     assert "Permission denied" in done.stderr
+
+
+LONG = {
+    "A": "fixed_pivot_of_the_crank_at_the_left",
+    "B": "pin_between_crank_and_link_two",
+    "C": "pin_between_link_two_and_link_three",
+    "D": "fixed_pivot_of_the_rocker",
+    "E": "pin_between_link_five_and_slider",
+}
+
+
+def boxes_of_names(drawing: str) -> dict[str, tuple[float, float, float, float]]:
+    """Left, top, right and bottom of the names around their points, for letters of 0.6 of their height."""
+    [size] = map(float, re.findall(r'data-layer="names"[^>]*font-size="([\d.]+)"', drawing))
+    shown = (
+        r'data-point="([^"]*)"[^>]*><text x="([-\d.]+)" y="([-\d.]+)"( text-anchor="end")?[^>]*>(?:<title>[^<]*</title>)?([^<]*)<'
+    )
+    found = {}
+    for name, x, y, end, text in re.findall(shown, drawing):
+        width = 0.6 * size * len(text)
+        left = float(x) - (width if end else 0.0)
+        found[name] = left, float(y) - size, left + width, float(y) + 0.2 * size
+    return found
+
+
+def test_long_names_of_points_do_not_meet_in_the_moving_drawing():
+    """Over all positions: a name keeps its place beside its point. Both ends of a name are shown, and all of it on hovering."""
+    text = json.dumps({key: value for key, value in optlink.load("six-bar").raw.items() if key != "expected"})
+    text = text.replace("left of B-D", f"left of {LONG['B']}-{LONG['D']}")
+    for short, long in LONG.items():
+        text = text.replace(f'"{short}"', f'"{long}"')
+    moving = scene(analyze(optlink.read(json.loads(text))))
+    drawing = svg(moving, "six-bar")
+    boxes = boxes_of_names(drawing)
+    assert set(boxes) == set(LONG.values())
+    assert f"<title>{LONG['E']}</title>pin_be\u2026lider<" in drawing
+    left, top, wide, high = moving.box
+    meeting = 0
+    for k in range(len(moving.angles)):
+        placed = [np.array(box) + np.tile(moving.points[name][k], 2) for name, box in boxes.items()]
+        for one, other in itertools.combinations(placed, 2):
+            meeting += bool(np.all(np.minimum(one[2:], other[2:]) > np.maximum(one[:2], other[:2])))
+        assert all(box[0] >= left and box[1] >= top and box[2] <= left + wide and box[3] <= top + high for box in placed)
+    assert meeting < 0.25 * len(moving.angles)  # only where the crank pin passes the name of its pivot

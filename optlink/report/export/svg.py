@@ -11,7 +11,7 @@ import numpy as np
 from optlink.linkage.vector2d import Array
 from optlink.report.scene import Body, Scene
 from optlink.report.shapes import Part, zigzag
-from optlink.report.style import GROUND, QUIET
+from optlink.report.style import GROUND, QUIET, short_name
 
 POINT = 1.0 / 8.0  # size of a typographic point, as a share of the size of a ground pivot, as in the other figures
 LAYERS = ("slot", "plate", "bar", "block", "crank")
@@ -59,7 +59,7 @@ def svg(scene: Scene, title: str, over: Scene | None = None, k: int = 0, *, trac
     lines.append("</g>")
     if names:
         lines.append(f'<g data-layer="names" font-family="sans-serif" font-size="{_number(9.0 * POINT * scene.size, scene)}">')
-        lines += _names(scene, k)
+        lines += _names(scene, over or scene, k)
         lines.append("</g>")
     lines.append("</svg>")
     return "\n".join(lines) + "\n"
@@ -172,14 +172,58 @@ def _joints(scene: Scene, k: int) -> Iterator[str]:
         yield f"<circle {place} {look}><title>{escape(name)}</title></circle>"
 
 
-def _names(scene: Scene, k: int) -> Iterator[str]:
+def _names(scene: Scene, over: Scene, k: int) -> Iterator[str]:
     """Yield the names of the points with a white outline, beside the points or their ground supports."""
     rim = _wide(2.2, scene)
+    beside = name_offsets(over)
     for name, places in scene.points.items():
         x, y = places[k]
         if math.isfinite(x) and math.isfinite(y):
             place = f'data-point="{escape(name)}" transform="translate({_number(x, scene)} {_number(y, scene)})"'
             look = f'fill="{GROUND}" stroke="#ffffff" stroke-width="{rim}" paint-order="stroke" stroke-linejoin="round"'
-            right, down = (0.8, 1.3) if name in scene.still else (0.5, -0.55)
-            at = f'x="{_number(right * scene.size, scene)}" y="{_number(down * scene.size, scene)}"'
-            yield f"<g {place}><text {at} {look}>{escape(name)}</text></g>"
+            right, down = beside[name]
+            side = ' text-anchor="end"' if right < 0.0 else ""
+            at = f'x="{_number(right, scene)}" y="{_number(down, scene)}"{side}'
+            whole = "" if short_name(name) == name else f"<title>{escape(name)}</title>"
+            yield f"<g {place}><text {at} {look}>{whole}{escape(short_name(name))}</text></g>"
+
+
+def name_offsets(scene: Scene) -> dict[str, tuple[float, float]]:
+    """Return the place of every name beside its point (right, down) [mm]; to the left of it, it ends there.
+
+    Each name takes the corner of four where it overlaps the names before it, and leaves the drawing, least over all positions.
+
+    Parameters
+    ----------
+    scene : Scene
+    """
+    letter, unit = 9.0 * POINT * scene.size, scene.size
+    left, top, wide, high = scene.box
+    taken: list[Array] = []
+    found = {}
+    for name, places in scene.points.items():
+        length = 0.6 * letter * len(short_name(name))
+        right, down = (0.8, 1.3) if name in scene.still else (0.5, -0.55)
+        choices = []
+        for x, y in ((right, down), (-right, down), (right, 0.75 - down), (-right, 0.75 - down)):
+            begin = places + np.array([x * unit - (length if x < 0.0 else 0.0), y * unit - letter])
+            box = np.concatenate([begin, begin + np.array([length, 1.2 * letter])], axis=1)
+            inside = np.clip(box, [left, top] * 2, [left + wide, top + high] * 2)
+            overlap = sum(_common(box, other) for other in taken) + _area(box) - _area(inside)
+            choices.append((float(np.nansum(overlap)), len(choices), x * unit, y * unit, box))
+        _, _, x, y, box = min(choices, key=lambda choice: choice[:2])
+        taken.append(box)
+        found[name] = x, y
+    return found
+
+
+def _area(boxes: Array) -> Array:
+    area: Array = np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)
+    return area
+
+
+def _common(boxes: Array, others: Array) -> Array:
+    """Return the areas that boxes (n, 4) have in common with others."""
+    sides = np.minimum(boxes[:, 2:], others[:, 2:]) - np.maximum(boxes[:, :2], others[:, :2])
+    common: Array = np.prod(np.maximum(sides, 0.0), axis=1)
+    return common

@@ -283,7 +283,8 @@ def motion(course: CycleCurves, given: CycleCurves | None = None) -> list[ChartS
 def _strokes(course: CycleCurves, travel: Travel | None) -> tuple[list[Line], list[Span]]:
     """Return dead centres as lines, and the quick stroke as shaded ranges, named with the crank rotation of both strokes."""
     centres = [math.degrees(at) for at in course.in_order(travel.dead_centres)] if travel else []
-    lines = [Line(at, "", QUIET, 1.0, gid="dead centre") for at in (centres if len(centres) <= MANY else [])]
+    drawn = centres if len(centres) <= MANY else []
+    lines = [Line(at, "" if k else "dead centre", QUIET, 1.0, gid="dead centre") for k, at in enumerate(drawn)]
     if travel is None or not (course.result.full and len(centres) == 2 and travel.time_ratio > 1.0 + 1e-6):
         return lines, []
     one = abs(centres[1] - centres[0])
