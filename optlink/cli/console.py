@@ -274,12 +274,10 @@ def quantity(text: str | None, kind: str, option: str) -> float | None:
     """
     if text is None:
         return None
-    from optlink.units import UnitProblem, parse
+    from optlink.problem.quantity import input_of, read_scalar
 
-    try:
-        return parse(text, kind)[0]
-    except UnitProblem as error:
-        raise InputError(error.message, error.remedy, key=option, value=text) from None
+    with input_of(None, option, text):
+        return read_scalar(text, kind)[0]
 
 
 def given(**options: Any) -> dict[str, Any]:

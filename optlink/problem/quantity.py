@@ -20,6 +20,7 @@ from optlink.errors import InputError, InvalidValue
 from optlink.units import KINDS, display_unit, factor, parse, show
 
 SHORTEST, LONGEST = 1e-9, 1e6  # m; beyond them squares of ratios overflow
+LARGEST, LARGEST_ANGLE = 1e30, 1e6  # in SI: products of several larger ones overflow, and sines of larger angles lose digits
 
 
 Unusable = InvalidValue
@@ -174,11 +175,14 @@ def check_range(key: str, value: float, low: float, high: float) -> None:
         raise InputError("out of range", f"Give a number from {low:,} to {high:,}", key=key, value=value)
 
 
-def _positive(value: float, text: object, kind: str, key: str = "") -> float:
+def _possible(value: float, text: object, kind: str, key: str = "") -> float:
     if kind == "length" and value <= 0.0:
         raise Unusable("a length must be positive", f'Give one above zero, for example "{KINDS[kind].example}"', key, text)
     if kind == "length" and not SHORTEST <= value <= LONGEST:
         raise Unusable("no linkage has such a length", "Give one between 1e-9 m and 1000 km, and check its unit", key, text)
+    if abs(value) > (largest := LARGEST_ANGLE if kind == "angle" else LARGEST):
+        remedy = f'Give at most {largest:.0e} {KINDS[kind].si}, for example "{KINDS[kind].example}", and check its unit'
+        raise Unusable("the value is too large", remedy, key, text)
     return value
 
 
@@ -201,7 +205,7 @@ def read_scalar(text: object, kind: str, key: str = "") -> tuple[float, str]:
     """
     with below(key, text):
         value, unit = parse(text, kind)
-    return _positive(value, text, kind, key), unit
+    return _possible(value, text, kind, key), unit
 
 
 def read_quantity(raw: object, kind: str) -> Quantity:

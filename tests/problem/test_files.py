@@ -405,3 +405,23 @@ def test_names_of_the_user_keep_their_spelling():
     raw = optlink.load("shaper-design").raw
     limits = {"regularization": raw["limits"]["stroke"], "time_ratio": raw["limits"]["time_ratio"]}
     assert "regularization" in optlink.read({**raw, "limits": limits}).model.limits.named
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "most"),
+    [
+        ("drive.start", "1e300 deg", "1e+06 rad"),
+        ("drive.start", "1e9 deg", "1e+06 rad"),
+        ("bodies.crank.mass", "1e300 kg", "1e+30 kg"),
+        ("bodies.crank.inertia", "1e40 kg*m^2", "1e+30 kg*m**2"),
+        ("loads.process.force", "-1e305 N", "1e+30 N"),
+        ("gravity", "1e300 m/s^2", "1e+30 m/s**2"),
+        ("drive.torque", "1e300 N*m", "1e+30 N*m"),
+    ],
+)
+def test_values_that_overflow_are_refused(key: str, value: str, most: str) -> None:
+    """They gave energies of 1e304 J, or an error of the interpolation between two equal angles."""
+    with pytest.raises(InputError, match="the value is too large") as caught:
+        load("six-bar", {key: value})
+    assert f'{key} = "{value}"' in str(caught.value)
+    assert f"Give at most {most}" in str(caught.value)

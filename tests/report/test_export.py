@@ -321,7 +321,7 @@ def test_every_format_by_the_command(tmp_path, ending):
         (("-o", "folder.dxf"), "this is a folder"),
         (("-o", "a.dxf", "--at", "3 mm"), "unit of angle"),
         (("-o", "a.dxf", "--at", "nan deg"), "--at"),
-        (("-o", "a.dxf", "--hole", "0 mm"), '--hole = "0 mm": no link has such a size'),
+        (("-o", "a.dxf", "--hole", "0 mm"), '--hole = "0 mm": a length must be positive'),
         (("-o", "a.dxf", "--hole", "8 mm", "--width", "5 mm"), "smaller than the hole"),
         (("-o", "a.dxf", "--hole", "80 m"), "holes of crank would overlap: they are 100 mm apart"),
         (("-o", "a.dxf", "--hole", "100 mm"), "holes of crank would overlap"),

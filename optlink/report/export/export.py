@@ -16,7 +16,7 @@ from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import sweep
 from optlink.linkage.stroke import failure
 from optlink.linkage.vector2d import Vector
-from optlink.problem.quantity import LONGEST, SHORTEST, check_range
+from optlink.problem.quantity import LARGEST_ANGLE, LONGEST, SHORTEST, check_range
 from optlink.report.export.dxf import travelled, write_dxf
 from optlink.report.export.svg import svg
 from optlink.report.files import target, whole, write_csv, write_json
@@ -26,7 +26,6 @@ from optlink.tasks.analyze import MAX_POINTS, analyze
 from optlink.tasks.results.analysis import Analysis
 
 SCHEMA = "optlink/geometry/1"
-MOST_ANGLE = 1e6  # rad; sines of larger ones lose digits
 FORCES = ("_N", "_Nm", "_J", "_W")
 """Endings of columns that say nothing of a linkage without masses and loads."""
 
@@ -48,7 +47,7 @@ class Options:
 
     def __post_init__(self) -> None:
         """Check the values."""
-        if self.at is not None and not abs(self.at) <= MOST_ANGLE:
+        if self.at is not None and not abs(self.at) <= LARGEST_ANGLE:
             raise InputError("out of range", 'Give one such as "30 deg"', key="--at", value=f"{self.at:g} rad")
         for name, size in (("hole", self.hole), ("width", self.width)):
             if size is not None and not SHORTEST <= size <= LONGEST:
