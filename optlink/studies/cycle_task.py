@@ -1,8 +1,8 @@
 """Sweep task that optimises a machine cycle at every point of a grid.
 
 If only limits vary, the programme is built once: their bounds are its parameters. Within a chunk a search starts from the machine
-of a completed neighbour; the first one of a chunk starts from machines that the task names, or from the start of the problem and
-random dimensions, so that no chunk depends on another. Every machine is validated like a single one.
+of a completed neighbour, and from machines that the task names; the first one of a chunk without these from the start of the
+problem and random dimensions, so that no chunk depends on another. Every machine is validated like a single one.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ COMPILED = ("_values", "_all", "_residuals", "_hessian", "_levels")  # compiled 
 
 @dataclass(frozen=True)
 class CycleTask(OptimumTask):
-    """Optimum at every point; `anchors`: dimensions [SI] of machines from which the first search of a chunk starts."""
+    """Optimum at every point; `anchors`: dimensions [SI] of machines from which each search starts too."""
 
     anchors: tuple[tuple[tuple[str, float], ...], ...] = ()
 
@@ -66,7 +66,7 @@ class CycleTask(OptimumTask):
         for point in self.span(index):
             task = self.problem.override(self.grid.changes(point))
             near = done.get(point - 1 if point % self.grid.row else point - self.grid.row)
-            begin = [near.design] if near is not None else [dict(sizes) for sizes in self.anchors]
+            begin = [*([] if near is None else [near.design]), *map(dict, self.anchors)]
             found = min((self.searched_from(point, task, sizes) for sizes in begin), key=_rank, default=None)
             how = FOLLOWED
             if found is None or not found.valid:
@@ -123,7 +123,7 @@ def optimum_task(
     chunk : int
         Points per chunk where one programme serves all.
     anchors : sequence of mapping of str to float [SI]
-        Dimensions of machines from which the first search of a chunk starts.
+        Dimensions of machines from which each search starts too.
     """
     common = SweepTask.problem_fields(problem) | {"grid": grid, "backend": backend}
     if problem.task == "cycle":

@@ -331,6 +331,16 @@ def test_the_limit_on_an_objective_gives_way_and_others_stay(press):
     assert walked.raw["limits"]["front_2"]["min"] == "60 deg"
 
 
+def test_the_end_of_a_front_is_no_local_optimum(press):
+    """The stroke is longest with the offset of -30 mm; near the machine of least torque it is longest with that of 10 mm."""
+    sizes = {"mechanism.links.crank.length": "50 mm", "mechanism.guides.F.offset": {"start": "3 mm", "bounds": "-30..10 mm"}}
+    problem = press.override(sizes | {"limits.stroke": None, "loads.pressing.stroke": "backward"})
+    front = pareto(problem, "peak torque, maximise stroke of ram", points=3, workers=1)
+    stroke = math.sqrt(170.0**2 - 30.0**2) - math.sqrt(70.0**2 - 30.0**2)  # with the shortest rod
+    assert front.complete
+    assert front.points[-1].values[1] == pytest.approx(stroke, rel=1e-4)
+
+
 @pytest.mark.slow
 def test_three_objectives_of_a_machine_lie_on_their_surface(press):
     front = pareto(press, f"rod.length, maximise stroke of ram=60..120 mm, {LEAST}=60..75 deg", points=3, workers=1)

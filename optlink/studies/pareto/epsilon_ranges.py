@@ -302,11 +302,9 @@ class _CycleRanges(EpsilonRanges):
         bounds = {k: axis.raw(0) for k, axis in self.fixed.items()}
         asked_for = [k for k in range(len(aims)) if k not in bounds]
 
-        def searched(k: int, task: ProblemFile, near: Mapping[str, float] | None) -> dict[str, Any]:
-            found = None
-            if near is not None:
-                found = completed(solve_cycle(with_starting_values(task, near), self.backend, starts=1))
-            if found is None or found.status is not Status.OPTIMAL:
+        def searched(k: int, task: ProblemFile, near: Mapping[str, float], starts: int | None = None) -> dict[str, Any]:
+            found = completed(solve_cycle(with_starting_values(task, near), self.backend, starts=starts))
+            if near and found.status is not Status.OPTIMAL:
                 found = completed(solve_cycle(task, self.backend))
             measured = cycle_figures(problem, aims, found.design)
             if found.status not in (Status.OPTIMAL, Status.STALLED) or not np.all(np.isfinite(measured)):
@@ -314,7 +312,7 @@ class _CycleRanges(EpsilonRanges):
             return {"sizes": dict(found.design), "figures": list(measured)}  # validated or not: it only defines the range
 
         alone = {
-            first: once(aims[first].best, partial(searched, first, epsilon_problem(problem, aims, {first: 1.0}, bounds), None))
+            first: once(aims[first].best, partial(searched, first, epsilon_problem(problem, aims, {first: 1.0}, bounds), {}))
         }
         begin = alone[first]["sizes"]
         for k in asked_for:
@@ -330,7 +328,7 @@ class _CycleRanges(EpsilonRanges):
                 continue
             limit = exact_text(aims[k].worsened(best[k], NEAR * width[k]), aims[k].unit)
             task = epsilon_problem(problem, aims, rest, {**bounds, k: limit})
-            corner[k] = once(f"{aims[k].best}, then the others", partial(searched, k, task, alone[k]["sizes"]))
+            corner[k] = once(f"{aims[k].best}, then the others", partial(searched, k, task, alone[k]["sizes"], 1))
         found = {}
         for k in asked_for:
             if k != first:
