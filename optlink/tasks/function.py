@@ -24,6 +24,7 @@ from optlink.problem.base_model import Number, Record, absent
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design, started
 from optlink.problem.quantity import Quantity, input_of, read_quantity
+from optlink.problem.targets.expression import Expression
 from optlink.solvers.function_exchange import ALONG, error_at, error_function
 from optlink.solvers.solution import Relaxation, Solution
 from optlink.tasks.machine import check_names, turning_machine
@@ -165,6 +166,15 @@ class FunctionResult(SingleResult):
         problem = self.problem.spec
         at = problem.law.offsets if offsets is None else np.asarray(offsets, dtype=float)
         return error_at(problem, self.design, at)
+
+    @property
+    def between(self) -> float | None:
+        """Largest error [rad] between the design positions of an expression; None if it is the same as at them to four digits."""
+        problem = self.problem.spec
+        if not isinstance(problem.requirement.law, Expression):
+            return None
+        there, span = (float(np.max(np.abs(self.error(at)))) for at in (None, problem.span * np.linspace(0.0, 1.0, 721)))
+        return span if math.isfinite(span) and span > there * (1.0 + 5e-4) else None
 
     @property
     def fit(self) -> Fit | None:

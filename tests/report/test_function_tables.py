@@ -14,10 +14,10 @@ from rich.console import Console
 
 import optlink
 from optlink.report import terminal
-from optlink.report.format import change, dimension, fixed, significant
+from optlink.report.format import change, dimension, fixed, number, significant
 from optlink.report.registry import table_of
 from optlink.report.table_spec import Part, Summary
-from optlink.report.views import path as path_view
+from optlink.report.views import conclusions, path as path_view
 from optlink.report.views.conclusions import figure
 from optlink.report.views.function import function_values
 from optlink.report.views.function_tables import active
@@ -186,3 +186,23 @@ def test_a_function_of_a_slider_has_the_chart_too() -> None:
 
 def test_a_law_of_the_crank_angle_has_no_chart_in_x_and_y(solved: optlink.FunctionResult) -> None:
     assert function_values(solved) == []
+
+
+def test_an_error_that_is_larger_between_the_positions_is_stated() -> None:
+    law = {"requirement.law": "psi0 + 0.35*(phi - phi0)", "requirement.from": {"bounds": ["0 deg", "360 deg"]}}
+    file = optlink.load("crank-rocker").override({**law, "requirement.points": 3})
+    result = optlink.validate(file, {"coupler": 0.45, "rocker": 0.25, "phi0": 1.0})
+    crank, coupler, rocker, frame, phi0, psi0 = (
+        result.design[name] for name in ("crank", "coupler", "rocker", "frame", "phi0", "psi0")
+    )
+    turn = np.linspace(0.0, np.pi / 2.0, 9001)
+    diagonal = frame - crank * np.exp(1j * (phi0 + turn))
+    reach = np.arccos((coupler**2 + np.abs(diagonal) ** 2 - rocker**2) / (2.0 * coupler * np.abs(diagonal)))
+    angle = np.angle(coupler * np.exp(1j * (np.angle(diagonal) + reach)) - diagonal)
+    largest = np.degrees(np.max(np.abs(psi0 + 0.35 * turn - angle)))
+    at = np.degrees(np.max(np.abs(result.error())))
+    assert largest > 1.01 * at
+    text = f"largest {number(at, 4)} deg at the positions, {number(largest, 4)} deg between them"
+    assert text in shown(result)
+    assert f"{figure(largest, 'deg')} between them" in conclusions.design(result, ())
+    assert optlink.validate(optlink.load("crank-rocker"), {"coupler": 0.412865, "rocker": 0.232246}).between is None

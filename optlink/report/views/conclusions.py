@@ -100,7 +100,9 @@ def _sentences(*sentences: str) -> str:
 
 def _function(outcome: FunctionResult) -> str:
     rms, most = (math.degrees(MEASURES[name].of(outcome.error())) for name in ("rms", "max"))
-    return f"The output follows the required motion within {figure(most, 'deg')} (root mean square {figure(rms, 'deg')})."
+    between = outcome.between
+    where = "" if between is None else f" at the design positions, {figure(math.degrees(between), 'deg')} between them"
+    return f"The output follows the required motion within {figure(most, 'deg')}{where} (root mean square {figure(rms, 'deg')})."
 
 
 def _path(best: PathDesign) -> str:

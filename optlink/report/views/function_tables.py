@@ -197,6 +197,8 @@ def _objective(outcome: FunctionResult) -> TableSpec:
     rms, largest = (math.degrees(MEASURES[name].of(outcome.error())) for name in ("rms", "max"))
     robust = outcome.problem.spec.requirement.robust
     remark = f"error{'' if robust is None else ' at nominal dimensions'}: rms {number(rms, 4)}, largest {number(largest, 4)} deg"
+    if outcome.between is not None:
+        remark += f" at the positions, {number(math.degrees(outcome.between), 4)} deg between them"
     rows: list[Row] = [(outcome.measure, strong(number(outcome.objective)), outcome.unit, quiet(remark))]
     in_degrees = ("", strong(number(math.degrees(outcome.objective))), "deg")
     if robust is not None and outcome.unit == "rad":
