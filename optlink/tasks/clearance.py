@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from optlink.clearance.closed_loop import ClosedLoop, vibration
-from optlink.clearance.compiled.choice import IntegratorKind, chosen, resumed
+from optlink.clearance.compiled.choice import INSTALL, IntegratorKind, chosen, installed, resumed
 from optlink.clearance.controller import PID, Control, Controller, Gains
 from optlink.clearance.equations import Drive, Servo, Weightless
 from optlink.clearance.integration import Stalled
@@ -266,6 +266,10 @@ def simulate_clearance(
         notes.append(
             "Results up to that time are kept. Another contact stiffness, a higher restitution, masses or a lower speed may help"
         )
+        if integrator is IntegratorKind.CVODES:
+            notes.append(
+                f"The other integrator may pass this position: --integrator compiled. {'' if installed() else INSTALL}".strip()
+            )
     prediction = pair.prediction if pair is not None and account.count else None
     if prediction is not None and prediction.chaotic:
         notes.append(

@@ -1291,3 +1291,12 @@ def test_progress_is_shown_within_a_revolution():
     assert shares == sorted(shares)
     assert sum(share < 0.5 for share in shares) > 3
     assert shares[-1] == 1.0
+
+
+@pytest.mark.parametrize("present", [True, False])
+def test_a_stall_of_cvodes_names_the_other_integrator(present, monkeypatch):
+    monkeypatch.setattr("optlink.tasks.clearance.installed", lambda: present)
+    found = simulate_clearance(machine({"joints.C.damping": "1e12 N*s/m"}), 1, 36, twin=False, integrator="cvodes")
+    assert found.ending is Ending.STALLED
+    (note,) = (note for note in found.notes if "--integrator compiled" in note)
+    assert ("optlink[fast]" in note) is not present
