@@ -10,6 +10,9 @@ import tomllib
 import pytest
 
 import optlink
+from optlink.report import report_model
+from optlink.tasks import run
+from tests.solved import solution
 from tests.test_docs import ROOT
 
 sys.path.insert(0, str(ROOT / "benchmarks"))
@@ -93,7 +96,27 @@ def test_all_figures_are_those_of_the_commands_or_of_the_record():
     assert list(readme.failures(slow=False, record=readme.recorded())) == []
 
 
+@pytest.fixture
+def shared_solutions(monkeypatch):
+    """Let commands that solve a shipped path problem with default options take the solution that other tests need as well."""
+    search = run.solve
+
+    def changed(problem):
+        return problem.hash != optlink.load(problem.name).hash
+
+    def solve(problem, backend="ipopt", starts=None, seed=0, progress=None, *, designs=None, **options):
+        plain = (backend, starts, seed, designs, options.get("certify")) == ("ipopt", None, 0, None, None)
+        if plain and problem.task == "path" and problem.name in optlink.shipped() and not changed(problem):
+            return solution(problem.name)
+        return search(problem, backend, starts, seed, progress, designs=designs, **options)
+
+    monkeypatch.setitem(vars(optlink), "solve", search)  # of `solution`
+    for module in (run, report_model):
+        monkeypatch.setattr(module, "solve", solve)
+
+
 @pytest.mark.slow
+@pytest.mark.usefixtures("shared_solutions")
 @pytest.mark.parametrize("page", PAGES)
 def test_commands_of_a_page_run(page):
     """In their order, in an empty folder; those that take long are run by `benchmarks/readme.py --commands --long --write`."""
