@@ -26,7 +26,7 @@ from tests.random_linkages import (
 
 FIRST, ENOUGH = 1001, 16  # the problem before takes as long as all these: the largest distance, minimised in a narrow valley
 STARTS = 240  # of the batch: enough for answers, not for the best of them
-LAW_STARTS = 24
+LAW_STARTS = 8
 
 
 def judged(seed: int) -> int:
@@ -67,7 +67,8 @@ def judged_law(seed: int, *, slides: bool) -> bool:
 @pytest.mark.slow
 @pytest.mark.parametrize("slides", [False, True], ids=["four-bar", "slider-crank"])
 def test_random_laws(slides: bool) -> None:
-    assert sum(judged_law(seed, slides=slides) for seed in (*range(3), *range(100, 104))) >= 3
+    """Of four laws, with the measures sum of squares, rms and max; most of them have an answer."""
+    assert sum(judged_law(seed, slides=slides) for seed in (0, 1, 2, 100)) >= 3
 
 
 # --- the judge sees what is planted ------------------------------------------------------------------------------------------
