@@ -6,6 +6,7 @@ import itertools
 import json
 import math
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,9 @@ FUNCTIONS = {
     "cosh(x)": (np.cosh, (0.0, 1.2)),
 }
 SIDES = {"left": (1,), "right": (-1,), "either": (1, -1)}
-PROBLEMS = 20
+CHOSEN = (2, 3, 6, 7, 10, 11, 12, 13, 14, 18, 19)
+"""Of the 20 recorded problems: each function, left, right and either, rockers that turn with the crank and against it, an optimum
+that one start in ten reaches (2), an error of a hundred-thousandth of a radian (6)."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,7 @@ def known() -> list[float]:
     return [float(value) for value in json.loads(KNOWN.read_text(encoding="utf-8"))]
 
 
+@cache
 def default_answer(number: int) -> optlink.FunctionResult:
     """The answer with default options, computed once for all tests of a run."""
     found: optlink.FunctionResult = once(f"function problem {number}", lambda: optlink.solve(optlink.read(case(number).raw)))
@@ -93,7 +97,7 @@ def measured(result: optlink.FunctionResult, task: Function) -> tuple[float, flo
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", range(PROBLEMS))
+@pytest.mark.parametrize("number", CHOSEN)
 def test_the_default_answer_is_none_worse_than_the_oracle_and_never_claims_what_it_refutes(number: int) -> None:
     made = case(number)
     result = default_answer(number)
@@ -107,7 +111,7 @@ def test_the_default_answer_is_none_worse_than_the_oracle_and_never_claims_what_
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", range(0, PROBLEMS, 4))
+@pytest.mark.parametrize("number", [0, 12, 18])
 def test_more_starts_are_never_worse(number: int) -> None:
     """The answer of N starts is the best of those of its first ones: valid stays valid, and no better one is lost."""
     file = optlink.read({**case(number).raw})
@@ -118,6 +122,6 @@ def test_more_starts_are_never_worse(number: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [3, 12])
-def test_the_oracle_finds_its_recorded_optima_from_other_starts(number: int) -> None:
-    assert oracle(case(number).task, 25, 7) == pytest.approx(known()[number], rel=2e-3)
+@pytest.mark.parametrize(("number", "starts"), [(12, 25), (18, 10)], ids=["one mode", "both modes"])
+def test_the_oracle_finds_its_recorded_optima_from_other_starts(number: int, starts: int) -> None:
+    assert oracle(case(number).task, starts, 7) == pytest.approx(known()[number], rel=2e-3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import json
 import math
@@ -15,12 +16,23 @@ from optlink.execution.runner import pool
 from optlink.optimization.nlp import build
 from optlink.solvers import contract, multistart
 from optlink.tasks.function_search import FunctionSearch, SearchStart, start_sequence
+from tests.solved import once
 from tests.tasks.test_function_problems import case, default_answer, measured
+
+SHORT = 11  # of the function problems
 
 
 def short(**changes: object) -> optlink.ProblemFile:
     """A function that takes little time: one assembly mode."""
-    return optlink.read(case(11).raw).override(changes)
+    return optlink.read(case(SHORT).raw).override(changes)
+
+
+@functools.cache
+def short_of_both_modes() -> optlink.FunctionResult:
+    """The same in both assembly modes, searched from the first starts alone; computed once for all tests of a run."""
+    file = short(**{"mechanism.assembly": "either"})
+    found: optlink.FunctionResult = once("short function of both modes", lambda: optlink.solve(file, starts=1))
+    return found
 
 
 @pytest.mark.parametrize("file", [optlink.load("crank-rocker"), short()], ids=["law", "function"])
@@ -116,13 +128,12 @@ def test_three_seeds_agree_where_the_first_steps_miss_the_best_optimum() -> None
 @pytest.mark.slow
 def test_an_answer_has_one_figure_everywhere() -> None:
     """Design, distinct optima and validation tell the largest error over the range, not that at the design positions."""
-    file = short()
-    result = optlink.solve(file)
+    file, result = short(), default_answer(SHORT)
     document = json.loads(json.dumps(result.to_dict()))
     first = document["optima"][0]
     assert first["objective"] == document["objective"]["value"] == result.objective
     assert first["design"] == document["design"]
-    assert measured(result, case(11).task)[0] == pytest.approx(first["objective"], rel=1e-6)
+    assert measured(result, case(SHORT).task)[0] == pytest.approx(first["objective"], rel=1e-6)
     nlp = build(file.spec)
     coarse = multistart.solve_from(nlp, nlp.x_of({name: result.design[name] for name in file.spec.free}), contract.CLOSE)
     assert coarse.objective < result.objective * (1.0 - 1e-6)  # what the programme of the design positions alone has
@@ -133,7 +144,7 @@ def test_every_answer_says_its_assembly_mode() -> None:
     from optlink.report import terminal
     from optlink.report.views import function_tables
 
-    result = optlink.solve(short(**{"mechanism.assembly": "either"}), starts=1)
+    result = short_of_both_modes()
     document = result.to_dict()
     assert document["assembly"] == result.assembly in ("left", "right")
     assert {optimum["assembly"] for optimum in document["optima"]} <= {"left", "right"}
@@ -145,8 +156,7 @@ def test_every_answer_says_its_assembly_mode() -> None:
 
 @pytest.mark.slow
 def test_a_given_design_is_checked_in_the_assembly_mode_that_fits_it() -> None:
-    either = short(**{"mechanism.assembly": "either"})
-    found = optlink.solve(either, starts=1)
+    either, found = short(**{"mechanism.assembly": "either"}), short_of_both_modes()
     checked = optlink.validate(either, {name: found.design[name] for name in either.spec.free})
     assert checked.assembly == found.assembly
     assert checked.objective == pytest.approx(found.objective, rel=1e-6)
@@ -158,17 +168,16 @@ def test_the_machine_written_beside_a_result_moves_as_the_design_does(tmp_path: 
     from optlink.report.view import View
     from optlink.report.views.function import VIEW
 
-    for file in (optlink.load("crank-rocker"), short(**{"mechanism.assembly": "either"})):
-        result = optlink.solve(file, starts=1)
+    for result in (optlink.solve(optlink.load("crank-rocker"), starts=1), short_of_both_modes()):
         View(design=VIEW.design).write(result, tmp_path)
         machine = optlink.load(tmp_path / "design.toml")
         found = optlink.analyze(machine)
         assert machine.raw["mechanism"].get("assembly", "left") == result.assembly
         crank, rocker = found.columns["crank_angle_deg"], found.columns["rocker.angle_rad"]
-        at = np.degrees(result.design["phi0"] + 0.5 * file.spec.span)
+        at = np.degrees(result.design["phi0"] + 0.5 * result.problem.spec.span)
         k = int(np.argmin(np.abs(np.remainder(crank - at + 180.0, 360.0) - 180.0)))
         offset = math.remainder(math.radians(crank[k]) - result.design["phi0"], 2.0 * math.pi)
-        wanted = file.spec.law.curve(np.array([offset]), result.design["phi0"], result.design["psi0"])[0]
+        wanted = result.problem.spec.law.curve(np.array([offset]), result.design["phi0"], result.design["psi0"])[0]
         generated = wanted - result.error([offset])[0]
         assert math.remainder(rocker[k] - generated, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-9)
 
