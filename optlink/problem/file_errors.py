@@ -37,9 +37,12 @@ def as_written(fault: Fault, raw: object) -> Fault:
             return fault
         raw = raw[step]
     ends = raw if isinstance(raw, list) else [raw]
-    if fault.value in ends or not all(isinstance(end, str) and split(end) for end in ends):  # no quantity, or an end of a range
+    if fault.value in ends:  # one end of a range
         return fault
-    return replace(fault, value=raw.text if isinstance(raw, Ends) else raw)
+    if isinstance(raw, Ends):
+        return replace(fault, value=raw.text)
+    quantities = all(isinstance(end, str) and split(end) for end in ends)
+    return replace(fault, value=raw) if quantities else fault
 
 
 UNKNOWN, MISSING = "unknown key", "this key is missing"

@@ -147,7 +147,6 @@ def _check_points(problem: PathProblem, mechanism: Mechanism) -> None:
             f"{count} point{'s are' if count > 1 else ' is'} no {'closed curve' if task.closed else task.kind}",
             f"Give at least {least}",
             "requirement.points",
-            f"{count} point{'s' * (count > 1)}",
         )
     if task.timing in ("given", "from start") and points.crank is None:
         raise Unusable(

@@ -250,6 +250,7 @@ GAPPED = ("simulate", "slider-crank-clearance")
         (("solve", "crank-rocker", "--set", "limits.swing_angle=200.000000001 deg"), ' = "200.000000001 deg"', "30 deg"),
         (("solve", "crank-rocker", "--set", "limits.transmission_angle=140..40 deg"), ' = "140..40 deg"', "Exchange"),
         (("solve", "crank-rocker", "--set", "limits.transmission_angle=-5..40 deg"), ' = "-5..40 deg"', "Give a range"),
+        (("solve", "crank-rocker", "--set", "limits.link_ratio=-5..-1"), ' = "-5..-1"', "[0.2, 5.0]"),
         (("solve", "crank-rocker", "--set", "mechanism.coupler=900..100 mm"), ' = "900..100 mm"', "Exchange"),
     ],
     ids=lambda value: " ".join(value[2:]) if isinstance(value, tuple) else "",
