@@ -166,6 +166,8 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
                     key="PROBLEM",
                     value=text,
                 )
+            if isinstance(problem, Mapping):
+                raise InputError("a problem is loaded by its name or path", "Give nested tables to optlink.read", key="PROBLEM")
             raise InputError("no such problem", nearest(text, names) + ", or the path of a .toml file", key="PROBLEM", value=text)
     raw = with_ranges(with_spellings(_read_toml(path)), skip=WORDS)
     file = path.name if text in names else text

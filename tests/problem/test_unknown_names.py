@@ -26,6 +26,11 @@ def test_the_remedy_names_what_is_meant(problem: str, change: dict[str, object],
     assert remedy in str(error.value)
 
 
+def test_nested_tables_in_place_of_a_name_are_pointed_to_read() -> None:
+    with pytest.raises(InputError, match=r"nested tables to optlink\.read"):
+        optlink.load({"mechanism": {"type": "four-bar"}})  # type: ignore[arg-type]
+
+
 def test_the_shipped_problems_are_in_the_order_of_their_names() -> None:
     assert list(optlink.shipped()) == sorted(optlink.shipped())
 

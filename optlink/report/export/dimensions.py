@@ -267,7 +267,9 @@ class _Sheet:
             covered = self._around(middle, half)
             return self._cost(covered) + 0.25 * radius, radius * self.size, covered
 
-        places = itertools.product((2.2, 3.2, 4.4, 5.6), (0.5, 0.25, 0.75))
+        beside = (half + 0.8 * self.font) / (3.2 * self.size * max(high - low, 1e-9))  # beyond the ends of a narrow range
+        shares = (0.5, 0.25, 0.75) if beside > 4.0 or high - low > 2.0 else (0.5, 0.25, 0.75, -beside, 1.0 + beside)
+        places = itertools.product((2.2, 3.2, 4.4, 5.6), shares)
         _, radius, covered = min(itertools.starmap(placed, places), key=lambda one: one[0])
         turn = min(high - low, math.radians(300.0))
         ways = start + np.linspace(0.0, turn, max(8, math.ceil(math.degrees(turn) / 4)))
