@@ -36,6 +36,7 @@ def as_written(fault: Fault, raw: object) -> Fault:
         if not isinstance(raw, Mapping) or step not in raw:
             return fault
         raw = raw[step]
+    raw = raw.get("bounds") if isinstance(raw, Mapping) else raw
     ends = raw if isinstance(raw, list) else [raw]
     if fault.value in ends:  # one end of a range
         return fault

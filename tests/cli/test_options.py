@@ -251,6 +251,7 @@ GAPPED = ("simulate", "slider-crank-clearance")
         (("solve", "crank-rocker", "--set", "limits.transmission_angle=140..40 deg"), ' = "140..40 deg"', "Exchange"),
         (("solve", "crank-rocker", "--set", "limits.transmission_angle=-5..40 deg"), ' = "-5..40 deg"', "Give a range"),
         (("solve", "crank-rocker", "--set", "limits.link_ratio=-5..-1"), ' = "-5..-1"', "[0.2, 5.0]"),
+        (("solve", "crank-rocker", "--set", "requirement.from=10..400 deg"), ' = "10..400 deg"', "within -360 deg"),
         (("solve", "crank-rocker", "--set", "mechanism.coupler=900..100 mm"), ' = "900..100 mm"', "Exchange"),
     ],
     ids=lambda value: " ".join(value[2:]) if isinstance(value, tuple) else "",
