@@ -69,7 +69,7 @@ class SimulationRecord(ResultRecord):
         return self
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Simulation(Tabled):
     """Simulation in time: `run` as integrated, `columns` by name over the output times, and their meanings."""
 

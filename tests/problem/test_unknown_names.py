@@ -40,3 +40,11 @@ def test_an_unknown_column_of_a_result_is_named_with_the_closest() -> None:
     assert result["input.torque_Nm"].shape == (13,)
     with pytest.raises(KeyError, match=r"no column torque\. Did you mean \"input\.torque_Nm\""):
         _ = result["torque"]
+
+
+def test_results_with_columns_compare_without_an_error() -> None:
+    """Two are equal only if they are the same object: arrays have no truth value."""
+    first, second = (optlink.analyze(optlink.load("six-bar"), points=12) for _ in range(2))
+    assert first == first
+    assert first != second
+    assert first.to_dict() == second.to_dict()

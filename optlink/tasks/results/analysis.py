@@ -132,7 +132,7 @@ class AnalysisRecord(ResultRecord):
         )
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Analysis(Tabled):
     """Result of the analysis of a machine over its cycle.
 

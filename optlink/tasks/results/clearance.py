@@ -82,7 +82,7 @@ class ClearanceRecord(ResultRecord):
         return super().of(result, impacts=impacts, **values)
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class ClearanceSimulation(Tabled):
     """Simulation of a machine with joint clearance.
 
