@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
@@ -47,12 +48,23 @@ def repair(nlp: NLP, x: Array, p: Array, inside: float = INSIDE) -> Array | None
         rows = np.flatnonzero(own & np.isfinite(miss) & (miss != 0.0) & np.isfinite(point.jacobian).all(axis=1))
         if rows.size == 0:
             return None
+        rows = _worst(nlp, rows, miss)
         step = _shortest(point.jacobian[rows], miss[rows], nlp.x_low - x, nlp.x_high - x)
         length = float(np.linalg.norm(step))
         if length < 1e-13:
             return None
         x = np.clip(x + step * min(1.0, LONGEST_STEP / length), nlp.x_low, nlp.x_high)
     return None
+
+
+def _worst(nlp: NLP, rows: NDArray[np.intp], miss: Array) -> NDArray[np.intp]:
+    """Return of every limit the row that misses it most.
+
+    The rows of one limit at neighbouring positions are nearly dependent: a step that meets all of them exactly leads far away.
+    """
+    order = rows[np.argsort(-np.abs(miss[rows]), kind="stable")]
+    kept = {(nlp.rows[j].limit, nlp.rows[j].label, bool(miss[j] > 0.0)): j for j in reversed(order.tolist())}
+    return np.array(sorted(kept.values()), dtype=np.intp)
 
 
 def _shortest(jacobian: Array, miss: Array, low: Array, high: Array) -> Array:

@@ -185,3 +185,21 @@ def test_validation_takes_the_assembly_mode_that_fits_the_law(assembly: str) -> 
     assert found.valid
     assert found.best.assembly == {"C": assembly}
     assert found.objective < 1e-24
+
+
+def test_a_search_from_beyond_a_limit_of_many_positions_stays_near() -> None:
+    """The least squares end beyond the transmission limit at eight positions; led far away, the search ended 5 % worse."""
+    length = {"mechanism.links.crank.length": "77.5 mm", "mechanism.links.rod.length": {"bounds": ["143.5 mm", "276.9 mm"]}}
+    free = {"mechanism.guides.G.offset": {"bounds": ["-50 mm", "50 mm"]}, "requirement.start": "-172.5 deg"}
+    law = {"requirement.law": {"slide": "72.8 + 20.52*(phi - phi0)", "unit": "mm"}, "requirement.span": "-247.1 deg"}
+    limits = {"limits": {"crank": "span", "transmission_angle": ["31.9 deg", "150.9 deg"]}, "requirement.points": 11}
+    found = optlink.solve(optlink.load("law-slider-crank", length | free | law | limits), starts=1)
+    rod, offset = np.meshgrid(np.linspace(143.5, 160.0, 34), np.linspace(-50.0, 50.0, 201))
+    angles = np.radians(np.linspace(-172.5, -172.5 - 247.1, 12))
+    over = np.radians(np.linspace(-172.5, -172.5 - 247.1, 1000))
+    cosines = [(offset - 77.5 * end(np.sin(over))) / rod for end in (np.min, np.max)]
+    met = (cosines[0] <= math.cos(math.radians(31.9))) & (cosines[1] >= math.cos(math.radians(150.9)))
+    reached = [77.5 * np.cos(a) + np.sqrt(rod**2 - (offset - 77.5 * np.sin(a)) ** 2) for a in angles]
+    total = sum((x - 72.8 - 20.52 * (a - angles[0])) ** 2 for x, a in zip(reached, angles, strict=True))
+    assert found.valid
+    assert found.designs[0].objective <= 1e-6 * float(np.min(total[met])) * (1.0 + 1e-9)
