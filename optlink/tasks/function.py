@@ -29,7 +29,7 @@ from optlink.solvers.function_exchange import ALONG, error_at, error_function
 from optlink.solvers.solution import Relaxation, Solution
 from optlink.tasks.machine import check_names, turning_machine
 from optlink.tasks.protocol import DesignTask, Search, Timer, agreement, part
-from optlink.tasks.results.certificate import CertificateRecord, message
+from optlink.tasks.results.certificate import CertificateRecord
 from optlink.tasks.results.common import SingleRecord, SingleResult, shortest_link
 from optlink.tasks.results.evidence import Evidence, evidence
 from optlink.tasks.results.fit import Fit, law_fit
@@ -91,7 +91,6 @@ class FunctionRecord(SingleRecord):
     starts_that_reached_each_value: tuple[int, ...] | None = absent()
     first_step: dict[str, Any] | None = absent()
     certificate: CertificateRecord | None = absent()
-    message: str
 
     @classmethod
     def of(cls, result: FunctionResult, **values: Any) -> Self:
@@ -125,11 +124,6 @@ class FunctionResult(SingleResult):
 
     first: FirstStep | None = None  # best convex first design of a function
     counts: tuple[int, ...] = ()  # random starts that reached each value of the objective, that of the design first
-
-    @property
-    def message(self) -> str:
-        """Description of how the search ended."""
-        return message(self.status, self.certificate)
 
     @property
     def notes(self) -> tuple[str, ...]:

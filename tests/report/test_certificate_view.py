@@ -72,6 +72,9 @@ def test_an_infeasible_problem_is_proven_so(opposed):
     assert "best design" not in text
     assert "lower bound" not in text
     assert opposed.to_dict()["message"].startswith("proven: no design")
+    unnamed = shown(replace(opposed, conflict=(), together=()))
+    assert "proven: no design within the bounds meets all limits; relax a limit whose check fails" in unnamed
+    assert "Active constraints" not in unnamed  # no design is determined by them
     assert "It is proven that no design within the bounds meets all limits." in conclusions.design(opposed, ())
     assert repr(opposed).endswith("proven>")
 

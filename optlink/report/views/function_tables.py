@@ -40,7 +40,7 @@ from optlink.report.views.relaxations import conflict
 from optlink.solvers.solution import LimitState
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.machine import turning_machine
-from optlink.tasks.results.certificate import Certificate, message, share_text
+from optlink.tasks.results.certificate import Certificate, share_text
 from optlink.tasks.results.fit import Fit
 from optlink.validation import Check
 
@@ -96,7 +96,9 @@ def searched(
         Addition to the title of the distinct optima.
     """
     proof, solution, model = outcome.certificate, outcome.solution, outcome.problem.model
-    priced = None if solution is None else active(model, outcome.objective, solution.limits)
+    priced = None
+    if solution is not None and outcome.status != Status.INFEASIBLE:  # elsewhere multipliers are no prices
+        priced = active(model, outcome.objective, solution.limits)
     counted = [outcome.backend, f"{outcome.starts} start{'s' * (outcome.starts != 1)}" if outcome.starts else ""]
     counted.append(f"{solution.iterations} iterations" if solution is not None else "")
     effort = "; ".join(filter(None, [", ".join(filter(None, counted)), times(outcome.seconds, 1)]))
@@ -118,7 +120,7 @@ def _status(outcome: SearchedResult, tail: str) -> Iterator[Line]:
     line = search_verdict(outcome.status, "valid" if outcome.valid else "not valid", outcome.valid, outcome.certificate)
     yield from graded(line, outcome.fit if outcome.valid else None, tail)
     yield from noted(outcome.notes)
-    text = message(outcome.status, outcome.certificate)
+    text = outcome.message
     yield quiet(text + " (use --starts N for a multistart search)" * (text == Status.OPTIMAL.text and outcome.starts == 1))
 
 

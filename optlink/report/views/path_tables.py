@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from optlink.errors import Status
 from optlink.linkage.cognates import Cognate, CouplerLinkage
 from optlink.linkage.vector2d import TURN
 from optlink.problem.path import PathProblem
@@ -52,6 +53,7 @@ def path_result(outcome: PathResult) -> Summary:
     machine = turning_machine(best.problem, best.values)
     strokes = None if machine is None else machine_strokes(machine, float(best.crank_angles[-1] - best.crank_angles[0]))
     bounds = [check for check in best.validation.checks if check.passed and check.name.endswith(BOUNDED)]
+    priced = best.solution is not None and best.status != Status.INFEASIBLE
     return summary(
         model.title,
         _status(outcome, best),
@@ -60,7 +62,7 @@ def path_result(outcome: PathResult) -> Summary:
         strokes,
         impossible,
         _points(best) if best.task.pointed else None,
-        active(best.task, best.objective, best.limits) if best.solution is not None else None,
+        active(best.task, best.objective, best.limits) if priced else None,
         certificate,
         checks(best.validation.checks, bounds if len(bounds) > 1 else ()),
         _alternatives(outcome) if len(outcome.designs) > 1 else None,

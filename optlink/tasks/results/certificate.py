@@ -158,17 +158,19 @@ class Certificate:
         return self.objective == objective or abs(self.objective - objective) <= SAME * max(abs(objective), TINY)
 
 
-def message(status: Status, certificate: Certificate | None) -> str:
+def message(status: Status, certificate: Certificate | None, *, conflicting: bool) -> str:
     """Describe how a search ended: by its certificate where that proves more than the status of the local search.
 
     Parameters
     ----------
     status : Status
     certificate : Certificate or None
+    conflicting : bool
+        Whether the limits that conflict are named.
     """
-    if certificate is None or not certificate.closed:
-        return status.text
-    return certificate.text + ("" if certificate.proven else "; relax one of the limits named in the conflict")
+    text = status.text if certificate is None or not certificate.closed else certificate.text
+    remedy = "relax one of the limits named in the conflict" if conflicting else "relax a limit whose check fails"
+    return f"{text}; {remedy}" if status == Status.INFEASIBLE else text
 
 
 def share_text(share: float) -> str:

@@ -12,7 +12,7 @@ from optlink.problem.base_model import Number, Record, Recorded, ResultRecord, a
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import Quantity
 from optlink.solvers.solution import FEASIBLE, STATIONARY, LimitState, Relaxation, Solution
-from optlink.tasks.results.certificate import Certificate
+from optlink.tasks.results.certificate import Certificate, message
 from optlink.tasks.results.fit import FitRecord
 from optlink.validation.check import Check, Validation
 
@@ -113,6 +113,11 @@ class SingleResult(Recorded):
         return verified(self.status, self.validation)
 
     @property
+    def message(self) -> str:
+        """Description of how the search ended."""
+        return message(self.status, self.certificate, conflicting=bool(self.conflict))
+
+    @property
     def definite(self) -> ProblemFile:
         """The problem with the assembly modes of the design."""
         return self.problem
@@ -160,7 +165,7 @@ class SearchRecord(ResultRecord):
     """The common entries of the document of every search."""
 
     status: Status
-    message: Annotated[str, "status.text"]
+    message: str
     valid: bool
     notes: tuple[str, ...]
     backend: str

@@ -285,7 +285,6 @@ class PathRecord(SearchRecord):
     conflict: tuple[Relaxation, ...] | None = absent()
     relax_together: tuple[Relaxation, ...] | None = absent()
     certificate: CertificateRecord | None = absent()
-    message: str
     nearest_miss: PathDesignRecord | None
 
     @classmethod
@@ -337,7 +336,7 @@ class PathResult(Recorded):
     @property
     def message(self) -> str:
         """Description of how the search ended."""
-        return message(self.status, self.certificate)
+        return message(self.status, self.certificate, conflicting=bool(self.conflict))
 
     @property
     def valid(self) -> bool:
