@@ -99,7 +99,8 @@ def searched(
     priced = None
     if solution is not None and outcome.status != Status.INFEASIBLE:  # elsewhere multipliers are no prices
         priced = active(model, outcome.objective, solution.limits)
-    counted = [outcome.backend, f"{outcome.starts} start{'s' * (outcome.starts != 1)}" if outcome.starts else ""]
+    counted = ["" if outcome.backend == "none" else outcome.backend]
+    counted.append(f"{outcome.starts} start{'s' * (outcome.starts != 1)}" if outcome.starts else "")
     counted.append(f"{solution.iterations} iterations" if solution is not None else "")
     effort = "; ".join(filter(None, [", ".join(filter(None, counted)), times(outcome.seconds, 1)]))
     return summary(
