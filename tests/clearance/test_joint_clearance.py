@@ -889,7 +889,9 @@ def test_memory_is_bounded_and_all_rows_are_streamed():
     shares: list[float] = []
     found = simulate(PERIODIC, 100, 12, stream=lambda rows: streamed.append(dict(rows)), progress=shares.append)
     assert len(streamed) == 100 > KEPT
-    assert shares == pytest.approx([(k + 1) / 100 for k in range(100)])
+    assert shares == sorted(shares)
+    assert 0.0 < shares[0] < 0.01  # within a revolution too
+    assert {(k + 1) / 100 for k in range(100)} <= {round(share, 12) for share in shares}
     for name in ("time_s", "slider.error_m", "C.normal_N"):
         whole = np.concatenate([rows[name] for rows in streamed])
         assert len(whole) == 1200
