@@ -323,9 +323,10 @@ class Tabled(Recorded):
     columns: Mapping[str, NDArray[np.float64]]
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
-        if name not in self.columns:
-            raise KeyError(f"no column {name}. {nearest(name, self.columns)}")
-        return self.columns[name]
+        try:
+            return self.columns[name]  # those of a damaged file refuse the name themselves
+        except KeyError:
+            raise KeyError(f"no column {name}. {nearest(name, self.columns)}") from None
 
 
 def read_document(path: Path) -> dict[str, Any]:

@@ -289,8 +289,8 @@ def _sizes(tested: Cycle) -> Iterator[Check]:
     size = max(abs(value) for name, value in tested.design.items() if tested.problem.quantities[name].kind != "angle")
     within = {name: bound(name, quantity, tested.design[name], size).of() for name, quantity in tested.problem.quantities.items()}
     yield from (within[name] for name in tested.problem.free)
-    changed = [name for name, check in within.items() if name not in tested.problem.free and not check.passed]
-    yield Check("all other dimensions as given", not changed, len(changed), "= 0", "")
+    changed = [check for name, check in within.items() if name not in tested.problem.free and not check.passed]
+    yield from changed or [Check("all other dimensions as given", True, 0.0, "= 0", "")]
     motion = sweep(tested.mechanism, tested.design, np.linspace(0.0, TURN, POSITIONS, endpoint=False))
     yield link_lengths(motion, size).of()
 

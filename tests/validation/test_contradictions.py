@@ -149,8 +149,8 @@ def test_contradictions_in_the_result_of_a_cycle_are_not_valid(machine):
         (begin, "crank_from_deg of rod swings forward"),
         (figure, "peak reaction at B of the result file"),
         (size, "objective of the result file"),
-        (angle, "G.direction_deg of the result file"),
-        (fixed, "G.offset_mm of the result file"),
+        (angle, "G.direction within its bounds"),
+        (fixed, "G.offset within its bounds"),
     ):
         code, output = changed(machine, change)
         assert code == 1, change.__name__
