@@ -397,7 +397,7 @@ def test_simulate_from_the_command_line(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "clearance", [(), ("--set", "joints.B={ clearance = '0.5 mm', bearing_radius = '10 mm', modulus = '207 GPa' }")]
+    "clearance", [(), ("--set", "joints.B={ clearance = '0.5 mm', bearing_radius = '10 mm', modulus = '0.2 GPa' }")]
 )
 def test_a_simulation_names_the_design_variables_at_their_start_values(clearance):
     masses = (
