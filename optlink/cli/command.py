@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -34,12 +34,17 @@ class Command(TyperCommand):
                 param.metavar = ""  # not <bool>: a flag has no value
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Replace other names of options, then parse.
+        """Replace other names of options, then parse; an option with an empty value is refused: Path("") is this folder.
 
         Parameters
         ----------
         ctx : typer.Context
         args : list of str
+
+        Raises
+        ------
+        typer.BadParameter
+            If the value of an option is empty.
         """
         known = {name for param in self.params for name in param.opts}
         end = args.index("--") if "--" in args else len(args)
@@ -52,6 +57,8 @@ class Command(TyperCommand):
         values, _, _ = self.make_parser(ctx).parse_args(words)  # before they are converted
         for param in self.params:
             if param.param_type_name == "option" and isinstance(text := values.get(param.name), str):
+                if not text.strip():
+                    raise typer.BadParameter("the value is empty. Give one or leave the option out", ctx, cast(Any, param))
                 option = max(param.opts, key=len)
                 ctx.meta.update(dict.fromkeys((param.name, *param.opts), (option, text)))
         return rest

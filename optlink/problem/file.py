@@ -14,6 +14,7 @@ from typing import Any
 
 import pydantic
 
+from optlink.arguments import typed
 from optlink.errors import InputError, shown
 from optlink.io import data_files, load_extensions
 from optlink.problem.base_model import SPELLED, SPELLINGS, with_ranges, with_spellings
@@ -175,6 +176,7 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
     return read(raw, name, file, path.parent)
 
 
+@typed
 def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", folder: Path | None = None) -> ProblemFile:
     """Read and check a problem from nested tables (the content of a TOML file).
 
@@ -306,11 +308,12 @@ def _read_toml(path: Path) -> dict[str, Any]:
         raise InputError(toml_fault(str(error), file, text)) from None
 
 
-def _change(raw: dict[str, Any], changes: Mapping[str, object], file: str) -> None:
+@typed
+def _change(raw: dict[str, Any], overrides: Mapping[str, object], file: str) -> None:
     """Set values by dotted key; a change of any key that affects the result removes `[expected]`."""
-    for key, value in changes.items():
+    for key, value in overrides.items():
         _assign(raw, key, value, file)
-    if any(key.split(".")[0] not in ("expected", *WORDS) for key in changes):
+    if any(key.split(".")[0] not in ("expected", *WORDS) for key in overrides):
         raw.pop("expected", None)
 
 

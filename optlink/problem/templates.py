@@ -10,6 +10,7 @@ import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
+from optlink.arguments import typed
 from optlink.errors import InputError
 from optlink.io import data_files
 
@@ -60,6 +61,7 @@ def template(name: str, file: str | Path | None = None) -> Template:
     return Template(name, lines[0].removeprefix("# "), commands, "\n".join(lines) + "\n")
 
 
+@typed
 def new(name: str, file: str | Path | None = None) -> str:
     """Return the text of a new problem file: a template that is complete and explains each of its lines in a comment.
 

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field
 
+from optlink.arguments import typed
 from optlink.errors import InputError, Status
 from optlink.problem.base_model import Number, Record, Recorded, ResultRecord, absent
 from optlink.problem.file import ProblemFile
@@ -157,6 +158,7 @@ PARAMETERS: dict[str, type[OptimumParameters]] = {"function": FunctionParameters
 """Parameters of an optimum by the kind of problem; of all others, those of the programme."""
 
 
+@typed
 def sensitivities(
     problem: ProblemFile,
     backend: str = "ipopt",

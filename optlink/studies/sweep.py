@@ -21,6 +21,7 @@ from annotated_types import MinLen
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
+from optlink.arguments import typed
 from optlink.errors import InputError, Status
 from optlink.execution.runner import run
 from optlink.execution.store import Progress, Store
@@ -203,6 +204,7 @@ class TemporaryFolder:
         weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
 
 
+@typed
 def sweep(
     problem: ProblemFile,
     vary: Sequence[str],

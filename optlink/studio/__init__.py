@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+from optlink.arguments import typed
+
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -13,6 +15,7 @@ if TYPE_CHECKING:
     from optlink.studio.widget import Canvas
 
 
+@typed
 def explore(
     problem: ProblemFile | str | Path, design: Mapping[str, float] | None = None, *, sliders: bool = False
 ) -> Canvas | Explorer:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 
+from optlink.arguments import typed
 from optlink.dynamics.change_points import pin_columns, unbounded_reactions
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.flywheel import flywheel
@@ -20,7 +21,7 @@ from optlink.linkage.stroke import Ranges, Travel, range_end_reason, travels, wi
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range
-from optlink.tasks.machine import MARGIN, check_arguments, crank_speed, machine_of, motion_range, start_value_notes, table_angles
+from optlink.tasks.machine import MARGIN, check_design, crank_speed, machine_of, motion_range, start_value_notes, table_angles
 from optlink.tasks.results.analysis import Analysis, Extreme
 
 MAX_POINTS = 1_000_000
@@ -29,6 +30,7 @@ ROUNDED = 1e-5  # rad from a passed change point: reactions are inaccurate there
 BESIDE = 1e-6  # rad from a singular position: rates and forces are rounding errors there
 
 
+@typed
 def analyze(
     problem: ProblemFile,
     points: int = 360,
@@ -61,7 +63,7 @@ def analyze(
     InputError
         If the mechanism cannot be assembled, or an argument is out of range.
     """
-    check_arguments(problem, design)
+    check_design(problem, design)
     model = problem.model
     speed = crank_speed(problem, speed)
     _check(points, step)

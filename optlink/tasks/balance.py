@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from optlink.arguments import typed
 from optlink.balancing import optimum as search
 from optlink.balancing.certificate import GAP
 from optlink.balancing.socp import NOTHING, BalanceLimits, BalancingProgramme, version
@@ -26,7 +27,7 @@ from optlink.problem.machine.balance import check_measure, read_measure
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import check_range, input_of
 from optlink.tasks.machine import (
-    check_arguments,
+    check_design,
     check_regular,
     crank_speed,
     machine_of,
@@ -151,6 +152,7 @@ class _Task:
 # --- the result ---------------------------------------------------------------------------------------------------------------
 
 
+@typed
 def balance(
     problem: ProblemFile,
     minimise: str | None = None,
@@ -185,7 +187,7 @@ def balance(
     InputError
         If the problem or an argument is invalid.
     """
-    check_arguments(problem, design)
+    check_design(problem, design)
     begin = time.perf_counter()
     importlib.import_module("cvxpy")
     seconds = {"loading cvxpy": time.perf_counter() - begin}

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from optlink.arguments import typed
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError
@@ -22,7 +23,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import nearest
 from optlink.tasks.analyze import GRID, chord_shares
-from optlink.tasks.machine import check_arguments, crank_speed, machine_of
+from optlink.tasks.machine import crank_speed, machine_of
 
 PORTION = 12_000
 """Positions that are worked on at a time: a few dozen intermediate arrays of them stay in the processor's cache."""
@@ -50,6 +51,7 @@ class Columns(dict[str, Array]):
         self.singular: dict[int, str] = {}
 
 
+@typed
 def analyze_batch(
     problem: ProblemFile,
     designs: Mapping[str, ArrayLike],
@@ -87,7 +89,6 @@ def analyze_batch(
     InputError
         For unknown quantities or columns, arrays of different length, or values that are not finite.
     """
-    check_arguments(problem)
     arrays = _read(problem, designs)
     count = len(next(iter(arrays.values())))
     drive = problem.model.drive
@@ -242,7 +243,10 @@ def _column(machine: Machine, speed: float, name: str, angles: Array) -> Array:
 
 def _read(problem: ProblemFile, designs: Mapping[str, ArrayLike]) -> dict[str, Array]:
     known = problem.model.mechanism.quantities
-    arrays = {name: np.atleast_1d(np.asarray(values, dtype=float)) for name, values in designs.items()}
+    try:
+        arrays = {name: np.atleast_1d(np.asarray(values, dtype=float)) for name, values in designs.items()}
+    except (TypeError, ValueError) as error:
+        raise InputError(f"not an array of numbers: {error}", "Give SI values by name", problem.file, "designs") from None
     if not arrays:
         raise InputError("no quantity is varied", f"Name one of: {', '.join(known)}", problem.file, "designs")
     sizes = {len(values) for values in arrays.values()}

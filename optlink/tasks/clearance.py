@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from optlink.arguments import typed
 from optlink.clearance.closed_loop import ClosedLoop, vibration
 from optlink.clearance.compiled.choice import INSTALL, IntegratorKind, chosen, installed, resumed
 from optlink.clearance.controller import PID, Control, Controller, Gains
@@ -30,7 +31,7 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range, input_of, nearest
 from optlink.tasks.machine import (
-    check_arguments,
+    check_design,
     check_pace,
     check_regular,
     crank_speed,
@@ -118,6 +119,7 @@ class _Setting:
         return 0.1 * float(np.max(np.abs(rates)))
 
 
+@typed
 def simulate_clearance(
     problem: ProblemFile,
     revolutions: int = 20,
@@ -355,7 +357,7 @@ def _setting(
     design: Mapping[str, float] | None,
     flywheel: float,
 ) -> _Setting:
-    check_arguments(problem, design)
+    check_design(problem, design)
     model, name = problem.model, problem.file
     if control not in [str(kind) for kind in Control]:
         raise InputError(

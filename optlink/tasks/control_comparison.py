@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from optlink.arguments import typed
 from optlink.clearance.compiled.choice import resumed
 from optlink.clearance.controller import Control
 from optlink.clearance.output import Output
@@ -57,6 +58,7 @@ def _trials(runs: Sequence[RunResult]) -> Trials:
     return Trials(rms, peak, correction, torque, all(run.finished for run in runs))
 
 
+@typed
 def compare(
     problem: ProblemFile,
     revolutions: int = 15,
@@ -179,6 +181,7 @@ RANGES: dict[str, tuple[float, float]] = {
 """Where parameters are sought, in their logarithm; regularisation per size of the machine, bandwidth per that of the servo."""
 
 
+@typed
 def tune(
     problem: ProblemFile,
     control: str = "inverse+pid",

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
+from optlink.arguments import typed
 from optlink.errors import InputError, Status
 from optlink.execution import interrupts
 from optlink.linkage.fourbar import LENGTHS
@@ -376,6 +377,7 @@ def _stored(text: str, quantities: Mapping[str, Quantity]) -> list[tuple[str, ob
         ) from None
 
 
+@typed
 def read_design(problem: ProblemFile, assignments: list[str], varied: Collection[str] = ()) -> dict[str, float]:
     """Read a design from texts such as "coupler=412.26 mm", or from the name of a result.json.
 

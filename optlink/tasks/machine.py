@@ -64,31 +64,22 @@ def check_names(problem: ProblemFile, names: Iterable[str], known: Collection[st
             raise InputError("unknown quantity of the design", nearest(name, known), problem.file, "--design", name)
 
 
-def check_arguments(problem: object, design: object = None) -> None:
-    """Refuse arguments of a function of the package that are no problem, or no design of it.
+def check_design(problem: ProblemFile, design: Mapping[str, float] | None) -> None:
+    """Refuse a design with names that the problem does not know.
 
     Parameters
     ----------
     problem : ProblemFile
-    design : mapping of str to float [SI], optional
+    design : mapping of str to float [SI] or None
         The angles phi0 and psi0 of a motion law may be in it although they follow from the lengths, as in `result.design`.
 
     Raises
     ------
     InputError
-        If an argument has another type, or the design a name that the problem does not know.
+        If there is an unknown name.
     """
-    if not isinstance(problem, ProblemFile):
-        raise InputError(
-            "not a problem", 'Load it: optlink.load("crank-rocker"), or optlink.load("mine.toml")', None, "problem", problem
-        )
-    if design is None:
-        return
-    if not isinstance(design, Mapping):
-        remedy = "Give values by name in SI units, for example result.design"
-        raise InputError("not a design", remedy, problem.file, "design", design)
     follow = () if problem.task in ("path", "cycle") else ("phi0", "psi0")
-    check_names(problem, design, dict.fromkeys((*problem.model.quantities, *follow)))
+    check_names(problem, design or {}, dict.fromkeys((*problem.model.quantities, *follow)))
 
 
 def start_value_notes(problem: ProblemFile, design: Mapping[str, object] | None = None) -> list[str]:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from optlink.arguments import typed
 from optlink.errors import InputError
 from optlink.io import Registry
 from optlink.problem.file import ProblemFile
@@ -48,12 +49,10 @@ def add_task(kind: str, task: type[DesignTask[Any]]) -> None:
 
 def design_task(problem: ProblemFile) -> DesignTask[Any]:
     """Return the task of a problem."""
-    from optlink.tasks.machine import check_arguments
-
-    check_arguments(problem)
     return TASKS[problem.task]()
 
 
+@typed
 def solve(
     problem: ProblemFile,
     backend: str = "ipopt",
@@ -150,6 +149,7 @@ def solve(
     )
 
 
+@typed
 def validate(problem: ProblemFile, design: Mapping[str, float]) -> FunctionResult | PathResult | CycleResult:
     """Check a design against all requirements and limits, without optimisation.
 
@@ -172,11 +172,11 @@ def validate(problem: ProblemFile, design: Mapping[str, float]) -> FunctionResul
         If the problem has no requirement or objective, or if the design has unknown names or lacks a design variable.
     """
     from optlink.tasks.function import check_complete
-    from optlink.tasks.machine import check_arguments
+    from optlink.tasks.machine import check_design
 
     task = design_task(problem)
     if task.most_starts is not None:  # a kind with design variables
-        check_arguments(problem, design)
+        check_design(problem, design)
         check_complete(problem, design)
     found: FunctionResult | PathResult | CycleResult = task.validate(problem, design)
     return found

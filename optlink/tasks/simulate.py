@@ -10,6 +10,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from optlink.arguments import typed
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.ending import Ending
 from optlink.dynamics.forward import Run, run
@@ -24,7 +25,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range
 from optlink.tasks.machine import (
     LONGEST,
-    check_arguments,
+    check_design,
     crank_speed,
     duration_of,
     machine_of,
@@ -112,6 +113,7 @@ class Simulation(Tabled):
         return {name: self.machine.sizes[name] for name in self.problem.model.mechanism.quantities}
 
 
+@typed
 def simulate(
     problem: ProblemFile,
     duration: float | None = None,
@@ -149,7 +151,7 @@ def simulate(
     InputError
         If the mechanism cannot be assembled, or an argument is out of range.
     """
-    check_arguments(problem, design)
+    check_design(problem, design)
     drive = problem.model.drive
     torque = drive.torque
     machine, start = machine_of(problem, design), drive.start.value

@@ -119,6 +119,15 @@ def test_a_command_line_that_cannot_be_used_is_invalid_input_like_any_other(argu
     assert (told["schema"], told["message"]) == ("optlink/error/1", message)
 
 
+@pytest.mark.parametrize("words", [("--out=",), ("-o", ""), ("--out", " ")])
+def test_an_empty_name_is_not_the_working_folder(words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = run("solve", "crank-rocker", *words)
+    assert done.exit_code == 2
+    assert "--out: the value is empty. Give one or leave the option out" in " ".join(done.stderr.split())
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     ("arguments", "present"),
     [

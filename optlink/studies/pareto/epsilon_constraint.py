@@ -23,6 +23,7 @@ import numpy as np
 from annotated_types import Len
 from pydantic import Field
 
+from optlink.arguments import typed
 from optlink.errors import InputError, Status
 from optlink.execution.runner import check
 from optlink.execution.store import Progress, Store
@@ -210,6 +211,7 @@ class Pareto(GridStudy):
         return found | {key: [getattr(p, key) for p in self.points] for key in ("active", "mark")}
 
 
+@typed
 def pareto(
     problem: ProblemFile,
     objectives: str,

@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from optlink.arguments import typed
 from optlink.errors import InputError
 from optlink.execution.runner import Runs, check, pool
 from optlink.linkage.vector2d import Array
@@ -223,6 +224,7 @@ class Tolerance(Recorded):
         return found | shares
 
 
+@typed
 def tolerance(
     problem: ProblemFile,
     tolerances: Sequence[str] = (),
