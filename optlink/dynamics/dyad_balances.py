@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from optlink.io import Registry
 from optlink.linkage.dyad_types import PRP, RPP, RPR, RRP, RRR
 from optlink.linkage.mechanism import Guide
@@ -40,6 +42,33 @@ class GroupForces:
     pins: list[tuple[str, str, Vector]] = field(default_factory=list)
     guides: list[tuple[Guide, str, Vector, Value]] = field(default_factory=list)
     rows: tuple[Vector, Vector] = ((1.0, 0.0), (0.0, 1.0))
+
+    @property
+    def components(self) -> list[Value]:
+        """Components of all forces."""
+        return [x for *_, force in self.pins for x in force] + [x for _, _, force, _ in self.guides for x in force]
+
+    def each(self, change: Callable[[Value], Value]) -> GroupForces:
+        """Return the forces with every number changed."""
+        (a, b), (c, d) = self.rows
+        return GroupForces(
+            [(point, body, (change(x), change(y))) for point, body, (x, y) in self.pins],
+            [(guide, body, (change(x), change(y)), change(m)) for guide, body, (x, y), m in self.guides],
+            ((change(a), change(b)), (change(c), change(d))),
+        )
+
+    def where(self, which: Value, other: GroupForces) -> GroupForces:
+        """Return these forces, elementwise, and those of another solution where `which` is false.
+
+        Parameters
+        ----------
+        which : bool or array (n,)
+        other : GroupForces
+        """
+        numbers: list[Value] = []
+        other.each(lambda x: numbers.append(x) or x)  # type: ignore[func-returns-value]
+        rest = iter(numbers)
+        return self.each(lambda x: np.where(which, x, next(rest)))
 
 
 BALANCES: Registry[Callable[..., GroupForces]] = Registry()

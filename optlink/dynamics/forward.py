@@ -22,7 +22,7 @@ from optlink.dynamics.dop853 import ALL
 from optlink.dynamics.ending import Ending, first_event, marks_ahead, nearest
 from optlink.dynamics.flywheel import LastTurn
 from optlink.dynamics.inertia import kinetic, potential
-from optlink.dynamics.inverse import Reactions, reactions, required_wrench, virtual_torque
+from optlink.dynamics.inverse import Reactions, acceleration_with_friction, reactions, required_wrench, virtual_torque
 from optlink.dynamics.loads import Magnitude
 from optlink.dynamics.machine import Machine, Moving
 from optlink.dynamics.runge_kutta import Attempt, Step, Stepper, attempt, states_at
@@ -62,21 +62,15 @@ def crank_acceleration(geared: Moving, speed: Value, torque: Value, direction: V
     speed, torque : float or array (n,) [rad/s], [N m]
     direction : float or array (n,)
         Sense in which the crank turns, or is about to turn: +1 or -1.
+
+    Returns
+    -------
+    The acceleration; NaN where no signs of the normal forces in guides with friction are consistent, or several that differ are
     """
-    inertia = 2.0 * geared.kinetic
+    if geared.machine.friction:
+        return acceleration_with_friction(geared, speed, torque, direction)[0]
     needed, _ = required_torque(geared.scaled(speed, 0.0, direction), geared)
-    alpha = (torque - needed) / inertia
-    if geared.machine.friction:  # the normal forces depend on the acceleration, piecewise linearly
-        before, at_before = 0.0, needed
-        for _ in range(30):
-            now, _ = required_torque(geared.scaled(speed, alpha, direction), geared)
-            miss = torque - now
-            if np.all(np.abs(miss) <= 1e-14 * (np.abs(torque) + np.abs(now))):
-                break
-            slope = np.where(alpha == before, inertia, (now - at_before) / np.where(alpha == before, 1.0, alpha - before))
-            before, at_before = alpha, now
-            alpha = alpha + miss / np.where(slope > 0.0, slope, inertia)
-    return alpha
+    return (torque - needed) / (2.0 * geared.kinetic)
 
 
 @dataclass(frozen=True)
@@ -155,9 +149,12 @@ class _Plant:
             torque, found = required_torque(moving, geared)
             return 0.0, torque, moving, found
         torque = self.torque(angle, speed)
-        alpha = crank_acceleration(geared, speed, torque, self.direction)
+        if not self.machine.friction:
+            alpha = crank_acceleration(geared, speed, torque, self.direction)
+            return alpha, torque, geared.scaled(speed, alpha, self.direction), None
+        alpha, signs = acceleration_with_friction(geared, speed, torque, self.direction)
         moving = geared.scaled(speed, alpha, self.direction)
-        return alpha, torque, moving, reactions(moving) if self.machine.friction else None
+        return alpha, torque, moving, reactions(moving, None, signs)
 
     def rates(self, angle: Value, speed: Value) -> list[Value]:
         """Acceleration of the crank; powers of drive, loads and friction; accelerations of the bodies. Numbers or symbols."""
@@ -291,6 +288,7 @@ class _Journey:
         """Integrate until the end of the duration, or until the machine stops."""
         if self.state[1] == 0.0 and self.plant.drive is not None:
             self.ending = _set_off(self.plant, float(self.state[0]))
+            self.ways = [self.plant.direction]
         if any(abs(at - float(self.state[0])) <= 2.0 * STOP for _, at in self.stops()):
             self.ending = Ending.SINGULAR
         try:
@@ -376,8 +374,8 @@ def _set_off(plant: _Plant, angle: float) -> Ending:
     torque, found = float(np.asarray(plant.torque(angle, 0.0)).ravel()[0]), Ending.AT_REST
     for direction in (plant.direction, -plant.direction):
         geared = plant.geared(angle)
-        needed, _ = required_torque(geared.scaled(0.0, 0.0, direction), geared)
-        least = float(np.asarray(needed).ravel()[0])
+        pull = 2.0 * geared.kinetic * crank_acceleration(geared, 0.0, torque, direction)
+        least = torque - float(np.asarray(pull).ravel()[0])
         if direction * (torque - least) > STEADY * (abs(torque) + abs(least)):
             plant.direction = direction
             return Ending.FINISHED
@@ -389,8 +387,12 @@ def _set_off(plant: _Plant, angle: float) -> Ending:
 def _jammed(plant: _Plant, state: Array) -> bool:
     if not plant.machine.friction:
         return False
-    moving = plant.geared(float(state[0])).scaled(float(state[1]), 0.0, plant.direction)
-    return bool(np.any(reactions(moving).jammed))
+    angles = np.array([state[0], state[0] + plant.direction * STOP])
+    geared = plant.machine.moving(angles, 1.0, direction=plant.direction)
+    if plant.drive is None:
+        return bool(np.any(reactions(geared.scaled(state[1], 0.0, plant.direction)).jammed))
+    alpha = crank_acceleration(geared, state[1], plant.torque(angles, state[1]), plant.direction)
+    return bool(np.any(np.isnan(alpha) & np.isfinite(geared.kinetic)))
 
 
 def _result(plant: _Plant, times: Array, states: Array, ways: Array, steps: int, ending: Ending, stopped: float) -> Run:

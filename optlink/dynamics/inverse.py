@@ -11,7 +11,7 @@ Kinetostatics of Assur groups; each balance is the Newton-Euler equation of one 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -132,7 +132,9 @@ def required_wrench(moving: Moving, *, inertia: bool = True, gravity: bool = Tru
     return found
 
 
-def reactions(moving: Moving, needed: Mapping[str, Wrench] | None = None) -> Reactions:
+def reactions(
+    moving: Moving, needed: Mapping[str, Wrench] | None = None, normals: Mapping[str, Value] | None = None
+) -> Reactions:
     """Compute all reactions and the driving torque.
 
     Parameters
@@ -140,6 +142,8 @@ def reactions(moving: Moving, needed: Mapping[str, Wrench] | None = None) -> Rea
     moving : Moving
     needed : mapping of body to Wrench, optional
         Wrench that the joints exert on each body. Default: that of inertia, gravity and loads together.
+    normals : mapping of str to Value, optional
+        Assumed signs, +1 or -1, of the normal forces of guides with friction. Default: the consistent ones.
 
     Returns
     -------
@@ -148,7 +152,7 @@ def reactions(moving: Moving, needed: Mapping[str, Wrench] | None = None) -> Rea
     """
     wrenches = required_wrench(moving) if needed is None else needed
     with np.errstate(all="ignore"):
-        found = ForceBalance(moving, wrenches).solve()
+        found = ForceBalance(moving, wrenches, normals).solve()
         if moving.machine.mechanism.followed and not moving.machine.friction:  # finite where reactions are not
             found.torque = virtual_torque(wrenches, moving)
         return found
@@ -173,9 +177,9 @@ def virtual_torque(wrenches: Mapping[str, Wrench], moving: Moving) -> Value:
 class ForceBalance:
     """The remaining wrenches, solved group by group."""
 
-    def __init__(self, moving: Moving, needed: Mapping[str, Wrench]) -> None:
+    def __init__(self, moving: Moving, needed: Mapping[str, Wrench], normals: Mapping[str, Value] | None = None) -> None:
         self.moving, self.mechanism = moving, moving.machine.mechanism
-        self.needed = dict(needed)
+        self.needed, self.normals = dict(needed), normals
         self.pins: dict[str, dict[str, Vector]] = {}
         self.guides: dict[str, GuideForce] = {}
         self.rows: dict[str, tuple[Vector, Vector]] = {}
@@ -200,31 +204,33 @@ class ForceBalance:
         if not rough:
             return solver(self, group, {})
         senses = {guide.name: self._slip(guide) for guide in rough}
+        if self.normals is not None:
+            return solver(self, group, {name: self.normals[name] * sense for name, sense in senses.items()})
         found = []
         for signs in itertools.product((1.0, -1.0), repeat=len(rough)):
             tilts = {guide.name: sign * senses[guide.name] for guide, sign in zip(rough, signs, strict=True)}
             trial = solver(self, group, tilts)
-            least = -ROUNDING * sum(np.abs(force) for force in _forces(trial))
+            least = -ROUNDING * sum(np.abs(force) for force in trial.components)
             fits: Value = True
             for guide, sign in zip(rough, signs, strict=True):
                 fits = np.logical_and(fits, sign * self._normal(trial, guide) >= least)
             found.append((fits, trial))
         # no consistent signs: friction locks the guide; several that differ: the solution is not unique (Painleve paradox)
-        chosen = _each(found[0][1], lambda x: np.nan * x)
+        chosen = found[0][1].each(lambda x: np.nan * x)
         decided: Value = False
         torn: Value = False
         for fits, trial in found:
             if not np.any(decided) and np.all(fits):
                 chosen = trial
             else:
-                differs = sum(np.abs(a - b) for a, b in zip(_forces(trial), _forces(chosen), strict=True))
-                size = sum(np.abs(a) for a in _forces(chosen))
+                differs = sum(np.abs(a - b) for a, b in zip(trial.components, chosen.components, strict=True))
+                size = sum(np.abs(a) for a in chosen.components)
                 torn = np.logical_or(torn, np.logical_and(np.logical_and(fits, decided), differs > 1e-6 * size))
-                chosen = _either(np.logical_and(fits, np.logical_not(decided)), trial, chosen)
+                chosen = trial.where(np.logical_and(fits, np.logical_not(decided)), chosen)
             decided = np.logical_or(decided, fits)
         good = np.logical_and(decided, np.logical_not(torn))
         self.jammed = np.logical_or(self.jammed, np.logical_not(good))
-        return chosen if np.all(good) else _each(chosen, lambda x: np.where(good, x, np.nan))
+        return chosen if np.all(good) else chosen.each(lambda x: np.where(good, x, np.nan))
 
     def _normal(self, solved: GroupForces, guide: Guide) -> Value:
         """Normal force of a guide on its slider."""
@@ -310,32 +316,6 @@ class ForceBalance:
             self.needed[body] = self.needed[body] + Wrench(force, moment + cross(minus(point, start), force))
 
 
-def _each(solved: GroupForces, change: Callable[[Value], Value]) -> GroupForces:
-    (a, b), (c, d) = solved.rows
-    return GroupForces(
-        [(point, body, (change(x), change(y))) for point, body, (x, y) in solved.pins],
-        [(guide, body, (change(x), change(y)), change(m)) for guide, body, (x, y), m in solved.guides],
-        ((change(a), change(b)), (change(c), change(d))),
-    )
-
-
-def _either(which: Value, one: GroupForces, other: GroupForces) -> GroupForces:
-    """Elementwise choice between two solutions of one group."""
-    leaves = iter(_leaves(other))
-    return _each(one, lambda x: np.where(which, x, next(leaves)))
-
-
-def _forces(solved: GroupForces) -> list[Value]:
-    """Components of all forces of a group."""
-    return [part for *_, force in solved.pins for part in force] + [part for _, _, force, _ in solved.guides for part in force]
-
-
-def _leaves(solved: GroupForces) -> list[Value]:
-    found: list[Value] = []
-    _each(solved, lambda x: found.append(x) or x)  # type: ignore[func-returns-value]
-    return found
-
-
 # --- derived quantities ------------------------------------------------------------------------------------------------
 
 
@@ -353,6 +333,49 @@ def torque_parts(moving: Moving, whole: Reactions | None = None) -> dict[str, Va
     gravity = reactions(smooth, required_wrench(smooth, inertia=False, loads=False)).torque
     total = (whole or reactions(moving)).torque
     return {"inertia": inertia, "gravity": gravity, "load": total - inertia - gravity}
+
+
+def acceleration_with_friction(geared: Moving, speed: Value, torque: Value, direction: Value) -> tuple[Value, dict[str, Value]]:
+    """Return the acceleration of the crank and the signs of the normal forces in guides with friction, elementwise.
+
+    For assumed signs, torque and normal forces are linear in the acceleration: two accelerations determine them.
+
+    Parameters
+    ----------
+    geared : Moving
+        The positions (n,) at a crank speed of 1 rad/s.
+    speed, torque : float or array (n,) [rad/s], [N m]
+        Of the crank; torque of the drive.
+    direction : float or array (n,)
+        Sense in which the crank turns, or is about to turn: +1 or -1.
+
+    Returns
+    -------
+    Acceleration [rad/s^2], NaN where no signs are consistent, or several whose accelerations differ; signs by guide
+    """
+    names = tuple(geared.machine.friction)
+    step = 1.0 + speed * speed + np.abs(torque) / (2.0 * geared.kinetic)
+    ends = [geared.scaled(speed, alpha, direction) for alpha in (0.0, step)]
+    wrenches = [required_wrench(moving) for moving in ends]
+    chosen: Value = np.nan
+    signs: dict[str, Value] = dict.fromkeys(names, 1.0)
+    several: Value = False
+    for trial in itertools.product((1.0, -1.0), repeat=len(names)):
+        normals = dict(zip(names, trial, strict=True))
+        still, moved = (reactions(moving, needed, normals) for moving, needed in zip(ends, wrenches, strict=True))
+        share = (torque - still.torque) / (moved.torque - still.torque)
+        loaded = (np.hypot(*force) for found in (still, moved) for on in found.pins.values() for force in on.values())
+        least = -ROUNDING * (1.0 + np.abs(share)) * sum(loaded)
+        fits: Value = np.isfinite(share)
+        for name, sign in normals.items():
+            low, high = (found.guides[name].normal for found in (still, moved))
+            fits = np.logical_and(fits, sign * (low + share * (high - low)) >= least)
+        alpha = share * step
+        several = np.logical_or(several, np.logical_and(fits, np.abs(alpha - chosen) > 1e-6 * step))
+        first = np.logical_and(fits, np.isnan(chosen))
+        chosen = np.where(first, alpha, chosen)
+        signs = {name: np.where(first, normals[name], signs[name]) for name in names}
+    return np.where(several, np.nan, chosen), signs
 
 
 def shaking(moving: Moving) -> Wrench:
