@@ -91,8 +91,6 @@ def _crank_angles(text: str) -> Any:
     from optlink.units import UnitProblem, factor
 
     remedy = 'Write for example "0 deg, 60 deg" or "0..330 deg:12"'
-    if not text.strip():
-        raise InputError("no crank angle is given", remedy, key="--angles", value=text)
     try:
         axis = read_axis(f"angles={text}")
         return np.asarray(axis.values) * factor(axis.unit, "angle")

@@ -162,9 +162,9 @@ def key_of(variable: str) -> str:
     """Return the key of a quantity or of a tolerance in the problem file."""
     if variable.startswith("tolerances."):
         return variable
-    return {"phi0": "requirement.from", "psi0": "requirement.psi0", "start": "requirement.start", "mark": "requirement.mark"}.get(
-        variable, f"mechanism.{variable}"
-    )
+    if variable in ("psi0", "start", "mark", "zero"):
+        return f"requirement.{variable}"
+    return "requirement.from" if variable == "phi0" else f"mechanism.{variable}"
 
 
 def violation(nlp: NLP, x: Array, g: Array) -> float:

@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from optlink.optimization.constraints import Scale
 from optlink.optimization.nlp import NLP
 from optlink.problem.file import ProblemFile
+from optlink.problem.fixed_design import file_key
 from optlink.problem.limits import MARGIN_KEYS
+from optlink.problem.path import ZERO
 from optlink.solvers.solution import Solution, key_of
 from optlink.studies.toml_keys import exact_text
 from optlink.tasks.protocol import completed
@@ -107,8 +109,19 @@ class OptimumParameters:
 
     @cached_property
     def parameters(self) -> list[Parameter]:
-        """All parameters."""
-        return parameters(self.nlp)
+        """All parameters, with the keys of the problem file."""
+        return [replace(found, key=self._in_file(found)) for found in parameters(self.nlp)]
+
+    def _in_file(self, parameter: Parameter) -> str:
+        """Return the key of a parameter in the problem file; a dimension is known by its name to the programme."""
+        entry = parameter.entries[0] if parameter.entries else 0
+        is_row = parameter.constant < 0 and entry >= len(self.nlp.variables)
+        name = parameter.name if parameter.constant >= 0 else "" if is_row else self.nlp.variables[entry].name
+        if name == ZERO and not getattr(self.problem.model, "slides", True):
+            return parameter.key.replace(key_of(name), "requirement.psi0")
+        if name not in self.problem.model.mechanism.quantities:
+            return parameter.key
+        return parameter.key.replace(key_of(name), file_key(self.problem.raw["mechanism"], name))
 
     def push(self, parameter: Parameter) -> KKTPerturbation:
         """Return the change of the optimality system per unit of a parameter.

@@ -27,7 +27,7 @@ from optlink.tasks.run import solve
 
 SMALL = 1e-2  # least reference of relative differences: of the objective, per parameter change of its own value
 SLIGHT = 1e-3  # the same for the design
-ROUNDING = 1e-13  # relative to the objective, or in scaled units: changes that count as zero
+LEAST = 1e-10  # of the objective, or of a scaled design variable: smaller changes by one step of a parameter count as zero
 
 
 @dataclass(frozen=True)
@@ -229,7 +229,13 @@ def of_solution(
     system = KKTSystem(solution)
     known = kind(problem, system)
     factors = {v.name: v.scale.slope(x) for v, x in design_variables(nlp, solution.x)}
-    notes, rows = [*_notes(system, solution), *known.notes], []
+    residuals = np.abs(nlp.residuals(solution.x))
+    exact = solution.objective == 0.0 or float(np.max(residuals, initial=0.0)) <= nlp.exact
+    notes, rows = [*known.notes], []
+    if exact:
+        notes.insert(0, "the requirement is met exactly, so all shadow prices are zero")
+    if system.singular:
+        notes.insert(0, "several designs are equally good, or limits depend on one another: the smallest change is shown")
     for parameter in known.parameters:
         try:
             push = known.push(parameter)
@@ -241,9 +247,9 @@ def of_solution(
         if parameter.positive and below.value < 0.0:
             below = ValidityEnd(-math.inf, "nothing")
         objective, moved = response.objective, response.moved
-        if abs(objective * parameter.step) <= ROUNDING * abs(solution.objective):
+        if exact or abs(objective * parameter.step) <= LEAST * abs(solution.objective):
             objective = 0.0
-        moved = np.where(np.abs(moved) <= ROUNDING * abs(parameter.rate()), 0.0, moved)
+        moved = np.where(np.abs(moved * parameter.step) <= LEAST, 0.0, moved)
         design = {v.name: float(change * factors[v.name]) for v, change in design_variables(nlp, moved)}
         rows.append(Sensitivity(parameter, objective, design, below, above))
     rows.sort(key=lambda row: -float(f"{abs(row.effect):.6g}"))  # equal effects in the order of the parameters
@@ -267,15 +273,6 @@ def of_solution(
         units={v.name: v.scale.unit for v, _ in design_variables(nlp, solution.x)},
         notes=tuple(notes),
     )
-
-
-def _notes(system: KKTSystem, solution: Solution) -> list[str]:
-    found = []
-    if system.singular:
-        found.append("several designs are equally good, or limits depend on one another: the smallest change is shown")
-    if solution.objective == 0.0 or float(np.max(np.abs(solution.nlp.residuals(solution.x)), initial=0.0)) <= solution.nlp.exact:
-        found.append("the requirement is met exactly, so all shadow prices are rounding errors")
-    return found
 
 
 def _searched_again(

@@ -113,6 +113,27 @@ def test_a_minimax_function_scales_with_its_frame():
     assert result.gap < 1e-5
 
 
+@pytest.mark.parametrize(("name", "several"), [("law-slider-crank", 8), ("path-conveyor", 16), ("crank-rocker", 6)])
+def test_every_key_of_a_dimension_can_be_changed(name, several):
+    problem = optlink.load(name)
+    keys = {
+        row.parameter.key: f"{row.parameter.value} {row.parameter.unit}"
+        for row in sensitivities(problem).rows
+        if row.parameter.key.startswith("mechanism.")
+    }
+    assert len(keys) >= several
+    assert problem.override(keys).hash  # mechanism.G.direction of a guide was no key
+
+
+@pytest.mark.parametrize("direction", ["0 deg", "37 deg"])
+def test_turning_the_guide_turns_the_crank_and_changes_nothing_else(direction):
+    found = sensitivities(optlink.load("law-slider-crank", {"mechanism.guides.G.direction": direction}))
+    row = found["mechanism.guides.G.direction"]
+    assert row.objective == 0.0  # was -1.2e-13 of it by 1 deg
+    assert row.design.pop("start") == pytest.approx(1.0)
+    assert not any(row.design.values())
+
+
 def test_a_chart_of_effects_is_left_out_where_all_are_zero(crank_rocker):
     """The errors of a function keep their size if the frame grows, so that its chart would be empty."""
     (chart,) = charts(crank_rocker)
@@ -314,7 +335,7 @@ def test_output_sensitivities_are_written(tmp_path):
         (["--quantity", "rocker", "--check"], "the sensitivity of an output involves no optimisation"),
         (["--angles", "0 deg"], "the option applies to --quantity only"),
         (["--quantity", "rocker", "--angles", "1e400 deg"], "finite numbers"),
-        (["--quantity", "rocker", "--angles", ""], "no crank angle is given"),
+        (["--quantity", "rocker", "--angles", ""], "--angles: the value is empty"),
         (["--backend", "both"], "a study searches with one back end"),
         (["--starts", "0"], "out of range"),
     ],
