@@ -111,8 +111,9 @@ def _place(axes: Axes, labels: list[Label]) -> None:
 
 
 def _within(boxes: Array, points: Array, room: float) -> NDArray[np.bool_]:
-    low, high = boxes[:, None, :2] - room, boxes[:, None, 2:] + room
-    within: NDArray[np.bool_] = np.all((points >= low) & (points <= high), axis=-1)
+    low, high = boxes[:, :2, None] - room, boxes[:, 2:, None] + room
+    beside, level = ((places >= low[:, k]) & (places <= high[:, k]) for k, places in enumerate(points.T))
+    within: NDArray[np.bool_] = beside & level
     return within
 
 

@@ -113,12 +113,14 @@ def course(name: str) -> CycleCurves:
 
 @functools.cache
 def picture(name: str, kind: str):
-    return analysis.mechanism(course(name)) if kind == "mechanism" else charts(name).get(kind)
+    if kind == "mechanism":
+        return analysis.mechanism(course(name))
+    return pictures([chart for chart in charts(name) if chart.file == kind]).get(kind)
 
 
 @functools.cache
 def charts(name: str):
-    return pictures(analysis.charts(course(name)))
+    return analysis.charts(course(name))
 
 
 KINDS = ("mechanism", "motion", "torque", "reactions", "guides", "work", "shaking")

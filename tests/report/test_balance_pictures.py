@@ -37,9 +37,13 @@ def result(name: str = "balance-six-bar", changed: bool = False) -> optlink.Bala
 
 
 @functools.cache
+def charts(name: str, changed: bool) -> dict[str, Figure]:
+    return pictures(balance.charts(result(name, changed)))
+
+
+@functools.cache
 def drawn(picture: str, name: str = "balance-six-bar", changed: bool = False) -> Figure:
-    every = {"mechanism": balance_drawing.mechanism(result(name, changed)), **pictures(balance.charts(result(name, changed)))}
-    made = every[picture]
+    made = balance_drawing.mechanism(result(name, changed)) if picture == "mechanism" else charts(name, changed)[picture]
     assert made is not None
     made.draw_without_rendering()
     return made
