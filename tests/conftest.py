@@ -8,6 +8,7 @@ import gc
 import inspect
 import os
 import signal
+import sys
 from collections.abc import Iterator
 
 import hypothesis
@@ -23,6 +24,9 @@ from tests.browser import browser
 # a test run has a process per core: libraries of linear algebra use one thread in each
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
+
+# if it is installed, jsonschema builds a grammar of addresses from it for seconds; no schema here has such a format
+sys.modules["rfc3987_syntax"] = None  # type: ignore[assignment]
 
 # the same examples in every run: what fails once fails again, and is found before it lands
 hypothesis.settings.register_profile("repeatable", derandomize=True)
@@ -61,12 +65,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Iterator[None]:
-    """Collect no garbage while tests are collected, and never look through them again: a third of the time of a collection."""
+    """Collect no garbage while tests are collected, never look through them again, and collect seldom later: it takes time."""
     gc.disable()
     try:
         return (yield)
     finally:
         gc.freeze()
+        gc.set_threshold(50_000, *gc.get_threshold()[1:])
         gc.enable()
 
 

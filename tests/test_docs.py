@@ -425,7 +425,9 @@ def test_figures_name_tests_that_exist():
         assert f"\ndef {name}(" in (ROOT / file).read_text(encoding="utf-8"), f"{file}::{name}"
 
 
-@pytest.mark.parametrize("group", ["crank_rocker", "six_bar", "shaper", "under_a_torque", "machines"])
+@pytest.mark.parametrize(
+    "group", ["crank_rocker", "six_bar", "shaper", "under_a_torque", pytest.param("machines", marks=pytest.mark.slow)]
+)
 def test_figures_agree(group):
     rows = list(getattr(hook("validation"), group)())
     assert len(rows) > 1

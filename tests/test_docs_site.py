@@ -33,6 +33,7 @@ def test_formulas_become_mathml():
         formulas.mathml(r"\nosuchcommand x")
 
 
+@pytest.mark.slow
 def test_formulas_of_every_page_are_read_and_their_letters_are_in_the_font():
     pytest.importorskip("latex2mathml")
     pytest.importorskip("ziamath")
@@ -50,6 +51,7 @@ def test_formulas_of_every_page_are_read_and_their_letters_are_in_the_font():
 # --- sketches ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_sketches_are_those_of_the_named_dyads_and_the_same_at_each_build():
     sketches = hook("sketches")
     for kind, mechanism in sketches.DYADS.items():
@@ -73,6 +75,7 @@ def test_the_gallery_has_every_problem_with_a_real_command():
     assert gallery.command_of(optlink.load("slider-crank-clearance")) == "optlink simulate slider-crank-clearance"
 
 
+@pytest.mark.slow
 def test_pictures_of_the_gallery_show_valid_designs_alone(monkeypatch):
     gallery = hook("gallery")
     for name in ("whitworth", "path-scott-russell"):

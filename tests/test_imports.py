@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 import subprocess
 import sys
 import tomllib
@@ -117,8 +118,9 @@ def test_no_module_evaluates_text():
     import ast
 
     forbidden = {"eval", "exec", "compile", "__import__"}
-    for path in (ROOT / "optlink").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
+    words = re.compile(r"\b(eval|exec|compile|__import__)\s*\(|\b(pickle|shelve|marshal)\b")  # only where there are any
+    for text, path in ((path.read_text(), path) for path in (ROOT / "optlink").rglob("*.py")):
+        for node in ast.walk(ast.parse(text)) if words.search(text) else ():
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
                 assert node.func.id not in forbidden, f"{path}: {node.func.id}"
             if isinstance(node, ast.Import):

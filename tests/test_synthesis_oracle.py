@@ -168,8 +168,7 @@ def test_routes_agree(kind: str) -> None:
         assert np.all(found.sine * design["mode"] > 0.0)
 
 
-@pytest.mark.parametrize("mode", [1, -1])
-@pytest.mark.parametrize("base", [ONE_CIRCUIT, TWO_CIRCUITS])
+@pytest.mark.parametrize(("base", "mode"), [(ONE_CIRCUIT, 1), (TWO_CIRCUITS, -1)])
 def test_routes_agree_where_it_swings(base: dict[str, float], mode: int) -> None:
     design = {**base, "mode": mode}
     ranges = oracle.assembled(design)
@@ -205,6 +204,7 @@ def test_parts_have_their_lengths(kind: str) -> None:
             assert abs(at.b[0] - a - design["crank"] * e) < tolerance
 
 
+@pytest.mark.slow
 def test_random_swinging_linkages() -> None:
     """Whole range of the crank, all but the ends, is one branch and one circuit; the ends are where the modes meet."""
     rng = np.random.default_rng(20)
@@ -240,6 +240,7 @@ def test_coupler_pin_stays_on_the_guide() -> None:
 # --- turning ------------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_turning_against_grashof() -> None:
     rng = np.random.default_rng(3)
     both = [0, 0]
@@ -379,6 +380,7 @@ def test_closed_path_that_repeats_its_first_point() -> None:
     assert not judge_path(design, wanted, phi, closed=True).order_ok
 
 
+@pytest.mark.slow
 def test_swapped_mode() -> None:
     rng = np.random.default_rng(10)
     for name in KINDS:

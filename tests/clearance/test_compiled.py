@@ -243,6 +243,7 @@ def test_engine_is_chosen_by_the_work(monkeypatch):
         chosen("compiled", plant, 1)
 
 
+@pytest.mark.slow
 def test_short_run_does_not_import_numba():
     code = (
         "import sys, optlink; optlink.simulate_clearance(optlink.load('slider-crank-clearance'), 1, 12, twin=False);"

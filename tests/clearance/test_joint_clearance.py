@@ -453,6 +453,7 @@ def test_loops_stay_closed_in_a_machine_that_knocks(pin, journal):
         assert drift_of_six_bar(found, pin) < 1e-12
 
 
+@pytest.mark.slow
 def test_pin_of_three_bodies_with_one_loose():
     """At C the journal is on link 2; links 3 and 5 share the bearing, pinned without play."""
     found = simulate(shipped("six-bar", "C", "link2", friction=0.05), 1)
@@ -672,6 +673,7 @@ def test_machine_under_a_torque():
     assert largest(rest - rest[0]) < 1e-6 * largest(gained)
 
 
+@pytest.mark.slow
 def test_servo_that_is_told_to_turn_evenly_does():
     raw = Case("servo", {"C": "rod"}).raw
     one, other = simulate(raw), simulate(edited(raw, {"drive.servo": {"bandwidth": "300 Hz", "damping": 0.7}}))
@@ -796,6 +798,7 @@ def test_estimate_of_a_summit(span):
     assert 0.0 < summit(*straight, 1.0) < 1.0
 
 
+@pytest.mark.slow
 def test_rows_that_are_asked_for_change_nothing():
     """However few are told, as many are looked at as it takes."""
     raw = Case("rows", {"C": "rod"}).raw
@@ -876,8 +879,8 @@ def test_longer_run_begins_as_the_shorter_one():
 
 
 def test_twin_does_not_disturb_the_run():
-    one = simulate(PERIODIC, 2, 90)
-    other = simulate_clearance(optlink.read(PERIODIC), 2, 90, tolerance=one.tolerance)
+    one = simulate(PERIODIC, 1, 90)
+    other = simulate_clearance(optlink.read(PERIODIC), 1, 90, tolerance=one.tolerance)
     assert other.prediction is not None
     assert one.prediction is None
     assert np.array_equal(one["slider.s_m"], other["slider.s_m"])
@@ -905,9 +908,9 @@ def test_memory_is_bounded_and_all_rows_are_streamed():
 
 def test_every_contact_is_counted_however_few_stay_in_memory(monkeypatch):
     raw = edited(PERIODIC, {"joints.C.law": "hertz", "joints.C.friction": 0.0})
-    known = simulate(raw, 2, 90)
+    known = simulate(raw, 1, 90)
     monkeypatch.setattr(statistics_module, "LISTED", 5)
-    found = simulate(raw, 2, 90)
+    found = simulate(raw, 1, 90)
     counted = len(known.impacts)
     assert len(found.impacts) < 10 < counted
     assert found.figures["contacts"] == found.figures["C.contacts"] == counted
@@ -931,6 +934,7 @@ def test_figures_of_revolutions_are_those_of_their_rows():
     assert found.figures["largest_penetration_m"] == pytest.approx(max(i.penetration for i in found.impacts), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_largest_force_is_told_however_few_the_rows():
     """At a restitution of 0.9 the force is largest where the contact is deepest, within 1 %."""
     few, many = (simulate(CHAOTIC, 1, points, 1e-11) for points in (12, 7200))
@@ -947,6 +951,7 @@ def brake(torque: float, rpm: float) -> dict:
     return raw
 
 
+@pytest.mark.slow
 def test_slow_machine_under_load_is_not_stepped_by_its_contact(monkeypatch):
     """An explicit method would need a step for every time constant of the contact, though nothing vibrates any more."""
     calls = []
@@ -1047,17 +1052,18 @@ def test_peaks_agree_wherever_they_are_told():
 
 def test_interrupted_run_returns_what_was_computed():
     def stop(share: float) -> None:
-        if share > 3 / 8:
+        if share > 1 / 3:
             raise KeyboardInterrupt
 
-    found = simulate(PERIODIC, 8, 90, progress=stop)
-    assert (found.ending, found.finished, found.revolutions) == (Ending.INTERRUPTED, False, 3)
-    assert found.message == "interrupted after 3 of 8 revolutions"
-    whole = simulate(PERIODIC, 3, 90)
-    assert np.array_equal(found["slider.s_m"][:270], whole["slider.s_m"])
+    found = simulate(PERIODIC, 3, 90, progress=stop)
+    assert (found.ending, found.finished, found.revolutions) == (Ending.INTERRUPTED, False, 1)
+    assert found.message == "interrupted after 1 of 3 revolutions"
+    whole = simulate(PERIODIC, 1, 90)
+    assert np.array_equal(found["slider.s_m"][:90], whole["slider.s_m"])
     assert found.to_dict()["status"] == "interrupted"
 
 
+@pytest.mark.slow
 def test_run_that_ends_before_it_settles_has_the_statistics_of_all_its_revolutions():
     def stop(share: float) -> None:
         if share > 2 / 12:  # of 12 revolutions, of which the first five are not counted

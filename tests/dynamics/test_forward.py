@@ -412,6 +412,7 @@ def test_analysis_tells_the_flywheel():
     assert result.to_dict()["flywheel"]["inertia"] == pytest.approx(result.flywheel.inertia)
 
 
+@pytest.mark.slow
 def test_mean_speed_says_whether_it_is_over_angle_or_time(tmp_path):
     """A revolution at uneven speed has two means: that of the flywheel is over the angle, that of a simulation over time."""
 

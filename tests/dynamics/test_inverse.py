@@ -359,17 +359,25 @@ def lossy(loads: Sequence[Load]) -> list[Load]:
 # --- the comparison -----------------------------------------------------------------------------------------------------
 
 
+KNOWN: dict[tuple[object, ...], Kinematics] = {}
+
+
 def kinematics(moving: Moving, speed: object = None) -> Kinematics:
     """The motion found again from the loop equations, starting from positions that are a little wrong."""
     machine, phi = moving.machine, moving.motion.crank_angle
+    turning, second = moving.motion.speed if speed is None else speed, moving.motion.crank_acceleration
+    drive = b"".join(np.asarray(part, dtype=float).tobytes() for part in (phi, turning, second))
+    key = id(machine.mechanism), tuple(machine.sizes.items()), drive
+    if key in KNOWN:
+        return KNOWN[key]
     near = np.empty((phi.size, len(machine.mechanism.bodies), 3))
     for k, body in enumerate(machine.mechanism.bodies):
         state = moving.state(body)
         near[:, k, 0], near[:, k, 1] = state.start
         near[:, k, 2] = np.arctan2(state.axis[1], state.axis[0])
     near += np.random.default_rng(3).uniform(-2e-3, 2e-3, near.shape)
-    turning = moving.motion.speed if speed is None else speed
-    return Kinematics(machine.mechanism, machine.sizes, phi, turning, moving.motion.crank_acceleration, near)
+    KNOWN[key] = Kinematics(machine.mechanism, machine.sizes, phi, turning, second, near)
+    return KNOWN[key]
 
 
 def masses(machine: Machine) -> dict[str, Mass]:

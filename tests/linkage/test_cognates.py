@@ -18,7 +18,7 @@ from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import BodyPoint
 from optlink.linkage.motion import sweep
 
-seeded = settings(derandomize=True, deadline=None, max_examples=120)
+seeded = settings(derandomize=True, deadline=None, max_examples=80)
 
 share = st.floats(0.05, 0.95)
 REVOLUTION = np.linspace(-np.pi, np.pi, 181)

@@ -18,8 +18,8 @@ from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import unit
 from tests.dynamics.test_inverse import EXAMPLES
 
-seeded = settings(derandomize=True, deadline=None, max_examples=150)
-fewer = settings(derandomize=True, deadline=None, max_examples=60)
+seeded = settings(derandomize=True, deadline=None, max_examples=100)
+fewer = settings(derandomize=True, deadline=None, max_examples=40)
 
 KINDS = ("RRR", "RRP", "RPR", "RPP", "PRP")
 every_kind = pytest.mark.parametrize("kind", KINDS)

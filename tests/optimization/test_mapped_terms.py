@@ -17,6 +17,7 @@ from optlink.problem.path import PathProblem
 from optlink.solvers.path_exchange import PER_ROW, _with_moving_peaks
 from optlink.solvers.semi_infinite import with_following_peaks
 from optlink.tasks.results.cycle import task_of
+from tests.tiers import mostly_slow
 
 MACHINES = {
     "peaks": {},
@@ -89,7 +90,19 @@ PATHS = {
 }
 
 
-@pytest.mark.parametrize("kind", PATHS)
+@pytest.mark.parametrize(
+    "kind",
+    mostly_slow(
+        PATHS,
+        "untimed, root mean square",
+        "prescribed angles",
+        "from a free start angle, tolerances",
+        "largest deviation",
+        "poses",
+        "limits over revolution and span",
+        "law of several dyads",
+    ),
+)
 def test_a_path_by_vectors_is_that_by_scalars(kind: str) -> None:
     name, changes = PATHS[kind]
     task = optlink.load(name, changes).variants()[0].model

@@ -189,6 +189,7 @@ def test_csv_with_other_delimiters_is_the_same(tmp_path, sign):
     np.testing.assert_allclose(mm(read_points({"csv": "c.csv"}, tmp_path)), [[1, 2], [3, 4]])
 
 
+@pytest.mark.slow
 def test_csv_of_a_hundred_thousand_rows(tmp_path):
     t = np.linspace(0.0, 2.0 * np.pi, 100_000) ** 2 / (2.0 * np.pi)  # unevenly spaced on purpose
     np.savetxt(

@@ -26,6 +26,7 @@ from optlink.report.views import analysis, analysis_charts, analysis_forces
 from optlink.report.views.analysis_curves import CycleCurves
 from optlink.tasks.analyze import analyze
 from optlink.tasks.results.analysis import Analysis
+from tests.tiers import mostly_slow
 
 BAR = {"mass": "2 kg", "inertia": "uniform bar"}
 
@@ -302,6 +303,7 @@ def test_dead_centres_and_the_quick_stroke():
     )
 
 
+@pytest.mark.slow
 def test_without_sliders_the_last_swinging_body_is_shown():
     figure = picture("partial", "motion")
     assert len(figure.axes) == 3
@@ -371,7 +373,10 @@ def test_positions_are_the_telling_ones():
     assert [name.split(" = ")[0] for name in partial][:3] == ["start of the range", "middle of the range", "end of the range"]
 
 
-@pytest.mark.parametrize("name", ["six-bar", "shaper", "clockwise", "partial", "yoke", "rod", "leg"])
+@pytest.mark.parametrize(
+    "name",
+    mostly_slow(("six-bar", "shaper", "clockwise", "partial", "yoke", "rod", "leg"), "six-bar", "shaper", "partial", "rod"),
+)
 def test_every_body_is_drawn_once_in_every_position_and_inside_the_limits(name):
     result = analysed(name)
     sketch = Sketch(sweep(result.machine.mechanism, result.machine.sizes, course(name).angles), result.machine)
@@ -493,7 +498,7 @@ def test_velocity_arrows_are_to_their_scale():
 # --- what people read -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "kind"), sorted(EVERY))
+@pytest.mark.parametrize(("name", "kind"), mostly_slow(sorted(EVERY), *(one for one in sorted(EVERY) if one[0] == "six-bar")))
 def test_labels_stay_in_their_axes_and_off_one_another(name, kind):
     figure = picture(name, kind)
     assert figure is not None
@@ -706,7 +711,7 @@ def test_the_mark_runs_along_the_curve(monkeypatch):
 
 def test_a_film_that_would_be_large_gets_fewer_pictures(tmp_path, monkeypatch):
     noise = np.random.default_rng(0)
-    pictures = [noise.integers(0, 255, (40, 40, 3), dtype=np.uint8) for _ in range(80)]
+    pictures = [noise.integers(0, 255, (20, 20, 3), dtype=np.uint8) for _ in range(80)]
     film = style.one_palette(pictures)
     style.save_film(film, tmp_path / "motion.gif")
     monkeypatch.setattr(style, "LARGEST", 0.7 * (tmp_path / "motion.gif").stat().st_size)

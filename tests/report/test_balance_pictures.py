@@ -87,6 +87,7 @@ def test_curves_are_the_machine_before_and_after(quantity):
         assert abs(x[-1] - x[0]) == pytest.approx(360.0)
 
 
+@pytest.mark.slow
 def test_a_limit_is_a_line_on_either_side():
     made = drawn("before_after", "balance-four-bar", True)
     found = result("balance-four-bar", True)
@@ -120,6 +121,7 @@ def test_discs_are_to_scale_and_in_their_place():
             assert y0 < patch.center[1] - patch.radius < patch.center[1] + patch.radius < y1
 
 
+@pytest.mark.slow
 def test_a_free_weight_is_dashed_and_a_spring_is_drawn():
     made, found = drawn("mechanism", "balance-four-bar", True), result("balance-four-bar", True)
     assert found.added[0].radius is None
@@ -141,6 +143,7 @@ def test_hodograph_has_equal_scales_and_both_paths():
         assert (x[0], y[0]) == (x[-1], y[-1])
 
 
+@pytest.mark.slow
 def test_complete_balance_is_told_as_zero():
     texts = [text.get_text() for text in drawn("hodograph", "balance-four-bar").findobj(Text)]
     assert "balanced: at most 0" in texts

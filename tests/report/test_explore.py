@@ -94,6 +94,7 @@ def test_a_limit_is_optimised_again(rocker):
     assert rocker.result.objective > own.objective
 
 
+@pytest.mark.slow
 def test_the_rounding_of_a_slider_is_no_change(rocker):
     """A front end rounds the value that it shows to a step of the slider, and sends it back."""
     rocker.optimise()

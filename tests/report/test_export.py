@@ -29,6 +29,7 @@ from optlink.report.report_model import ReportModel, report_model_of, solve_or_v
 from optlink.report.scene import scene
 from optlink.tasks.analyze import analyze
 from tests.cli.test_cli import run
+from tests.tiers import mostly_slow
 
 MACHINES = ("crank-rocker", "shaper", "watt-i", "toggle-press", "scotch-yoke", "slider-crank", "oscillating-cylinder")
 SVG = "{http://www.w3.org/2000/svg}"
@@ -108,7 +109,7 @@ def test_links_of_a_dxf_have_their_lengths(machine, tmp_path):
     assert compared >= (0 if machine.problem.name == "scotch-yoke" else 1)
 
 
-@pytest.mark.parametrize("name", optlink.shipped())
+@pytest.mark.parametrize("name", mostly_slow(sorted(optlink.shipped()), *sorted(optlink.shipped())[::3]))
 def test_every_shipped_machine_is_read_back_from_its_dxf(name, tmp_path):
     """Links, pivots and slots of all shipped problems, against the sizes that the problem states."""
     about = machine_as_stated(name)

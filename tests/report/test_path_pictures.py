@@ -30,6 +30,7 @@ from optlink.tasks.results.evidence import evidence
 from optlink.tasks.results.path import PathDesign, PathResult
 from optlink.validation.path import validate_path
 from tests import synthesis_oracle as oracle
+from tests.tiers import mostly_slow
 
 MM = 1e-3
 FREE = {"bounds": ["5 mm", "300 mm"]}
@@ -245,7 +246,7 @@ def test_a_curve_through_all_points_of_a_six_bar():
     assert np.max(np.linalg.norm(wanted[:, None] - feet, axis=-1).min(axis=1)) < 5e-3  # chords of half a degree
 
 
-@pytest.mark.parametrize("name", ["path", "tolerances", "poses", "slider", "miss"])
+@pytest.mark.parametrize("name", mostly_slow(("path", "tolerances", "poses", "slider", "miss"), "path", "tolerances", "poses"))
 def test_lines_lead_from_wanted_to_generated(name):
     axes = picture(name, "path").axes[1]
     times = fold(axes)

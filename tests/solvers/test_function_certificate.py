@@ -165,6 +165,7 @@ def test_linkages_near_a_dead_position_are_searched_where_the_lengths_permit_the
     assert not any(one.near_dead for one in linkage_sets(logarithm, 6.4e-5))  # 0.05 / 21 frames, times sin 30 deg, exceeds it
 
 
+@pytest.mark.slow
 def test_a_search_without_a_good_design_finds_one_and_bounds_it():
     file = optlink.load("function-sin", overrides={"mechanism.assembly": "left"})
     seen = []

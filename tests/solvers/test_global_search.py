@@ -18,6 +18,7 @@ from optlink.solvers.global_search.lagrangian import LagrangianBounds
 from optlink.tasks.certify import certify
 from optlink.tasks.results.certificate import GLOBAL, INFEASIBLE, NOT_CLOSED, WITHIN_GAP, share_text
 from tests.solved import once
+from tests.tiers import mostly_slow
 
 FREE_FRAME = {"mechanism.frame": {"start": "500 mm", "bounds": ["450 mm", "550 mm"]}}
 FREE_START = {"requirement.from": {"start": "25 deg", "bounds": ["15 deg", "35 deg"]}}
@@ -54,7 +55,7 @@ def test_the_crank_rocker_is_proven_by_default(crank_rocker):
     assert optlink.solve(crank_rocker, certify=False).certificate is None
 
 
-@pytest.mark.parametrize("name", IMPOSSIBLE)
+@pytest.mark.parametrize("name", mostly_slow(IMPOSSIBLE, "transmission 80..100", "long crank", "time ratio", "fixed links"))
 def test_impossible_limits_are_proven_to_be_so(crank_rocker, name):
     result = optlink.solve(crank_rocker.override(IMPOSSIBLE[name]))
     assert not result.valid
@@ -62,7 +63,9 @@ def test_impossible_limits_are_proven_to_be_so(crank_rocker, name):
     assert math.isinf(result.certificate.lower_bound)
 
 
-@pytest.mark.parametrize("change", [FREE_FRAME, FREE_START, FREE_OUTPUT], ids=["frame", "start", "output"])
+@pytest.mark.parametrize(
+    "change", [pytest.param(FREE_FRAME, marks=pytest.mark.slow), FREE_START, FREE_OUTPUT], ids=["frame", "start", "output"]
+)
 def test_three_unknowns(crank_rocker, change):
     result = certified(crank_rocker.override(change), 1e-4)
     assert result.certificate.status == WITHIN_GAP
@@ -208,7 +211,7 @@ def test_a_killed_proof_resumes_to_the_same_bound(crank_rocker, tmp_path):
         certify(result, 1e-3, folder=tmp_path, resume=True)
 
 
-@pytest.mark.parametrize("damage", ["truncated", "gap", "text", "other"])
+@pytest.mark.parametrize("damage", mostly_slow(["truncated", "gap", "text", "other"], "truncated", "other"))
 def test_a_checkpoint_that_does_not_fit_is_refused(crank_rocker, tmp_path, damage):
     problem = crank_rocker.override(FREE_FRAME)
     result = optlink.solve(problem, certify=False)

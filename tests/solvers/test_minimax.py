@@ -88,7 +88,8 @@ def test_smallest_circle_beyond_a_limit(seed):
         assert end.x[0] == pytest.approx(2.5, abs=1e-8)
 
 
-@pytest.mark.parametrize("name", ["path-arc5", pytest.param("path-ellipse10", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["path-arc5", "path-ellipse10"])
 def test_slsqp_finds_nothing_better_beside_it(name):
     """SciPy's method on the same programme, from the design and from around it, with limits and free crank angles."""
     file = optlink.load(name, {"requirement.measure": "max"})

@@ -63,6 +63,7 @@ def test_an_infeasible_transmission_problem_names_its_limits_and_their_amounts(m
     assert mover.to_dict()["conflict"][0]["amount"] > 0.0
 
 
+@pytest.mark.slow
 def test_a_crank_that_is_longer_than_all_cannot_be_the_shortest_link() -> None:
     mechanism = {**MOVER["mechanism"], "crank": "420 mm", "coupler": {"bounds": ["80 mm", "260 mm"]}}
     found = solve(optlink.read({**MOVER, "mechanism": mechanism, "limits": {}}), starts=60)

@@ -168,6 +168,7 @@ def test_a_result_is_shown_as_it_was_found(pump, tmp_path):
     assert pump["gravity"].objective == pytest.approx(told["gravity"]["objective_per_unit"], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_where_there_is_no_optimum_it_says_so():
     tight = optlink.read(PUMP).override({"limits.guide.max": "1 N"})
     with pytest.raises(InputError, match="no optimum to analyse: infeasible"):

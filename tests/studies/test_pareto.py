@@ -135,7 +135,7 @@ def test_points_are_single_optima_and_verified():
     front = crank_rocker()
     assert front.complete
     assert (front.solved, front.valid, front.dominated) == (25, 25, 0)
-    for k in (1, 9, 17, 21):
+    for k in (1, 17):
         error, angle = front.points[k].values
         single = optlink.solve(
             optlink.load("crank-rocker", {"limits.transmission_angle": ["45 deg", f"{angle!r} deg"]}), starts=5
@@ -255,6 +255,7 @@ def test_a_degenerate_optimum_of_a_search_is_kept():
     assert front.points[0].values == pytest.approx((optlink.solve(problem).objective, 57.2205), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_end_of_a_front_is_found_where_its_limit_conflicts_with_several():
     """The least coupler: relaxed alone, its limit had no end; together with all others it has one."""
     problem = optlink.load("crank-rocker").override({"limits.time_ratio.min": 1.05})
@@ -303,9 +304,9 @@ def test_three_objectives_leave_no_dominated_point():
 
 def test_front_of_a_slider_crank_is_its_closed_form(press):
     """With a stroke of 100 mm the rod of the least angle mu is 50 mm / cos(mu)."""
-    front = pareto(press, f"rod.length, {LEAST}", points=6, workers=1)
+    front = pareto(press, f"rod.length, {LEAST}", points=4, workers=1)
     assert front.complete
-    assert len(front.points) == 6
+    assert len(front.points) == 4
     assert [aim.sense for aim in front.objectives] == [1, -1]
     length, angle = np.array([point.values for point in front.points]).T
     assert length * np.cos(np.radians(angle)) == pytest.approx(50.0, rel=1e-6)
@@ -331,6 +332,7 @@ def test_the_limit_on_an_objective_gives_way_and_others_stay(press):
     assert walked.raw["limits"]["front_2"]["min"] == "60 deg"
 
 
+@pytest.mark.slow
 def test_the_end_of_a_front_is_no_local_optimum(press):
     """The stroke is longest with the offset of -30 mm; near the machine of least torque it is longest with that of 10 mm."""
     sizes = {"mechanism.links.crank.length": "50 mm", "mechanism.guides.F.offset": {"start": "3 mm", "bounds": "-30..10 mm"}}
@@ -397,6 +399,7 @@ def test_machines_are_swept_over_limits_and_sizes(press):
     assert low.columns["rod.length_mm"] == pytest.approx([120.0, 140.0, 160.0], rel=1e-8)
 
 
+@pytest.mark.slow
 def test_what_has_no_range_is_minimised_and_both_ways_give_one_front(press):
     one = pareto(press, f"rod.length, {LEAST}=66..80 deg", points=3, workers=1)
     other = pareto(press, f"rod.length=150..300 mm, {LEAST}", points=3, workers=1)
@@ -407,6 +410,7 @@ def test_what_has_no_range_is_minimised_and_both_ways_give_one_front(press):
             assert length * math.cos(math.radians(angle)) == pytest.approx(50.0, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_one_design_best_in_everything_is_no_trade_off(press):
     front = pareto(press, "rod.length, crank.length", points=3, workers=1)
     assert len(front.points) == 1
@@ -557,7 +561,7 @@ def test_a_cluster_gives_the_same_front(press):
 def test_command_writes_table_document_and_picture(tmp_path):
     out = tmp_path / "front"
     run = CliRunner().invoke(
-        app, ["study", "pareto", "crank-rocker", "--objectives", f"error, {ANGLE}", "--points", "7", "--out", str(out), "--json"]
+        app, ["study", "pareto", "crank-rocker", "--objectives", f"error, {ANGLE}", "--points", "4", "--out", str(out), "--json"]
     )
     assert run.exit_code == 0, run.output
     document = json.loads(run.stdout)
@@ -567,13 +571,13 @@ def test_command_writes_table_document_and_picture(tmp_path):
     assert document["reference"]["error_rad2"] == pytest.approx(0.00759237, rel=1e-6)
     with (out / "front.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == len(document["front"]) == 7
+    assert len(rows) == len(document["front"]) == 4
     for row, point in zip(rows, document["front"], strict=True):
         assert float(row["error_rad2"]) == point["objectives"]["error_rad2"]
         assert float(row["coupler_mm"]) == point["design"]["coupler_mm"]
         assert row["mark"] == (point["mark"] or "")
     assert (out / "front.png").read_bytes()[:4] == b"\x89PNG"
-    shown = CliRunner().invoke(app, ["study", "pareto", "crank-rocker", "--objectives", f"error, {ANGLE}", "--points", "5"])
+    shown = CliRunner().invoke(app, ["study", "pareto", "crank-rocker", "--objectives", f"error, {ANGLE}", "--points", "3"])
     assert shown.exit_code == 0
     for words in ("each a verified local optimum", "knee", "least error", "limits of the file"):
         assert words in shown.output

@@ -23,6 +23,7 @@ from optlink.tasks import function
 from optlink.tasks.function import validate
 from optlink.validation import validate as prove
 from tests.solved import solution
+from tests.tiers import mostly_slow
 
 SIZES = ("crank", "coupler", "rocker", "D.x", "D.y", "C.clearance")
 SIGMAS = {
@@ -112,7 +113,7 @@ def along_the_limit(robust):
 CASES = [("3 sigma", "max"), ("1.5 sigma", "max"), ("worst case", "max"), ("expected value", "sum of squares")]
 
 
-@pytest.mark.parametrize(("robust", "measure"), CASES)
+@pytest.mark.parametrize(("robust", "measure"), mostly_slow(CASES, CASES[0], CASES[3]))
 def test_a_robust_design_is_the_best_along_its_limit(problem, robust, measure):
     changed = problem.override({"requirement.robust": robust, "requirement.measure": measure})
     found = solve(changed, "both")
@@ -617,6 +618,7 @@ def test_bad_input_is_told(changes, words):
         assert word in " ".join(result.output.split())
 
 
+@pytest.mark.slow
 def test_other_kinds_of_problems_are_not_robust():
     with pytest.raises(InputError, match="motion laws of a four-bar only"):
         optlink.load("path-arc5", {"requirement.robust": "3 sigma"})
@@ -635,6 +637,7 @@ def test_spellings():
     assert read_robust(None) is None
 
 
+@pytest.mark.slow
 def test_worst_case_whose_tolerances_change_sign_at_the_worst_angle():
     """Where the effect of a tolerance on the critical error vanishes, the worst case has a kink: the optimum lies on one."""
     crank, frame, clockwise = 0.09, 0.26, np.radians(-5.0) * np.arange(17)

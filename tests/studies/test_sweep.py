@@ -138,13 +138,13 @@ def test_rows_are_those_of_single_solves():
     table = result.columns
     assert len(table["valid"]) == 231
     assert result.searched < 10
-    for i in np.random.default_rng(3).choice(231, 12, replace=False):
+    for i in np.random.default_rng(3).choice(231, 6, replace=False):
         angle = table[f"{LIMIT}_deg"][i]
         overrides = {
             "mechanism.frame": f"{float(table['mechanism.frame_mm'][i])!r} mm",
             "limits.transmission_angle": ["45 deg", f"{float(angle)!r} deg"],
         }
-        single = optlink.solve(optlink.load("crank-rocker", overrides))
+        single = optlink.solve(optlink.load("crank-rocker", overrides), certify=False)
         assert table["objective_rad2"][i] == pytest.approx(single.objective, rel=1e-9)
         for name in ("coupler", "rocker"):
             assert table[f"{name}_mm"][i] == pytest.approx(1e3 * single.design[name], abs=1e-6)
@@ -192,6 +192,7 @@ def test_a_limit_that_an_optimum_nearly_touches_is_not_listed():
     ]
 
 
+@pytest.mark.slow
 def test_rows_do_not_depend_on_sweeps_before_in_the_same_process():
     vary = f"{LIMIT}=85..179 deg:21"
     first, _, again = [sweep(problem(), [own], workers=1) for own in (vary, f"{LIMIT}=80..150 deg:5", vary)]
@@ -199,7 +200,7 @@ def test_rows_do_not_depend_on_sweeps_before_in_the_same_process():
 
 
 def test_points_without_a_design_are_rows_too():
-    result = sweep(problem(), [f"{LIMIT}=70..100 deg:4"], workers=1)
+    result = sweep(problem(), [f"{LIMIT}=70, 100 deg"], workers=1)
     table = result.columns
     assert not result.complete
     assert set(table["status"]) >= {"infeasible"}
@@ -209,17 +210,18 @@ def test_points_without_a_design_are_rows_too():
     for point in np.flatnonzero(bad):  # limits alone, not what follows from them
         told = {*table["failed"][point].split("; "), *table["active"][point].split("; ")} - {""}
         angle = f"{float(table[f'{LIMIT}_deg'][point])!r} deg"
-        single = optlink.solve(problem(**{"limits.transmission_angle": ["45 deg", angle]}))
+        single = optlink.solve(problem(**{"limits.transmission_angle": ["45 deg", angle]}), certify=False)
         assert {item.name for item in single.conflict} & told
     assert np.all(np.isnan(table["objective_rad2"][bad]))
     assert not np.any(table["valid"][bad])
 
 
+@pytest.mark.slow
 def test_a_size_that_varies_by_decades_hides_no_design():
     """The programme is scaled by its first frame, of 1 mm; a single solve of the last one finds a design."""
     table = sweep(problem(), ["mechanism.frame=1..1000 mm:4 log"], workers=1).columns
     assert table["status"][0] == "infeasible"
-    single = optlink.solve(problem(**{"mechanism.frame": "1000 mm"}))
+    single = optlink.solve(problem(**{"mechanism.frame": "1000 mm"}), certify=False)
     assert single.valid
     assert table["valid"][3]
     assert table["objective_rad2"][3] == pytest.approx(single.objective, rel=1e-9)
@@ -920,7 +922,12 @@ def test_crank_angles_without_an_analysis_are_refused():
 
 
 @pytest.mark.parametrize(
-    "other", [["study", "tolerance", "--tolerance", "coupler=0.1 mm", "--samples", "0"], ["study", "sensitivity"], ["solve"]]
+    "other",
+    [
+        pytest.param(["study", "tolerance", "--tolerance", "coupler=0.1 mm", "--samples", "0"], marks=pytest.mark.slow),
+        pytest.param(["study", "sensitivity"], marks=pytest.mark.slow),
+        ["solve"],
+    ],
 )
 def test_a_sweep_is_not_overwritten_by_another_result(tmp_path, other):
     assert run("crank-rocker", "--vary", f"{FRAME}:2", "--out", str(tmp_path)).exit_code == 0

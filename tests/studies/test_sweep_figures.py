@@ -261,6 +261,7 @@ def test_pictures_and_pages_of_a_sweep_with_gaps(pump, tmp_path):
     assert "plunger.stroke" in text
 
 
+@pytest.mark.slow
 def test_batches_leave_designs_whose_least_force_lies_elsewhere_to_single_analyses():
     """Machines at one speed where a minimum between samples is the deepest, and at one where the smallest sample is beside it."""
     for name, joint, speeds in (("six-bar", "E", (35.0, 20.0)), ("whitworth", "C", (32.0, 20.0))):
@@ -273,6 +274,7 @@ def test_batches_leave_designs_whose_least_force_lies_elsewhere_to_single_analys
             assert math.isclose(found[f"{joint}.f_N"][0, 0], least, rel_tol=1e-6) is beside
 
 
+@pytest.mark.slow
 def test_a_peak_at_a_row_of_a_load_table_is_that_of_the_analysis(pump):
     """Two catches push the plunger within 0.04 mm each: the positions of a sweep are farther apart."""
     table = 'force = { over = "s", at = ["90 mm", "90.02 mm", "90.04 mm", "130 mm", "130.02 mm", "130.04 mm"], '

@@ -23,6 +23,7 @@ from optlink.synthesis.variable_projection import SimilarityFit
 from optlink.validation.path import deviations
 from tests import synthesis_oracle as oracle
 from tests.stated import ANGLE, SLIDER_CRANK, SPOTS, STEPHENSON, document, four_bar_section, free, model
+from tests.tiers import mostly_slow
 
 Array = np.ndarray
 TURN = 2.0 * math.pi
@@ -337,7 +338,7 @@ DESCENDED = [
 ]
 
 
-@pytest.mark.parametrize("name", DESCENDED)
+@pytest.mark.parametrize("name", mostly_slow(DESCENDED, "left, free", "motion, timed", "slider-crank, from start"))
 def test_descent_ends_where_scipy_does(name: str) -> None:
     """From near an optimum both reach it; the crank angles that are eliminated change nothing in that."""
     batch = Batch(model(TASKS[name]))

@@ -6,7 +6,6 @@ import copy
 import json
 import multiprocessing
 import pickle
-import sys
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from functools import cache
@@ -28,6 +27,7 @@ from optlink.studies.pareto.epsilon_constraint import pareto
 from optlink.studies.sensitivity import of_solution, sensitivities
 from optlink.studies.sweep import sweep
 from optlink.studies.tolerance.analysis import tolerance
+from tests.tiers import mostly_slow
 
 
 def _robust() -> Any:
@@ -64,7 +64,7 @@ def made(kind: str) -> Any:
     return RESULTS[kind]()
 
 
-@pytest.fixture(scope="module", params=RESULTS)
+@pytest.fixture(scope="module", params=mostly_slow(RESULTS, *(RESULTS.keys() - {"comparison"})))
 def result(request: pytest.FixtureRequest) -> Any:
     return made(request.param)
 
@@ -124,7 +124,7 @@ def compare(one: Any, other: Any) -> None:
         assert one == (pytest.approx(other, rel=1e-7, abs=1e-12) if isinstance(one, float) else other)
 
 
-@pytest.mark.parametrize("kind", ["law", "points", pytest.param("cycle", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", mostly_slow(["law", "points", "cycle"], "law"))
 def test_a_copied_optimum_has_its_proof(kind: str) -> None:
     """The programme in the copy is alive: limits, curvature and sensitivities are computed from it.
 
@@ -161,9 +161,8 @@ def test_a_result_is_shown_in_notebooks(result: Any) -> None:
 @cache
 def schema() -> Any:
     """Validator of documents of results."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(sys.modules, "rfc3987_syntax", None)  # takes seconds to load, for a format that no schema here has
-        import jsonschema
+    import jsonschema  # not needed by the processes of the pool
+
     published = json.loads((Path(__file__).parents[2] / "docs/reference/result.schema.json").read_text())
     kind = jsonschema.validators.validator_for(published)
     kind.check_schema(published)

@@ -288,6 +288,7 @@ def test_the_copy_of_a_measured_machine_knows_its_figures(monkeypatch):
 # --- limits that conflict ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_stroke_that_no_crank_makes_is_named():
     result = solve(machine("press", limits__stroke={**term("stroke", of="ram"), "exactly": "400 mm"}), starts=2)
     assert result.status is Status.INFEASIBLE
@@ -295,6 +296,7 @@ def test_a_stroke_that_no_crank_makes_is_named():
     assert 0.0 < result.conflict[0].relaxed < 400.0
 
 
+@pytest.mark.slow
 def test_two_limits_that_conflict_are_both_named():
     """A guide that is hardly pressed needs a long rod; a peak torque below that of the load at this stroke cannot be."""
     changes = {

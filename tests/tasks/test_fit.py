@@ -69,6 +69,7 @@ def test_points_that_the_curve_does_not_meet_in_order_are_named(star) -> None:
     assert named
 
 
+@pytest.mark.slow
 def test_poses_that_turn_farther_than_the_coupler_name_it() -> None:
     section = four_bar_section("left", **SIZES, points=SPOT)
     found = solve(optlink.read(document(section, TURNED)), starts=60, designs=1)
@@ -117,6 +118,7 @@ def test_a_law_is_graded_by_its_output_range() -> None:
     assert result.to_dict()["fit"]["of"] == "the output range"
 
 
+@pytest.mark.slow
 def test_headline_and_json_tell_the_grade(tmp_path) -> None:
     section = four_bar_section("left", **SIZES, points=SPOT, pivot=None, direction=None)
     file = tmp_path / "star.toml"

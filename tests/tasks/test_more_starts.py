@@ -72,6 +72,7 @@ def test_processes_change_no_digit_of_a_search(starts: int | None, engine: str) 
     assert len(one.optima) > 1
 
 
+@pytest.mark.slow
 def test_convex_first_steps_and_the_given_start_are_searched_whatever_the_number() -> None:
     file = short(**{"mechanism.crank": {"start": "77 mm", "bounds": ["1 mm", "5000 mm"]}})
     points = start_sequence(file.spec, build(file.spec), 0, None)

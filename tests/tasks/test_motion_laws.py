@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping
 
@@ -12,6 +13,7 @@ import optlink
 from optlink.errors import InputError
 from optlink.tasks.path import solve
 from tests.solved import solution
+from tests.tiers import mostly_slow
 
 SPAN, POINTS = 0.5 * math.pi, 30
 QUARTER = [f"{3.0 * k!r} deg" for k in range(POINTS + 1)]
@@ -30,8 +32,15 @@ def slides(design: Mapping[str, float], angles: np.ndarray) -> np.ndarray:
     return design["crank.length"] * np.cos(angles) + np.sqrt(design["rod.length"] ** 2 - height**2)
 
 
-@pytest.mark.parametrize("backend", ["ipopt", "slsqp"])
-@pytest.mark.parametrize("law", ["expression", "table", "csv"])
+@pytest.mark.parametrize(
+    ("law", "backend"),
+    mostly_slow(
+        itertools.product(("expression", "table", "csv"), ("ipopt", "slsqp")),
+        ("expression", "ipopt"),
+        ("table", "slsqp"),
+        ("csv", "ipopt"),
+    ),
+)
 def test_slider_crank_follows_a_law(law: str, backend: str, tmp_path) -> None:
     """The objective is the closed form's, whatever way the law is stated, and both back ends agree."""
     file = slider_crank()
@@ -126,6 +135,7 @@ def test_table_counted_from_the_frame_brings_its_own_start() -> None:
     assert result.design["rod.length"] == pytest.approx(0.090, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_negative_span_turns_the_crank_clockwise() -> None:
     back = solve(slider_crank(law={"slide": "s0 + 40*(phi - phi0)/(pi/2)", "unit": "mm"}, span="-90 deg"))
     assert back.valid

@@ -186,6 +186,7 @@ def test_an_unknown_key_is_answered_with_those_that_belong_there(base, section):
     assert fault.remedy.partition("Known: ")[2].split(", ") == KEYS[base, section].split()
 
 
+@pytest.mark.slow
 def test_points_out_of_reach_are_a_nearest_miss():
     raw = path(VLINE, lengths=(1.0, 3.0), far=5.0)
     result = solve(optlink.read(raw), starts=60)
@@ -260,6 +261,7 @@ def test_the_reference_page_knows_every_key_of_a_task():
             assert f"`{key}`" in PAGE or re.search(rf"\b{key} = ", PAGE), f"{key} of {section.__name__} is not documented"
 
 
+@pytest.mark.slow
 def test_a_design_is_a_machine_to_analyze() -> None:
     """Its coupler point passes where the design says, by the analysis of the machine with fixed sizes."""
     best = solve(optlink.load("path-arc5"), designs=1).best

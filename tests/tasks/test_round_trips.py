@@ -11,17 +11,18 @@ import optlink
 from optlink.tasks.path import solve
 from tests import synthesis_oracle as oracle
 from tests.random_linkages import RECOVERED, TIMINGS, VARIANTS, defects, four_bar_of, recover, round_trip
+from tests.tiers import mostly_slow
 
 COUNTS = (5, 9, 18, 60)
 FEW = 3  # linkages
 
 
+@pytest.mark.parametrize("seed", mostly_slow(range(FEW), 0))
 @pytest.mark.parametrize("timing", TIMINGS)
-def test_own_curve_is_recovered(timing: str) -> None:
-    for seed in range(FEW):
-        found = recover(round_trip(1000 + seed, COUNTS[0], timing), designs=1)
-        assert not found.faults, (seed, found)
-        assert found.recovered, (seed, found)
+def test_own_curve_is_recovered(timing: str, seed: int) -> None:
+    found = recover(round_trip(1000 + seed, COUNTS[0], timing), designs=1)
+    assert not found.faults, found
+    assert found.recovered, found
 
 
 @pytest.mark.slow

@@ -127,6 +127,7 @@ def test_progress_is_a_share_that_rises_to_one() -> None:
         assert 0.0 < seen[0] <= seen[-1] == pytest.approx(1.0), name
 
 
+@pytest.mark.slow
 def test_the_command_solves_a_balancing_problem(tmp_path) -> None:
     done = run("solve", "balance-four-bar", "--json", "--out", str(tmp_path / "out"))
     assert done.exit_code == 0

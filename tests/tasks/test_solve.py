@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -59,7 +60,7 @@ VARIATIONS = {
 }
 
 
-@pytest.mark.parametrize("name", VARIATIONS)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if "free" in n else n for n in VARIATIONS])
 def test_variation_is_solved_proven_and_agreed(crank_rocker, name):
     changes = dict(VARIATIONS[name])
     problem = crank_rocker.override(changes)
@@ -198,6 +199,19 @@ def test_a_limit_that_is_only_near_has_no_price(crank_rocker, backend):
     assert 1e-7 < spare < 3e-7
 
 
+@cache
+def least_relaxation() -> float:
+    """Degrees by which 80 and 100 deg must be relaxed, by the formulas on a grid of linkages."""
+    l2, l3 = np.meshgrid(np.linspace(0.1, 0.9, 1601), np.linspace(0.1, 0.9, 1601))
+    turns = np.ones_like(l2, dtype=bool)
+    for slack in crank_rocker_conditions(0.1, l2, l3, 0.5).values():
+        turns &= slack >= 0
+    with np.errstate(invalid="ignore"):
+        least = np.degrees(np.arccos(np.where(turns, transmission_cosine(0.1, l2, l3, 0.5, 1.0), np.nan)))
+        largest = np.degrees(np.arccos(np.where(turns, transmission_cosine(0.1, l2, l3, 0.5, -1.0), np.nan)))
+    return float(np.nanmin(np.maximum(80.0 - least, largest - 100.0)))
+
+
 @pytest.mark.parametrize("backend", [*BACKENDS, "both"])
 def test_infeasible_transmission_limits(crank_rocker, backend):
     """80..100 deg: no linkage keeps the range; its least relaxation is checked against a brute-force grid of the formulas."""
@@ -207,14 +221,7 @@ def test_infeasible_transmission_limits(crank_rocker, backend):
     assert not result.valid
     conflict = {item.name: item for item in result.conflict}
     assert set(conflict) == {"smallest transmission angle", "largest transmission angle"}
-    l2, l3 = np.meshgrid(np.linspace(0.1, 0.9, 1601), np.linspace(0.1, 0.9, 1601))
-    turns = np.ones_like(l2, dtype=bool)
-    for slack in crank_rocker_conditions(0.1, l2, l3, 0.5).values():
-        turns &= slack >= 0
-    with np.errstate(invalid="ignore"):
-        least = np.degrees(np.arccos(np.where(turns, transmission_cosine(0.1, l2, l3, 0.5, 1.0), np.nan)))
-        largest = np.degrees(np.arccos(np.where(turns, transmission_cosine(0.1, l2, l3, 0.5, -1.0), np.nan)))
-    reachable = float(np.nanmin(np.maximum(80.0 - least, largest - 100.0)))
+    reachable = least_relaxation()
     for name, bound, sign in (("smallest", 80.0, -1.0), ("largest", 100.0, 1.0)):
         item = conflict[f"{name} transmission angle"]
         assert item.both_sides
@@ -224,7 +231,7 @@ def test_infeasible_transmission_limits(crank_rocker, backend):
     assert conflict["smallest transmission angle"].unit == "deg"
 
 
-@pytest.mark.parametrize("limits", [(80.0, 100.0), (70.0, 95.0)])
+@pytest.mark.parametrize("limits", [pytest.param((80.0, 100.0), marks=pytest.mark.slow), (70.0, 95.0)])
 def test_the_named_relaxation_of_a_range_is_enough_and_no_more(crank_rocker, limits):
     """Also of a range that is not centred on 90 deg, and as its printed values."""
     found = optlink.solve(crank_rocker.override({"limits.transmission_angle": [f"{x} deg" for x in limits]})).conflict

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
@@ -13,6 +14,7 @@ from optlink.errors import InputError
 from optlink.linkage.fourbar import LENGTHS, time_ratio
 from optlink.problem.file import ProblemFile
 from optlink.tasks.run import solve, validate
+from tests.tiers import mostly_slow
 
 OTHER = {"forward": "backward", "backward": "forward"}
 
@@ -39,8 +41,7 @@ def crank_rockers(count: int, seed: int) -> list[tuple[float, ...]]:
     return found
 
 
-@pytest.mark.parametrize("sense", [1, -1])
-@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize(("side", "sense"), mostly_slow(itertools.product((1, -1), (1, -1)), (1, 1), (-1, -1)))
 def test_the_ratio_of_each_stroke_is_that_of_a_swept_motion(side, sense):
     directions = set()
     for lengths in crank_rockers(80, seed=5):
@@ -80,9 +81,16 @@ def measured(design: dict[str, float], assembly: str, sense: float) -> float:
     return forward_over_backward(tuple(design[name] for name in LENGTHS), 1 if assembly == "left" else -1, sense)
 
 
-@pytest.mark.parametrize("assembly", ["left", "right"])
-@pytest.mark.parametrize("span", [100.0, -100.0])
-@pytest.mark.parametrize("stroke", ["forward", "backward"])
+@pytest.mark.parametrize(
+    ("stroke", "span", "assembly"),
+    mostly_slow(
+        itertools.product(("forward", "backward"), (100.0, -100.0), ("left", "right")),
+        ("forward", 100.0, "left"),
+        ("forward", -100.0, "right"),
+        ("backward", 100.0, "right"),
+        ("backward", -100.0, "left"),
+    ),
+)
 def test_a_law_has_the_ratio_of_the_stroke_that_is_named(stroke, span, assembly):
     result = solve(law({"exactly": 1.15, "stroke": stroke}, span, assembly), starts=6)
     assert result.valid
@@ -96,12 +104,14 @@ def test_a_law_has_the_ratio_of_the_stroke_that_is_named(stroke, span, assembly)
     }
 
 
+@pytest.mark.slow
 def test_slow_is_what_a_ratio_means_without_a_stroke_and_quick_is_its_inverse():
     plain = solve(law(1.15), starts=4)
     for ratio in ({"exactly": 1.15, "stroke": "slow"}, {"exactly": 1.0 / 1.15, "stroke": "quick"}, {"exactly": 1.15}):
         assert solve(law(ratio), starts=4).objective == pytest.approx(plain.objective, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_slow_stroke_is_never_better_than_the_better_direction():
     """The independent route to the slow stroke: the better one of the two directions."""
     directions = [solve(law({"exactly": 1.15, "stroke": stroke}), starts=8).objective for stroke in OTHER]
@@ -112,8 +122,10 @@ def test_the_slow_stroke_is_never_better_than_the_better_direction():
 # --- transmission, paths ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("stroke", ["forward", "backward"])
-@pytest.mark.parametrize("assembly", ["left", "right"])
+@pytest.mark.parametrize(
+    ("assembly", "stroke"),
+    mostly_slow(itertools.product(("left", "right"), ("forward", "backward")), ("left", "forward"), ("right", "backward")),
+)
 def test_the_best_transmission_has_the_ratio_of_the_stroke_that_is_named(assembly, stroke):
     length = {"bounds": ["5 mm", "400 mm"]}
     mechanism = {
@@ -147,8 +159,7 @@ def traced(sense: float, side: int) -> list[dict[str, str]]:
     return [{"x": f"{p.real} m", "y": f"{p.imag} m", "crank": f"{sense * 36.0 * k} deg"} for k, p in enumerate(point)]
 
 
-@pytest.mark.parametrize("side", [1, -1])
-@pytest.mark.parametrize("sense", [1.0, -1.0])
+@pytest.mark.parametrize(("sense", "side"), mostly_slow(itertools.product((1.0, -1.0), (1, -1)), (1.0, -1), (-1.0, 1)))
 def test_a_path_has_the_ratio_of_the_stroke_that_is_named(sense, side):
     """The curve of a known four-bar: met exactly with the stroke that this one has, missed with the other."""
     true = forward_over_backward(LENGTHS_OF_PATH, side, sense)

@@ -14,7 +14,7 @@ from optlink.validation import validate, validate_batch
 from optlink.validation.check import Validation
 from tests.validation.test_validation import BEST, OPTIMUM, SHIPPED, defects, failed, problem
 
-COUNT = 300
+COUNT = 150
 
 
 def random_designs(rule: DesignProblem, count: int, seed: int) -> list[dict[str, float]]:

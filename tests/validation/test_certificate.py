@@ -146,6 +146,7 @@ def test_every_defect_is_found(
     assert words in _failed(_checked(problem, document, tmp_path))
 
 
+@pytest.mark.slow
 def test_a_bound_between_optimum_and_a_worse_design_is_refuted(narrow: tuple[Any, Document], tmp_path: Path) -> None:
     problem, document = narrow
     model = problem.model
