@@ -44,7 +44,7 @@ def opened(driver: Any, path: Path) -> tuple[list[str], list[str]]:
     driver.get_log("browser")
     driver.get_log("performance")
     driver.get(path.as_uri())
-    waiting = importlib.import_module("selenium.webdriver.support.ui").WebDriverWait(driver, 30)
+    waiting = importlib.import_module("selenium.webdriver.support.ui").WebDriverWait(driver, 30, 0.05)
     waiting.until(lambda page: page.execute_script("return document.documentElement.dataset.ready !== undefined"))
     return console(driver), requests(driver, path)
 
@@ -65,12 +65,14 @@ def colours(driver: Any, *, dark: bool) -> Iterator[None]:
         prefer()
 
 
-def faults(driver: Any) -> list[str]:
-    """Serious and critical faults that axe-core finds in the page."""
+def faults(driver: Any, *rules: str) -> list[str]:
+    """Serious and critical faults that axe-core finds in the page, by all its rules or by those that are named."""
     package = pytest.importorskip("axe_core_python", reason="axe-core-python is not installed")
     driver.execute_script((Path(package.__file__).parent / "axe.min.js").read_text(encoding="utf-8"))
-    brief = "{resultTypes: ['violations'], selectors: false}"  # without what is in order: half the time
-    found = driver.execute_async_script(f"axe.run(document, {brief}).then(arguments[0])")["violations"]
+    options = {"resultTypes": ["violations"], "selectors": False}  # without what is in order: half the time
+    if rules:
+        options["runOnly"] = list(rules)
+    found = driver.execute_async_script("axe.run(document, arguments[0]).then(arguments[1])", options)["violations"]
     return [f"{one['id']}: {one['nodes'][0]['html'][:200]}" for one in found if one["impact"] in ("serious", "critical")]
 
 
