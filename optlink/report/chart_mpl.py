@@ -149,9 +149,9 @@ def _across(axes: Axes, chart: ChartSpec) -> None:
 
 
 def _tight(chart: ChartSpec) -> bool:
-    """Return whether the x axis ends with the traces: for curves and bands, not for markers and bars."""
+    """Return whether the x axis ends with the traces: for bands and curves without markers."""
     traces = [trace for panel in chart.panels for trace in panel.traces]
-    return not chart.equal and all(isinstance(t, Band) or (isinstance(t, Curve) and t.mode != "markers") for t in traces[:1])
+    return not chart.equal and all(isinstance(t, Band) or (isinstance(t, Curve) and t.mode == "lines") for t in traces[:1])
 
 
 def _panel(axes: Axes, chart: ChartSpec, panel: Panel, *, legend: bool = True) -> list[Label]:

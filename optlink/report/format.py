@@ -62,8 +62,8 @@ def dimension(value: float) -> str:
 
 
 def pretty(text: str) -> str:
-    """Write units in a text with their signs: N·m, rad²."""
-    return _PRODUCT.sub("N·m", text).replace("^2", "²")
+    """Write units and relations in a text with their signs: N·m, rad², ≤."""
+    return _PRODUCT.sub("N·m", text).replace("^2", "²").replace("<=", "≤").replace(">=", "≥").replace("->", "→")
 
 
 def signed(value: float) -> str:

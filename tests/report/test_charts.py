@@ -19,6 +19,7 @@ from optlink.report.chart_spec import (
     cells,
     crank_angle,
 )
+from optlink.report.format import pretty
 from optlink.report.html import chart_plotly
 
 X = np.linspace(0.0, 360.0, 91)
@@ -60,6 +61,17 @@ def test_the_crank_turning_clockwise_runs_to_the_right() -> None:
     left, right = chart_mpl.draw([spec]).axes[0].get_xlim()
     assert left > right
     assert chart_plotly.chart(spec).figure["layout"]["xaxis"]["autorange"] == "reversed"
+
+
+def test_markers_at_the_ends_of_a_curve_are_whole() -> None:
+    spec = ChartSpec("a", "A", [Panel(Axis("y"), [Curve(X, Y, mode="lines+markers")])], Axis("x"))
+    left, right = chart_mpl.draw([spec]).axes[0].get_xlim()
+    assert left < X[0]
+    assert right > X[-1]
+
+
+def test_relations_have_their_signs() -> None:
+    assert pretty("M <= 5 N m; x >= 1 mm^2; B -> D") == "M ≤ 5 N·m; x ≥ 1 mm²; B → D"
 
 
 def test_charts_of_one_file_share_a_picture() -> None:

@@ -20,8 +20,9 @@ from optlink.clearance import closed_loop
 from optlink.clearance.integration import Integration
 from optlink.report.chart_mpl import pictures
 from optlink.report.drawing import Sketch
+from optlink.report.format import single_units
 from optlink.report.registry import view_of
-from optlink.report.views import clearance, clearance_joints, control_comparison, magnified_joints
+from optlink.report.views import clearance, clearance_joints, conclusions, control_comparison, magnified_joints
 from optlink.report.views.revolutions import FULL, RevolutionCurves, fold, rough, round_below, runs
 from optlink.tasks.clearance import simulate_clearance
 from optlink.tasks.control_comparison import compare
@@ -121,6 +122,18 @@ def simulated(name: str) -> ClearanceSimulation:
 
 
 KINDS = ("mechanism", "displacement", "error", "orbit", "force", "impacts", "section", "torque", "energy")
+
+
+def test_the_conclusion_tells_the_force_of_running_in_apart() -> None:
+    result = simulated("periodic")
+    forces = result.per_revolution["C.normal_max_N"]
+    last = float(np.max(forces[-int(result.figures["settled_revolutions"]) :]))
+    assert float(np.max(forces)) > 2.0 * last
+    with single_units():
+        said = conclusions.clearance(result).partition("contact force reaches ")[2]
+    assert float(said.split()[0]) == pytest.approx(last, rel=1e-3)
+    assert float(said.partition("(")[2].split()[0]) == pytest.approx(float(np.max(forces)), rel=1e-3)
+    assert said.endswith("while it runs in).")
 
 
 def drawn(result: ClearanceSimulation) -> dict[str, Figure]:

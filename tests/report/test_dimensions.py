@@ -29,3 +29,18 @@ def test_the_text_of_a_swing_is_clear_of_the_rocker(name: str) -> None:
     rocker = np.linspace(drawn.points["D"][0], drawn.points["C"][0], 400)
     covered = (np.abs(rocker[:, 0] - x) < 0.31 * size * len(swing)) & (np.abs(rocker[:, 1] - y) < 0.4 * size)
     assert not np.any(covered)
+
+
+def test_the_text_of_a_full_turn_is_clear_of_its_arc() -> None:
+    cycle = optlink.analyze(optlink.load("six-bar"))
+    drawing = dimensioned(cycle, "six-bar")
+    size = float(re.findall(r'font-size="([\d.]+)"', drawing.svg)[-1])
+    (place,) = re.findall(r'<text x="(\S+)" y="(\S+)"[^>]*>360°</text>', drawing.svg)
+    arcs = [
+        np.array(re.findall(r"[-\d.e]+", path), dtype=float).reshape(-1, 2)
+        for path in re.findall(r'<path d="(M[^"Z]+)"', drawing.svg)
+    ]
+    arc = max(arcs, key=len)  # of 300 degrees, in steps of 4
+    assert len(arc) > 60
+    away = np.abs(arc - np.array(place, dtype=float))
+    assert not np.any((away[:, 0] < 0.5 * 0.62 * size * 4) & (away[:, 1] < 0.35 * size))

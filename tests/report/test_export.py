@@ -553,3 +553,12 @@ def test_long_names_of_points_do_not_meet_in_the_moving_drawing():
             meeting += bool(np.all(np.minimum(one[2:], other[2:]) > np.maximum(one[:2], other[:2])))
         assert all(box[0] >= left and box[1] >= top and box[2] <= left + wide and box[3] <= top + high for box in placed)
     assert meeting < 0.25 * len(moving.angles)  # only where the crank pin passes the name of its pivot
+
+
+def test_names_of_pivots_are_clear_of_their_hatching():
+    moving = scene(analyze(optlink.load("six-bar")))
+    boxes = boxes_of_names(svg(moving, "six-bar"))
+    for name in moving.still:
+        left, top, right, low = np.array(boxes[name]) + np.tile(moving.points[name][0], 2)
+        ground = np.concatenate([line for line, _, _ in moving.ground])
+        assert not np.any((ground[:, 0] > left) & (ground[:, 0] < right) & (ground[:, 1] > top) & (ground[:, 1] < low)), name

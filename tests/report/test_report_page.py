@@ -588,6 +588,20 @@ def test_the_check_of_accessibility_would_notice(driver, tmp_path, crank_rocker_
 
 
 @pytest.mark.slow
+def test_a_telephone_shows_names_of_axes_and_tables_whole(driver, crank_rocker_page):
+    size = {"width": 375, "height": 800, "deviceScaleFactor": 1, "mobile": True}
+    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    try:
+        opened(driver, crank_rocker_page)
+        ends = "return [...document.querySelectorAll('.xtitle')].map((one) => one.getBoundingClientRect().right)"
+        assert max(driver.execute_script(ends)) <= 375
+        wide = "return [...document.querySelectorAll('.scroll')].filter((one) => one.scrollWidth > one.clientWidth + 1).length"
+        assert driver.execute_script(wide) == 0
+    finally:
+        driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+@pytest.mark.slow
 def test_a_page_prints(driver, crank_rocker_page):
     """On paper: a few sheets, no controls, and the charts as wide as the sheet."""
     opened(driver, crank_rocker_page)

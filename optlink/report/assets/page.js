@@ -105,6 +105,13 @@
     }
     const { data, layout } = swapped(chart.figure, isDark());
     Plotly.newPlot(place, data, layout, config);
+    const name = place.querySelector(".xtitle");
+    if (name && name.getBoundingClientRect().right > place.getBoundingClientRect().right) {
+      const words = own.xaxis.title.text.split(" "); // centred below an axis much shorter than the chart: two lines
+      const half = Math.ceil(words.length / 2);
+      own.xaxis.title.text = words.slice(0, half).join(" ") + "<br>" + words.slice(half).join(" ");
+      Plotly.react(place, data, { ...layout, xaxis: { ...layout.xaxis, title: own.xaxis.title } }, config);
+    }
     if (chart.picks) {
       pick(place, chart.picks, index + 1, chart.drawings);
     }

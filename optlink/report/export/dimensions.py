@@ -263,7 +263,9 @@ class _Sheet:
 
         def placed(radius: float, share: float) -> tuple[float, float, Array]:
             way = start + share * (high - low)
-            middle = centre + (radius * self.size + 0.2 * half + 0.6 * self.font) * np.array([math.cos(way), -math.sin(way)])
+            ray = np.array([math.cos(way), -math.sin(way)])
+            inside = min(half / max(abs(ray[0]), 1e-9), 0.4 * self.font / max(abs(ray[1]), 1e-9))  # of the text, along the ray
+            middle = centre + (radius * self.size + inside + 0.4 * self.font) * ray
             covered = self._around(middle, half)
             return self._cost(covered) + 0.25 * radius, radius * self.size, covered
 

@@ -203,7 +203,7 @@ def name_offsets(scene: Scene) -> dict[str, tuple[float, float]]:
     found = {}
     for name, places in scene.points.items():
         length = 0.6 * letter * len(short_name(name))
-        right, down = (0.8, 1.3) if name in scene.still else (0.5, -0.55)
+        right, down = (1.15, 1.3) if name in scene.still else (0.5, -0.55)
         choices: list[tuple[float, int, float, float, Array]] = []
         for x, y in ((right, down), (-right, down), (right, 0.75 - down), (-right, 0.75 - down)):
             begin = places + np.array([x * unit - (length if x < 0.0 else 0.0), y * unit - letter])

@@ -30,6 +30,7 @@ SHORT = 20  # rows up to which a table is not broken in print
 WHOLE = 36  # length up to which a text is not broken [characters]
 NARROW, WIDE, HUGE = 46, 72, 105  # widths [characters] beyond which a table is too wide for a telephone, a column, paper
 DIGITS = 4  # significant digits of numbers outside the appendix
+_KEY_DOT = re.compile(r"(?<=[a-z_]\.)(?=[a-z_])")  # where a key such as mechanism.frame may be broken
 _DECIMAL = re.compile(r"(?<![\w.,])(\d+\.\d+)(e[-+]\d+)?(?![\w]|\.\d)")
 
 
@@ -206,7 +207,7 @@ def fragment(*parts: Part) -> str:
 
 
 def _lines(text: str) -> Markup:
-    return Markup("<br>").join(pretty(text).split("\n"))
+    return Markup("<br>").join(Markup("<wbr>").join(_KEY_DOT.split(line)) for line in pretty(text).split("\n"))
 
 
 def _is_short(cell: Span) -> bool:

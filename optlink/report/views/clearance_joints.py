@@ -220,7 +220,7 @@ def impacts(turns: RevolutionCurves) -> list[ChartSpec]:
     return [
         ChartSpec("impacts", "Impacts over the revolutions", panels, x, turns.title("impacts"), caption, cursor=False),
         ChartSpec(
-            "impacts", "Contacts: position and approach speed at their begin", [Panel(speeds, around)], where, cursor=False, row=1
+            "impacts", "Contacts: position and approach speed at their start", [Panel(speeds, around)], where, cursor=False, row=1
         ),
     ]
 

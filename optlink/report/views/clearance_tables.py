@@ -64,8 +64,8 @@ def _contacts(outcome: ClearanceSimulation) -> TableSpec:
         share = f"{float(np.mean(outcome.per_revolution[f'{gap.point}.contact_share'])):z.1%}"
         most = number(found[f"{gap.point}.normal_max_N"], 5), fixed(found[f"{gap.point}.penetration_max_m"] * 1e6, 2)
         rows.append((gap.point, gap.journal, gap.bearing, number(gap.clearance * 1e3), count, share, *most))
-    columns = ["joint", "journal", "bearing", ">gap mm", ">contacts", ">share", ">force N", ">depth um"]
-    return table("Contacts: share of the time, largest force and penetration", columns, rows)
+    columns = ["joint", "journal", "bearing", ">gap mm", ">contacts", ">share", ">force N", ">depth µm"]
+    return table("Contacts of all revolutions: share of the time, largest force and penetration", columns, rows)
 
 
 def _account(outcome: ClearanceSimulation) -> TableSpec:

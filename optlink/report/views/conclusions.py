@@ -239,9 +239,12 @@ def clearance(found: ClearanceSimulation) -> str:
     unit, figures = found.output.unit, found.figures
     text = f"Joint clearance makes the {found.output.name} deviate by {si(figures[f'rms_{unit}'], unit)} (root mean square), "
     text += f"at most {si(figures[f'peak_{unit}'], unit)}"
-    forces = {gap.point: figures[f"{gap.point}.normal_max_N"] for gap in found.gaps}
-    point = max(forces, key=lambda one: forces[one])
-    text += f"; the contact force reaches {si(forces[point], 'N')} at {point}."
+    counted = int(figures["settled_revolutions"])
+    last = {gap.point: float(np.max(found.per_revolution[f"{gap.point}.normal_max_N"][-counted:])) for gap in found.gaps}
+    point = max(last, key=lambda one: last[one])
+    first = max(figures[f"{gap.point}.normal_max_N"] for gap in found.gaps)
+    text += f"; the contact force reaches {si(last[point], 'N')} at {point}"
+    text += f" ({si(first, 'N')} while it runs in)." if first > last[point] else "."
     return text if found.finished else f"Not finished: {found.message}. {text}"
 
 
