@@ -35,6 +35,7 @@ from optlink.studies.continuation import FOLLOWED, follow_optimum
 from optlink.studies.fast_overrides import FastOverride
 from optlink.studies.grid import Grid
 from optlink.studies.sweep_task import FoundOptimum, OptimumTask
+from optlink.tasks.certify import automatic
 from optlink.tasks.protocol import completed
 from optlink.tasks.results.balance import Balance
 from optlink.tasks.run import solve
@@ -137,7 +138,12 @@ class ReoptimiseTask(OptimumTask):
         assert self.programme is not None
         self.programme.bind(self.model(point))
         nlp = self.programme.nlp
-        return multistart.best([multistart.solve_from(nlp, x, self.backend) for x in multistart.starts(nlp, self.starts, 0)])
+        begin = list(multistart.starts(nlp, self.starts, 0))
+        if self.starts > 1 and automatic(problem := self.problem.override(self.grid.changes(point))):
+            best = completed(solve(problem, self.backend)).design
+            if best:  # globally optimal: local searches may all miss a narrow feasible region
+                begin.append(nlp.x_of(best))
+        return multistart.best([multistart.solve_from(nlp, x, self.backend) for x in begin])
 
     def _search_many(self, point: int) -> list[Solution]:
         """Return the distinct optima of searches at a point from points across the bounds, best first."""
@@ -207,6 +213,10 @@ class ReoptimiseTask(OptimumTask):
         if not solution.usable and not 1.0 / OTHER <= task.quantities["frame"].value / programme.size <= OTHER:
             own = build(task)
             solution = multistart.best([solution, multistart.solve_from(own, own.x_start, self.backend)])
+        if solution.status is not Status.OPTIMAL and (self.starts > 1 or solution.status is not Status.INFEASIBLE):
+            anew = _separately(self.problem.override(self.grid.changes(point)), self.backend)
+            if anew.valid:
+                return anew
         design = task.design(solution.design)
         validation = validate(task, design, solution.objective)
         failed = _failed(validation)

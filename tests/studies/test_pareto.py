@@ -236,6 +236,35 @@ def test_points_of_a_law_are_no_poor_local_optima():
         assert error <= best_on_a_grid(rocker) * (1.0 + 1e-9)
 
 
+@pytest.mark.slow
+def test_the_tight_end_of_a_narrow_region_is_no_poor_local_optimum():
+    problem = load("crank-rocker").override(
+        {
+            "mechanism.crank": "167 mm",
+            "mechanism.frame": "534 mm",
+            "requirement": {
+                "kind": "function",
+                "law": "psi0 - 0.145*(phi - phi0)",
+                "span": "105 deg",
+                "from": "inner dead centre",
+            },
+            "limits": {"crank": "full rotation", "time_ratio": {"min": 1.101}},
+        }
+    )
+    front = pareto(problem, "error, coupler.max=168..176.4 mm", points=4)
+    assert front.complete
+    single = optlink.solve(problem.override({"mechanism.coupler": {"bounds": ["100 mm", "168 mm"]}}), certify=True)
+    assert single.certificate.proven
+    assert front.points[-1].values == (pytest.approx(single.objective, rel=1e-6), pytest.approx(168.0))  # was 1.39972 for 0.64485
+
+
+def test_a_front_whose_best_error_lies_at_its_own_limit_is_one_design():
+    front = pareto(load("crank-rocker", {"limits.swing_angle": {"max": "40 deg"}}), "error, swing_angle.min", points=4)
+    assert front.complete  # was empty
+    assert front.single_point == "No trade-off: one of the designs found is best in every objective"
+    assert front.points[0].values[1] == pytest.approx(40.0, rel=1e-4)
+
+
 def test_the_reference_is_the_optimum_of_solve():
     """With this limit a search from the start in the file ends at a coupler of 492 mm, with 1.6 times the error."""
     problem = optlink.load("crank-rocker").override({"limits.time_ratio.min": 1.05})

@@ -346,7 +346,7 @@ def _axis(aim: ParetoObjective, tight: float, relaxed_end: float, count: int) ->
     """Return the values of a limit from the relaxed_end end of the front to the tight one, both rounded inwards."""
     width = abs(relaxed_end - tight)
     if not width > NONE * max(abs(tight), abs(relaxed_end)):
-        return Axis(aim.key, aim.unit, (aim.worsened(tight, NONE * abs(tight)),))
+        return Axis(aim.key, aim.unit, (aim.worsened(tight, NEAR * abs(tight)),))
     step = 10.0 ** math.floor(math.log10(NEAR * width))
     tight = aim.sense * math.ceil(aim.sense * aim.worsened(tight, NEAR * width) / step) * step
     relaxed_end = aim.sense * math.floor(aim.sense * relaxed_end / step) * step
