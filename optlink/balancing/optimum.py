@@ -129,9 +129,11 @@ def _prices(programme: BalancingProgramme, duals: Sequence[float], x: Array) -> 
     """Return the shadow price of every limit from its dual variable: scaled objective per SI unit of the limit."""
     programme.put(x)
     found = []
+    sides = {(bound.name, bound.sense): dual for bound, dual in zip(programme.bounds, duals, strict=False)}
     for bound, dual in zip(programme.bounds, duals, strict=False):
         value = float(bound.expression.value) * bound.scale
-        found.append(Price(bound.name, bound.kind, bound.bound, value, bound.sense, dual / bound.scale))
+        net = max(dual - sides.get((bound.name, -bound.sense), 0.0), 0.0)  # both sides of a prescribed value share any dual
+        found.append(Price(bound.name, bound.kind, bound.bound, value, bound.sense, net / bound.scale))
     for place, dual in zip(programme.hard, duals[len(programme.bounds) :], strict=True):
         found.append(Price(place.name, "length", place.bound, place.reached, 1, dual * place.rate))
     return tuple(found)

@@ -21,6 +21,9 @@ from optlink.linkage.vector2d import Array
 NOTHING = 1e-9
 """Scaled mass or stiffness below which there is none."""
 
+SHORTEST = 1e-9
+"""Free length of a spring [m] below which there is none: a problem file states no shorter one."""
+
 FITS = 1e-8
 """By how much a scaled constraint may be missed by rounding."""
 
@@ -80,10 +83,10 @@ class Price:
 
 @dataclass(frozen=True)
 class BalanceLimits:
-    """Limits beside those of single counterweights: upper bounds of measures [SI] and of the total mass [kg]."""
+    """Limits beside those of single counterweights: upper bounds of measures [SI], least and largest total mass [kg]."""
 
     measures: tuple[tuple[BalanceMeasure, float], ...] = ()
-    total: float = math.inf
+    total: tuple[float, float] = (0.0, math.inf)
 
 
 class BalancingProgramme:
@@ -130,8 +133,8 @@ class BalancingProgramme:
         for k, spring in enumerate(springs, 0):
             place = slice(begin + 2 * k, begin + 2 * k + 2)
             self._spring(spring, self.x[place], self.scales[place])
-        if math.isfinite(limits.total) and counterweights:
-            self.bounds.append(Bound("mass of all counterweights together", "mass", self.total, limits.total, self.mass_scale))
+        if counterweights:
+            self._between("mass of all counterweights together", "mass", self.total, limits.total, self.mass_scale)
         for measure, bound in limits.measures:
             self.bounds.append(Bound(str(measure), "measure", self.expression(measure), bound, self.before(measure) or 1.0))
 
@@ -173,12 +176,9 @@ class BalancingProgramme:
         cp, unit, length = self.cp, float(scale[0]), float(scale[1] / scale[0])
         m, p, inertia = x[0], x[1:3], x[3]
         label = f"of the counterweight on {weight.body}"
-        low, high = weight.mass
+        high = weight.mass[1]
         self.cones += [m >= 0.0]
-        if low > 0.0:
-            self.bounds.append(Bound(f"mass {label}", "mass", m, low, unit, -1))
-        if high < math.inf:
-            self.bounds.append(Bound(f"mass {label}", "mass", m, high, unit))
+        self._between(f"mass {label}", "mass", m, weight.mass, unit)
         origin = np.array(weight.origin) / length
         away = p - m * origin
         if weight.at is not None:
@@ -220,6 +220,14 @@ class BalancingProgramme:
             if widest < math.inf:
                 self.relaxed.append(inertia <= m * (furthest**2 + 0.5 * widest**2) / length**2)
 
+    def _between(self, name: str, kind: str, expression: Any, ends: tuple[float, float], scale: float) -> None:
+        """Add the bounds of a quantity that are neither zero nor infinite."""
+        low, high = ends
+        if low > 0.0:
+            self.bounds.append(Bound(name, kind, expression, low, scale, -1))
+        if high < math.inf:
+            self.bounds.append(Bound(name, kind, expression, high, scale))
+
     def _hard(self, name: str, bound: float, inside: Any, mass: Any, length: float, *, squared: bool = False) -> None:
         constraint = inside <= mass * (bound / length) ** (2 if squared else 1)
         self.cones.append(constraint)
@@ -228,12 +236,8 @@ class BalancingProgramme:
     def _spring(self, spring: FreeSpring, x: Any, scale: Array) -> None:
         """Add the limits of a spring: stiffness k, k * free length, and the force at every position."""
         k, p = x[0], x[1]
-        low, high = spring.stiffness
         self.cones.append(k >= 0.0)
-        if low > 0.0:
-            self.bounds.append(Bound(f"stiffness of {spring.name}", "stiffness", k, low, float(scale[0]), -1))
-        if high < math.inf:
-            self.bounds.append(Bound(f"stiffness of {spring.name}", "stiffness", k, high, float(scale[0])))
+        self._between(f"stiffness of {spring.name}", "stiffness", k, spring.stiffness, float(scale[0]))
         shortest, longest = (end / self.length for end in spring.free)
         self.cones += [p == k * shortest] if shortest == longest else [p >= k * shortest, p <= k * longest]
         if spring.force < math.inf:
@@ -319,7 +323,8 @@ class BalancingProgramme:
             i = begin + 2 * k
             stiffness = float(x[i]) if x[i] > NOTHING else 0.0
             low, high = (end / self.length * stiffness for end in spring.free)
-            found[i : i + 2] = stiffness, min(max(x[i + 1], low), high)
+            rest = min(max(x[i + 1], low), high)
+            found[i : i + 2] = stiffness, 0.0 if rest * self.length < stiffness * SHORTEST else rest
         return found
 
     def put(self, x: Array) -> None:

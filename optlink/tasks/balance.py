@@ -36,6 +36,7 @@ from optlink.tasks.machine import (
     table_angles,
 )
 from optlink.tasks.results.balance import (
+    ACTIVE,
     AddedCounterweight,
     Balance,
     FittedSpring,
@@ -95,7 +96,7 @@ class _Task:
         ceilings = tuple(ceiling for ceiling in section.limits.values())
         self.limits = BalanceLimits(
             tuple((c.measure, c.of(c.measure.value(self.effects.affine(c.measure).offset))) for c in ceilings),
-            math.inf if section.mass is None or section.mass.high is None else section.mass.high,
+            section.total,
         )
         masses = sum(float(inertia.mass) for inertia in self.machine.inertias.values())
         self.programme = BalancingProgramme(
@@ -217,7 +218,8 @@ def balance(
     scale = before if len(goal) == 1 else 1.0
     size = max(found.value, 1e-3)  # a negligible value is related to the initial machine
     gap, slack = max(found.gap, 0.0) / size, max(after - found.value, 0.0) / size
-    status = "stalled" if gap > GAP else "relaxed" if slack > GAP else "optimal"
+    excess = programme.excess(best)
+    status = "stalled" if gap > GAP else "relaxed" if slack > GAP or excess > ACTIVE else "optimal"
     begin = time.perf_counter()
     balanced, heavier, rows, disagreement = _verified(task, added, springs)
     seconds["verification"] = time.perf_counter() - begin
@@ -240,9 +242,9 @@ def balance(
         disagreement=disagreement,
         limits=tuple(active_limit(price, after, scale) for price in found.prices),
         trade=curve,
-        notes=tuple(_notes(task, goal, status, slack, heavier, added)),
+        notes=tuple(_notes(task, goal, status, slack, heavier, added, excess)),
         exact=found.exact,
-        excess=programme.excess(best),
+        excess=excess,
         **common,
     )
 
@@ -408,6 +410,7 @@ def _notes(
     slack: float,
     heavier: Machine,
     added: Sequence[AddedCounterweight],
+    excess: float,
 ) -> list[str]:
     notes = []
     if any(weight.kind == "disc" for weight in task.counterweights):
@@ -416,6 +419,8 @@ def _notes(
             "the optimum satisfies the equation of a disc, so it is also the optimum of real discs"
             if status == "optimal"
             else f"discs come within {slack:z.2%} of the bound"
+            if excess <= ACTIVE
+            else "no discs were found that meet all limits"
         )
         notes.append(f"{relaxed_note}: {end}")
     idle = [weight.body for weight in task.counterweights if weight.body not in [one.body for one in added]]

@@ -262,6 +262,40 @@ def test_a_crank_that_cannot_turn_fully():
     assert result.objective < result.before
 
 
+@pytest.mark.parametrize("mass", [["0.5 kg", "0.6 kg"], "0.5 kg", {"min": "0.5 kg"}])
+def test_the_total_mass_has_a_least_value_too(mass):
+    light = optlink.balance(four_bar("rms shaking moment"))
+    result = optlink.balance(four_bar("rms shaking moment").override({"balance.mass": mass}))
+    assert sum(one.mass for one in light.added) < 0.4
+    assert result.valid
+    assert sum(one.mass for one in result.added) == pytest.approx(0.5, rel=1e-6)
+    assert result.objective >= light.objective * (1.0 - 1e-7)
+    assert all(limit.buys < 1e-6 for limit in result.limits)  # a crank that turns evenly carries any disc on its pivot
+
+
+def test_discs_that_miss_a_limit_are_no_optimum():
+    """A disc on the pivot of the rocker adds its moment of inertia alone; one of 1 g has less than the limit needs."""
+    heavy = {"body": "rocker", "thickness": "5 mm", "density": "7850 kg/m^3", "at": "D"}
+    file = four_bar("rms shaking force", [heavy]).override({"balance.limits": {"rms shaking moment from 180 to 240 deg": "90 %"}})
+    result = optlink.balance(file.override({"balance.mass": {"max": "0.001 kg"}}))
+    assert not result.valid
+    assert result.status == "relaxed"
+    assert not any("optimum of real discs" in note for note in result.notes)
+
+
+def test_a_spring_has_no_free_length_that_a_problem_file_cannot_state():
+    task = balance._Task(
+        four_bar("rms driving torque").override(
+            {"balance.springs": [{"name": "tie", "between": ["A", "C"], "free_length": ["0 mm", "50 mm"]}]}
+        )
+    )
+    x = np.zeros(task.effects.count)
+    for free, expected in ((2e-11, 0.0), (0.02, 0.02)):
+        x[-2:] = 1.0, free / task.programme.length
+        stiffness, product = (task.programme.realised(x) * task.programme.scales)[-2:]
+        assert product / stiffness == pytest.approx(expected, rel=1e-12)
+
+
 def test_a_crank_that_turns_clockwise_needs_the_same_counterweights():
     one = optlink.balance(four_bar("rms shaking moment"))
     turned = optlink.balance(four_bar("rms shaking moment").override({"drive.speed": "-1 rad/s"}))
@@ -811,7 +845,7 @@ def test_infeasible_through_the_command_line():
 # --- bad input -----------------------------------------------------------------------------------------------------
 
 WEIGHT = 'balance.counterweights=[{{ body = "crank", {} }}]'
-TWICE = '{ body = "crank", kind = "free", reach = "1 mm", mass = "1 kg" }'
+TWICE = '{ body = "crank", kind = "free", extent = "1 mm", mass = "1 kg" }'
 BAD = {
     "no body": (
         'balance.counterweights=[{ body = "crnk", thickness = "10 mm", density = "7850 kg/m^3", reach = "60 mm" }]',
@@ -823,6 +857,8 @@ BAD = {
     "no density": (WEIGHT.format('thickness = "10 mm", reach = "60 mm"'), "density"),
     "no place": (WEIGHT.format('thickness = "10 mm", density = "7850 kg/m^3"'), "ever larger radius"),
     "no mass": (WEIGHT.format('kind = "free", reach = "60 mm"'), "mass is unbounded"),
+    "no extent": (WEIGHT.format('kind = "free", reach = "60 mm", mass = "1 kg"'), "moment of inertia is unbounded"),
+    "negative total": ('balance.mass=["-1 kg", "1 kg"]', "negative mass"),
     "free disc": (WEIGHT.format('kind = "free", thickness = "10 mm", reach = "60 mm"'), "any shape"),
     "too large": (WEIGHT.format('radius = "50 mm", extent = "20 mm"'), "larger than its extent"),
     "unknown kind": (WEIGHT.format('kind = "cube", reach = "60 mm"'), "disc"),

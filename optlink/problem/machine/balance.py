@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, Field, field_validator
 from optlink.dynamics.machine import Machine
 from optlink.linkage.mechanism import FRAME, Pose
 from optlink.problem.base_model import RESERVED, Name, Section
-from optlink.problem.interval import LengthInterval, MassInterval, StiffnessInterval
+from optlink.problem.interval import Interval, LengthInterval, MassInterval, StiffnessInterval
 from optlink.problem.machine.loads import spring_ends
 from optlink.problem.quantity import Density, FixedForce, FixedLength, Unusable, below, nearest, read_fixed, read_scalar, where
 from optlink.units import read_number
@@ -168,6 +168,11 @@ _MASS = where(
 )
 
 
+def _ends(interval: Interval | None) -> tuple[float, float]:
+    """Return the least and the largest value of an amount; default: from zero, without bound."""
+    return (0.0, math.inf) if interval is None else (interval.low or 0.0, interval.bounds[1])
+
+
 class CounterweightSection(Section):
     """A mass that can be added to a body: a disc, or one of any shape."""
 
@@ -205,8 +210,7 @@ class CounterweightSection(Section):
         mechanism = machine.mechanism
         if self.body not in mechanism.bodies:
             raise Unusable("no such body", nearest(self.body, mechanism.bodies), "body", self.body)
-        low, high = (self.mass.low or 0.0, self.mass.high) if self.mass else (0.0, None)
-        most = math.inf if high is None else high
+        low, most = _ends(self.mass)
         thickness, density = (None if part is None else part.value for part in (self.thickness, self.density))
         radius: float | None = None
         if self.kind == "free":
@@ -334,11 +338,10 @@ class SpringSection(Section):
         if self.name in (*taken, *RESERVED):
             raise Unusable("the name is taken", "Choose another for the spring", "name", self.name)
         ends = spring_ends(mechanism, self.between)
-        low, high = (self.stiffness.low or 0.0, self.stiffness.high) if self.stiffness else (0.0, None)
-        if low < 0.0 or (high is not None and high < 0.0):
+        low, most = _ends(self.stiffness)
+        if min(low, most) < 0.0:
             raise Unusable("a spring has no negative stiffness", "Give zero or more", "stiffness", str(self.stiffness))
         free = self.free_length or (0.0, 0.0)
-        most = math.inf if high is None else high
         return FreeSpring(self.name, (ends[0], ends[1]), (low, most), free, math.inf if self.force is None else self.force.value)
 
 
@@ -353,8 +356,8 @@ class BalanceSection(Section):
     """Springs that can be added between points."""
     limits: dict[str, Any] = Field(default_factory=dict)
     """Limits of measures: a quantity, or a share of the value of the original machine."""
-    mass: MassInterval | None = None
-    """Total mass of all counterweights."""
+    mass: Annotated[MassInterval, _MASS] | None = None
+    """Total mass of all counterweights: one value or a range; default: any."""
     about: Place = None
     """Reference point of shaking moments on the frame; default: the crank pivot."""
     positions: int = Field(default=360, ge=8, le=MOST)
@@ -378,6 +381,11 @@ class BalanceSection(Section):
         found: tuple[tuple[BalanceMeasure, float], ...] = self.minimise
         return found
 
+    @property
+    def total(self) -> tuple[float, float]:
+        """Least and largest mass of all counterweights together [kg]."""
+        return _ends(self.mass)
+
     def build(self, machine: Machine) -> tuple[tuple[Counterweight, ...], tuple[FreeSpring, ...]]:
         """Return the counterweights and springs, with all names checked.
 
@@ -398,9 +406,12 @@ class BalanceSection(Section):
             with below(f"counterweights.{k}"):
                 weights.append(section.counterweight(machine))
         for k, weight in enumerate(weights):
-            if weight.kind == "free" and math.isinf(weight.mass[1]) and (self.mass is None or self.mass.high is None):
+            if weight.kind == "free" and math.isinf(min(weight.mass[1], self.total[1])):
                 message = "its mass is unbounded: ever more mass with ever less moment of inertia would be optimal"
                 raise Unusable(message, 'Add mass = { max = "2 kg" }, to it or to [balance]', f"counterweights.{k}.mass")
+            if weight.kind == "free" and math.isinf(weight.extent):
+                message = "its moment of inertia is unbounded: ever less mass ever further from its centre would be optimal"
+                raise Unusable(message, 'Add extent = "100 mm" (of its edge)', f"counterweights.{k}.extent")
         bodies = [weight.body for weight in weights]
         for k, body in enumerate(bodies):
             if body in bodies[:k]:
