@@ -111,7 +111,7 @@ def test_more_starts_never_give_a_worse_path() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [3, 10])
+@pytest.mark.parametrize("seed", [3, 28])
 def test_more_starts_never_give_a_worse_path_or_motion(seed: int) -> None:
     """Nor is the default, of some thousand starts, worse than fewer, or better than more."""
     monotone(seed, (100, None) if seed == 3 else (50, None, 1500))
