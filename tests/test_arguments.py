@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import optlink
-from optlink.arguments import WRONG, _alternatives, typed
 from optlink.errors import InputError
+from optlink.problem.arguments import typed
 from optlink.studies.pareto.epsilon_constraint import pareto
 from optlink.studies.sensitivity import sensitivities
 from optlink.studies.sweep import sweep
@@ -28,30 +28,29 @@ SPEEDS = ["drive.speed=100..200 rpm:2"]
         (lambda: optlink.solve(LAW, "both", True), "starts = true: not a whole number"),
         (lambda: optlink.solve(LAW, backend=3), "backend = 3: not a text"),
         (lambda: optlink.solve(LAW, workers=-1), "--workers = -1: out of range"),
-        (lambda: optlink.solve(LAW, gap=float("nan")), "gap = nan: not a number"),
+        (lambda: optlink.solve(LAW, gap=float("nan")), "gap = nan: out of range"),
         (lambda: optlink.solve(LAW, certify=1), "certify = 1: neither True nor False"),
-        (lambda: optlink.solve(LAW, certify=True, folder=""), 'folder = "": not a file or folder'),
-        (lambda: optlink.validate(LAW, {"coupler": "0.4", "rocker": 0.2}), "design = .*not a mapping of names to numbers"),
-        (lambda: optlink.validate(LAW, {3: 0.4}), "not a mapping of names to numbers"),
+        (lambda: optlink.solve(LAW, certify=True, folder=3), "folder = 3: not a file or folder"),
+        (lambda: optlink.validate(LAW, {"coupler": "0.4", "rocker": 0.2}), 'design.coupler = "0.4": not a number'),
+        (lambda: optlink.validate(LAW, {3: 0.4}), "design.3 = 3: not a text"),
         (lambda: optlink.analyze(MACHINE, speed="64 rpm"), 'speed = "64 rpm": not a number'),
         (lambda: optlink.analyze_batch(MACHINE, {"crank.length": "x"}), "not an array of numbers"),
-        (lambda: optlink.analyze_batch(MACHINE, {}, "input.torque_Nm"), "columns = .*not a list of texts"),
+        (lambda: optlink.analyze_batch(MACHINE, {}, "input.torque_Nm"), "columns = .*not a list"),
         (lambda: optlink.simulate(MACHINE, "2 s"), 'duration = "2 s": not a number'),
         (lambda: optlink.simulate_clearance(CLEARANCE, revolutions="2"), 'revolutions = "2": not a whole number'),
         (lambda: optlink.simulate_clearance(CLEARANCE, progress=3), "progress = 3: not a function"),
-        (lambda: optlink.compare(CLEARANCE, kinds="none"), "kinds = .*not a list of texts"),
+        (lambda: optlink.compare(CLEARANCE, kinds="none"), "kinds = .*not a list"),
         (lambda: optlink.tune(CLEARANCE, starts=1.5), "starts = 1.5: not a whole number"),
         (lambda: optlink.balance(MACHINE, minimise=3), "minimise = 3: not a text"),
         (lambda: sensitivities("crank-rocker"), 'problem = "crank-rocker": not a problem'),
-        (lambda: sweep(LAW, "mechanism.frame=480..520 mm:3"), "vary = .*not a list of texts"),
-        (lambda: sweep(MACHINE, SPEEDS, "", analyze=True), 'out = "": not a file or folder'),
-        (lambda: tolerance(LAW, [3]), "tolerances = .*not a list of texts"),
+        (lambda: sweep(LAW, "mechanism.frame=480..520 mm:3"), "vary = .*not a list"),
+        (lambda: sweep(MACHINE, SPEEDS, 3, analyze=True), "out = 3: not a file or folder"),
+        (lambda: tolerance(LAW, [3]), "tolerances.0 = 3: not a text"),
         (lambda: tolerance(LAW, ["coupler=0.1 mm"], robust=[3]), "robust = .*not a number"),
         (lambda: pareto(LAW, ["error"]), "objectives = .*not a text"),
-        (lambda: LAW.override("x"), "overrides = .*not a mapping"),
-        (lambda: optlink.load("crank-rocker", {3: 3}), "overrides = .*not a mapping"),
+        (lambda: LAW.override("x"), "changes = .*not a mapping"),
         (lambda: optlink.read(3), "raw = 3: not a mapping"),
-        (lambda: optlink.read_design(LAW, "coupler=3"), "assignments = .*not a list of texts"),
+        (lambda: optlink.read_design(LAW, "coupler=3"), "assignments = .*not a list"),
         (lambda: optlink.explore(LAW, 3), "design = 3: not a mapping"),
     ],
 )
@@ -63,14 +62,19 @@ def test_an_argument_of_another_type_is_refused_in_one_sentence(call, message) -
 
 @pytest.mark.parametrize(
     "function",
-    [optlink.solve, optlink.analyze, optlink.simulate_clearance, optlink.compare, optlink.tune, sweep, tolerance, pareto],
+    [
+        *(optlink.solve, optlink.analyze, optlink.simulate, optlink.simulate_clearance, optlink.compare, optlink.tune),
+        *(optlink.balance, sensitivities, sweep, tolerance, pareto, optlink.explore),
+    ],
 )
-def test_every_single_value_of_a_public_function_is_checked(function) -> None:
-    annotations = {name: parameter.annotation for name, parameter in inspect.signature(function).parameters.items()}
-    plain = {name: text for name, text in annotations.items() if set(text.split(" | ")) <= {*WRONG, "int", "float"}}
-    assert hasattr(function, "__wrapped__")
-    assert len(plain) >= 5
-    assert all(_alternatives(text) for text in plain.values())
+def test_every_argument_of_a_public_function_is_checked(function) -> None:
+    class Other:
+        pass
+
+    names = [name for name, parameter in inspect.signature(function).parameters.items() if parameter.annotation != "object"]
+    with pytest.raises(InputError) as caught:
+        function(**dict.fromkeys(names, Other()))
+    assert [fault.key for fault in caught.value.faults] == names
 
 
 def test_all_wrong_arguments_are_named_at_once() -> None:
@@ -87,6 +91,5 @@ def test_numbers_of_numpy_and_whole_floats_are_numbers() -> None:
     found = used(np.int64(3), np.float32(0.5), np.bool_(True), "out", more=np.float64(2))
     assert found == (3, 0.5, True, Path("out"), 2.0)
     assert [type(value) for value in found] == [int, float, bool, type(Path()), float]
-    assert used(360.0, 1, False)[:2] == (360, 1.0)
     with pytest.raises(TypeError, match="unexpected keyword"):
         used(3, 0.5, True, other=1)

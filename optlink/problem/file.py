@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import pydantic
+from pydantic_core import core_schema
 
-from optlink.arguments import typed
 from optlink.errors import InputError, shown
 from optlink.io import data_files, load_extensions
+from optlink.problem.arguments import typed
 from optlink.problem.base_model import SPELLED, SPELLINGS, with_ranges, with_spellings
 from optlink.problem.file_errors import SECTIONS, as_written, faults, keys_ending, known_keys, of_dyads, toml_fault
 from optlink.problem.function import DesignProblem
@@ -44,6 +45,10 @@ class ProblemFile:
     folder: Path
     raw: Mapping[str, Any]
     model: Problem
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
+        return core_schema.is_instance_schema(cls)
 
     def __repr__(self) -> str:
         return f"<ProblemFile {self.name!r}: {self.kind}>"
@@ -94,6 +99,7 @@ class ProblemFile:
         changes = self.model.mechanism.variants(self.model.linkage)
         return [self.override(change) if change else self for change in changes]
 
+    @typed
     def override(self, changes: Mapping[str, object]) -> ProblemFile:
         """Return a copy of the problem with other values.
 
@@ -308,12 +314,11 @@ def _read_toml(path: Path) -> dict[str, Any]:
         raise InputError(toml_fault(str(error), file, text)) from None
 
 
-@typed
-def _change(raw: dict[str, Any], overrides: Mapping[str, object], file: str) -> None:
+def _change(raw: dict[str, Any], changes: Mapping[str, object], file: str) -> None:
     """Set values by dotted key; a change of any key that affects the result removes `[expected]`."""
-    for key, value in overrides.items():
+    for key, value in changes.items():
         _assign(raw, key, value, file)
-    if any(key.split(".")[0] not in ("expected", *WORDS) for key in overrides):
+    if any(key.split(".")[0] not in ("expected", *WORDS) for key in changes):
         raw.pop("expected", None)
 
 

@@ -10,9 +10,9 @@ import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
-from optlink.arguments import typed
 from optlink.errors import InputError
 from optlink.io import data_files
+from optlink.problem.arguments import typed
 
 NEXT = "# Next: "
 

@@ -13,8 +13,8 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field
 
-from optlink.arguments import typed
 from optlink.errors import InputError, Status
+from optlink.problem.arguments import typed
 from optlink.problem.base_model import Number, Record, Recorded, ResultRecord, absent
 from optlink.problem.file import ProblemFile
 from optlink.solvers.solution import Solution

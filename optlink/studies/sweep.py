@@ -21,10 +21,10 @@ from annotated_types import MinLen
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
-from optlink.arguments import typed
 from optlink.errors import InputError, Status
 from optlink.execution.runner import run
 from optlink.execution.store import Progress, Store
+from optlink.problem.arguments import typed
 from optlink.problem.base_model import Recorded, ResultRecord, absent
 from optlink.problem.file import ProblemFile
 from optlink.studies.analysis_task import MANY, AnalysisTask, quantity_of

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from optlink.arguments import typed
+from optlink.problem.arguments import typed
+from optlink.problem.file import ProblemFile
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from optlink.problem.file import ProblemFile
     from optlink.report.html.notebook import Explorer
     from optlink.studio.widget import Canvas
 

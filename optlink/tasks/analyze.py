@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 
-from optlink.arguments import typed
 from optlink.dynamics.change_points import pin_columns, unbounded_reactions
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.flywheel import flywheel
@@ -19,6 +18,7 @@ from optlink.linkage.alignment import AlignedPosition, positions_text
 from optlink.linkage.extrema import distinct, extremes, zeros
 from optlink.linkage.stroke import Ranges, Travel, range_end_reason, travels, within_cycle
 from optlink.linkage.vector2d import TURN, Array
+from optlink.problem.arguments import typed
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range
 from optlink.tasks.machine import MARGIN, check_design, crank_speed, machine_of, motion_range, start_value_notes, table_angles

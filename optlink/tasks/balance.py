@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from optlink.arguments import typed
 from optlink.balancing import optimum as search
 from optlink.balancing.certificate import GAP
 from optlink.balancing.socp import NOTHING, BalanceLimits, BalancingProgramme, version
@@ -21,6 +20,7 @@ from optlink.dynamics.machine import Machine
 from optlink.errors import InputError
 from optlink.linkage.vector2d import Array
 from optlink.optimization.pareto_front import knee
+from optlink.problem.arguments import typed
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.machine.balance import check_measure, read_measure

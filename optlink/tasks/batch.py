@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from optlink.arguments import typed
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError
@@ -19,6 +18,7 @@ from optlink.linkage.extrema import extremes_of_rows
 from optlink.linkage.motion import sweep
 from optlink.linkage.stroke import reachable
 from optlink.linkage.vector2d import TURN, Array, Value
+from optlink.problem.arguments import typed
 from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import nearest

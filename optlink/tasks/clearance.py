@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from optlink.arguments import typed
 from optlink.clearance.closed_loop import ClosedLoop, vibration
 from optlink.clearance.compiled.choice import INSTALL, IntegratorKind, chosen, installed, resumed
 from optlink.clearance.controller import PID, Control, Controller, Gains
@@ -28,6 +27,7 @@ from optlink.dynamics.machine import Machine
 from optlink.errors import InputError
 from optlink.execution import interrupts
 from optlink.linkage.vector2d import TURN, Array
+from optlink.problem.arguments import typed
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range, input_of, nearest
 from optlink.tasks.machine import (

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from optlink.arguments import typed
 from optlink.clearance.compiled.choice import resumed
 from optlink.clearance.controller import Control
 from optlink.clearance.output import Output
 from optlink.errors import InputError
 from optlink.execution.runner import Runs, pool
 from optlink.linkage.vector2d import TURN, Array
+from optlink.problem.arguments import typed
 from optlink.problem.base_model import SPELLINGS
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range

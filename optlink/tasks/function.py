@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from optlink.arguments import typed
 from optlink.errors import InputError, Status
 from optlink.execution import interrupts
 from optlink.linkage.fourbar import LENGTHS
 from optlink.optimization.objectives import MEASURES
+from optlink.problem.arguments import typed
 from optlink.problem.assignment import parse_assignments
 from optlink.problem.base_model import Number, Record, absent
 from optlink.problem.file import ProblemFile

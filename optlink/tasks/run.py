@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from optlink.arguments import typed
 from optlink.errors import InputError
 from optlink.io import Registry
+from optlink.problem.arguments import typed
 from optlink.problem.file import ProblemFile
 from optlink.problem.file_errors import SECTIONS
 from optlink.tasks.protocol import DesignTask, Progress, Search

@@ -10,7 +10,6 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from optlink.arguments import typed
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.ending import Ending
 from optlink.dynamics.forward import Run, run
@@ -20,6 +19,7 @@ from optlink.errors import InputError
 from optlink.execution import interrupts
 from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.vector2d import TURN, Array
+from optlink.problem.arguments import typed
 from optlink.problem.base_model import Columns, Contradiction, Number, ResultRecord, Tabled
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range

@@ -66,7 +66,7 @@ def test_balancing_is_solved_and_has_no_starting_points() -> None:
         ("path-arc5", {}, "the design lacks crank, coupler"),
         ("path-arc5", {"phi0": 1.0}, '"phi0": unknown quantity'),
         ("shaper-design", {"C.y": -0.2}, "the design lacks C.x"),
-        ("shaper-design", [0.1, 0.2], "not a mapping of names to numbers.*result.design"),
+        ("shaper-design", [0.1, 0.2], "not a mapping of names to values.*result.design"),
     ],
 )
 def test_a_design_with_unknown_or_missing_names_is_refused(name: str, design: object, message: str) -> None:

@@ -23,12 +23,12 @@ import numpy as np
 from annotated_types import Len
 from pydantic import Field
 
-from optlink.arguments import typed
 from optlink.errors import InputError, Status
 from optlink.execution.runner import check
 from optlink.execution.store import Progress, Store
 from optlink.linkage.vector2d import Array
 from optlink.optimization.pareto_front import ends, knee, undominated
+from optlink.problem.arguments import typed
 from optlink.problem.base_model import Record, ResultRecord
 from optlink.problem.file import ProblemFile
 from optlink.studies.cycle_task import optimum_task

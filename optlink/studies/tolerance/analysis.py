@@ -15,10 +15,10 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from optlink.arguments import typed
 from optlink.errors import InputError
 from optlink.execution.runner import Runs, check, pool
 from optlink.linkage.vector2d import Array
+from optlink.problem.arguments import typed
 from optlink.problem.base_model import Column, Contradiction, Number, Record, Recorded, ResultRecord, absent, check_length
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import nearest
