@@ -103,7 +103,7 @@ def _output(file: ProblemFile, output: str, angles: str, design: list[str] | Non
     """Print the derivatives of an output by every dimension."""
     import numpy as np
 
-    from optlink.problem.quantity import nearest
+    from optlink.problem.quantity import check_choice
     from optlink.studies.motion_sensitivity import OutputSensitivityRecord, output_names, output_sensitivity
     from optlink.tasks.function import read_design, solve
     from optlink.tasks.protocol import completed
@@ -115,8 +115,7 @@ def _output(file: ProblemFile, output: str, angles: str, design: list[str] | Non
     elif file.model.free and file.task != "path" and file.task != "cycle":
         sizes |= {key: value for key, value in completed(solve(file)).design.items() if key in sizes}
     known = output_names(file.model.linkage)
-    if output not in known:
-        raise InputError("unknown output", nearest(output, known), file.file, "--quantity", output)
+    check_choice("--quantity", output, known, "unknown output", file.file)
     found = output_sensitivity(file.model.linkage, sizes, crank, output)
     about = {"problem": file.name, "title": file.model.title, "problem_hash": file.hash, "status": "done"}
     document = OutputSensitivityRecord.of(found, **about, sizes_SI=sizes, crank_angles_deg=np.degrees(crank)).document()

@@ -17,7 +17,7 @@ from optlink.errors import InputError
 from optlink.execution import interrupts
 from optlink.execution.process import Process
 from optlink.execution.worker import ChunkResult, ChunkTask, packed, run_chunk
-from optlink.problem.quantity import nearest
+from optlink.problem.quantity import check_choice
 
 ENGINES = ("local", "dask")
 WAIT = 0.2  # s, polling interval of waiting threads
@@ -47,8 +47,7 @@ def check(engine: str, workers: int | None, scheduler: str | None) -> None:
     InputError
         For an unknown engine, a missing Dask installation, or an invalid number of workers.
     """
-    if engine not in ENGINES:
-        raise InputError("unknown engine", nearest(engine, ENGINES), key="--engine", value=engine)
+    check_choice("--engine", engine, ENGINES, "unknown engine")
     if workers is not None and not 1 <= workers <= MAX_WORKERS:
         raise InputError("out of range", f"Give 1 to {MAX_WORKERS} processes", key="--workers", value=workers)
     if scheduler is not None and engine != "dask":

@@ -13,7 +13,7 @@ from optlink.linkage.assur import CONTINUE, EITHER, assemble
 from optlink.linkage.fourbar import LENGTHS, four_bar
 from optlink.linkage.mechanism import FRAME, BodyPoint, Guide, Link, Mechanism, Size
 from optlink.problem.base_model import RESERVED, Name, Section
-from optlink.problem.quantity import Angle, Coordinate, Friction, Length, Quantity, Unusable, below, nearest, read_quantity
+from optlink.problem.quantity import Angle, Coordinate, Friction, Length, Quantity, Unusable, below, check_name, read_quantity
 
 
 def _read_place(raw: object) -> tuple[Quantity, Quantity]:
@@ -273,8 +273,7 @@ class DyadsSection(Section):
         body = driver or ("crank" if "crank" in self.links else None)
         if body is None:
             raise Unusable("no body is driven", f"Add [drive] body, one of: {', '.join(self.links)}", "drive.body")
-        if body not in self.links:
-            raise Unusable("no such body", nearest(body, self.links), "drive.body", body)
+        check_name(body, self.links, "no such body", "drive.body")
         points = [point for _, own in self._links() for point in own]
         guides = list(self._guides())
         with below("mechanism"):
@@ -302,10 +301,8 @@ class DyadsSection(Section):
         for name, guide in self.guides.items():
             key = f"mechanism.guides.{name}"
             for what in ("slider", "on"):
-                body = getattr(guide, what)
-                if body not in self.links and not (what == "on" and body == FRAME):
-                    known = [*self.links, FRAME] if what == "on" else list(self.links)
-                    raise Unusable("no such body", nearest(body, known), f"{key}.{what}", body)
+                known = [*self.links, FRAME] if what == "on" else list(self.links)
+                check_name(getattr(guide, what), known, "no such body", f"{key}.{what}")
             if guide.slider == guide.on:
                 raise Unusable("a body cannot slide on itself", "Name the body that carries the line", f"{key}.on", guide.on)
             through: str | tuple[Size, Size]
@@ -324,8 +321,7 @@ class DyadsSection(Section):
 
     def _point(self, point: str, body: str, key: str) -> str:
         known = [*self.ground] if body == FRAME else [*self.links[body].joints, *self.links[body].points]
-        if point not in known:
-            raise Unusable(f"{body} has no such point", nearest(point, known), key, point)
+        check_name(point, known, f"{body} has no such point", key)
         return point
 
     def _check_names(self) -> None:

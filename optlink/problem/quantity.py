@@ -157,6 +157,54 @@ def check_keys(raw: Iterable[object], known: Sequence[str]) -> None:
             raise Unusable("unknown key", nearest(str(key), known), str(key))
 
 
+def check_name(name: object, known: Iterable[str], message: str, key: str = "", value: object = None) -> None:
+    """Check that a name is one of the known ones.
+
+    Parameters
+    ----------
+    name : object
+    known : iterable of str
+    message : str
+        What is wrong with any other name.
+    key : str
+        Key of the name, below the present one.
+    value : object, optional
+        Value in the error. Default: the name.
+
+    Raises
+    ------
+    Unusable
+        If it is none of them; the remedy contains the nearest.
+    """
+    names = list(known)
+    if name not in names:
+        raise Unusable(message, nearest(str(name), names), key, name if value is None else value)
+
+
+def check_choice(key: str, name: str, known: Iterable[str], message: str, file: str | None = None) -> None:
+    """Check that the value of an option or argument is one of the known ones.
+
+    Parameters
+    ----------
+    key : str
+        Option or argument.
+    name : str
+        Its value.
+    known : iterable of str
+    message : str
+        What is wrong with any other value.
+    file : str, optional
+        Name of the problem file.
+
+    Raises
+    ------
+    InputError
+        If it is none of them.
+    """
+    with input_of(file, key, name):
+        check_name(name, known, message)
+
+
 def check_range(key: str, value: float, low: float, high: float) -> None:
     """Check that an option lies within its range.
 

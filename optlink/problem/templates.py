@@ -10,7 +10,6 @@ import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
-from optlink.errors import InputError
 from optlink.io import data_files
 from optlink.problem.arguments import typed
 
@@ -47,11 +46,10 @@ def template(name: str, file: str | Path | None = None) -> Template:
     InputError
         If there is no such template.
     """
-    known = templates()
-    if name not in known:
-        from optlink.problem.quantity import nearest
+    from optlink.problem.quantity import check_choice
 
-        raise InputError("no such template", nearest(name, known), key="TEMPLATE", value=name)
+    known = templates()
+    check_choice("TEMPLATE", name, known, "no such template")
     path = Path(file or f"{name}.toml")
     named = {"FILE": shlex.quote(str(path)), "STEM": shlex.quote(str(path.with_suffix("")))}
     lines = known[name].read_text(encoding="utf-8").splitlines()

@@ -15,7 +15,7 @@ from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import in_folder
 from optlink.problem.mechanism import DyadsSection, FourBarSection
-from optlink.problem.quantity import Quantity, Unusable, below, check_keys, nearest
+from optlink.problem.quantity import Quantity, Unusable, below, check_keys, check_name, nearest
 from optlink.problem.targets.law import read_columns
 from optlink.units import parse, plain
 
@@ -172,8 +172,7 @@ def read_tolerance(raw: object, folder: Path) -> ToleranceEntry:
     if (
         numbered and word.isalpha() and plain(quantity.strip())[-1:].isalpha()
     ):  # two words after the number: a unit and a distribution
-        if word not in CHOICES:
-            raise Unusable("unknown distribution", nearest(word, CHOICES), "", word)
+        check_name(word, CHOICES, "unknown distribution")
         return ToleranceEntry(quantity.strip(), word)
     found = ToleranceEntry(text)
     return replace(found, folder=folder) if found.measured else found

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from optlink.errors import InputError
 from optlink.report.view import View
 
 if TYPE_CHECKING:
@@ -156,11 +155,10 @@ def json_schema(kind: str) -> dict[str, Any]:
     """
     from pydantic.json_schema import models_json_schema
 
-    from optlink.problem.quantity import nearest
+    from optlink.problem.quantity import check_choice
 
     known = records()
-    if kind not in (*known, "result"):
-        raise InputError("no such kind of result", nearest(kind, ["result", *known]), key="--schema", value=kind)
+    check_choice("--schema", kind, ["result", *known], "no such kind of result")
     chosen = list(known.values()) if kind == "result" else [known[kind]]
     places, schema = models_json_schema([(one, "validation") for one in chosen], title=f"optlink {kind}")
     return {

@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from optlink.errors import InputError
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.vector2d import Array, unit
 from optlink.optimization.output_derivatives import output_derivatives
 from optlink.problem.base_model import Column, Columns, ResultRecord
-from optlink.problem.quantity import nearest
+from optlink.problem.quantity import check_choice
 from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 
 
@@ -76,12 +75,10 @@ def output_sensitivity(
     InputError
         For an unknown output or quantity.
     """
-    if output not in output_names(mechanism):
-        raise InputError("unknown output", nearest(output, output_names(mechanism)), key="output", value=output)
+    check_choice("output", output, output_names(mechanism), "unknown output")
     chosen = list(by or sizes)
     for name in chosen:
-        if name not in sizes:
-            raise InputError("unknown dimension", nearest(name, sizes), key="by", value=name)
+        check_choice("by", name, sizes, "unknown dimension")
     names = list(sizes)
     symbols = {name: casadi.SX.sym(name) for name in names}
     crank = casadi.SX.sym("crank angle")

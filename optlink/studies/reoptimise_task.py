@@ -24,7 +24,7 @@ from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.nlp import NLP, SPAN, build
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
-from optlink.problem.quantity import nearest
+from optlink.problem.quantity import check_choice
 from optlink.solvers import multistart
 from optlink.solvers.contract import selectable
 from optlink.solvers.solution import ACTIVE, FEASIBLE, Solution
@@ -62,8 +62,7 @@ def check_backend(name: str) -> None:
     if name == "both":
         remedy = "Give ipopt or slsqp, each in its own folder; `optlink solve --backend both` compares them for one design"
         raise InputError("a study searches with one back end", remedy, key="--backend", value=name)
-    if name not in selectable():
-        raise InputError("unknown back end of a study", nearest(name, selectable()), key="--backend", value=name)
+    check_choice("--backend", name, selectable(), "unknown back end of a study")
 
 
 def chunk_of(grid: Grid) -> int:

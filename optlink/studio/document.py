@@ -17,7 +17,7 @@ from optlink.errors import InputError
 from optlink.problem.base_model import with_ranges, with_spellings
 from optlink.problem.file import MAX_BYTES, WORDS, ProblemFile, load, read, shipped
 from optlink.problem.fixed_design import file_key, references
-from optlink.problem.quantity import nearest
+from optlink.problem.quantity import check_choice
 from optlink.problem.templates import template, templates
 from optlink.studies.toml_keys import exact_text, value_at
 from optlink.version import VERSION
@@ -142,8 +142,7 @@ def shipped_problem(name: str) -> Document:
     InputError
         If there is none with this name.
     """
-    if name not in shipped():
-        raise InputError("no such shipped problem", nearest(name, shipped()), key="name", value=name)
+    check_choice("name", name, shipped(), "no such shipped problem")
     return named(name)
 
 

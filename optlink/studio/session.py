@@ -12,18 +12,7 @@ from optlink.problem.assignment import parse_assignment
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import references
 from optlink.studio import state
-from optlink.studio.design import (
-    Design,
-    carried,
-    checked,
-    failure,
-    from_solution,
-    in_modes,
-    sentence,
-    solved,
-    started,
-    verdict,
-)
+from optlink.studio.design import Design, carried, checked, failure, from_solution, in_modes, sentence, solved, started, verdict
 from optlink.studio.document import Document, from_template, from_text, named, shipped_problem
 from optlink.studio.files import deflated, exported, inflated
 from optlink.studio.follow import Follower

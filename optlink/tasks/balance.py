@@ -35,15 +35,7 @@ from optlink.tasks.machine import (
     start_value_notes,
     table_angles,
 )
-from optlink.tasks.results.balance import (
-    ACTIVE,
-    AddedCounterweight,
-    Balance,
-    FittedSpring,
-    MeasureChange,
-    TradeOff,
-    TradePoint,
-)
+from optlink.tasks.results.balance import ACTIVE, AddedCounterweight, Balance, FittedSpring, MeasureChange, TradeOff, TradePoint
 from optlink.tasks.results.balance_limits import active_limit, relaxed_limit
 
 Progress = Callable[[float], None]

@@ -21,7 +21,7 @@ from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.arguments import typed
 from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import sizes_of
-from optlink.problem.quantity import nearest
+from optlink.problem.quantity import check_choice
 from optlink.tasks.analyze import GRID, chord_shares
 from optlink.tasks.machine import crank_speed, machine_of
 
@@ -98,8 +98,7 @@ def analyze_batch(
     angles = drive.start.value + np.copysign(TURN, way) * np.arange(turns * points) / points
     known = MotionColumns(machine_of(problem).moving(angles[:1], way)).columns
     for name in columns:
-        if name not in known:
-            raise InputError("no such column", nearest(name, known), problem.file, "columns", name)
+        check_choice("columns", name, known, "no such column", problem.file)
     found = Columns()
     found.update({name: np.empty((count, len(angles))) for name in columns})
     samples = angles if points >= SAMPLES else drive.start.value + TURN * np.arange(turns * SAMPLES) / SAMPLES
@@ -251,8 +250,7 @@ def _read(problem: ProblemFile, designs: Mapping[str, ArrayLike]) -> dict[str, A
         raise InputError("no quantity is varied", f"Name one of: {', '.join(known)}", problem.file, "designs")
     sizes = {len(values) for values in arrays.values()}
     for name, values in arrays.items():
-        if name not in known:
-            raise InputError("unknown quantity", nearest(name, known), problem.file, "designs", name)
+        check_choice("designs", name, known, "unknown quantity", problem.file)
         if values.ndim != 1 or len(sizes) > 1:
             raise InputError("one value per design is needed", "Give arrays of one length", problem.file, name)
         if not np.all(np.isfinite(values)) or (known[name].kind == "length" and np.any(values <= 0.0)):

@@ -59,13 +59,7 @@ class CycleTask(DesignTask[CycleResult]):
         """
         from optlink.optimization.cycle_signals import TracedCycle
         from optlink.solvers.continuum import continuum
-        from optlink.solvers.cycle_search import (
-            STARTS,
-            StartSequence,
-            further_start_groups,
-            search_all,
-            start_groups,
-        )
+        from optlink.solvers.cycle_search import STARTS, StartSequence, further_start_groups, search_all, start_groups
         from optlink.solvers.semi_infinite import rank
 
         names, seed, timer, progress = search.names, search.seed, search.timer, search.progress

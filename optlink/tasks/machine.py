@@ -16,7 +16,7 @@ from optlink.linkage.alignment import positions_text
 from optlink.linkage.stroke import Ranges, failure
 from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.file import ProblemFile
-from optlink.problem.quantity import input_of, nearest
+from optlink.problem.quantity import check_choice, input_of
 
 _machines: dict[int, Machine] = {}
 """Machines at fixed and starting values by the identity of their problem, with their ranges and compiled functions."""
@@ -60,8 +60,7 @@ def check_names(problem: ProblemFile, names: Iterable[str], known: Collection[st
         If a name is unknown.
     """
     for name in names:
-        if name not in known:
-            raise InputError("unknown quantity of the design", nearest(name, known), problem.file, "--design", name)
+        check_choice("--design", name, known, "unknown quantity of the design", problem.file)
 
 
 def check_design(problem: ProblemFile, design: Mapping[str, float] | None) -> None:

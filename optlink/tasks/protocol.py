@@ -13,7 +13,7 @@ from optlink.execution import interrupts
 from optlink.execution.runner import Runs
 from optlink.problem.file import ProblemFile
 from optlink.problem.machine.model import Problem
-from optlink.problem.quantity import check_range, nearest
+from optlink.problem.quantity import check_choice, check_range
 from optlink.solvers import contract
 from optlink.validation.check import Check
 
@@ -241,8 +241,7 @@ class DesignTask(ABC, Generic[R]):
                 raise InputError(self.no_starts, "Leave it out", problem.file, "--starts", starts)
             return ()
         known = [*contract.selectable(), *(["both"] if self.compares else [])]
-        if backend not in known:
-            raise InputError("unknown back end", nearest(backend, known), key="backend", value=backend)
+        check_choice("backend", backend, known, "unknown back end")
         check_range("starts", 1 if starts is None else starts, 1, self.most_starts)
         if seed < 0:
             raise InputError("a seed is not negative", "Give 0 or more", key="seed", value=seed)

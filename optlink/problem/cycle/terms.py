@@ -12,14 +12,13 @@ from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.problem.base_model import Section
 from optlink.problem.cycle.quantities import GUIDE, QUANTITIES, QuantityType, guide_of, moving_points
 from optlink.problem.interval import STROKES, Interval, check_time_ratio
-from optlink.problem.quantity import FixedAngle, Number, Quantity, Unusable, nearest, read_scalar, where
+from optlink.problem.quantity import FixedAngle, Number, Quantity, Unusable, check_name, nearest, read_scalar, where
 
 Measure = Literal["peak", "rms", "mean", "largest", "least"]
 
 
 def _known(raw: object) -> object:
-    if not isinstance(raw, str) or raw not in QUANTITIES:
-        raise Unusable("not one of the choices", nearest(str(raw), QUANTITIES), "", raw)
+    check_name(raw, QUANTITIES, "not one of the choices")
     return raw
 
 
@@ -131,8 +130,8 @@ def check_shape(term: Term) -> None:
         raise Unusable(
             f"the measure of {_a(what)} is missing", f'Add measure = "{nature.measures[0]}" or "{nature.measures[1]}"', "measure"
         )
-    if term.measure is not None and term.measure not in nature.measures:
-        raise Unusable(f"not a measure of {_a(what)}", nearest(term.measure, nature.measures), "measure", term.measure)
+    if term.measure is not None:
+        check_name(term.measure, nature.measures, f"not a measure of {_a(what)}", "measure")
     if nature.of and term.of is None and what != "work" and not nature.general:
         raise Unusable(f"the {nature.of} is missing", 'Add of = "..."', "of")
     if not nature.of and term.of is not None:
@@ -403,7 +402,7 @@ def check_term(term: Term, mechanism: Mechanism, quantities: Mapping[str, Quanti
         known = element.names(mechanism)
         if name not in known and not (element is GUIDE and guide_of(name, mechanism)):
             raise Unusable(element.missing, nearest(name, known) if known else "This machine has none", "of", term.of)
-    if term.on is not None and term.on not in mechanism.pins[name]:
-        raise Unusable("the joint is not one of that body", nearest(term.on, mechanism.pins[name]), "on", term.on)
-    if what == "length" and name not in quantities:
-        raise Unusable("no such dimension", nearest(name, quantities), "of", term.of)
+    if term.on is not None:
+        check_name(term.on, mechanism.pins[name], "the joint is not one of that body", "on")
+    if what == "length":
+        check_name(name, quantities, "no such dimension", "of", term.of)

@@ -14,7 +14,7 @@ from optlink.linkage.mechanism import FRAME, Pose
 from optlink.problem.base_model import RESERVED, Name, Section
 from optlink.problem.interval import Interval, LengthInterval, MassInterval, StiffnessInterval
 from optlink.problem.machine.loads import spring_ends
-from optlink.problem.quantity import Density, FixedForce, FixedLength, Unusable, below, nearest, read_fixed, read_scalar, where
+from optlink.problem.quantity import Density, FixedForce, FixedLength, Unusable, below, check_name, read_fixed, read_scalar, where
 from optlink.units import read_number
 
 if TYPE_CHECKING:
@@ -76,12 +76,11 @@ def check_measure(measure: BalanceMeasure, machine: Machine) -> None:
     mechanism = machine.mechanism
     guides = [guide.name for guide in mechanism.guides]
     if measure.kind == "reaction":
-        if measure.joint not in (*mechanism.pins, *guides):
-            raise Unusable("no such joint", nearest(measure.joint, [*mechanism.pins, *guides]), "", str(measure))
+        check_name(measure.joint, (*mechanism.pins, *guides), "no such joint", value=str(measure))
         bodies = mechanism.pins.get(measure.joint, ())
-        if measure.on and measure.on not in bodies:
-            raise Unusable("the joint is not one of that body", nearest(measure.on, bodies), "", str(measure))
-        if len(bodies) > 2 and not measure.on:
+        if measure.on:
+            check_name(measure.on, bodies, "the joint is not one of that body", value=str(measure))
+        elif len(bodies) > 2:
             remedy = f"Name the body: reaction at {measure.joint} on {bodies[0]}"
             raise Unusable(f"{len(bodies)} bodies meet there", remedy, "", str(measure))
     if machine.friction and measure.kind in ("reaction", "driving torque"):
@@ -208,8 +207,7 @@ class CounterweightSection(Section):
         from optlink.dynamics.counterweights import Counterweight
 
         mechanism = machine.mechanism
-        if self.body not in mechanism.bodies:
-            raise Unusable("no such body", nearest(self.body, mechanism.bodies), "body", self.body)
+        check_name(self.body, mechanism.bodies, "no such body", "body")
         low, most = _ends(self.mass)
         thickness, density = (None if part is None else part.value for part in (self.thickness, self.density))
         radius: float | None = None
@@ -274,8 +272,7 @@ class CounterweightSection(Section):
 
     def _local(self, machine: Machine, point: str, key: str) -> tuple[float, float]:
         """Return the coordinates of a point of the body in its own axes [m]."""
-        if point not in self._points(machine):
-            raise Unusable("the body has no such point", nearest(point, self._points(machine)), key, point)
+        check_name(point, self._points(machine), "the body has no such point", key)
         along, across = Pose(machine.mechanism, machine.sizes).local(self.body, point)
         return float(along), float(across)
 
@@ -440,7 +437,6 @@ class BalanceSection(Section):
             x, y = self.about
             return x, y
         point = mechanism.crank.start if self.about is None else self.about
-        if point not in mechanism.ground:
-            raise Unusable("not a point of the frame", nearest(point, mechanism.ground), "about", point)
+        check_name(point, mechanism.ground, "not a point of the frame", "about")
         x, y = machine.moving([0.0]).position(point)
         return float(x), float(y)

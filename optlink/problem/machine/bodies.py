@@ -23,7 +23,7 @@ from optlink.problem.quantity import (
     Quantity,
     Speed,
     Unusable,
-    nearest,
+    check_name,
     read_fixed,
     read_positive,
     where,
@@ -78,8 +78,7 @@ class BodySection(Section):
             along, across = (part.value for part in self.centroid)
         elif self.centroid not in (None, "middle"):
             own = [point for point, bodies in mechanism.owners.items() if body in bodies]
-            if self.centroid not in own:
-                raise Unusable("the body has no such point", nearest(self.centroid, ["middle", *own]), "centroid", self.centroid)
+            check_name(self.centroid, ["middle", *own], "the body has no such point", "centroid")
             along, across = Pose(mechanism, sizes).local(body, self.centroid)
         if self.inertia == "uniform bar":
             if not link.end:

@@ -10,7 +10,7 @@ from pydantic import BeforeValidator
 from optlink.clearance.joint import Gap
 from optlink.dynamics.machine import Machine
 from optlink.problem.base_model import Section
-from optlink.problem.quantity import Duration, FixedAngle, Frequency, Number, Quantity, Unusable, nearest, read_fixed, where
+from optlink.problem.quantity import Duration, FixedAngle, Frequency, Number, Quantity, Unusable, check_name, read_fixed, where
 
 
 class ServoSection(Section):
@@ -93,11 +93,10 @@ class ControlSection(Section):
         from optlink.clearance.output import default_output, outputs
 
         known, points = outputs(machine), [gap.point for gap in gaps]
-        if self.output is not None and self.output not in known:
-            raise Unusable("no such slider or body", nearest(self.output, known), "output", self.output)
+        if self.output is not None:
+            check_name(self.output, known, "no such slider or body", "output")
         for point in self.known or ():
-            if point not in points:
-                raise Unusable("the joint has no clearance", nearest(point, points), "known", point)
+            check_name(point, points, "the joint has no clearance", "known")
         output, given = known[self.output] if self.output is not None else default_output(machine), self.regularisation
         if given is not None:
             needed, example = ("a length", '"5 mm"') if output.guide else ("an angle", '"5 deg"')

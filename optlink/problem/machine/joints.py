@@ -20,7 +20,7 @@ from optlink.problem.quantity import (
     Quantity,
     Unusable,
     Velocity,
-    nearest,
+    check_name,
     read_positive,
     read_scalar,
     where,
@@ -136,11 +136,9 @@ class JointSection(Section):
         if journal is None:
             message = f"the pin joins {', '.join(bodies)}, and only one of them can have the journal"
             raise Unusable(message, f'Add journal = "{bodies[-1]}"', "journal")
-        if journal not in bodies:
-            raise Unusable("the joint is not one of that body", nearest(journal, bodies), "journal", journal)
+        check_name(journal, bodies, "the joint is not one of that body", "journal")
         clearance, radius = self._radii()
-        if self.law not in NORMAL:
-            raise Unusable("no such contact law", nearest(self.law, NORMAL), "law", self.law)
+        check_name(self.law, NORMAL, "no such contact law", "law")
         return Gap(
             point,
             journal,

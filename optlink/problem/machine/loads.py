@@ -20,7 +20,7 @@ from optlink.problem.quantity import (
     TorsionalDamping,
     TorsionalStiffness,
     Unusable,
-    nearest,
+    check_name,
 )
 
 
@@ -68,8 +68,7 @@ def spring_ends(mechanism: Mechanism, between: tuple[str, str]) -> list[tuple[st
         when a point does not exist, or both are on one body.
     """
     for point in between:
-        if point not in mechanism.owners:
-            raise Unusable("no such point", nearest(point, mechanism.owners), "between", point)
+        check_name(point, mechanism.owners, "no such point", "between")
     one, other = (mechanism.owners[point] for point in between)
     if set(one) & set(other):
         raise Unusable("both ends are on one body", "Name two points of different bodies", "between", list(between))
@@ -207,8 +206,7 @@ class LoadSection(Section):
             raise Unusable("the load has no body to act on", 'Name a body: on = "slider"', "on")
 
     def _body(self, mechanism: Mechanism, body: str | None, key: str) -> str:
-        if body not in mechanism.bodies:
-            raise Unusable("no such body", nearest(str(body), mechanism.bodies), key, body)
+        check_name(body, mechanism.bodies, "no such body", key)
         return str(body)
 
     def _target(self, mechanism: Mechanism) -> tuple[str, str, str]:
@@ -222,8 +220,7 @@ class LoadSection(Section):
             point = (guide.at if guide else "") or link.start
         else:
             own = [point for point, bodies in mechanism.owners.items() if body in bodies]
-            if self.at not in own:
-                raise Unusable("the body has no such point", nearest(self.at, own), "at", self.at)
+            check_name(self.at, own, "the body has no such point", "at")
             point = self.at
         return body, point, guide.name if guide else ""
 

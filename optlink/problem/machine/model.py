@@ -24,7 +24,7 @@ from optlink.problem.machine.joints import JointSection
 from optlink.problem.machine.loads import LoadSection
 from optlink.problem.machine.revolution import Revolution
 from optlink.problem.mechanism import DyadsSection, FourBarSection, sizes_of
-from optlink.problem.quantity import FixedAngle, FixedLength, Number, Quantity, Unusable, below, nearest
+from optlink.problem.quantity import FixedAngle, FixedLength, Number, Quantity, Unusable, below, check_name, nearest
 from optlink.problem.tolerances import Deviation, Tolerances, deviations, with_deviating_pivots
 from optlink.units import display_unit
 
@@ -242,10 +242,9 @@ class Problem(Section):
                         what = "a guide is a sliding joint; clearance is supported in pin joints"
                     raise Unusable(what, nearest(name, names), f"{section}.{name}")
         for name, joint in self.joints.items():
-            if joint.on is not None and joint.on not in mechanism.pins[name]:
-                remedy = nearest(joint.on, mechanism.pins[name])
-                raise Unusable("the joint is not one of that body", remedy, f"joints.{name}.on", joint.on)
             with below(f"joints.{name}"):
+                if joint.on is not None:
+                    check_name(joint.on, mechanism.pins[name], "the joint is not one of that body", "on")
                 joint.check_unused()
         inertias = {}
         for name, body in self.bodies.items():

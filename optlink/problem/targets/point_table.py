@@ -15,15 +15,7 @@ from numpy.typing import NDArray
 from optlink.linkage.vector2d import Array
 from optlink.problem.quantity import LONGEST, SHORTEST, Unusable, nearest, read_scalar
 from optlink.problem.targets.csv_table import CsvTable, read_csv
-from optlink.problem.targets.target_points import (
-    COINCIDENT,
-    HEAVIEST,
-    MAX_POINTS,
-    TargetPoints,
-    diagonal,
-    pairs,
-    shortened,
-)
+from optlink.problem.targets.target_points import COINCIDENT, HEAVIEST, MAX_POINTS, TargetPoints, diagonal, pairs, shortened
 from optlink.units import factor, show
 
 MAX_ROWS = 1_000_000

@@ -28,14 +28,7 @@ from optlink.report.view import View
 from optlink.report.views import balance_drawing, balance_tables, conclusions
 from optlink.tasks.balance import balanced_problem, measure_changes, positions
 from optlink.tasks.machine import machine_of
-from optlink.tasks.results.balance import (
-    AddedCounterweight,
-    Balance,
-    BalanceRecord,
-    FittedSpring,
-    MeasureChange,
-    TradeOff,
-)
+from optlink.tasks.results.balance import AddedCounterweight, Balance, BalanceRecord, FittedSpring, MeasureChange, TradeOff
 
 GIVEN = "#8a8a8a"
 COMMON = ("shaking force", "shaking moment", "driving torque")

@@ -12,19 +12,7 @@ from optlink.linkage.cognates import Cognate, CouplerLinkage
 from optlink.linkage.vector2d import TURN
 from optlink.problem.path import PathProblem
 from optlink.report.format import fixed, number, precise, significant, times
-from optlink.report.table_spec import (
-    Line,
-    Paragraph,
-    Row,
-    Summary,
-    TableSpec,
-    bad,
-    noted,
-    quiet,
-    strong,
-    summary,
-    table,
-)
+from optlink.report.table_spec import Line, Paragraph, Row, Summary, TableSpec, bad, noted, quiet, strong, summary, table
 from optlink.report.views.certificate_view import certificate_lines, certificate_table, certified
 from optlink.report.views.function_tables import active, checks, dimension_rows, graded, search_verdict
 from optlink.report.views.relaxations import conflict

@@ -19,13 +19,7 @@ from optlink.solvers.infeasibility import tightest
 from optlink.studies.cycle_task import with_starting_values
 from optlink.studies.grid import Axis, Grid
 from optlink.studies.pareto.cycle_objectives import cycle_figures, cycle_objective, epsilon_problem
-from optlink.studies.pareto.law_objectives import (
-    law_figure,
-    law_objective,
-    limit_in_file,
-    tightest_bound,
-    without_varied_limits,
-)
+from optlink.studies.pareto.law_objectives import law_figure, law_objective, limit_in_file, tightest_bound, without_varied_limits
 from optlink.studies.pareto.objective import OPTION, ParetoObjective, range_values
 from optlink.studies.toml_keys import Raw, exact_text
 from optlink.tasks.cycle import solve as solve_cycle

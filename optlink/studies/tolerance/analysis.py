@@ -21,7 +21,7 @@ from optlink.linkage.vector2d import Array
 from optlink.problem.arguments import typed
 from optlink.problem.base_model import Column, Contradiction, Number, Record, Recorded, ResultRecord, absent, check_length
 from optlink.problem.file import ProblemFile
-from optlink.problem.quantity import nearest
+from optlink.problem.quantity import check_choice, nearest
 from optlink.problem.tolerances import CHOICES, NORMAL, SHAPES, Deviation
 from optlink.studies.motion_sensitivity import output_sensitivity
 from optlink.studies.tolerance.allocation import Allocation, AllocationRecord
@@ -378,9 +378,8 @@ def _check(samples: int, seed: int, shape: str, target_yield: float | None, limi
         raise InputError("out of range", f"Give 0 (none), or 2 to {MAX_SAMPLES:,}", key="--samples", value=samples)
     if seed < 0:
         raise InputError("a seed is not negative", "Give 0 or more", key="--seed", value=seed)
-    if shape not in CHOICES:
-        message = "only clearances have this distribution" if shape in SHAPES else "unknown distribution"
-        raise InputError(message, nearest(shape, CHOICES), key="--distribution", value=shape)
+    message = "only clearances have this distribution" if shape in SHAPES else "unknown distribution"
+    check_choice("--distribution", shape, CHOICES, message)
     if target_yield is not None and not 0.0 < target_yield < 1.0:
         raise InputError("not a yield", "Give one between 0 and 100 %", key="--allocate", value=target_yield)
     if target_yield is not None and limit is None:

@@ -14,7 +14,7 @@ from optlink.errors import InputError
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import Array, Value, cross, dot, unit
 from optlink.problem.file import ProblemFile
-from optlink.problem.quantity import nearest
+from optlink.problem.quantity import check_choice
 from optlink.problem.tolerances import with_deviating_pivots
 from optlink.studies.motion_sensitivity import output_names, output_sensitivity
 from optlink.tasks.protocol import completed
@@ -112,8 +112,7 @@ def nominal_design(
     chosen = ERROR if output is None and law else output
     if chosen is None:
         raise InputError("the output to analyse is missing", f"One of: {', '.join(known)}", problem.file, "--quantity")
-    if chosen not in known:
-        raise InputError("unknown output", nearest(chosen, known), problem.file, "--quantity", chosen)
+    check_choice("--quantity", chosen, known, "unknown output", problem.file)
     if law and chosen == ERROR:
         if crank_angles is not None:
             remedy = "Leave --angles out, or give --quantity rocker"
