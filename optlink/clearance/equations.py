@@ -156,7 +156,8 @@ class Equations:
             solved = casadi.solve(matrix, -casadi.vertcat(rest[free], late)) if free else casadi.SX(0, 1)
         else:
             matrix = mass[free, free]
-            solved = _cholesky(matrix, -rest[free]) if free else casadi.SX(0, 1)
+            # positive definite and sparse
+            solved = casadi.ldl_solve(-rest[free], *casadi.ldl(matrix, False)) if free else casadi.SX(0, 1)
         whole = casadi.SX.zeros(n)
         for place, i in enumerate(free):
             whole[i] = solved[place]
@@ -310,9 +311,3 @@ class Equations:
         x, p = casadi.MX.sym("x", self.x.numel()), casadi.MX.sym("p", self.parameters.numel())
         found = inner(x0=x, p=p)
         return BufferedFunction(casadi.Function("steps", [x, p], [found["xf"], found["qf"]]))
-
-
-def _cholesky(matrix: Any, right: Any) -> Any:
-    """Solve for a mass matrix: positive definite, sparse."""
-    d, upper, p = casadi.ldl(matrix, False)
-    return casadi.ldl_solve(right, d, upper, p)

@@ -63,7 +63,9 @@ class Statistics:
             The integration cannot continue.
         """
         if self.first is None:
-            self._at_start()
+            plant = self.closed_loop
+            self.first = float(plant.record(Revolution(plant.now(), np.zeros(1), ())).energy[0])
+            self.largest = abs(self.first)
         turn = self.closed_loop.turn()
         record = self.closed_loop.record(turn)
         rows = self._rows(turn, record)
@@ -119,11 +121,6 @@ class Statistics:
         angle = np.asarray(record.motion.crank.value) if free else plant.start + plant.nominal * time
         moving = plant.equations.machine.moving(angle)
         return np.broadcast_to(np.asarray(plant.output.ideal(moving)[0]), time.shape)
-
-    def _at_start(self) -> None:
-        plant = self.closed_loop
-        self.first = float(plant.record(Revolution(plant.now(), np.zeros(1), ())).energy[0])
-        self.largest = abs(self.first)
 
     def _sum(self, rows: Mapping[str, Array], error: Array, turn: Revolution, settled: bool) -> None:
         impacts = turn.impacts

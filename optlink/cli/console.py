@@ -106,8 +106,8 @@ def print_failure(message: str, faults: list[dict[str, Any]]) -> None:
     print_json({"schema": "optlink/error/1", "status": "error", "message": message, "faults": faults})
 
 
-def deliver(result: Any, kind: str, as_json: bool, out: Path | None, csv: Path | None = None) -> None:
-    """Write result files and print JSON or a table.
+def deliver(result: Any, kind: str, as_json: bool, out: Path | None, csv: Path | None = None, *, code: int) -> None:
+    """Write result files, print JSON or a table, and exit unless all is well.
 
     Parameters
     ----------
@@ -121,6 +121,8 @@ def deliver(result: Any, kind: str, as_json: bool, out: Path | None, csv: Path |
         Folder for the files; after an interrupt it gets result.json only.
     csv : Path or None, optional
         File for the columns.
+    code : int
+        Exit code.
     """
     from optlink.report.registry import table_of, view_of
 
@@ -145,6 +147,8 @@ def deliver(result: Any, kind: str, as_json: bool, out: Path | None, csv: Path |
         print_json(result.to_dict())
     else:
         show(table_of(kind)(result))
+    if code:
+        raise typer.Exit(code)
 
 
 def show(shown: Summary | TableSpec) -> None:

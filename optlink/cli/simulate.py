@@ -118,7 +118,8 @@ def simulate(
         _deliver(ideal_run, "simulation", ideal_run.run.ending.value, as_json, out, csv)
         return
     turns = _revolutions(file, revolutions, time, common["speed"])
-    common |= {"compiling": _compiling, **console.given(points=points, tolerance=tolerance, integrator=integrator)}
+    compiling = functools.partial(console.working, "Compiling the equations of motion (cached for the next time)")
+    common |= {"compiling": compiling, **console.given(points=points, tolerance=tolerance, integrator=integrator)}
     many = console.given(starts=starts, seed=seed, workers=workers, engine=engine, scheduler=scheduler)
     if comparing or tune:
         from optlink.execution.runner import cores
@@ -138,7 +139,8 @@ def simulate(
             tuned = search(file, control or "inverse+pid", tuple(tune), **common, **many, **kept)
         _deliver(tuned, "tuning", tuned.status, as_json, out)
     else:
-        from optlink.report.files import checkpoint, write_json
+        from optlink.io import write_json
+        from optlink.report.files import checkpoint
         from optlink.tasks.clearance import simulate_clearance
 
         begun = checkpoint(out) if resume else None
@@ -152,20 +154,14 @@ def simulate(
 
 def _deliver(result: Any, kind: str, ending: str, as_json: bool, out: Path | None, csv: Path | None = None) -> None:
     """Write and show simulations, and exit with the code of their ending."""
-    console.deliver(result, kind, as_json, out, csv)
-    if not result.finished:
-        raise typer.Exit(3 if ending == "stalled" else 1)
-
-
-def _compiling() -> contextlib.AbstractContextManager[None]:
-    """Show that the equations are being compiled."""
-    return console.working("Compiling the equations of motion (cached for the next time)")
+    console.deliver(result, kind, as_json, out, csv, code=0 if result.finished else 3 if ending == "stalled" else 1)
 
 
 @contextlib.contextmanager
 def _kept(out: Path | None, resume: bool, parts: str, what: str) -> Iterator[dict[str, Any]]:
     """Provide a comparison or a tuning with a progress bar, a checkpoint, and a message on interruption."""
-    from optlink.report.files import checkpoint, write_json
+    from optlink.io import write_json
+    from optlink.report.files import checkpoint
 
     place = None if out is None else out / "checkpoint.json"
     begun = checkpoint(out) if resume else None

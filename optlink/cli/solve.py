@@ -193,12 +193,9 @@ def _interrupted(result: FunctionResult | PathResult | CycleResult | Balance) ->
 
 def _show(result: FunctionResult | PathResult | CycleResult | Balance, as_json: bool, out: Path | None) -> None:
     """Show a result, and exit with the code of its status."""
-    console.deliver(result, result.problem.task, as_json, out)
-    failed = (Status.STALLED, Status.NON_FINITE, "stalled")
-    if result.status in failed and result.problem.task != "path":  # one of several designs may stall
-        raise typer.Exit(3)
-    if not result.valid:
-        raise typer.Exit(1)
+    failed = result.status in (Status.STALLED, Status.NON_FINITE, "stalled") and result.problem.task != "path"
+    code = 3 if failed else 0 if result.valid else 1  # of the several designs of a path one may stall
+    console.deliver(result, result.problem.task, as_json, out, code=code)
 
 
 def analyze(
@@ -224,9 +221,7 @@ def analyze(
     console.places(out, "analyze", problem, csv)
     turn, rate = console.quantity(step, "angle", "--step"), console.quantity(speed, "angular velocity", "--speed")
     result = run(file, step=turn, speed=rate, design=given, **console.given(points=points))
-    console.deliver(result, "analysis", as_json, out, csv)
-    if not result.sound:
-        raise typer.Exit(1)
+    console.deliver(result, "analysis", as_json, out, csv, code=0 if result.sound else 1)
 
 
 MINIMISED = 'Measure to minimise, instead of that of the problem: "rms force", "largest reaction at D".'
@@ -253,6 +248,4 @@ def balance(
     console.places(out, "balance", problem, csv)
     with console.share("balancing") as progress:
         result = run(file, minimise, trade, points, progress, given)
-    console.deliver(result, "balance", as_json, out, csv)
-    if not result.valid:
-        raise typer.Exit(3 if result.status == "stalled" else 1)
+    console.deliver(result, "balance", as_json, out, csv, code=0 if result.valid else 3 if result.status == "stalled" else 1)

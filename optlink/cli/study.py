@@ -76,11 +76,10 @@ def sensitivity(
 
     with console.share("searching again" if check else "searching") as progress:
         result = sensitivities(file, backend, starts, seed, check=check, progress=progress)
-    console.deliver(result, "sensitivity", as_json, out)
     from optlink.report.views.study_tables import AGREES
 
-    if result.gap is not None and result.gap > AGREES:
-        raise typer.Exit(1)
+    differs = result.gap is not None and result.gap > AGREES
+    console.deliver(result, "sensitivity", as_json, out, code=1 if differs else 0)
 
 
 def _crank_angles(text: str) -> Any:
@@ -120,7 +119,8 @@ def _output(file: ProblemFile, output: str, angles: str, design: list[str] | Non
     about = {"problem": file.name, "title": file.model.title, "problem_hash": file.hash, "status": "done"}
     document = OutputSensitivityRecord.of(found, **about, sizes_SI=sizes, crank_angles_deg=np.degrees(crank)).document()
     if out is not None:
-        from optlink.report.files import write_csv, write_json
+        from optlink.io import write_json
+        from optlink.report.files import write_csv
 
         write_json(out / "result.json", document)
         columns = {f"per_{name}_SI": column for name, column in found.by.items()}
@@ -185,9 +185,7 @@ def sweep(
     many: dict[str, Any] = {"backend": backend, "engine": engine, "workers": workers, "scheduler": scheduler}
     with _resuming(out, "sweep", problem, "sweeping", resume=resume, **many) as options:
         result = run(file, vary or [], out, points=360 if points is None else points, **mode, **options)
-    console.deliver(result, "sweep", as_json, out)
-    if not result.successful:
-        raise typer.Exit(1)
+    console.deliver(result, "sweep", as_json, out, code=0 if result.successful else 1)
 
 
 @study.command()
@@ -235,11 +233,9 @@ def tolerance(
     many = console.given(engine=engine, workers=workers, scheduler=scheduler)
     with console.share("building") as progress:
         result = run(file, tolerances or [], output, crank, limit, progress=progress, **drawn, **goals, **many)
-    console.deliver(result, "tolerance", as_json, out)
-    if (result.allocation is not None and not result.allocation.achieved) or (
-        result.robust is not None and not result.robust.valid
-    ):
-        raise typer.Exit(1)
+    missed = result.allocation is not None and not result.allocation.achieved
+    failed = result.robust is not None and not result.robust.valid
+    console.deliver(result, "tolerance", as_json, out, code=1 if missed or failed else 0)
 
 
 @study.command()
@@ -265,9 +261,7 @@ def pareto(
     many: dict[str, Any] = {"backend": backend, "engine": engine, "workers": workers, "scheduler": scheduler}
     with _resuming(out, "pareto", problem, "computing the front", resume=resume, **many) as options:
         result = run(file, objectives, out, points=points, **options)
-    console.deliver(result, "pareto", as_json, out)
-    if not result.complete:
-        raise typer.Exit(1)
+    console.deliver(result, "pareto", as_json, out, code=0 if result.complete else 1)
 
 
 @contextlib.contextmanager

@@ -166,10 +166,6 @@ class Counterweight:
         assert self.density is not None
         return 1.0 / (2.0 * math.pi * self.density * self.thickness)
 
-    def central_moment(self, mass: float) -> float:
-        """Return the moment of inertia of the disc about its centre [kg m^2]."""
-        return 0.5 * mass * self.radius_of(mass) ** 2
-
     def radius_of(self, mass: float) -> float:
         """Return the radius of the disc [m]."""
         if self.radius is not None:
@@ -192,7 +188,7 @@ class Counterweight:
         if self.at is not None:
             along, across = (mass * part for part in self.at)
         steiner = (along * along + across * across) / mass
-        moment = steiner + self.central_moment(mass) if self.kind == "disc" else max(moment, steiner)
+        moment = steiner + 0.5 * mass * self.radius_of(mass) ** 2 if self.kind == "disc" else max(moment, steiner)
         return Parameters(mass, along, across, moment)
 
 

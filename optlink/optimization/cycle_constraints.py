@@ -78,21 +78,6 @@ def scaled_variable(name: str, quantity: Quantity, size: float) -> Variable:
     return Variable(name, size, Scale("mm", 1e3 * size))
 
 
-def display_scale(kind: str, unit: str, size: float) -> Scale:
-    """Return the conversion from multiples of `size` to a display unit.
-
-    Parameters
-    ----------
-    kind : str
-        Physical kind of the value; empty for a number.
-    unit : str
-        Display unit; if empty, the default unit of the kind.
-    size : float [SI]
-        Value of one.
-    """
-    return Scale(unit, size / factor(unit or KINDS[kind].display, kind)) if kind else Scale("", size)
-
-
 def _keeps_slow(bound: Bound) -> bool:
     """Return whether a limit of a time ratio by itself keeps the slow stroke slower."""
     if bound.term.stroke == "quick":
@@ -366,12 +351,9 @@ class CycleTerms:
         kind = interval.kind or ""
         ends = [abs(x) for x in (interval.low, interval.high) if x is not None]
         size = max(ends) or (self.size if kind in ("length", "coordinate") else 1.0)
-        low, high = (
-            None if interval.low is None else interval.low / size,
-            None if interval.high is None else interval.high / size,
-        )
-        scale = display_scale(kind, interval.unit, size)
-        below, above = -math.inf if low is None else low, math.inf if high is None else high
+        scale = Scale(interval.unit, size / factor(interval.unit or KINDS[kind].display, kind)) if kind else Scale("", size)
+        below = -math.inf if interval.low is None else interval.low / size
+        above = math.inf if interval.high is None else interval.high / size
         if not term.extreme:
             self.rows.append(ConstraintRow(bound.key, term.words, self.figure(term) / size, below, above, scale))
             return None
@@ -385,7 +367,7 @@ class CycleTerms:
             for part, sign in itertools.product(parts, (1.0, -1.0) if term.how == "peak" else (1.0,)):
                 self.rows.append(ConstraintRow(bound.key, term.words, sign * part / size, below, above, scale))
         first, width = self.place(term)
-        limit, sign = (above, 1.0) if high is not None else (-below, -1.0)
+        limit, sign = (above, 1.0) if interval.high is not None else (-below, -1.0)
         return WatchedTerm(first, width, term.how == "peak", sign, size, None, limit, term.nature.general)
 
     def goal(self, goal: Goal, size: float, level: Any, index: int) -> WatchedTerm:

@@ -18,7 +18,7 @@ from optlink.linkage.vector2d import TURN, Array, Value, unit
 from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale, position_rows, rows as limit_rows
 from optlink.optimization.mapped_terms import MappedTerms
 from optlink.optimization.nlp import NLP, Variable, boxed
-from optlink.optimization.objectives import ErrorMeasure, error_measures
+from optlink.optimization.objectives import error_measures
 from optlink.problem.function import EPIGRAPH
 from optlink.problem.limits import Reach
 from optlink.problem.mechanism import FourBarSection
@@ -29,11 +29,6 @@ GRID = 36  # crank angles at which the assembly of a mechanism other than a four
 EXCHANGE_POINTS = 24  # further ones, moved by the exchange method to where a limit is exceeded
 BETWEEN = 3  # positions between two points if full crank rotation is not required
 EXACT = 1e-10  # share of the size of the curve: residual that counts as zero
-
-
-def deviation_measure(problem: PathProblem) -> ErrorMeasure:
-    """Return the measure of the deviations."""
-    return error_measures(problem.unit, problem.width)[problem.measure]
 
 
 def angle_name(index: int) -> str:
@@ -87,7 +82,7 @@ def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = 
     size, share, free, data = problem.size, problem.whole, problem.free, problem.data
     fixed = tuple(name for name in problem.quantities if name not in free)
     own = data.offsets is None
-    count, measure = len(data.columns), deviation_measure(problem)
+    count, measure = len(data.columns), error_measures(problem.unit, problem.width)[problem.measure]
     minimax = measure.name == "max"
     variables = [scaled_variable(problem, name) for name in free]
     if own:
@@ -370,16 +365,3 @@ def objective_excess(problem: PathProblem, values: Mapping[str, Value], largest:
         cosines = problem.deviation(problem.linkage.pose(values, unit(TURN * shares)), values, ())
         size = np.sqrt(sum(cosine * cosine for cosine in cosines)) + 0.0 * shares
     return np.where(np.isfinite(size), size - largest, -np.inf)
-
-
-__all__ = [
-    "angle_name",
-    "build_path_nlp",
-    "constant_values",
-    "deviation_measure",
-    "has_sampled_objective",
-    "limit_excesses",
-    "objective_excess",
-    "required_motion",
-    "scaled_variable",
-]

@@ -84,15 +84,12 @@ class ProblemFile:
         """Hash of everything that can change the result, sixteen hexadecimal digits."""
         task = getattr(self.model, "requirement", None)
         law = getattr(task, "law", getattr(task, "points", None))
-        read = [repr(part) for part in (self.model.loads, self.model.drive)] if self._tabled else []  # from CSV files
+        tabled = "csv" in json.dumps([self.raw.get("loads"), self.raw.get("drive")], default=str)
+        read = [repr(part) for part in (self.model.loads, self.model.drive)] if tabled else []  # from CSV files
         read += [repr(deviation.values) for deviation in self.model.deviations if deviation.values]
         stated = _without_defaults({key: value for key, value in self.raw.items() if key not in WORDS})
         text = json.dumps([stated, repr(law), *read], sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-    @property
-    def _tabled(self) -> bool:
-        return "csv" in json.dumps([self.raw.get("loads"), self.raw.get("drive")], default=str)
 
     def variants(self) -> list[ProblemFile]:
         """Return the problem with definite assembly modes, one for each combination that it leaves open."""

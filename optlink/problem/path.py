@@ -24,7 +24,8 @@ from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.quantity import Angle, Coordinate, FixedAngle, FixedLength, Quantity, Unusable, nearest
 from optlink.problem.targets.law import Law, Table, read_output_law, rotation
-from optlink.problem.targets.points import TargetPoints, closed, read_points
+from optlink.problem.targets.points import read_points
+from optlink.problem.targets.target_points import TargetPoints, closed
 from optlink.units import DISPLAYED
 
 START, MARK, ZERO = "start", "mark", "zero"

@@ -157,6 +157,3 @@ def check_robust(robust: Robust | None, measure: str, stated: int) -> None:
 def sizes_of(parts: Sequence[Value]) -> Value:
     """Return the largest magnitude of the upper and lower end of an error band; elementwise on arrays."""
     return np.max([np.abs(part) for part in parts], axis=0)
-
-
-__all__ = ["EXPECTED", "WORST", "Robust", "Robustness", "check_robust", "read_robust", "residuals", "sizes_of"]

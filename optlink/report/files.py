@@ -12,12 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from optlink.errors import InputError
-from optlink.io import checked, folder, read_object, whole, write_json
+from optlink.io import checked, folder, read_object, whole
 from optlink.problem.file import ProblemFile, dump
 from optlink.problem.fixed_design import with_files_beside
 from optlink.problem.quantity import input_of, nearest
-
-__all__ = ["checkpoint", "folder", "stream", "target", "whole", "write_csv", "write_design", "write_json"]
 
 LONGEST = 255  # largest length of a file name on common systems [bytes]
 

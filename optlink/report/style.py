@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
-from optlink.report.files import whole
+from optlink.io import whole
 from optlink.report.format import Scale as Scale, degrees as degrees, scale as scale
 
 CRANK, COUPLER, ROCKER, GROUND = "#c0392b", "#2c6fbb", "#2e8b57", "#444444"

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from optlink.io import write_json
 from optlink.problem.base_model import Contradiction
-from optlink.report.files import write_csv, write_design, write_json
+from optlink.report.files import write_csv, write_design
 from optlink.report.table_spec import Paragraph, Summary
 
 if TYPE_CHECKING:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -63,9 +64,10 @@ def _ipopt() -> Backend:
 
 
 def _ipopt_close() -> Backend:
-    from optlink.solvers.ipopt import ipopt_close
+    """Return IPOPT for a nearly optimal start, whose neighbourhood it does not leave."""
+    from optlink.solvers.ipopt import ipopt
 
-    return ipopt_close
+    return functools.partial(ipopt, close=True)
 
 
 def _compiled(nlp: NLP) -> object:

@@ -99,24 +99,6 @@ def compiled(nlp: NLP, tight: bool = False, close: bool = False) -> Any:
     return nlp.cache[key]
 
 
-def ipopt_close(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = False) -> Attempt:
-    """Minimise from a nearly optimal x without leaving its neighbourhood.
-
-    Parameters
-    ----------
-    nlp : NLP
-    x : array (n,)
-        Starting point, scaled.
-    p : array
-        Parameters of the NLP.
-    track : bool
-        Record the iterates.
-    tight : bool
-        Use convergence tolerances of 1e-11 instead of 1e-8.
-    """
-    return ipopt(nlp, x, p, track=track, tight=tight, close=True)
-
-
 def ipopt(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = False, close: bool = False) -> Attempt:
     """Minimise from x with IPOPT; the compiled solver is cached in the NLP.
 

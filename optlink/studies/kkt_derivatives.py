@@ -207,7 +207,8 @@ class KKTSystem:
         rows = set(self.active.tolist())
         for entry in range(len(rates)):
             events = []
-            leaves, arrives = PEAK_EVENTS if self._is_peak(entry) else LIMIT_EVENTS
+            peak = entry >= self.free and self.nlp.rows[entry - self.free].limit == EPIGRAPH  # of an objective, not a limit
+            leaves, arrives = PEAK_EVENTS if peak else LIMIT_EVENTS
             if entry in rows:
                 change = response.multipliers[entry]
                 if not self.equal[entry] and abs(change) > STILL * abs(self.multipliers[entry]):
@@ -227,10 +228,6 @@ class KKTSystem:
                 if least[0] < at <= 0.0:
                     least = (at, f"{self._name(entry)} {what}")
         return ValidityEnd(float(parameter.value + least[0]), least[1]), ValidityEnd(float(parameter.value + most[0]), most[1])
-
-    def _is_peak(self, entry: int) -> bool:
-        """Return whether a row belongs to an objective that is the largest of several values, not to a limit."""
-        return entry >= self.free and self.nlp.rows[entry - self.free].limit == EPIGRAPH
 
     def _name(self, entry: int) -> str:
         if entry < self.free:

@@ -304,6 +304,3 @@ def _searched_again(
     largest = max(*(abs(d) for d in (*design.values(), *row.design.values())), slight, 1e-300)
     gaps += [abs(design[name] - row.design[name]) / largest for name in design if not degenerate]
     return DifferenceCheck(step, objective, design, max(gaps))
-
-
-__all__ = ["DifferenceCheck", "Sensitivities", "Sensitivity", "ValidityEnd", "of_solution", "sensitivities"]

@@ -44,9 +44,10 @@ def explore(
     from optlink.problem.file import ProblemFile, dump
 
     if sliders or design is not None:
-        from optlink.report.html.notebook import explore as with_sliders
+        from optlink.problem.file import load
+        from optlink.report.html.notebook import Explorer
 
-        return with_sliders(problem, design)
+        return Explorer(problem if isinstance(problem, ProblemFile) else load(problem), design)
     try:
         from optlink.studio.widget import Canvas
     except ImportError:

@@ -14,7 +14,7 @@ from typing import Any
 
 import optlink
 from optlink.studio.history import History
-from optlink.studio.worker import DONE, STOP, frame
+from optlink.studio.worker import STOP, frame
 
 Send = Callable[[str], Awaitable[None]]
 
@@ -231,6 +231,3 @@ class Link:
 
 def _moving(request: Mapping[str, Any]) -> bool:
     return request["type"] == "drag" and bool(request.get("moving"))
-
-
-__all__ = ["DONE", "Link", "Worker"]

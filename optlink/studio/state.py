@@ -197,6 +197,3 @@ def _rounded(values: Array) -> Any:
     """Return numbers as lists, with as many digits as a drawing can show."""
     largest = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
     return np.round(values, max(0, DIGITS - 1 - math.floor(math.log10(largest))) if largest > 0.0 else 0).tolist()
-
-
-__all__ = ["active", "charts", "checks", "objective", "targets", "variables"]

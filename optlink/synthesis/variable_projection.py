@@ -155,6 +155,3 @@ class SimilarityFit:
         """Indices of the variables that follow from the others."""
         found = [*self.point, *self.turning, *(i for pair in self.ground for i in pair)]
         return [i for i in found if self.batch.names[i] != START]
-
-
-__all__ = ["SimilarityFit"]

@@ -20,7 +20,7 @@ from optlink.execution import interrupts
 from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.arguments import typed
-from optlink.problem.base_model import Columns, Contradiction, Number, ResultRecord, Tabled
+from optlink.problem.base_model import Columns, Contradiction, Number, ResultRecord, Tabled, check_entries
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range
 from optlink.tasks.machine import (
@@ -57,13 +57,9 @@ class SimulationRecord(ResultRecord):
 
     @model_validator(mode="after")
     def _check_keys(self) -> Self:
-        names = ("time_s", "crank_angle_rad", "speed_rad_s")
-        for name in (*(f"end.{name}" for name in names), "imbalance_J", "turnover_J", "drift_m", "drift_rad"):
-            if name not in self.figures:
-                raise Contradiction(f"figures.{name}", "this is missing")
-        for name in ("time_s", "crank_angle_deg", "energy.gained_J"):
-            if name not in self.columns:
-                raise Contradiction(f"columns.{name}", "this is missing")
+        ends = ("end.time_s", "end.crank_angle_rad", "end.speed_rad_s")
+        check_entries("figures", self.figures, (*ends, "imbalance_J", "turnover_J", "drift_m", "drift_rad"))
+        check_entries("columns", self.columns, ("time_s", "crank_angle_deg", "energy.gained_J"))
         time, crank = self.columns["time_s"], self.columns["crank_angle_deg"]
         if not len(time) or not np.all(np.diff(time) > 0.0) or not np.all(np.isfinite(crank)):
             raise Contradiction("columns", "its times do not rise, or its crank angles are not known")

@@ -312,7 +312,8 @@ class BallProblem:
                         _cosine_row(key, group.cosine(pose), low, high)  # type: ignore[attr-defined]
                         for pose in (over_span if over != required else whole)
                     ]
-                    yield from _by_side(rows)
+                    yield from ((key, value, low, math.inf) for key, value, low, _ in rows if math.isfinite(low))
+                    yield from ((key, value, -math.inf, high) for key, value, _, high in rows if math.isfinite(high))
             if aligned:
                 least = math.sin(problem.limits.alignment.value) ** 2
                 yield from (("limits.alignment", group.alignment(pose), least, math.inf) for pose in whole)
@@ -329,12 +330,6 @@ class BallProblem:
                 x, y = (one.model for one in found[:2])
                 most = float(data.tolerances[k]) * float(data.roots[k])
                 yield "requirement.points", -(x * x) - y * y, -most * most, math.inf  # type: ignore[operator]
-
-
-def _by_side(rows: list[Row]) -> Iterator[Row]:
-    """Yield the lower sides of all rows before the upper ones."""
-    yield from ((key, value, low, math.inf) for key, value, low, _ in rows if math.isfinite(low))
-    yield from ((key, value, -math.inf, high) for key, value, _, high in rows if math.isfinite(high))
 
 
 def _cosine_row(key: str, cosine: Ball, low: float, high: float) -> Row:

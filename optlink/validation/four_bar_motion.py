@@ -111,7 +111,8 @@ class FourBarMotion:
             yield part, self._joints(self.angles if self.angles.ndim == 1 else self.angles[part], part)
 
     @cached_property
-    def _survey(self) -> _Survey:
+    def survey(self) -> _Survey:
+        """Figures of the motion of each design."""
         found = [vars(self._surveyed(part, joints)) for part, joints in self._blocks()]
         return _Survey(**{name: np.concatenate([one[name] for one in found], axis=-1) for name in found[0]})
 
@@ -176,29 +177,19 @@ class FourBarMotion:
         size : array (designs,) [m]
             Reference length.
         """
-        found = self._survey
+        found = self.survey
         named = zip(("crank", "coupler", "rocker"), found.least, found.largest, strict=True)
         return length_check(((least, largest, lengths[name]) for name, least, largest in named), size)
 
     def least_height(self, side: int) -> Array:
         """Return the least height of C on a side (+1: left) of the line B-D (designs,) [m]."""
-        least, largest = self._survey.heights
+        least, largest = self.survey.heights
         return np.asarray(least if side > 0 else -largest)
-
-    @property
-    def fastest(self) -> Array:
-        """Largest speed of C for a crank with 1 rad/s (designs,) [m/s]."""
-        return self._survey.fastest
-
-    @property
-    def longest_step(self) -> Array:
-        """Largest distance of two successive positions of C (designs,) [m]."""
-        return self._survey.longest
 
     @cached_property
     def _cosine_extremes(self) -> tuple[Array, Array]:
         """Crank angle [rad] and value (2, designs) of the least and of the largest cosine of the transmission angle."""
-        found, signs = self._survey, np.array([[1.0], [-1.0]])
+        found, signs = self.survey, np.array([[1.0], [-1.0]])
         ends = np.sort(self.angles[..., [0, -1]], axis=-1) if self.period is None else np.array([-np.inf, np.inf])
         low, high = (np.clip(found.angle + way * self.step, ends[..., 0], ends[..., 1]).ravel() for way in (-1.0, 1.0))
         coupler, rocker = found.mean[1:, :, None]
@@ -226,7 +217,7 @@ class FourBarMotion:
         joints = self._joints(self._cosine_extremes[0].T, slice(None))
         with np.errstate(all="ignore"):
             sine, cosine = cross(joints.coupler, joints.rocker), dot(joints.coupler, joints.rocker)
-        angle = np.where(np.isfinite(self._survey.mean[1])[:, None], np.abs(np.arctan2(sine, cosine)), np.nan)
+        angle = np.where(np.isfinite(self.survey.mean[1])[:, None], np.abs(np.arctan2(sine, cosine)), np.nan)
         return angle[:, 1], angle[:, 0]
 
     def dead_centres(self) -> tuple[Array, Array, Index]:

@@ -294,8 +294,8 @@ def _circuit(tested: _Tested) -> Iterator[Checks]:
     motion = tested.required
     least = motion.least_height(tested.problem.side) * 1e3
     yield Checks("one branch: C on one side of B-D", least > 0.0, least, "> 0", "mm")
-    fastest = motion.fastest * motion.step * 1.5 + 1e-9
-    jump = motion.longest_step
+    fastest = motion.survey.fastest * motion.step * 1.5 + 1e-9
+    jump = motion.survey.longest
     yield Checks("one circuit: C moves without a jump", jump <= fastest, jump * 1e3, text("<= {:.3g}", fastest * 1e3), "mm")
 
 

@@ -208,11 +208,6 @@ class _Tested:
         angle = np.asarray(self.sweep(at).body_angle(str(self.problem.requirement.output)).value, dtype=float)
         return np.asarray(np.unwrap(angle)[None, index])
 
-    def limited_motion(self) -> Motion:
-        """Return the motion over which the transmission angle is limited."""
-        whole = self.problem.limits.transmission_range == "revolution" and self.revolution is not None
-        return self.revolution if whole and self.revolution is not None else self.span
-
 
 def _sizes(tested: _Tested) -> Iterator[Check]:
     """Check bounds, fixed quantities, and constant link lengths in motion."""
@@ -318,7 +313,8 @@ def _transmission(tested: _Tested) -> Iterator[Check]:
     def angles(at: Array) -> Array:
         return transmission_angles(tested.sweep(at), tested.mechanism).T
 
-    motion = tested.limited_motion()
+    whole = tested.problem.limits.transmission_range == "revolution" and tested.revolution is not None
+    motion = tested.revolution if whole and tested.revolution is not None else tested.span
     grid = np.sort(motion.crank_angle)
     if motion is tested.revolution:
         grid = np.append(grid, grid[0] + TURN)

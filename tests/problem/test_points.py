@@ -15,7 +15,8 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from optlink.problem.quantity import Unusable
-from optlink.problem.targets.points import DEFAULT_POINTS, MAX_POINTS, TargetPoints, closed, read_points
+from optlink.problem.targets.points import read_points
+from optlink.problem.targets.target_points import DEFAULT_POINTS, MAX_POINTS, TargetPoints, closed
 
 CIRCLE = {"x": "20*cos(t)", "y": "20*sin(t)", "unit": "mm", "t": [0, "2*pi"], "points": 40}
 

@@ -23,8 +23,8 @@ import optlink
 from optlink.report.export.dimensions import dimensioned
 from optlink.report.format import pretty
 from optlink.report.html import chart_plotly, theme
-from optlink.report.html.page import LARGEST, charts, page, sensitivities_of, write_page
-from optlink.report.html.shell import four
+from optlink.report.html.page import charts, page, sensitivities_of, write_page
+from optlink.report.html.shell import LARGEST, four
 from optlink.report.report_model import ReportModel, report_model_of, solve_or_validate
 from optlink.report.scene import scene
 from optlink.report.stored.loader import load_stored

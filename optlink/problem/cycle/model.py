@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
 
@@ -291,6 +291,3 @@ def _degrees(angle: float) -> str:
 
 def _forced(term: Term) -> bool:
     return term.nature.kind in ("torque", "force", "energy")
-
-
-__all__ = ["Bound", "CycleProblem", "StrokeProblem", "replace"]

@@ -8,7 +8,7 @@ from optlink.problem.quantity import Unusable, check_keys
 from optlink.problem.targets.curves import expression_curve
 from optlink.problem.targets.point_table import check_and_reduce, read_csv_rows, read_rows
 from optlink.problem.targets.svg_path import svg_points
-from optlink.problem.targets.target_points import DEFAULT_POINTS, MAX_POINTS, TargetPoints, closed, read_count
+from optlink.problem.targets.target_points import TargetPoints, read_count
 
 _FORMS = (
     'Write [["20 mm", "25 mm"], ...], { csv = "curve.csv" }, { svg = "drawing.svg" } '
@@ -59,6 +59,3 @@ def read_points(raw: object, folder: Path) -> TargetPoints:
         count = read_count(raw) if "points" in raw else None
         return check_and_reduce(read_csv_rows(raw, folder), count)
     return svg_points(raw, folder) if forms == ["svg"] else expression_curve(raw)
-
-
-__all__ = ["DEFAULT_POINTS", "MAX_POINTS", "TargetPoints", "closed", "read_points"]

@@ -10,7 +10,6 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +19,6 @@ from optlink.errors import InputError
 from optlink.linkage.mechanism import FRAME, Guide, Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import Array
-from optlink.report.files import whole
 from optlink.report.scene import scene
 from optlink.report.shapes import hull, in_line
 from optlink.tasks.results.analysis import Analysis
@@ -56,27 +54,6 @@ class Plate:
     def block(self) -> str:
         """Name of its block and of its layer."""
         return f"LINK {self.body}" if self.body != FRAME else "FRAME"
-
-
-def write_dxf(cycle: Analysis, path: Path, at: float, title: str, hole: float | None = None, width: float | None = None) -> None:
-    """Write a DXF drawing.
-
-    Parameters
-    ----------
-    cycle : Analysis
-    path : Path
-    at : float [rad]
-        Crank angle of the assembly, within the reachable range.
-    title : str
-        Stored in the properties of the file.
-    hole : float [m] or None, optional
-        Diameter of the holes; default: according to the extent.
-    width : float [m] or None, optional
-        Width of the links; default: according to the hole diameter.
-    """
-    drawing = document(cycle, at, title, hole, width)
-    with whole(path) as temporary:
-        drawing.saveas(temporary)
 
 
 def document(cycle: Analysis, at: float, title: str, hole: float | None = None, width: float | None = None) -> Drawing:

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 
 from optlink.errors import InputError
-from optlink.io import finite, head
+from optlink.io import finite, head, whole, write_json
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import sweep
 from optlink.linkage.stroke import failure
 from optlink.linkage.vector2d import Vector
 from optlink.problem.quantity import LARGEST_ANGLE, LONGEST, SHORTEST, check_range
-from optlink.report.export.dxf import travelled, write_dxf
+from optlink.report.export.dxf import document, travelled
 from optlink.report.export.svg import svg
-from optlink.report.files import target, whole, write_csv, write_json
+from optlink.report.files import target, write_csv
 from optlink.report.report_model import ReportModel
 from optlink.report.scene import scene
 from optlink.tasks.analyze import MAX_POINTS, analyze
@@ -111,7 +111,9 @@ def place_of(subject: ReportModel, cycle: Analysis, at: float | None) -> float:
 
 def _dxf(subject: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
     at = place_of(subject, cycle, options.at)
-    write_dxf(cycle, path, at, subject.problem.model.title, options.hole, options.width)
+    drawing = document(cycle, at, subject.problem.model.title, options.hole, options.width)
+    with whole(path) as temporary:
+        drawing.saveas(temporary)
 
 
 def _svg(subject: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 from optlink.errors import InputError, OptlinkError
 from optlink.problem.base_model import Contradiction
-from optlink.problem.file import ProblemFile, load
+from optlink.problem.file import ProblemFile
 from optlink.report.chart_spec import ChartSpec
 from optlink.report.export.svg import svg
 from optlink.report.html.moving_linkage import Moving
@@ -115,35 +115,13 @@ QUICK = ("function",)  # kinds of problems that are optimised again in about a t
 STYLE = "<style>.optlink-bad,.optlink-figures .bad{color:#b3261e}.optlink-figures .good{color:#1e7b34}</style>"
 
 
-def explore(problem: ProblemFile | str | Path, design: Mapping[str, float] | None = None) -> Explorer:
-    """Show a problem with a slider for every dimension and limit, its linkage in motion, and the checks of the current design.
+class Explorer:
+    """Sliders of every dimension and limit of a problem, its linkage in motion, and the checks of its current result.
 
     A slider of a design variable changes the design, which is validated. A slider of a fixed dimension or of a limit changes
     the problem, which is optimised again: at once for a function of a four-bar, else at the button. Machines without design
-    variables are analysed.
-
-    Parameters
-    ----------
-    problem : ProblemFile, str or Path
-        Problem, name of a shipped problem, or path of a problem file.
-    design : mapping of str to float [m, rad], optional
-        Initial design. Default: the optimum of a function, path or motion problem, and the starting values of a machine.
-
-    Returns
-    -------
-    Explorer
-        Shown by a notebook; `problem` and `result` are the current ones.
-
-    Raises
-    ------
-    InputError
-        If the package ipywidgets is not installed, or the problem cannot be solved.
-    """
-    return Explorer(problem if isinstance(problem, ProblemFile) else load(problem), design)
-
-
-class Explorer:
-    """Sliders of a problem, and its current result.
+    variables are analysed. The initial design is, unless given, the optimum of a function, path or motion problem, and the
+    starting values of a machine.
 
     Attributes
     ----------

@@ -7,12 +7,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from optlink.errors import Status
+from optlink.io import whole
 from optlink.report.chart_spec import ChartSpec
-from optlink.report.files import whole
 from optlink.report.format import single_units
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, turning
-from optlink.report.html.shell import LARGEST, PageSection
+from optlink.report.html.shell import PageSection
 from optlink.report.registry import table_of, view_of
 from optlink.report.report_model import Outcome, ReportModel
 from optlink.report.stored.stored_study import StoredStudy, study_page
@@ -32,8 +32,6 @@ from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.analysis import Analysis
 from optlink.tasks.results.cycle import CycleResult
 from optlink.tasks.results.path import PathDesign, PathResult
-
-__all__ = ["LARGEST", "page", "result_tables", "sensitivities_of", "verdict", "write_page"]
 
 
 def write_page(subject: ReportModel | StoredStudy, path: Path) -> None:
@@ -62,7 +60,7 @@ def page(subject: ReportModel | StoredStudy) -> str:
 def _report(subject: ReportModel) -> StoredStudy:
     effects = subject.effects or sensitivities_of(subject)
     with single_units():
-        shown = result_tables(subject)
+        shown = table_of(_kind(subject))(subject.result)
         return StoredStudy(
             problem=subject.problem,
             kind=subject.problem.kind,
@@ -159,11 +157,6 @@ def _failed(subject: ReportModel) -> str:
     checked = getattr(subject.result, "validation", None)
     names = [check.name for check in checked.checks if not check.passed] if checked else []
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-
-
-def result_tables(subject: ReportModel) -> Summary:
-    """Return the summary of the result."""
-    return table_of(_kind(subject))(subject.result)
 
 
 def _kind(subject: ReportModel) -> str:

@@ -21,7 +21,7 @@ from optlink.report.format import pretty, single_units
 from optlink.report.html import theme
 from optlink.report.html.chart_plotly import Chart, short
 from optlink.report.html.moving_linkage import Moving
-from optlink.report.table_spec import Paragraph, Part, Span, TableSpec
+from optlink.report.table_spec import Paragraph, Part, TableSpec
 from optlink.version import VERSION
 
 LARGEST = 3_000_000  # largest size of a page [bytes]
@@ -194,7 +194,7 @@ def templates() -> Environment:
         "section": PageSection,
     }
     made.tests.update({name: lambda shown, kind=kind: isinstance(shown, kind) for name, kind in kinds.items()})
-    made.tests["short"] = _is_short
+    made.tests["short"] = lambda cell: max(map(len, cell.text.split("\n"))) <= WHOLE  # must not be broken
     made.filters.update(json=_json, lines=_lines, card_classes=_card_classes, row_header=_row_header)
     made.filters.update(four=four, coloured=lambda text: Markup(theme.variable(text)))
     return made
@@ -208,11 +208,6 @@ def fragment(*parts: Part) -> str:
 
 def _lines(text: str) -> Markup:
     return Markup("<br>").join(Markup("<wbr>").join(_KEY_DOT.split(line)) for line in pretty(text).split("\n"))
-
-
-def _is_short(cell: Span) -> bool:
-    """Return whether a cell must not be broken."""
-    return max(map(len, cell.text.split("\n"))) <= WHOLE
 
 
 def _card_classes(spec: TableSpec) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 from optlink.errors import Status
 from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.nlp import NLP, build
-from optlink.problem.base_model import Contradiction, ResultRecord, check_length
+from optlink.problem.base_model import Contradiction, ResultRecord, check_entries, check_length
 from optlink.problem.file import ProblemFile
 from optlink.problem.path import PathProblem
 from optlink.report.report_model import Outcome, ReportModel, report_model_of
@@ -98,8 +98,7 @@ def _solved(outcome: Outcome) -> Outcome:
 def _sensitive(record: SensitivitiesRecord, file: ProblemFile, notes: tuple[str, ...]) -> ReportModel:
     """Return the optimum of a sensitivity study with recomputed derivatives and stored checks."""
     values = {name: value * _size(file, record.design_units, name) for name, value in record.design.items()}
-    if missing := [name for name in file.model.free if name not in values]:
-        raise Contradiction(f"design.{missing[0]}", "this is missing")
+    check_entries("design", values, file.model.free)
     given = values if file.task == "path" else {name: values[name] for name in file.model.free}
     outcome = _solved(validate(file, given).with_best(status=Status.OPTIMAL))
     best = getattr(outcome, "best", None)
@@ -125,8 +124,7 @@ def _size(file: ProblemFile, units: Mapping[str, str], name: str) -> float:
 
 def _outcome(record: ResultRecord, path: Path, file: ProblemFile) -> Outcome:
     if isinstance(record, AnalysisRecord):
-        if missing := [name for name in file.model.free if name not in record.sizes]:
-            raise Contradiction(f"sizes.{missing[0]}", "this is missing")
+        check_entries("sizes", record.sizes, file.model.free)
         design = {name: record.sizes[name] for name in file.model.free}
         count = len(next(iter(record.columns.values()), ()))
         return analyze(file, max(1, count - 1), speed=record.speed_rad_s, design=design)
@@ -168,10 +166,8 @@ def _path_design(record: PathDesignRecord, where: str, file: ProblemFile) -> Pat
     if variant is None:
         raise Contradiction(f"{where}.assembly", "the problem has no such assembly mode")
     values = named_si(variant, record.design)
-    if missing := [name for name in variant.model.quantities if name not in values]:
-        raise Contradiction(f"{where}.design.{missing[0]}", "this is missing")
-    if "crank_deg" not in record.points:
-        raise Contradiction(f"{where}.points.crank_deg", "this is missing")
+    check_entries(f"{where}.design", values, variant.model.quantities)
+    check_entries(f"{where}.points", record.points, ["crank_deg"])
     angles = np.radians(record.points["crank_deg"])
     assert isinstance(variant.model, PathProblem)
     check_length(angles, len(variant.model.data.columns), f"{where}.points.crank_deg")

@@ -276,10 +276,6 @@ def _circle(at: Array, radius: float, face: Any, edge: str, width: float, above:
     return Circle((at[0], at[1]), radius, facecolor=face, edgecolor=edge, linewidth=width, zorder=above, gid=gid)
 
 
-def _exaggerated(sketch: MagnifiedMachine) -> str:
-    return f"deviations of the bodies {f'drawn {sketch.factor:g}-fold' if sketch.factor > 1.0 else 'as they are'}"
-
-
 @styled
 def mechanism(result: ClearanceSimulation) -> Figure | None:
     """Draw the mechanism at the largest contact force of the last revolution, with close-ups of its joints with clearance."""
@@ -304,7 +300,8 @@ def mechanism(result: ClearanceSimulation) -> Figure | None:
     place = f"φ {degrees(math.radians(float(turns.angle[row]) % FULL))}, largest contact force of {turns.span(1)}"
     words = turns.title("joint clearance, magnified", place).split("\n")
     made.suptitle("\n".join(heading(line, width - 0.4, TITLE) for line in words), fontsize=TITLE)
-    stage.set_title(_exaggerated(sketch), fontsize=9.5)
+    drawn = f"drawn {sketch.factor:g}-fold" if sketch.factor > 1.0 else "as they are"
+    stage.set_title(f"deviations of the bodies {drawn}", fontsize=9.5)
     caption = heading("journals, their paths, contact forces on them", width if strip.get_position().x0 < 0.5 else 3.0, 9.5)
     strip.set_title(caption, fontsize=9.5)
     sketch.add_legend(made, int(width))

@@ -11,7 +11,7 @@ import numpy as np
 
 from optlink.dynamics.ending import Ending
 from optlink.dynamics.machine import Machine, slider_names
-from optlink.problem.base_model import Contradiction
+from optlink.problem.base_model import check_entries
 from optlink.problem.file import ProblemFile
 from optlink.report.chart_spec import TIME, Array, Axis, ChartSpec, Curve, Dash, Panel
 from optlink.report.html import chart_plotly
@@ -231,8 +231,7 @@ def stored_study(record: SimulationRecord, file: ProblemFile, _: Path) -> Stored
 
 def _sizes(record: SimulationRecord, file: ProblemFile) -> dict[str, float]:
     """Return the dimensions [SI] of the simulated machine."""
-    if missing := [name for name in file.model.mechanism.quantities if name not in record.sizes_SI]:
-        raise Contradiction(f"sizes_SI.{missing[0]}", "this is missing")
+    check_entries("sizes_SI", record.sizes_SI, file.model.mechanism.quantities)
     return record.sizes_SI
 
 

@@ -186,7 +186,8 @@ class GridSearch:
 
         With the points of the grid, which lie in these blocks, the iterations begin at the predictions of the blocks.
         """
-        usable = self._usable(blocks)
+        each, which = np.unique(blocks, return_inverse=True)
+        usable = np.array([self.at_middle(block).usable for block in each.tolist()], dtype=bool)[which]
         some, blocks = some[usable], blocks[usable]
         ended = self._continued(problem.part(some), blocks, None if points is None else points[some])
         with np.errstate(invalid="ignore"):
@@ -234,10 +235,6 @@ class GridSearch:
                 known[k].append(value)
             others[k].add(one)
         return others
-
-    def _usable(self, blocks: Index) -> Bools:
-        each, which = np.unique(blocks, return_inverse=True)
-        return np.array([self.at_middle(block).usable for block in each.tolist()], dtype=bool)[which]
 
     def _predictions_of(self, blocks: Index) -> dict[int, Prediction]:
         """Return the predictions of blocks (blocks,) that have one."""

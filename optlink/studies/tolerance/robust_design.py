@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
-from optlink.errors import Fault, InputError, Status
+from optlink.errors import InputError, Status
 from optlink.problem.base_model import Record, absent
 from optlink.problem.file import ProblemFile
 from optlink.problem.robust import MOST, WORST
@@ -178,8 +178,10 @@ class RobustSearch:
         try:
             self.problem = first.problem.override({"requirement.measure": "max", "tolerances": entries})
         except InputError as error:
-            faults = [_with_option(fault, tolerances) for fault in error.faults]
-            raise InputError(faults) from None
+            if not tolerances:
+                raise
+            keys = [(fault.key or "").replace("tolerances.", "--tolerance ", 1) for fault in error.faults]
+            raise InputError([replace(fault, key=key) for fault, key in zip(error.faults, keys, strict=True)]) from None
 
     def least(self, sigmas: float | None, start: Mapping[str, float] | None = None) -> RobustDesign:
         """Minimise the largest error including its scatter.
@@ -194,10 +196,3 @@ class RobustSearch:
         problem = self.problem.override({"requirement.robust": WORST if sigmas is None else f"{sigmas!r} sigma"})
         found = completed(solve(problem, begin=self.nominal if start is None else start))
         return RobustDesign(found, dict(self.nominal), sigmas, validate(problem, self.nominal).objective)
-
-
-def _with_option(fault: Fault, tolerances: Sequence[str]) -> Fault:
-    """Return an error of a tolerance with the key under which it was stated."""
-    if not tolerances:
-        return fault
-    return replace(fault, key=(fault.key or "").replace("tolerances.", "--tolerance ", 1))

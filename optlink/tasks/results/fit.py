@@ -290,12 +290,6 @@ def _rotation(task: PathProblem) -> float:
     return float(np.ptp(np.unwrap(np.arctan2(task.data.columns[:, 3], task.data.columns[:, 2]))))
 
 
-def _motion_angles(task: PathProblem, crank_angles: Array) -> Array:
-    """Return crank angles (positions,) [rad] over the whole motion of a design."""
-    end = crank_angles[0] + TURN if task.limits.crank != "span" else crank_angles[-1]
-    return np.linspace(float(crank_angles[0]), float(end), ALONG)
-
-
 def _four_bar(task: PathProblem, values: Mapping[str, float]) -> str:
     """Return the Grashof type of a four-bar; an empty text for other mechanisms."""
     return grashof(*(values[n] for n in LENGTHS)).inversion.value if isinstance(task.mechanism, FourBarSection) else ""
@@ -322,7 +316,9 @@ def _timed(
     """Detect a curve that passes the points, but at crank angles other than those prescribed."""
     if task.requirement.kind != "path" or task.data.offsets is None:
         return
-    curve = sweep(task.linkage, values, _motion_angles(task, angles)).position(task.requirement.point)
+    end = angles[0] + TURN if task.limits.crank != "span" else angles[-1]
+    motion = sweep(task.linkage, values, np.linspace(float(angles[0]), float(end), ALONG))
+    curve = motion.position(task.requirement.point)
     gaps = np.array([np.min(np.hypot(*(curve - place).T)) for place in task.data.columns[:, :2]])
     near, error = _rms(gaps), _rms(measured.distances)
     if near < NEAR * error:
