@@ -184,8 +184,7 @@ class _Lightest:
         found = solved(self.programme.cp, self.exact)
         if found.status != "optimal" or found.outside > FITS:
             return None
-        lighter: Array = x + self.idle @ np.atleast_1d(self.free.value)
-        return lighter
+        return np.asarray(x + self.idle @ np.atleast_1d(self.free.value))
 
     def like(self, x: Array) -> Array:
         """Return the lightest parameters that are as good as `x`; `x` itself if none are lighter."""

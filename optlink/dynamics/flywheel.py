@@ -82,8 +82,7 @@ class Fluctuation:
         gain = self.gain - np.min(self.gain)
 
         def speed(energy: float) -> Array:
-            found: Array = np.sqrt(np.maximum(2.0 * (energy + gain) / total, 0.0))
-            return found
+            return np.asarray(np.sqrt(np.maximum(2.0 * (energy + gain) / total, 0.0)))
 
         target = abs(self.mean_speed)
         if np.mean(speed(0.0)) > target:

@@ -87,8 +87,7 @@ def corners(machine: Machine, low: float, high: float, speed: float) -> Array:
 
 
 def _grid(low: float, high: float) -> Array:
-    even: Array = low + (high - low) * np.linspace(0.0, 1.0, 8 * _panels(low, high) + 1)
-    return even
+    return np.asarray(low + (high - low) * np.linspace(0.0, 1.0, 8 * _panels(low, high) + 1))
 
 
 def _panels(low: float, high: float) -> int:
@@ -99,8 +98,7 @@ def _rising(found: list[Array], low: float, high: float) -> Array:
     angles = distinct(np.concatenate([*found, np.empty(0)]))
     inside = angles[(angles > low) & (angles < high)]
     keep = np.concatenate([np.ones(min(1, len(inside)), dtype=bool), np.diff(inside) > 1e-12])
-    rising: Array = inside[keep]
-    return rising
+    return np.asarray(inside[keep])
 
 
 class Work:
@@ -127,11 +125,9 @@ class Work:
     def _integral(self, a: Array, b: Array) -> Array:
         points, half = gauss_points(a, b)
         values = self.torque(points.ravel()).reshape(points.shape)
-        integral: Array = half * (values @ WEIGHTS)
-        return integral
+        return np.asarray(half * (values @ WEIGHTS))
 
     def __call__(self, angles: Array) -> Array:
         """Return the work [J] from the start to crank angles (n,)."""
         place = np.clip(np.searchsorted(self.knots, angles, side="right") - 1, 0, len(self.knots) - 2)
-        work: Array = self._sum[place] + self._integral(self.knots[place], angles) - self._start
-        return work
+        return np.asarray(self._sum[place] + self._integral(self.knots[place], angles) - self._start)

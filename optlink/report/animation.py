@@ -97,5 +97,4 @@ def there_and_back(low: float, high: float, count: int) -> Array:
         Number of angles.
     """
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    steps: Array = middle - half * np.cos(np.linspace(0.0, 2.0 * np.pi, count, endpoint=False))
-    return steps
+    return np.asarray(middle - half * np.cos(np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)))

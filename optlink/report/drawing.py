@@ -103,8 +103,7 @@ class Sketch:
         x, y = (np.broadcast_to(jet_parts(part)[0], shape)[:, None] for part in way)
         start = self.position(motion, self.mechanism.bodies[body].start)[:, None, :]
         along, across = outline[:, 0], outline[:, 1]
-        placed: Array = start + np.stack([along * x - across * y, along * y + across * x], axis=-1)
-        return placed
+        return np.asarray(start + np.stack([along * x - across * y, along * y + across * x], axis=-1))
 
     def _vector(self, vector: Vector) -> Array:
         return np.array([float(jet_parts(part)[0]) for part in vector]) * self.scale.factor

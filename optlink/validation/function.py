@@ -160,8 +160,7 @@ class _Tested:
         actual = np.arctan2(c[1] - d[1], c[0] - d[0])
         with np.errstate(all="ignore"):
             target = np.asarray(self.problem.law.target(at, tabulated, self.phi0, self.psi0) + 0.0 * at, dtype=float)
-        error: Array = np.remainder(target - actual + np.pi, TURN) - np.pi
-        return error
+        return np.asarray(np.remainder(target - actual + np.pi, TURN) - np.pi)
 
     def prescribed_from_start(self) -> tuple[Array, Array]:
         """Return crank rotations (rotations,) from the start on and the prescribed angles (designs, rotations) [rad] there.

@@ -42,8 +42,7 @@ def passing(problem: PathProblem, design: Mapping[str, float]) -> Array:
     rotation = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(problem.requirement.rotation)
     found = [_one_way(problem, design, way) for way in ((1.0, -1.0) if rotation is None else (rotation,))]
     angles = min(found, key=lambda each: each[1])[0]
-    begun: Array = angles - TURN * np.round(angles[0] / TURN)
-    return begun
+    return np.asarray(angles - TURN * np.round(angles[0] / TURN))
 
 
 def _squares(problem: PathProblem, design: Mapping[str, float], angles: Array) -> Array:
@@ -57,8 +56,7 @@ def _squares(problem: PathProblem, design: Mapping[str, float], angles: Array) -
         turned = np.asarray(motion.body_angle(problem.body).value).reshape(at.shape) + design[MARK]
         aim = np.arctan2(data.columns[:, 3], data.columns[:, 2])[:, None]
         square = square + (problem.radian * (np.remainder(turned - aim + np.pi, TURN) - np.pi)) ** 2
-    found: Array = np.where(np.isfinite(square), square, far) * data.roots[:, None] ** 2
-    return found
+    return np.asarray(np.where(np.isfinite(square), square, far) * data.roots[:, None] ** 2)
 
 
 def _one_way(problem: PathProblem, design: Mapping[str, float], way: float) -> tuple[Array, float]:

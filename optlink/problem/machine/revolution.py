@@ -64,8 +64,7 @@ class Revolution:
         velocity = load.reversing(self.moving)
         shape = np.shape(self.moving.motion.assembled)
         rate = np.broadcast_to(np.asarray(velocity[0] if velocity else 0.0, dtype=float), shape)
-        known: Array = rate[np.isfinite(rate)]
-        return known
+        return np.asarray(rate[np.isfinite(rate)])
 
     def check_moves(self, load: Load) -> None:
         """Refuse a load that opposes a motion that does not exist.

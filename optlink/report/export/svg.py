@@ -218,12 +218,10 @@ def name_offsets(scene: Scene) -> dict[str, tuple[float, float]]:
 
 
 def _area(boxes: Array) -> Array:
-    area: Array = np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)
-    return area
+    return np.asarray(np.prod(boxes[:, 2:] - boxes[:, :2], axis=1))
 
 
 def _common(boxes: Array, others: Array) -> Array:
     """Return the areas that boxes (n, 4) have in common with others."""
     sides = np.minimum(boxes[:, 2:], others[:, 2:]) - np.maximum(boxes[:, :2], others[:, :2])
-    common: Array = np.prod(np.maximum(sides, 0.0), axis=1)
-    return common
+    return np.asarray(np.prod(np.maximum(sides, 0.0), axis=1))

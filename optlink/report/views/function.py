@@ -63,8 +63,7 @@ def _range(result: FunctionResult) -> Array:
 def _transmission(motion: Motion) -> Array:
     b, c, d = (motion.position(name) for name in "BCD")
     cosine = np.sum((b - c) * (d - c), axis=-1) / (np.linalg.norm(b - c, axis=-1) * np.linalg.norm(d - c, axis=-1))
-    gamma: Array = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))  # clipped, since values beyond +-1 are rounding errors
-    return gamma
+    return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))  # clipped, since values beyond +-1 are rounding errors
 
 
 # --- mechanism -------------------------------------------------------------------------------------------------------

@@ -81,8 +81,7 @@ class MagnifiedMachine(Sketch):
 
     def force(self, gap: Gap) -> Array:
         """Return the magnitude of the contact force at the rows [N]."""
-        amount: Array = np.hypot(self.columns(f"{gap.point}.normal_N"), self.columns(f"{gap.point}.rub_N"))
-        return amount
+        return np.asarray(np.hypot(self.columns(f"{gap.point}.normal_N"), self.columns(f"{gap.point}.rub_N")))
 
     def eccentricity(self, gap: Gap) -> Array:
         """Return the vectors from the bearing centre to the journal centre at the rows [m], shape (positions, 2)."""
@@ -107,8 +106,7 @@ class MagnifiedMachine(Sketch):
         if f"{name}.x_m" not in known:
             return ideal
         there = np.stack([self.columns(f"{name}.{axis}_m") for axis in "xy"], axis=-1) * self.scale.factor
-        drawn: Array = ideal + self.factor * (there - ideal)
-        return drawn
+        return np.asarray(ideal + self.factor * (there - ideal))
 
     def position(self, motion: Motion, name: str) -> Array:
         """Return the positions of a point in the display unit; at a joint with clearance, those of the bearing centre.
@@ -140,8 +138,7 @@ class MagnifiedMachine(Sketch):
         x, y = np.cos(self.angles[body])[:, None], np.sin(self.angles[body])[:, None]
         along, across = outline[:, 0], outline[:, 1]
         start = self.at(self.mechanism.bodies[body].start, body)[:, None, :]
-        placed: Array = start + np.stack([along * x - across * y, along * y + across * x], axis=-1)
-        return placed
+        return np.asarray(start + np.stack([along * x - across * y, along * y + across * x], axis=-1))
 
     # --- drawing -----------------------------------------------------------------------------------------------------------
 

@@ -83,8 +83,7 @@ class PathView:
     @property
     def targets(self) -> Array:
         """Precision points [m], shape (points, 2); empty for function and transmission synthesis."""
-        places: Array = self.task.data.columns[:, :2] if self.task.pointed else np.empty((0, 2))
-        return places
+        return np.asarray(self.task.data.columns[:, :2] if self.task.pointed else np.empty((0, 2)))
 
     @property
     def generated(self) -> Array:

@@ -96,8 +96,7 @@ class RevolutionCurves:
         if self.result.output.guide:
             return values
         values = np.unwrap(values)
-        lifted: Array = values - 2.0 * math.pi * math.floor(float(np.min(values[self.rows(WINDOW)])) / (2.0 * math.pi) + 0.5)
-        return lifted
+        return np.asarray(values - 2.0 * math.pi * math.floor(float(np.min(values[self.rows(WINDOW)])) / (2.0 * math.pi) + 0.5))
 
     @property
     def error(self) -> Array:

@@ -420,5 +420,4 @@ def lawson_weights(models: BoxModels) -> Array:
         total = np.sum(weights * size, axis=1, keepdims=True)
         weights = np.where(total > 0.0, weights * size / np.where(total > 0.0, total, 1.0), weights)
     total = np.maximum(weights.sum(axis=1, keepdims=True), TINY)
-    found: Array = weights * (1.0 - 8.0 * UNIT * positions) / total
-    return found
+    return np.asarray(weights * (1.0 - 8.0 * UNIT * positions) / total)
