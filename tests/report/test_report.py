@@ -12,7 +12,7 @@ from PIL import Image
 
 import optlink
 from optlink.errors import InputError
-from optlink.report import files as store
+from optlink.io import whole, write_json
 from optlink.report.chart_mpl import draw
 from optlink.report.registry import view_of
 from optlink.report.views import function
@@ -143,7 +143,7 @@ def test_a_failed_write_leaves_nothing_behind(tmp_path):
     target.write_text("before")
 
     def fail_half_way():
-        with store.whole(target) as temporary:
+        with whole(target) as temporary:
             temporary.write_text("half")
             raise ZeroDivisionError
 
@@ -161,5 +161,5 @@ def test_a_full_disk_is_told_and_leaves_nothing_behind(tmp_path, monkeypatch):
 
     monkeypatch.setattr("pathlib.Path.write_text", full)
     with pytest.raises(InputError, match="No space left on device"):
-        store.write_json(target, {})
+        write_json(target, {})
     assert list(tmp_path.iterdir()) == []
