@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+import math
+
 import numpy as np
 
 from optlink.linkage.dyad_types import transmitting
@@ -11,6 +14,7 @@ from optlink.problem.mechanism import FourBarSection, check_one_mode
 from optlink.problem.path import FINE, SLIDES, PathProblem
 from optlink.problem.quantity import Unusable, nearest
 from optlink.problem.targets.law import SLIDE, Table, check_rotation
+from optlink.problem.targets.target_points import COINCIDENT, TargetPoints
 
 MAX_SHIFT = 1e6  # largest distance of the curve from the origin, in multiples of its size
 
@@ -148,6 +152,8 @@ def _check_points(problem: PathProblem, mechanism: Mechanism) -> None:
             f"Give at least {least}",
             "requirement.points",
         )
+    if task.kind == "motion" and problem.timing == "free":
+        _check_distinct_poses(points, closed=bool(task.closed or points.loop))
     if task.timing in ("given", "from start") and points.crank is None:
         raise Unusable(
             "the timing is prescribed, but the points have no crank angles",
@@ -176,6 +182,18 @@ def _check_points(problem: PathProblem, mechanism: Mechanism) -> None:
             "Check the units, or move the origin near the points",
             "requirement.points",
         )
+
+
+def _check_distinct_poses(points: TargetPoints, *, closed: bool) -> None:
+    """Refuse a pose that occurs twice, unless it closes the motion: no revolution of a crank meets it twice."""
+    poses = [np.array([x, y]) for x, y in points.points]
+    pairs = set(itertools.combinations(range(len(poses)), 2)) - ({(0, len(poses) - 1)} if closed else set())
+    for j, i in sorted(pairs):
+        assert points.angles is not None
+        turn = math.remainder(points.angles[i] - points.angles[j], math.tau)
+        if np.linalg.norm(poses[i] - poses[j]) <= COINCIDENT * points.size and abs(turn) <= COINCIDENT:
+            message = f"poses {j + 1} and {i + 1} are the same, which one revolution meets once"
+            raise Unusable(message, "Remove one of them, or prescribe crank angles for a dwell", "requirement.points")
 
 
 def _check_limits(problem: PathProblem, mechanism: Mechanism) -> None:

@@ -14,6 +14,8 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
+import optlink
+from optlink.errors import InputError
 from optlink.problem.quantity import Unusable
 from optlink.problem.targets.points import read_points
 from optlink.problem.targets.target_points import DEFAULT_POINTS, MAX_POINTS, TargetPoints, closed
@@ -54,6 +56,26 @@ def test_list_of_points(tmp_path):
     assert read_points(wanted, tmp_path) is wanted
     assert read_points([["1 in", "0 in"]], tmp_path).unit == "in"
     assert read_points([["1 in", "0 in"]], tmp_path).points == ((0.0254, 0.0),)
+
+
+POSES = [("0 mm", "0 mm", "0 deg"), ("60 mm", "50 mm", "40 deg"), ("90 mm", "140 mm", "90 deg"), ("0 mm", "0 mm", "360 deg")]
+
+
+@pytest.mark.parametrize(
+    ("changes", "refused"),
+    [({}, True), ({"closed": True}, False), ({"crank": [0, 60, 120, 180]}, False), ({"angle": "1 deg"}, False)],
+)
+def test_a_pose_that_occurs_again_is_refused_unless_it_is_timed_or_closes_the_motion(changes, refused):
+    rows = [{"x": x, "y": y, "angle": angle} for x, y, angle in POSES]
+    if "crank" in changes:
+        rows = [{**row, "crank": f"{crank} deg"} for row, crank in zip(rows, changes["crank"], strict=True)]
+    rows[-1]["angle"] = changes.get("angle", rows[-1]["angle"])
+    keys = {"requirement.points": rows} | ({"requirement.closed": True} if "closed" in changes else {})
+    if refused:
+        with pytest.raises(InputError, match=r"poses 1 and 4 are the same.*Remove one of them"):
+            optlink.load("motion-3-poses", keys)
+    else:
+        assert len(optlink.load("motion-3-poses", keys).model.target_points.points) >= 3
 
 
 def test_rows_as_tables_and_lists_mixed(tmp_path):

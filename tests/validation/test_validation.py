@@ -91,6 +91,20 @@ LOOSE_DESIGN = LOOSE.design({"coupler": 0.41, "rocker": 0.3})
 # --- what is right passes ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(("least", "limits"), [(1.0, {}), (0.2, {"alignment": "0.2 deg"})])
+def test_the_limit_of_alignment_is_that_of_the_file_or_one_degree(least, limits):
+    for angle, meets in ((1.001 * least, True), (0.98 * least, False)):
+        rule = nearly_aligned(angle, **limits)
+        values = rule.design({})
+        check = next(check for check in validate(rule, values).checks if "off alignment" in check.name)
+        assert (check.value, check.passed) == (pytest.approx(angle, rel=1e-6), meets)
+        aligned = [
+            row for row in constraints.rows(rule, values, rule.reach(values), values["frame"]) if row.limit == "limits.alignment"
+        ]
+        assert aligned
+        assert all(row.low <= row.value <= row.high for row in aligned) == meets  # what the optimiser sees
+
+
 def test_the_optimum_is_valid():
     proof = validate(SHIPPED, BEST, 0.00759237360)
     assert proof.valid
@@ -267,6 +281,17 @@ def fixed(*values: float, **limits: object) -> DesignProblem:
     return problem(lengths(*values), {"from": "60 deg", "psi0": "100 deg"}, {"transmission_angle": None, **limits})
 
 
+def nearly_aligned(angle: float, **limits: object) -> DesignProblem:
+    """A linkage whose coupler and rocker enclose an angle [deg] at the end of its span, by the laws of cosines."""
+    square = 0.2**2 + 0.25**2 - 2.0 * 0.2 * 0.25 * math.cos(math.radians(angle))  # of B-D
+    last = math.degrees(math.acos((0.3**2 + 0.34**2 - square) / (2.0 * 0.3 * 0.34)))
+    return problem(
+        lengths(0.3, 0.2, 0.25, 0.34),
+        {"from": f"{-last - 40.0!r} deg", "span": "40 deg", "psi0": "100 deg"},
+        {"crank": "span", "transmission_angle": None, **limits},
+    )
+
+
 @cache
 def defects() -> dict[str, Defect]:
     found: dict[str, Defect] = {}
@@ -341,13 +366,7 @@ def defects() -> dict[str, Defect]:
     apart = {"crank": "span", "transmission_angle": None, "alignment": "0.1 deg"}
     folds = problem(lengths(0.1, 0.10001, 0.3, 0.3), {"from": "inner dead centre"}, apart)
     found["crank pin on its pivot"] = defect(folds, folds.design({}), "apart")
-    square = 0.2**2 + 0.25**2 - 2.0 * 0.2 * 0.25 * math.cos(math.radians(0.5))  # of B-D, with 0.5 deg at C
-    last = math.degrees(math.acos((0.3**2 + 0.34**2 - square) / (2.0 * 0.3 * 0.34)))
-    nearly = problem(
-        lengths(0.3, 0.2, 0.25, 0.34),
-        {"from": f"{-last - 40.0!r} deg", "span": "40 deg", "psi0": "100 deg"},
-        {"crank": "span", "transmission_angle": None},
-    )
+    nearly = nearly_aligned(0.5)
     found["nearly in line at the end"] = defect(nearly, nearly.design({}), "assembled")
     found["span beyond the reach"] = defect(moved, moved.design({}), "assembled, branch, circuit, lengths, finite")
     for name, limits, must in (
