@@ -313,33 +313,15 @@ def nearest_in_order(problem: PathProblem, t: Array) -> Array:
     t : array (points,) [rad]
         Crank angles of the points.
     """
+    from scipy.optimize import isotonic_regression
+
     least = 2.0 * STEP * np.arange(len(t))
     rotation = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(problem.requirement.rotation)
     found = []
     for way in (1.0, -1.0) if rotation is None else (rotation,):
-        rising = nearest_rising(way * t - least) + least
+        rising = isotonic_regression(way * t - least).x + least
         most = TURN - 2.0 * STEP
         if rising[-1] - rising[0] > most:
             rising = rising[0] + (rising - rising[0]) * most / (rising[-1] - rising[0])
         found.append((float(np.sum((rising - way * t) ** 2)), way * rising))
     return np.asarray(min(found, key=lambda each: each[0])[1], dtype=float)
-
-
-def nearest_rising(values: Array) -> Array:
-    """Return the sequence that nowhere falls nearest to some values, by pooling adjacent violators; without importing SciPy.
-
-    References
-    ----------
-    R. E. Barlow, H. D. Brunk, The isotonic regression problem and its dual, J. Am. Stat. Assoc. 67 (1972).
-    """
-    means: list[float] = []
-    counts: list[int] = []
-    for mean in values.tolist():
-        count = 1
-        while means and means[-1] >= mean:
-            mean = (means[-1] * counts[-1] + mean * count) / (counts[-1] + count)
-            count += counts.pop()
-            means.pop()
-        means.append(mean)
-        counts.append(count)
-    return np.repeat(means, counts)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -15,7 +14,6 @@ from optlink.linkage.vector2d import TURN, Array, unit
 from optlink.problem.function import DesignProblem
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.function import Function
-from optlink.sobol import sobol_points
 from optlink.synthesis.freudenstein import FirstStep, first_steps, fit_pairs
 
 COUNT = 5  # first designs used as starting points
@@ -49,14 +47,16 @@ def fits(problem: DesignProblem, seed: int) -> Iterator[dict[str, float]]:
     seed : int
         Seed of the scrambling.
     """
+    from scipy.stats import qmc
+
     free, ranges = _ranges(problem)
     if all(low == high for low, high in ranges):
         return
-    points = sobol_points(2, np.random.default_rng(seed).spawn(1)[0], BLOCK)
+    points = qmc.Sobol(2, rng=np.random.default_rng(seed))
     low = np.array([start[0] for start in ranges])
     size = np.array([math.pi if free else start[1] - start[0] for start in ranges])
-    for share in itertools.islice(points, BLOCKS):
-        phi0, psi0 = (low + size * share).T
+    for _ in range(BLOCKS):
+        phi0, psi0 = (low + size * points.random(BLOCK)).T
         for step in fit_pairs(*_rotations(problem), phi0, psi0, **_options(problem, free)):
             yield values(problem, step)
 

@@ -18,7 +18,6 @@ from optlink.problem.arguments import typed
 from optlink.problem.base_model import SPELLINGS
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range
-from optlink.sobol import sobol_points
 from optlink.tasks.clearance import checked
 from optlink.tasks.machine import machine_of
 from optlink.tasks.parallel_runs import RunJob, RunResult, run_jobs
@@ -250,6 +249,8 @@ def tune(
     KeyboardInterrupt
         On interruption; the last checkpoint contains all complete evaluations.
     """
+    from scipy.stats import qmc
+
     names = list(dict.fromkeys(SPELLINGS.get(name, name) for name in names))
     unknown = [name for name in names if name not in RANGES]
     if unknown or not names:
@@ -258,7 +259,7 @@ def tune(
     angles = random_crank_angles(starts, seed)
     low, high = (np.log([RANGES[name][side] for name in names]) for side in (0, 1))
     generator = np.random.default_rng(seed)
-    sobol = next(sobol_points(len(names), np.random.default_rng(seed), 1 << int(np.ceil(np.log2(max(2, evaluations // 2))))))
+    sobol = qmc.Sobol(len(names), seed=seed).random(1 << int(np.ceil(np.log2(max(2, evaluations // 2)))))
     common: dict[str, Any] = {"revolutions": revolutions, "points": points, "tolerance": tolerance, "speed": speed}
     common["design"] = design
     integrator = resumed(integrator, resume)

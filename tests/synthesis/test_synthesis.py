@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.optimize import isotonic_regression, least_squares
+from scipy.optimize import least_squares
 
 import optlink
 from optlink.linkage.fourbar import LENGTHS, Inversion, grashof
@@ -17,7 +17,7 @@ from optlink.optimization.path_nlp import build_path_nlp
 from optlink.problem.path import STEP
 from optlink.synthesis import levenberg_marquardt, random_starts
 from optlink.synthesis.batch import INSIDE, WEIGHT, Batch
-from optlink.synthesis.batch_search import PERFECT, Searcher, nearest_rising
+from optlink.synthesis.batch_search import PERFECT, Searcher
 from optlink.synthesis.levenberg_marquardt import minimise
 from optlink.synthesis.variable_projection import SimilarityFit
 from optlink.validation.path import deviations
@@ -626,11 +626,3 @@ def test_a_search_with_exact_designs_takes_few_steps(monkeypatch: pytest.MonkeyP
     found = Searcher([file.model for file in optlink.load("path-vline6").variants()], 0).advance()
     assert sum(candidate.cost <= PERFECT for candidate in found.candidates) >= 3
     assert len(steps) < 150
-
-
-def test_the_nearest_sequence_that_never_falls_is_that_of_scipy() -> None:
-    """For falling, rising, equal and random values, where blocks merge several at a time."""
-    rng = np.random.default_rng(3)
-    falling = np.arange(9.0)[::-1]
-    for values in (falling, falling[::-1], np.zeros(4), np.ones(1), *(rng.integers(0, 9, size) + 0.1 for size in range(2, 40))):
-        np.testing.assert_allclose(nearest_rising(values), isotonic_regression(values).x, rtol=0.0, atol=1e-13)
