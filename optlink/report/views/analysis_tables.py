@@ -53,7 +53,7 @@ def machine(file: ProblemFile) -> Iterator[TableSpec]:
         for name, inertia in built.inertias.items():
             place = f"({number(inertia.along * 1e3)}, {number(inertia.across * 1e3)})"
             masses.append((name, number(inertia.mass), place, number(inertia.moment)))
-        yield table("[bodies]", ["body", ">mass kg", ">centroid mm", ">inertia kg m^2"], masses)
+        yield table("[bodies]", ["body", ">mass [kg]", ">centroid [mm]", ">inertia [kg m^2]"], masses)
     gravity = math.hypot(*built.gravity)
     drive = [("drive", f"{mechanism.crank.body} at {model.drive.speed}, from {model.drive.start}")]
     if model.drive.torque is not None:
@@ -84,7 +84,7 @@ def _clearances(file: ProblemFile, built: Machine) -> Iterator[TableSpec]:
         sizes = [number(value) for value in (gap.clearance * 1e3, gap.radius * 1e3)]
         law = [f"{gap.stiffness:.4g}", number(gap.restitution), number(gap.friction)]
         rows.append((gap.point, gap.journal, gap.bearing, *sizes, *law))
-    columns = ["joint", "journal", "bearing", ">gap mm", ">journal mm", ">N/m^1.5", ">restit.", ">friction"]
+    columns = ["joint", "journal", "bearing", ">gap\n[mm]", ">journal\n[mm]", ">stiffness\n[N/m^1.5]", ">restit.", ">friction"]
     yield table("Clearance, radius of the journal in mm, contact", columns, rows)
     control = [("law", ", ".join(sorted({gap.law for gap in gaps})))]
     if model.drive.servo is not None:
@@ -123,7 +123,7 @@ def _travels(outcome: Analysis) -> Iterator[Part | None]:
         centres = "\n".join(f"{math.degrees(at):z.3f}" for at in travel.dead_centres)
         ends = (dimension(value * factor) for value in (travel.low, travel.high, travel.span))
         rows.append((strong(name) if name in outputs else name, *ends, unit, centres, fixed(travel.time_ratio, 5)))
-    columns = ["", ">from", ">to", ">span", "", ">reverses deg", ">time ratio"]
+    columns = ["", ">from", ">to", ">span", "", ">reverses\n[deg]", ">time ratio"]
     yield table("Strokes of sliders, swings of bodies", columns, rows)
     yield stroke_table(outputs, outcome.speed, outcome.acting)
 
@@ -160,7 +160,7 @@ def stroke_table(named: Mapping[str, Travel], speed: float, acting: tuple[Stroke
             begin, end, rotation = (f"{math.degrees(angle):z.3f}" for angle in (stroke.begin, stroke.end, stroke.rotation))
             rows.append((name, stroke.name, f"{begin} to {end}", rotation, stroke.pace, use))
     first = Column(unbroken=all(len(name) <= LONGEST for name in named))
-    columns: list[str | Column] = [first, "stroke", ">crank range deg", ">rotation deg", "pace", "use"]
+    columns: list[str | Column] = [first, "stroke", ">crank range [deg]", ">rotation [deg]", "pace", "use"]
     if not any(row[-1] for row in rows):
         columns, rows = columns[:-1], [row[:-1] for row in rows]
     return table("Working and return strokes", columns, rows, unbroken=True) if rows else None
@@ -207,7 +207,7 @@ def _extremes(outcome: Analysis) -> TableSpec:
             for value, at in ends
         ]
         rows.append((f"{name.rpartition('.')[0]}: {word}", *cells[0], *cells[1], quiet(unit)))
-    columns = ["", ">least", ">at deg", ">largest", ">at deg", ""]
+    columns = ["", ">least", ">at [deg]", ">largest", ">at [deg]", ""]
     return table("Extremes over the motion, at their exact crank angles", columns, rows)
 
 

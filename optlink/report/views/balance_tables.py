@@ -82,7 +82,7 @@ def _added(outcome: Balance) -> TableSpec:
         ends = "-".join(point for _, point in spring.specification.ends)
         made = f"spring {ends}: {number(spring.stiffness)} N/m, free length {number(spring.free * 1e3)} mm"
         rows.append((spring.specification.name, "", "", "", "", made))
-    columns = ["body", ">mass kg", ">centre mm", ">m r kg m", ">radius", ""]
+    columns = ["body", ">mass [kg]", ">centre [mm]", ">m r [kg m]", ">radius", ""]
     return table("Counterweights; centre and m r along and across their bodies", columns, rows)
 
 

@@ -64,7 +64,7 @@ def _contacts(outcome: ClearanceSimulation) -> TableSpec:
         share = f"{float(np.mean(outcome.per_revolution[f'{gap.point}.contact_share'])):z.1%}"
         most = number(found[f"{gap.point}.normal_max_N"], 5), fixed(found[f"{gap.point}.penetration_max_m"] * 1e6, 2)
         rows.append((gap.point, gap.journal, gap.bearing, number(gap.clearance * 1e3), count, share, *most))
-    columns = ["joint", "journal", "bearing", ">gap mm", ">contacts", ">share", ">force N", ">depth µm"]
+    columns = ["joint", "journal", "bearing", ">gap\n[mm]", ">contacts", ">share", ">force\n[N]", ">depth\n[µm]"]
     return table("Contacts of all revolutions: share of the time, largest force and penetration", columns, rows)
 
 
@@ -104,7 +104,7 @@ def comparison(outcome: Comparison) -> Summary:
         rows.append([*row] if trials.finished else [bad(cell) for cell in row])
         if trials.stalled:
             status.append(bad(f"Stalled: {trials.stalled} of {count} runs with control {kind}, which therefore has no mean"))
-    columns = ["control", f">rms {displayed}", ">scatter", ">peak", ">gain", ">crank deg", ">torque Nm"]
+    columns = ["control", f">rms\n[{displayed}]", ">scatter", ">peak", ">gain", ">crank\n[deg]", ">torque\n[N m]"]
     title = "Deviation of the output, and effort of the control: rms of correction and torque"
     return summary(outcome.problem.model.title, status, table(title, columns, rows))
 

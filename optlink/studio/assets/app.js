@@ -220,7 +220,7 @@ function take(next) {
   }
   refit = false;
   if (!next.moving && !next.searching && scene) {
-    guide.show(handles);
+    guide.show(handles, next.kind);
   }
   knobs.infeasible = next.status === "infeasible";
   knobs.take(handles);

@@ -64,10 +64,10 @@ export class Search {
 // What a new user does first: shown once, until a handle is taken.
 export const guide = {
   known: false,
-  show(handles) {
+  show(handles, kind) {
     if (!this.known && onCanvas(handles).length) {
       this.known = true;
-      hint("Drag a ring, and the optimum follows");
+      hint(`Drag a ring, and the ${kind === "analysis" ? "analysis" : "optimum"} follows`);
       this.timer = setTimeout(() => this.done(), READ);
     }
   },
