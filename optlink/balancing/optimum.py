@@ -222,7 +222,7 @@ def realised_discs(programme: BalancingProgramme, goal: Goal, x: Array) -> Array
     x : array (n,)
         Scaled parameters of the optimum of the relaxation.
     """
-    best = programme.realised(x)
+    best = min(map(programme.realised, (x, programme.with_mass(x))), key=lambda y: _merit(programme, goal, y))
     if not programme.relaxed or _merit(programme, goal, best) <= _merit(programme, goal, x) + GAP:
         return best
     cp, n = programme.cp, programme.effects.count

@@ -327,6 +327,18 @@ class BalancingProgramme:
             found[i : i + 2] = stiffness, 0.0 if rest * self.length < stiffness * SHORTEST else rest
         return found
 
+    def with_mass(self, x: Array) -> Array:
+        """Return scaled parameters in which discs without mass have the mass of a disc with their moment of inertia."""
+        found = x.copy()
+        for k, weight in enumerate(self.counterweights):
+            place = slice(4 * k, 4 * k + 4)
+            moment = float(x[4 * k + 3] * self.scales[4 * k + 3])
+            if weight.kind == "disc" and x[4 * k] <= NOTHING < x[4 * k + 3]:
+                mass = math.sqrt(moment / weight.spread) if weight.radius is None else 2.0 * moment / weight.radius**2
+                along, across = weight.at or weight.origin
+                found[place] = np.array([mass, mass * along, mass * across, moment]) / self.scales[place]
+        return found
+
     def put(self, x: Array) -> None:
         """Assign scaled parameters to the variables of the expressions."""
         filled = x.copy()

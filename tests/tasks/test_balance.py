@@ -281,6 +281,10 @@ def test_discs_that_miss_a_limit_are_no_optimum():
     assert not result.valid
     assert result.status == "relaxed"
     assert not any("optimum of real discs" in note for note in result.notes)
+    result = optlink.balance(file.override({"balance.mass": {"max": "10 kg"}}))
+    assert result.valid
+    assert result.status == "optimal"
+    assert 0.001 < result.added[0].mass <= 10.0
 
 
 def test_a_spring_has_no_free_length_that_a_problem_file_cannot_state():
