@@ -288,6 +288,7 @@ def test_linkage_that_never_assembles() -> None:
 # --- distances ----------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_distance_along_the_normal(kind: str) -> None:
     rng = np.random.default_rng(4)
     for design in designs(kind, 6, seed=2):

@@ -43,6 +43,7 @@ from optlink.tasks.machine import machine_of
 from optlink.tasks.results.clearance import ClearanceSimulation
 from tests import gap_oracle as oracle
 from tests.clearance.test_contact import DAMPING, closed_form
+from tests.tiers import mostly_slow
 
 RPM = math.pi / 30.0
 STEEL = {"clearance": "0.5 mm", "bearing_radius": "10 mm", "modulus": "207 GPa", "poisson": 0.3}
@@ -658,6 +659,7 @@ def test_no_contact_creates_energy(law):
     assert (hertz < 1e-12) is (law == "hertz")
 
 
+@pytest.mark.slow
 def test_machine_under_a_torque():
     """Nothing but the torque feeds it: constant, so its work is the angle's."""
     case = Case("torque", {"B": "crank", "C": "rod"}, torque=6.0, initial=1500.0, speed=3000.0, start=20.0)
@@ -1301,7 +1303,7 @@ def test_progress_is_shown_within_a_revolution():
     assert shares[-1] == 1.0
 
 
-@pytest.mark.parametrize("present", [True, False])
+@pytest.mark.parametrize("present", mostly_slow((True, False), True))
 def test_a_stall_of_cvodes_names_the_other_integrator(present, monkeypatch):
     monkeypatch.setattr("optlink.tasks.clearance.installed", lambda: present)
     found = simulate_clearance(machine({"joints.C.damping": "1e12 N*s/m"}), 1, 36, twin=False, integrator="cvodes")

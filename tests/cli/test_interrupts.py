@@ -244,8 +244,9 @@ def test_an_interrupt_that_is_lost_is_raised_again():
 
 @posix
 def test_compiled_code_that_does_not_return_is_ended():
-    script = "import hashlib, signal, threading, os\nfrom optlink.execution import interrupts\ninterrupts.listen()\n"
-    script += "threading.Timer(0.5, os.kill, [os.getpid(), signal.SIGINT]).start()\n"
+    script = "import hashlib, signal, threading, os\nfrom optlink.execution import interrupts\n"
+    script += "interrupts.PATIENCE = 0.5\ninterrupts.listen()\n"
+    script += "threading.Timer(0.2, os.kill, [os.getpid(), signal.SIGINT]).start()\n"
     script += "hashlib.pbkdf2_hmac('sha256', b'a', b'b', 10 ** 9)\n"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 130

@@ -19,6 +19,7 @@ from optlink.dynamics.forward import crank_acceleration
 from optlink.dynamics.inertia import Inertia
 from optlink.dynamics.inverse import reactions, reduced_inertia
 from optlink.tasks.machine import machine_of
+from tests.tiers import mostly_slow
 
 TURN = 2.0 * math.pi
 MACHINES = sorted(name for name in optlink.shipped() if optlink.load(name).task != "path")
@@ -219,7 +220,7 @@ def independent(time, gravity, stiffness, free, damping, resistance, torque):
     return found.y[:, -1]
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("sign", mostly_slow((1.0, -1.0), -1.0))
 def test_loaded_slider_crank_moves_as_its_lagrangian_says(sign):
     problem = slider_crank(
         **LOADED,
@@ -400,6 +401,7 @@ def test_last_revolution_is_measured_between_the_rows_of_the_table(rows):
     assert found["last_turn.fluctuation"] == pytest.approx((fastest - slowest) * period / TURN, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_machine_that_runs_evenly_needs_no_flywheel():
     machine = machine_of(slider_crank())
     assert flywheel(machine, 10.0, 1.9).inertia == 0.0

@@ -11,6 +11,7 @@ from scipy.optimize import brentq, minimize_scalar
 import optlink
 from optlink.linkage import extrema
 from optlink.linkage.extrema import distinct, extremes, maxima, zeros
+from tests.tiers import mostly_slow
 
 TURN = 2.0 * math.pi
 GRID = np.linspace(0.0, TURN, 1441)
@@ -62,7 +63,7 @@ def far(function, found):
     return missed, untrue
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", mostly_slow(range(3), 0))
 def test_extremes_are_those_of_a_dense_search(seed):
     function = family(seed)
     missed, untrue = far(function, extremes(function, GRID))

@@ -37,7 +37,7 @@ def same_derivatives(nlp: NLP) -> None:
         np.testing.assert_allclose(own, expected, rtol=0.0, atol=1e-12 * np.max(np.abs(expected), initial=1e-300))
 
 
-@pytest.mark.parametrize("machine", MACHINES)
+@pytest.mark.parametrize("machine", mostly_slow(MACHINES, "peaks"))
 def test_derivatives_are_those_of_the_whole_expression(machine: str) -> None:
     task = task_of(optlink.load("shaper-design").override(MACHINES[machine]))
     trace = TracedCycle(task, slow=task.slow_assumed)

@@ -76,7 +76,7 @@ def differences(nlp: CycleNLP, x: np.ndarray, h: float = 1e-4) -> np.ndarray:
     return np.stack(columns, axis=-1)
 
 
-@pytest.mark.parametrize("speed", ["64 rpm", "-40 rpm"])
+@pytest.mark.parametrize("speed", ["64 rpm", pytest.param("-40 rpm", marks=pytest.mark.slow)])
 def test_derivatives_of_every_term_are_those_of_differences(speed):
     nlp = programme(speed)
     point, expected = nlp.at(nlp.x_start, nlp.p), differences(nlp, nlp.x_start)

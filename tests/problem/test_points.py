@@ -723,7 +723,7 @@ HOSTILE = {
 }
 
 
-@pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n == "deep" else n for n in HOSTILE])
 def test_hostile_drawings_come_to_an_end(tmp_path, name):
     """What takes quadratic time would hang here: a hundred thousand of everything."""
     content, words = HOSTILE[name]

@@ -192,7 +192,7 @@ def test_curves_pass_through_every_row_of_the_table(name, kind, column, unit):
     np.testing.assert_allclose(values, wanted, rtol=1e-9, atol=1e-9 * np.max(np.abs(wanted)))
 
 
-@pytest.mark.parametrize("points", [7, 30_000])
+@pytest.mark.parametrize("points", [7, pytest.param(30_000, marks=pytest.mark.slow)])
 def test_curves_are_smooth_whatever_the_table(points):
     """A coarse table makes no polygon, a fine one no heavy file."""
     coarse = CycleCurves(analyze(optlink.load("six-bar"), points=points))
@@ -226,7 +226,7 @@ def test_extremes_are_marked_at_their_exact_crank_angles():
         assert np.nanmin(curve[:, 1]) == pytest.approx(marks[0][1])
 
 
-@pytest.mark.parametrize("speed", [1.0, -1.0])
+@pytest.mark.parametrize("speed", mostly_slow((1.0, -1.0), -1.0))
 def test_the_work_of_a_whole_cycle_is_marked_at_its_end(speed):
     """Work does not repeat: its largest value at the end of the cycle does not lie at the start."""
     result = analyze(optlink.load("shaper"), speed=speed)
@@ -616,6 +616,7 @@ def test_a_four_bar_has_no_guides_and_massless_links_shake_nothing():
     assert analysis_forces.guides(CycleCurves(loaded))
 
 
+@pytest.mark.slow
 def test_singular_positions_are_gaps_and_do_not_set_the_scale():
     result = analysed("singular")
     assert not result.sound

@@ -237,6 +237,7 @@ def test_the_curve_passes_where_the_oracle_says(name):
         assert np.max(away) < 1.0  # the curve is drawn past every generated point
 
 
+@pytest.mark.slow
 def test_a_curve_through_all_points_of_a_six_bar():
     axes = picture("six-bar", "path").axes[1]
     wanted, drawn = line(axes, "target"), line(axes, "run")
@@ -350,6 +351,7 @@ def test_bars_beyond_the_tolerance_are_red():
     np.testing.assert_allclose(heights, TOLERANCES[np.isfinite(TOLERANCES)])
 
 
+@pytest.mark.slow
 def test_a_bar_that_would_hide_the_others_is_cut_and_says_how_long_it_is():
     axes = picture("lift", "errors").axes[0]
     off = np.linalg.norm(generated("lift") - np.array(result("lift").problem.model.target_points.points) * 1e3, axis=1)
@@ -360,6 +362,7 @@ def test_a_bar_that_would_hide_the_others_is_cut_and_says_how_long_it_is():
     assert not [text for axes in picture("tolerances", "errors").axes for text in axes.texts if text.get_gid() == "cut off"]
 
 
+@pytest.mark.slow
 def test_rounding_is_shown_as_such():
     axes = picture("exact", "errors").axes[0]
     level = 1e-9 * math.sqrt(float(np.mean(np.sum((PLACED - PLACED.mean(axis=0)) ** 2, axis=1))))
@@ -511,6 +514,7 @@ def test_everything_is_written_and_the_film_is_whole(tmp_path):
         assert machine.quantities[name].value == pytest.approx(value, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_columns_of_poses_tolerances_functions_and_transmission():
     turned = view.columns(result("poses").best)["turned_rad"]
     aims = np.array(result("poses").problem.model.target_points.angles)

@@ -367,6 +367,7 @@ def test_a_peak_at_a_row_of_a_load_table_is_measured_there():
     assert max(map(abs, largest)) == pytest.approx(checked.objective, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_loads_do_not_divide_a_search_in_which_no_term_depends_on_forces():
     """With the load the search ends at 233.226 N; differential evolution with a closed form finds 231.03 N."""
     shaking = RAMP.replace('"torque"', '"shaking force"')

@@ -415,6 +415,7 @@ def test_a_robust_design_is_the_best_of_a_search_along_its_limit(problem, sigmas
     assert found.value == pytest.approx(best, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_robust_design_yields_more_than_the_best_as_drawn(problem):
     found = tolerance(problem, WIDE, limit="2.2 deg", samples=1 << 13, robust=3.0)
     assert found.monte_carlo.interval[0] > 0.99
@@ -564,6 +565,7 @@ def test_angles_out_of_reach_are_told(problem):
         nominal_design(problem, "rocker", np.radians([0.0, 180.0]), {"coupler": 0.25, "rocker": 0.24})
 
 
+@pytest.mark.slow
 def test_an_output_that_nothing_moves(tmp_path):
     result = run(
         "crank-rocker", "--tolerance", "A.x=0.1 mm", "--quantity", "crank", "--limit", "1 deg", *GIVEN, "--out", str(tmp_path)

@@ -32,6 +32,7 @@ from optlink.problem.quantity import Unusable
 from optlink.tasks import balance
 from tests.bar_oracle import Body, Motion, bar, disc, rms
 from tests.oracle import External, Kinematics, Mass, newton_euler
+from tests.tiers import mostly_slow
 
 LENGTHS = (0.0508, 0.1524, 0.0762, 0.1397)
 BARS = [bar(length) for length in LENGTHS[:3]]
@@ -205,7 +206,9 @@ def feasible(weights: list[Counterweight], x: np.ndarray) -> bool:
     return True
 
 
-@pytest.mark.parametrize("measure", ["rms shaking force", "rms shaking moment", "largest driving torque"])
+@pytest.mark.parametrize(
+    "measure", mostly_slow(["rms shaking force", "rms shaking moment", "largest driving torque"], "rms shaking moment")
+)
 def test_a_thousand_feasible_directions_improve_nothing(measure):
     """Discs next to the optimal ones, made as discs are, by the separate four-bar."""
     result = optlink.balance(four_bar(measure, [CRANK, COUPLER, ROCKER]))
@@ -626,8 +629,8 @@ def test_a_further_point_costs_a_fraction_of_the_first():
     ("key", "name", "step"),
     [
         ("mass", "mass of all counterweights together", 0.02),
-        ("extent", "extent of the counterweight on crank", 1e-4),
-        ("torque", "rms driving torque", 0.1),
+        pytest.param("extent", "extent of the counterweight on crank", 1e-4, marks=pytest.mark.slow),
+        pytest.param("torque", "rms driving torque", 0.1, marks=pytest.mark.slow),
     ],
 )
 def test_prices_are_the_slope_of_the_optimum(key, name, step):

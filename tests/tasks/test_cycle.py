@@ -63,6 +63,7 @@ def test_shaper_beats_the_given_one_of_the_same_stroke():
     assert peak(found, "F.normal_N") <= 1500.0 * (1.0 + 1e-6) < peak(given, "F.normal_N")
 
 
+@pytest.mark.slow
 def test_start_of_the_file_is_the_given_shaper():
     given, start = given_shaper(), shaper().initial_analysis
     assert start is not None

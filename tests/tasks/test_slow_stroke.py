@@ -68,6 +68,7 @@ def test_strokes_are_named_with_their_crank_ranges(sense, offset):
     assert turned == pytest.approx(360.0 * share, abs=0.6)
 
 
+@pytest.mark.slow
 def test_a_load_in_the_quick_stroke_gets_a_note():
     def notes(**changes: object) -> list[str]:
         return [note for note in optlink.analyze(press(**changes)).notes if "quick" in note]
@@ -188,10 +189,12 @@ def shown_and_recorded(path, **changes):
     ("changes", "outputs"),
     [
         ({}, ["ram slides"]),
-        ({"loads": {"cutting": {"on": "ram", "force": "90 N", "acts": "opposing"}}}, ["ram slides"]),
+        pytest.param(
+            {"loads": {"cutting": {"on": "ram", "force": "90 N", "acts": "opposing"}}}, ["ram slides"], marks=pytest.mark.slow
+        ),
         ({"loads": {"work": {"on": "rocker", "torque": "9 N*m", "stroke": "forward"}}}, ["rocker swings"]),
         ({"loads": {"a": {"on": "rod", "torque": "9 N*m"}, "b": {"on": "ram", "force": "9 N"}}}, ["rod swings", "ram slides"]),
-        ({"loads": {"a": {"on": "crank", "torque": "9 N*m"}}}, ["ram slides"]),
+        pytest.param({"loads": {"a": {"on": "crank", "torque": "9 N*m"}}}, ["ram slides"], marks=pytest.mark.slow),
         ({"loads": {"a": {"on": "rocker", "torsional_stiffness": "2 N*m/rad"}}}, ["ram slides"]),
     ],
 )

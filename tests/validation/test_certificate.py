@@ -82,6 +82,7 @@ def test_a_certificate_holds_where_no_design_variable_changes_the_missed_limit(t
     assert found.valid, found.checks
 
 
+@pytest.mark.slow
 def test_a_certificate_of_a_linkage_of_fixed_lengths_holds(tmp_path: Path) -> None:
     """Of a slider-crank whose slide at the start alone is free, no limit depends on the design variable."""
     fixed = {

@@ -24,11 +24,12 @@ from optlink.clearance.integration import Impact
 from optlink.tasks.clearance import simulate_clearance
 from optlink.tasks.results.clearance import ClearanceSimulation
 from tests.clearance.test_joint_clearance import ending_after
+from tests.tiers import mostly_slow
 
 DATA = Path(__file__).resolve().parent.parent / "data"
 RPM = math.pi / 30.0
 SPEEDS = (5000, 1200, 1500, 1800)
-ONE_AND_ALL = (5000, *(pytest.param(rpm, marks=pytest.mark.slow) for rpm in SPEEDS[1:]))
+ONE_AND_ALL = mostly_slow(SPEEDS, 5000)
 STEPS = 72
 """Rows of a revolution: those of the tables, each 5 degrees."""
 
@@ -137,7 +138,7 @@ def test_revolution_eleven(rpm):
     assert np.all(found["C.contact"][rows] == 1.0)
 
 
-@pytest.mark.parametrize("rpm", SPEEDS)
+@pytest.mark.parametrize("rpm", mostly_slow(SPEEDS, 5000, 1200))
 def test_revolution_eleven_at_the_usual_tolerance(rpm):
     """Published agreement: 1 um."""
     table, found = read_csv(DATA / f"clearance_mu01_{rpm}rpm.csv"), simulate(rpm, 0.1, 11, tolerance=1e-9)

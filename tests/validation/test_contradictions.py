@@ -8,13 +8,14 @@ import pytest
 from typer.testing import CliRunner
 
 from optlink.cli.app import app
+from tests.tiers import mostly_slow
 
 
 def run(*arguments: object):
     return CliRunner().invoke(app, list(map(str, arguments)))
 
 
-@pytest.fixture(scope="module", params=["crank-rocker", "path-arc5"])
+@pytest.fixture(scope="module", params=mostly_slow(["crank-rocker", "path-arc5"], "crank-rocker"))
 def solved(request, tmp_path_factory):
     out = tmp_path_factory.mktemp("solved")
     done = run("solve", request.param, "--json")
