@@ -467,6 +467,7 @@ def test_rails_on_the_frame_reach_as_far_as_the_slider():
     assert rail[0, 1] == rail[1, 1] < 0.0  # below the blocks, away from the links
 
 
+@pytest.mark.slow
 def test_a_coupler_point_makes_a_plate_and_is_traced():
     result = analysed("leg")
     axes = panels("leg")["start"]

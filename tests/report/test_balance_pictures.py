@@ -180,6 +180,7 @@ def test_files_can_be_opened(tmp_path):
                 assert min(picture.size) > 500
 
 
+@pytest.mark.slow
 def test_table_fits_the_narrowest_terminal():
     """No figure of the table is broken over two lines."""
     console = terminal.console()

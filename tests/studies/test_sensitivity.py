@@ -113,7 +113,9 @@ def test_a_minimax_function_scales_with_its_frame():
     assert result.gap < 1e-5
 
 
-@pytest.mark.parametrize(("name", "several"), [("law-slider-crank", 8), ("path-conveyor", 16), ("crank-rocker", 6)])
+@pytest.mark.parametrize(
+    ("name", "several"), [("law-slider-crank", 8), pytest.param("path-conveyor", 16, marks=pytest.mark.slow), ("crank-rocker", 6)]
+)
 def test_every_key_of_a_dimension_can_be_changed(name, several):
     problem = optlink.load(name)
     keys = {
