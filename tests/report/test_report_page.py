@@ -92,7 +92,7 @@ class Reader(HTMLParser):
         self.texts: dict[str, list[str]] = {}
         self.data: dict[str, str] = {}
         self.kept = ""
-        self.feed(text)
+        self.feed(text.replace("<wbr>", ""))  # only where a line may be broken
 
     def handle_starttag(self, tag, attributes):
         self.inside.append(tag)
