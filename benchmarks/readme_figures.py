@@ -293,7 +293,7 @@ BLOCKS = [
     ),
     Block("docs/tolerance.md", "max with 3 sigma", ROBUST),
     Block("docs/clearance.md", "Slider-crank with clearance at", "simulate slider-crank-clearance"),
-    Block("docs/clearance.md", "control rms deg scatter peak", "simulate crank-rocker-clearance --control compare --starts 3"),
+    Block("docs/clearance.md", "control [deg] scatter peak", "simulate crank-rocker-clearance --control compare --starts 3"),
 ]
 
 LONG = {

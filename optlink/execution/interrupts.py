@@ -15,7 +15,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from types import FrameType
+from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, NoReturn
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ def listen() -> None:
         return
     signal.signal(signal.SIGINT, _press)
     sys.unraisablehook = _unraisable
+    sys.excepthook = _uncaught  # where compiled modules write what they cannot raise
     if os.name == "posix":  # Python handles signals only between its own instructions; this pipe is written at once
         reading, writing = os.pipe()
         os.set_blocking(writing, False)
@@ -135,6 +136,12 @@ def _unraisable(args: UnraisableHookArgs) -> None:
     """Report an exception that cannot be raised, but not an interrupt, which is raised again."""
     if args.exc_type is not KeyboardInterrupt:
         sys.__unraisablehook__(args)
+
+
+def _uncaught(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """Report an exception that nothing handles, but not an interrupt, which is raised again."""
+    if kind is not KeyboardInterrupt:
+        sys.__excepthook__(kind, error, trace)
 
 
 def _kill(message: str) -> None:
