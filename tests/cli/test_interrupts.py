@@ -235,8 +235,8 @@ def test_a_second_ctrl_c_kills_at_once(files):
 def test_an_interrupt_that_is_lost_is_raised_again():
     """Python drops what is raised in a destructor, as casadi does in some of its callbacks; compiled modules print it first."""
     script = "import os, signal, sys, time\nfrom optlink.execution import interrupts\ninterrupts.listen()\n"
-    script += "class Thing:\n    def __del__(self):\n        os.kill(os.getpid(), signal.SIGINT)\n"
-    script += "        try:\n            time.sleep(0.01)\n"
+    script += "class Thing:\n    def __del__(self):\n        try:\n"
+    script += "            os.kill(os.getpid(), signal.SIGINT)\n            time.sleep(0.01)\n"
     script += "        except KeyboardInterrupt:\n            sys.excepthook(*sys.exc_info())\n            raise\n"
     script += "Thing()\ntry:\n    print('lost', flush=True)\n    time.sleep(60)\n"
     script += "except KeyboardInterrupt:\n    interrupts.handled()\n    time.sleep(0.6)\n    print('kept')\n"
