@@ -78,7 +78,8 @@ def main() -> None:
             words = sys.argv[1:]
             completion = COMPLETION in os.environ  # the line is in the environment too
             with _without(UNUSED if words in OVERVIEW and not completion else {}):
-                (app if completion else needed(app, words))()
+                command = typer.main.get_command(app if completion else needed(app, words))
+                command()  # not the Typer: it would replace the hook for exceptions
         finally:
             if sys.stdout is not output:  # typer has detected a closed pipe
                 raise BrokenPipeError(errno.EPIPE, "the pipe is closed")
