@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import fields
 from operator import attrgetter
 from pathlib import Path
@@ -217,28 +217,6 @@ def check_length(values: Sequence[Any] | NDArray[Any], count: int, key: str) -> 
     """
     if len(values) != count:
         raise Contradiction(key, f"there are {len(values)} numbers where {count} belong")
-
-
-def check_entries(table: str, entries: Collection[str], names: Iterable[str]) -> None:
-    """Raise if a table of a record lacks an entry.
-
-    Parameters
-    ----------
-    table : str
-        Key of the table.
-    entries : collection of str
-        Its keys.
-    names : iterable of str
-        Keys that it must have.
-
-    Raises
-    ------
-    Contradiction
-        with the first missing key.
-    """
-    for name in names:
-        if name not in entries:
-            raise Contradiction(f"{table}.{name}", "this is missing")
 
 
 def absent() -> Any:

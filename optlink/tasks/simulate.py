@@ -20,7 +20,7 @@ from optlink.execution import interrupts
 from optlink.linkage.continuation import continue_through_singularities
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.arguments import typed
-from optlink.problem.base_model import Columns, Contradiction, Number, ResultRecord, Tabled, check_entries
+from optlink.problem.base_model import Columns, Contradiction, Number, ResultRecord, Tabled
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range
 from optlink.tasks.machine import (
@@ -33,6 +33,7 @@ from optlink.tasks.machine import (
     start_value_notes,
     with_flywheel,
 )
+from optlink.tasks.results.common import check_entries
 
 MAX_ROWS = 1_000_000
 

@@ -16,7 +16,7 @@ import numpy as np
 from optlink.errors import Status
 from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.nlp import NLP, build
-from optlink.problem.base_model import Contradiction, ResultRecord, check_entries, check_length
+from optlink.problem.base_model import Contradiction, ResultRecord, check_length
 from optlink.problem.file import ProblemFile
 from optlink.problem.path import PathProblem
 from optlink.report.report_model import Outcome, ReportModel, report_model_of
@@ -28,7 +28,7 @@ from optlink.tasks.analyze import analyze
 from optlink.tasks.function import FunctionRecord, FunctionResult, read_design
 from optlink.tasks.results.analysis import Analysis, AnalysisRecord
 from optlink.tasks.results.certificate import exact
-from optlink.tasks.results.common import SingleRecord
+from optlink.tasks.results.common import SingleRecord, check_entries
 from optlink.tasks.results.cycle import CycleResult
 from optlink.tasks.results.path import PathDesign, PathDesignRecord, PathRecord, PathResult
 from optlink.tasks.run import validate

@@ -11,7 +11,6 @@ import numpy as np
 
 from optlink.dynamics.ending import Ending
 from optlink.dynamics.machine import Machine, slider_names
-from optlink.problem.base_model import check_entries
 from optlink.problem.file import ProblemFile
 from optlink.report.chart_spec import TIME, Array, Axis, ChartSpec, Curve, Dash, Panel
 from optlink.report.html import chart_plotly
@@ -24,6 +23,7 @@ from optlink.report.style import BODIES, CRANK, QUIET, TARGET, Scale, scale
 from optlink.report.view import View
 from optlink.report.views import analysis_tables, conclusions
 from optlink.tasks.machine import machine_of
+from optlink.tasks.results.common import check_entries
 from optlink.tasks.simulate import Simulation, SimulationRecord
 
 RPM = 30.0 / math.pi

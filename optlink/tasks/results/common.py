@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Self
 
 from optlink.errors import Status
 from optlink.linkage.fourbar import LENGTHS
-from optlink.problem.base_model import Number, Record, Recorded, ResultRecord, absent
+from optlink.problem.base_model import Contradiction, Number, Record, Recorded, ResultRecord, absent
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import Quantity
 from optlink.solvers.solution import FEASIBLE, STATIONARY, LimitState, Relaxation, Solution
@@ -209,3 +209,25 @@ class SingleRecord(SearchRecord):
         values |= {"backends": backends or None, "optima": tuple(optima) or None}
         values |= {"conflict": result.conflict or None, "relax_together": result.together if result.conflict else None}
         return super().of(result, **values)
+
+
+def check_entries(table: str, entries: Collection[str], names: Iterable[str]) -> None:
+    """Raise if a table of a record lacks an entry.
+
+    Parameters
+    ----------
+    table : str
+        Key of the table.
+    entries : collection of str
+        Its keys.
+    names : iterable of str
+        Keys that it must have.
+
+    Raises
+    ------
+    Contradiction
+        with the first missing key.
+    """
+    for name in names:
+        if name not in entries:
+            raise Contradiction(f"{table}.{name}", "this is missing")
