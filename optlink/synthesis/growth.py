@@ -37,7 +37,11 @@ Complex = NDArray[np.complex128]
 Values = dict[str, Array]
 
 SAMPLES = 6000  # random choices of the remaining dimensions, per four-bar design and combination of assembly modes
-ALONG, FINE = 73, 1441  # crank angles of the first evaluation of the limits, and of that of the preselected designs
+COARSE, ALONG, FINE = (
+    10,
+    73,
+    1441,
+)  # crank angles at which the limits of all, of possible and of preselected designs are evaluated
 MEASURED = 10  # preselected designs, as a multiple of those returned
 SAME = 1e-6  # of the size of the curve: rounding difference of the two curves
 ENLARGED = (math.log(0.4), math.log(2.5))  # logarithms of the pantograph ratio
@@ -208,12 +212,13 @@ def grow_from_four_bar(
         if not quantity.free:
             inside &= np.abs(sizes[name][:, 0] - quantity.value) <= 1e-12
     x, angles = np.clip(x[inside], batch.low, batch.high), angles[inside]
-    if not len(x):
-        return x, angles
-    slack = _slack(batch, x, angles, ALONG)
-    slack[_apart(part.file, values, t, batch, x, angles) > SAME] = -np.inf  # the other assembly mode
-    x, angles = _farthest(x, angles, slack, MEASURED * count)
-    return _farthest(x, angles, _slack(batch, x, angles, FINE), count) if len(x) else (x, angles)
+    same = _apart(part.file, values, t, batch, x, angles) <= SAME  # not the other assembly mode
+    x, angles = x[same], angles[same]
+    possible = _slack(batch, x, angles, COARSE) > -SAME
+    x, angles = x[possible], angles[possible]
+    for along, most in ((ALONG, MEASURED * count), (FINE, count)):
+        x, angles = _farthest(x, angles, _slack(batch, x, angles, along), most)
+    return x, angles
 
 
 def _farthest(x: Array, angles: Array, slack: Array, count: int) -> tuple[Array, Array]:
