@@ -25,6 +25,7 @@ from optlink.tasks.results.checkpoint import ComparisonCheckpoint, RunRecord, Tu
 from optlink.tasks.results.control_comparison import Comparison, Trials, Tuning
 
 KINDS = tuple(str(kind) for kind in Control)
+ROUNDING = 1e-9  # relative difference of equal errors, beyond which a run stops early
 
 
 def random_crank_angles(count: int, seed: int) -> Array:
@@ -208,7 +209,7 @@ def tune(
 
     The search uses no derivatives, because the error of a chaotic machine is noisy. Half of the evaluations are Sobol points
     over `RANGES`; the others contract around the best point. All parameter sets are evaluated from the same initial crank
-    angles. An evaluation stops as soon as its error alone raises the mean above the best value. If no set is better than the
+    angles. An evaluation stops as soon as its runs so far raise the mean above the best one. If no set is better than the
     parameters of the problem, these are the result.
 
     Parameters
@@ -274,16 +275,30 @@ def tune(
     kept = [] if resume is None else read_checkpoint(TuningCheckpoint, resume, label).costs
     done: list[tuple[float, float]] = []  # cost and scatter: of the parameters of the problem, then of every evaluation
 
+    tried: list[Array] = []
+    costs: list[float] = []
+    together = workers or (1 if engine == "local" else starts)
+
+    def outcome(changed: ProblemFile, work: Runs) -> tuple[float, float]:
+        """Return mean and scatter; infinite if a run stalls or the mean exceeds the best one, which stops it early."""
+        most, room = starts * min((one for one, _ in done), default=np.inf), starts * min(costs, default=np.inf)
+        ran: dict[int, RunResult] = {}
+        for first in range(0, starts, together):
+            spent = sum(ran[k].figures[f"rms_{output.unit}"] for k in range(first))
+            limit = min(most, room * (1.0 + ROUNDING) - spent)
+            own = angles[first : first + together] if limit > 0.0 else angles[:0]
+            jobs = [RunJob(changed, control=control, start=float(start), limit=limit, **common) for start in own]
+            ran |= {first + k: run for k, run in run_jobs(jobs, work)}
+            if not jobs or any(run.hopeless or not run.finished for run in ran.values()):
+                return np.inf, np.nan
+        found = _trials([ran[k] for k in range(starts)])
+        return (np.inf, np.nan) if found.mean > min(costs, default=np.inf) else (found.mean, found.scatter)
+
     def cost(changed: ProblemFile, work: Runs) -> float:
         if len(done) < len(kept):
             done.append(kept[len(done)])
         else:
-            limit = starts * min((one for one, _ in done), default=np.inf)
-            jobs = [RunJob(changed, control=control, start=float(start), limit=limit, **common) for start in angles]
-            runs = dict(run_jobs(jobs, work))
-            useless = any(run.hopeless or not run.finished for run in runs.values())
-            found = None if useless else _trials([runs[k] for k in range(starts)])
-            done.append((np.inf, np.nan) if found is None else (found.mean, found.scatter))
+            done.append(outcome(changed, work))
             if checkpoint is not None:
                 checkpoint(TuningCheckpoint(**label, complete=len(done) - 1, total=evaluations, costs=done).document())
         if progress is not None:
@@ -291,8 +306,6 @@ def tune(
         return done[-1][0]
 
     size = _sizes(problem, output, design)
-    tried: list[Array] = []
-    costs: list[float] = []
     with pool(engine, workers or (1 if engine == "local" else None), scheduler) as work:
         before = cost(problem, work)
         for k in range(evaluations):

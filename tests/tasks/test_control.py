@@ -412,6 +412,10 @@ def test_tuning_resumes_and_stops_runs_that_cannot_win():
     on = optlink.tune(rocker(), "pid", ("proportional",), resume=middle, **options)
     np.testing.assert_array_equal(on.costs, whole.costs)
     assert dict(on.best) == dict(whole.best)
+    finite = np.isfinite(whole.costs)
+    assert 0 < np.count_nonzero(finite) < len(finite)
+    assert np.all(np.diff(whole.costs[finite]) <= 0.0)  # whatever is worse than the best so far was abandoned
+    np.testing.assert_array_equal(optlink.tune(rocker(), "pid", ("proportional",), workers=2, **options).costs, whole.costs)
     job = parallel_runs.RunJob(rocker(), control="none", start=0.3, limit=1e-9, **SHORT)
     assert parallel_runs.run_job(job).hopeless
     assert not parallel_runs.run_job(replace(job, limit=1.0)).hopeless

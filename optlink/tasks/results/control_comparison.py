@@ -132,7 +132,7 @@ class Tuning(Recorded):
 
     `problem`: the problem with the `best` values, which are empty if its own were better. The cost is the mean rms
     error over the starts; costs that differ by less than the scatter are equivalent. It is infinite if a run
-    stalled, or was stopped because its error alone raised the mean above the best so far.
+    stalled, or if the mean exceeds the best so far: the runs then stop early.
     """
 
     record = TuningRecord
