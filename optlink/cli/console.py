@@ -381,7 +381,7 @@ def _result_folder(out: Path, command: str, problem: str) -> Iterator[None]:
     from optlink.cli.run_folder import run_folder
     from optlink.io import folder
 
-    new = [place for place in (out, *out.parents) if not place.exists()]
+    new = [place for place in (out, *out.parents) if not os.path.exists(place)]
     _no_study(out)
     folder(out)
     try:

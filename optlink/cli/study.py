@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -271,7 +272,7 @@ def _resuming(
     """Lock the folder of a study, provide its options with its progress, and report on interruption what is kept of it."""
     if resume and out is None:
         raise InputError("needs the folder of the run", "Add --out DIR", key="--resume")
-    if out is not None and out.is_dir():
+    if out is not None and os.path.isdir(out):
         console.study_place(out, command, problem)
     try:
         with _points(what) as progress:

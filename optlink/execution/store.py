@@ -10,6 +10,7 @@ import contextlib
 import csv
 import io
 import json
+import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -49,9 +50,9 @@ class Store:
 
     def __init__(self, path: Path, about: Mapping[str, Any], *, resume: bool = False) -> None:
         about = dict(json.loads(json.dumps(about)))
-        if resume and not path.is_dir():
+        if resume and not os.path.isdir(path):
             raise _nothing(path)
-        self._made = not path.exists()
+        self._made = not os.path.exists(path)
         self.path, self.chunks = folder(path), path / CHUNKS
         self.count, self.about = 0, about
         self.sizes: Callable[[int], int] = int

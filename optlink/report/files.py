@@ -40,13 +40,13 @@ def target(path: Path, endings: tuple[str, ...], example: str, key: str = "--out
     """
     if len(os.fsencode(path.name)) > LONGEST:
         raise InputError("the name is too long", f"Give a shorter one, for example {example}", key=key, value=str(path))
-    if path.is_dir():
+    if os.path.isdir(path):
         raise InputError("this is a folder", f"Give the name of a file, for example {example}", key=key, value=str(path))
     if endings and path.suffix.lower() not in endings:
         message = f'cannot write "{path.suffix}" files' if path.suffix else "the name has no ending"
         remedy = nearest(path.suffix, endings) if path.suffix else f"Write one of {', '.join(endings)}"
         raise InputError(message, remedy, key=key, value=str(path))
-    if not path.parent.is_dir():
+    if not os.path.isdir(path.parent):
         message = f"there is no folder {path.parent}"
         raise InputError(message, "Make it first, or choose another place", key=key, value=str(path))
     folder(path.parent, key)

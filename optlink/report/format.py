@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from contextvars import ContextVar
 from typing import NamedTuple
 
-_PRODUCT = re.compile(r"\bN[ *]m\b")
+_PRODUCT = re.compile(r"\b([kMGmµnpfa]?N)[ *]m\b")
 
 
 def number(value: float, digits: int = 6) -> str:
@@ -63,7 +63,7 @@ def dimension(value: float) -> str:
 
 def pretty(text: str) -> str:
     """Write units and relations in a text with their signs: N·m, rad², ≤."""
-    return _PRODUCT.sub("N·m", text).replace("^2", "²").replace("<=", "≤").replace(">=", "≥").replace("->", "→")
+    return _PRODUCT.sub(r"\1·m", text).replace("^2", "²").replace("<=", "≤").replace(">=", "≥").replace("->", "→")
 
 
 def signed(value: float) -> str:

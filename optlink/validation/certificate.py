@@ -15,6 +15,7 @@ a valid witness: those that are no good lead to more halving, not to a wrong ver
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -146,9 +147,9 @@ def read_certificate(problem: ProblemFile, path: Path) -> CertificateFile:
     InputError
         If the file cannot be read, is damaged, or belongs to another problem.
     """
-    path = path / "certificate.json" if path.is_dir() else path
+    path = path / "certificate.json" if os.path.isdir(path) else path
     remedy = "Give the certificate.json that optlink solve --certify --out wrote"
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise InputError("there is no such file", remedy, str(path), "--certificate")
     document = read_document(path)
     if document.get("schema") != SCHEMA:

@@ -298,6 +298,26 @@ def test_the_folder_of_a_file_must_exist(arguments, option, tmp_path, monkeypatc
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("solve", "crank-rocker", "--out"),
+        ("solve", "crank-rocker", "--certify", "--resume", "--out"),
+        ("study", "sweep", "crank-rocker", "--vary", "mechanism.frame=490..510 mm:2", "--out"),
+        ("study", "sweep", "crank-rocker", "--vary", "mechanism.frame=490..510 mm:2", "--resume", "--out"),
+        ("analyze", "six-bar", "--csv"),
+        ("validate", "crank-rocker", "--certificate"),
+    ],
+    ids=" ".join,
+)
+def test_a_place_that_the_system_cannot_look_at_is_invalid_input(arguments, tmp_path, monkeypatch):
+    """Such as a folder with a name that is too long, or inside a folder that may not be read."""
+    monkeypatch.chdir(tmp_path)
+    done = run(*arguments, f"{300 * 'n'}/a.csv")
+    assert (done.exit_code, done.stderr.splitlines()[0][:7]) == (2, "Error: ")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_table_may_lie_in_the_folder_of_the_results(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     rows = tmp_path / "out" / "rows.csv"

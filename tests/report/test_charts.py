@@ -72,6 +72,7 @@ def test_markers_at_the_ends_of_a_curve_are_whole() -> None:
 
 def test_relations_have_their_signs() -> None:
     assert pretty("M <= 5 N m; x >= 1 mm^2; B -> D") == "M ≤ 5 N·m; x ≥ 1 mm²; B → D"
+    assert pretty("361.1 mN m, 2 kN*m per N m") == "361.1 mN·m, 2 kN·m per N·m"
 
 
 def test_charts_of_one_file_share_a_picture() -> None:

@@ -80,7 +80,7 @@ def load_stored(text: str, problem: str | None = None, changes: Sequence[str] = 
     """
     folder = os.path.isdir(text)
     path = Path(text) / RESULT if folder else Path(text)
-    if folder and not path.exists():
+    if folder and not os.path.exists(path):
         remedy = "Give a folder that --out wrote; resume an interrupted study with --resume"
         raise InputError(f"the folder contains no {RESULT}", remedy, text)
     document = read_document(path)
@@ -173,5 +173,5 @@ def _places(name: str, path: Path) -> Iterator[str]:
         yield name
     for folder in (path.parent, path.parent.parent, Path()):
         beside = folder / f"{name}.toml"
-        if "/" not in name and "\\" not in name and beside.is_file():
+        if "/" not in name and "\\" not in name and os.path.isfile(beside):
             yield str(beside)

@@ -48,7 +48,7 @@ export const plain = (value, digits = 4) => (Number.isFinite(value) && Math.abs(
 
 const UNITS = { deg: "°", "": "", 1: "" };
 export const unitText = (unit) =>
-  UNITS[unit] ?? String(unit).replace(/\^2/g, "²").replace(/\^3/g, "³").replace(/\^(-?\d)/g, "^$1").replace(/ ?\* ?/g, " ");
+  UNITS[unit] ?? String(unit).replace(/\^2/g, "²").replace(/\^3/g, "³").replace(/\^(-?\d)/g, "^$1").replace(/ ?\* ?/g, "·").replace(/N m\b/g, "N·m");
 export function quantity(value, unit, digits, write = number) {
   const shown = unitText(unit || "");
   return write(value, digits) + (shown === "°" || shown === "" ? shown : " " + shown);
