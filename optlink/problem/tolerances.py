@@ -271,6 +271,7 @@ def deviations(
     quantities: Mapping[str, Quantity],
     sizes: Mapping[str, float],
     shape: str = NORMAL,
+    output: str = "",
 ) -> tuple[Deviation, ...]:
     """Return the deviations of dimensions, pivots and clearances of a linkage.
 
@@ -286,6 +287,8 @@ def deviations(
         Every dimension of the mechanism.
     shape : str
         Default distribution.
+    output : str
+        Body (its angle), or "P.x", "P.y" of a point, on which clearances have an effect.
 
     Raises
     ------
@@ -297,7 +300,7 @@ def deviations(
     for name, entry in stated.items():
         size = "frame" if name == "D.x" and "D.y" in sizes and "D.x" not in sizes else name
         if name in pins:
-            size = _stretched(mechanism, name, pins[name])
+            size = _stretched(mechanism, name, pins[name], output)
         elif size not in sizes:
             raise Unusable("unknown dimension", nearest(name, [*sizes, *pins]), name)
         if any(name == other.name or (size == other.size and name not in pins and other.name not in pins) for other in found):
@@ -328,20 +331,29 @@ def _deviation(entry: ToleranceEntry, name: str, size: str, kind: str, shape: st
     return Deviation(name, size, kind, value, entry.shape or shape, cost=entry.cost)
 
 
-def _stretched(mechanism: Mechanism, name: str, pin: str) -> str:
-    """Return the length that the clearance of a pin changes: that of the nearest link not pinned to the frame.
+def _stretched(mechanism: Mechanism, name: str, pin: str, output: str) -> str:
+    """Return the length that the clearance of a pin changes: that of a link which transmits force along its line only.
 
-    Such a link without loads transmits force only along its line, so the journal contacts there and the clearance adds to its
-    length.
+    By virtual work an output answers to a displacement at a pin as the pin is loaded by a force or torque on the output. The pin
+    is one of the link, or of bodies in series with it that only torques load, such as the crank.
     """
-    reached, bodies = {pin}, set[str]()
-    grounded = {body for owners in mechanism.pins.values() if FRAME in owners for body in owners}
-    while True:
-        near = [b for b in mechanism.bodies if b not in bodies and any(b in mechanism.pins[p] for p in reached)]
-        for body in near:
-            if body not in grounded and isinstance(mechanism.bodies[body].length, str):
-                return str(mechanism.bodies[body].length)
-        if not near:
-            raise Unusable("no link between moving pins has a length that its clearance could add to", "Leave it out", name)
-        bodies.update(near)
-        reached.update(p for p, owners in mechanism.pins.items() if any(body in owners for body in near))
+    point = output.rpartition(".")[0]
+    joined = {b: {p for p, owners in mechanism.pins.items() if b in owners} for b in mechanism.bodies}
+    sliding = {body for guide in mechanism.guides for body in guide.bodies}
+
+    def lengths(at: str, without: str = "") -> Iterator[str]:
+        for body in mechanism.pins[at] if len(mechanism.pins[at]) == 2 else ():
+            if body in (FRAME, without) or body in sliding or len(joined[body]) != 2:
+                continue
+            link, loaded = mechanism.bodies[body], body in mechanism.owners.get(point, ())
+            ends = joined[body] == {link.start, link.end} and (not loaded or point in joined[body])
+            if ends and body not in (mechanism.crank.body, output) and isinstance(link.length, str):
+                yield link.length
+            elif not loaded:
+                yield from lengths(next(p for p in joined[body] if p != at), body)
+
+    found = next(lengths(pin), None)
+    if found is None:
+        message = f"the effect of this clearance{f' on {output}' if output else ''} is not that of the length of one link"
+        raise Unusable(message, "Leave it out; `optlink simulate` moves machines with joint clearance", name)
+    return found

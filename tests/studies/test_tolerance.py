@@ -119,6 +119,72 @@ def test_a_clearance_is_a_length_of_the_coupler(problem):
         assert np.sqrt(np.mean(change[:-1] ** 2)) == pytest.approx(np.max(change) / math.sqrt(2.0), rel=1e-3)
 
 
+JOINTS = {
+    "title": "four-bar with a coupler point, and a second dyad on its rocker",
+    "mechanism": {
+        "ground": {"A": ["0 mm", "0 mm"], "D": ["400 mm", "0 mm"], "H": ["700 mm", "0 mm"]},
+        "links": {
+            "crank": {"joints": ["A", "B"], "length": "100 mm"},
+            "coupler": {"joints": ["B", "C"], "length": "350 mm", "points": {"P": ["175 mm", "60 mm"]}},
+            "rocker": {"joints": ["D", "C"], "length": "250 mm", "points": {"E": ["200 mm", "-30 mm"]}},
+            "rod": {"joints": ["E", "F"], "length": "300 mm"},
+            "lever": {"joints": ["H", "F"], "length": "200 mm"},
+        },
+        "assembly": {"C": "left of B-D", "F": "left of E-H"},
+    },
+}
+
+
+def circles(p, q, from_p, from_q):
+    """The point at these distances from two points, to the left of the line from p to q."""
+    tie = abs(q - p)
+    along = (from_p**2 + tie**2 - from_q**2) / (2.0 * tie)
+    return p + (along + 1j * math.sqrt(from_p**2 - along**2)) * (q - p) / tie
+
+
+def with_gaps(phi, gaps):
+    """Outputs of that linkage with journals displaced in their bearings, by the pin."""
+    a, d = gaps.get("A", 0.0), 0.4 + gaps.get("D", 0.0)
+    b = a + 0.1 * np.exp(1j * phi) + gaps.get("B", 0.0)
+    end = circles(b - gaps.get("C", 0.0), d, 0.35, 0.25)
+    coupler, rocker = (end + gaps.get("C", 0.0) - b) / 0.35, (end - d) / 0.25
+    point = b + (0.175 + 0.06j) * coupler
+    e = d + (0.2 - 0.03j) * rocker + gaps.get("E", 0.0)
+    f = circles(e - gaps.get("F", 0.0), 0.7 + gaps.get("H", 0.0), 0.3, 0.2)
+    lever = np.angle(f - 0.7 - gaps.get("H", 0.0))
+    return {"rocker": np.angle(rocker), "coupler": np.angle(coupler), "P.x": point.real, "P.y": point.imag, "lever": lever}
+
+
+@pytest.mark.parametrize(
+    ("output", "link"),
+    [
+        ("rocker", dict.fromkeys("ABC", "coupler")),
+        ("coupler", {"A": "", "B": "", "C": "", "D": ""}),
+        ("P.x", {"A": "", "B": "", "C": "", "D": ""}),
+        ("lever", {"A": "coupler", "B": "coupler", "C": "coupler", "D": "", "E": "rod", "F": "rod", "H": "rod"}),
+    ],
+)
+def test_a_clearance_is_refused_where_it_does_more_than_lengthen_a_link(output, link):
+    """Also where the rocker carries the second dyad: to it a gap has another effect than to the point of a four-bar."""
+    file, angles = optlink.read(JOINTS), np.radians([20.0, 100.0, 200.0, 300.0])
+    for pin, size in link.items():
+        answers = [
+            [(with_gaps(phi, {pin: h * way})[output] - with_gaps(phi, {pin: -h * way})[output]) / (2.0 * h) for way in (1.0, 1j)]
+            for phi in angles
+            for h in [1e-6]
+        ]
+        try:
+            found = tolerance(file, [f"{pin}.clearance=0.1 mm"], output, angles, samples=1 << 13)
+        except InputError as error:
+            assert not size
+            assert "not that of the length of one link" in str(error)
+            continue
+        scatter = 1e-4 * np.hypot(*np.transpose(answers)) / math.sqrt(2.0)
+        np.testing.assert_allclose(found.sigma, scatter, rtol=1e-5)
+        np.testing.assert_allclose(found.monte_carlo.sigma, scatter, rtol=1e-2)
+        assert not size or found.deviations[0].size == f"{size}.length"
+
+
 # --- samples -----------------------------------------------------------------------------------------------------------
 
 KNOWN = {

@@ -215,7 +215,8 @@ class Problem(Section):
         quantities = self.mechanism.quantities
         mechanism, pivots = with_deviating_pivots(self.mechanism, self.linkage)
         largest = {name: quantity.bounds[1] for name, quantity in quantities.items()}
-        return deviations(self.tolerances, mechanism, quantities, largest | pivots)
+        output = "rocker" if isinstance(self.mechanism, FourBarSection) else ""
+        return deviations(self.tolerances, mechanism, quantities, largest | pivots, output=output)
 
     def machine(self, design: Mapping[str, Value] | None = None, slow: Mapping[str, Direction] | None = None) -> Machine:
         """Return the machine for given quantities; values and starts of the file are the defaults.

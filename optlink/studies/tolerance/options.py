@@ -68,7 +68,8 @@ def read_deviations(problem: ProblemFile, nominal: Nominal, texts: Sequence[str]
     """
     entries = read_tolerances(problem, texts, shape)
     try:
-        return deviations(entries, nominal.mechanism, problem.model.mechanism.quantities, nominal.sizes, shape)
+        quantities, output = problem.model.mechanism.quantities, nominal.output
+        return deviations(entries, nominal.mechanism, quantities, nominal.sizes, shape, output)
     except Unusable as error:
         key = f"{OPTION} {error.key}" if texts else f"tolerances.{error.key}"
         raise InputError(error.message, error.remedy, problem.file, key, error.value) from None
