@@ -8,11 +8,14 @@ The transmission angle gamma is the angle B-C-D between coupler and rocker, 0 ..
 from __future__ import annotations
 
 import enum
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from numbers import Real
 
 import numpy as np
 
+from optlink.errors import InputError
 from optlink.linkage.dyad_types import RRR
 from optlink.linkage.mechanism import Arm, BodyPoint, Link, Mechanism
 from optlink.linkage.vector2d import Value, Vector, angle, angle_from, magnitude, root
@@ -126,11 +129,19 @@ def grashof(crank: float, coupler: float, rocker: float, frame: float, tolerance
     tolerance : float [-]
         Share of the longest link below which a slack counts as zero (change-point linkage).
 
+    Raises
+    ------
+    InputError
+        If a length is not a finite number.
+
     References
     ----------
     Grashof's condition s + l <= p + q; inversions as in Norton, Design of Machinery, chapter 2.
     """
     lengths = {"crank": crank, "coupler": coupler, "rocker": rocker, "frame": frame}
+    for name, length in lengths.items():
+        if not (isinstance(length, Real) and math.isfinite(length)):  # a NaN would compare as any class
+            raise InputError("not a finite number", "Give the length in m", key=name, value=length)
     ordered = sorted(lengths.values())
     shortest, longest = ordered[0], ordered[-1]
     slack = ordered[1] + ordered[2] - shortest - longest

@@ -134,6 +134,7 @@ def shipped() -> dict[str, Path]:
     return data_files("problems")
 
 
+@typed
 def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> ProblemFile:
     """Load a shipped problem by name or a problem file by path.
 
@@ -170,8 +171,6 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
                     key="PROBLEM",
                     value=text,
                 )
-            if isinstance(problem, Mapping):
-                raise InputError("a problem is loaded by its name or path", "Give nested tables to optlink.read", key="PROBLEM")
             raise InputError("no such problem", nearest(text, names) + ", or the path of a .toml file", key="PROBLEM", value=text)
     raw = with_ranges(with_spellings(_read_toml(path)), skip=WORDS)
     file = path.name if text in names else text

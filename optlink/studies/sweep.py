@@ -337,10 +337,10 @@ def _simulating(
 ) -> SimulationTask:
     """Return the simulation task; the names of its figures are those of a short run at the first point."""
     first = problem.override(grid.changes(0))
-    short = {**options, "revolutions": 1} if has_clearance(first) else options
-    figures, _, _ = simulate_machine(first, short, design, has_clearances=has_clearance(first))
-    if has_clearance(first):
+    if clearances := has_clearance(first):
         options = with_integrator(first, options, design, grid.count)
+    short = {**options, "revolutions": 1} if clearances else options
+    figures, _, _ = simulate_machine(first, short, design, has_clearances=clearances)
     own = tuple((design or {}).items())
     return SimulationTask(
         **SweepTask.problem_fields(problem),

@@ -309,6 +309,7 @@ def revolutions_counted(revolutions: int) -> int:
     return revolutions - RUNNING_IN if revolutions > 2 * RUNNING_IN else revolutions
 
 
+@typed
 def checked(
     problem: ProblemFile,
     control: str,

@@ -302,6 +302,18 @@ def test_a_closed_pipe_is_no_failure(arguments):
     assert done.stderr == ""
 
 
+@posix
+def test_streams_that_the_caller_has_closed_are_no_failure(tmp_path):
+    """Such as `>&-` of a shell: nothing is printed, and nothing of the one stream appears on the other."""
+    words = f"{sys.executable} -m optlink show nowhere --json"
+    for closed, code in ((">&-", 2), ("2>&-", 2), (">&- 2>&- <&-", 2)):
+        done = subprocess.run(["sh", "-c", f"{words} {closed}"], capture_output=True, text=True, check=False, cwd=tmp_path)
+        assert done.returncode == code
+        assert "Traceback" not in done.stderr
+        assert (closed == ">&-") == done.stderr.startswith("Error: ")
+        assert (closed == "2>&-") == done.stdout.startswith("{")
+
+
 @contextlib.contextmanager
 def no_longer_than(seconds):
     """Raise an error in what has not ended after some seconds."""
