@@ -20,6 +20,8 @@ Vector: TypeAlias = tuple[Value, Value]
 TURN = 2.0 * math.pi
 """A revolution [rad]."""
 
+np.empty(1_000_000)  # freed at once: from now on glibc keeps up to 16 MB of freed arrays, whose pages need not be mapped anew
+
 
 def root(x: Value) -> Value:
     """Return the square root, NaN without a warning where x < 0; nothing is clipped."""
