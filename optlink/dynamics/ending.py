@@ -21,6 +21,7 @@ class Ending(enum.Enum):
     DEAD_POSITION = "dead position"
     SINGULAR = "singular position"
     JAMMED = "jammed"
+    UNDETERMINED = "undetermined"
     STALLED = "stalled"
     INTERRUPTED = "interrupted"
 
@@ -35,7 +36,8 @@ _TEXT = {
     Ending.AT_REST: "the machine came to rest: the drive cannot overcome loads and friction there",
     Ending.DEAD_POSITION: "the crank reached a position beyond which the mechanism cannot be assembled",
     Ending.SINGULAR: "the crank reached a singular position: the assembly modes meet, and the motion beyond is not determined",
-    Ending.JAMMED: "friction jams a guide: no motion of the machine satisfies its law, or more than one does",
+    Ending.JAMMED: "friction jams a guide: no motion of the machine satisfies its law, and rest does not either",
+    Ending.UNDETERMINED: "friction of a guide leaves the motion open: more than one motion, or motion and rest, satisfy it",
     Ending.STALLED: "the integration stalled: a singular position, or forces and speeds that grow without bound; "
     "results up to that time are kept. Start elsewhere, shorten the duration, or check loads and torque",
     Ending.INTERRUPTED: "interrupted; results up to that time are kept",

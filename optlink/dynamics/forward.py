@@ -18,11 +18,19 @@ from typing import Any
 
 import numpy as np
 
+from optlink.dynamics.crank_acceleration import (
+    STEADY,
+    acceleration_with_friction,
+    accelerations_with_friction,
+    can_rest,
+    crank_acceleration,
+    required_torque,
+)
 from optlink.dynamics.dop853 import ALL
 from optlink.dynamics.ending import Ending, first_event, marks_ahead, nearest
 from optlink.dynamics.flywheel import LastTurn
 from optlink.dynamics.inertia import kinetic, potential
-from optlink.dynamics.inverse import Reactions, acceleration_with_friction, reactions, required_wrench, virtual_torque
+from optlink.dynamics.inverse import Reactions, reactions
 from optlink.dynamics.loads import Magnitude
 from optlink.dynamics.machine import Machine, Moving
 from optlink.dynamics.runge_kutta import Attempt, Step, Stepper, attempt, states_at
@@ -34,43 +42,6 @@ from optlink.linkage.vector2d import TURN, Array, Value
 STOP = 1e-6  # rad: distance before a singular position at which a simulation ends
 LEAST, PATIENCE = 1e-4, 2000  # least share of the duration per so many steps; less is a stall
 TOGETHER = 500  # steps whose rows are interpolated together
-STEADY = 1e-13  # share of the larger torque by which a resting machine may be out of balance and still stay at rest
-
-
-def required_torque(moving: Moving, geared: Moving) -> tuple[Value, Reactions | None]:
-    """Return the torque on the crank that a motion requires [N m], and the reactions if friction requires them (else None).
-
-    Parameters
-    ----------
-    moving : Moving
-    geared : Moving
-        The same positions at a crank speed of 1 rad/s.
-    """
-    if moving.machine.friction:
-        found = reactions(moving)
-        return found.torque, found
-    return virtual_torque(required_wrench(moving), geared), None
-
-
-def crank_acceleration(geared: Moving, speed: Value, torque: Value, direction: Value) -> Value:
-    """Compute the angular acceleration of the crank [rad/s^2] under a driving torque, elementwise (forward dynamics).
-
-    Parameters
-    ----------
-    geared : Moving
-        The positions (n,) at a crank speed of 1 rad/s.
-    speed, torque : float or array (n,) [rad/s], [N m]
-    direction : float or array (n,)
-        Sense in which the crank turns, or is about to turn: +1 or -1.
-
-    Returns
-    -------
-    The acceleration; NaN where no signs of the normal forces in guides with friction are consistent, or several that differ are
-    """
-    if geared.machine.friction:
-        return acceleration_with_friction(geared, speed, torque, direction)[0]
-    needed, _ = required_torque(geared.scaled(speed, 0.0, direction), geared)
-    return (torque - needed) / (2.0 * geared.kinetic)
 
 
 @dataclass(frozen=True)
@@ -152,7 +123,7 @@ class _Plant:
         if not self.machine.friction:
             alpha = crank_acceleration(geared, speed, torque, self.direction)
             return alpha, torque, geared.scaled(speed, alpha, self.direction), None
-        alpha, signs = acceleration_with_friction(geared, speed, torque, self.direction)
+        alpha, signs, _ = acceleration_with_friction(geared, speed, torque, self.direction)
         moving = geared.scaled(speed, alpha, self.direction)
         return alpha, torque, moving, reactions(moving, None, signs)
 
@@ -314,7 +285,7 @@ class _Journey:
         """Integrate to the next event."""
         end, first = float(self.times[-1]), self.plant(self.state)
         if not np.all(np.isfinite(first)):  # no step size would do
-            self.ending = Ending.JAMMED if _jammed(self.plant, self.state) else Ending.STALLED
+            self.ending = _stopped(self.plant, self.state)
             return
         stepper = Stepper(self.plant, self.plant.attempt, self.time, end, self.state, first)
         ahead = [*marks_ahead(float(self.state[0]), self.switches, self.plant.cycle, self.limits), *self.stops()]
@@ -323,7 +294,7 @@ class _Journey:
             step = stepper.step()
             self.steps += 1
             if step is None or not math.isfinite(step.after.sum()) or self.crawls(stepper.time):
-                self.ending = Ending.JAMMED if _jammed(self.plant, self.state) else Ending.STALLED
+                self.ending = _stopped(self.plant, self.state)
                 return
             upto, event = first_event(step, self.plant.direction if self.may_rest else 0.0, ahead)
             self.recent.append(step)
@@ -371,28 +342,44 @@ class _Journey:
 
 def _set_off(plant: _Plant, angle: float) -> Ending:
     """Set the sense in which a resting machine starts to turn; return why it ends there, `FINISHED` if it starts."""
-    torque, found = float(np.asarray(plant.torque(angle, 0.0)).ravel()[0]), Ending.AT_REST
+    torque, geared = float(np.asarray(plant.torque(angle, 0.0)).ravel()[0]), plant.geared(angle)
+    starts: list[tuple[float, float]] = []
+    known, rough = True, plant.machine.friction
     for direction in (plant.direction, -plant.direction):
-        geared = plant.geared(angle)
-        pull = 2.0 * geared.kinetic * crank_acceleration(geared, 0.0, torque, direction)
-        least = torque - float(np.asarray(pull).ravel()[0])
-        if direction * (torque - least) > STEADY * (abs(torque) + abs(least)):
-            plant.direction = direction
-            return Ending.FINISHED
-        if not math.isfinite(torque - least) and not _jammed(plant, np.array([angle, 0.0])):
-            found = Ending.STALLED
-    return found
+        if rough:
+            found = [alpha for alpha, fits, _ in accelerations_with_friction(geared, 0.0, torque, direction) if np.all(fits)]
+        else:
+            found = [crank_acceleration(geared, 0.0, torque, direction)]
+        for pull in (float(np.asarray(2.0 * geared.kinetic * alpha).ravel()[0]) for alpha in found):
+            known = known and math.isfinite(pull)
+            if direction * pull > STEADY * (abs(torque) + abs(torque - pull)):
+                starts.append((direction, pull))
+    rest = can_rest(geared, torque) if rough else not starts
+    if rough and starts and (rest or max(starts)[1] - min(starts)[1] > 1e-6 * abs(starts[0][1])):
+        return Ending.UNDETERMINED
+    if starts:
+        plant.direction = starts[0][0]
+        return Ending.FINISHED
+    if not known:
+        return Ending.STALLED
+    return Ending.AT_REST if rest else _stopped(plant, np.array([angle, 0.0]))
 
 
-def _jammed(plant: _Plant, state: Array) -> bool:
+def _stopped(plant: _Plant, state: Array) -> Ending:
+    """Return why the integration cannot continue from a state."""
     if not plant.machine.friction:
-        return False
+        return Ending.STALLED
     angles = np.array([state[0], state[0] + plant.direction * STOP])
     geared = plant.machine.moving(angles, 1.0, direction=plant.direction)
     if plant.drive is None:
-        return bool(np.any(reactions(geared.scaled(state[1], 0.0, plant.direction)).jammed))
-    alpha = crank_acceleration(geared, state[1], plant.torque(angles, state[1]), plant.direction)
-    return bool(np.any(np.isnan(alpha) & np.isfinite(geared.kinetic)))
+        held = reactions(geared.scaled(state[1], 0.0, plant.direction))
+        jammed, several = held.jammed, held.several
+    else:
+        alpha, _, several = acceleration_with_friction(geared, state[1], plant.torque(angles, state[1]), plant.direction)
+        jammed = np.isnan(alpha) & np.isfinite(geared.kinetic)
+    if np.any(several):
+        return Ending.UNDETERMINED
+    return Ending.JAMMED if np.any(jammed) else Ending.STALLED
 
 
 def _result(plant: _Plant, times: Array, states: Array, ways: Array, steps: int, ending: Ending, stopped: float) -> Run:

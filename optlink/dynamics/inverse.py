@@ -48,7 +48,8 @@ class Reactions:
     """Joint reactions and torque of a machine in motion.
 
     `pins`: point -> body -> force of the pin on that body [N] (they sum to zero); `guides` by name; `torque` of the
-    drive on the crank [N m]; `jammed` where friction locks a guide; `rows`: the directions of the two balances of each group.
+    drive on the crank [N m]; `jammed` where friction locks a guide, or (`several`) several solutions satisfy its law; `rows`: the
+    directions of the two balances of each group.
     """
 
     torque: Value
@@ -56,6 +57,7 @@ class Reactions:
     guides: dict[str, GuideForce]
     rows: dict[str, tuple[Vector, Vector]]
     jammed: Value = False
+    several: Value = False
 
     @cached_property
     def singularity(self) -> dict[str, Value]:
@@ -184,6 +186,7 @@ class ForceBalance:
         self.guides: dict[str, GuideForce] = {}
         self.rows: dict[str, tuple[Vector, Vector]] = {}
         self.jammed: Value = False
+        self.several: Value = False
         self.order = {body: k for k, body in enumerate((FRAME, *self.mechanism.bodies))}
 
     def solve(self) -> Reactions:
@@ -193,7 +196,7 @@ class ForceBalance:
         crank = self.mechanism.crank
         total = self.needed[crank.body]
         self._exert(crank.start, crank.body, total.force, FRAME)
-        return Reactions(total.moment, self.pins, self.guides, self.rows, self.jammed)
+        return Reactions(total.moment, self.pins, self.guides, self.rows, self.jammed, self.several)
 
     # --- one group -------------------------------------------------------------------------------------------------
 
@@ -229,7 +232,7 @@ class ForceBalance:
                 chosen = trial.where(np.logical_and(fits, np.logical_not(decided)), chosen)
             decided = np.logical_or(decided, fits)
         good = np.logical_and(decided, np.logical_not(torn))
-        self.jammed = np.logical_or(self.jammed, np.logical_not(good))
+        self.jammed, self.several = np.logical_or(self.jammed, np.logical_not(good)), np.logical_or(self.several, torn)
         return chosen if np.all(good) else chosen.each(lambda x: np.where(good, x, np.nan))
 
     def _normal(self, solved: GroupForces, guide: Guide) -> Value:
@@ -333,49 +336,6 @@ def torque_parts(moving: Moving, whole: Reactions | None = None) -> dict[str, Va
     gravity = reactions(smooth, required_wrench(smooth, inertia=False, loads=False)).torque
     total = (whole or reactions(moving)).torque
     return {"inertia": inertia, "gravity": gravity, "load": total - inertia - gravity}
-
-
-def acceleration_with_friction(geared: Moving, speed: Value, torque: Value, direction: Value) -> tuple[Value, dict[str, Value]]:
-    """Return the acceleration of the crank and the signs of the normal forces in guides with friction, elementwise.
-
-    For assumed signs, torque and normal forces are linear in the acceleration: two accelerations determine them.
-
-    Parameters
-    ----------
-    geared : Moving
-        The positions (n,) at a crank speed of 1 rad/s.
-    speed, torque : float or array (n,) [rad/s], [N m]
-        Of the crank; torque of the drive.
-    direction : float or array (n,)
-        Sense in which the crank turns, or is about to turn: +1 or -1.
-
-    Returns
-    -------
-    Acceleration [rad/s^2], NaN where no signs are consistent, or several whose accelerations differ; signs by guide
-    """
-    names = tuple(geared.machine.friction)
-    step = 1.0 + speed * speed + np.abs(torque) / (2.0 * geared.kinetic)
-    ends = [geared.scaled(speed, alpha, direction) for alpha in (0.0, step)]
-    wrenches = [required_wrench(moving) for moving in ends]
-    chosen: Value = np.nan
-    signs: dict[str, Value] = dict.fromkeys(names, 1.0)
-    several: Value = False
-    for trial in itertools.product((1.0, -1.0), repeat=len(names)):
-        normals = dict(zip(names, trial, strict=True))
-        still, moved = (reactions(moving, needed, normals) for moving, needed in zip(ends, wrenches, strict=True))
-        share = (torque - still.torque) / (moved.torque - still.torque)
-        loaded = (np.hypot(*force) for found in (still, moved) for on in found.pins.values() for force in on.values())
-        least = -ROUNDING * (1.0 + np.abs(share)) * sum(loaded)
-        fits: Value = np.isfinite(share)
-        for name, sign in normals.items():
-            low, high = (found.guides[name].normal for found in (still, moved))
-            fits = np.logical_and(fits, sign * (low + share * (high - low)) >= least)
-        alpha = share * step
-        several = np.logical_or(several, np.logical_and(fits, np.abs(alpha - chosen) > 1e-6 * step))
-        first = np.logical_and(fits, np.isnan(chosen))
-        chosen = np.where(first, alpha, chosen)
-        signs = {name: np.where(first, normals[name], signs[name]) for name in names}
-    return np.where(several, np.nan, chosen), signs
 
 
 def shaking(moving: Moving) -> Wrench:

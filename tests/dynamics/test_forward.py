@@ -12,10 +12,10 @@ from typer.testing import CliRunner
 
 import optlink
 from optlink.cli.app import app
-from optlink.dynamics import forward as drive_module
+from optlink.dynamics import crank_acceleration as crank_module, forward as drive_module
+from optlink.dynamics.crank_acceleration import crank_acceleration
 from optlink.dynamics.ending import Ending
 from optlink.dynamics.flywheel import Fluctuation, flywheel
-from optlink.dynamics.forward import crank_acceleration
 from optlink.dynamics.inertia import Inertia
 from optlink.dynamics.inverse import reactions, reduced_inertia
 from optlink.tasks.machine import machine_of
@@ -256,13 +256,13 @@ def test_drift_and_energy_account_see_a_wrong_acceleration(monkeypatch):
 
 
 def test_energy_account_sees_a_load_that_is_left_out(monkeypatch):
-    honest = drive_module.required_torque
+    honest = crank_module.required_torque
 
     def without_loads(moving, geared):
         return honest(drive_module.Moving(moving.machine.with_(loads=()), moving.motion, 1, moving.direction), geared)
 
     assert optlink.simulate(slider_crank(**LOADED), duration=0.3, rows=5).run.imbalance < 1e-9
-    monkeypatch.setattr(drive_module, "required_torque", without_loads)
+    monkeypatch.setattr(crank_module, "required_torque", without_loads)
     assert optlink.simulate(slider_crank(**LOADED), duration=0.3, rows=5).run.imbalance > 1e-3
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import optlink
+from optlink.dynamics.crank_acceleration import crank_acceleration
 from optlink.dynamics.ending import Ending
-from optlink.dynamics.forward import crank_acceleration
 from optlink.dynamics.inverse import reactions
 from optlink.tasks.machine import machine_of
 
@@ -78,3 +78,41 @@ def test_machine_that_starts_backwards_has_the_friction_of_that_sense_in_its_fir
     expected = by_hand(0.3, np.radians(70.0), 0.0, -2.0, -1.0)
     assert found["crank.alpha_rad_s2"][0] == pytest.approx(expected[0], rel=1e-9)
     assert found["crank.alpha_rad_s2"][1] == pytest.approx(expected[0], rel=1e-2)
+
+
+@pytest.mark.parametrize("friction", [0.3, 1.2, 1.6, 2.5])
+def test_resting_machine_starts_only_if_nothing_else_satisfies_coulombs_law(friction):
+    """At rest the massless rod carries S = torque / lever, and friction holds its part along the guide if it lies in the cone."""
+    seen = set()
+    for torque in (-3.0, 3.0):
+        for degrees in (15.0, 60.0, 75.0, 90.0, 105.0, 140.0, 200.0, 260.0, 285.0, 330.0):
+            angle = np.radians(degrees)
+            across = CRANK * np.sin(angle) / ROD
+            ways = [sense for sense in (1.0, -1.0) for alpha in by_hand(friction, angle, 0.0, torque, sense) if alpha * sense > 0]
+            rest = np.sqrt(1.0 - across**2) <= friction * abs(across)
+            expected = Ending.UNDETERMINED if len(ways) + rest > 1 else Ending.AT_REST if rest else Ending.FINISHED
+            assert len(ways) + rest > 0
+            found = optlink.simulate(
+                slider_crank(friction, f"{torque} N*m", start=f"{degrees} deg", duration="1 ms", initial_speed="0 rad/s")
+            )
+            assert found.run.ending is expected, (torque, degrees)
+            assert found.finished is (expected is not Ending.UNDETERMINED)
+            seen.add(expected)
+    few = {Ending.FINISHED} if friction < 1.0 else {Ending.FINISHED, Ending.AT_REST}
+    assert seen - {Ending.UNDETERMINED} == few
+
+
+@pytest.mark.parametrize(("speed", "torque"), [(6.0, 25.0), (-6.0, 25.0), (6.0, -30.0), (-6.0, -30.0)])
+def test_moving_machine_of_no_or_several_accelerations_says_which(speed, torque):
+    seen = set()
+    for degrees in np.linspace(50.0, 130.0, 33):
+        expected = by_hand(1.9, np.radians(degrees), speed, torque, np.sign(speed))
+        if len(expected) == 1:
+            continue
+        found = optlink.simulate(
+            slider_crank(1.9, f"{torque} N*m", start=f"{degrees} deg", duration="1 ms", initial_speed=f"{speed} rad/s")
+        )
+        assert found.run.ending is (Ending.UNDETERMINED if expected else Ending.JAMMED)
+        assert any(("more than one motion" if expected else "no motion") in note for note in found.notes)
+        seen.add(found.run.ending)
+    assert seen

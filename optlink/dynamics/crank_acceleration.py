@@ -1,0 +1,142 @@
+"""Acceleration of the crank under a torque, with Coulomb friction in guides: none, one or several, and rest.
+
+References
+----------
+P. Painleve, Sur les lois du frottement de glissement, C. R. Acad. Sci. 121 (1895): friction may admit no motion, or several.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from optlink.dynamics.inverse import ROUNDING, Reactions, reactions, required_wrench, virtual_torque
+from optlink.dynamics.machine import Moving
+from optlink.linkage.vector2d import Value
+
+STEADY = 1e-13  # share of the larger torque by which a resting machine may be out of balance and still stay at rest
+
+
+def required_torque(moving: Moving, geared: Moving) -> tuple[Value, Reactions | None]:
+    """Return the torque on the crank that a motion requires [N m], and the reactions if friction requires them (else None).
+
+    Parameters
+    ----------
+    moving : Moving
+    geared : Moving
+        The same positions at a crank speed of 1 rad/s.
+    """
+    if moving.machine.friction:
+        found = reactions(moving)
+        return found.torque, found
+    return virtual_torque(required_wrench(moving), geared), None
+
+
+def crank_acceleration(geared: Moving, speed: Value, torque: Value, direction: Value) -> Value:
+    """Compute the angular acceleration of the crank [rad/s^2] under a driving torque, elementwise (forward dynamics).
+
+    Parameters
+    ----------
+    geared : Moving
+        The positions (n,) at a crank speed of 1 rad/s.
+    speed, torque : float or array (n,) [rad/s], [N m]
+    direction : float or array (n,)
+        Sense in which the crank turns, or is about to turn: +1 or -1.
+
+    Returns
+    -------
+    The acceleration; NaN where no signs of the normal forces in guides with friction are consistent, or several that differ are
+    """
+    if geared.machine.friction:
+        return acceleration_with_friction(geared, speed, torque, direction)[0]
+    needed, _ = required_torque(geared.scaled(speed, 0.0, direction), geared)
+    return (torque - needed) / (2.0 * geared.kinetic)
+
+
+def accelerations_with_friction(
+    geared: Moving, speed: Value, torque: Value, direction: Value
+) -> Iterator[tuple[Value, Value, dict[str, float]]]:
+    """Yield for all signs of the normal forces in guides the acceleration, whether it is consistent with them, and the signs.
+
+    For assumed signs, torque and normal forces are linear in the acceleration: two accelerations determine them.
+
+    Parameters
+    ----------
+    geared : Moving
+        The positions (n,) at a crank speed of 1 rad/s.
+    speed, torque : float or array (n,) [rad/s], [N m]
+        Of the crank; torque of the drive.
+    direction : float or array (n,)
+        Sense in which the crank turns, or is about to turn: +1 or -1.
+    """
+    names = tuple(geared.machine.friction)
+    step = 1.0 + speed * speed + np.abs(torque) / (2.0 * geared.kinetic)
+    ends = [geared.scaled(speed, alpha, direction) for alpha in (0.0, step)]
+    wrenches = [required_wrench(moving) for moving in ends]
+    for trial in itertools.product((1.0, -1.0), repeat=len(names)):
+        normals = dict(zip(names, trial, strict=True))
+        still, moved = (reactions(moving, needed, normals) for moving, needed in zip(ends, wrenches, strict=True))
+        share = (torque - still.torque) / (moved.torque - still.torque)
+        loaded = (np.hypot(*force) for found in (still, moved) for on in found.pins.values() for force in on.values())
+        least = -ROUNDING * (1.0 + np.abs(share)) * sum(loaded)
+        fits: Value = np.isfinite(share)
+        for name, sign in normals.items():
+            low, high = (found.guides[name].normal for found in (still, moved))
+            fits = np.logical_and(fits, sign * (low + share * (high - low)) >= least)
+        yield share * step, fits, normals
+
+
+def acceleration_with_friction(
+    geared: Moving, speed: Value, torque: Value, direction: Value
+) -> tuple[Value, dict[str, Value], Value]:
+    """Return the acceleration of the crank and the signs of the normal forces in guides with friction, elementwise.
+
+    Parameters
+    ----------
+    geared, speed, torque, direction
+        See `accelerations_with_friction`.
+
+    Returns
+    -------
+    Acceleration [rad/s^2], NaN where no signs are consistent, or several whose accelerations differ; signs by guide; where there
+    are several
+    """
+    chosen: Value = np.nan
+    signs: dict[str, Value] = dict.fromkeys(geared.machine.friction, 1.0)
+    several: Value = False
+    for alpha, fits, normals in accelerations_with_friction(geared, speed, torque, direction):
+        step = 1.0 + speed * speed + np.abs(torque) / (2.0 * geared.kinetic)
+        several = np.logical_or(several, np.logical_and(fits, np.abs(alpha - chosen) > 1e-6 * step))
+        first = np.logical_and(fits, np.isnan(chosen))
+        chosen = np.where(first, alpha, chosen)
+        signs = {name: np.where(first, normals[name], sign) for name, sign in signs.items()}
+    return np.where(several, np.nan, chosen), signs, several
+
+
+def can_rest(geared: Moving, torque: float) -> bool:
+    """Return whether friction in guides can hold a machine at rest.
+
+    Torque and friction are out of balance by a polynomial that is linear in every coefficient of friction, between minus and plus
+    its largest value: it vanishes if it has both signs among all the largest ones. It is the torque times the determinants.
+
+    Parameters
+    ----------
+    geared : Moving
+        The position at a crank speed of 1 rad/s.
+    torque : float [N m]
+        Of the drive.
+    """
+    signs = set()
+    for direction in (1.0, -1.0):
+        still = geared.scaled(0.0, 0.0, direction)
+        needed = required_wrench(still)
+        for trial in itertools.product((1.0, -1.0), repeat=len(geared.machine.friction)):
+            found = reactions(still, needed, dict(zip(geared.machine.friction, trial, strict=True)))
+            least = float(np.asarray(found.torque).ravel()[0])
+            determinant = math.prod(float(np.asarray(sine).ravel()[0]) for sine in found.singularity.values())
+            lacks = abs(torque - least) > STEADY * (abs(torque) + abs(least))
+            signs.add(np.sign(determinant * (torque - least)) if lacks else 0.0)
+    return 0.0 in signs or {1.0, -1.0} <= signs
