@@ -11,6 +11,7 @@ from optlink.errors import InputError, OptlinkError
 from optlink.problem.assignment import parse_assignment
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import references
+from optlink.report.format import pretty
 from optlink.studio import state
 from optlink.studio.design import Design, carried, checked, failure, from_solution, in_modes, sentence, solved, started, verdict
 from optlink.studio.document import Document, from_template, from_text, named, shipped_problem
@@ -363,14 +364,14 @@ class Session:
             },
             "kind": kind_of(problem).name(problem.model),
             "status": design.status,
-            "conclusion": design.conclusion,
+            "conclusion": pretty(design.conclusion),
             "targets": state.targets(problem, design),
             "handles": [handle.document() | self._reached.get(handle.id, {}) for handle in self._handles.values()],
             "variables": state.variables(problem, design, document.freed),
             "objective": state.objective(problem, design.objective),
             "active": state.active(design),
             "checks": state.checks(design),
-            "conflicts": list(design.conflicts),
+            "conflicts": [pretty(words) for words in design.conflicts],
             "scene": None if picture is None else picture.document(),
             "charts": [] if picture is None else state.charts(design, picture, moving=moving),
         }

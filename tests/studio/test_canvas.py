@@ -375,3 +375,57 @@ def test_changes_are_not_discarded_without_a_question(page, tmp_path):
     page.find('[data-problem="crank-rocker"]').click()  # nothing is lost: no question
     page.until("return document.querySelector('#title').textContent.startsWith('Crank-rocker')")
     page.verified()
+
+
+@pytest.mark.slow
+def test_a_value_that_is_refused_or_converted_does_not_stay_in_its_field(page):
+    """Not "-5" after the refusal, and not "20 in" beside the unit mm, also where the field keeps the focus."""
+    from selenium.webdriver.common.keys import Keys
+
+    page.open("crank-rocker")
+    field = page.find('[data-variable="frame"] input')
+    for typed, shown in (("-5", 500.0), ("", 500.0), ("20 in", 508.0)):
+        field.click()
+        field.send_keys(Keys.CONTROL, "a")
+        field.send_keys(typed or Keys.DELETE, Keys.ENTER)
+        page.until("return Number(document.querySelector('[data-variable=frame] input').value) === arguments[0]", shown)
+        assert page.run("return toast.textContent").startswith("crank-rocker.toml: mechanism.frame") == (typed != "20 in")
+        page.run("toast.textContent = arguments[0]", "" if typed == "" else "crank-rocker.toml: mechanism.frame")
+        page.verified()
+
+
+@pytest.mark.slow
+def test_a_search_that_is_stopped_is_said_to_be_stopped(page):
+    page.find('[data-problem="path-closed18-untimed"]').click()
+    page.until("return document.querySelector('#search').textContent === 'Stop'")
+    assert page.text("#conclusion").endswith("runs.")
+    page.find("#search").click()
+    page.until("return document.querySelector('#search').textContent === 'Search'")
+    assert page.text("#conclusion") == "The search for a better design was stopped."
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["crank-rocker", "watt-i"])
+def test_the_name_of_a_joint_stands_beside_the_links(page, name):
+    """And beside the handles that lie on the joints."""
+    page.open(name)
+    covered = page.run(
+        """const near = [];
+        for (const text of document.querySelectorAll('.names text')) {
+          const box = text.getBoundingClientRect();
+          const inside = (x, y) => x > box.left && x < box.right && y > box.top + 3 && y < box.bottom - 3;
+          for (const path of document.querySelectorAll('#world [data-body] path')) {
+            const matrix = path.getScreenCTM(), length = path.getTotalLength();
+            for (let k = 0; k <= 400; k += 1) {
+              const { x, y } = path.getPointAtLength((k / 400) * length).matrixTransform(matrix);
+              if (inside(x, y)) near.push(text.textContent + ' on ' + path.parentNode.dataset.body), k = 401;
+            }
+          }
+          for (const ring of document.querySelectorAll('.handle .ring')) {
+            const { left, right, top, bottom } = ring.getBoundingClientRect();
+            if (inside((left + right) / 2, (top + bottom) / 2)) near.push(text.textContent + ' on a handle');
+          }
+        }
+        return near;"""
+    )
+    assert covered == []

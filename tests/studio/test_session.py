@@ -122,6 +122,9 @@ def test_a_limit_that_cannot_be_met_is_named_and_its_boundary_shown(page: Page) 
         edge = optlink.load("crank-rocker", {"limits.transmission_angle.min": f"{angle} deg"})
         assert optlink.solve(edge, certify=False).valid is feasible
     page.ask("undo")
+    short = page.state("drag", handle="mechanism.frame", value=30.0, moving=True)
+    assert "crank ≤ frame" in short["conclusion"]
+    assert "<=" not in " ".join((short["conclusion"], *short["conflicts"]))
 
 
 def test_a_locked_size_keeps_its_value_and_is_released_within_its_bounds(page: Page) -> None:

@@ -305,6 +305,7 @@ const live = new Live(keptToken(), {
     busy(false);
     search.take(null);
     toast(sentence(message), true);
+    state && panel.take(state, handles); // what was typed and refused is in the message
     if (linkage.canvas.classList.contains("preview")) {
       preview(null);
     }

@@ -3,6 +3,9 @@ import { colour, keyed, svg } from "./dom.js";
 
 const LAYERS = ["slot", "plate", "bar", "block", "crank"];
 const WIDTHS = { slot: 1.1, plate: 2.2, bar: 3.4, block: 1.5, crank: 4.2 };
+const RAD = Math.PI / 180;
+const SIDES = [45, 135, 90, -45, -135, -90, 0, 180]; // of a joint on which its name can stand, best first [deg]
+const CLEAR = 40; // between a name and a link [deg]
 const POINT = 1 / 8; // line width of one point, as a share of the height of a ground pivot
 
 export function pathOf(line, closed = false) {
@@ -161,8 +164,8 @@ export class Linkage {
       this.names,
       shown,
       (name) => name,
-      (name) => svg("text", { text: name }),
-      () => {}
+      (name) => svg("text", { text: name, "text-anchor": "middle" }),
+      (node, name) => (node.side = side(node.side, this.directions(name)))
     );
     const { points = [], poses = [] } = this.targets;
     keyed(
@@ -172,6 +175,30 @@ export class Linkage {
       (one) => (one.kind === "point" ? svg("circle", { class: "point", r: 3.4 }) : svg("path", { class: "pose", d: "M0 -26V0H34M-4 0H0V4" })),
       () => {}
     );
+  }
+
+  // Directions in which links leave a joint where the motion begins, and those of the ground below a pivot [deg].
+  directions(name) {
+    const { bodies, points } = this.scene;
+    const path = points[name];
+    const joint = path[0];
+    const found = path.every((at) => at && Math.hypot(at[0] - joint[0], at[1] - joint[1]) < 1e-6) ? [-60, -90, -120] : [];
+    for (const { parts, poses } of joint ? bodies : []) {
+      const [x, y, turn] = poses[0];
+      const [c, s] = [Math.cos(turn * RAD), Math.sin(turn * RAD)];
+      for (const { outline, kind } of parts) {
+        const line = outline.map(([u, v]) => [x + c * u - s * v - joint[0], y + s * u + c * v - joint[1]]);
+        const size = Math.max(...line.map((at) => Math.hypot(...at)));
+        line.forEach((at, k) => {
+          for (const next of [line[k - 1] ?? (kind === "bar" ? null : line.at(-1)), line[k + 1] ?? (kind === "bar" ? null : line[0])]) {
+            if (next && Math.hypot(...at) < 1e-3 * size && Math.hypot(...next) > 1e-3 * size) {
+              found.push(Math.atan2(next[1], next[0]) / RAD);
+            }
+          }
+        });
+      }
+    }
+    return found;
   }
 
   // Everything that depends on the view, and the position of the motion.
@@ -273,7 +300,6 @@ export class Linkage {
       node.setAttribute("d", spring(line, tail, scene.size || 10));
     }
     const names = [...this.names.children];
-    const still = new Set(scene.still || []);
     [...this.joints.children].forEach((node, k) => {
       const at = this.point(node.dataset.point);
       node.setAttribute("visibility", at ? "inherit" : "hidden");
@@ -281,11 +307,19 @@ export class Linkage {
       if (at) {
         const [x, y] = view.px(...at);
         node.setAttribute("transform", `translate(${x.toFixed(2)} ${y.toFixed(2)})`);
-        const [dx, dy] = still.has(node.dataset.point) ? [9, 17] : [8, -8];
+        const turn = names[k].side * RAD;
+        const [dx, dy] = [(9.5 + 3.6 * node.dataset.point.length) * Math.cos(turn), 4 - 18 * Math.sin(turn)];
         names[k].setAttribute("transform", `translate(${(x + dx).toFixed(2)} ${(y + dy).toFixed(2)})`);
       }
     });
   }
+}
+
+// The side of a joint for its name: that before, if it is clear of the links, else the first clear or the clearest one.
+function side(before, directions) {
+  const room = (turn) => Math.min(180, ...directions.map((way) => Math.abs(((((turn - way) % 360) + 540) % 360) - 180)));
+  const clear = (turn) => turn !== undefined && room(turn) >= CLEAR;
+  return clear(before) ? before : (SIDES.find(clear) ?? SIDES.reduce((best, turn) => (room(turn) > room(best) ? turn : best)));
 }
 
 function layerOf(part, k) {

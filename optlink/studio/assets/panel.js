@@ -112,10 +112,16 @@ export class Panel {
     const track = el("div", { class: "track" }, el("i"), el("b"));
     const lock = el("button", { class: "icon lock", "aria-pressed": "false" }, icon("unlock"));
     const row = el("tr", { "data-variable": name }, el("th", { scope: "row" }, ...name.split(/(?<=\.)/).flatMap((part) => [part, el("wbr")])), el("td", { class: "num" }, value, unit), el("td", { class: "bounds" }, track, el("small")), el("td", {}, lock));
+    value.addEventListener("input", () => (row.typing = true)); // what is being typed is kept until it is sent
+    for (const end of ["change", "blur"]) {
+      value.addEventListener(end, () => (row.typing = false));
+    }
     value.addEventListener("change", () => {
       const text = value.value.trim().replace("−", "-");
       if (text && row.variable.key) {
         this.actions.set(row.variable.key, /^[-+.\deE]+$/.test(text) && row.variable.unit ? `${text} ${row.variable.unit}` : text);
+      } else {
+        value.value = number(row.variable.value, 6);
       }
     });
     value.addEventListener("keydown", (event) => event.key === "Escape" && ((value.value = number(row.variable.value, 6)), value.blur()));
@@ -132,7 +138,7 @@ export class Panel {
     const [, cell, bounds, last] = row.children;
     const [value, unit] = cell.children;
     value.readOnly = !variable.key;
-    if (document.activeElement !== value || value.readOnly) {
+    if (!row.typing || value.readOnly) {
       const text = number(variable.value, 6);
       if (value.value !== text) {
         value.value = text;

@@ -14,6 +14,7 @@ export class Search {
     this.running = false;
     $("search").addEventListener("click", () => {
       if (this.running) {
+        this.stopping = true;
         actions.send("stop");
       } else {
         this.value = actions.objective();
@@ -24,6 +25,7 @@ export class Search {
 
   state({ id, searching, status, objective }) {
     this.take(searching ? 0 : null, "searching");
+    this.stopping &&= Boolean(searching);
     if (this.asked === id && !searching) {
       this.asked = null;
       if (status === "verified" && Number.isFinite(this.value) && Number.isFinite(objective?.value)) {
@@ -38,6 +40,10 @@ export class Search {
     this.running = fraction !== null && fraction < 1;
     root.toggleAttribute("data-searching", this.running);
     clearTimeout(this.timer);
+    if (this.stopping && text === "stopped") {
+      this.stopping = false; // the last state says that the search runs
+      setText($("conclusion"), `${$("canvas").dataset.status === "verified" ? "Validated; the" : "The"} search for a better design was stopped.`);
+    }
     if (this.running) {
       this.begun ??= performance.now();
       this.timer = setTimeout(() => this.show(fraction, text), Math.max(0, this.begun + LONG - performance.now()));
