@@ -234,7 +234,7 @@ def balance(
         disagreement=disagreement,
         limits=tuple(active_limit(price, after, scale) for price in found.prices),
         trade=curve,
-        notes=tuple(_notes(task, goal, status, slack, heavier, added, excess)),
+        notes=(*_notes(task, goal, status, slack, heavier, added, excess), *_missed(curve)),
         exact=found.exact,
         excess=excess,
         **common,
@@ -356,7 +356,7 @@ def _trade(task: _Task, first: BalanceMeasure, second: BalanceMeasure, count: in
     scales = programme.before(first), programme.before(second)
     points = []
     for k, point in enumerate(found.points):
-        x = programme.realised(point.x)
+        x = min(map(programme.realised, (point.x, programme.with_mass(point.x))), key=lambda y: max(programme.excess(y), ACTIVE))
         added, springs = task.parts(x)
         machine = _heavier(task.machine, added, springs)
         observed = [first, second]
@@ -373,6 +373,7 @@ def _trade(task: _Task, first: BalanceMeasure, second: BalanceMeasure, count: in
                 (made[0], made[1]),
                 off,
                 {one.body: one.mass for one in added},
+                programme.excess(x),
             )
         )
         if progress is not None:
@@ -423,6 +424,14 @@ def _notes(
         notes.append("the crank cannot turn fully: the positions are those of its range")
     notes += _between(task, goal, heavier)
     return notes
+
+
+def _missed(curve: TradeOff | None) -> list[str]:
+    """Return a note on points of a trade-off whose discs miss a limit."""
+    points = () if curve is None else curve.points
+    missed = [f"{k}" for k, point in enumerate(points, 1) if point.excess > ACTIVE]
+    found = f"points {', '.join(missed)} of {len(points)} of the trade-off are bounds only"
+    return [f"{found}: no discs were found there that meet all limits"] if missed else []
 
 
 def _between(task: _Task, goal: Sequence[tuple[BalanceMeasure, float]], heavier: Machine) -> list[str]:

@@ -276,9 +276,12 @@ def test_the_total_mass_has_a_least_value_too(mass):
     assert all(limit.buys < 1e-6 for limit in result.limits)  # a crank that turns evenly carries any disc on its pivot
 
 
+ON_ROCKER = {"body": "rocker", "at": "D"}
+
+
 def test_discs_that_miss_a_limit_are_no_optimum():
     """A disc on the pivot of the rocker adds its moment of inertia alone; one of 1 g has less than the limit needs."""
-    heavy = {"body": "rocker", "thickness": "5 mm", "density": "7850 kg/m^3", "at": "D"}
+    heavy = ON_ROCKER | {"thickness": "5 mm", "density": "7850 kg/m^3"}
     file = four_bar("rms shaking force", [heavy]).override({"balance.limits": {"rms shaking moment from 180 to 240 deg": "90 %"}})
     result = optlink.balance(file.override({"balance.mass": {"max": "0.001 kg"}}))
     assert not result.valid
@@ -288,6 +291,21 @@ def test_discs_that_miss_a_limit_are_no_optimum():
     assert result.valid
     assert result.status == "optimal"
     assert 0.001 < result.added[0].mass <= 10.0
+
+
+@pytest.mark.parametrize(("most", "valid"), [("0.05 kg", False), ("10 kg", True)])
+def test_points_of_a_trade_off_that_no_discs_reach_are_named(most, valid):
+    """Only a disc on the pivot of the rocker meets the limit; up to 50 g there are none, and with more each point has one."""
+    discs = [{"thickness": "5 mm", "density": "7850 kg/m^3"} | own for own in (ON_ROCKER, {"body": "crank", "reach": "60 mm"})]
+    limits = {"rms shaking moment from 180 to 240 deg": "90 %"}
+    file = four_bar("rms shaking force", discs).override({"balance.limits": limits, "balance.mass": {"max": most}})
+    result = optlink.balance(file, trade="force,torque", points=3)
+    assert result.valid is valid
+    assert any("of the trade-off are bounds only" in note for note in result.notes) is not valid
+    for point in result.trade.points:
+        assert (point.excess <= 1e-6, "rocker" in point.masses) == (valid, valid)
+        if valid:
+            np.testing.assert_allclose(point.realised, (point.first, point.second), rtol=1e-9)
 
 
 def test_a_spring_has_no_free_length_that_a_problem_file_cannot_state():

@@ -177,7 +177,10 @@ class RelaxedLimit:
 
 @dataclass(frozen=True)
 class TradePoint:
-    """A point of the trade-off [SI]: `gap` relative; `realised`: both measures by inverse dynamics, with realisable discs."""
+    """A point of the trade-off [SI]: `gap` relative; `realised`: both measures by inverse dynamics, with realisable discs.
+
+    `excess`: largest relative violation of a limit by these discs.
+    """
 
     first: float
     second: float
@@ -186,6 +189,7 @@ class TradePoint:
     realised: tuple[float, float]
     disagreement: float
     masses: Mapping[str, float]
+    excess: float
 
 
 @dataclass(frozen=True)
@@ -339,8 +343,9 @@ class Balance(Recorded):
 
     @property
     def valid(self) -> bool:
-        """Whether there is a design that satisfies all limits and is verified."""
-        return self.status in ("optimal", "relaxed") and self.verified and self.excess <= ACTIVE
+        """Whether a design satisfies all limits and is verified, and one does at every point of a trade-off."""
+        excess = max([self.excess, *(p.excess for p in (self.trade.points if self.trade else ()))])
+        return self.status in ("optimal", "relaxed") and self.verified and excess <= ACTIVE
 
     @cached_property
     def columns(self) -> dict[str, Array]:
