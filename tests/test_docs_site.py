@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import html
 import logging
 import re
@@ -12,8 +13,10 @@ import pytest
 
 import optlink
 from optlink.errors import Status
+from tests.clearance.test_joint_clearance import ending_after
 from tests.solved import solution
 from tests.test_docs import DOCS, PAGES, ROOT, answer, hook, parse
+from tests.validation.test_clearance import simulate
 
 # --- formulas ------------------------------------------------------------------------------------------------------------
 
@@ -148,6 +151,12 @@ def test_a_notebook_becomes_a_page():
     assert all(f"({name})" in text for name in pictures)
 
 
+def clearance_run(rpm, revolutions, friction, tolerance):
+    """The motion that the tests of the same reference values need; of first contacts no more than the beginning."""
+    with ending_after(0.1) if revolutions == 1 else contextlib.nullcontext():
+        return simulate(rpm, friction, revolutions, tolerance=tolerance)
+
+
 @pytest.mark.slow
 def test_the_site_builds_without_a_warning_and_asks_no_network(tmp_path, monkeypatch, caplog):
     """With the answers and solutions that other tests of this run need as well."""
@@ -164,12 +173,15 @@ def test_the_site_builds_without_a_warning_and_asks_no_network(tmp_path, monkeyp
         warnings.simplefilter("ignore")  # of other libraries; those of MkDocs are in its log
         config = load_config(str(ROOT / "mkdocs.yml"), strict=True, site_dir=str(site))
         monkeypatch.setattr(config.hooks["docs/hooks/recipes.py"], "answer", answer)
-        monkeypatch.setattr(config.hooks["docs/hooks/validation.py"], "solved", solution)
+        validation = config.hooks["docs/hooks/validation.py"]
+        monkeypatch.setattr(validation, "solved", solution)
+        monkeypatch.setattr(validation, "clearance_run", clearance_run)
         gallery = config.hooks["docs/hooks/gallery.py"]
         searched = gallery.solve_or_validate
 
         def shared(problem, **options):
-            return solution(problem.name) if problem.task == "path" else searched(problem, **options)
+            needed = problem.task == "path" or problem.name.startswith(("function-", "stroke-"))
+            return solution(problem.name) if needed else searched(problem, **options)
 
         monkeypatch.setattr(gallery, "solve_or_validate", shared)
         build(config)

@@ -297,13 +297,24 @@ def under_a_torque() -> Iterator[Row]:
     yield Row("crank speed after 2 s", "rad/s", 39.79557704, actual.figures["end.speed_rad_s"], 1e-7, test)
 
 
+@functools.cache
+def clearance_run(rpm: int, revolutions: int, friction: float, tolerance: float) -> Any:
+    """Return the motion of the slider-crank with clearance in steps of 5 degrees, at a speed of the crank.
+
+    Parameters
+    ----------
+    rpm, revolutions : int
+    friction, tolerance : float
+    """
+    problem = optlink.load("slider-crank-clearance", {"joints.C.friction": friction})
+    return optlink.simulate_clearance(problem, revolutions, 72, rpm * RPM, tolerance=tolerance, twin=False)
+
+
 def first_impacts() -> Iterator[Row]:
     """Yield the first contact after a start with centred journal, without friction, at four speeds."""
     test = f"{CLEARANCE}::test_first_impact_to_the_digits_that_were_noted"
-    problem = optlink.load("slider-crank-clearance", {"joints.C.friction": 0.0})
     for rpm, target in literal(CLEARANCE, "IMPACTS").items():
-        run = optlink.simulate_clearance(problem, 1, 72, rpm * RPM, tolerance=1e-12, twin=False)
-        one = run.impacts[0]
+        one = clearance_run(rpm, 1, 0.0, 1e-12).impacts[0]
         actual = (one.begin, math.degrees(one.crank_angle), one.approach, one.penetration, one.end, one.departure)
         names = ("start", "crank angle", "approach velocity", "largest penetration", "end", "separation velocity")
         units = ("s", "deg", "m/s", "m", "s", "m/s")
@@ -313,10 +324,9 @@ def first_impacts() -> Iterator[Row]:
 
 def deviations() -> Iterator[Row]:
     """Yield the rms deviation of the slider with friction over revolutions 6 to 25, and all columns of revolution 11."""
-    problem = optlink.load("slider-crank-clearance", {"joints.C.friction": 0.1})
     names = literal(CLEARANCE, "COLUMNS")
     for rpm, target in literal(CLEARANCE, "RMS").items():
-        run = optlink.simulate_clearance(problem, 25, 72, rpm * RPM, tolerance=1e-11, twin=False)
+        run = clearance_run(rpm, 25, 0.1, 1e-11)
         test = f"{CLEARANCE}::test_deviation_over_twenty_revolutions"
         yield Row(f"rms deviation at {rpm} rpm", "mm", target * 1e3, run.figures["rms_m"] * 1e3, target, test)
         table = columns(f"clearance_mu01_{rpm}rpm.csv")

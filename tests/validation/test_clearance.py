@@ -24,6 +24,7 @@ from optlink.clearance.integration import Impact
 from optlink.tasks.clearance import simulate_clearance
 from optlink.tasks.results.clearance import ClearanceSimulation
 from tests.clearance.test_joint_clearance import ending_after
+from tests.solved import once
 from tests.tiers import mostly_slow
 
 DATA = Path(__file__).resolve().parent.parent / "data"
@@ -62,7 +63,11 @@ COLUMNS = {
 @cache
 def simulate(rpm: int, friction: float, revolutions: int, points: int = STEPS, tolerance: float = 1e-11) -> ClearanceSimulation:
     problem = optlink.load("slider-crank-clearance", {"joints.C.friction": friction})
-    return simulate_clearance(problem, revolutions, points, rpm * RPM, tolerance=tolerance, twin=False)
+    found: ClearanceSimulation = once(
+        f"clearance at {rpm} rpm, friction {friction}, {revolutions} revolutions of {points} rows, {tolerance}",
+        lambda: simulate_clearance(problem, revolutions, points, rpm * RPM, tolerance=tolerance, twin=False),
+    )
+    return found
 
 
 def first_impact(rpm: int, tolerance: float, points: int = STEPS) -> Impact:
