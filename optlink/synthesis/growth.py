@@ -37,11 +37,7 @@ Complex = NDArray[np.complex128]
 Values = dict[str, Array]
 
 SAMPLES = 6000  # random choices of the remaining dimensions, per four-bar design and combination of assembly modes
-COARSE, ALONG, FINE = (
-    10,
-    73,
-    1441,
-)  # crank angles at which the limits of all, of possible and of preselected designs are evaluated
+COARSE, ALONG, FINE = 10, 73, 1441  # crank angles at which limits are evaluated: of all, of possible and of preselected designs
 MEASURED = 10  # preselected designs, as a multiple of those returned
 SAME = 1e-6  # of the size of the curve: rounding difference of the two curves
 ENLARGED = (math.log(0.4), math.log(2.5))  # logarithms of the pantograph ratio
