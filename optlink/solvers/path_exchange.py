@@ -34,6 +34,7 @@ CLOSE = 0.02  # the same for peaks whose positions are unknowns of the NLP
 REACH, FARTHEST = 0.02, 0.1  # share of the motion by which such a position may move in a round of the first radius, and at most
 PER_ROW = 2  # such positions of a row that the programme has at least
 EDGE = 1e-3  # share of the motion: this close to its ends the derivative at a peak need not vanish
+ROUNDING = 1e-9  # scaled units: a shorter step is none
 APART = 1e-4  # share of the motion; closer positions count as one
 MISSED = 1e3  # penalty of exceeding a limit by one, in multiples of the objective
 
@@ -79,6 +80,7 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
         found = local.solution_at(nlp, found.x, found.message)
         if (found.status is Status.OPTIMAL and tops[0].height <= 0.0) or radius < SMALLEST:
             break
+        begun = found.x
         moved, limited = _followed(nlp, found, len(task.free), radius, backend, tops, missed)
         there = _tops(task, moved)
         if _merit(moved, there) < _merit(found, tops):
@@ -88,6 +90,8 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
             missed, worst = [*there, *missed], 0.5 * there[0].height  # the step is repeated with these positions
         else:
             radius, missed, worst = 0.25 * radius, [], math.inf
+        if math.isfinite(moved.objective) and np.max(np.abs(moved.x - begun)) < ROUNDING:
+            break  # it stays where it is: further rounds would repeat this one
     converged = tops[0].height <= 0.0 or not found.usable
     return found if converged else replace(found, status=Status.STALLED, message="limits are exceeded between the positions")
 

@@ -9,16 +9,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import optlink
 from optlink.errors import Status
+from optlink.optimization.path_nlp import build_path_nlp
 from optlink.problem.file import read
 from optlink.problem.path import PathProblem
+from optlink.solvers import path_exchange
+from optlink.solvers.multistart import solution_at
 from optlink.solvers.path_exchange import RowPeak, peaks
 from optlink.synthesis.batch import Batch
 from optlink.synthesis.batch_search import Candidate
 from optlink.synthesis.growth import contained_four_bar, grow_from_four_bar
 from optlink.tasks import path
 from optlink.tasks.path import solve
-from optlink.tasks.path_search import Polisher, has_several_dyads
+from optlink.tasks.path_search import Polisher, has_several_dyads, path_model
 from optlink.tasks.results.path import PathDesign
 from optlink.validation.check import Check
 from tests.random_six_bars import faults_of_six_bar, random_six_bar
@@ -32,6 +36,19 @@ def test_peaks_are_found_between_positions_of_the_grid() -> None:
     assert [(peak.row, round(peak.at, 6)) for peak in found] == [(0, 0.224399), (0, 1.0)]
     assert found[0].height == pytest.approx(1.0, abs=1e-12)
     assert isinstance(found[0], RowPeak)
+
+
+def test_the_exchange_of_positions_ends_where_a_round_does_not_move(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every further round would repeat it, to the largest number of iterations."""
+    file = optlink.load("path-watt-leg").variants()[0]
+    task = path_model(file)
+    nlp = build_path_nlp(task, 1)
+    start = solution_at(nlp, nlp.x_start, "")
+    assert np.isfinite(start.objective)
+    calls = []
+    monkeypatch.setattr(path_exchange, "_followed", lambda _nlp, at, *_rest: (calls.append(at) or at, False))
+    path_exchange.solve_semi_infinite(task, start, "ipopt", near=True)
+    assert len(calls) == 1
 
 
 @pytest.mark.slow
