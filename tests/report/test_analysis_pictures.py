@@ -124,6 +124,13 @@ def charts(name: str):
     return analysis.charts(course(name))
 
 
+def test_the_curves_of_forces_can_be_told_apart_without_colours():
+    several = [chart for chart in charts("six-bar") if chart.file in ("reactions", "shaking", "torque")]
+    looks = [[(one.dash, round(one.width, 2)) for one in panel.traces if one.name] for chart in several for panel in chart.panels]
+    assert max(map(len, looks)) >= 7
+    assert [look for look in looks if len(set(look)) < len(look)] == []
+
+
 KINDS = ("mechanism", "motion", "torque", "reactions", "guides", "work", "shaking")
 
 

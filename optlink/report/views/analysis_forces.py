@@ -48,8 +48,8 @@ def torque(course: CycleCurves, given: CycleCurves | None = None) -> list[ChartS
     parts = [name for name in ("inertia", "gravity", "load") if course.has(f"input.torque_{name}_Nm", [TORQUE])]
     words = {"load": "loads and friction" if result.machine.friction else "loads"}
     traces = curves(course, TORQUE, unit, "driving torque", CRANK, 2.6, given=given)
-    for part, colour in zip(parts if len(parts) > 1 else [], (COUPLER, ROCKER, BODIES[2]), strict=False):
-        traces += curves(course, f"input.torque_{part}_Nm", unit, f"for {words.get(part, part)}", colour, 1.2)
+    for part, colour, dash in zip(parts if len(parts) > 1 else [], (COUPLER, ROCKER, BODIES[2]), DASHES, strict=False):
+        traces += curves(course, f"input.torque_{part}_Nm", unit, f"for {words.get(part, part)}", colour, 1.2, dash)
     lines = []
     mean = result.work / (course.end - course.start)
     if math.isfinite(mean):
@@ -77,7 +77,7 @@ def reactions(course: CycleCurves) -> list[ChartSpec]:
     pivot = next(name for name in (f"{crank.start}.f_N", f"{crank.start}.{crank.body}.f_N") if name in course.columns)
     x, y = pivot.replace(".f_N", ".fx_N"), pivot.replace(".f_N", ".fy_N")
     unit = scale(course.peak(pivot), "N")
-    pair = [*curves(course, x, unit, "in x", FOUND), *curves(course, y, unit, "in y", CRANK)]
+    pair = [*curves(course, x, unit, "in x", FOUND), *curves(course, y, unit, "in y", CRANK, dash="dash")]
     marks = extremes(course, x, unit, FOUND) + extremes(course, y, unit, CRANK)
     caption = course.result.meanings.get(x, "").removesuffix(" in x")
     heading = titled(course, "joint reactions")
@@ -93,7 +93,7 @@ def reactions(course: CycleCurves) -> list[ChartSpec]:
         amount = f"{unit.text(extreme.largest)} at {degrees(extreme.largest_at)}" if extreme else ""
         amount = "without bound" if name in course.result.unbounded else amount
         width = 2.5 - 1.3 * k / max(1, len(shown) - 1)  # overlapping curves stay visible
-        dash = DASHES[k // (len(BODIES) + 1) % len(DASHES)]
+        dash = DASHES[(k + k // (len(BODIES) + 1)) % len(DASHES)]  # to be told apart without colours too
         traces += curves(course, name, unit, f"{label}:  {amount}" if amount else label, colour, width, dash)
     y_axis = axis(course, f"amount of force [{unit.unit}]", traces)
     high = y_axis.limits[1] if y_axis.limits else 1.06 * max(float(np.nanmax(trace.y)) for trace in traces)
@@ -272,7 +272,10 @@ def shaking(course: CycleCurves, given: CycleCurves | None = None) -> list[Chart
         mark = Mark(most[0] * unit.factor, most[1] * unit.factor, "", CRANK, size=5.0, gid="largest")
         caption = f"Shaking force, at most {unit.text(math.hypot(most[0], most[1]))} at {degrees(most[2])}"
         found.append(hodograph(course, x, y, unit, "shaking", caption, [mark], heading))
-        traces = [*curves(course, x, unit, "in x", FOUND, given=given), *curves(course, y, unit, "in y", CRANK, given=given)]
+        traces = [
+            *curves(course, x, unit, "in x", FOUND, given=given),
+            *curves(course, y, unit, "in y", CRANK, dash="dash", given=given),
+        ]
         panels.append(panel(course, f"shaking force [{unit.unit}]", traces))
     title = "Shaking of the frame"
     if course.peak(moment) > NOTHING * course.peak(x, y) * _extent(course):
