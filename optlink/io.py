@@ -285,6 +285,7 @@ def head(schema: str, problem: Any, status: str) -> dict[str, Any]:
         "problem": problem.name,
         "title": problem.model.title,
         "problem_hash": problem.hash,
+        "overrides": dict(problem.overrides),
         "seed": None,
         "status": status,
     }

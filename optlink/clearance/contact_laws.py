@@ -1,6 +1,6 @@
 """Contact forces between journal and bearing, as elementwise functions by name.
 
-A normal law gives the force from the penetration delta, its rate, and the approach speed v0 at the begin of the contact. It
+A normal law gives the force from the penetration delta, its rate, and the approach speed v0 at the start of the contact. It
 dissipates energy because the force is larger during approach than during separation. No law pulls: negative forces become zero.
 """
 
@@ -70,7 +70,7 @@ def hertz(delta: Value, rate: Value, speed: Value, stiff: Value, restitution: Va
     rate : Value [m/s]
         Rate of the penetration.
     speed : Value [m/s]
-        Approach speed at the begin of the contact.
+        Approach speed at the start of the contact.
     stiff : Value [N/m^1.5]
         Stiffness.
     restitution : Value [-]
@@ -93,7 +93,7 @@ def hunt_crossley(delta: Value, rate: Value, speed: Value, stiff: Value, restitu
     rate : Value [m/s]
         Rate of the penetration.
     speed : Value [m/s]
-        Approach speed at the begin of the contact.
+        Approach speed at the start of the contact.
     stiff : Value [N/m^1.5]
         Stiffness.
     restitution : Value [-]
@@ -116,7 +116,7 @@ def lankarani_nikravesh(delta: Value, rate: Value, speed: Value, stiff: Value, r
     rate : Value [m/s]
         Rate of the penetration.
     speed : Value [m/s]
-        Approach speed at the begin of the contact.
+        Approach speed at the start of the contact.
     stiff : Value [N/m^1.5]
         Stiffness.
     restitution : Value [-]
@@ -139,7 +139,7 @@ def flores(delta: Value, rate: Value, speed: Value, stiff: Value, restitution: V
     rate : Value [m/s]
         Rate of the penetration.
     speed : Value [m/s]
-        Approach speed at the begin of the contact.
+        Approach speed at the start of the contact.
     stiff : Value [N/m^1.5]
         Stiffness.
     restitution : Value [-]

@@ -96,7 +96,7 @@ class Equations:
         ----------
         moving : ClearanceState
         speeds : iterable of Value [m/s]
-            Approach speed at the begin of the contact, for each gap.
+            Approach speed at the start of the contact, for each gap.
         modes : iterable of Value
             1 in contact, 0 apart, for each gap.
         """

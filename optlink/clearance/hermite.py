@@ -41,7 +41,7 @@ def crossing(begin: Sequence[float], end: Sequence[float], span: float) -> float
 
 
 def summit(begin: Sequence[float], end: Sequence[float], span: float) -> float:
-    """Estimate the maximum of a path that rises at its begin and falls at its end, as a share of the row.
+    """Estimate the maximum of a path that rises at its start and falls at its end, as a share of the row.
 
     Parameters
     ----------

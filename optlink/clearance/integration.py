@@ -39,7 +39,7 @@ DEEPEST = 0.2
 
 
 class Impact(NamedTuple):
-    """One contact, from its begin to its end.
+    """One contact, from its start to its end.
 
     Gap, begin [s], crank angle then [rad], approach speed [m/s], largest penetration [m], end [s], departure speed [m/s]. The end
     is NaN while the contact lasts.
@@ -55,7 +55,7 @@ class Impact(NamedTuple):
 
 
 class Crossing(NamedTuple):
-    """A switch of a gap: the gap, the time from the begin of the row [s], the state there, the works until then [J]."""
+    """A switch of a gap: the gap, the time from the start of the row [s], the state there, the works until then [J]."""
 
     gap: int
     into: float
@@ -189,7 +189,7 @@ class Integration:
         return self._solve(state, self.parameters(span, time), count)
 
     def _solve(self, state: Array, given: Array, count: int) -> tuple[Array, Array]:
-        """States at the begin and after each of `count` equal steps of the span, and the works after each [J]."""
+        """States at the start and after each of `count` equal steps of the span, and the works after each [J]."""
         try:
             with silent():
                 stiff = self._stiff(given[-len(self.equations.gaps) :])
@@ -330,7 +330,7 @@ class Integration:
         return block
 
     def _switch(self, found: Crossing) -> None:
-        """Advance to the begin or end of a contact, and change its mode."""
+        """Advance to the start or end of a contact, and change its mode."""
         gap, self.state = found.gap, self._closed(found.state[None, :])[0]
         self.works = self.works + found.works
         self.ahead = min(max(self.ahead + found.into, self.ahead), self.step * (1.0 - 1e-12))

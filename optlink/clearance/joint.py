@@ -114,7 +114,7 @@ def touch(gap: Gap, motion: Motion, speed: Value, closed: Value = 1.0) -> Touch:
     gap : Gap
     motion : Motion
     speed : Value [m/s]
-        Approach speed at the begin of the contact.
+        Approach speed at the start of the contact.
     closed : Value
         1 in contact, 0 apart: then there is no force, even where a trial motion penetrates the bearing.
     """

@@ -47,12 +47,12 @@ class Watched(NamedTuple):
 
 
 Solve = Callable[[Array, Array, int], tuple[Array, Watched]]
-"""(state, parameters, steps) -> states and watched quantities at the begin and after every step of the span."""
+"""(state, parameters, steps) -> states and watched quantities at the start and after every step of the span."""
 
 
 @dataclass
 class Interval:
-    """A part of the motion without a switch: state at its begin, parameters of the integrator (the first: its span [s])."""
+    """A part of the motion without a switch: state at its start, parameters of the integrator (the first: its span [s])."""
 
     state: Array
     parameters: Array
@@ -91,7 +91,7 @@ class Peaks:
         watched : Watched
         given : callable, row -> parameters of the integrator from that row to the next
         modes, entered : array (gaps,)
-            Modes of the gaps, and approach speeds [m/s] at the begin of their contacts.
+            Modes of the gaps, and approach speeds [m/s] at the start of their contacts.
         """
         if len(states) < 2:
             return

@@ -117,8 +117,9 @@ def _output(file: ProblemFile, output: str, angles: str, design: list[str] | Non
     known = output_names(file.model.linkage)
     check_choice("--quantity", output, known, "unknown output", file.file)
     found = output_sensitivity(file.model.linkage, sizes, crank, output)
-    about = {"problem": file.name, "title": file.model.title, "problem_hash": file.hash, "status": "done"}
-    document = OutputSensitivityRecord.of(found, **about, sizes_SI=sizes, crank_angles_deg=np.degrees(crank)).document()
+    about: dict[str, Any] = {"problem": file.name, "title": file.model.title, "problem_hash": file.hash, "status": "done"}
+    about |= {"overrides": file.overrides, "sizes_SI": sizes, "crank_angles_deg": np.degrees(crank)}
+    document = OutputSensitivityRecord.of(found, **about).document()
     if out is not None:
         from optlink.io import write_json
         from optlink.report.files import write_csv

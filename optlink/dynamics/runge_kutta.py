@@ -65,7 +65,7 @@ def attempt(rates: Callable[[Any], Any], stack: Callable[[list[Any]], Any], stat
 
 
 class Step(NamedTuple):
-    """An accepted step: its begin, end and size [s], the states (n,) at both ends, and the rates (16, n) at all stages."""
+    """An accepted step: its start, end and size [s], the states (n,) at both ends, and the rates (16, n) at all stages."""
 
     time: float
     end: float
@@ -193,7 +193,7 @@ class Stepper:
 
 
 def _first_size(rates: Callable[[Array], Array], state: Array, first: Array, span: float) -> float:
-    """Return a first step size from the rates at the begin and after a short explicit step."""
+    """Return a first step size from the rates at the start and after a short explicit step."""
     scale = ABSOLUTE + RELATIVE * np.abs(state)
 
     def norm(values: Array) -> float:

@@ -345,9 +345,10 @@ class Assembly:
             ends = (point for body in left for point in (self.links[body].start, self.links[body].end))
             unshared = [point for point in ends if point and len(self.members[point]) == 1]
             check = f"; check the names of {_list(unshared)}, joints of one body alone" if len(unshared) > 1 else ""
+            them = "them" if len(left) > 1 else "it"
             return StructureError(
                 f"{_list(left)} cannot be placed: the mechanism has {free} degrees of freedom and one driver",
-                f"Join them to the frame or to another body, or remove them{check}",
+                f"Join {them} to the frame or to another body, or remove {them}{check}",
                 f"links.{left[-1]}",
             )
         if free < 1:

@@ -240,7 +240,7 @@ class StrokeRange:
     """One stroke of an output at constant crank speed.
 
     `name`: "forward" where the output moves along its guide or counter-clockwise, else "backward"; `begin`, `end`: crank angles
-    [rad] of its begin (0 ... 2 pi) and end, the end beyond the begin in the sense of crank rotation; `pace`: "slow", "quick", or
+    [rad] of its start (0 ... 2 pi) and end, the end beyond the start in the sense of crank rotation; `pace`: "slow", "quick", or
     "equal" where the two strokes are equally long.
     """
 

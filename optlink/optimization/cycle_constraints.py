@@ -18,10 +18,10 @@ from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scal
 from optlink.optimization.cycle_signals import EventOrder, TracedCycle
 from optlink.optimization.mapped_terms import MappedTerms
 from optlink.optimization.nlp import Variable
-from optlink.problem.cycle.model import Bound
+from optlink.problem.cycle.model import Bound, CycleProblem
 from optlink.problem.cycle.terms import Goal, Term
+from optlink.problem.fixed_design import quantity_key
 from optlink.problem.function import EPIGRAPH
-from optlink.problem.quantity import Quantity
 from optlink.units import KINDS, factor
 
 EVENT = "end of a stroke"
@@ -63,19 +63,21 @@ class WatchedTerm:
         return casadi.sumsqr(casadi.vertcat(*own)) if self.width > 1 or self.peak else self.sign * own[0]
 
 
-def scaled_variable(name: str, quantity: Quantity, size: float) -> Variable:
+def scaled_variable(problem: CycleProblem, name: str, size: float) -> Variable:
     """Return the scaling of a quantity: lengths and coordinates by the size of the machine, angles by 1 rad.
 
     Parameters
     ----------
+    problem : CycleProblem
     name : str
-    quantity : Quantity
+        Name of the quantity.
     size : float [m]
         Size of the machine.
     """
-    if quantity.kind not in ("length", "coordinate"):
-        return Variable(name, 1.0, DEGREES)
-    return Variable(name, size, Scale("mm", 1e3 * size))
+    key = quantity_key(problem, name)
+    if problem.quantities[name].kind not in ("length", "coordinate"):
+        return Variable(name, 1.0, DEGREES, key=key)
+    return Variable(name, size, Scale("mm", 1e3 * size), key=key)
 
 
 def _keeps_slow(bound: Bound) -> bool:
@@ -122,10 +124,10 @@ class CycleTerms:
         events = len(structure.which)
         self.cuts = trace.cuts(structure)
         self.strokes = max(1, self.cuts)
-        self.variables = [scaled_variable(name, problem.quantities[name], self.size) for name in self.free]
+        self.variables = [scaled_variable(problem, name, self.size) for name in self.free]
         self.variables += [Variable(f"{EVENT} {k + 1}", 1.0, DEGREES) for k in range(events)]
         self.variables += [Variable(f"{goal.words} {k + 1}", 1.0, PLAIN) for k, goal in enumerate(self.epigraphs)]
-        self.constants = [scaled_variable(name, problem.quantities[name], self.size) for name in self.fixed]
+        self.constants = [scaled_variable(problem, name, self.size) for name in self.fixed]
         self.x = casadi.SX.sym("x", len(self.variables))
         self.exchange, self.slots = exchange, self.strokes * exchange
         self.p = casadi.SX.sym("p", 1 + len(self.fixed) + self.slots)

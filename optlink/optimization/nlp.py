@@ -20,6 +20,7 @@ from optlink.optimization.constraints import DEGREES, ConstraintRow, Scale, rows
 from optlink.optimization.mapped_terms import MappedTerms
 from optlink.optimization.objectives import MEASURES, ErrorMeasure, output_error
 from optlink.optimization.output_derivatives import ErrorDerivatives
+from optlink.problem.fixed_design import quantity_key
 from optlink.problem.function import EPIGRAPH, DesignProblem, StartPosition
 from optlink.problem.limits import Reach
 from optlink.problem.quantity import Quantity
@@ -30,12 +31,13 @@ from optlink.symbolic import BufferedFunction, CompiledFunction, packed, symbols
 
 @dataclass(frozen=True)
 class Variable:
-    """A component of the design vector: x = (value - origin) / size."""
+    """A component of the design vector: x = (value - origin) / size. `key`: that of the quantity in the problem file."""
 
     name: str
     size: float
     scale: Scale
     origin: float = 0.0
+    key: str = ""
 
     def scaled(self, value: float) -> float:
         """Return the component of the design vector for a value [SI]."""
@@ -403,7 +405,8 @@ def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
         f, g, vector = mapped.expanded([mapped.f, g, casadi.vec(z)])
 
     def scaled(name: str) -> Variable:
-        return Variable(name, sizes[name], Scale("mm", 1e3 * size) if name in LENGTHS else DEGREES)
+        scale = Scale("mm", 1e3 * size) if name in LENGTHS else DEGREES
+        return Variable(name, sizes[name], scale, key=quantity_key(problem, name))
 
     variables, constants = [scaled(name) for name in free], [scaled(name) for name in fixed]
     constants += [Variable(name, size, Scale("mm", 1e3 * size)) for name in counted]

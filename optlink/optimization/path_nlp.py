@@ -19,6 +19,7 @@ from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scal
 from optlink.optimization.mapped_terms import MappedTerms
 from optlink.optimization.nlp import NLP, Variable, boxed
 from optlink.optimization.objectives import error_measures
+from optlink.problem.fixed_design import quantity_key
 from optlink.problem.function import EPIGRAPH
 from optlink.problem.limits import Reach
 from optlink.problem.mechanism import FourBarSection
@@ -45,12 +46,12 @@ def scaled_variable(problem: PathProblem, name: str) -> Variable:
     name : str
         Name of the quantity.
     """
-    quantity = problem.quantities[name]
+    quantity, key = problem.quantities[name], quantity_key(problem, name)
     if quantity.kind not in ("length", "coordinate"):
-        return Variable(name, 1.0, DEGREES)
+        return Variable(name, 1.0, DEGREES, key=key)
     axis = name.rpartition(".")[2] if quantity.kind == "coordinate" else ""
     origin = problem.centre["xy".index(axis)] if axis in ("x", "y") else 0.0
-    return Variable(name, problem.size, Scale("mm", 1e3 * problem.size, offset=1e3 * origin), origin)
+    return Variable(name, problem.size, Scale("mm", 1e3 * problem.size, offset=1e3 * origin), origin, key)
 
 
 def has_position_limits(problem: PathProblem) -> bool:

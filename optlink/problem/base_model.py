@@ -284,6 +284,7 @@ class ResultRecord(Record):
     problem: Annotated[str, "problem.name"]
     title: Annotated[str, "problem.model.title"]
     problem_hash: Annotated[str, "problem.hash"]
+    overrides: Annotated[dict[str, Any], "problem.overrides"] = Field(default_factory=dict)
     seed: int | None
     status: Any
 

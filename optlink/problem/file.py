@@ -8,7 +8,7 @@ import json
 import os
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +37,8 @@ SIDES = ("min", "max")
 class ProblemFile:
     """A problem with its origin.
 
-    `name` and `file`: for display; `raw`: the tables as written, with overrides; `model`: the checked problem.
+    `name` and `file`: for display; `raw`: the tables as written, with overrides; `model`: the checked problem; `overrides`:
+    values by dotted key that replaced those of the file.
     """
 
     name: str
@@ -45,6 +46,7 @@ class ProblemFile:
     folder: Path
     raw: Mapping[str, Any]
     model: Problem
+    overrides: Mapping[str, object] = field(default_factory=dict)
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
@@ -114,7 +116,8 @@ class ProblemFile:
         """
         raw = copy.deepcopy(dict(self.raw))
         _change(raw, changes, self.file)
-        return read(raw, self.name, self.file, self.folder)
+        earlier = {key: value for key, value in self.overrides.items() if key not in changes}
+        return replace(read(raw, self.name, self.file, self.folder), overrides={**earlier, **changes})
 
 
 WORDS = ("title", "source", "about", "report", "expected")
@@ -175,7 +178,7 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
     raw = with_ranges(with_spellings(_read_toml(path)), skip=WORDS)
     file = path.name if text in names else text
     _change(raw, overrides or {}, file)
-    return read(raw, name, file, path.parent)
+    return replace(read(raw, name, file, path.parent), overrides=dict(overrides or {}))
 
 
 @typed

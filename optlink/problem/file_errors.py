@@ -173,6 +173,10 @@ def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[
         elif kind == "literal_error":
             options = re.findall("'([^']*)'", str(context.get("expected", "")))
             yield Fault("not one of the choices", nearest(str(value), options), file, key, _plain(value))
+        elif kind in ("model_type", "model_attributes_type") and path[:-1] == ["limits"]:
+            limit = f'{path[1]} = {{ quantity = "torque", max = "10 N*m" }}'
+            remedy = f"Leave it out, or limit a quantity of the cycle: {limit}"
+            yield Fault("not a limit of this kind of problem", remedy, file, key, _plain(value))
         elif kind in ("model_type", "model_attributes_type"):
             yield Fault("expected a table", f"Begin it with [{key}]" if key else "Write the sections", file, key, _plain(value))
         else:
@@ -245,6 +249,8 @@ def _example(key: str) -> str:
         return 'Add mass = "1.2 kg"'
     if last == "joints":
         return 'Add joints = ["B", "C"], or joints = ["E"] for a body that a guide carries'
+    if last == "slider":
+        return 'Add slider = "NAME", with the name of the body that slides'
     if key.startswith(
         ("mechanism.links", "mechanism.guides", "mechanism.ground", "bodies", "joints", "loads", "drive", "gravity")
     ):

@@ -12,6 +12,7 @@ from typing import Any
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import TURN
 from optlink.problem.file import ProblemFile, read
+from optlink.problem.machine.model import Problem
 from optlink.problem.targets.target_points import read_file
 from optlink.problem.tolerances import read_tolerance
 
@@ -173,3 +174,19 @@ def file_key(mechanism: Mapping[str, Any], name: str) -> str:
     if isinstance(steps[-1], int):
         steps[-1] = name.rpartition(".")[2]
     return ".".join(("mechanism", *map(str, steps)))
+
+
+def quantity_key(problem: Problem, name: str) -> str:
+    """Return the dotted key of a quantity of a problem in its file.
+
+    Parameters
+    ----------
+    problem : Problem
+    name : str
+        Name of the quantity.
+    """
+    if name.startswith("tolerances."):
+        return name
+    if name in ("psi0", "start", "mark", "zero"):
+        return "requirement.psi0" if name == "zero" and not getattr(problem, "slides", True) else f"requirement.{name}"
+    return "requirement.from" if name == "phi0" else file_key(vars(problem.mechanism), name)

@@ -145,15 +145,18 @@ class _Fitted:
         """Yield each row as a line with its name, and its values below."""
         spec = self.spec
         figures = next((k for k, column in enumerate(spec.columns) if column.right), 1) or 1
+        heads = [" ".join(column.name.split()) for column in spec.columns]
+        units = [k for k in range(figures + 1, len(heads)) if not heads[k] and heads[k - 1].endswith("]")]  # of the whole row
         yield Text(spec.title, style=STYLES["strong"])
         for row in spec.rows:
             name = Text("  ").join(Text(*_styled(cell)) for cell in row[:figures] if cell.text)
+            for cell in (row[k] for k in units if row[k].text):
+                name.append(f" [{cell.text}]", STYLES[cell.role])
             for number, line in enumerate(name.wrap(console, width - INDENT)):
                 yield Padding(line, (0, 0, 0, INDENT)) if number else line
             values = Text()
-            for column, cell in zip(spec.columns[figures:], row[figures:], strict=True):
-                if cell.text:
-                    head = " ".join(column.name.split())
+            for k, (head, cell) in enumerate(zip(heads, row, strict=True)):
+                if cell.text and k >= figures and k not in units:
                     values.append(("; " if values and head else " " if values else "") + (f"{head} " if head else ""))
                     values.append(", ".join(cell.text.split("\n")), STYLES[cell.role])
             if values:

@@ -14,7 +14,7 @@ from optlink.linkage.vector2d import Array
 from optlink.optimization.constraints import DEGREES, PLAIN, ConstraintRow, Scale
 from optlink.optimization.nlp import NLP, Variable
 from optlink.problem.function import EPIGRAPH
-from optlink.solvers.solution import Relaxation, key_of
+from optlink.solvers.solution import Relaxation
 
 MET = 1e-6  # total slack, in scaled units, below which a set of limits counts as feasible
 FREE = 1e3  # upper bound of a slack, in scaled units
@@ -120,7 +120,7 @@ def limit_sides(nlp: NLP) -> list[LimitSide]:
         if variable.name in nlp.helpers or variable.name in nlp.states or around or not used[i]:
             continue
         for upper, bound in ((False, nlp.x_low[i]), (True, nlp.x_high[i])):
-            result.append(LimitSide(key_of(variable.name), variable.name, upper, (), (i,), float(bound), variable.scale))
+            result.append(LimitSide(variable.key or variable.name, variable.name, upper, (), (i,), float(bound), variable.scale))
     return result
 
 

@@ -44,7 +44,7 @@ NEAR = 0.3  # share of its level by which a local peak may be lower and still be
 class Peaks:
     """Maxima of the terms along every stroke.
 
-    `shares` (slots,): positions within the strokes, 0 at the begin and 1 at the end, for the exchange points. `excess`:
+    `shares` (slots,): positions within the strokes, 0 at the start and 1 at the end, for the exchange points. `excess`:
     relative excess of the worst peak over its level. `inner`: (slot, index of the watched term) of peaks inside a stroke. `tops`:
     largest value of every watched term, in its own scale; -inf if it is far below its level.
     """

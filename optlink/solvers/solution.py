@@ -158,15 +158,6 @@ class Solution(Summary):
         return self.status in (Status.OPTIMAL, Status.STALLED)
 
 
-def key_of(variable: str) -> str:
-    """Return the key of a quantity or of a tolerance in the problem file."""
-    if variable.startswith("tolerances."):
-        return variable
-    if variable in ("psi0", "start", "mark", "zero"):
-        return f"requirement.{variable}"
-    return "requirement.from" if variable == "phi0" else f"mechanism.{variable}"
-
-
 def violation(nlp: NLP, x: Array, g: Array) -> float:
     """Return the largest violation of a row or bound, in scaled units; infinite if a row is not finite.
 
@@ -332,7 +323,7 @@ def _limit_states(nlp: NLP, x: Array, g: Array, multipliers: Array, price: float
     """
     n = len(x)
     entries = [
-        (key_of(v.name), v.name, x[i], nlp.x_low[i], nlp.x_high[i], v.scale, multipliers[i])
+        (v.key or v.name, v.name, x[i], nlp.x_low[i], nlp.x_high[i], v.scale, multipliers[i])
         for i, v in enumerate(nlp.variables)
         if v.name not in nlp.helpers
     ]

@@ -14,10 +14,8 @@ from numpy.typing import NDArray
 from optlink.optimization.constraints import Scale
 from optlink.optimization.nlp import NLP
 from optlink.problem.file import ProblemFile
-from optlink.problem.fixed_design import file_key
 from optlink.problem.limits import MARGIN_KEYS
-from optlink.problem.path import ZERO
-from optlink.solvers.solution import Solution, key_of
+from optlink.solvers.solution import Solution
 from optlink.studies.toml_keys import exact_text
 from optlink.tasks.protocol import completed
 
@@ -110,18 +108,7 @@ class OptimumParameters:
     @cached_property
     def parameters(self) -> list[Parameter]:
         """All parameters, with the keys of the problem file."""
-        return [replace(found, key=self._in_file(found)) for found in parameters(self.nlp)]
-
-    def _in_file(self, parameter: Parameter) -> str:
-        """Return the key of a parameter in the problem file; a dimension is known by its name to the programme."""
-        entry = parameter.entries[0] if parameter.entries else 0
-        is_row = parameter.constant < 0 and entry >= len(self.nlp.variables)
-        name = parameter.name if parameter.constant >= 0 else "" if is_row else self.nlp.variables[entry].name
-        if name == ZERO and not getattr(self.problem.model, "slides", True):
-            return parameter.key.replace(key_of(name), "requirement.psi0")
-        if name not in self.problem.model.mechanism.quantities:
-            return parameter.key
-        return parameter.key.replace(key_of(name), file_key(self.problem.raw["mechanism"], name))
+        return parameters(self.nlp)
 
     def push(self, parameter: Parameter) -> KKTPerturbation:
         """Return the change of the optimality system per unit of a parameter.
@@ -218,11 +205,11 @@ def parameters(nlp: NLP) -> list[Parameter]:
     Rows that share a limit and a label are one limit, with one bound; so are those of one value for several joints.
     """
     found = [
-        Parameter(key_of(c.name), c.name, _displayed(float(nlp.p[1 + i]), c.scale), c.scale.unit, c.scale, constant=i)
+        Parameter(c.key or c.name, c.name, _displayed(float(nlp.p[1 + i]), c.scale), c.scale.unit, c.scale, constant=i)
         for i, c in enumerate(nlp.constants)
     ]
     n = len(nlp.variables)
-    entries = [(key_of(v.name), v.name, i, v.scale) for i, v in enumerate(nlp.variables) if v.name not in nlp.helpers]
+    entries = [(v.key or v.name, v.name, i, v.scale) for i, v in enumerate(nlp.variables) if v.name not in nlp.helpers]
     entries += [(row.limit, row.label, n + j, row.scale) for j, row in enumerate(nlp.rows) if row.limit not in nlp.helpers]
     limits: dict[tuple[str, str, str, float], Parameter] = {}
     for key, name, entry, scale in entries:

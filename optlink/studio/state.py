@@ -13,10 +13,10 @@ from optlink.io import finite
 from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.vector2d import Array
 from optlink.problem.file import ProblemFile
+from optlink.problem.fixed_design import quantity_key
 from optlink.problem.limits import Limits
 from optlink.problem.path import PathProblem
 from optlink.report.style import scale
-from optlink.solvers.solution import key_of
 from optlink.studio.design import Design
 from optlink.studio.kinds import kind_of
 from optlink.studio.picture import Picture
@@ -78,7 +78,7 @@ def variables(problem: ProblemFile, design: Design, lockable: Mapping[str, Any])
                 "upper": high if quantity.free else None,
                 "locked": not quantity.free,
                 "at_bound": quantity.free and (value <= low + near or value >= high - near),
-                "key": key_of(name),
+                "key": quantity_key(problem.model, name),
             }
         )
     return finite(found)  # type: ignore[no-any-return]

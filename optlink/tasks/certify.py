@@ -201,7 +201,7 @@ class _Search:
         return self._with(self._certificate(searches, variants), begin, interrupted=interrupted)
 
     def _with(self, certificate: Certificate | None, begin: float, *, interrupted: bool) -> Any:
-        """Return the result with its certificate and the time since the begin of the proof."""
+        """Return the result with its certificate and the time since the start of the proof."""
         taken = self.result.seconds | {"certify": time.perf_counter() - begin}
         return replace(self.result, certificate=certificate, seconds=taken, interrupted=self.result.interrupted or interrupted)
 

@@ -745,7 +745,7 @@ REFUSED = [
             BASE, pinned("coupler", "B", "C"), pinned("rocker", "D", "C"), pinned("tail", "C", "T"), modes={"C": "left of B-D"}
         ),
         ("tail", "2 degrees of freedom"),
-        ("Join them",),
+        ("Join it to the frame", "remove it"),
         "links.tail",
     ),
     Refused(

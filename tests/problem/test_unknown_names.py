@@ -48,3 +48,20 @@ def test_results_with_columns_compare_without_an_error() -> None:
     assert first == first
     assert first != second
     assert first.to_dict() == second.to_dict()
+
+
+@pytest.mark.parametrize(
+    ("changes", "remedy"),
+    [
+        (
+            {"limits.crank": "full rotation"},
+            "not a limit of this kind of problem. Leave it out, or limit a quantity",
+        ),
+        ({"mechanism.guides.K": {"through": ["0 mm", "0 mm"]}}, 'Add slider = "NAME", with the name of the body that slides'),
+    ],
+    ids=["limit of another kind", "guide without its slider"],
+)
+def test_the_remedy_fits_the_fault(changes, remedy):
+    with pytest.raises(InputError) as refused:
+        optlink.load("stroke-slider-crank", changes)
+    assert remedy in str(refused.value)

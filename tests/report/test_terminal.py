@@ -96,3 +96,15 @@ def test_text_for_a_file_is_plain(monkeypatch):
     import sys
 
     assert "\x1b" not in sys.stdout.getvalue()
+
+
+def test_the_unit_of_a_row_stands_beside_its_name_where_the_last_column_has_its_own(monkeypatch):
+    rows = [("slider: velocity", "-2.325257", "80.2205", "2.571953", "345.4036", "m/s")]
+    spec = table("Extremes", ["", ">least", ">at [deg]", ">largest", ">at [deg]", ""], rows)
+    lines = [line.strip() for line in printed(spec, 45, monkeypatch).splitlines()]
+    assert "slider: velocity [m/s]" in lines
+    assert "345.4036 m/s" not in " ".join(lines)
+    narrow = table(
+        "Strokes", ["", ">from", ">span", "", ">ratio"], [("slider slides", "417.2626464", "373.9044949", "mm", "1.10924")]
+    )
+    assert "span 373.9044949 mm; ratio 1.10924" in " ".join(printed(narrow, 34, monkeypatch).split())

@@ -75,7 +75,7 @@ def command(time, model, p):
     Parameters
     ----------
     time : float [s]
-        Time at the begin of the step.
+        Time at the start of the step.
     model : tuple
         See above.
     p : array
@@ -104,7 +104,7 @@ def evaluate(time, x, model, p, slopes):
     Parameters
     ----------
     time : float [s]
-        Time at the begin of the step.
+        Time at the start of the step.
     x : array
         State; written where it is an intermediate array.
     model : tuple
@@ -127,7 +127,7 @@ def combine(row, y, h, k, n, out):
     row : int
         Row of A.
     y : array (m,)
-        State and works at the begin of the step.
+        State and works at the start of the step.
     h : float [s]
         Step size.
     k : array (16, m)
@@ -154,11 +154,11 @@ def attempt(time, h, y, new, k, between, n, model, p):
     Parameters
     ----------
     time : float [s]
-        Time at the begin of the step.
+        Time at the start of the step.
     h : float [s]
         Step size.
     y : array (m,)
-        State and works at the begin of the step.
+        State and works at the start of the step.
     new : array (m,)
         State and works at its end.
     k : array (16, m)
@@ -185,7 +185,7 @@ def error_of(y, new, k, h, tolerance):
     Parameters
     ----------
     y : array (m,)
-        State and works at the begin of the step.
+        State and works at the start of the step.
     new : array (m,)
         State and works at its end.
     k : array (16, m)
@@ -224,11 +224,11 @@ def interpolant(time, h, y, new, k, between, n, model, p, f):
     Parameters
     ----------
     time : float [s]
-        Time at the begin of the step.
+        Time at the start of the step.
     h : float [s]
         Step size.
     y : array (m,)
-        State and works at the begin of the step.
+        State and works at the start of the step.
     new : array (m,)
         State and works at its end.
     k : array (16, m)
@@ -271,7 +271,7 @@ def inside(share, f, y, n, out):
     f : array (7, m)
         Coefficients of the dense output.
     y : array (m,)
-        State and works at the begin of the step.
+        State and works at the start of the step.
     n : int
         Length of the state without the works.
     out : array

@@ -94,7 +94,7 @@ class CompiledIntegration(Integration):
         return block, int(status)
 
     def _record(self, event: Array) -> None:
-        """Record the begin or end of a contact."""
+        """Record the start or end of a contact."""
         gap, time, rate = int(event[motion.GAP]), float(event[motion.TIME]), float(event[motion.RATE])
         self.switches += 1
         if event[motion.BEGINS]:

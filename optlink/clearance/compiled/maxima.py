@@ -106,7 +106,7 @@ def maxima(time, h, parts, dense, modes, contact, peaks, y, n, model, space):
     Parameters
     ----------
     time : float [s]
-        Time at the begin of the step.
+        Time at the start of the step.
     h : float [s]
         Step size.
     parts : int
@@ -120,7 +120,7 @@ def maxima(time, h, parts, dense, modes, contact, peaks, y, n, model, space):
     peaks : array (2 gaps + 1,)
         Maxima.
     y : array (m,)
-        State and works at the begin of the step.
+        State and works at the start of the step.
     n : int
         Length of the state without the works.
     model : tuple

@@ -34,7 +34,7 @@ from optlink.clearance.compiled.switches import SUBINTERVALS, first_switch, may_
 from optlink.linkage.vector2d import Array
 
 FIRST = 0.05
-"""Share of a row that is the first trial step at the begin of a contact."""
+"""Share of a row that is the first trial step at the start of a contact."""
 
 DONE, FULL, PAUSED, STUCK, DEEP, BUSY, INFINITE = range(7)
 """Why a call ended."""
@@ -100,7 +100,7 @@ def advance(
     t, h, done, written, steps = clock[AHEAD], clock[TRIAL], 0, 0, 0
     fresh, status = True, DONE
     while done < rows:
-        if fresh:  # after a switch, and at the begin
+        if fresh:  # after a switch, and at the start
             for j in range(gaps):
                 p[4 + j], p[4 + gaps + j] = entered[j], modes[j]
             evaluate(begin + t, y, model, p, k[0])

@@ -21,7 +21,7 @@ def penetration(share, f, y, n, model, p, x, out):
     f : array (7, m)
         Coefficients of the dense output.
     y : array (m,)
-        State and works at the begin of the step.
+        State and works at the start of the step.
     n : int
         Length of the state without the works.
     model : tuple
@@ -54,7 +54,7 @@ def root(low, high, place, sign, f, y, n, model, p, x, out):
     f : array (7, m)
         Coefficients of the dense output.
     y : array (m,)
-        State and works at the begin of the step.
+        State and works at the start of the step.
     n : int
         Length of the state without the works.
     model : tuple
@@ -127,7 +127,7 @@ def first_switch(parts, h, modes, y, n, model, space):
     modes : array (gaps,)
         1 in contact, 0 apart.
     y : array (m,)
-        State and works at the begin of the step.
+        State and works at the start of the step.
     n : int
         Length of the state without the works.
     model : tuple
@@ -191,7 +191,7 @@ def to_switch(time, length, most, gap, side, y, n, model, space):
     Parameters
     ----------
     time : float [s]
-        Time at the begin of the step.
+        Time at the start of the step.
     length : float [s]
         Estimate of the time until the switch.
     most : float [s]
@@ -200,7 +200,7 @@ def to_switch(time, length, most, gap, side, y, n, model, space):
     side : float
         -1 in contact, 1 apart.
     y : array (m,)
-        State and works at the begin of the step.
+        State and works at the start of the step.
     n : int
         Length of the state without the works.
     model : tuple
@@ -229,7 +229,7 @@ def nodes_of(parts, y, n, model, space):
     parts : int
         Parts of the step.
     y : array (m,)
-        State and works at the begin of the step.
+        State and works at the start of the step.
     n : int
         Length of the state without the works.
     model : tuple

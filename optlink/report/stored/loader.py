@@ -8,9 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from pydantic import Field
+
 from optlink.errors import InputError
 from optlink.problem.assignment import parse_assignments
-from optlink.problem.base_model import Contradiction, Record, damaged, read_document, read_record
+from optlink.problem.base_model import Contradiction, Record, ResultRecord, damaged, read_document, read_record
 from optlink.problem.file import ProblemFile, load, shipped
 from optlink.report.format import single_units
 from optlink.report.registry import REGISTERED, records, view_of
@@ -54,6 +56,7 @@ class _Head(Record):
 
     problem: str
     problem_hash: str
+    overrides: dict[str, Any] = Field(default_factory=dict)
 
 
 def is_result(text: str) -> bool:
@@ -92,7 +95,7 @@ def load_stored(text: str, problem: str | None = None, changes: Sequence[str] = 
         raise _unknown(schema, path)
     _, kind = KNOWN[schema]
     record = read_record(records()[kind], document, path)
-    file = problem_of(record.problem, record.problem_hash, path, problem, changes)
+    file = problem_of(record, path, problem, changes)
     try:
         if schema in SOLVED:
             return read_report_model(record, file, path)
@@ -108,8 +111,8 @@ def load_stored(text: str, problem: str | None = None, changes: Sequence[str] = 
 
 def _further(view: View, document: dict[str, Any], path: Path, problem: str | None, changes: Sequence[str]) -> ReportModel:
     """Return the report model of a result of a kind from outside the package."""
-    about = read_record(_Head, {name: document[name] for name in ("problem", "problem_hash") if name in document}, path)
-    file = problem_of(about.problem, about.problem_hash, path, problem, changes)
+    about = read_record(_Head, {name: document[name] for name in _Head.model_fields if name in document}, path)
+    file = problem_of(about, path, problem, changes)
     try:
         return report_model_of(file, view.stored(document, file), notes=(f"read from {path.name}",))
     except Contradiction as error:
@@ -130,28 +133,29 @@ def _unknown(schema: object, path: Path) -> InputError:
     return InputError("not a result that can be shown here", remedy, str(path), "schema", schema)
 
 
-def problem_of(name: str, expected: str, path: Path, problem: str | None = None, changes: Sequence[str] = ()) -> ProblemFile:
+def problem_of(about: _Head | ResultRecord, path: Path, problem: str | None = None, changes: Sequence[str] = ()) -> ProblemFile:
     """Return the problem of a result, identified by its hash.
 
     Parameters
     ----------
-    name, expected : str
-        Name and hash of the problem.
+    about : record
+        Name and hash of the problem, and the changes with which it was solved.
     path : Path
         File of the result.
     problem : str or None, optional
         Path or name of the problem; default: searched by name among the shipped problems, beside the file and in the
         working directory.
     changes : sequence of str, optional
-        Assignments KEY=VALUE with which the problem was changed (`--set`).
+        Assignments KEY=VALUE with which the problem was changed (`--set`); default: those of the record.
 
     Raises
     ------
     InputError
         If the problem is not found or has a different hash.
     """
+    name, expected = about.problem, about.problem_hash
     places = [problem] if problem is not None else list(_places(name, path))
-    overrides = parse_assignments(changes)
+    overrides = parse_assignments(changes) or about.overrides
     hashes = []
     for place in places:
         file = load(place, overrides)
@@ -163,7 +167,7 @@ def problem_of(name: str, expected: str, path: Path, problem: str | None = None,
         remedy = f"Name its problem file: --problem {name}.toml"
         raise InputError(f"the problem {name} of this result is not found", remedy, str(path), "problem", name)
     difference = f"its problem has the hash {expected}, {places[0]} has {hashes[0]}"
-    remedy = "Name the problem file: --problem FILE, and repeat the --set of the search; or solve again"
+    remedy = "Name the problem file: --problem FILE, and state its changes again by --set; or solve again"
     raise InputError(f"the result is that of another problem or version: {difference}", remedy, str(path), "problem_hash")
 
 

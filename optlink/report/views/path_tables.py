@@ -130,7 +130,7 @@ def _points(design: PathDesign) -> TableSpec:
     columns = [">", ">target x", ">y", ">generated x", ">y", ">error", ">crank angle"]
     columns += [">between"] if between is not None else []
     columns += [">turned by"] if measured.turned is not None else []
-    notes = [quiet(f"one in {step} of {len(targets)} points; all of them with --out or --json")] if step > 1 else []
+    notes = [quiet(f"{len(rows)} of {len(targets)} points; all of them with --out or --json")] if step > 1 else []
     if between is not None:
         notes.append(
             quiet("between: distance of the curve from the line to the next point, beyond the arc that the points suggest")

@@ -1,0 +1,51 @@
+"""Results of changed problems: the record knows the changes, so pages need no `--set`."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from optlink.cli.app import app
+from optlink.problem.file import load
+from optlink.report.stored.loader import load_stored
+
+FRAME = "mechanism.frame"
+
+
+def run(*arguments: object):
+    return CliRunner().invoke(app, list(map(str, arguments)))
+
+
+@pytest.mark.parametrize("moved", [False, True], ids=["folder", "file elsewhere"])
+def test_the_page_of_a_changed_problem_needs_no_set(tmp_path, moved):
+    out = tmp_path / "out"
+    assert run("solve", "crank-rocker", "--set", "mechanism.frame=480 mm", "--out", out).exit_code == 0
+    subject = out
+    if moved:
+        subject = tmp_path / "elsewhere.json"
+        subject.write_text((out / "result.json").read_text())
+    done = run("report", subject, "-o", tmp_path / "page.html")
+    assert done.exit_code == 0, done.output
+    found = load_stored(str(subject))
+    assert found.problem.model.quantities["frame"].value == pytest.approx(0.48)
+
+
+def test_a_record_with_other_overrides_is_refused(tmp_path):
+    out = tmp_path / "out"
+    assert run("analyze", "slider-crank", "--set", "gravity=0 m/s^2", "--out", out).exit_code == 0
+    document = json.loads((out / "result.json").read_text())
+    assert document["overrides"] == {"gravity": "0 m/s^2"}
+    (out / "result.json").write_text(json.dumps(document | {"overrides": {}}))
+    done = run("report", out, "-o", tmp_path / "page.html")
+    assert done.exit_code == 2
+    assert "another problem or version" in done.output
+    assert run("report", out, "-o", tmp_path / "page.html", "--set", "gravity=0 m/s^2").exit_code == 0
+
+
+def test_overrides_of_overrides_are_recorded_in_their_order():
+    once = load("crank-rocker", {FRAME: "480 mm", "mechanism.crank": "90 mm"})
+    twice = once.override({FRAME: "470 mm"})
+    assert list(twice.overrides.items()) == [("mechanism.crank", "90 mm"), (FRAME, "470 mm")]
+    assert load("crank-rocker", twice.overrides).hash == twice.hash != once.hash
