@@ -69,5 +69,7 @@ def _accepted(hint: Any) -> Any:
 
 def _fault(item: Any) -> Fault:
     message, remedy = WRONG.get(item["type"].partition("_")[0], (item["msg"], "See the description of the function"))
+    if isinstance(item["input"], dict) and item["type"].startswith("string"):
+        remedy = "Give one in quotes, or nested tables to optlink.read"
     steps = [str(step) for step in item["loc"] if step not in ("str", "float")]  # members of unions are no keys
     return Fault(message, remedy, key=".".join(step for step in steps if "[" not in step), value=item["input"])
