@@ -12,13 +12,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pydantic
 from pydantic_core import core_schema
 
 from optlink.errors import InputError, shown
 from optlink.io import data_files, load_extensions
 from optlink.problem.arguments import typed
-from optlink.problem.base_model import SPELLED, SPELLINGS, with_ranges, with_spellings
+from optlink.problem.base_model import DEEPEST, SPELLED, SPELLINGS, with_ranges, with_spellings
 from optlink.problem.file_errors import SECTIONS, as_written, faults, keys_ending, known_keys, of_dyads, toml_fault
 from optlink.problem.function import DesignProblem
 from optlink.problem.limits import MARGINS, Alignment
@@ -115,6 +116,7 @@ class ProblemFile:
             If a key or value is invalid.
         """
         raw = copy.deepcopy(dict(self.raw))
+        changes = _without_arrays(changes)
         _change(raw, changes, self.file)
         earlier = {key: value for key, value in self.overrides.items() if key not in changes}
         return replace(read(raw, self.name, self.file, self.folder), overrides={**earlier, **changes})
@@ -177,8 +179,9 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
             raise InputError("no such problem", nearest(text, names) + ", or the path of a .toml file", key="PROBLEM", value=text)
     raw = with_ranges(with_spellings(_read_toml(path)), skip=WORDS)
     file = path.name if text in names else text
-    _change(raw, overrides or {}, file)
-    return replace(read(raw, name, file, path.parent), overrides=dict(overrides or {}))
+    changes = _without_arrays(overrides or {})
+    _change(raw, changes, file)
+    return replace(read(raw, name, file, path.parent), overrides=changes)
 
 
 @typed
@@ -203,6 +206,7 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
     """
     load_extensions()
     where = folder or Path()
+    raw = _without_arrays(raw)
     _check_integers(raw, file)
     raw = _typed(with_ranges(with_spellings(raw), skip=WORDS))
     model = _model(raw, file)
@@ -311,6 +315,15 @@ def _read_toml(path: Path) -> dict[str, Any]:
         raise InputError("brackets are nested too deep", "Simplify the file", file) from None
     except ValueError as error:  # TOMLDecodeError, and integers of thousands of digits
         raise InputError(toml_fault(str(error), file, text)) from None
+
+
+def _without_arrays(raw: Any, depth: int = 0) -> Any:
+    """Return nested tables with the numbers and lists of Python in place of those of numpy."""
+    if isinstance(raw, np.generic | np.ndarray):
+        return raw.tolist()
+    if isinstance(raw, Mapping) and depth < DEEPEST:
+        return {key: _without_arrays(value, depth + 1) for key, value in raw.items()}
+    return [_without_arrays(value, depth + 1) for value in raw] if type(raw) is list and depth < DEEPEST else raw
 
 
 def _change(raw: dict[str, Any], changes: Mapping[str, object], file: str) -> None:

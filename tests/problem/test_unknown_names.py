@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+
+import numpy as np
 import pytest
 
 import optlink
@@ -65,3 +68,16 @@ def test_the_remedy_fits_the_fault(changes, remedy):
     with pytest.raises(InputError) as refused:
         optlink.load("stroke-slider-crank", changes)
     assert remedy in str(refused.value)
+
+
+def test_numbers_and_lists_of_numpy_are_read_and_recorded_as_those_of_python() -> None:
+    points = {"x": np.array([0.0, 30.0, 60.0]), "unit": np.str_("deg")}
+    changed = optlink.load("crank-rocker", {"requirement.points": np.int64(20), "mechanism.frame": "480 mm"})
+    assert changed.raw["requirement"]["points"] == 20
+    assert changed.override({"requirement.points": np.int64(12)}).overrides == {
+        "mechanism.frame": "480 mm",
+        "requirement.points": 12,
+    }
+    assert json.loads(json.dumps(optlink.solve(changed).to_dict()))["overrides"]["requirement.points"] == 20
+    with pytest.raises(InputError, match=r"requirement\.points = "):
+        optlink.load("crank-rocker", {"requirement.points": points})
