@@ -229,7 +229,7 @@ def test_conflict_is_relaxed_to_the_closed_form() -> None:
     assert not result.valid
     relaxed = {one.key: one.relaxed for one in result.conflict}
     assert relaxed["limits.pressure_angle"] == pytest.approx(math.degrees(math.asin(0.25)), abs=1e-4)
-    assert relaxed["mechanism.crank.length"] == pytest.approx(60.0 * math.sin(math.radians(8.0)), abs=1e-4)
+    assert relaxed["mechanism.links.crank.length"] == pytest.approx(60.0 * math.sin(math.radians(8.0)), abs=1e-4)
 
 
 def test_best_transmission_is_the_worst_of_the_revolution() -> None:
