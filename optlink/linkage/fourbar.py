@@ -132,7 +132,7 @@ def grashof(crank: float, coupler: float, rocker: float, frame: float, tolerance
     Raises
     ------
     InputError
-        If a length is not a finite number.
+        If a length is not a number. A four-bar with a length that is not finite cannot be assembled.
 
     References
     ----------
@@ -140,8 +140,10 @@ def grashof(crank: float, coupler: float, rocker: float, frame: float, tolerance
     """
     lengths = {"crank": crank, "coupler": coupler, "rocker": rocker, "frame": frame}
     for name, length in lengths.items():
-        if not (isinstance(length, Real) and math.isfinite(length)):  # a NaN would compare as any class
-            raise InputError("not a finite number", "Give the length in m", key=name, value=length)
+        if not isinstance(length, Real):
+            raise InputError("not a number", "Give the length in m", key=name, value=length)
+    if not all(map(math.isfinite, lengths.values())):  # a NaN would compare as any class
+        return GrashofClass(Inversion.IMPOSSIBLE, math.nan)
     ordered = sorted(lengths.values())
     shortest, longest = ordered[0], ordered[-1]
     slack = ordered[1] + ordered[2] - shortest - longest

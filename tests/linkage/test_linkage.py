@@ -445,6 +445,11 @@ TEXTBOOK = [  # crank, coupler, rocker, frame; in order of the definition s + l 
 ]
 
 
+@pytest.mark.parametrize("lengths", [(math.nan, 2, 3, 4), (1, 2, 3, math.nan), (1, math.inf, 3, 4)])
+def test_a_length_that_is_not_finite_cannot_be_assembled(lengths):
+    assert grashof(*lengths).inversion is Inversion.IMPOSSIBLE
+
+
 @pytest.mark.parametrize(("lengths", "inversion", "slack"), TEXTBOOK)
 @pytest.mark.parametrize("scale", [1.0, 1e-3, 1e-6])
 def test_textbook_classes(lengths, inversion, slack, scale):
