@@ -63,7 +63,7 @@ def balancing() -> list[Figure]:
     """Measures of the six-bar, each minimised alone."""
     found = []
     for measure, (before, best, reduction) in MEASURES.items():
-        unit = "N m" if "moment" in measure or "torque" in measure else "N"
+        unit = "N·m" if "moment" in measure or "torque" in measure else "N"
         text = (f"{before:g}", f"{best:g}", f"{reduction:.2f} %")
         command = f'{BALANCE} --minimise "{measure}"'
         columns = {1: ("before", 1.0), 2: ("objective", 1.0), 3: ("reduction", 100.0)}
@@ -109,7 +109,7 @@ CRANK_ROCKER = [
 
 SYSTEMS = [
     *extremes(
-        "docs/six-bar.md", "driving torque M1, N m", ("-320.0521", "356.308", "278.8344", "67.021"), SIX, "input.torque_Nm"
+        "docs/six-bar.md", "driving torque M1, N·m", ("-320.0521", "356.308", "278.8344", "67.021"), SIX, "input.torque_Nm"
     ),
     *extremes("docs/six-bar.md", "guide force RF, N", ("-1159.2707", "25.192", "-126.6225", "194.130"), SIX, "F.normal_N"),
     *extremes(
@@ -122,14 +122,14 @@ SYSTEMS = [
     Figure("docs/shaper.md", "| stroke, mm | {545.4545} |", SHAPER, "strokes/ram/span_m", 1e3),
     Figure("docs/shaper.md", "| time ratio | {1.858762} |", SHAPER, "strokes/ram/time_ratio"),
     Figure("docs/shaper.md", "| work per revolution, J | {3207.2727} |", SHAPER, "work_J"),
-    Figure("docs/shaper.md", "| driving torque, N m | {-25.852} ...", SHAPER, "extremes/input.torque_Nm/min"),
+    Figure("docs/shaper.md", "| driving torque, N·m | {-25.852} ...", SHAPER, "extremes/input.torque_Nm/min"),
     Figure("docs/shaper.md", "-25.852 ... {1105.743} |", SHAPER, "extremes/input.torque_Nm/max"),
     Figure("docs/shaper.md", "| {-700.271} ... 1107.997 |", FAST, "extremes/input.torque_Nm/min"),
     Figure("docs/shaper.md", "| -700.271 ... {1107.997} |", FAST, "extremes/input.torque_Nm/max"),
     Figure("docs/shaper.md", "| largest speed of the ram, m/s | {0.50088} | 3.35691 |", SHAPER, "extremes/ram.v_m_s/max"),
     Figure("docs/shaper.md", "| largest speed of the ram, m/s | 0.50088 | {3.35691} |", FAST, "extremes/ram.v_m_s/max"),
-    Figure("docs/machine-design.md", "needs {989.6} N m", DESIGN, "figures/name=objective 1/result"),
-    Figure("docs/machine-design.md", "The optimum needs {313.1} N m", "show press-toggle", "problem/expected/objective"),
+    Figure("docs/machine-design.md", "needs {989.6} N·m", DESIGN, "figures/name=objective 1/result"),
+    Figure("docs/machine-design.md", "The optimum needs {313.1} N·m", "show press-toggle", "problem/expected/objective"),
     Figure("docs/balancing.md", "{0.01102811} N.", "balance balance-four-bar", "before"),
 ]
 
@@ -147,10 +147,10 @@ ENDS = (
 SHAPER_FRONT = 'study pareto shaper-design --objectives "peak torque, guide force in F=1300..1620 N"'
 FRONTS = [
     *(Figure("docs/pareto.md", text, FRONT, f"front/{k}/objectives/{name}") for k, text, name in ENDS),
-    Figure("docs/pareto.md", "increases from {985.9} N m", SHAPER_FRONT, "front/0/objectives/peak_torque_Nm"),
-    Figure("docs/pareto.md", "N m to {995.6} N m, almost linearly", SHAPER_FRONT, "front/14/objectives/peak_torque_Nm"),
-    Figure("docs/pareto.md", "The initial machine ({1015.4} N m", SHAPER_FRONT, "reference/peak_torque_Nm"),
-    Figure("docs/pareto.md", "N m, {1619} N) lies far", SHAPER_FRONT, "reference/peak_guide_force_in_F_N"),
+    Figure("docs/pareto.md", "increases from {985.9} N·m", SHAPER_FRONT, "front/0/objectives/peak_torque_Nm"),
+    Figure("docs/pareto.md", "N·m to {995.6} N·m, almost linearly", SHAPER_FRONT, "front/14/objectives/peak_torque_Nm"),
+    Figure("docs/pareto.md", "The initial machine ({1015.4} N·m", SHAPER_FRONT, "reference/peak_torque_Nm"),
+    Figure("docs/pareto.md", "N·m, {1619} N) lies far", SHAPER_FRONT, "reference/peak_guide_force_in_F_N"),
 ]
 
 YIELD = "study tolerance {} --robust {}"

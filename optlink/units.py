@@ -417,3 +417,20 @@ def show(value: float, kind: str, unit: str | None = None, digits: int = 6) -> s
     """
     unit = unit or KINDS[kind].display
     return f"{value / factor(unit, kind):z.{digits}g} {unit}"
+
+
+def percent(share: float, decimals: int = 1, *, signed: bool = False) -> str:
+    """Format a share in per cent, as in "97.3 %"; a dash if it is not finite.
+
+    Parameters
+    ----------
+    share : float
+        1 is 100 %.
+    decimals : int, optional
+    signed : bool, optional
+        Whether a change that is not zero has its sign.
+    """
+    if not math.isfinite(share):
+        return "-"
+    shown = f"{100.0 * share:{'+' if signed else ''}z.{decimals}f}"
+    return f"{shown if float(shown) else shown.removeprefix('+')} %"

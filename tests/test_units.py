@@ -11,7 +11,7 @@ import pytest
 from hypothesis import assume, example, given, settings, strategies as st
 
 from optlink import units
-from optlink.units import DEFINITIONS, KINDS, UnitProblem, factor, parse, plain, show
+from optlink.units import DEFINITIONS, KINDS, UnitProblem, factor, parse, percent, plain, show
 
 seeded = settings(derandomize=True, deadline=None, max_examples=200)
 
@@ -478,3 +478,19 @@ def test_any_text_is_a_quantity_or_a_unit_problem(text, kind):
         number, written = re.fullmatch(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)(.*?)\s*", plain(text), re.DOTALL).groups()
         assert value == float(number) * factor(written.strip(), kind) == float(number) * factor(unit, kind)
     assert all(words)
+
+
+@pytest.mark.parametrize(
+    ("share", "options", "text"),
+    [
+        (0.9731, {}, "97.3 %"),
+        (0.53944, {"decimals": 2}, "53.94 %"),
+        (-0.20931, {"decimals": 2, "signed": True}, "-20.93 %"),
+        (0.0308, {"decimals": 0, "signed": True}, "+3 %"),
+        (4e-4, {"decimals": 0, "signed": True}, "0 %"),
+        (-4e-5, {}, "0.0 %"),
+        (math.nan, {}, "-"),
+    ],
+)
+def test_a_share_has_a_space_before_its_sign(share, options, text):
+    assert percent(share, **options) == text

@@ -155,7 +155,7 @@ def _unit(column: str) -> str:
     for ending, unit in (("_rad_s2", "rad/s^2"), ("_rad_s", "rad/s"), ("_m_s2", "m/s^2"), ("_m_s", "m/s"), ("_rad", "rad")):
         if column.endswith(ending):
             return unit
-    return {"Nm": "N m", "deg": "deg", "m": "m", "N": "N", "J": "J", "s": "s"}[column.rpartition("_")[2]]
+    return {"Nm": "N·m", "deg": "deg", "m": "m", "N": "N", "J": "J", "s": "s"}[column.rpartition("_")[2]]
 
 
 AT_62 = {
@@ -363,13 +363,13 @@ def balance() -> Iterator[Row]:
     test = f"{BALANCE}::test_one_counterweight_on_the_crank"
     yield Row("rms shaking force, one counterweight", "N", 0.007391318, alone.objective, 7.4e-9, test)
     yield Row("ratio to the unbalanced force, one counterweight", "", 0.670225, alone.objective / alone.before, 7e-7, test)
-    yield Row("added mass-radius product along the crank", "kg m", -0.0080645, disc.parameters.along, 8.1e-9, test)
-    yield Row("added mass-radius product across the crank", "kg m", 0.00139695, disc.parameters.across, 5e-9, test)
+    yield Row("added mass-radius product along the crank", "kg·m", -0.0080645, disc.parameters.along, 8.1e-9, test)
+    yield Row("added mass-radius product across the crank", "kg·m", 0.00139695, disc.parameters.across, 5e-9, test)
     test = f"{BALANCE}::test_complete_balance"
     added = {part.body: part.parameters for part in both.added}
     yield Row("rms shaking force, two counterweights", "N", 0.0, both.objective, 1e-10 * both.before, test)
-    yield Row("added mass-radius product along the crank", "kg m", -0.00516128, added["crank"].along, 5.2e-12, test)
-    yield Row("added mass-radius product along the rocker", "kg m", -0.00870966, added["rocker"].along, 8.8e-12, test)
+    yield Row("added mass-radius product along the crank", "kg·m", -0.00516128, added["crank"].along, 5.2e-12, test)
+    yield Row("added mass-radius product along the rocker", "kg·m", -0.00870966, added["rocker"].along, 8.8e-12, test)
 
 
 # --- synthesis, and expected figures of the shipped machines --------------------------------------------------------------
@@ -446,7 +446,7 @@ GROUPS = (
     Group(
         "Slider-crank under a constant torque",
         "torque",
-        "Crank 0.1 m, rod 0.3 m, uniform bars of 0.2 kg, slider 0.4 kg; 0.1 N m from rest. Reference values: an independent "
+        "Crank 0.1 m, rod 0.3 m, uniform bars of 0.2 kg, slider 0.4 kg; 0.1 N·m from rest. Reference values: an independent "
         "integration.",
         under_a_torque,
     ),

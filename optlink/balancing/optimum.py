@@ -14,6 +14,7 @@ from optlink.balancing.socp import FITS, BalancingProgramme, Bound, Price
 from optlink.dynamics.counterweights import BalanceMeasure
 from optlink.errors import SolverError
 from optlink.linkage.vector2d import Array
+from optlink.units import percent
 
 Goal = Sequence[tuple[BalanceMeasure, float]]
 NEGLIGIBLE = 1e-10
@@ -358,7 +359,7 @@ def curve(programme: BalancingProgramme, first: BalanceMeasure, second: BalanceM
         found = solved(cp, problem)
         seconds.append(time.perf_counter() - begin)
         if found.status != "optimal":
-            raise SolverError(f"the trade-off stopped at {share:z.0%} of its length: {found.status}")
+            raise SolverError(f"the trade-off stopped at {percent(share, 0)} of its length: {found.status}")
         x = np.array(programme.x.value, dtype=float)
         one, other = (float(np.max(row.dual_value)) for row in rows)
         values = programme.evaluate(first, x), programme.evaluate(second, x)

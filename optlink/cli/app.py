@@ -12,22 +12,17 @@ import errno
 import io
 import os
 import sys
-import types
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Annotated, TextIO
 
 import typer
 
 from optlink.cli import report, show, simulate, solve, studio, study
 from optlink.cli.command import COMMANDS, App
-from optlink.cli.options import OVERVIEW
 from optlink.execution import interrupts
 
 CLOSED = 141
 """Exit code where the reader of a pipe has left: 128 and the number of SIGPIPE, as shells have it."""
-
-UNUSED = {"rich.markdown": "Markdown", "rich.traceback": "Traceback"}
-"""Modules that typer imports for any help, and what it takes from them; the overview needs neither, and they take longest."""
 
 COMPLETION = "_OPTLINK_COMPLETE"
 """Environment variable by which a shell asks for completions."""
@@ -78,11 +73,8 @@ def main() -> None:
     output = sys.stdout
     try:
         try:
-            words = sys.argv[1:]
-            completion = COMPLETION in os.environ  # the line is in the environment too
-            with _without(UNUSED if words in OVERVIEW and not completion else {}):
-                command = typer.main.get_command(app if completion else needed(app, words))
-                command()  # not the Typer: it would replace the hook for exceptions
+            command = typer.main.get_command(app if COMPLETION in os.environ else needed(app, sys.argv[1:]))
+            command()  # not the Typer: it would replace the hook for exceptions
         finally:
             if sys.stdout is not output:  # typer has detected a closed pipe
                 raise BrokenPipeError(errno.EPIPE, "the pipe is closed")
@@ -130,26 +122,6 @@ def needed(group: typer.Typer, words: Sequence[str]) -> typer.Typer:
         assert part.typer_instance is not None
         part.typer_instance = needed(part.typer_instance, words[1:] if part.name == first else ())
     return short
-
-
-@contextlib.contextmanager
-def _without(modules: Mapping[str, str]) -> Iterator[None]:
-    """Let imports of modules that are not loaded yet find an empty class in place of the one that they would give.
-
-    Parameters
-    ----------
-    modules : mapping of str to str
-        Name of the class by that of the module.
-    """
-    absent = {module: types.ModuleType(module) for module in modules if module not in sys.modules}
-    for module, empty in absent.items():
-        setattr(empty, modules[module], type(modules[module], (), {}))
-    sys.modules.update(absent)
-    try:
-        yield
-    finally:
-        for module in absent:
-            del sys.modules[module]
 
 
 def rejoined(arguments: list[str]) -> list[str]:

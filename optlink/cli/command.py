@@ -63,6 +63,14 @@ class Command(TyperCommand):
                 ctx.meta.update(dict.fromkeys((param.name, *param.opts), (option, text)))
         return rest
 
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Return the names of arguments as they are, without braces."""
+        return [piece.strip("{}") for piece in super().collect_usage_pieces(ctx)]
+
+    def get_short_help_str(self, limit: int = 0) -> str:
+        """Return the whole summary for the overview, whatever the limit."""
+        return " ".join((self.help or "").split())
+
     def invoke(self, ctx: Any) -> Any:
         """Run the command, and report errors."""
         with reported(bool(ctx.params.get("as_json")), ctx.meta):
@@ -94,6 +102,8 @@ class Group(TyperGroup):
         cmd_name : str
         """
         return super().get_command(ctx, COMMANDS.get(cmd_name, cmd_name))
+
+    get_short_help_str = Command.get_short_help_str
 
     def main(self, *arguments: Any, **options: Any) -> Any:
         """Run the command line; one that cannot be used is reported as other invalid input is.
@@ -141,7 +151,7 @@ class App(typer.Typer):
     """An application or group of `Command`s."""
 
     def __init__(self, **options: Any) -> None:
-        super().__init__(cls=Group, **options)
+        super().__init__(cls=Group, rich_markup_mode=None, **options)  # its tables cut words on a narrow terminal
 
     def command(self, name: str | None = None, **options: Any) -> Callable[[Function], Function]:
         """Register a command.

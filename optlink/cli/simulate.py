@@ -55,7 +55,7 @@ def simulate(
     ] = None,
     speed: Speed = None,
     torque: Annotated[str | None, option("TORQUE", 'Constant driving torque: --torque "5 N*m".')] = None,
-    flywheel: Annotated[str | None, option("J", 'Flywheel inertia at the crank: --flywheel "0.2 kg*m^2".')] = None,
+    flywheel: Annotated[str | None, option("INERTIA", 'Flywheel inertia at the crank: --flywheel "0.2 kg*m^2".')] = None,
     revolutions: Annotated[int | None, number("With clearance: number of revolutions. Default: 20.")] = None,
     control: Annotated[str | None, option("HOW", CONTROLS)] = None,
     tune: Annotated[list[str] | None, option("NAME", TUNED)] = None,

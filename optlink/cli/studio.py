@@ -20,7 +20,7 @@ NEEDED = ("starlette", "uvicorn", "websockets")
 
 def studio(
     problem: Named = "",
-    port: Annotated[int, option("N", "Port. Default: any free one.", "--port", min=0, max=65535)] = 0,
+    port: Annotated[int, option("N", "Port. Default: any free one.", "--port", min=0, max=65535, show_default=False)] = 0,
     browser: Annotated[bool, flag("Open the page in the browser.", "--browser/--no-browser")] = True,
     quiet: Quiet = False,
 ) -> None:

@@ -31,7 +31,8 @@ Resume = Annotated[bool, flag("Resume the interrupted run in --out DIR.", "--res
 DEVIATIONS = 'coupler="0.1 mm", D.x="0.05 mm uniform", rocker=parts.csv. Default: as in the file. Repeatable.'
 SHAPE = "Default distribution: normal (the tolerance is 3 sigma), uniform, triangular."
 ROBUST = "Optimise the design for the error plus K sigma, the worst case, the most sigma, or the largest yield."
-TRADED = '"peak torque, guide force in F=1300..1600 N" of a machine; "error, limits.transmission_angle.max" of a law.'
+VARIED = 'Key to vary and its range or list of values: mechanism.frame="450..550 mm:101". Repeatable.'
+TRADED = 'Of a machine: "peak torque, guide force in F=1300..1600 N"; of a motion law: "error, limits.transmission_angle.max".'
 POINTS = "Number of points; with three objectives along each of two axes. Default: 15; with three objectives 7."
 
 study = App(no_args_is_help=True, help="Parametric studies: sensitivity, sweep, tolerance analysis, Pareto front.")
@@ -139,9 +140,7 @@ def _output(file: ProblemFile, output: str, angles: str, design: list[str] | Non
 @study.command()
 def sweep(
     problem: Problem,
-    vary: Annotated[
-        list[str] | None, option("KEY=VALUES", 'mechanism.frame="450..550 mm:101", or a list of values. Repeatable.', "--vary")
-    ] = None,
+    vary: Annotated[list[str] | None, option("KEY=VALUES", VARIED, "--vary")] = None,
     analyze: Annotated[bool, flag("Analyse the machine at every point, without optimisation.", "--analyze")] = False,
     simulate: Annotated[
         bool, flag("Simulate the machine at every point, with joint clearance, without optimisation.", "--simulate")

@@ -9,6 +9,8 @@ from collections.abc import Iterator, Mapping
 from contextvars import ContextVar
 from typing import NamedTuple
 
+from optlink.units import percent
+
 _PRODUCT = re.compile(r"\b([kMGmµnpfa]?N)[ *]m\b")
 
 
@@ -61,9 +63,14 @@ def dimension(value: float) -> str:
     return number(value) if 1e-5 <= abs(value) < 1.0 else fixed(value)
 
 
+def product(text: str) -> str:
+    """Write every torque unit in a text as N·m."""
+    return _PRODUCT.sub(r"\1·m", text)
+
+
 def pretty(text: str) -> str:
     """Write units and relations in a text with their signs: N·m, rad², ≤."""
-    return _PRODUCT.sub(r"\1·m", text).replace("^2", "²").replace("<=", "≤").replace(">=", "≥").replace("->", "→")
+    return product(text).replace("^2", "²").replace("<=", "≤").replace(">=", "≥").replace("->", "→")
 
 
 def signed(value: float) -> str:
@@ -71,17 +78,9 @@ def signed(value: float) -> str:
     return f"{value:+.4g}" if value else "0"
 
 
-def percent(share: float) -> str:
-    """Format a share in per cent with three decimals; a dash if it is not finite."""
-    return f"{100.0 * share:z.3f} %" if math.isfinite(share) else "-"
-
-
 def change(share: float) -> str:
     """Format a relative change in per cent with two decimals and its sign unless it is zero; a dash if it is not finite."""
-    if not math.isfinite(share):
-        return "-"
-    shown = round(100.0 * share, 2)
-    return f"{shown:+z.2f} %".replace("-", "−") if shown else "0.00 %"
+    return percent(share, 2, signed=True)
 
 
 def points(count: int) -> str:
@@ -172,4 +171,4 @@ def scale(largest: float, unit: str) -> Scale:
         size, letter = next((size, letter) for size, letter, least in PREFIXED[unit] if largest >= least * size or least == 0.0)
         factor = 1.0 / size
     digits = math.floor(math.log10(largest * factor)) if largest > 0.0 else 0
-    return Scale(factor, letter + unit, min(max(0, 4 - digits), 9))
+    return Scale(factor, product(letter + unit), min(max(0, 4 - digits), 9))

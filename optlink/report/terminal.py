@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from typing import Literal
@@ -13,6 +14,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from optlink.report.format import product
 from optlink.report.table_spec import Paragraph, Part, Span, Summary, TableSpec
 
 STYLES = {"": "", "good": "green", "bad": "bold red", "quiet": "dim", "strong": "bold"}
@@ -20,6 +22,7 @@ GAP = 2  # gap between columns [characters]
 NARROWEST = 20  # characters of a line; a narrower terminal breaks it
 WIDEST_TITLE = 79  # a table is at least as wide as its title, up to this width
 INDENT = 4  # of the values below the name of a row
+_WORD = re.compile(r"\S+(?: %(?!\S))?")  # a figure and its % stay on one line
 
 
 class _Console(Console):
@@ -61,7 +64,7 @@ def _paragraph(shown: Paragraph) -> Text:
 
 
 def _styled(span: Span) -> tuple[str, str]:
-    return span.text, STYLES[span.role]
+    return product(span.text), STYLES[span.role]
 
 
 def _table(spec: TableSpec, title: str, chosen: Sequence[int], width: int) -> Table | None:
@@ -85,7 +88,7 @@ def _table(spec: TableSpec, title: str, chosen: Sequence[int], width: int) -> Ta
         column = spec.columns[k]
         fits = max(map(len, column.name.split("\n"))) <= max((len(row[k].text) for row in spec.rows), default=0)
         justify: Literal["left", "right"] = "right" if column.right else "left"
-        made.add_column(column.name, justify=justify, overflow="fold", no_wrap=column.unbroken and fits, width=wide)
+        made.add_column(product(column.name), justify=justify, overflow="fold", no_wrap=column.unbroken and fits, width=wide)
     for number, row in enumerate(spec.rows):
         if number in spec.sections:
             made.add_section()
@@ -94,11 +97,11 @@ def _table(spec: TableSpec, title: str, chosen: Sequence[int], width: int) -> Ta
 
 
 def _widths(spec: TableSpec, chosen: Sequence[int], width: int) -> list[int] | None:
-    """Share out the width of a terminal: no word and no figure is cut, longer texts are wrapped; None if that is too narrow."""
+    """Share out the width of a terminal: longer texts are wrapped between words, not before "%"; None if it is too narrow."""
     frame = (len(chosen) - 1) * (GAP + spec.header) + 2 * spec.header
     texts = [(spec.columns[k], [spec.columns[k].name, *(row[k].text for row in spec.rows)]) for k in chosen]
     full = [max(len(line) for text in cells for line in text.split("\n")) for _, cells in texts]
-    words = [max((len(word) for text in cells for word in text.split()), default=0) for _, cells in texts]
+    words = [max((len(word) for text in cells for word in _WORD.findall(text)), default=0) for _, cells in texts]
     least = [
         max(longest, *(len(line) for text in cells[1:] for line in text.split("\n") if column.unbroken), 0)
         for (column, cells), longest in zip(texts, words, strict=True)
@@ -145,20 +148,20 @@ class _Fitted:
         """Yield each row as a line with its name, and its values below."""
         spec = self.spec
         figures = next((k for k, column in enumerate(spec.columns) if column.right), 1) or 1
-        heads = [" ".join(column.name.split()) for column in spec.columns]
+        heads = [product(" ".join(column.name.split())) for column in spec.columns]
         units = [k for k in range(figures + 1, len(heads)) if not heads[k] and heads[k - 1].endswith("]")]  # of the whole row
         yield Text(spec.title, style=STYLES["strong"])
         for row in spec.rows:
             name = Text("  ").join(Text(*_styled(cell)) for cell in row[:figures] if cell.text)
             for cell in (row[k] for k in units if row[k].text):
-                name.append(f" [{cell.text}]", STYLES[cell.role])
+                name.append(product(f" [{cell.text}]"), STYLES[cell.role])
             for number, line in enumerate(name.wrap(console, width - INDENT)):
                 yield Padding(line, (0, 0, 0, INDENT)) if number else line
             values = Text()
             for k, (head, cell) in enumerate(zip(heads, row, strict=True)):
                 if cell.text and k >= figures and k not in units:
                     values.append(("; " if values and head else " " if values else "") + (f"{head} " if head else ""))
-                    values.append(", ".join(cell.text.split("\n")), STYLES[cell.role])
+                    values.append(product(", ".join(cell.text.split("\n"))), STYLES[cell.role])
             if values:
                 yield Padding(values, (0, 0, 0, INDENT))
         yield from (Text(*_styled(note)) for note in spec.notes)

@@ -37,6 +37,7 @@ from optlink.tasks.machine import (
 )
 from optlink.tasks.results.balance import ACTIVE, AddedCounterweight, Balance, FittedSpring, MeasureChange, TradeOff, TradePoint
 from optlink.tasks.results.balance_limits import active_limit, relaxed_limit
+from optlink.units import percent
 
 Progress = Callable[[float], None]
 
@@ -411,7 +412,7 @@ def _notes(
         end = (
             "the optimum satisfies the equation of a disc, so it is also the optimum of real discs"
             if status == "optimal"
-            else f"discs come within {slack:z.2%} of the bound"
+            else f"discs come within {percent(slack, 2)} of the bound"
             if excess <= ACTIVE
             else "no discs were found that meet all limits"
         )
@@ -446,5 +447,6 @@ def _between(task: _Task, goal: Sequence[tuple[BalanceMeasure, float]], heavier:
     for measure, one, other in zip(largest, coarse, dense, strict=True):
         at, between = measure.value(one[measure.rows(task.angles)]), measure.value(other[measure.rows(fine)])
         if between > at * (1.0 + 1e-4):
-            notes.append(f"between the positions the {measure} is up to {between / at - 1.0:z.2%} higher: use more positions")
+            higher = percent(between / at - 1.0, 2)
+            notes.append(f"between the positions the {measure} is up to {higher} higher: use more positions")
     return notes

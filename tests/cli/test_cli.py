@@ -321,19 +321,6 @@ def test_only_the_invoked_command_is_built():
     assert not group.commands["solve"].params
 
 
-@pytest.mark.parametrize("words", [["--help"], []])
-def test_overview_of_a_process_is_what_typer_prints(words, monkeypatch):
-    """Although it is printed without the libraries that typer imports for texts in Markdown."""
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    code = f"from optlink.cli.app import app; app({words}, prog_name='python -m optlink')"
-    whole, overview = (
-        subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=False)
-        for arguments in (["-c", code], ["-m", "optlink", *words])
-    )
-    assert (overview.stdout, overview.stderr, overview.returncode) == (whole.stdout, whole.stderr, whole.returncode)
-    assert "\033[" in overview.stdout
-
-
 def test_split_values_are_read():
     line = "show crank-rocker --set limits.transmission_angle=[40 deg, 140 deg] --set mechanism.crank=95 mm"
     shown = process(*line.split(" ")).stdout

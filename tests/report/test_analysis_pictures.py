@@ -214,7 +214,7 @@ def test_parts_of_the_torque_add_up_and_the_mean_is_the_work_over_the_turn():
     np.testing.assert_allclose(np.sum(parts, axis=0), drawn(figure, "input.torque_Nm")[:, 1], atol=1e-6)
     (mean,) = by_gid(figure, "mean")
     assert mean.get_ydata()[0] == pytest.approx(3207.27272727 / TURN)
-    assert "mean 510.5 N m" in legend(figure)
+    assert "mean 510.5 N·m" in legend(figure)
 
 
 def test_extremes_are_marked_at_their_exact_crank_angles():
@@ -227,7 +227,7 @@ def test_extremes_are_marked_at_their_exact_crank_angles():
             assert mark[1] == pytest.approx(value)
         if sign > 0.0:
             words = [text.get_text() for text in figure.axes[0].texts]
-            assert words == ["−320.05 N m at 356.31°", "278.83 N m at 67.02°"]
+            assert words == ["−320.05 N·m at 356.31°", "278.83 N·m at 67.02°"]
         curve = drawn(figure, "input.torque_Nm")
         assert np.min(np.abs(curve[:, 0] - marks[0][0])) < 1e-9  # the curve has that very point
         assert np.nanmin(curve[:, 1]) == pytest.approx(marks[0][1])
@@ -374,7 +374,7 @@ def test_positions_are_the_telling_ones():
     assert [math.degrees(at) for at in named.values()] == pytest.approx(
         [62.0, 200.3641, 389.6863, math.degrees(extreme.largest_at), math.degrees(extreme.least_at)], abs=1e-4
     )
-    assert "φ 67.02°   s 706.10 mm   M 278.83 N m" in panels("six-bar")["largest torque"].get_title()
+    assert "φ 67.02°   s 706.10 mm   M 278.83 N·m" in panels("six-bar")["largest torque"].get_title()
     assert "M " not in panels("shaper")["dead centre 1 of ram"].get_title()  # there the load jumps, no one value is right
     partial = analysis.positions(course("partial"))
     assert [name.split(" = ")[0] for name in partial][:3] == ["start of the range", "middle of the range", "end of the range"]
@@ -561,7 +561,7 @@ def test_a_label_is_pushed_off_what_is_there_and_back_into_the_axes():
         (6e4, "m", "km", 1e-3),
         (1633.0, "N", "N", 1.0),
         (14848.0, "N", "kN", 1e-3),
-        (0.002, "N m", "mN m", 1e3),
+        (0.002, "N m", "mN·m", 1e3),
         (0.0, "N", "N", 1.0),
         (math.nan, "J", "J", 1.0),
         (2.5, "m/s", "m/s", 1.0),
@@ -578,8 +578,8 @@ def test_units_suit_the_size(largest, unit, shown, factor):
 
 
 def test_numbers_are_told_with_five_digits_and_a_true_minus():
-    assert style.scale(1105.74, "N m").text(-25.85165) == "−25.9 N m"
-    assert style.scale(278.83, "N m").text(278.8344391) == "278.83 N m"
+    assert style.scale(1105.74, "N m").text(-25.85165) == "−25.9 N·m"
+    assert style.scale(278.83, "N m").text(278.8344391) == "278.83 N·m"
     assert style.scale(10.0, "N").text(-1e-12) == "0.000 N"
     assert style.scale(1.0, "deg").text(math.pi / 3.0) == "60.00°"
     assert style.scale(10.0, "N").text(66167.971) == "66168 N"  # beyond what is shown
@@ -594,7 +594,7 @@ def test_axes_are_labelled_in_the_unit_that_is_drawn():
         assert axes.get_xlabel() == f"x [{unit}]"
         assert bars(axes, "crank") == [pytest.approx({"six-bar": 0.4, "tiny": 1e-6, "huge": 1e3}[name] * factor)]
     assert picture("tiny", "reactions").axes[0].get_ylabel() == "force [fN]"
-    assert picture("huge", "torque").axes[0].get_ylabel() == "torque on crank [MN m]"
+    assert picture("huge", "torque").axes[0].get_ylabel() == "torque on crank [MN·m]"
 
 
 def test_a_title_with_dollars_or_strange_letters_breaks_nothing(tmp_path):

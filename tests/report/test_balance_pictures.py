@@ -82,7 +82,7 @@ def test_curves_are_the_machine_before_and_after(quantity):
         line = lines(made, f"{name} {quantity}")[0]
         x, y = (np.asarray(part, dtype=float) for part in (line.get_xdata(), line.get_ydata()))
         wanted = quantities_of(machine.moving(np.radians(x), found.speed), [BalanceMeasure(quantity)], found.about)[0][:, 0]
-        assert "[N m]" in line.axes.get_ylabel()
+        assert "[N·m]" in line.axes.get_ylabel()
         assert y == pytest.approx(wanted, rel=1e-9, abs=1e-9 * float(np.max(np.abs(wanted))))
         assert abs(x[-1] - x[0]) == pytest.approx(360.0)
 

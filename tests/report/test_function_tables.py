@@ -78,10 +78,10 @@ def test_the_price_of_an_equality_has_its_sign() -> None:
         return words(active(SimpleNamespace(objective_display=(size, "N")), 100.0 / size, limits))
 
     rising, falling = priced(limit("=", 5.0)), priced(limit("=", -5.0))
-    assert "= 1.6 +5 N per unit (5.00%) =: change of the objective if the value is raised by one unit" in rising
+    assert "= 1.6 +5 N per unit (5.00 %) =: change of the objective if the value is raised by one unit" in rising
     assert "= 1.6 -5 N per unit" in falling
-    assert "= 1.6 -5 N per unit (5.00%)" in priced(limit("=", 5.0), size=-1.0)  # of a maximised force
-    assert "= 1.6 +5000 N per unit (5000.00%)" in priced(limit("=", 5.0), size=1e3)
+    assert "= 1.6 -5 N per unit (5.00 %)" in priced(limit("=", 5.0), size=-1.0)  # of a maximised force
+    assert "= 1.6 +5000 N per unit (5000.00 %)" in priced(limit("=", 5.0), size=1e3)
     relaxed = priced(limit("<=", -5.0))
     assert "<= 1.6 5 N per unit" in relaxed
     assert "raised" not in relaxed
@@ -98,7 +98,7 @@ def test_dimensions_below_the_resolution_are_zero(value: float, text: str) -> No
     assert significant(value) == text
 
 
-@pytest.mark.parametrize(("share", "text"), [(-1e-6, "0.00 %"), (0.0, "0.00 %"), (-0.01648, "−1.65 %"), (0.0308, "+3.08 %")])
+@pytest.mark.parametrize(("share", "text"), [(-1e-6, "0.00 %"), (0.0, "0.00 %"), (-0.01648, "-1.65 %"), (0.0308, "+3.08 %")])
 def test_no_change_has_no_sign(share: float, text: str) -> None:
     assert change(share) == text
 

@@ -369,7 +369,7 @@ def test_a_result_is_shown_as_the_problem_would_be(results, tmp_path, name):
         assert about.objective == pytest.approx(first["objective"]["value"], rel=1e-6, abs=1e-20)
     text = path.read_text()
     if name == "crank-rocker":
-        assert "0.0001465 rad² per deg (1.93%)" in text
+        assert "0.0001465 rad² per deg (1.93 %)" in text
         assert "optimality (KKT residual)" in text
 
 

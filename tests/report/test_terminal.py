@@ -108,3 +108,21 @@ def test_the_unit_of_a_row_stands_beside_its_name_where_the_last_column_has_its_
         "Strokes", ["", ">from", ">span", "", ">ratio"], [("slider slides", "417.2626464", "373.9044949", "mm", "1.10924")]
     )
     assert "span 373.9044949 mm; ratio 1.10924" in " ".join(printed(narrow, 34, monkeypatch).split())
+
+
+def test_a_figure_and_its_percent_sign_stay_on_one_line(monkeypatch):
+    spec = table(
+        "Change", ["quantity", ">change", "limit"], [("peak torque of the drive", "-20.93 %", "at most 30 N*m over the cycle")]
+    )
+    shown = printed(spec, 29, monkeypatch)
+    assert "-20.93 %" in shown
+    assert max(map(len, shown.split("\n"))) <= 29
+
+
+@pytest.mark.parametrize("width", [80, 20])
+def test_torques_have_one_unit(width, monkeypatch):
+    spec = table("Torques", ["quantity", ">largest\n[N m]", ""], [("peak torque of the drive", "30.25", "N*m")])
+    shown = printed(spec, width, monkeypatch)
+    assert shown.count("N·m") == 2
+    assert "N m" not in shown
+    assert "N*m" not in shown

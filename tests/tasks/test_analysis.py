@@ -347,7 +347,7 @@ def test_mean_torque_and_power_are_those_of_the_work():
         assert result.mean_power == pytest.approx(float(np.mean(even)), rel=2e-2)  # the load jumps between the rows
     shown = run("analyze", "shaper", "--speed=-60 rpm").stdout
     assert re.search(rf"mean power +{result.mean_power:.2f} +W\s", shown)
-    assert re.search(rf"mean torque +{result.mean_torque:.3f} +N m\s", shown)
+    assert re.search(rf"mean torque +{result.mean_torque:.3f} +N·m\s", shown)
 
 
 def test_analyze_json_is_one_document():

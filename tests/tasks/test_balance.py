@@ -978,7 +978,7 @@ def test_csv_and_table(tmp_path):
     head, *rows = (tmp_path / "b.csv").read_text().splitlines()
     assert head.startswith("crank_angle_deg,before.shaking_force_x_N")
     assert len(rows) == 360
-    for words in ("globally optimal", "−0.00516128", "−0.00870966", "driving torque", "Clarabel"):
+    for words in ("globally optimal", "0.00516128", "0.00870966", "180.00", "driving torque", "Clarabel"):
         assert words in done.stdout
 
 

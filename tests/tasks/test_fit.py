@@ -229,9 +229,9 @@ def test_an_objective_without_a_target_stands_beside_that_of_the_initial_design(
         console.print(terminal.rendered(cycle_tables.cycle_result(result)))
     shown = " ".join(text.get().split())
     change = torque(crank, rod) / torque(0.05, 0.13) - 1.0
-    assert f"initial design{' ' if feasible else ', '}{torque(0.05, 0.13):.5g} N*m" in shown
+    assert f"initial design{' ' if feasible else ', '}{torque(0.05, 0.13):.5g} N·m" in shown
     assert ("does not meet the limits)" in shown) != feasible
-    assert f"({change:+.1%}" in verdict(ReportModel(result.problem, result, None))
+    assert f"({100.0 * change:+.1f} %" in verdict(ReportModel(result.problem, result, None))
 
 
 def test_a_machine_with_the_best_transmission_angle_is_graded() -> None:

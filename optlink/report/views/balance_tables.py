@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from optlink.problem.machine.balance import BalanceSection
-from optlink.report.format import change, number, scale, times
+from optlink.report.format import change, fixed, number, scale, times
 from optlink.report.table_spec import (
     Paragraph,
     Part,
@@ -22,6 +22,7 @@ from optlink.report.table_spec import (
     table,
 )
 from optlink.tasks.results.balance import Balance, TradeOff
+from optlink.units import percent
 
 SHOWN = 15  # largest number of listed points of a trade-off
 
@@ -75,15 +76,15 @@ def _added(outcome: Balance) -> TableSpec:
         if thickness is not None:
             what += f" x {number(thickness * 1e3, 4)} mm"
         along, across = float(one.parameters.along), _tiny(float(one.parameters.across), float(one.parameters.along))
-        product = f"{along:.6g} {across:+.6g}i".replace("-", "−")
+        moment = number(math.hypot(along, across)), fixed(math.degrees(math.atan2(across, along)), 2)
         place = f"({number(x * 1e3, 5)}, {number(y * 1e3 if abs(y) > 1e-9 * abs(x) else 0.0, 5)})"
-        rows.append((one.body, number(one.mass), place, product, number(size * 1e3, 5), quiet(what)))
+        rows.append((one.body, number(one.mass), place, *moment, number(size * 1e3, 5), quiet(what)))
     for spring in outcome.springs:
         ends = "-".join(point for _, point in spring.specification.ends)
         made = f"spring {ends}: {number(spring.stiffness)} N/m, free length {number(spring.free * 1e3)} mm"
-        rows.append((spring.specification.name, "", "", "", "", made))
-    columns = ["body", ">mass [kg]", ">centre [mm]", ">m r [kg m]", ">radius", ""]
-    return table("Counterweights; centre and m r along and across their bodies", columns, rows)
+        rows.append((spring.specification.name, "", "", "", "", "", made))
+    columns = ["body", ">mass [kg]", ">centre [mm]", ">m·r [kg·m]", ">at [deg]", ">radius\n[mm]", ""]
+    return table("Counterweights: centre along and across the body; m·r and its angle from the body", columns, rows)
 
 
 def _measures(outcome: Balance) -> TableSpec:
@@ -92,7 +93,7 @@ def _measures(outcome: Balance) -> TableSpec:
         cells, largest = [], max(rms.before, rms.after)
         unit = scale(largest, rms.measure.unit)
         for row in (rms, most):
-            less = f"{100.0 * row.change:+z.1f}".replace("-", "−") if math.isfinite(row.change) else "-"
+            less = percent(row.change, 1, signed=True).removesuffix(" %")
             cells += [f"{value * unit.factor:.4g}" for value in (row.before, _tiny(row.after, row.before))] + [less]
         rows.append((rms.measure.quantity.removeprefix("reaction "), *cells, quiet(unit.unit)))
     columns = ["", ">rms", ">after", ">%", ">largest", ">after", ">%", ""]
@@ -107,12 +108,11 @@ def _tiny(value: float, scale: float) -> float:
 def _limits(outcome: Balance) -> Part:
     rows = []
     for limit in (limit for limit in outcome.limits if limit.active):
-        more = "more" if limit.sense == "at most" else "less"
         step = f"{limit.step * 1e3:.4g} g" if limit.unit == "kg" else f"{limit.step:.4g} {limit.unit}"
-        buys = f"{step} {more} buys {100.0 * limit.buys:.3g} %"
+        price = f"{100.0 * limit.buys:.3g} % per {step}"
         if limit.buys <= 1e-9:
-            buys = "no effect: of several optima the lightest was chosen"
-        rows.append((limit.name, f"{limit.sense} {limit.bound:.6g} {limit.unit}", buys))
+            price = "no effect: of several optima the lightest was chosen"
+        rows.append((limit.name, f"{limit.sense} {limit.bound:.6g} {limit.unit}", price))
     if not rows:
         return Paragraph(
             strong("Active constraints"), "none: only the permitted counterweights and springs determine this optimum"
@@ -136,7 +136,7 @@ def _trade(trade: TradeOff) -> TableSpec:
     one, other = trade.first, trade.second
     title = f"Trade-off, {len(trade.points)} points"
     if math.isfinite(trade.ratio):
-        title += f"; a further point takes {trade.ratio:z.1%} of the first"
+        title += f"; a further point takes {percent(trade.ratio)} of the time of the first"
     if len(trade.points) == 1:
         title = "No trade-off: one machine minimises both"
     step, rows = max(1, math.ceil(len(trade.points) / SHOWN)), []

@@ -25,6 +25,7 @@ from optlink.report.views.revolutions import (
     rough,
     round_below,
 )
+from optlink.units import percent
 
 DEEP = 0.22  # largest magnified penetration, as a share of the clearance
 MOST = 50.0  # largest magnification
@@ -128,7 +129,7 @@ def journal_orbit(turns: RevolutionCurves) -> list[ChartSpec]:
             curves.append(Curve(xs, ys, word, colour, width, legend=bool(len(xs)), gid=word))
         if begins.size:
             curves.append(ring(x[begins], y[begins], "impact", TARGET, size=4.0 if len(begins) < 60 else 2.5, gid="impact"))
-        caption = f"clearance {rough(gap.clearance, 'm')}, in contact {float(np.mean(contact)):z.0%}"
+        caption = f"clearance {rough(gap.clearance, 'm')}, in contact {percent(float(np.mean(contact)), 0)}"
         if deepest > 0.0:
             caption += f", deepest {rough(deepest, 'm')}" + (f", beyond the circle {factor:g}-fold" if factor > 1.0 else "")
         heading = turns.title("journals in their bearings", turns.span(WINDOW))
@@ -176,7 +177,7 @@ def force(turns: RevolutionCurves) -> list[ChartSpec]:
         phase = "in contact" + (", last revolution" if turns.shown > 1 else "")
         spans = turns.bands(result[f"{gap.point}.contact"], last, phase)
         title, heading = f"Contact force at {named(gap)}, {turns.overlaid}", turns.title("contact forces", turns.overlaid)
-        caption, width = f"in contact {share:z.0%}, at most {rough(strongest, 'N')}", 7.6 if columns == 1 else 5.4
+        caption, width = f"in contact {percent(share, 0)}, at most {rough(strongest, 'N')}", 7.6 if columns == 1 else 5.4
         spec = partial(ChartSpec, "force", title, panels, turns.crank_axis, heading, caption)
         found.append(spec(spans=spans, cursor=False, row=k // columns, width=width))
     return found

@@ -11,7 +11,7 @@ from optlink.report.format import fixed, number
 from optlink.report.table_spec import Line, Paragraph, Row, Summary, TableSpec, bad, good, noted, quiet, summary, table, verdict
 from optlink.tasks.results.clearance import ClearanceSimulation
 from optlink.tasks.results.control_comparison import Comparison, Tuning
-from optlink.units import DISPLAYED
+from optlink.units import DISPLAYED, percent
 
 
 def simulation(outcome: ClearanceSimulation) -> Summary:
@@ -61,7 +61,7 @@ def _contacts(outcome: ClearanceSimulation) -> TableSpec:
     rows = []
     for gap in outcome.gaps:
         count = str(int(found[f"{gap.point}.contacts"]))
-        share = f"{float(np.mean(outcome.per_revolution[f'{gap.point}.contact_share'])):z.1%}"
+        share = percent(float(np.mean(outcome.per_revolution[f"{gap.point}.contact_share"])))
         most = number(found[f"{gap.point}.normal_max_N"], 5), fixed(found[f"{gap.point}.penetration_max_m"] * 1e6, 2)
         rows.append((gap.point, gap.journal, gap.bearing, number(gap.clearance * 1e3), count, share, *most))
     columns = ["joint", "journal", "bearing", ">gap\n[mm]", ">contacts", ">share", ">force\n[N]", ">depth\n[µm]"]
@@ -100,7 +100,7 @@ def comparison(outcome: Comparison) -> Summary:
         gain = math.nan if kind == "none" or "none" not in outcome.trials else outcome.gain(kind)
         effort, torque = math.degrees(float(np.mean(trials.correction))), float(np.mean(trials.torque))
         sizes = [fixed(value * factor, 4) for value in (trials.mean, trials.scatter, float(np.max(trials.peak)))]
-        row = [kind, *sizes, f"{gain:z.1%}" if math.isfinite(gain) else "", fixed(effort, 3), fixed(torque, 3)]
+        row = [kind, *sizes, percent(gain) if math.isfinite(gain) else "", fixed(effort, 3), fixed(torque, 3)]
         rows.append([*row] if trials.finished else [bad(cell) for cell in row])
         if trials.stalled:
             status.append(bad(f"Stalled: {trials.stalled} of {count} runs with control {kind}, which therefore has no mean"))

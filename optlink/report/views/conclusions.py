@@ -12,6 +12,7 @@ from optlink.errors import Status
 from optlink.optimization.objectives import MEASURES
 from optlink.report.format import pretty, scale
 from optlink.report.views.certificate_view import clause
+from optlink.units import percent
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -179,7 +180,7 @@ def sensitivities(found: Sensitivities) -> str:
         return "No prescribed value has an effect on this optimum, to first order."
     first, base = found.moving[0], found.solution.objective
     step = study_tables.step(first).replace(" deg", "°")
-    change = f"{100.0 * first.effect / base:+z.2f} %" if base else figure(first.effect, found.unit)
+    change = percent(first.effect / base, 2, signed=True) if base else figure(first.effect, found.unit)
     return f"The optimum reacts most to {first.parameter.name}: {step} more changes the objective by {change.replace('-', '−')}."
 
 

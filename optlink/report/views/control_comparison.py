@@ -21,6 +21,7 @@ from optlink.report.views import clearance_tables, conclusions
 from optlink.report.views.revolutions import FULL, RevolutionCurves, fold
 from optlink.tasks.results.clearance import ClearanceSimulation
 from optlink.tasks.results.control_comparison import Comparison, ComparisonRecord, Trials
+from optlink.units import percent
 
 
 def charts(found: Comparison) -> list[ChartSpec]:
@@ -72,7 +73,7 @@ def compensation(results: Mapping[str, ClearanceSimulation]) -> list[ChartSpec]:
     deviations: list[Curve | Band] = []
     corrections: list[Curve | Band] = []
     for name, turns in every.items():
-        gain = "" if name == "none" or not before else f" ({(turns.rms / before - 1.0) * 100.0:+z.0f} %)".replace("-", "−")
+        gain = "" if name == "none" or not before else f" ({percent(turns.rms / before - 1.0, 0, signed=True)})".replace("-", "−")
         label = f"{_kind(name)}: RMS {turns.rms * shown.factor:.4g} {shown.unit}{gain}"
         deviations += _scatter(means[name], shown.factor, label, colours[name], f"mean {name}")
         if turns.result.figures["correction_max_rad"] > 0.0:

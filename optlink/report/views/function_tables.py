@@ -42,6 +42,7 @@ from optlink.tasks.function import FunctionResult
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.certificate import Certificate, share_text
 from optlink.tasks.results.fit import Fit
+from optlink.units import percent
 from optlink.validation import Check
 
 if TYPE_CHECKING:
@@ -240,7 +241,7 @@ def active(model: Problem, objective: float, limits: Iterable[LimitState]) -> Pa
     for limit in (limit for limit in limits if limit.active):
         price, base = limit.multiplier * factor, objective * factor
         gain = abs(price)
-        share = f" ({gain / base:z.2%})" if 5e-5 * base <= gain < 100.0 * base else ""  # otherwise not informative
+        share = f" ({percent(gain / base, 2)})" if 5e-5 * base <= gain < 100.0 * base else ""  # otherwise not informative
         shown = f"{price:+.4g}" if limit.sense == "=" else f"{gain:.4g}"
         buys = f"{shown} {unit} per {limit.unit or 'unit'}{share}" if gain > 0 else "no effect"
         raised |= limit.sense == "=" and gain > 0

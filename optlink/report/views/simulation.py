@@ -25,6 +25,7 @@ from optlink.report.views import analysis_tables, conclusions
 from optlink.tasks.machine import machine_of
 from optlink.tasks.results.common import check_entries
 from optlink.tasks.simulate import Simulation, SimulationRecord
+from optlink.units import percent
 
 RPM = 30.0 / math.pi
 LINES = 10  # largest number of joint reactions
@@ -102,7 +103,7 @@ def drive(run: History) -> list[ChartSpec]:
             turned = np.abs(crank - crank[-1]) <= 360.0 * (1.0 + 1e-12)
             over = run.columns["time_s"][turned]
             curves.append(Curve(over, np.full(len(over), mean), "mean", TARGET, 1.2, "dash", legend=False, gid="mean"))
-            note = f"last turn: mean over time {own:.4g} rad/s ({own * RPM:.4g} rpm), fluctuation {share:z.2%}"
+            note = f"last turn: mean over time {own:.4g} rad/s ({own * RPM:.4g} rpm), fluctuation {percent(share, 2)}"
         room = 0.16 * float(np.ptp(values)) or 0.1 * abs(mean) or 1.0
         limits = float(np.min(values)) - room, float(np.max(values)) + 0.4 * room
         panels.append(Panel(Axis("crank speed [rpm]", limits), curves, 1.4, note=note))

@@ -30,6 +30,7 @@ from optlink.studies.motion_sensitivity import OutputSensitivity
 from optlink.studies.pareto.epsilon_constraint import Pareto
 from optlink.studies.sensitivity import Sensitivities, Sensitivity
 from optlink.studies.sweep import TEXT, Sweep
+from optlink.units import percent
 
 AGREES = 1e-5  # relative tolerance between exact derivatives and those from solving again
 SHOWN = 12  # largest number of active-set changes and of points listed
@@ -114,10 +115,7 @@ def _events(result: Sensitivities) -> TableSpec:
 
 
 def _percent(share: float) -> str:
-    if not math.isfinite(share):
-        return "-"
-    tiny = 0.0 < abs(share) < TINY
-    return f"{100.0 * share:+.1e} %" if tiny else f"{share:+z.3%}".replace("%", " %")
+    return f"{100.0 * share:+.1e} %" if 0.0 < abs(share) < TINY else percent(share, 3, signed=True)
 
 
 def outputs(found: OutputSensitivity) -> TableSpec:

@@ -10,7 +10,6 @@ import numpy as np
 
 from optlink.problem.file import ProblemFile
 from optlink.report.chart_spec import Array, Axis, Band, Bars, ChartSpec, Curve, Line, Panel, Trace, crank_angle
-from optlink.report.format import percent
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection
 from optlink.report.stored.stored_study import StoredStudy, turning
@@ -20,6 +19,7 @@ from optlink.report.views import conclusions, tolerance_tables
 from optlink.report.views.tolerance_tables import judged_value
 from optlink.studies.tolerance.analysis import ToleranceRecord
 from optlink.studies.tolerance.monte_carlo import MonteCarloRecord
+from optlink.units import percent
 
 COLOURS = (CRANK, *BODIES)
 NEAR = 2.5  # the limit is drawn up to this multiple of the drawn range
@@ -70,7 +70,7 @@ def _verdict(record: ToleranceRecord) -> str:
     if record.robust is not None and not record.robust.valid:
         return "The robust design is not valid"
     if record.monte_carlo is not None and math.isfinite(record.monte_carlo.share):
-        return f"Yield {percent(record.monte_carlo.share)}"
+        return f"Yield {percent(record.monte_carlo.share, 3)}"
     return "Done"
 
 
@@ -157,7 +157,8 @@ def _histogram(record: ToleranceRecord, sampled: MonteCarloRecord) -> ChartSpec:
         if np.any(own)
     ]
     low, high = sampled.interval
-    remark = f"Yield {percent(sampled.share)}, with 95 % confidence {percent(low)} ... {percent(high)}." if limited else ""
+    share, least, most = (percent(one, 3) for one in (sampled.share, low, high))
+    remark = f"Yield {share}, with 95 % confidence {least} ... {most}." if limited else ""
     what = judged_value(record) if np.any(record.judged_as_drawn) else f"change of {record.output}"
     title = f"{sampled.samples:,} linkages with their tolerances"
     panel, x = Panel(Axis("share of the samples [%]"), bars, 1.4), f"largest {what} at any of the crank angles"

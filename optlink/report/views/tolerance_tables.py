@@ -9,13 +9,14 @@ import numpy as np
 from optlink.problem.base_model import Contradiction
 from optlink.problem.file import ProblemFile
 from optlink.problem.tolerances import CONTACT
-from optlink.report.format import dimension, fixed, number, percent
+from optlink.report.format import dimension, fixed, number
 from optlink.report.table_spec import Row, Summary, TableSpec, bad, good, quiet, strong, summary, table
 from optlink.studies.tolerance.allocation import AllocationRecord
 from optlink.studies.tolerance.analysis import DeviationRecord, Tolerance, ToleranceRecord
 from optlink.studies.tolerance.monte_carlo import MonteCarloRecord
 from optlink.studies.tolerance.robust_design import YIELD, RobustRecord
 from optlink.studies.tolerance.sampling import CONFIDENCE
+from optlink.units import percent
 
 INTERVAL = f"{100.0 * CONFIDENCE:g} % CI"
 
@@ -75,7 +76,7 @@ def _distribution(part: DeviationRecord) -> str:
 
 def _between(sampled: MonteCarloRecord) -> str:
     low, high = sampled.interval
-    return f"{100.0 * low:z.3f} ... {percent(high)} ({INTERVAL})"
+    return f"{100.0 * low:z.3f} ... {percent(high, 3)} ({INTERVAL})"
 
 
 def _redesigned(file: ProblemFile, record: ToleranceRecord, robust: RobustRecord) -> TableSpec:
@@ -92,9 +93,9 @@ def _redesigned(file: ProblemFile, record: ToleranceRecord, robust: RobustRecord
     best, own = robust.monte_carlo_of_the_nominal_design, record.monte_carlo
     if best is not None and own is not None and math.isfinite(record.limit):
         limit = f"within {number(math.degrees(record.limit))} deg"
-        rows.append(("yield", percent(best.share), strong(percent(own.share)), quiet(limit)))
+        rows.append(("yield", percent(best.share, 3), strong(percent(own.share, 3)), quiet(limit)))
         for end, name in enumerate(("at least", "at most")):
-            rows.append([quiet(text) for text in (name, *(percent(one.interval[end]) for one in (best, own)), INTERVAL)])
+            rows.append([quiet(text) for text in (name, *(percent(one.interval[end], 3) for one in (best, own)), INTERVAL)])
     passed = "verified; no design with a higher yield was found" if counted == YIELD else "verified"
     failed = ": ".join(filter(None, ("not verified", ", ".join(robust.failed_checks or ()))))
     notes = [good(passed) if robust.valid else bad(failed)]
@@ -140,8 +141,8 @@ def _sampled(record: ToleranceRecord, sampled: MonteCarloRecord) -> TableSpec:
         rows.append((bad("cannot be assembled"), f"{sampled.cannot_be_assembled:,}", ""))
     if math.isfinite(sampled.share):
         limit = f"yield, within {number(scale * record.limit)} {unit}"
-        rows.append((limit, strong(percent(sampled.share)), quiet(_between(sampled))))
-        rows.append(("yield by the linear model", percent(sampled.yield_by_the_linear_model), ""))
+        rows.append((limit, strong(percent(sampled.share, 3)), quiet(_between(sampled))))
+        rows.append(("yield by the linear model", percent(sampled.yield_by_the_linear_model, 3), ""))
     rows.append((quiet("time"), quiet(f"{sampled.seconds:z.2f} s"), ""))
     title = f"{sampled.samples:,} sampled linkages (Sobol, seed {sampled.seed}), exact kinematics"
     return table(title, "<><", rows)
@@ -156,8 +157,8 @@ def _allocated(file: ProblemFile, record: ToleranceRecord, allocation: Allocatio
         sizes = _symmetric(part.tolerance_SI, unit), strong(_symmetric(allocation.tolerances_SI[part.name], unit, 4))
         remark = "has no effect" if part.name in allocation.without_effect else ""
         rows.append((part.name, *sizes, number(allocation.cost_coefficients[part.name]), remark))
-    checked = f"checked by {check.samples:,} others: {percent(check.share)}, {_between(check)}"
+    checked = f"checked by {check.samples:,} others: {percent(check.share, 3)}, {_between(check)}"
     share = number(allocation.cost / allocation.cost_of_specified)
-    title = f"Least costly tolerances for a yield of {percent(allocation.target_yield)}: cost {share} of the specified ones"
+    title = f"Least costly tolerances for a yield of {percent(allocation.target_yield, 3)}: cost {share} of the specified ones"
     columns = ["", ">specified", ">allocated", ">cost coefficient", ""]
     return table(title, columns, rows, notes=[good(checked) if allocation.achieved else bad(checked)])

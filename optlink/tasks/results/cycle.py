@@ -22,7 +22,7 @@ from optlink.tasks.analyze import analyze
 from optlink.tasks.results.analysis import Analysis, stroke_document
 from optlink.tasks.results.common import SingleRecord, SingleResult
 from optlink.tasks.results.fit import Fit, transmission_fit
-from optlink.units import KINDS, display_unit, factor
+from optlink.units import KINDS, display_unit, factor, percent
 from optlink.validation.check import Validation
 from optlink.validation.cycle import Cycle, validate_cycle
 
@@ -162,7 +162,7 @@ class CycleResult(SingleResult):
         if isinstance(self.task, StrokeProblem) and not first.valid:  # the middle of the bounds is not a design of anybody
             return f"objective {found:.5g} {unit}".rstrip()
         ours, theirs = (f"{value:.5g} {unit}".rstrip() for value in (found, given))
-        change = f"{found / given - 1.0:+z.1%}" if given else ""
+        change = percent(found / given - 1.0, signed=True) if given else ""
         if not first.valid:
             return f"objective {ours} ({change}; the initial design, {theirs}, does not meet the limits)".replace("(; ", "(")
         return f"objective {ours}, initial design {theirs}" + (f" ({change})" if change else "")
