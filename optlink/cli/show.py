@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import sys
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -78,58 +76,11 @@ def show(
 
 def _template(problem: ProblemFile) -> str:
     """Return the problem with default limits as TOML text, with the comments and the spellings of its file."""
-    import tomllib
+    from optlink.problem.file import complete
+    from optlink.report.toml_text import rewritten, tables
 
-    import tomli_w
-    import tomlkit
-    from tomlkit.exceptions import TOMLKitError
-
-    from optlink.problem.base_model import with_ranges
-    from optlink.problem.file import WORDS, complete
-
-    whole = complete(problem)
-    path = problem.folder / os.path.basename(problem.file)
-    with contextlib.suppress(TOMLKitError, LookupError, ValueError, OSError):  # such as rare orders of tables
-        document = tomlkit.parse(path.read_text(encoding="utf-8-sig"))
-        _edit(document, with_ranges(document.unwrap(), skip=WORDS), whole, top=True)
-        text = tomlkit.dumps(document)
-        if with_ranges(tomllib.loads(text), skip=WORDS) == whole:
-            return text
-    return tomli_w.dumps(whole)
-
-
-def _edit(table: Any, before: Mapping[str, Any], after: Mapping[str, Any], *, top: bool = False) -> None:
-    """Change a table of a document where the values differ, in place."""
-    from tomlkit.items import AoT, Table
-
-    for key in before.keys() - after.keys():
-        del table[key]
-    last = next((key for key in reversed(list(before)) if key in after and not isinstance(table[key], AoT | Table)), None)
-    for key, value in after.items():
-        known = before.get(key)
-        if isinstance(value, Mapping) and isinstance(known, Mapping) and isinstance(table[key], Mapping):
-            _edit(table[key], known, value)
-        elif key in before or top or last is None:
-            if value != known:
-                table[key] = _item(value, section=top)
-        else:  # before the blank lines and the comment above the next section
-            table.value._insert_after(last, key, _item(value))
-            last = key
-
-
-def _item(value: Any, *, section: bool = False) -> Any:
-    """Return a value as an item of a document: a table in one line, or as a section of its own."""
-    import tomlkit
-
-    if isinstance(value, Mapping):
-        table = tomlkit.table() if section else tomlkit.inline_table()
-        table.update({key: _item(item) for key, item in value.items()})
-        return table
-    if isinstance(value, list):
-        array = tomlkit.array()
-        array.extend(map(_item, value))
-        return array
-    return tomlkit.item(value)
+    text = (problem.folder / os.path.basename(problem.file)).read_text(encoding="utf-8-sig")
+    return rewritten(text, tables(text), complete(problem))
 
 
 NAME_HELP = "Name of the template. Default: list the templates."

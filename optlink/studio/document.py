@@ -10,15 +10,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import tomlkit
-from tomlkit.exceptions import TOMLKitError
-
 from optlink.errors import InputError
-from optlink.problem.base_model import with_ranges, with_spellings
-from optlink.problem.file import MAX_BYTES, WORDS, ProblemFile, load, read, shipped
+from optlink.problem.file import MAX_BYTES, ProblemFile, load, read, shipped
 from optlink.problem.fixed_design import file_key, references
 from optlink.problem.quantity import check_choice
 from optlink.problem.templates import template, templates
+from optlink.report import toml_text
 from optlink.studies.toml_keys import exact_text, value_at
 from optlink.version import VERSION
 
@@ -73,7 +70,7 @@ class Document:
         if not changes:
             return self
         made = self.problem.override(changes)
-        return replace(self, text=rewritten(self.text, self.problem.raw, made.raw))
+        return replace(self, text=toml_text.rewritten(self.text, self.problem.raw, made.raw))
 
     def locked(self, size: str, value: float | None) -> Document:
         """Return the document with a design variable fixed.
@@ -223,81 +220,7 @@ def tables(text: str, file: str) -> dict[str, Any]:
         If the text is not valid TOML.
     """
     try:
-        raw: dict[str, Any] = with_ranges(with_spellings(tomllib.loads(text)), skip=WORDS)
+        return toml_text.tables(text)
     except (tomllib.TOMLDecodeError, ValueError, RecursionError) as error:
         reason = "nested too deeply" if isinstance(error, RecursionError) else str(error)
         raise InputError(f"the text is not valid TOML: {reason}", "Correct the text", file) from None
-    return raw
-
-
-# --- writing ----------------------------------------------------------------------------------------------------------------
-
-
-def rewritten(text: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
-    """Return a text in which the values that differ are replaced, with its comments and its layout.
-
-    A section whose layout cannot be kept is written again.
-
-    Parameters
-    ----------
-    text : str
-    old, new : mapping
-        Nested tables of the text, and the target tables, in the standard spelling.
-    """
-    target = dict(new)
-    try:
-        page = tomlkit.parse(text)
-        _write(page, old, new)
-        made = page.as_string()
-        if _same(tables(made, ""), target):
-            return made
-    except (TOMLKitError, InputError, KeyError, IndexError, TypeError, ValueError):
-        pass
-    import tomli_w
-
-    page = tomlkit.parse(text)
-    for key in {*old, *new}:
-        if old.get(key) != new.get(key):
-            page.pop(key, None)
-            if key in new:
-                page.update(tomlkit.parse(tomli_w.dumps({key: new[key]})))
-    made = page.as_string()
-    return made if _same(tables(made, ""), target) else tomli_w.dumps(target)
-
-
-def _same(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    """Return whether two problems have the same tables; the type of a mechanism may be left out."""
-
-    def stripped(raw: Mapping[str, Any]) -> dict[str, Any]:
-        mechanism = raw.get("mechanism")
-        if not isinstance(mechanism, Mapping):
-            return dict(raw)
-        return {**raw, "mechanism": {key: value for key, value in mechanism.items() if key != "type"}}
-
-    return stripped(one) == stripped(other)
-
-
-def _write(place: Any, old: Any, new: Any) -> None:
-    """Write the differences of two tables or lists into the part of the text that holds the first one."""
-    if isinstance(new, Mapping):
-        for key in [key for key in old if key not in new]:
-            del place[key]
-        for key, value in new.items():
-            if key not in old:
-                place[key] = value
-            elif old[key] != value:
-                _put(place, key, old[key], value)
-    else:
-        for k, value in enumerate(new):
-            if old[k] != value:
-                _put(place, k, old[k], value)
-
-
-def _put(place: Any, key: Any, old: Any, new: Any) -> None:
-    here = place[key]
-    tables_both = isinstance(old, Mapping) and isinstance(new, Mapping) and isinstance(here, Mapping)
-    lists = isinstance(old, list) and isinstance(new, list) and isinstance(here, list) and len(old) == len(new) == len(here)
-    if tables_both or lists:
-        _write(here, old, new)
-    else:
-        place[key] = new

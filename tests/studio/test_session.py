@@ -17,9 +17,10 @@ import pytest
 
 import optlink
 from optlink.problem.file import read
+from optlink.report.toml_text import rewritten
 from optlink.studies.toml_keys import exact_text, knobs
 from optlink.studio import state
-from optlink.studio.document import Document, named, rewritten, tables
+from optlink.studio.document import Document, named, tables
 from optlink.studio.files import deflated, inflated
 from optlink.studio.session import Session
 from optlink.studio.worker import Interrupts
@@ -228,6 +229,14 @@ def test_a_section_is_written_again_where_its_layout_cannot_be_kept() -> None:
     made = rewritten(text, old, new)
     assert tables(made, "") == new
     assert "# kept" in made
+
+
+def test_a_size_that_is_released_stays_in_its_line() -> None:
+    document = named("balance-four-bar")
+    lines, released = document.text.splitlines(), document.released("crank").text.splitlines()
+    at = lines.index('crank = "50.8 mm"')
+    assert released[at].startswith("crank = {bounds = [")
+    assert released[:at] + released[at + 1 : at + 9] == lines[:at] + lines[at + 1 : at + 9]
 
 
 def test_the_title_of_a_document_is_no_path() -> None:

@@ -1,0 +1,113 @@
+"""Texts of problem files that are changed: comments and layout stay as they are."""
+
+from __future__ import annotations
+
+import contextlib
+import tomllib
+from collections.abc import Mapping
+from typing import Any
+
+from optlink.problem.base_model import with_ranges, with_spellings
+from optlink.problem.file import WORDS
+
+
+def tables(text: str) -> dict[str, Any]:
+    """Return the nested tables of a problem file in the standard spelling.
+
+    Raises
+    ------
+    ValueError
+        If the text is not valid TOML.
+    """
+    found: dict[str, Any] = with_ranges(with_spellings(tomllib.loads(text)), skip=WORDS)
+    return found
+
+
+def rewritten(text: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
+    """Return a text in which the values that differ are replaced, with its comments, its spellings and its layout.
+
+    A section whose layout cannot be kept is written again.
+
+    Parameters
+    ----------
+    text : str
+    old, new : mapping
+        Nested tables of the text, and the target tables, in the standard spelling.
+    """
+    import tomli_w
+    import tomlkit
+    from tomlkit.exceptions import TOMLKitError
+
+    for edit in (_edit, _replace_sections):
+        with contextlib.suppress(TOMLKitError, LookupError, TypeError, ValueError):  # such as rare orders of tables
+            page = tomlkit.parse(text)
+            edit(page, old, new)
+            made = page.as_string()
+            if _without_type(tables(made)) == _without_type(new):
+                return made
+    return tomli_w.dumps(new)
+
+
+def _without_type(raw: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the tables of a problem without the type of its mechanism, which may be left out."""
+    mechanism = raw.get("mechanism")
+    if not isinstance(mechanism, Mapping):
+        return dict(raw)
+    return {**raw, "mechanism": {key: value for key, value in mechanism.items() if key != "type"}}
+
+
+def _replace_sections(page: Any, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
+    """Write the sections that differ again, at the end of the document."""
+    import tomli_w
+    import tomlkit
+
+    for key in dict.fromkeys((*old, *new)):
+        if old.get(key) != new.get(key):
+            page.pop(key, None)
+            if key in new:
+                page.update(tomlkit.parse(tomli_w.dumps({key: new[key]})))
+
+
+def _edit(place: Any, old: Any, new: Any) -> None:
+    """Change a table or a list of a document where the values differ, in place."""
+    from tomlkit import TOMLDocument
+    from tomlkit.items import AoT, Table
+
+    named, top, last = isinstance(new, Mapping), isinstance(place, TOMLDocument), None
+    if named:
+        for key in old.keys() - new.keys():
+            del place[key]
+        last = next((key for key in reversed(list(old)) if key in new and not isinstance(place[key], AoT | Table)), None)
+    for key, value in new.items() if named else enumerate(new):
+        known = old.get(key) if named else old[key]
+        if value == known:
+            continue
+        if known is not None and _alike(known, value, place[key]):
+            _edit(place[key], known, value)
+        elif known is not None or top or last is None:
+            place[key] = _item(value, section=top)
+        else:  # before the blank lines and the comment above the next section
+            place.value._insert_after(last, key, _item(value))
+            last = key
+
+
+def _alike(*values: Any) -> bool:
+    """Return whether values are all tables, or lists of equal length."""
+    if all(isinstance(value, list) for value in values):
+        return len(set(map(len, values))) == 1
+    return all(isinstance(value, Mapping) for value in values)
+
+
+def _item(value: Any, *, section: bool = False) -> Any:
+    """Return a value as an item of a document: a table in one line, or as a section of its own."""
+    import tomlkit
+
+    if isinstance(value, Mapping):
+        table = tomlkit.table() if section else tomlkit.inline_table()
+        table.update({key: _item(item) for key, item in value.items()})
+        return table
+    if isinstance(value, list):
+        array = tomlkit.array()
+        array.extend(map(_item, value))
+        return array
+    return tomlkit.item(value)
