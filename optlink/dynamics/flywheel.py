@@ -96,7 +96,7 @@ class Fluctuation:
         return SpeedCurve(self.angles, np.copysign(speed(high), self.mean_speed))
 
 
-def flywheel(machine: Machine, speed: float, allowed: float, start: float = 0.0) -> Flywheel:
+def flywheel(machine: Machine, speed: float, allowed: float, start: float = 0.0) -> Flywheel | None:
     """Compute the flywheel that limits the fluctuation of the crank speed to `allowed` (share of the mean speed).
 
     Parameters
@@ -109,9 +109,11 @@ def flywheel(machine: Machine, speed: float, allowed: float, start: float = 0.0)
 
     Returns
     -------
-    Flywheel, inertia 0 if the fluctuation is within the limit without one
+    Flywheel, inertia 0 if the fluctuation is within the limit without one; None where the torque is not finite at some position
     """
     balance = Fluctuation(machine, speed, start)
+    if not np.all(np.isfinite(balance.gain)):
+        return None
 
     def much(inertia: float) -> bool:
         found = abs(balance.curve(inertia).fluctuation)

@@ -189,11 +189,11 @@ def _unsound(found: Analysis) -> str:
         return f"{where}: the assembly modes meet, and the motion beyond it is not determined"
     for angles, what in (
         (found.singular, "singular position, reactions are infinite,"),
-        (found.jammed, "friction locks a guide"),
+        (found.jammed, "friction locks a guide, or leaves several solutions,"),
         (found.undefined, "a load has no finite value"),
     ):
         if angles.size:
-            more = f" and {angles.size - 1} more of the table" if angles.size > 1 else ""
+            more = f" and {angles.size - 1} more positions" if angles.size > 1 else ""
             return f"{what} at crank angle {math.degrees(float(angles[0])):.6g} deg{more}"
     return "`optlink analyze` with --set at this point gives the reason"
 

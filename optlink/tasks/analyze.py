@@ -88,11 +88,16 @@ def analyze(
     else:
         unbounded = unbounded_reactions(machine, ranges.followed, speed)
         singular = _beyond(singular, ranges.followed, cycle)
-        found = _extremes(machine, low, high, ranges, speed, work)
+        even = _even(low, high, ranges.full, cycle)
+        scanned = MotionColumns(machine.moving(even, speed))
+        jammed, undefined = (
+            rows if rows.size else even[between] for rows, between in ((jammed, scanned.jammed), (undefined, scanned.undefined))
+        )
+        found = _extremes(machine, scanned, even, ranges, speed, work, np.concatenate([jammed, undefined]))
         found = {name: extreme for name, extreme in found.items() if name not in unbounded}
         swings, strokes = travels(machine.mechanism, machine.sizes, low, high, ranges.full)
     names = slider_names(machine)
-    share = None if ranges.singular else model.drive.fluctuation
+    share = None if ranges.singular or jammed.size or undefined.size else model.drive.fluctuation
     end = start + math.copysign(cycle, speed) if ranges.full else float(angles[-1])
     return Analysis(
         problem,
@@ -107,12 +112,13 @@ def analyze(
         swings,
         {names[guide]: travel for guide, travel in strokes.items()},
         work.jumps,
-        math.nan if ranges.singular else float(work(np.array([end]))[0]),
+        math.nan if ranges.singular or jammed.size or undefined.size else float(work(np.array([end]))[0]),
         singular,
         jammed,
         undefined,
         (
-            *_notes(problem, ranges, design, machine, columns, singular, jammed, undefined),
+            *_notes(problem, ranges, design, machine, singular),
+            *_missing_notes(machine, jammed, undefined, speed),
             *_followed_notes(machine, ranges, unbounded),
             *(quick_stroke_notes(problem, machine, speed) if ranges.full else ()),
         ),
@@ -173,9 +179,20 @@ def _beyond(rows: Array, positions: Iterable[AlignedPosition], cycle: float) -> 
     return rows
 
 
-def _extremes(machine: Machine, low: float, high: float, ranges: Ranges, speed: float, work: Work) -> dict[str, Extreme]:
-    """Return the least and largest value of every column over the motion, one-sided at load jumps."""
-    pins, full, cycle = pin_columns(machine), ranges.full, machine.mechanism.cycle
+def _even(low: float, high: float, full: bool, cycle: float) -> Array:
+    """Return the crank angles [rad] between which extremes are sought."""
+    count = GRID * (max(1, round(cycle / TURN)) if full else 1)
+    return np.asarray(low + (high - low) / count * np.arange(count + 1), dtype=float)
+
+
+def _extremes(
+    machine: Machine, scanned: MotionColumns, even: Array, ranges: Ranges, speed: float, work: Work, without: Array
+) -> dict[str, Extreme]:
+    """Return the least and largest value of every column over the motion, one-sided at load jumps.
+
+    `scanned`: the columns at the crank angles `even`. Columns without a value at the crank angles `without` [rad] are left out.
+    """
+    pins, full, cycle, low, high = pin_columns(machine), ranges.full, machine.mechanism.cycle, even[0], even[-1]
     passed = np.array([position.crank_angle for position in ranges.followed])
 
     def values(angles: Array, side: int = 1) -> Array:
@@ -192,12 +209,9 @@ def _extremes(machine: Machine, low: float, high: float, ranges: Ranges, speed: 
             rows.append(np.where(singular, np.nan, np.hypot(x, y)))
         return np.array(rows)
 
-    first = MotionColumns(machine.moving(np.array([low]), speed))
-    names = [name for name in first.columns if not name.endswith(".angle_rad")]
+    names = [name for name in scanned.columns if not name.endswith(".angle_rad")]
     names += [name for name, _, _ in pins]
-    count = GRID * (max(1, round(cycle / TURN)) if full else 1)
-    even = np.asarray(low + (high - low) / count * np.arange(count + 1), dtype=float)
-    nearly_zero = _least_forces(MotionColumns(machine.moving(even, speed)), even, pins)
+    nearly_zero = _least_forces(scanned, even, pins)
     grid = distinct(np.concatenate([even, work.breaks, nearly_zero]))
     at, best = extremes(values, grid, tuple(work.breaks), [name.rpartition("_")[2] for name in names], periodic=full)
     if work.jumps.size:
@@ -215,6 +229,9 @@ def _extremes(machine: Machine, low: float, high: float, ranges: Ranges, speed: 
     found = {
         name: Extreme(float(best[i, 0]), placed(at[i, 0]), float(best[i, 1]), placed(at[i, 1])) for i, name in enumerate(names)
     }
+    if without.size:
+        known = np.all(np.isfinite(values(without)), axis=1)
+        return {name: found[name] for name, whole in zip(names, known, strict=True) if whole}
     inside = grid[(grid >= low) & (grid <= high)]
     turning = zeros(lambda angles: work.torque(angles)[None, :], inside)[0]
     places = distinct(np.concatenate([[low, high], turning, work.jumps]))
@@ -288,10 +305,7 @@ def _notes(
     ranges: Ranges,
     design: Mapping[str, float] | None,
     machine: Machine,
-    columns: Mapping[str, Array],
     singular: Array,
-    jammed: Array,
-    undefined: Array,
 ) -> list[str]:
     notes = start_value_notes(problem, design)
     if not ranges.full:
@@ -311,22 +325,35 @@ def _notes(
             f"motion: write {CONTINUED}"
         )
         singular = np.empty(0)
-    guilty = {name.rpartition(".")[0] for name, column in columns.items() if not np.all(np.isfinite(column))}
-    loads = ", ".join(load.name for load in machine.loads if load.name in guilty) or "a load"
-    for angles, what in (
-        (singular, "a group is in a singular position: its reactions are infinite"),
-        (jammed, "friction jams a guide, or its solution is not unique,"),
-        (undefined, f"{loads} has no finite value"),
-    ):
-        if angles.size:
-            shown = ", ".join(f"{math.degrees(angle):.6g}" for angle in angles[:6]) + (" ..." if angles.size > 6 else "")
-            notes.append(f"{what} at crank angle {shown} deg")
+    if singular.size:
+        notes.append(f"a group is in a singular position: its reactions are infinite at crank angle {_shown(singular)}")
     if not machine.inertias and not machine.loads:
         notes.append("no masses and no loads are given, so there are no forces")
     with_clearance = [name for name, joint in problem.model.joints.items() if joint.has_clearance]
     if with_clearance:
         notes.append(f"joints are treated as ideal; `optlink simulate` includes the clearance of {', '.join(with_clearance)}")
     return notes
+
+
+def _shown(angles: Array) -> str:
+    return ", ".join(f"{math.degrees(angle):.6g}" for angle in angles[:6]) + (" ..." if angles.size > 6 else "") + " deg"
+
+
+def _missing_notes(machine: Machine, jammed: Array, undefined: Array, speed: float) -> Iterator[str]:
+    """Yield notes on the positions without forces: friction has no solution or several, or a load has no finite value."""
+    several = np.broadcast_to(MotionColumns(machine.moving(jammed, speed)).reactions.several, jammed.shape).astype(bool)
+    columns = MotionColumns(machine.moving(undefined, speed)).columns
+    guilty = {name.rpartition(".")[0] for name, column in columns.items() if not np.all(np.isfinite(column.values))}
+    loads = ", ".join(load.name for load in machine.loads if load.name in guilty) or "a load"
+    for angles, what in (
+        (jammed[~several], "friction jams a guide: no forces satisfy its law"),
+        (jammed[several], "different forces satisfy the law of friction, so they are not determined,"),
+        (undefined, f"{loads} has no finite value"),
+    ):
+        if angles.size:
+            yield f"{what} at crank angle {_shown(angles)}"
+    if jammed.size or undefined.size:
+        yield "extremes of the forces that have no value there, and works, are left out"
 
 
 def _followed_notes(machine: Machine, ranges: Ranges, unbounded: tuple[str, ...]) -> Iterator[str]:

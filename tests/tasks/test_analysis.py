@@ -491,6 +491,64 @@ def test_friction_without_normal_force_jams_nothing():
     assert still.run.ending.value == "finished"
 
 
+def test_friction_that_jams_between_the_rows_is_reported_and_has_no_extremes_of_forces():
+    """A massless rod at the angle beta pushes a slider against F: S (cos beta - mu sin beta) = F, which jams for mu tan beta > 1.
+
+    Where F pulls the slider along, S = -F / (cos beta + mu sin beta) and S = F / (mu sin beta - cos beta) satisfy the law there.
+    """
+    raw = {
+        "title": "wedge",
+        "mechanism": {
+            "ground": {"A": ["0 m", "0 m"]},
+            "links": {
+                "crank": {"joints": ["A", "B"], "length": "0.1 m"},
+                "rod": {"joints": ["B", "E"], "length": "0.3 m"},
+                "slider": {"joints": ["E"]},
+            },
+            "guides": {"F": {"slider": "slider", "through": "A", "friction": 3.0}},
+            "assembly": {"E": "forward"},
+        },
+        "bodies": {"crank": {"mass": "1 kg", "inertia": "0.1 kg*m^2"}},
+        "loads": {"press": {"on": "slider", "force": "100 N", "direction": "180 deg"}},
+        "drive": {"start": "30 deg", "speed": "10 rad/s", "fluctuation": 0.02},
+    }
+    result = optlink.analyze(optlink.read(raw), points=4)
+    assert np.all(np.isfinite(result["input.torque_Nm"]))  # all rows lie beside the ranges
+    edge = np.degrees(np.arcsin(np.sin(np.arctan(1 / 3.0)) / (0.1 / 0.3)))
+    inside = np.sort(np.degrees(result.jammed) % 360.0)
+    expected = np.r_[np.arange(0.0, 360.0, 0.5)]
+    expected = expected[np.abs(np.sin(np.radians(expected))) > np.sin(np.radians(edge))]
+    np.testing.assert_allclose(inside, expected, atol=1e-9)
+    assert not result.sound
+    told = " ".join(result.notes)
+    assert "friction jams a guide: no forces satisfy its law at crank angle 252" in told
+    assert "different forces satisfy the law of friction, so they are not determined, at crank angle 72" in told
+    assert {"input.torque_Nm", "F.normal_N", "B.f_N", "input.work_J"}.isdisjoint(result.extremes)  # S is unbounded at the edges
+    assert result.extremes["slider.s_m"].largest == pytest.approx(0.4)
+    assert math.isnan(result.work)
+    assert result.flywheel is None  # its search did not end
+    smooth = optlink.analyze(optlink.read(raw).override({"mechanism.guides.F.friction": 2.8}), points=4)
+    assert smooth.sound
+    sine = 1 / 3.0
+    cosine = math.sqrt(1.0 - sine * sine)
+    normal = 100.0 * sine / (cosine - 2.8 * sine)
+    assert smooth.extremes["F.normal_N"].least == pytest.approx(-normal, rel=1e-9)
+
+
+def test_load_without_a_value_between_the_rows_is_reported_and_has_no_extremes():
+    force = {"expression": "100*sqrt(0.9+cos(phi))", "unit": "N"}
+    problem = optlink.load("slider-crank").override(
+        {"loads.press": {"on": "slider", "force": force}, "drive.fluctuation": 0.02, "drive.start": "30 deg"}
+    )
+    result = optlink.analyze(problem, points=3)
+    assert np.all(np.isfinite(result["input.torque_Nm"]))
+    np.testing.assert_allclose(np.degrees(result.undefined), np.arange(154.5, 206.0, 0.5), atol=1e-9)  # arccos(-0.9) = 154.16
+    assert "press has no finite value at crank angle 154.5, 155," in result.notes[0]
+    assert {"input.torque_Nm", "press.fx_N", "B.f_N"}.isdisjoint(result.extremes)
+    assert result.flywheel is None
+    assert not result.sound
+
+
 def tangent_mechanism(height):
     """A slot on the crank, a pin in it that slides on a rail: x = height cot(phi), nowhere at 0 and 180 degrees."""
     return optlink.read(
