@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from typing import NamedTuple
 
@@ -81,6 +81,23 @@ def signed(value: float) -> str:
 def change(share: float) -> str:
     """Format a relative change in per cent with two decimals and its sign unless it is zero; a dash if it is not finite."""
     return percent(share, 2, signed=True)
+
+
+def round_below(value: float, steps: Sequence[float] = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0), room: float = 0.0) -> float:
+    """Return the largest round number up to a value; 0 if the value is not positive or not finite.
+
+    Parameters
+    ----------
+    value : float
+    steps : sequence of float
+        First digits of round numbers.
+    room : float
+        Share by which the number may exceed the value: rounding errors.
+    """
+    if not 0.0 < value < math.inf:
+        return 0.0
+    power = 10.0 ** math.floor(math.log10(value))
+    return max(step * power for step in steps if step * power <= value * (1.0 + room))
 
 
 def points(count: int) -> str:

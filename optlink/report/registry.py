@@ -89,22 +89,10 @@ def view_of(kind: str) -> View:
         tolerance,
     )
 
-    views = {
-        "function": function.VIEW,
-        "path": path.VIEW,
-        "cycle": cycle.VIEW,
-        "balance": balance.VIEW,
-        "analysis": analysis.VIEW,
-        "simulation": simulation.VIEW,
-        "clearance": clearance.VIEW,
-        "control comparison": control_comparison.VIEW,
-        "tuning": View(),
-        "sweep": sweep.VIEW,
-        "sensitivity": sensitivity.VIEW,
-        "tolerance": tolerance.VIEW,
-        "pareto": pareto.VIEW,
-    }
-    return views[kind]
+    designs = (function, path, cycle, balance)
+    studies = (analysis, simulation, clearance, control_comparison, sweep, sensitivity, tolerance, pareto)
+    views = {one.__name__.rpartition(".")[2].replace("_", " "): one.VIEW for one in (*designs, *studies)}
+    return View() if kind == "tuning" else views[kind]
 
 
 def records() -> dict[str, type[ResultRecord]]:

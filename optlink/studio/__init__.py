@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from optlink.errors import InputError
 from optlink.problem.arguments import typed
-from optlink.problem.file import ProblemFile
+from optlink.problem.file import ProblemFile, dump, load
 
 if TYPE_CHECKING:
     from optlink.report.html.notebook import Explorer
@@ -40,11 +41,7 @@ def explore(
     InputError
         If a package of the notebook is not installed, or the problem cannot be used.
     """
-    from optlink.errors import InputError
-    from optlink.problem.file import ProblemFile, dump
-
     if sliders or design is not None:
-        from optlink.problem.file import load
         from optlink.report.html.notebook import Explorer
 
         return Explorer(problem if isinstance(problem, ProblemFile) else load(problem), design)

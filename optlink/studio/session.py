@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from optlink.errors import InputError, OptlinkError
 from optlink.problem.assignment import parse_assignment
-from optlink.problem.file import ProblemFile
+from optlink.problem.file import ProblemFile, load
 from optlink.problem.fixed_design import references
 from optlink.report.format import pretty
 from optlink.studio import state
@@ -382,7 +382,6 @@ class Session:
 
 def warm() -> None:
     """Import what the first request would otherwise wait for."""
-    from optlink.problem.file import load
     from optlink.studio import curve, files
     from optlink.tasks import certify, cycle, function, path
     from optlink.tasks.analyze import analyze

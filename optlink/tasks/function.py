@@ -18,6 +18,7 @@ from pydantic import Field
 from optlink.errors import InputError, Status
 from optlink.execution import interrupts
 from optlink.linkage.fourbar import LENGTHS
+from optlink.optimization.nlp import NLP, build
 from optlink.optimization.objectives import MEASURES
 from optlink.problem.arguments import typed
 from optlink.problem.assignment import parse_assignments
@@ -26,6 +27,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design, started
 from optlink.problem.quantity import Quantity, input_of, read_quantity
 from optlink.problem.targets.expression import Expression
+from optlink.solvers import multistart
 from optlink.solvers.function_exchange import ALONG, error_at, error_function
 from optlink.solvers.solution import Relaxation, Solution
 from optlink.tasks.machine import check_names, turning_machine
@@ -38,7 +40,6 @@ from optlink.units import show
 from optlink.validation import Check, validate as validate_law
 
 if TYPE_CHECKING:
-    from optlink.optimization.nlp import NLP
     from optlink.synthesis.freudenstein import FirstStep
 
 Start = NDArray[np.float64]
@@ -274,8 +275,6 @@ solve, validate = TASK.solve, TASK.validate
 
 def _search(problem: ProblemFile, search: Search) -> FunctionResult:
     """Return the best design in one assembly mode."""
-    from optlink.optimization.nlp import build
-    from optlink.solvers import multistart
     from optlink.tasks.function_search import MANY, FunctionSearch, start_sequence
 
     spec = problem.spec
@@ -334,7 +333,6 @@ Conflict = tuple[tuple[Relaxation, ...], tuple[Relaxation, ...]]
 
 def _explained(nlp: NLP, seed: int) -> tuple[Start | None, Solution | None, Conflict]:
     """Return a feasible point, or the nearest design and the conflicting limits, if no start led to a feasible design."""
-    from optlink.solvers import multistart
     from optlink.solvers.infeasibility import Explanation, explain
 
     nlp.set_exchange_points(np.zeros(nlp.exchange_count))

@@ -19,6 +19,7 @@ from optlink.errors import InputError
 from optlink.linkage.mechanism import FRAME, Guide, Mechanism
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import Array
+from optlink.report.format import round_below
 from optlink.report.scene import scene
 from optlink.report.shapes import hull, in_line
 from optlink.tasks.results.analysis import Analysis
@@ -119,9 +120,7 @@ def _nearest_holes(mechanism: Mechanism, here: Motion) -> tuple[str, float]:
 
 def usual_hole(extent: float) -> float:
     """Return a hole diameter [mm] for a mechanism of an extent [mm], from the series 1, 1.5, 2, 3, 4, 5, 6, 8, 10, ..."""
-    size = HOLE * extent
-    power = 10.0 ** math.floor(math.log10(size))
-    return power * max(step for step in (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0) if step * power <= size * (1.0 + 1e-9))
+    return round_below(HOLE * extent, (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0), 1e-9)
 
 
 # --- plates ------------------------------------------------------------------------------------------------------------------

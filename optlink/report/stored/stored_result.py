@@ -25,7 +25,7 @@ from optlink.solvers import multistart
 from optlink.solvers.solution import LimitState, Solution
 from optlink.studies.sensitivity import SensitivitiesRecord, of_solution
 from optlink.tasks.analyze import analyze
-from optlink.tasks.function import FunctionRecord, FunctionResult, read_design
+from optlink.tasks.function import FunctionRecord, FunctionResult, read_design, solve
 from optlink.tasks.results.analysis import Analysis, AnalysisRecord
 from optlink.tasks.results.certificate import exact
 from optlink.tasks.results.common import SingleRecord, check_entries
@@ -200,8 +200,6 @@ def optimum(design: FunctionResult | CycleResult | PathDesign) -> Solution | Non
 
 
 def _law_optimum(result: FunctionResult) -> Solution | None:
-    from optlink.tasks.function import solve
-
     file, design = result.problem, result.design
     if not file.spec.everywhere:
         return _at(build(file.spec), dict(design))

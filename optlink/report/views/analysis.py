@@ -17,6 +17,7 @@ from optlink.linkage.vector2d import TURN
 from optlink.report.animation import film, there_and_back
 from optlink.report.chart_spec import ChartSpec
 from optlink.report.drawing import Sketch, merged_positions
+from optlink.report.format import round_below
 from optlink.report.labels import Label, place_labels
 from optlink.report.style import CRANK, TARGET, degrees, figure, heading, panels, scale, styled
 from optlink.report.view import View
@@ -107,7 +108,7 @@ def _scale_arrow(axes: Axes, top: float, longest: float) -> None:
     drawn = axes.get_figure()
     assert drawn is not None
     unit = scale(top, "m/s")
-    shown = _round(0.6 * top * unit.factor)
+    shown = round_below(0.6 * top * unit.factor, (1.0, 2.0, 5.0), 1e-12)
     (_, low), (right, _) = axes.get_window_extent().get_points()
     x, y = axes.transData.inverted().transform((right, low - 27.0 / 72.0 * drawn.dpi))
     length = longest * shown / (top * unit.factor)
@@ -136,12 +137,6 @@ def _state(course: CycleCurves, at: float) -> str:
     if course.has("input.torque_Nm") and math.isfinite(torque) and not np.any(np.abs(course.result.jumps - at) < 1e-6):
         parts.append(f"M {scale(course.peak('input.torque_Nm'), 'N m').text(torque)}")
     return "   ".join(parts)
-
-
-def _round(value: float) -> float:
-    """Return the next lower value of the series 1, 2, 5, 10, ..."""
-    power = 10.0 ** math.floor(math.log10(value))
-    return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= value * (1.0 + 1e-12))
 
 
 # --- animation ---------------------------------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from optlink.clearance.integration import Impact
 from optlink.clearance.joint import Gap
 from optlink.report.chart_spec import CRANK_ANGLE, Array, Axis, ChartSpec, Curve, Panel
+from optlink.report.format import round_below
 from optlink.report.style import BODIES, FOUND, GROUND, LIMIT, QUIET, TARGET, Scale, beside, scale
 from optlink.report.views.revolutions import (
     CIRCLE,
@@ -23,7 +24,6 @@ from optlink.report.views.revolutions import (
     named,
     numbered,
     rough,
-    round_below,
 )
 from optlink.units import percent
 

@@ -15,14 +15,12 @@ from optlink.dynamics.columns import MotionColumns
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Value
 from optlink.problem.cycle.terms import Term
-from optlink.problem.file import ProblemFile
 from optlink.report import chart_spec
 from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Panel, crank_angle
 from optlink.report.drawing import Sketch
-from optlink.report.files import verdict
 from optlink.report.style import FOUND, GROUND, LIMIT, QUIET, Scale, figure, heading, scale, styled
 from optlink.report.view import View
-from optlink.report.views.path_view import failed
+from optlink.report.views.path_view import with_verdict
 from optlink.tasks.results.analysis import Analysis
 from optlink.tasks.results.cycle import CycleResult
 from optlink.validation.cycle import Cycle
@@ -175,13 +173,9 @@ def _ghost(axes: Axes, given: Analysis, shown: Scale, at: Array) -> None:
     axes.plot(pins[:, 0], pins[:, 1], linestyle="none", marker="o", markersize=5, mfc="white", mec=GROUND, alpha=0.6, zorder=1.4)
 
 
-def _design(result: CycleResult) -> tuple[ProblemFile, str] | None:
-    return None if result.analysis is None else (result.machine, verdict(result.status.value, result.valid, failed(result)))
-
-
 VIEW = View(
     charts=charts,
     drawings={"mechanisms": mechanisms},
     tables=lambda result: {} if result.analysis is None else {"cycle": result.analysis.columns},
-    design=_design,
+    design=lambda result: with_verdict(None if result.analysis is None else result.machine, result),
 )

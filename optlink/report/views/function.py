@@ -17,18 +17,16 @@ from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN
 from optlink.optimization.constraints import rows as limit_rows
 from optlink.optimization.output_derivatives import ErrorResiduals
-from optlink.problem.file import ProblemFile
 from optlink.problem.targets.function import Function
 from optlink.report.animation import film, there_and_back
 from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line, Mark, Panel, Span, Trace, crank_angle
 from optlink.report.drawing import Sketch, merged_positions
-from optlink.report.files import verdict
 from optlink.report.format import dimension
 from optlink.report.labels import place_labels
 from optlink.report.style import FOUND, LIMIT, QUIET, ROCKER, TARGET, figure, figure as new_figure, heading, panels, styled
 from optlink.report.view import View
 from optlink.report.views.certificate_charts import certificate_charts
-from optlink.report.views.path_view import failed
+from optlink.report.views.path_view import with_verdict
 from optlink.solvers.contract import selectable
 from optlink.tasks.function import FunctionResult
 
@@ -250,10 +248,6 @@ def frames(result: FunctionResult, count: int = 90) -> list[Image.Image]:
     return film(sketch, _moved(result, steps), strip, marks, result.problem.spec.title, more=required)
 
 
-def _design(result: FunctionResult) -> tuple[ProblemFile, str] | None:
-    return None if result.conflict else (result.machine, verdict(result.status.value, result.valid, failed(result)))
-
-
 def function_chart(function: Function, offsets: Array, error: Array, title: str, *, warning: bool = False) -> ChartSpec:
     """Return the prescribed and the generated y(x) with the error in y.
 
@@ -368,6 +362,6 @@ def _iterations(axes: Axes, result: FunctionResult, scale_x: float, scale_y: flo
 VIEW = View(
     charts=charts,
     drawings={"mechanism": mechanism, "map": objective_map},
-    design=_design,
+    design=lambda result: with_verdict(None if result.conflict else result.machine, result),
     frames=frames,
 )

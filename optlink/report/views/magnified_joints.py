@@ -24,9 +24,10 @@ from optlink.linkage.vector2d import Array
 from optlink.report.animation import WIDE, film
 from optlink.report.chart_mpl import FONT, TITLE
 from optlink.report.drawing import Sketch
+from optlink.report.format import round_below
 from optlink.report.labels import Label, in_points, place_labels
 from optlink.report.style import GROUND, QUIET, TARGET, degrees, figure, heading, styled
-from optlink.report.views.revolutions import FULL, RevolutionCurves, named, rough, round_below
+from optlink.report.views.revolutions import FULL, RevolutionCurves, named, rough
 from optlink.tasks.results.clearance import ClearanceSimulation
 
 FRAMES = 80

@@ -16,11 +16,9 @@ from PIL import Image
 from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import TURN
-from optlink.problem.file import ProblemFile
 from optlink.report.animation import film, there_and_back
 from optlink.report.chart_spec import Array, ChartSpec
 from optlink.report.drawing import Sketch
-from optlink.report.files import verdict
 from optlink.report.labels import place_labels
 from optlink.report.style import CRANK, TARGET, degrees, figure, heading, styled
 from optlink.report.view import View
@@ -37,7 +35,7 @@ from optlink.report.views.path_drawings import (
     output_film,
     trim,
 )
-from optlink.report.views.path_view import LINE, SMALL, PathView, assembly, best, entitle, failed, headed, wrapped
+from optlink.report.views.path_view import LINE, SMALL, PathView, assembly, best, entitle, headed, with_verdict, wrapped
 from optlink.tasks.results.path import PathDesign, PathResult
 
 FRAMES = 90
@@ -183,17 +181,10 @@ def frames(result: PathResult, count: int = FRAMES) -> list[Image.Image]:
     return film(sketch, motion, sketch.lay, marks, title, more=points)
 
 
-def _design(result: PathResult) -> tuple[ProblemFile, str] | None:
-    design, machine = result.best, result.machine
-    if design is None or machine is None:
-        return None
-    return machine, verdict(design.status.value, design.valid, failed(design))
-
-
 VIEW = View(
     charts=charts,
     drawings={"path": path, "mechanism": mechanism, "designs": designs},
     tables=lambda result: {} if result.best is None else {"points": columns(result.best)},
-    design=_design,
+    design=lambda result: with_verdict(result.machine, result.best),
     frames=frames,
 )

@@ -11,12 +11,14 @@ from matplotlib.figure import Figure
 
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array
+from optlink.problem.file import ProblemFile
 from optlink.problem.path import MARK
 from optlink.report.drawing import Sketch
+from optlink.report.files import verdict
+from optlink.report.format import round_below
 from optlink.report.shapes import finite, spread
 from optlink.report.style import LIMIT, TARGET, Scale, degrees, heading, scale
 from optlink.report.views.path_tables import exact, exact_places, measure, words
-from optlink.report.views.revolutions import round_below
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.cycle import CycleResult
 from optlink.tasks.results.path import PathDesign, PathResult
@@ -202,6 +204,21 @@ def failed(design: PathDesign | FunctionResult | CycleResult) -> str:
     names = [check.name for check in design.validation.checks if not check.passed]
     more = f" and {len(names) - 2} more checks" if len(names) > 3 else ""
     return f"fails {', '.join(names[: 2 if more else 3])}{more}" if names else design.status.text
+
+
+def with_verdict(
+    machine: ProblemFile | None, design: PathDesign | FunctionResult | CycleResult | None
+) -> tuple[ProblemFile, str] | None:
+    """Return the machine of a design with its verdict; None if there is none.
+
+    Parameters
+    ----------
+    machine : ProblemFile or None
+    design : result or None
+    """
+    if machine is None or design is None:
+        return None
+    return machine, verdict(design.status.value, design.valid, failed(design))
 
 
 def objective(track: PathView) -> str:

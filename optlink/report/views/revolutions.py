@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from optlink.clearance.joint import Gap
 from optlink.report.chart_spec import CRANK_ANGLE, Array, Axis, Curve, Line, Span
+from optlink.report.format import round_below
 from optlink.report.style import FOUND, QUIET, SHADE, Scale, scale
 from optlink.tasks.results.clearance import ClearanceSimulation
 
@@ -280,14 +281,6 @@ def runs(mask: Mask) -> list[tuple[int, int]]:
     """Return the first and last index of each run of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
-
-
-def round_below(value: float) -> float:
-    """Return the next lower value of the series 1, 2, 3, 4, 5, 6, 8, 10, 20, ...; zero if the value is not positive."""
-    if not 0.0 < value < math.inf:
-        return 0.0
-    power = 10.0 ** math.floor(math.log10(value))
-    return max(step * power for step in (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0) if step * power <= value)
 
 
 def numbered(numbers: Array) -> Axis:

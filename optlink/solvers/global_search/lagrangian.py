@@ -44,11 +44,8 @@ CUT = TESTS.index("cut")
 OPEN = -1  # in place of the index of a test: the box is not discarded
 
 
-class BoxProblem(Protocol):
-    """A problem that can be evaluated over boxes of its unknowns, `low` to `high` (n,).
-
-    `measure` of the residuals: "sum of squares", "rms" or "max".
-    """
+class Box(Protocol):
+    """Bounds (n,) of unknowns."""
 
     @property
     def low(self) -> Array:
@@ -59,6 +56,13 @@ class BoxProblem(Protocol):
     def high(self) -> Array:
         """Upper bounds of the unknowns."""
         ...
+
+
+class BoxProblem(Box, Protocol):
+    """A problem that can be evaluated over boxes of its unknowns.
+
+    `measure` of the residuals: "sum of squares", "rms" or "max".
+    """
 
     @property
     def measure(self) -> str:

@@ -24,7 +24,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_choice, nearest
 from optlink.problem.tolerances import CHOICES, NORMAL, SHAPES, Deviation
 from optlink.studies.motion_sensitivity import output_sensitivity
-from optlink.studies.tolerance.allocation import Allocation, AllocationRecord
+from optlink.studies.tolerance.allocation import Allocation, AllocationRecord, allocate
 from optlink.studies.tolerance.monte_carlo import CHUNK, MonteCarlo, MonteCarloRecord, Progress, monte_carlo
 from optlink.studies.tolerance.nominal import ERROR, Nominal, display_unit, nominal_design
 from optlink.studies.tolerance.options import read_deviations
@@ -313,8 +313,6 @@ def tolerance(
         if samples:
             found = replace(found, monte_carlo=monte_carlo(found, samples, seed, progress, runs))
         if target_yield is not None:
-            from optlink.studies.tolerance.allocation import allocate
-
             found = replace(found, allocation=allocate(found, target_yield, costs or {}, samples or SAMPLES, seed, runs))
         return found
 
