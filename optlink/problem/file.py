@@ -318,12 +318,12 @@ def _read_toml(path: Path) -> dict[str, Any]:
 
 
 def _without_arrays(raw: Any, depth: int = 0) -> Any:
-    """Return nested tables with the numbers and lists of Python in place of those of numpy."""
+    """Return nested tables with the numbers and lists of Python in place of those of numpy, and of tuples."""
     if isinstance(raw, np.generic | np.ndarray):
         return raw.tolist()
     if isinstance(raw, Mapping) and depth < DEEPEST:
         return {key: _without_arrays(value, depth + 1) for key, value in raw.items()}
-    return [_without_arrays(value, depth + 1) for value in raw] if type(raw) is list and depth < DEEPEST else raw
+    return [_without_arrays(value, depth + 1) for value in raw] if type(raw) in (list, tuple) and depth < DEEPEST else raw
 
 
 def _change(raw: dict[str, Any], changes: Mapping[str, object], file: str) -> None:

@@ -102,9 +102,6 @@ def check_time_ratio(stroke: str | None, value: float, key: str, low: float | No
 
 
 def _read_interval(raw: object, kind: str | None) -> Interval:
-    if isinstance(raw, Interval):
-        return raw
-
     def one(text: object, key: str = "") -> tuple[float, str]:
         return read_scalar(text, kind, key) if kind else (read_number(text, key), "")
 
@@ -134,8 +131,6 @@ def _read_interval(raw: object, kind: str | None) -> Interval:
 
 
 def _read_stroke_ratio(raw: object, kind: None) -> StrokeRatio:
-    if isinstance(raw, StrokeRatio):
-        return raw
     stroke, sides = None, raw
     if isinstance(raw, dict):
         stroke, sides = raw.get("stroke"), {key: value for key, value in raw.items() if key != "stroke"}
@@ -172,8 +167,6 @@ def _read_joint_maxima(raw: object, kind: str) -> JointRanges:
 
 
 def _joint_ranges(raw: object, kind: str, read: Callable[[object], Interval]) -> JointRanges:
-    if isinstance(raw, JointRanges):
-        return raw
     named = {key: value for key, value in raw.items() if key not in SIDES} if isinstance(raw, dict) else {}
     sides = {key: raw[key] for key in raw if key in SIDES} if isinstance(raw, dict) else raw
     own = []

@@ -61,8 +61,8 @@ def read_robust(raw: object) -> Robust | None:
     Unusable
         when the value is none of these.
     """
-    if raw is None or isinstance(raw, Robust):
-        return raw
+    if raw is None:
+        return None
     text = raw.strip() if isinstance(raw, str) else ""
     if text in (WORST, EXPECTED):
         return Robust(text)

@@ -147,8 +147,6 @@ def read_tolerance(raw: object, folder: Path) -> ToleranceEntry:
     Unusable
         when the value cannot be read, with the key below the present one.
     """
-    if isinstance(raw, ToleranceEntry):
-        return raw
     if isinstance(raw, dict):
         check_keys(raw, KEYS)
         if "tolerance" not in raw:

@@ -53,7 +53,6 @@ def test_list_of_points(tmp_path):
     np.testing.assert_allclose(mm(wanted), [[20, 25], [25, -10], [25.4, 0]], rtol=1e-14)
     assert wanted == TargetPoints(wanted.points)
     assert not closed(wanted)
-    assert read_points(wanted, tmp_path) is wanted
     assert read_points([["1 in", "0 in"]], tmp_path).unit == "in"
     assert read_points([["1 in", "0 in"]], tmp_path).points == ((0.0254, 0.0),)
 

@@ -81,3 +81,10 @@ def test_numbers_and_lists_of_numpy_are_read_and_recorded_as_those_of_python() -
     assert json.loads(json.dumps(optlink.solve(changed).to_dict()))["overrides"]["requirement.points"] == 20
     with pytest.raises(InputError, match=r"requirement\.points = "):
         optlink.load("crank-rocker", {"requirement.points": points})
+
+
+def test_a_tuple_is_read_as_a_list() -> None:
+    assert optlink.load("six-bar", {"gravity": ("0 m/s^2", "-9.81 m/s^2")}).model.gravity == (0.0, -9.81)
+    angles = optlink.load("crank-rocker", {"limits.transmission_angle": ("40 deg", "140 deg")})
+    assert angles.raw["limits"]["transmission_angle"] == ["40 deg", "140 deg"]
+    assert angles.hash == optlink.load("crank-rocker", {"limits.transmission_angle": ["40 deg", "140 deg"]}).hash

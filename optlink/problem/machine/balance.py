@@ -89,8 +89,6 @@ def check_measure(measure: BalanceMeasure, machine: Machine) -> None:
 
 
 def _read_goal(raw: object) -> tuple[tuple[BalanceMeasure, float], ...]:
-    if isinstance(raw, tuple):
-        return raw
     if isinstance(raw, str):
         return ((read_measure(raw), 1.0),)
     if not isinstance(raw, dict) or not raw:
@@ -150,7 +148,7 @@ def read_measure_limit(name: str, raw: object) -> MeasureLimit:
 
 def _read_place(raw: object) -> Any:
     """Read a point by name, or two coordinates."""
-    if raw is None or isinstance(raw, str | tuple):
+    if raw is None or isinstance(raw, str):
         return raw
     if not isinstance(raw, list) or len(raw) != 2:
         raise Unusable("expected a point or two coordinates", 'Write its name, or ["100 mm", "0 mm"]', "", raw)
@@ -310,7 +308,7 @@ class SpringSection(Section):
     @field_validator("free_length", mode="before")
     @classmethod
     def _lengths(cls, raw: object) -> object:
-        if raw is None or isinstance(raw, tuple):
+        if raw is None:
             return raw
         texts = raw if isinstance(raw, list) else [raw, raw]
         if len(texts) != 2:

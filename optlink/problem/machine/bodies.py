@@ -33,7 +33,7 @@ from optlink.problem.quantity import (
 
 
 def _read_centroid(raw: object) -> Any:
-    if isinstance(raw, str | tuple):
+    if isinstance(raw, str):
         return raw
     if not isinstance(raw, list) or len(raw) != 2:
         raise Unusable("a centroid is a point of the body", 'Write "middle", a point, or ["100 mm", "0 mm"]', "", raw)
@@ -154,8 +154,6 @@ def read_gravity(raw: object) -> Any:
     Unusable
         If it is neither, or has no unit of an acceleration.
     """
-    if isinstance(raw, tuple):
-        return raw
     if isinstance(raw, list):
         if len(raw) != 2:
             raise Unusable("gravity has two components", 'Write "9.81 m/s^2" (downwards) or ["0 m/s^2", "-9.81 m/s^2"]', "", raw)

@@ -33,8 +33,6 @@ EXAMPLE = 'clearance = "0.5 mm", bearing_radius = "10 mm", modulus = "207 GPa", 
 
 
 def _read_clearance(raw: object) -> Quantity:
-    if isinstance(raw, Quantity):
-        return raw
     value, unit = read_scalar(raw, "coordinate")
     if value <= 0.0:
         message = "a clearance is positive: the radius of the bearing minus that of the journal"
@@ -46,8 +44,6 @@ def _read_clearance(raw: object) -> Quantity:
 
 def _read_pair(raw: object, kind: str) -> tuple[float, float]:
     """Read one value for both parts, or the values of the journal and of the bearing."""
-    if isinstance(raw, tuple):
-        return raw
     if isinstance(raw, list):
         if len(raw) != 2:
             raise Unusable("one value, or two: of the journal and of the bearing", "Give one or two", "", raw)

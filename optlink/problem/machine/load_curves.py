@@ -105,8 +105,6 @@ def read_size(raw: object, folder: Path, kind: str, names: Iterable[str]) -> Siz
     Unusable
         when the value cannot be read, with the key below the present one.
     """
-    if isinstance(raw, Constant | Formula | Curve):
-        return raw
     if not isinstance(raw, dict):
         value, own = read_scalar(raw, kind)
         return Constant(value, show(value, kind, own, digits=12))

@@ -241,8 +241,6 @@ def read_law(raw: object, folder: Path) -> Expression | Function | Table:
     Unusable
         with the key below `law`.
     """
-    if isinstance(raw, Expression | Function | Table):
-        return raw
     if isinstance(raw, str):
         return parse(raw, NAMES)
     if isinstance(raw, dict) and "function" in raw:
@@ -274,8 +272,6 @@ def read_output_law(raw: object, folder: Path) -> Source:
     Unusable
         with the key below `law`.
     """
-    if isinstance(raw, SlideExpression):
-        return raw
     if not isinstance(raw, dict) or not ({"slide", "s", "function"} & raw.keys() or _has_slide(raw, folder)):
         return read_law(raw, folder)
     if "function" in raw:

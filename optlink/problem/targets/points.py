@@ -42,8 +42,6 @@ def read_points(raw: object, folder: Path) -> TargetPoints:
     Unusable
         with the key below the present one.
     """
-    if isinstance(raw, TargetPoints):
-        return raw
     if isinstance(raw, list | tuple):
         return check_and_reduce(read_rows(raw), None)
     if not isinstance(raw, dict):
