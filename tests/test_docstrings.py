@@ -6,9 +6,21 @@ Stricter than D417 of ruff, which skips functions without a Parameters section; 
 from __future__ import annotations
 
 import ast
+import doctest
+import inspect
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import optlink
+from optlink.studies.pareto.epsilon_constraint import pareto
+from optlink.studies.sensitivity import sensitivities
+from optlink.studies.sweep import sweep
+from optlink.studies.tolerance.analysis import tolerance
 
 ROOT = Path(__file__).parent.parent
 SECTION = re.compile(r"^Parameters\n-+\n(.*?)(?=^\w[\w ]*\n-{3,}|\Z)", re.DOTALL | re.MULTILINE)
@@ -95,3 +107,24 @@ def test_contributing_names_files_that_exist() -> None:
     paths = set(PATHS.findall(text))
     assert len(paths) > 20
     assert {path for path in paths if not (ROOT / path).exists()} == set()
+
+
+TASKS = {name: getattr(optlink, name) for name in optlink.__all__ if inspect.isfunction(getattr(optlink, name))}
+READ = {"explore", "load", "new", "read", "read_design", "shipped"}  # their examples are those of all others
+STUDIES = {f"studies.{function.__name__}": function for function in (pareto, sensitivities, sweep, tolerance)}
+SLOW = ("tune",)
+
+
+@pytest.mark.parametrize(
+    ("name", "function"),
+    [
+        pytest.param(name, function, marks=pytest.mark.slow if name in SLOW else (), id=name)
+        for name, function in {**TASKS, **STUDIES}.items()
+        if name not in READ
+    ],
+)
+def test_public_functions_have_an_example_that_runs(name: str, function: Any) -> None:
+    (example,) = doctest.DocTestFinder().find(inspect.unwrap(function), name, globs={"optlink": optlink, "np": np})
+    assert example.examples, f"{name} has no example"
+    shown: list[str] = []
+    assert doctest.DocTestRunner().run(example, out=shown.append).failed == 0, "".join(shown)

@@ -46,6 +46,14 @@ def four_bar(
         Continue the motion smoothly through change points.
     holds_at : float [rad], optional
         Crank angle at which `side` applies if `follow` is set. Default: the start of the drive.
+
+    Examples
+    --------
+    >>> mechanism = optlink.four_bar(points=["P"])
+    >>> sizes = {"crank": 0.1, "coupler": 0.4, "rocker": 0.25, "frame": 0.5, "P.along": 0.2, "P.across": 0.1}  # [m]
+    >>> optlink.sweep(mechanism, sizes, np.radians([0.0, 90.0])).position("P").round(4)  # x, y [m]
+    array([[0.2016, 0.1992],
+           [0.1607, 0.2555]])
     """
     coupler, rocker = Link("coupler", "B", "C", "coupler"), Link("rocker", "D", "C", "rocker")
     return Mechanism(
@@ -137,6 +145,12 @@ def grashof(crank: float, coupler: float, rocker: float, frame: float, tolerance
     References
     ----------
     Grashof's condition s + l <= p + q; inversions as in Norton, Design of Machinery, chapter 2.
+
+    Examples
+    --------
+    >>> found = optlink.grashof(crank=0.1, coupler=0.4, rocker=0.25, frame=0.5)
+    >>> found.inversion.value, round(found.slack, 6)  # p + q - s - l [m]
+    ('crank-rocker', 0.05)
     """
     lengths = {"crank": crank, "coupler": coupler, "rocker": rocker, "frame": frame}
     for name, length in lengths.items():

@@ -141,6 +141,13 @@ def sweep(
     Returns
     -------
     Motion; NaN where the mechanism cannot be assembled (see `Motion.margin`).
+
+    Examples
+    --------
+    >>> sizes = {"crank": 0.1, "coupler": 0.4, "rocker": 0.25, "frame": 0.5}  # [m]
+    >>> motion = optlink.sweep(optlink.four_bar(), sizes, np.radians([0.0, 90.0]), speed=10.0)
+    >>> motion.body_rate("rocker").round(3)  # [rad/s]
+    array([-2.5  ,  3.884])
     """
     angles = np.atleast_1d(np.asarray(crank_angle, dtype=float))
     with np.errstate(all="ignore"):  # at a dead position of a group its speeds are infinite or NaN

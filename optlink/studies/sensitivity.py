@@ -189,6 +189,13 @@ def sensitivities(
     ------
     InputError
         If no optimum is found, or under the conditions of `optlink.solve`.
+
+    Examples
+    --------
+    >>> from optlink.studies.sensitivity import sensitivities
+    >>> row = sensitivities(optlink.load("crank-rocker")).moving[0]
+    >>> row.parameter.name, float(f"{row.objective:.4g}"), row.parameter.unit  # of the objective [rad^2] per unit
+    ('largest transmission angle', -0.0001465, 'deg')
     """
     if problem.task == "balance":
         remedy = "`optlink balance` lists the shadow prices of its limits"

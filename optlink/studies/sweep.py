@@ -262,6 +262,13 @@ def sweep(
     ------
     InputError
         If an axis or argument is invalid, `out` contains another study, or the disk is full (completed chunks are kept).
+
+    Examples
+    --------
+    >>> from optlink.studies.sweep import sweep
+    >>> result = sweep(optlink.load("crank-rocker"), ["mechanism.frame=480 mm, 500 mm"])
+    >>> result.columns["objective_rad2"].round(6).tolist()
+    [0.007794, 0.007592]
     """
     begin = time.perf_counter()
     grid = read_grid(problem, vary)

@@ -62,6 +62,14 @@ def analyze(
     ------
     InputError
         If the mechanism cannot be assembled, or an argument is out of range.
+
+    Examples
+    --------
+    >>> result = optlink.analyze(optlink.load("six-bar"), speed=10.0)
+    >>> round(result.extremes["input.torque_Nm"].largest, 4), round(result.strokes["slider"].span, 6)  # [N m], [m]
+    (278.8344, 0.373904)
+    >>> result["crank_angle_deg"].shape, list(result.columns)[:3]
+    ((361,), ['crank_angle_deg', 'time_s', 'crank.angle_rad'])
     """
     check_design(problem, design)
     model = problem.model

@@ -180,6 +180,12 @@ def balance(
     ------
     InputError
         If the problem or an argument is invalid.
+
+    Examples
+    --------
+    >>> result = optlink.balance(optlink.load("balance-six-bar"))
+    >>> result.valid, round(result.objective, 4), round(result.before, 3), [one.body for one in result.added]  # [N]
+    (True, 93.7868, 339.668, ['crank', 'link3'])
     """
     check_design(problem, design)
     begin = time.perf_counter()
@@ -235,7 +241,7 @@ def balance(
         disagreement=disagreement,
         limits=tuple(active_limit(price, after, scale) for price in found.prices),
         trade=curve,
-        notes=(*_notes(task, goal, status, slack, heavier, added, excess), *_missed(curve)),
+        notes=(*_notes(task, goal, status, slack, heavier, added, excess), *(curve.notes if curve else ())),
         exact=found.exact,
         excess=excess,
         **common,
@@ -425,14 +431,6 @@ def _notes(
         notes.append("the crank cannot turn fully: the positions are those of its range")
     notes += _between(task, goal, heavier)
     return notes
-
-
-def _missed(curve: TradeOff | None) -> list[str]:
-    """Return a note on points of a trade-off whose discs miss a limit."""
-    points = () if curve is None else curve.points
-    missed = [f"{k}" for k, point in enumerate(points, 1) if point.excess > ACTIVE]
-    found = f"points {', '.join(missed)} of {len(points)} of the trade-off are bounds only"
-    return [f"{found}: no discs were found there that meet all limits"] if missed else []
 
 
 def _between(task: _Task, goal: Sequence[tuple[BalanceMeasure, float]], heavier: Machine) -> list[str]:

@@ -88,6 +88,13 @@ def analyze_batch(
     ------
     InputError
         For unknown quantities or columns, arrays of different length, or values that are not finite.
+
+    Examples
+    --------
+    >>> lengths = {"coupler.length": [0.14, 0.15, 0.16]}  # [m]
+    >>> columns = optlink.analyze_batch(optlink.load("shaper"), lengths, ["input.torque_Nm"])
+    >>> columns["input.torque_Nm"].shape
+    (3, 360)
     """
     arrays = _read(problem, designs)
     count = len(next(iter(arrays.values())))

@@ -187,6 +187,12 @@ def simulate_clearance(
     ------
     InputError
         If no joint has clearance, an argument is invalid, or the checkpoint belongs to another run.
+
+    Examples
+    --------
+    >>> run = optlink.simulate_clearance(optlink.load("slider-crank-clearance"), revolutions=2, points=36)
+    >>> round(1e3 * run.figures["rms_m"], 4), run.figures["contacts"]  # deviation of the slider [mm]
+    (0.4436, 32.0)
     """
     setting = _setting(problem, points, speed, control, start, design, flywheel)
     _check(revolutions, points, tolerance)

@@ -129,6 +129,13 @@ def compare(
         If the problem has no clearance, servo or controller, or the checkpoint belongs to other options.
     KeyboardInterrupt
         On interruption; the last checkpoint contains all complete runs.
+
+    Examples
+    --------
+    >>> problem = optlink.load("crank-rocker-clearance")
+    >>> result = optlink.compare(problem, revolutions=2, starts=1, kinds=["none", "pid"], points=36)
+    >>> round(result.gain("pid"), 3)  # share by which the mean error decreases
+    0.124
     """
     angles = random_crank_angles(starts, seed)
     common: dict[str, Any] = {"revolutions": revolutions, "points": points, "tolerance": tolerance, "speed": speed}
@@ -249,6 +256,13 @@ def tune(
         controller, or the checkpoint belongs to other options.
     KeyboardInterrupt
         On interruption; the last checkpoint contains all complete evaluations.
+
+    Examples
+    --------
+    >>> problem = optlink.load("crank-rocker-clearance")
+    >>> result = optlink.tune(problem, "pid", ["proportional"], evaluations=4, starts=1, revolutions=2, points=36)
+    >>> list(result.best), result.cost <= result.before
+    (['proportional'], True)
     """
     from scipy.stats import qmc
 

@@ -118,6 +118,14 @@ def solve(
     InputError
         If the problem has no requirement, objective or balancing section, if it has no design variables, or if an argument
         does not apply.
+
+    Examples
+    --------
+    >>> result = optlink.solve(optlink.load("crank-rocker"))
+    >>> result.valid, round(1e3 * result.design["coupler"], 3)  # [mm]
+    (True, 412.865)
+    >>> [limit.name for limit in result.solution.limits if limit.active]
+    ['largest transmission angle']
     """
     from optlink.execution.runner import check, pool
 
@@ -170,6 +178,12 @@ def validate(problem: ProblemFile, design: Mapping[str, float]) -> FunctionResul
     ------
     InputError
         If the problem has no requirement or objective, or if the design has unknown names or lacks a design variable.
+
+    Examples
+    --------
+    >>> result = optlink.validate(optlink.load("crank-rocker"), {"coupler": 0.412, "rocker": 0.232})  # [m]
+    >>> result.valid, [check.name for check in result.validation.checks if not check.passed]
+    (False, ['largest transmission angle'])
     """
     from optlink.tasks.function import check_complete
     from optlink.tasks.machine import check_design

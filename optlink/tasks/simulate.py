@@ -147,6 +147,12 @@ def simulate(
     ------
     InputError
         If the mechanism cannot be assembled, or an argument is out of range.
+
+    Examples
+    --------
+    >>> run = optlink.simulate(optlink.load("six-bar"), duration=0.1, rows=10)
+    >>> float(run["time_s"][-1]), round(run.figures["input.work_J"], 3)
+    (0.1, 220.81)
     """
     check_design(problem, design)
     drive = problem.model.drive

@@ -251,6 +251,13 @@ def pareto(
     ------
     InputError
         If an objective is invalid, an end of the front cannot be found, or `out` contains another study.
+
+    Examples
+    --------
+    >>> from optlink.studies.pareto.epsilon_constraint import pareto
+    >>> front = pareto(optlink.load("crank-rocker"), "error, limits.transmission_angle.max", points=3)
+    >>> [point.mark for point in front.points]
+    ['least error', 'knee', 'best largest transmission angle']
     """
     begin = time.perf_counter()
     aims = read_objectives(problem, objectives)

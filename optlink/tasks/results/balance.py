@@ -218,6 +218,13 @@ class TradeOff:
         one, other = (np.array([getattr(p, key) for p in self.points]) for key in ("first", "second"))
         return bool(np.all(np.diff(one) >= -AGREES * self.before[0]) and np.all(np.diff(other) <= AGREES * self.before[1]))
 
+    @property
+    def notes(self) -> list[str]:
+        """A note on points whose discs miss a limit."""
+        missed = [f"{k}" for k, point in enumerate(self.points, 1) if point.excess > ACTIVE]
+        found = f"points {', '.join(missed)} of {len(self.points)} of the trade-off are bounds only"
+        return [f"{found}: no discs were found there that meet all limits"] if missed else []
+
 
 Above = Annotated[float, Gt(0)]
 
