@@ -111,6 +111,8 @@ class ConstraintRow:
     high: float
     scale: Scale
     over_span: bool = False  # whether it applies over the span of the requirement alone, not over the whole revolution
+    place: Value | None = None  # crank angle [rad] if it is one position of a limit over a motion, until the programme is built
+    periodic: bool | None = None  # whether this motion is the whole revolution; None if it is no such position
 
 
 Term = Callable[[AnyProblem, Mapping[str, Value], Reach, float], Iterator[ConstraintRow]]

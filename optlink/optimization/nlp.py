@@ -100,6 +100,7 @@ class NLP:
     constants: tuple[Variable, ...] = ()  # the fixed quantities and tolerances in `p`, from its second component on
     position_symbol: Any = None  # crank rotation from the start, tabulated output: a position of the requirement
     position_expression: Any = None  # the residuals there, of which `residual_expression` has those of every position
+    place_expression: Any = None  # crank angles [rad] of the rows, those of limits over a motion (`ConstraintRow.periodic`)
     smoothing: int = 0  # index in `p` of the smoothing of a scatter (`optlink.problem.robust.SMOOTHED`); 0: none
     exchange_rows: tuple[int, int] = (0, 0)  # index of the first row of the exchange points, number of rows per position
     cycle: bool = False  # of a machine cycle

@@ -126,8 +126,9 @@ def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = 
         kinds = sorted({row.over_span for row in placed})
 
         def limits_at(angle: Any, over_span: bool) -> dict[int, ConstraintRow]:
-            found = limited.at(angle, origin if along_points(problem, over_span=over_span) else 0.0)
-            return {k: replace(row, value=found[k]) for k, row in enumerate(placed) if row.over_span == over_span}
+            along = along_points(problem, over_span=over_span)
+            found, own = limited.at(angle, origin if along else 0.0), {"place": angle, "periodic": not along}
+            return {k: replace(row, value=found[k], **own) for k, row in enumerate(placed) if row.over_span == over_span}
 
         for over_span in kinds:
             for angle in _fixed_positions(problem, angles, over_span):
@@ -178,7 +179,7 @@ def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = 
     return NLP(
         variables=tuple(variables),
         fixed=fixed,
-        rows=tuple(replace(row, value=g[k]) for k, row in enumerate(rows)),
+        rows=tuple(replace(row, value=g[k], place=None) for k, row in enumerate(rows)),
         measure=measure,
         x_start=x_start,
         x_low=x_low,
@@ -192,6 +193,7 @@ def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = 
         exact=EXACT * share,
         factor=share if minimax else share**2,
         helpers=frozenset(helpers),
+        place_expression=casadi.vertcat(*(0.0 if row.place is None else row.place for row in rows)),
         exchange_rows=(first, len(placed) + has_sampled_objective(problem)),
         constants=(*constants, *moving),
         mapped=mapped,

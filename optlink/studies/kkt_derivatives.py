@@ -14,12 +14,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.nlp import NLP
 from optlink.problem.function import EPIGRAPH
 from optlink.solvers.solution import STATIONARY, Solution, stationarity
@@ -204,7 +205,7 @@ class KKTSystem:
         """
         rates = self.jacobian[:, self.unknown] @ response.moved + push.entries
         least, most = (-math.inf, "nothing"), (math.inf, "nothing")
-        rows = set(self.active.tolist())
+        rows, rooms = set(self.active.tolist()), self.rooms
         for entry in range(len(rates)):
             events = []
             peak = entry >= self.free and self.nlp.rows[entry - self.free].limit == EPIGRAPH  # of an objective, not a limit
@@ -214,10 +215,8 @@ class KKTSystem:
                 if not self.equal[entry] and abs(change) > STILL * abs(self.multipliers[entry]):
                     events.append((-self.multipliers[entry] / change, leaves))
             else:
-                for room, change in (
-                    (self.nlp.upper[entry] - self.values[entry], push.upper[entry] - rates[entry]),
-                    (self.values[entry] - self.nlp.lower[entry], rates[entry] - push.lower[entry]),
-                ):
+                changes = push.upper[entry] - rates[entry], rates[entry] - push.lower[entry]
+                for room, change in zip(rooms[:, entry], changes, strict=True):
                     if math.isfinite(room) and abs(change) > STILL:
                         events.append((-max(room, 0.0) / change, arrives))
             for at, what in events:
@@ -228,6 +227,28 @@ class KKTSystem:
                 if least[0] < at <= 0.0:
                     least = (at, f"{self._name(entry)} {what}")
         return ValidityEnd(float(parameter.value + least[0]), least[1]), ValidityEnd(float(parameter.value + most[0]), most[1])
+
+    @cached_property
+    def rooms(self) -> Array:
+        """Distances (2, n + rows) to the upper and lower bounds; infinite beside the peaks of a limit over a motion.
+
+        To first order such a limit changes with its peaks alone: beside a peak that moves a linear prediction exceeds it.
+        """
+        rooms = np.array([self.nlp.upper - self.values, self.values - self.nlp.lower])
+        limits: dict[tuple[str, str, float, float], list[int]] = {}
+        for k, row in enumerate(self.nlp.rows):
+            if row.periodic is not None:
+                limits.setdefault((row.limit, row.label, row.low, row.high), []).append(k)
+        symbols = [self.nlp.x_symbol, self.nlp.p_symbol]
+        places = CompiledFunction(symbols, [self.nlp.place_expression])(self.x, self.p)[0] if limits else np.empty(0)
+        for own in limits.values():
+            periodic = self.nlp.rows[own[0]].periodic
+            order = np.argsort(places[own] % TURN if periodic else places[own])
+            entries = self.free + np.array(own)[order]
+            near = np.pad(rooms[:, entries], ((0, 0), (1, 1)), "wrap" if periodic else "edge")
+            beside = rooms[:, entries] > np.minimum(near[:, :-2], near[:, 2:]) + STILL
+            rooms[:, entries] = np.where(beside, math.inf, rooms[:, entries])
+        return rooms
 
     def _name(self, entry: int) -> str:
         if entry < self.free:
