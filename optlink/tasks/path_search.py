@@ -35,6 +35,7 @@ TRIES = 6  # candidates refined in the first round per requested design, while t
 PER_ROUND = 10  # candidates refined in a later round
 REPAIRED = 2  # reordered candidates of a round, and unsuccessful refinements of a later round
 COMPOUND_TRIES = 4  # unsuccessful refinements of the first round for a linkage of several dyads: each takes seconds
+IDLE_ROUNDS = 3  # rounds in a row whose reordered candidates improve no design: the last with any, unless the fit is poor
 FAR_TRIES = 3  # candidates and reordered candidates of a later round refined at any cost, while the fit is poor
 COMPARABLE = 1.5  # largest error of counted optima, relative to the least one: a better one would be among them
 SAME = 1e-6  # relative difference of equal objectives
@@ -196,6 +197,7 @@ class DesignCollection:
         self._tries = COMPOUND_TRIES if has_several_dyads(path_model(polisher.files[0])) else PER_ROUND
         self._vain = (COMPOUND_TRIES, 1) if has_several_dyads(path_model(polisher.files[0])) else (TRIES * requested, REPAIRED)
         self._first = True
+        self._idle = 0  # rounds in a row whose reordered candidates improved no design
 
     @property
     def exact(self) -> int:
@@ -209,8 +211,8 @@ class DesignCollection:
         self._follow(found.candidates, vain if self._first else self._tries, max(vain, far), far)
         if far:
             self._follow(found.repaired[:: max(1, len(found.repaired) // far)], far, far, far)
-        elif not self.exact:
-            self._follow(found.repaired, self._vain[1] if self.designs else vain, vain)
+        elif not self.exact and self._idle < IDLE_ROUNDS:
+            self._follow_reordered(found.repaired, self._vain[1] if self.designs else vain, vain)
         self._first = False
 
     @property
@@ -230,6 +232,14 @@ class DesignCollection:
     def ordered(self) -> bool:
         """Whether the order of the points decides which optima exist: they have no timing, and the best design misses them."""
         return self.grade in ("fair", "poor") and path_model(self.polisher.files[0]).data.offsets is None
+
+    def _follow_reordered(self, candidates: list[Candidate], tries: int, vain: int) -> None:
+        """Refine reordered candidates as in `_follow`, and count the rounds in which this improves no design."""
+        before, refined = [design.error for design in self.designs], len(self._ends)
+        self._follow(candidates, tries, vain)
+        after = [design.error for design in self.designs]
+        better = len(after) > len(before) or any(b < a * (1.0 - SAME) for a, b in zip(before, after, strict=True))
+        self._idle = 0 if better or not after else self._idle + (len(self._ends) > refined)
 
     def _follow(self, candidates: list[Candidate], tries: int, vain: int, dear: int = 0) -> None:
         """Refine candidates in order: `tries` at most, `vain` of them without a valid design, `dear` beyond the largest cost."""

@@ -12,7 +12,7 @@ import pytest
 import optlink
 from optlink.synthesis.batch_search import Exploration, Searcher
 from optlink.tasks.path import SMALL, solve
-from optlink.tasks.path_search import DesignCollection, Polisher, path_model
+from optlink.tasks.path_search import IDLE_ROUNDS, SAME, DesignCollection, Polisher, path_model
 from optlink.tasks.results.evidence import percent
 from tests import synthesis_oracle as oracle
 from tests.stated import document, four_bar_section, free
@@ -76,6 +76,28 @@ def test_a_poor_fit_does_not_end_at_the_cost_of_candidates_out_of_order() -> Non
     collection.add(Exploration(candidates=dear))
     assert len(collection._ends) == before + 2
     assert collection.designs[0].error <= best
+
+
+@pytest.mark.slow
+def test_reordered_candidates_are_refined_until_several_rounds_of_them_improve_nothing() -> None:
+    """The rounds are those in which a reordered candidate is refined; an improvement by one makes them count anew."""
+    files = optlink.load("path-closed18-untimed").variants()
+    collection = DesignCollection(Polisher(files, "ipopt"), 3)
+    search = Searcher([path_model(file) for file in files], 0)
+    refined = []
+    for _ in range(IDLE_ROUNDS + 2):
+        found = search.advance()
+        collection.add(found)
+        refined.append(any(candidate in collection._ends for candidate in found.repaired))
+    first = refined.index(True)
+    assert refined[first:] == [True] * IDLE_ROUNDS + [False] * (len(refined) - first - IDLE_ROUNDS)
+    found = search.advance()
+    collection._idle = IDLE_ROUNDS - 1
+    kept, collection.designs = collection.designs[0], [replace(collection.designs[-1], objective=1.0)]
+    collection.add(Exploration(repaired=found.repaired))
+    assert collection.designs[0].objective < 1.0 - SAME
+    assert collection.designs[0].objective >= kept.objective * (1.0 - SAME)
+    assert collection._idle == 0
 
 
 def random_points(seed: int) -> dict[str, Any]:
