@@ -602,6 +602,35 @@ def test_a_telephone_shows_names_of_axes_and_tables_whole(driver, crank_rocker_p
         driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
+LABELS = """
+return [...document.querySelectorAll(".js-plotly-plot")].map((chart) => [...chart.querySelectorAll(".textpoint text")]
+  .filter((one) => getComputedStyle(one).visibility !== "hidden").map((one) => {
+    const { left, right, top, bottom } = one.getBoundingClientRect();
+    return [left, right, top, bottom];
+  }));
+"""
+
+
+@pytest.mark.slow
+def test_labels_of_points_do_not_overlap_on_a_telephone(driver, tmp_path):
+    """Of the crank angles along the hodographs of a six-bar, of which some lie close together."""
+    file, path = optlink.load("six-bar"), tmp_path / "a.html"
+    write_page(report_model_of(file, solve_or_validate(file)), path)
+    driver.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride", {"width": 375, "height": 800, "deviceScaleFactor": 1, "mobile": True}
+    )
+    try:
+        opened(driver, path)
+        shown = driver.execute_script(LABELS)
+    finally:
+        driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    assert sum(map(len, shown)) >= 8
+    for labels in shown:
+        for k, (left, right, top, bottom) in enumerate(labels):
+            over = [one for one in labels[:k] if one[0] < right and left < one[1] and one[2] + 2 < bottom and top + 2 < one[3]]
+            assert not over
+
+
 @pytest.mark.slow
 def test_a_page_prints(driver, crank_rocker_page):
     """On paper: a few sheets, no controls, and the charts as wide as the sheet."""

@@ -96,6 +96,18 @@
   const buttons = [["toImage"], ["zoom2d", "pan2d"], ["zoomIn2d", "zoomOut2d", "resetScale2d"]];
   const narrow = matchMedia("(max-width: 600px)").matches; // no room for buttons beside the names of the curves
   const config = { displaylogo: false, responsive: true, modeBarButtons: buttons, displayModeBar: narrow ? false : "hover" };
+  // of labels that would overlap the first is shown; the others appear where their points are pointed at
+  const clear = (place) => {
+    const kept = [];
+    for (const label of place.querySelectorAll(".textpoint text")) {
+      const own = label.getBoundingClientRect();
+      const covered = kept.some((one) => own.left < one.right && one.left < own.right && own.top + 2 < one.bottom && one.top + 2 < own.bottom);
+      label.style.visibility = covered ? "hidden" : "";
+      if (!covered) {
+        kept.push(own);
+      }
+    }
+  };
   const plot = (chart, index) => {
     const place = document.getElementById("chart-" + (index + 1));
     const { layout: own } = chart.figure;
@@ -112,6 +124,8 @@
       own.xaxis.title.text = words.slice(0, half).join(" ") + "<br>" + words.slice(half).join(" ");
       Plotly.react(place, data, { ...layout, xaxis: { ...layout.xaxis, title: own.xaxis.title } }, config);
     }
+    place.on("plotly_afterplot", () => clear(place));
+    clear(place);
     if (chart.picks) {
       pick(place, chart.picks, index + 1, chart.drawings);
     }
