@@ -162,8 +162,6 @@ class Contradiction(ValueError):
 
 
 def _array(value: Any) -> NDArray[np.float64]:
-    if isinstance(value, np.ndarray):
-        return value
     if not isinstance(value, list) or not all(
         issubclass(kind, (int, float, NoneType)) and kind is not bool for kind in set(map(type, value))
     ):

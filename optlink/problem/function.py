@@ -130,11 +130,6 @@ class DesignProblem(Problem):
         return "psi0" not in self.quantities
 
     @property
-    def _itself(self) -> bool:
-        """Whether the error at the start is zero by definition."""
-        return self.tied and self.requirement.robust is None and begins_at_psi0(self.requirement.law)
-
-    @property
     def counted(self) -> dict[str, float]:
         """Tolerances [SI] that enter the objective, by key; measured deviations are excluded."""
         if self.requirement.robust is None:
@@ -148,7 +143,8 @@ class DesignProblem(Problem):
         If psi0 is the actual rocker angle at the start and the law prescribes just this there, the error is zero by definition,
         and the start position is left out. For a robust design it is kept, as the built linkage deviates there too.
         """
-        source, points, begin = self.requirement.law, self.requirement.points, int(self._itself)
+        source, points = self.requirement.law, self.requirement.points
+        begin = int(self.tied and self.requirement.robust is None and begins_at_psi0(source))  # the error at the start is zero
         first = source.phi[0] if isinstance(source, Table) and source.from_start else 0.0
         if isinstance(source, Table) and points is None:
             return Law(source, (np.asarray(source.phi) - (0.0 if source.from_start else source.phi[0]))[begin:])

@@ -67,7 +67,11 @@ class CycleTask(OptimumTask):
             task = self.problem.override(self.grid.changes(point))
             near = done.get(point - 1 if point % self.grid.row else point - self.grid.row)
             begin = [*([] if near is None else [near.design]), *map(dict, self.anchors)]
-            found = min((self.searched_from(point, task, sizes) for sizes in begin), key=_rank, default=None)
+            found = min(
+                (self.searched_from(point, task, sizes) for sizes in begin),
+                key=lambda one: (not one.valid, one.objective),
+                default=None,
+            )
             how = FOLLOWED
             if found is None or not found.valid:
                 found, how = self.searched(task), SEARCHED
@@ -131,11 +135,6 @@ def optimum_task(
     task = ReoptimiseTask(**common, chunk=chunk)
     shared = task.template.model.shares_programme([axis.key for axis in grid.axes])
     return task if shared else replace(task, chunk=SLOW_CHUNK)
-
-
-def _rank(found: CycleResult) -> tuple[bool, float]:
-    """Return a sort key: validated first, then by objective."""
-    return not found.valid, found.objective
 
 
 class CycleProgramme:

@@ -141,10 +141,6 @@ def _dyad_of(mechanism: Mechanism, joint: str | None) -> Transmitting:
     return next(group for group in transmitting(mechanism) if group.joint == joint)
 
 
-def _transmission(moving: Moving, reactions: Reactions, term: Term) -> tuple[Value, ...]:
-    return (_transmission_angle(moving, _dyad_of(moving.machine.mechanism, term.of)),)
-
-
 def _pressure(moving: Moving, reactions: Reactions, term: Term) -> tuple[Value, ...]:
     """Return 90 deg less the transmission angle [rad], of one dyad or of all."""
     groups = [group for group in transmitting(moving.machine.mechanism) if term.of in (None, group.joint)]
@@ -162,10 +158,6 @@ def _transmission_angle(moving: Moving, group: Transmitting) -> Value:
     else:
         p, q = (moving.line(guide.name) for guide in group.prismatic)
     return np.arctan2(magnitude(cross(p, q)), dot(p, q))
-
-
-def _transmission_measured(record: MotionColumns, term: Term) -> Array:
-    return _measured(record, _dyad_of(record.moving.machine.mechanism, term.of))
 
 
 def _pressure_measured(record: MotionColumns, term: Term) -> Array:
@@ -266,8 +258,8 @@ QUANTITIES |= {
         _EXTREMES,
         "joint of a dyad",
         JOINT,
-        _transmission,
-        _transmission_measured,
+        lambda moving, reactions, term: (_transmission_angle(moving, _dyad_of(moving.machine.mechanism, term.of)),),
+        lambda record, term: _measured(record, _dyad_of(record.moving.machine.mechanism, term.of)),
         at="at",
     ),
     "pressure angle": QuantityType(

@@ -14,7 +14,7 @@ from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, turning
 from optlink.report.html.shell import PageSection
 from optlink.report.registry import table_of, view_of
-from optlink.report.report_model import Outcome, ReportModel
+from optlink.report.report_model import ReportModel
 from optlink.report.stored.stored_study import StoredStudy, study_page
 from optlink.report.table_spec import Paragraph, Part, Summary, TableSpec
 from optlink.report.views import (
@@ -184,18 +184,13 @@ def charts(subject: ReportModel) -> list[ChartSpec]:
 def _with_recorded_limits(subject: ReportModel, shown: Summary) -> list[Part]:
     """Return the tables of the result, with the stored active constraints before the validation."""
     parts = list(shown.parts)
-    if subject.limits and not _priced(subject.result):
+    if subject.limits and getattr(subject.result, "solution", None) is None:  # it has no shadow prices of its own
         titles = [part.title if isinstance(part, TableSpec) else "" for part in parts]
         parts.insert(
             next((k for k, title in enumerate(titles) if "Validation" in title), len(parts)),
             function_tables.active(subject.problem.model, subject.objective, subject.limits),
         )
     return parts
-
-
-def _priced(outcome: Outcome) -> bool:
-    """Return whether the result has its own shadow prices."""
-    return getattr(outcome, "solution", None) is not None
 
 
 def _by(subject: ReportModel) -> str:

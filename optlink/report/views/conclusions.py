@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from optlink.errors import Status
 from optlink.optimization.objectives import MEASURES
 from optlink.report.format import pretty, scale
 from optlink.report.views.certificate_view import clause
@@ -92,7 +91,7 @@ def design(outcome: FunctionResult | PathResult | CycleResult, limits: Iterable[
         achieved = _function(best)
     if outcome.valid:
         return _sentences(achieved, _limiting(limits), certified)
-    return f"{_failed(best.validation.checks) or _stopped(best.status)} {achieved}"
+    return f"{_failed(best.validation.checks) or f'Not valid: {best.status.text}.'} {achieved}"
 
 
 def _sentences(*sentences: str) -> str:
@@ -166,10 +165,6 @@ def _failed(checks: Sequence[Check]) -> str:
     first = failed[0]
     text = f"Not valid: {first.name} is {figure(first.value, first.unit)}, required {first.limit}"
     return text + (f"; {len(failed) - 1} more checks fail." if len(failed) > 1 else ".")
-
-
-def _stopped(status: Status) -> str:
-    return f"Not valid: {status.text}."
 
 
 def sensitivities(found: Sensitivities) -> str:
