@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi
 import numpy as np
@@ -189,10 +190,18 @@ def _gained(here: _Here, there: _Here, price: float, promised: float) -> float:
     return (here.merit(price) - there.merit(price)) / promised if math.isfinite(there.missed) else -1.0
 
 
+def _sparse(dense: Array) -> Any:
+    """Return a matrix for the cone programme; scipy takes three times as long from the array itself."""
+    from scipy.sparse import csc_matrix
+
+    columns, rows = np.nonzero(dense.T)
+    ends = np.searchsorted(columns, np.arange(dense.shape[1] + 1))
+    return csc_matrix((dense[rows, columns], rows, ends), dense.shape)
+
+
 def _step(view: _View, here: _Here, bend: Array, box: tuple[Array, Array], price: float) -> _Step | None:
     """Return the best step within a box; None if the solver finds none."""
     import clarabel
-    from scipy.sparse import csc_matrix
 
     (points, width), n = here.e.shape, len(box[0])
     cones = np.zeros((points, width + 1, n + 2))
@@ -203,7 +212,7 @@ def _step(view: _View, here: _Here, bend: Array, box: tuple[Array, Array], price
     room = np.concatenate([(view.high - here.g)[above], (here.g - view.low)[below], [0.0]])
     linear = np.hstack([limits, np.zeros((len(limits), 1)), -np.ones((len(limits), 1))])
     sides = np.hstack([np.vstack([np.eye(n), -np.eye(n)]), np.zeros((2 * n, 2))])
-    matrix = csc_matrix(np.vstack([cones.reshape(-1, n + 2), linear, sides]))
+    matrix = _sparse(np.vstack([cones.reshape(-1, n + 2), linear, sides]))
     right = np.concatenate([np.column_stack([np.zeros(points), here.e]).ravel(), room, box[1], -box[0]])
     kinds = [clarabel.SecondOrderConeT(width + 1)] * points + [clarabel.NonnegativeConeT(len(room) + 2 * n)]
     square, cost = np.zeros((n + 2, n + 2)), np.zeros(n + 2)
@@ -212,7 +221,7 @@ def _step(view: _View, here: _Here, bend: Array, box: tuple[Array, Array], price
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = TOLERANCE
-    found = clarabel.DefaultSolver(csc_matrix(np.triu(square)), cost, matrix, right, kinds, settings).solve()
+    found = clarabel.DefaultSolver(_sparse(np.triu(square)), cost, matrix, right, kinds, settings).solve()
     z, dual = np.asarray(found.x, dtype=float), np.asarray(found.z, dtype=float)
     if not (np.all(np.isfinite(z)) and np.all(np.isfinite(dual))):
         return None

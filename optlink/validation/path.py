@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from optlink.linkage.dyad_types import RPR, RRP, RRR, transmitting
 from optlink.linkage.extrema import extremes, maxima
 from optlink.linkage.mechanism import FRAME, Guide, Mechanism
 from optlink.linkage.motion import Motion, sweep
-from optlink.linkage.stroke import travels
+from optlink.linkage.stroke import Travel, travels
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import MARK, STEP, ZERO, PathProblem
@@ -196,11 +197,16 @@ class _Tested:
 
     def strokes(self) -> tuple[float, float, float]:
         """Return the swing angle of the rocker and the crank rotation of its forward and backward strokes [rad], or NaN."""
-        travel = travels(self.mechanism, self.design, 0.0, TURN, True)[0].get("rocker")
+        travel = self._travels.get("rocker")
         if travel is None:
             return math.nan, math.nan, math.nan
         turned = {stroke.name: stroke.rotation for stroke in travel.strokes(self.way)}
         return travel.span, turned.get("forward", math.nan), turned.get("backward", math.nan)
+
+    @cached_property
+    def _travels(self) -> Mapping[str, Travel]:
+        """The travel of each rocker over a revolution."""
+        return travels(self.mechanism, self.design, 0.0, TURN, True)[0]
 
     def output_angle(self) -> Array:
         """Return the angle of the output body (1, positions) [rad], continuous over the motion."""
