@@ -172,7 +172,7 @@ class _Tested:
         with np.errstate(all="ignore"):
             target = np.array(np.broadcast_to(law.curve(at, self.phi0, self.psi0), (self.count, len(at))))
         if isinstance(law.source, Table) and law.source.from_start and not min(law.source.phi) <= 0.0 <= max(law.source.phi):
-            target[:, :1] = self.psi0 if self.problem.tied else np.nan  # its rows are relative to the rocker's own angle
+            target[:, :1] = self.psi0 if self.problem.tied else np.nan  # its rows are relative to that rocker angle
         return at, target
 
     def rocker_along(self, at: Array) -> Array:
@@ -321,7 +321,7 @@ def _requirement(tested: _Tested) -> Iterator[Checks]:
         c, d = begin.position("C")[:, 0].T, begin.position("D")[:, 0].T
         away = np.arctan2(c[1] - d[1], c[0] - d[0]) - tested.psi0[:, 0]
         gap = np.degrees(np.abs(away - TURN * np.round(away / TURN)))
-        yield Checks("psi0 is the rocker's own angle", gap <= 1e-7, gap, "<= 1e-07", "deg")
+        yield Checks("psi0 is the rocker angle at phi0", gap <= 1e-7, gap, "<= 1e-07", "deg")
     largest = np.degrees(np.max(np.abs(tested.target_minus_actual()), axis=1))
     yield Checks("output error has a value everywhere", np.isfinite(largest), largest, "finite", "deg")
     at, target = tested.prescribed_from_start()

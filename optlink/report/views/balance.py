@@ -268,7 +268,7 @@ def read(record: BalanceRecord, file: ProblemFile) -> Balance:
     """
     section = file.model.balance
     if section is None:
-        raise Contradiction("status", "its problem asks for no balance", record.status)
+        raise Contradiction("status", "its problem has no section [balance]", record.status)
     machine = machine_of(file)
     angles = positions(file, machine, record.speed_rad_s)
     added, springs = _parts(record, section, machine)

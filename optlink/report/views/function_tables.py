@@ -166,7 +166,7 @@ def graded(line: Sequence[Inline], fit: Fit | None, tail: str = "") -> Iterator[
 
 def _design(outcome: FunctionResult) -> TableSpec:
     start = str(outcome.problem.spec.requirement.start)
-    derived = {"phi0": f"at the {start}", "psi0": "the rocker's own angle there"}
+    derived = {"phi0": f"at the {start}", "psi0": "the rocker angle there"}
     rows = dimension_rows(outcome.problem.spec, outcome.design, derived)
     rows.append(("assembly", outcome.assembly, "", quiet(f"joint C lies to the {outcome.assembly} of B -> D")))
     return table("Design" if not outcome.conflict else NEAREST, "<><<", rows)
@@ -243,9 +243,9 @@ def active(model: Problem, objective: float, limits: Iterable[LimitState]) -> Pa
         gain = abs(price)
         share = f" ({percent(gain / base, 2)})" if 5e-5 * base <= gain < 100.0 * base else ""  # otherwise not informative
         shown = f"{price:+.4g}" if limit.sense == "=" else f"{gain:.4g}"
-        buys = f"{shown} {unit} per {limit.unit or 'unit'}{share}" if gain > 0 else "no effect"
+        effect = f"{shown} {unit} per {limit.unit or 'unit'}{share}" if gain > 0 else "no effect"
         raised |= limit.sense == "=" and gain > 0
-        rows.append((limit.name, f"{limit.sense} {limit.bound:g} {limit.unit}".rstrip(), buys))
+        rows.append((limit.name, f"{limit.sense} {limit.bound:g} {limit.unit}".rstrip(), effect))
     if not rows:
         return Paragraph(strong("Active constraints"), "none: only the requirement determines this design")
     notes = [quiet(f"=: change of the objective if the value is raised by one unit{RELAXED * (len(rows) > 1)}")] if raised else []
@@ -371,7 +371,7 @@ def _section(name: str, section: Section, instead: Mapping[str, str] | None = No
 
 
 ABSENT = {
-    "psi0": "the rocker's own angle at the start",
+    "psi0": "the rocker angle at the start",
     "span": "that of the table",
     "points": "its rows",
     "robust": "no",

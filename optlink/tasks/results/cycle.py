@@ -159,7 +159,7 @@ class CycleResult(SingleResult):
         given, found, unit = (goal.initial, goal.result, goal.unit) if self.task.single else (first.objective, self.objective, "")
         if not math.isfinite(given) and not isinstance(self.task, StrokeProblem):
             return "the crank of the initial design does not turn fully"
-        if isinstance(self.task, StrokeProblem) and not first.valid:  # the middle of the bounds is not a design of anybody
+        if isinstance(self.task, StrokeProblem) and not first.valid:  # the middle of the bounds is not an initial design
             return f"objective {found:.5g} {unit}".rstrip()
         ours, theirs = (f"{value:.5g} {unit}".rstrip() for value in (found, given))
         change = percent(found / given - 1.0, signed=True) if given else ""
