@@ -13,6 +13,8 @@ from optlink.report import terminal
 from optlink.report.registry import table_of
 from optlink.report.table_spec import Summary, TableSpec, table
 from optlink.report.views import function_tables
+from optlink.studies.pareto.epsilon_constraint import pareto
+from optlink.units import percent
 from tests.solved import solution
 
 
@@ -126,3 +128,11 @@ def test_torques_have_one_unit(width, monkeypatch):
     assert shown.count("N·m") == 2
     assert "N m" not in shown
     assert "N*m" not in shown
+
+
+@pytest.mark.slow
+def test_changes_along_a_front_are_named_on_a_narrow_terminal(monkeypatch):
+    front = pareto(optlink.load("crank-rocker"), "error, limits.transmission_angle.max", points=3)
+    shown = " ".join(printed(table_of("pareto")(front), 60, monkeypatch).split())
+    value, change = front.points[0].values[0], percent(front.points[0].values[0] / front.reference[0] - 1.0, 2, signed=True)
+    assert f"error [rad^2] {value:.6g}; change {change};" in shown

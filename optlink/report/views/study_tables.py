@@ -283,7 +283,7 @@ def _points(result: Pareto) -> TableSpec:
         rows.append(("", *_cells(result, result.reference), quiet(result.reference_label)))
     columns = [">"]
     for aim in result.objectives:
-        columns += [f">{aim.name}\n[{aim.unit}]" if aim.unit else f">{aim.name}", *([">"] if _compared(result) else [])]
+        columns += [f">{aim.name}\n[{aim.unit}]" if aim.unit else f">{aim.name}", *([">change"] if _compared(result) else [])]
     return table("Front", [*columns, ""], rows, unbroken=True)
 
 
