@@ -207,6 +207,8 @@ class KKTSystem:
         least, most = (-math.inf, "nothing"), (math.inf, "nothing")
         rows, rooms = set(self.active.tolist()), self.rooms
         for entry in range(len(rates)):
+            if entry in self.turning - rows and push.lower[entry] == push.upper[entry] == 0.0:
+                continue
             events = []
             peak = entry >= self.free and self.nlp.rows[entry - self.free].limit == EPIGRAPH  # of an objective, not a limit
             leaves, arrives = PEAK_EVENTS if peak else LIMIT_EVENTS
@@ -227,6 +229,16 @@ class KKTSystem:
                 if least[0] < at <= 0.0:
                     least = (at, f"{self._name(entry)} {what}")
         return ValidityEnd(float(parameter.value + least[0]), least[1]), ValidityEnd(float(parameter.value + most[0]), most[1])
+
+    @cached_property
+    def turning(self) -> set[int]:
+        """Angles that may be any: their bounds, a revolution apart, are one position and no limit."""
+        found = set()
+        for k, (variable, low, high) in enumerate(zip(self.nlp.variables, self.nlp.x_low, self.nlp.x_high, strict=True)):
+            width = variable.size * (high - low)
+            if variable.name not in self.nlp.helpers and variable.scale.unit == "deg" and width >= TURN - 1e-9:
+                found.add(k)
+        return found
 
     @cached_property
     def rooms(self) -> Array:

@@ -134,7 +134,10 @@ def test_turning_the_guide_turns_the_crank_and_changes_nothing_else(direction):
     assert row.objective == 0.0  # was -1.2e-13 of it by 1 deg
     assert row.design.pop("start") == pytest.approx(1.0)
     assert not any(row.design.values())
-    assert {end.event for end in (row.below, row.above)} == {"the bound of start is reached"}  # was: C not aligned, at 3.8 deg
+    assert (row.below.value, row.above.value) == (-math.inf, math.inf)  # was 3.8 deg, where C should have been aligned
+    bound = found["start, largest allowed"]  # which is a limit once it is less than a revolution from the other one
+    assert bound.below.value == pytest.approx(found.values["start"])
+    assert bound.below.event == "the bound of start is reached"
 
 
 @pytest.mark.slow
