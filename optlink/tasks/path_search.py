@@ -371,7 +371,9 @@ def designs_from_four_bar(
     seed : int
         Seed of the random dimensions.
     """
-    files = polisher.files
+    if not four_bars:
+        return []
+    files, best = polisher.files, min(four_bars, key=lambda design: design.objective)
     rng = np.random.default_rng([seed, len(files)])
     begun: list[Candidate] = []
     ended: list[Candidate] = []
@@ -379,25 +381,27 @@ def designs_from_four_bar(
         task = file.model
         assert isinstance(task, PathProblem)
         batch = Batch(task)
-        for design in four_bars:
-            x, t = grow_from_four_bar(replace(part, file=design.problem), batch, design.values, design.crank_angles, STARTS, rng)
-            if not len(x):
-                continue
-            begun += _candidates(variant, batch, x, t)
-            ends = minimise(batch, x, t, STEPS, slow=1e-9)
-            good = pass_in_order(batch, ends)[0] & (ends.missed <= MISSED)
-            ended += _candidates(variant, batch, ends.x[good], ends.t[good])
+        grown = [
+            grow_from_four_bar(replace(part, file=one.problem), batch, one.values, one.crank_angles, STARTS, rng)
+            for one in four_bars
+        ]
+        x, t = np.concatenate([x for x, _ in grown]), np.concatenate([t for _, t in grown])
+        if not len(x):
+            continue
+        begun += _candidates(variant, batch, x, t)
+        ends = minimise(batch, x, t, STEPS, slow=1e-9)
+        good = pass_in_order(batch, ends)[0] & (ends.missed <= MISSED)
+        ended += _candidates(variant, batch, ends.x[good], ends.t[good])
     polished: list[PathDesign] = []
-    best = min(four_bars, key=lambda design: design.objective, default=None)
     for near, candidates in ((False, ended), (True, begun)):
-        if best is None or not any(design.valid and no_worse_fit(design, best) for design in polished):
+        if not any(design.valid and no_worse_fit(design, best) for design in polished):
             candidates.sort(key=lambda candidate: candidate.cost)
             for design in polisher.each(candidates[:POLISHED], near=near):
                 polished.append(design)
-                if best is not None and _agree([design for design in polished if design.valid and no_worse_fit(design, best)]):
+                if _agree([design for design in polished if design.valid and no_worse_fit(design, best)]):
                     break
     found = [design for design in polished if design.valid]
-    if best is not None and not any(no_worse_fit(design, best) for design in found):
+    if not any(no_worse_fit(design, best) for design in found):
         found += [design for end in polished if (design := feasible(end)).valid]
         found += itertools.islice(filter(lambda start: start.valid, map(polisher.unpolished, begun)), 1)
     return sorted(found, key=lambda design: design.objective)
