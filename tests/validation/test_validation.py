@@ -37,7 +37,7 @@ CHECKS = {
     "largest transmission angle": "largest",
     "rocker at rest": "at rest",
     "in line": "in line",
-    "psi0 is the rocker's own": "psi0",
+    "psi0 is the rocker angle": "psi0",
     "output error": "finite",
     "objective": "objective",
     "two dead centres": "dead centres",
