@@ -15,7 +15,6 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.path import STEP, PathProblem
 from optlink.synthesis import random_starts as starts
 from optlink.synthesis.batch import Batch
-from optlink.synthesis.isotonic import isotonic
 from optlink.synthesis.levenberg_marquardt import ZERO, FinalDesigns, minimise
 from optlink.synthesis.variable_projection import SimilarityFit
 
@@ -314,11 +313,13 @@ def nearest_in_order(problem: PathProblem, t: Array) -> Array:
     t : array (points,) [rad]
         Crank angles of the points.
     """
+    from scipy.optimize import isotonic_regression
+
     least = 2.0 * STEP * np.arange(len(t))
     rotation = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(problem.requirement.rotation)
     found = []
     for way in (1.0, -1.0) if rotation is None else (rotation,):
-        rising = isotonic(way * t - least) + least
+        rising = isotonic_regression(way * t - least).x + least
         most = TURN - 2.0 * STEP
         if rising[-1] - rising[0] > most:
             rising = rising[0] + (rising - rising[0]) * most / (rising[-1] - rising[0])
