@@ -12,7 +12,6 @@ import numpy as np
 from optlink.errors import Status
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP, SMALLEST_SCALE
-from optlink.optimization.sobol import sobol_blocks
 from optlink.problem.robust import SMOOTHED
 from optlink.solvers.contract import MINIMAX, SOLVERS, backend
 from optlink.solvers.feasibility import repair
@@ -203,13 +202,18 @@ def sobol(low: Array, high: Array, seed: int) -> Iterator[Array]:
     seed : int
         Seed of the scrambling.
     """
+    from scipy.stats import qmc
+
+    points = qmc.Sobol(len(low), rng=np.random.default_rng(seed))
     high = np.where(np.isfinite(high), high, 1.0)
-    for points in sobol_blocks(len(low), seed, SOBOL_BLOCK):
-        yield from low + points * (high - low)
+    while True:
+        yield from low + points.random(SOBOL_BLOCK) * (high - low)
 
 
 def latin_hypercubes(low: Array, high: Array, seed: int) -> Iterator[Array]:
     """Generate points within bounds, without end: one Latin hypercube sample after the other.
+
+    They need no import of `scipy.stats`, which takes longer than many a search.
 
     Parameters
     ----------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -12,7 +11,6 @@ from numpy.typing import NDArray
 
 from optlink.linkage.fourbar import LENGTHS, transmission_cosine
 from optlink.linkage.vector2d import TURN, Array, unit
-from optlink.optimization.sobol import sobol_blocks
 from optlink.problem.function import DesignProblem
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.function import Function
@@ -49,13 +47,16 @@ def fits(problem: DesignProblem, seed: int) -> Iterator[dict[str, float]]:
     seed : int
         Seed of the scrambling.
     """
+    from scipy.stats import qmc
+
     free, ranges = _ranges(problem)
     if all(low == high for low, high in ranges):
         return
+    points = qmc.Sobol(2, rng=np.random.default_rng(seed))
     low = np.array([start[0] for start in ranges])
     size = np.array([math.pi if free else start[1] - start[0] for start in ranges])
-    for points in itertools.islice(sobol_blocks(2, seed, BLOCK), BLOCKS):
-        phi0, psi0 = (low + size * points).T
+    for _ in range(BLOCKS):
+        phi0, psi0 = (low + size * points.random(BLOCK)).T
         for step in fit_pairs(*_rotations(problem), phi0, psi0, **_options(problem, free)):
             yield values(problem, step)
 

@@ -9,12 +9,11 @@ import numpy as np
 
 from optlink.errors import InputError
 from optlink.linkage.vector2d import Array
-from optlink.optimization.sobol import sobol_blocks
 from optlink.problem.tolerances import Deviation
 from optlink.units import read_number
 
 BATCH = 1 << 13  # samples per batch; a power of two keeps Sobol points balanced
-TINY = 2.0**-31  # half of the last bit of the Sobol points: avoids 0, where a normal deviate is infinite
+TINY = 2.0**-31  # half of the last bit of scipy's Sobol points: avoids 0, where a normal deviate is infinite
 CONFIDENCE = 0.95
 
 
@@ -33,11 +32,15 @@ def sample_deviations(deviations: Sequence[Deviation], samples: int, seed: int, 
 
     References
     ----------
-    A. B. Owen, Scrambling Sobol' and Niederreiter-Xing points, J. Complexity 14 (1998).
+    A. B. Owen, Scrambling Sobol' and Niederreiter-Xing points, J. Complexity 14 (1998); scipy.stats.qmc.
     """
-    blocks = sobol_blocks(len(deviations), seed, BATCH, begin)
-    for first, points in zip(range(begin, samples, BATCH), blocks, strict=False):
-        share = points[: samples - first] + TINY
+    from scipy.stats import qmc
+
+    sobol = qmc.Sobol(len(deviations), rng=np.random.default_rng(seed))
+    if begin:
+        sobol.fast_forward(begin)
+    for first in range(begin, samples, BATCH):
+        share = np.asarray(sobol.random(BATCH), dtype=float)[: samples - first] + TINY
         yield np.stack([deviation.at(share[:, i]) for i, deviation in enumerate(deviations)], axis=1)
 
 
