@@ -10,135 +10,28 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from optlink.errors import Status
 from optlink.execution import interrupts
+from optlink.execution.runner import Runs, ordered
 from optlink.linkage.vector2d import Array
 from optlink.optimization.cycle_constraints import EVENT
 from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
-from optlink.optimization.cycle_signals import EventOrder, Sample, TracedCycle
+from optlink.optimization.cycle_signals import EventOrder, TracedCycle
 from optlink.solvers import multistart
 from optlink.solvers.contract import backend
+from optlink.solvers.cycle_starts import StartGroup
 from optlink.solvers.feasibility import repair
 from optlink.solvers.semi_infinite import exchange, peaks, rank, reconcile_backends
 from optlink.solvers.solution import ACTIVE, LEAST_PRICE, Relaxation, Solution
 
-STARTS = 8  # default number of starting points
-SAMPLES = 64  # random designs per starting point; only those with the structure of the initial design are used
-BLOCK = 32  # random designs whose events are determined together
-ORDERS = 2  # further orders of events searched while no feasible design is known
 STEPS = (1e-3, 1e-2)  # of the range of a design variable: from a design at the edge of its order of events to the next order
 NEIGHBOURS, CROSSINGS = 4, 12  # other orders searched from one such design; designs from which orders beside are searched
-
-
-@dataclass(frozen=True)
-class StartGroup:
-    """Starting points [SI] with the same order of events and the same slow strokes, for which one NLP is valid."""
-
-    structure: EventOrder
-    starts: tuple[Mapping[str, float], ...]
-
-
-class StartSequence:
-    """A fixed sequence of starting points: the design of the file, then random ones within the bounds."""
-
-    def __init__(self, trace: TracedCycle, seed: int) -> None:
-        self.trace, self._known = trace, list[Sample]()
-        task = trace.problem
-        given = {name: task.quantities[name].value for name in task.free}
-        low, high = np.array([task.quantities[name].bounds for name in task.free]).T
-        drawn = (dict(zip(task.free, x.tolist(), strict=True)) for x in multistart.latin_hypercubes(low, high, seed))
-        self._next = itertools.chain([given], drawn)
-
-    def first(self, count: int) -> Iterator[Sample]:
-        """Iterate over the design of the file and `count` random ones."""
-        for k in range(count + 1):
-            if k == len(self._known):
-                many = list(itertools.islice(self._next, BLOCK if k else 1))
-                self._known += self.trace.samples(many)
-            yield self._known[k]
-
-
-def start_groups(
-    samples: StartSequence, count: int, fits: Callable[[EventOrder], bool], order: EventOrder | None = None
-) -> list[StartGroup]:
-    """Return up to `count` starting points per choice of slow strokes that share one order of events.
-
-    Parameters
-    ----------
-    samples : StartSequence
-    count : int
-        Greatest number of starting points of each Begin.
-    fits : function of a Structure
-        Whether every output with a stroke oscillates.
-    order : EventOrder, optional
-        Default: that of the first suitable starting point.
-
-    Returns
-    -------
-    list of Begin, that of the first starting point first; empty if none is suitable
-    """
-    found: dict[tuple[bool, ...], StartGroup] = {}
-    choices = list(itertools.product((True, False), repeat=len(samples.trace.paced)))
-    for k, sample in enumerate(samples.first(SAMPLES * count)):
-        if order is not None and not sample.may_be_like(order):
-            continue
-        structure = sample.structure
-        if structure is None or not fits(structure):
-            continue
-        order = structure if order is None else order
-        if structure.like(order):
-            _sort_in(found, choices, sample.values, structure)
-        if (k >= SAMPLES or len(choices) == 1) and any(len(own.starts) >= count for own in found.values()):
-            break
-    return [StartGroup(own.structure, own.starts[:count]) for own in found.values()]
-
-
-def _sort_in(
-    found: dict[tuple[bool, ...], StartGroup], choices: list[tuple[bool, ...]], values: Mapping[str, float], structure: EventOrder
-) -> None:
-    """Add a starting point to the Begin of its slow strokes; to both if the strokes take equally long."""
-    for slow in choices:
-        if all(own is None or own == other for own, other in zip(structure.slow, slow, strict=True)):
-            known = found.get(slow, StartGroup(replace(structure, slow=slow), ()))
-            found[slow] = replace(known, starts=(*known.starts, values))
-
-
-def further_start_groups(
-    samples: StartSequence, known: Sequence[StartGroup], count: int, fits: Callable[[EventOrder], bool]
-) -> list[StartGroup]:
-    """Return further Begins for a search without a feasible design: missing slow strokes and the next most frequent orders.
-
-    Parameters
-    ----------
-    samples : StartSequence
-    known : sequence of StartGroup
-        Those searched already; the first one defines the order of events.
-    count : int
-        Greatest number of starting points of each Begin.
-    fits : function of a Structure
-        Whether every output with a stroke oscillates.
-    """
-    trace, first = samples.trace, known[0]
-    choices = list(itertools.product((True, False), repeat=len(trace.paced)))
-    missing = [slow for slow in choices if slow not in [own.structure.slow for own in known]]
-    found = [StartGroup(replace(first.structure, slow=slow), first.starts) for slow in missing]
-    groups: dict[tuple[object, ...], dict[tuple[bool, ...], StartGroup]] = {}
-    frequent: Counter[tuple[object, ...]] = Counter()
-    for k, sample in enumerate(samples.first(SAMPLES * max(count, STARTS))):
-        structure = sample.structure
-        if structure is not None and not structure.like(first.structure) and fits(structure):
-            key = (structure.which, structure.rising)
-            frequent[key] += k <= SAMPLES * STARTS
-            _sort_in(groups.setdefault(key, {}), choices, sample.values, structure)
-    for order, _ in frequent.most_common(ORDERS):
-        found += [StartGroup(own.structure, own.starts[:count]) for own in groups[order].values()]
-    return found
 
 
 def at_edge(solution: Solution) -> bool:
@@ -217,12 +110,26 @@ class OrderSearch:
         self._places = self.nlp.p[len(self.nlp.p) - self.nlp.slots :].copy()
         self._refined: dict[str, list[tuple[Array, Solution]]] = {name: [] for name in self.names}
 
-    def advance(self, k: int) -> None:
-        """Search from the k-th starting point with every back end."""
+    def local(self, k: int) -> list[Solution]:
+        """Return for each back end the end of a local search from the k-th starting point, before the exchange method."""
+        ends = []
         for name in self.names:
             self.nlp.set_exchange_points(self._places)
+            ends.append(self._from(self.nlp.x_of(self.begin.starts[k]), name, insist=self.insists and k == 0))
+        return ends
+
+    def advance(self, k: int, ends: Sequence[Solution] | None = None) -> None:
+        """Search from the k-th starting point with every back end.
+
+        Parameters
+        ----------
+        k : int
+        ends : sequence of Solution, optional
+            The local searches from there, if they are done already; see `local`.
+        """
+        for name, found in zip(self.names, self.local(k) if ends is None else ends, strict=True):
+            self.nlp.set_exchange_points(self._places)
             best = self.best(name)
-            found = self._from(self.nlp.x_of(self.begin.starts[k]), name, insist=self.insists and k == 0)
             worse = best is not None and found.status is not Status.OPTIMAL and rank(best) < rank(found)
             self.runs[name].append(self._kept(self._exchanged(found, name) if found.usable and not worse else found))
 
@@ -285,6 +192,23 @@ class OrderSearch:
 
 
 @dataclass(frozen=True)
+class LocalSearches:
+    """Local searches of several programmes, round by round; each starting point of a programme is a chunk for the runner."""
+
+    orders: tuple[OrderSearch, ...]
+
+    def turns(self) -> list[tuple[OrderSearch, int]]:
+        """Return the programme and the number of the starting point of every chunk."""
+        most = max(len(order.begin.starts) for order in self.orders)
+        return [(order, k) for k in range(most) for order in self.orders if k < len(order.begin.starts)]
+
+    def __call__(self, index: int) -> list[dict[str, Any]]:
+        """Return for each back end the fields of a solution, without the programme."""
+        order, k = self.turns()[index]
+        return [end.parts for end in order.local(k)]
+
+
+@dataclass(frozen=True)
 class CycleSearchResult:
     """Result of a search: the NLP of the best design, the best design for each back end, and every run.
 
@@ -322,6 +246,7 @@ def search_all(
     done: Callable[[], None],
     further: Callable[[], Sequence[StartGroup]] = lambda: (),
     alike: Callable[[EventOrder], Sequence[StartGroup]] = lambda _: (),
+    runs: Runs | None = None,
 ) -> CycleSearchResult:
     """Search from every starting point with every back end, refine by the exchange method, reconcile the back ends.
 
@@ -338,15 +263,19 @@ def search_all(
         Searched as well while no feasible design is found.
     alike : function of an EventOrder that returns a sequence of StartGroup
         Searched as well if the best design has that order.
+    runs : function, optional
+        From `optlink.execution.runner.pool`, for the local searches of the first orders. Default: the present process.
     """
     own = tuple(names)
     orders = [OrderSearch(build_programme(trace, begin), begin, own, explored=True) for begin in firsts]
     more: list[OrderSearch] | None = None
     beside: list[OrderSearch] = []
     count, interrupted = 0, False
+    searches = LocalSearches(tuple(orders))
+    ahead = None if runs is None else ordered(searches, len(searches.turns()), runs)
     try:
         for k in range(max(len(begin.starts) for begin in firsts)):
-            _round(orders, k)
+            _round(orders, k, ahead)
             if not any(order.usable for order in orders):
                 if more is None:
                     more = [OrderSearch(build_programme(trace, begin), begin, own, False, explored=True) for begin in further()]
@@ -369,10 +298,11 @@ def search_all(
     return CycleSearchResult(winner.nlp, found, tuple(every), count, interrupted=interrupted)
 
 
-def _round(orders: Sequence[OrderSearch], k: int) -> None:
+def _round(orders: Sequence[OrderSearch], k: int, ahead: Iterator[list[dict[str, Any]]] | None = None) -> None:
+    """Search from the k-th starting point of each order; `ahead`: the local searches from there, made by other processes."""
     for order in orders:
         if k < len(order.begin.starts):
-            order.advance(k)
+            order.advance(k, None if ahead is None else [Solution(nlp=order.nlp, **parts) for parts in next(ahead)])
 
 
 def _cross(orders: Sequence[OrderSearch], beside: list[OrderSearch], names: tuple[str, ...]) -> None:

@@ -31,11 +31,13 @@ if TYPE_CHECKING:
     from optlink.optimization.cycle_nlp import CycleNLP
     from optlink.optimization.cycle_signals import EventOrder
     from optlink.solvers.continuum import Continuum
-    from optlink.solvers.cycle_search import CycleSearchResult, StartGroup, StartSequence
+    from optlink.solvers.cycle_search import CycleSearchResult
+    from optlink.solvers.cycle_starts import StartGroup, StartSequence
 
 
 ALIKE = 1e-6  # relative, of the objectives of two designs of one continuum
 COARSE, TRIED = 24, 2  # positions per revolution, and starts, of the infeasibility analysis
+MANY = 200  # starting points that several processes share by default; fewer take no longer than the start of the processes
 MOST_NODES, EXACT = 400, 1e-7  # positions per revolution, and relative accuracy of integrals against the fine sweep
 
 
@@ -46,6 +48,7 @@ class CycleTask(DesignTask[CycleResult]):
     """
 
     most_starts = 10_000
+    divisible = True
     free_example = 'length = { start = "120 mm", bounds = ["60 mm", "200 mm"] }'
     without_free = "`optlink analyze` the machine"
 
@@ -59,7 +62,8 @@ class CycleTask(DesignTask[CycleResult]):
         """
         from optlink.optimization.cycle_signals import TracedCycle
         from optlink.solvers.continuum import continuum
-        from optlink.solvers.cycle_search import STARTS, StartSequence, further_start_groups, search_all, start_groups
+        from optlink.solvers.cycle_search import search_all
+        from optlink.solvers.cycle_starts import STARTS, StartSequence, further_start_groups, start_groups
         from optlink.solvers.semi_infinite import rank
 
         names, seed, timer, progress = search.names, search.seed, search.timer, search.progress
@@ -88,7 +92,11 @@ class CycleTask(DesignTask[CycleResult]):
         def alike(order: EventOrder) -> list[StartGroup]:
             return start_groups(samples, count, fits, order)
 
-        result = search_all(trace, firsts, names, advance, lambda: further_start_groups(samples, firsts, count, fits), alike)
+        def further() -> list[StartGroup]:
+            return further_start_groups(samples, firsts, count, fits)
+
+        runs = search.runs if search.shared or count >= MANY else None
+        result = search_all(trace, firsts, names, advance, further, alike, runs)
         if not result.usable:
             result = _explained(result, names)
         nlp, found = _dense(result.nlp, result.best)
@@ -181,7 +189,7 @@ def _firsts(problem: ProblemFile, samples: StartSequence, count: int) -> list[St
     InputError
         If such an output reciprocates in none of the dimensions that turn fully.
     """
-    from optlink.solvers.cycle_search import start_groups
+    from optlink.solvers.cycle_starts import start_groups
 
     wrong: list[tuple[str, Term, int]] = []
 
@@ -204,7 +212,7 @@ def _notes(
     problem: ProblemFile, result: CycleSearchResult, winner: Solution, count: int, equal: Continuum | None
 ) -> Iterator[str]:
     """Yield notes on the search and the design."""
-    from optlink.solvers.cycle_search import SAMPLES
+    from optlink.solvers.cycle_starts import SAMPLES
 
     task = task_of(problem)
     most = max(len(order.begin.starts) for order in result.orders)
@@ -250,7 +258,7 @@ def _optima(task: CycleProblem, winner: Solution, solutions: list[Solution], equ
 
 def _nowhere(problem: ProblemFile, seed: int, starts: int, seconds: dict[str, float]) -> CycleResult:
     """Return the result for a problem without dimensions within the bounds for which the crank turns fully."""
-    from optlink.solvers.cycle_search import SAMPLES
+    from optlink.solvers.cycle_starts import SAMPLES
 
     task = task_of(problem)
     values = {name: task.quantities[name].value for name in task.free}

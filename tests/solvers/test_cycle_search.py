@@ -16,7 +16,8 @@ from optlink.errors import InputError, Status
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.problem.file import ProblemFile, read
 from optlink.solvers import multistart
-from optlink.solvers.cycle_search import OrderSearch, StartSequence, build_programme, start_groups
+from optlink.solvers.cycle_search import OrderSearch, build_programme
+from optlink.solvers.cycle_starts import StartSequence, start_groups
 from optlink.tasks.cycle import solve, validate
 from optlink.tasks.results.cycle import CycleResult, task_of
 

@@ -14,7 +14,8 @@ import optlink
 from optlink.errors import InputError, Status
 from optlink.optimization.cycle_signals import TracedCycle
 from optlink.problem.file import ProblemFile, read
-from optlink.solvers.cycle_search import StartGroup, search_all
+from optlink.solvers.cycle_search import search_all
+from optlink.solvers.cycle_starts import StartGroup
 from optlink.tasks.cycle import solve
 from optlink.tasks.results.cycle import task_of
 from optlink.validation.cycle import BALANCE, Cycle, validate_cycle

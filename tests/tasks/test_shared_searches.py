@@ -45,6 +45,20 @@ def exchanged(task: ChunkTask, todo: Iterable[int]) -> Iterator[tuple[int, Chunk
     yield from ((index, found[count - 1 - index if count else index]) for index in found)
 
 
+def cycle_digits(result: Any) -> list[object]:
+    """All figures of a machine, bit by bit."""
+    found: list[object] = [result.starts, result.notes, repr(result.validation)]
+    for one in (result, *result.optima):
+        found += [x.hex() for x in (one.objective, *one.design.values())]
+    return [*found, *(one.count for one in result.optima)]
+
+
+def other_starts(task: ChunkTask, todo: Iterable[int]) -> Iterator[tuple[int, ChunkResult]]:
+    """A defect: each local search is taken for that from the starting point at the other end."""
+    found = dict(backwards(task, todo))
+    yield from ((index, found[len(found) - 1 - index]) for index in found)
+
+
 def pressed(after: int) -> Runs:
     """Chunks in the present process, of one task after the other; Ctrl-C after some refined candidates."""
     done = 0
@@ -82,6 +96,26 @@ def test_processes_change_no_digit_of_a_path(name: str, starts: int | None, how:
     alone = digits(optlink.solve(file, seed=1, starts=starts))
     for one in how:
         assert digits(optlink.solve(file, seed=1, starts=starts, **one)) == alone
+
+
+def test_the_order_of_completion_changes_no_digit_of_a_machine() -> None:
+    alone = cycle_digits(shared("shaper-design", None, starts=4))
+    assert cycle_digits(shared("shaper-design", backwards, starts=4)) == alone
+    assert cycle_digits(shared("shaper-design", other_starts, starts=4)) != alone
+
+
+@pytest.mark.slow
+def test_processes_change_no_digit_of_a_machine() -> None:
+    file = optlink.load("press-toggle")
+    alone = optlink.solve(file, "both", seed=1)
+    assert cycle_digits(optlink.solve(file, "both", seed=1, workers=2)) == cycle_digits(alone)
+
+
+def test_ctrl_c_keeps_the_searches_of_a_machine() -> None:
+    part = shared("shaper-design", pressed(2), starts=8)
+    assert part.interrupted
+    assert part.valid
+    assert part.starts == 2
 
 
 @pytest.mark.slow

@@ -1,0 +1,123 @@
+"""Starting points of cycle optimisation: random designs, grouped by their order of events and their slow strokes."""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from optlink.optimization.cycle_signals import EventOrder, Sample, TracedCycle
+from optlink.solvers.multistart import latin_hypercubes
+
+STARTS = 8  # default number of starting points
+SAMPLES = 64  # random designs per starting point; only those with the structure of the initial design are used
+BLOCK = 32  # random designs whose events are determined together
+ORDERS = 2  # further orders of events searched while no feasible design is known
+
+
+@dataclass(frozen=True)
+class StartGroup:
+    """Starting points [SI] with the same order of events and the same slow strokes, for which one NLP is valid."""
+
+    structure: EventOrder
+    starts: tuple[Mapping[str, float], ...]
+
+
+class StartSequence:
+    """A fixed sequence of starting points: the design of the file, then random ones within the bounds."""
+
+    def __init__(self, trace: TracedCycle, seed: int) -> None:
+        self.trace, self._known = trace, list[Sample]()
+        task = trace.problem
+        given = {name: task.quantities[name].value for name in task.free}
+        low, high = np.array([task.quantities[name].bounds for name in task.free]).T
+        drawn = (dict(zip(task.free, x.tolist(), strict=True)) for x in latin_hypercubes(low, high, seed))
+        self._next = itertools.chain([given], drawn)
+
+    def first(self, count: int) -> Iterator[Sample]:
+        """Iterate over the design of the file and `count` random ones."""
+        for k in range(count + 1):
+            if k == len(self._known):
+                many = list(itertools.islice(self._next, BLOCK if k else 1))
+                self._known += self.trace.samples(many)
+            yield self._known[k]
+
+
+def start_groups(
+    samples: StartSequence, count: int, fits: Callable[[EventOrder], bool], order: EventOrder | None = None
+) -> list[StartGroup]:
+    """Return up to `count` starting points per choice of slow strokes that share one order of events.
+
+    Parameters
+    ----------
+    samples : StartSequence
+    count : int
+        Greatest number of starting points of each Begin.
+    fits : function of a Structure
+        Whether every output with a stroke oscillates.
+    order : EventOrder, optional
+        Default: that of the first suitable starting point.
+
+    Returns
+    -------
+    list of Begin, that of the first starting point first; empty if none is suitable
+    """
+    found: dict[tuple[bool, ...], StartGroup] = {}
+    choices = list(itertools.product((True, False), repeat=len(samples.trace.paced)))
+    for k, sample in enumerate(samples.first(SAMPLES * count)):
+        if order is not None and not sample.may_be_like(order):
+            continue
+        structure = sample.structure
+        if structure is None or not fits(structure):
+            continue
+        order = structure if order is None else order
+        if structure.like(order):
+            _sort_in(found, choices, sample.values, structure)
+        if (k >= SAMPLES or len(choices) == 1) and any(len(own.starts) >= count for own in found.values()):
+            break
+    return [StartGroup(own.structure, own.starts[:count]) for own in found.values()]
+
+
+def _sort_in(
+    found: dict[tuple[bool, ...], StartGroup], choices: list[tuple[bool, ...]], values: Mapping[str, float], structure: EventOrder
+) -> None:
+    """Add a starting point to the Begin of its slow strokes; to both if the strokes take equally long."""
+    for slow in choices:
+        if all(own is None or own == other for own, other in zip(structure.slow, slow, strict=True)):
+            known = found.get(slow, StartGroup(replace(structure, slow=slow), ()))
+            found[slow] = replace(known, starts=(*known.starts, values))
+
+
+def further_start_groups(
+    samples: StartSequence, known: Sequence[StartGroup], count: int, fits: Callable[[EventOrder], bool]
+) -> list[StartGroup]:
+    """Return further Begins for a search without a feasible design: missing slow strokes and the next most frequent orders.
+
+    Parameters
+    ----------
+    samples : StartSequence
+    known : sequence of StartGroup
+        Those searched already; the first one defines the order of events.
+    count : int
+        Greatest number of starting points of each Begin.
+    fits : function of a Structure
+        Whether every output with a stroke oscillates.
+    """
+    trace, first = samples.trace, known[0]
+    choices = list(itertools.product((True, False), repeat=len(trace.paced)))
+    missing = [slow for slow in choices if slow not in [own.structure.slow for own in known]]
+    found = [StartGroup(replace(first.structure, slow=slow), first.starts) for slow in missing]
+    groups: dict[tuple[object, ...], dict[tuple[bool, ...], StartGroup]] = {}
+    frequent: Counter[tuple[object, ...]] = Counter()
+    for k, sample in enumerate(samples.first(SAMPLES * max(count, STARTS))):
+        structure = sample.structure
+        if structure is not None and not structure.like(first.structure) and fits(structure):
+            key = (structure.which, structure.rising)
+            frequent[key] += k <= SAMPLES * STARTS
+            _sort_in(groups.setdefault(key, {}), choices, sample.values, structure)
+    for order, _ in frequent.most_common(ORDERS):
+        found += [StartGroup(own.structure, own.starts[:count]) for own in groups[order].values()]
+    return found
