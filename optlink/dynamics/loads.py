@@ -101,6 +101,10 @@ class _Process:
         """Return zero: the load stores no energy."""
         return 0.0
 
+    def known(self, moving: Moving) -> dict[str, Value]:
+        """Return the variables of the magnitude: crank angle [rad] and speed, and those of the body on which the load acts."""
+        return moving.variables
+
 
 @dataclass(frozen=True)
 class Force(_Process):
@@ -127,13 +131,16 @@ class Force(_Process):
         own, turning = moving.velocity(self.point, self.body), moving.acceleration(self.point, self.body)
         return dot(way, minus(own, velocity)), dot(way, minus(turning, acceleration))
 
+    def known(self, moving: Moving) -> dict[str, Value]:
+        """Return the variables of the magnitude: crank angle and speed; of a slider its slide and velocity [SI]."""
+        if not isinstance(self.direction, str):
+            return moving.variables
+        s, v, _ = moving.slides[self.direction]
+        return {**moving.variables, "s": s, "v": v}
+
     def act(self, moving: Moving) -> Iterator[Acting]:
         """Yield the force, and its reaction on the other body."""
-        known = moving.variables
-        if isinstance(self.direction, str):
-            s, v, _ = moving.slides[self.direction]
-            known = {**known, "s": s, "v": v}
-        size = self.magnitude(known) * _sense(self, moving)
+        size = self.magnitude(self.known(moving)) * _sense(self, moving)
         x, y = self.along(moving)
         at, force = moving.position(self.point, self.body), (size * x + 0.0, size * y + 0.0)  # + 0.0: avoids -0.0
         yield Acting(self.body, at, force, 0.0)
@@ -155,15 +162,15 @@ class Torque(_Process):
         state, other = moving.state(self.body), moving.state(self.against)
         return state.omega - other.omega, state.alpha - other.alpha
 
+    def known(self, moving: Moving) -> dict[str, Value]:
+        """Return the variables of the magnitude: crank angle and speed, angle of the body and its relative speed [SI]."""
+        theta = self.middle + angle_from(unit(self.middle), moving.state(self.body).axis)
+        return {**moving.variables, "theta": theta, "w": self.reversing(moving)[0]}
+
     def act(self, moving: Moving) -> Iterator[Acting]:
         """Yield the torque, and its reaction on the other body."""
         state = moving.state(self.body)
-        known = {
-            **moving.variables,
-            "theta": self.middle + angle_from(unit(self.middle), state.axis),
-            "w": self.reversing(moving)[0],
-        }
-        torque = self.magnitude(known) * _sense(self, moving)
+        torque = self.magnitude(self.known(moving)) * _sense(self, moving)
         yield Acting(self.body, state.start, (0.0, 0.0), torque)
         if self.against != FRAME:
             yield Acting(self.against, moving.state(self.against).start, (0.0, 0.0), -torque)

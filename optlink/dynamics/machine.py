@@ -106,9 +106,9 @@ class Machine:
         return bool(self.friction) or any(load.switching for load in self.loads)
 
     @property
-    def tabulated(self) -> bool:
-        """Whether a load has a table, at whose rows it has a corner."""
-        return any(hasattr(getattr(load, "magnitude", None), "at") for load in self.loads)
+    def cornered(self) -> bool:
+        """Whether a load may have a corner, a jump or a pole: a row of its table, or a breakpoint of its expression."""
+        return any(getattr(getattr(load, "magnitude", None), "cornered", False) for load in self.loads)
 
 
 class Moving:

@@ -6,10 +6,12 @@ import numpy as np
 
 from optlink.dynamics.inverse import reactions
 from optlink.dynamics.machine import Machine
+from optlink.dynamics.poles import irregular
 from optlink.linkage.extrema import distinct, zeros
 from optlink.linkage.vector2d import Array
 
 PANELS = 180  # per range or revolution: 2 degrees each in a revolution
+HALVINGS = 30  # of the panels towards a peak of a load
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 
@@ -49,7 +51,7 @@ def jumps(machine: Machine, low: float, high: float) -> Array:
 
 
 def corners(machine: Machine, low: float, high: float, speed: float) -> Array:
-    """Return the crank angles [rad] at which a load or friction has a corner: rows of its table, and zeros of a normal force.
+    """Return the crank angles [rad] at which a load has a corner, a row of its table, or at which a normal force is zero.
 
     Parameters
     ----------
@@ -102,17 +104,24 @@ def _rising(found: list[Array], low: float, high: float) -> Array:
 
 
 class Work:
-    """Work [J] of the drive since the crank angle `start` [rad], for any crank angle from `low` to `high`.
+    """Work [J] of the drive since the crank angle `start` [rad], for any crank angle from `low` to `high`; NaN beyond a pole.
 
-    `jumps`: crank angles [rad] at which loads or friction jump; `breaks`: also those at which they have a corner.
+    `jumps`: crank angles [rad] at which loads or friction jump; `breaks`: also those at which they have a corner; `peaks`: those
+    at which an expression may have a sharp peak; `poles`: by load, those at which it grows without bound.
     """
 
     def __init__(self, machine: Machine, start: float, low: float, high: float, speed: float) -> None:
         self.machine, self.speed = machine, speed
         self.jumps = jumps(machine, low, high)
-        self.breaks = distinct(np.concatenate([self.jumps, corners(machine, low, high, speed)]))
-        self.knots = distinct(np.concatenate([np.linspace(low, high, _panels(low, high) + 1), self.breaks]))
+        found, self.peaks, self.poles = irregular(machine, _grid(low, high), speed)
+        self.breaks = _rising([self.jumps, corners(machine, low, high, speed), found], low, high)
+        even = np.linspace(low, high, _panels(low, high) + 1)
+        beside = (even[1] - even[0]) * np.outer([-1.0, 1.0], 0.5 ** np.arange(HALVINGS))
+        graded = (self.peaks[:, None] + beside.ravel()).ravel()
+        self.knots = distinct(np.concatenate([even, self.breaks, graded[(graded > low) & (graded < high)]]))
         pieces = self._integral(self.knots[:-1], self.knots[1:])
+        for pole in np.concatenate([*self.poles.values(), np.empty(0)]):
+            pieces[(self.knots[:-1] <= pole) & (pole <= self.knots[1:])] = np.nan
         self._sum = np.concatenate([[0.0], np.cumsum(pieces)])
         self._start = 0.0
         self._start = float(self(np.array([start]))[0])

@@ -117,7 +117,7 @@ class AnalysisTask(FiguresTask):
         stems = {name.rpartition(".")[0] for name in self.figures}
         columns, _ = available_figures(self.problem)
         machine = machine_of(self.problem)
-        breaks = machine.switching or machine.tabulated or any(load.by_pace for load in self.problem.model.loads.values())
+        breaks = machine.switching or machine.cornered or any(load.by_pace for load in self.problem.model.loads.values())
         if breaks or not stems <= {name for name in columns if not name.endswith(ANGLE)}:
             return {}
         extremes, clear = batch_extremes(self.problem, designs, tuple(sorted(stems)))

@@ -11,6 +11,7 @@ from optlink.dynamics.change_points import pin_columns, unbounded_reactions
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.flywheel import flywheel
 from optlink.dynamics.machine import Machine, slider_names
+from optlink.dynamics.poles import without_values
 from optlink.dynamics.strokes import acting_loads
 from optlink.dynamics.work import Work
 from optlink.errors import InputError
@@ -105,7 +106,8 @@ def analyze(
         found = {name: extreme for name, extreme in found.items() if name not in unbounded}
         swings, strokes = travels(machine.mechanism, machine.sizes, low, high, ranges.full)
     names = slider_names(machine)
-    share = None if ranges.singular or jammed.size or undefined.size else model.drive.fluctuation
+    unsound = bool(ranges.singular or jammed.size or undefined.size or work.poles)
+    share = None if unsound else model.drive.fluctuation
     end = start + math.copysign(cycle, speed) if ranges.full else float(angles[-1])
     return Analysis(
         problem,
@@ -120,13 +122,13 @@ def analyze(
         swings,
         {names[guide]: travel for guide, travel in strokes.items()},
         work.jumps,
-        math.nan if ranges.singular or jammed.size or undefined.size else float(work(np.array([end]))[0]),
+        math.nan if unsound else float(work(np.array([end]))[0]),
         singular,
         jammed,
-        undefined,
+        distinct(np.concatenate([undefined, *work.poles.values()])),
         (
             *_notes(problem, ranges, design, machine, singular),
-            *_missing_notes(machine, jammed, undefined, speed),
+            *_missing_notes(machine, jammed, undefined, speed, work.poles),
             *_followed_notes(machine, ranges, unbounded),
             *(quick_stroke_notes(problem, machine, speed) if ranges.full else ()),
         ),
@@ -198,12 +200,13 @@ def _extremes(
 ) -> dict[str, Extreme]:
     """Return the least and largest value of every column over the motion, one-sided at load jumps.
 
-    `scanned`: the columns at the crank angles `even`. Columns without a value at the crank angles `without` [rad] are left out.
+    `scanned`: the columns at the crank angles `even`. Columns without a value at the crank angles `without` [rad], and those that
+    depend on a load with a pole, are left out.
     """
     pins, full, cycle, low, high = pin_columns(machine), ranges.full, machine.mechanism.cycle, even[0], even[-1]
     passed = np.array([position.crank_angle for position in ranges.followed])
 
-    def values(angles: Array, side: int = 1) -> Array:
+    def values(angles: Array, side: int = 1, machine: Machine = machine) -> Array:
         record = MotionColumns(machine.moving(angles, speed, side=side))
         apart = np.abs(np.remainder(angles[:, None] - passed + 0.5 * cycle, cycle) - 0.5 * cycle)
         singular = record.singular | np.any(apart < ROUNDED, axis=1)
@@ -220,7 +223,7 @@ def _extremes(
     names = [name for name in scanned.columns if not name.endswith(".angle_rad")]
     names += [name for name, _, _ in pins]
     nearly_zero = _least_forces(scanned, even, pins)
-    grid = distinct(np.concatenate([even, work.breaks, nearly_zero]))
+    grid = distinct(np.concatenate([even, work.breaks, work.peaks, nearly_zero]))
     at, best = extremes(values, grid, tuple(work.breaks), [name.rpartition("_")[2] for name in names], periodic=full)
     if work.jumps.size:
         before = values(work.jumps, side=-1)
@@ -237,8 +240,10 @@ def _extremes(
     found = {
         name: Extreme(float(best[i, 0]), placed(at[i, 0]), float(best[i, 1]), placed(at[i, 1])) for i, name in enumerate(names)
     }
-    if without.size:
+    if without.size or work.poles:
         known = np.all(np.isfinite(values(without)), axis=1)
+        if work.poles:
+            known &= np.isfinite(values(low[None], machine=without_values(machine, work.poles)))[:, 0]
         return {name: found[name] for name, whole in zip(names, known, strict=True) if whole}
     inside = grid[(grid >= low) & (grid <= high)]
     turning = zeros(lambda angles: work.torque(angles)[None, :], inside)[0]
@@ -347,7 +352,7 @@ def _shown(angles: Array) -> str:
     return ", ".join(f"{math.degrees(angle):.6g}" for angle in angles[:6]) + (" ..." if angles.size > 6 else "") + " deg"
 
 
-def _missing_notes(machine: Machine, jammed: Array, undefined: Array, speed: float) -> Iterator[str]:
+def _missing_notes(machine: Machine, jammed: Array, undefined: Array, speed: float, poles: Mapping[str, Array]) -> Iterator[str]:
     """Yield notes on the positions without forces: friction has no solution or several, or a load has no finite value."""
     several = np.broadcast_to(MotionColumns(machine.moving(jammed, speed)).reactions.several, jammed.shape).astype(bool)
     columns = MotionColumns(machine.moving(undefined, speed)).columns
@@ -360,7 +365,9 @@ def _missing_notes(machine: Machine, jammed: Array, undefined: Array, speed: flo
     ):
         if angles.size:
             yield f"{what} at crank angle {_shown(angles)}"
-    if jammed.size or undefined.size:
+    for name, angles in poles.items():
+        yield f"{name} grows without bound at crank angle {_shown(angles)}"
+    if jammed.size or undefined.size or poles:
         yield "extremes of the forces that have no value there, and works, are left out"
 
 

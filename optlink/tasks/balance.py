@@ -17,6 +17,7 @@ from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.counterweights import Affine, BalanceMeasure, Effects, quantities, quantities_of, with_counterweight
 from optlink.dynamics.inertia import Inertia, Parameters
 from optlink.dynamics.machine import Machine
+from optlink.dynamics.poles import poles
 from optlink.errors import InputError
 from optlink.linkage.vector2d import Array
 from optlink.optimization.pareto_front import knee
@@ -40,7 +41,6 @@ from optlink.tasks.results.balance_limits import active_limit, relaxed_limit
 from optlink.units import percent
 
 Progress = Callable[[float], None]
-
 
 # --- the problem ------------------------------------------------------------------------------------------------------------
 
@@ -98,9 +98,9 @@ class _Task:
 
     def _check_finite(self) -> None:
         record = MotionColumns(self.moving)
-        bad = record.singular | record.jammed | record.undefined
-        if np.any(bad):
-            where = ", ".join(f"{math.degrees(a):.6g}" for a in self.angles[bad][:3])
+        bad = [*self.angles[record.singular | record.jammed | record.undefined], *poles(self.machine, self.angles, self.speed)]
+        if bad:
+            where = ", ".join(f"{math.degrees(a):.6g}" for a in bad[:3])
             raise InputError(
                 f"no finite reactions at crank angle {where} deg, so it cannot be balanced there",
                 "`optlink analyze` gives the reason; keep away from singular positions",

@@ -175,7 +175,7 @@ def batch_extremes(
     Parameters
     ----------
     problem : ProblemFile
-        Its machine has no loads that jump (`Machine.switching`) or have corners (`Machine.tabulated`).
+        Its machine has no loads that jump (`Machine.switching`) or have corners (`Machine.cornered`).
     designs : mapping of quantity to array (designs,) [SI]
         Quantities that are not named keep their value.
     columns : sequence of str

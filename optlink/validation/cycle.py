@@ -13,7 +13,7 @@ from optlink.dynamics.inertia import Parameters
 from optlink.dynamics.loads import Acting, Steady
 from optlink.dynamics.machine import Machine, Moving, slider_names
 from optlink.dynamics.work import NODES, WEIGHTS, Work, gauss_points
-from optlink.linkage.extrema import extremes, maxima
+from optlink.linkage.extrema import distinct, extremes, maxima
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.stroke import Travel, reachable, travels
 from optlink.linkage.vector2d import TURN, Array, turn
@@ -179,7 +179,8 @@ class Cycle:
             return np.array([score(read(record)) for score, read in reads])
 
         breaks = tuple(np.remainder(self.work.breaks, TURN))
-        found = maxima(values, np.linspace(0.0, TURN, POSITIONS + 1), breaks, periodic=True)[1]
+        grid = distinct(np.concatenate([np.linspace(0.0, TURN, POSITIONS + 1), np.remainder(self.work.peaks, TURN)]))
+        found = maxima(values, grid, breaks, periodic=True)[1]
         if jumps.size:
             found = np.maximum(found, np.nanmax(values(jumps, side=-1), axis=1))
         return np.where([term.how == "least" for term in terms], -found, found)
@@ -308,7 +309,7 @@ def _motion(tested: Cycle) -> Iterator[Check]:
 
     yield from alignment_checks(placed, grid, tested.problem.limits, "the revolution")
     record = MotionColumns(tested.machine.moving(grid, tested.speed))
-    good = not np.any(record.singular | record.jammed | record.undefined)
+    good = not np.any(record.singular | record.jammed | record.undefined) and not tested.work.poles
     yield Check("finite forces over the revolution", bool(good), float(good), "= 1", "")
     if tested.machine.inertias or tested.machine.loads:
         gap = tested.imbalance()

@@ -22,6 +22,7 @@ from optlink.linkage import stroke as cycle
 from optlink.linkage.extrema import extremes, zeros
 from optlink.linkage.fourbar import four_bar, grashof, reachable as four_bar_reachable
 from optlink.problem.function import DesignProblem
+from optlink.studies.sweep import sweep
 from optlink.tasks.machine import machine_of
 from tests.clearance.test_joint_clearance import ending_after
 
@@ -547,6 +548,71 @@ def test_load_without_a_value_between_the_rows_is_reported_and_has_no_extremes()
     assert {"input.torque_Nm", "press.fx_N", "B.f_N"}.isdisjoint(result.extremes)
     assert result.flywheel is None
     assert not result.sound
+
+
+def on_the_crank(torque):
+    """The slider-crank with a torque on its crank over a revolution from 30 deg."""
+    changes = {
+        "loads.brake": {"on": "crank", "torque": {"expression": torque, "unit": "N*m"}},
+        "drive.fluctuation": 0.02,
+        "drive.start": "30 deg",
+    }
+    return optlink.load("slider-crank").override(changes)
+
+
+@pytest.mark.parametrize(
+    ("torque", "poles"),
+    [
+        ("1/(theta - 1.0)", [1.0]),  # two infinite ends of opposite sign
+        ("1e-6/(phi - 2.0)^2", [2.0]),  # its denominator touches zero
+        ("(1 + cos(phi - 0.1))^-0.5", [math.pi + 0.1]),
+        ("tan(phi)", [0.5 * math.pi, 1.5 * math.pi]),
+        ("log(abs(phi - 1.0))", [1.0]),
+    ],
+)
+def test_load_with_a_pole_between_the_rows_is_reported_and_has_no_extremes(torque, poles):
+    result = optlink.analyze(on_the_crank(torque), points=77)
+    assert np.all(np.isfinite(result["input.torque_Nm"]))
+    np.testing.assert_allclose(result.undefined, poles, atol=1e-6)
+    where = ", ".join(f"{math.degrees(pole):.6g}" for pole in poles)
+    assert result.notes[0] == f"brake grows without bound at crank angle {where} deg"
+    assert {"input.torque_Nm", "brake.torque_Nm", "input.work_J"}.isdisjoint(result.extremes)
+    assert {"slider.s_m", "B.f_N"} <= set(result.extremes)  # they do not depend on it
+    assert not result.sound
+    assert math.isnan(result.work)
+    assert result.flywheel is None
+
+
+def test_sweep_of_a_machine_with_a_pole_in_a_load_has_no_figures():
+    table = sweep(on_the_crank("1/(theta - 1.0)"), ["mechanism.links.rod.length=300..310 mm:2"], analyze=True)
+    assert list(table.columns["status"]) == ["no finite reactions"] * 2
+    assert "a load has no finite value at crank angle 57.2958 deg" in table.columns["reason"][0]
+
+
+@pytest.mark.parametrize(
+    ("torque", "integral", "largest"),
+    [
+        ("sin(phi - 1.0)/(phi - 1.0)", None, None),  # no pole
+        ("5*abs(phi - 1.0)/(phi - 1.0)", 5.0 * (TURN + math.radians(60.0) - 2.0), 5.0),  # jumps
+        ("2/(phi/2 - 1.0001)^0", 2.0 * TURN, 2.0),
+        ("1/((phi - 1.0)^2 + 1e-8)", None, 1e8),  # a peak of 0.006 deg
+        ("abs(cos(phi))", 4.0, 1.0),
+    ],
+)
+def test_work_and_extremes_of_a_load_with_corners_jumps_and_peaks(torque, integral, largest):
+    result = optlink.analyze(on_the_crank(torque).override({"bodies": {}}), points=8)
+    low, high = math.radians(30.0) - 1.0, math.radians(390.0) - 1.0
+    if integral is None:
+        integral = si(high) - si(low) if largest is None else 1e4 * (math.atan(high * 1e4) - math.atan(low * 1e4))
+    assert result.sound
+    assert result.work == pytest.approx(-integral, rel=1e-11)
+    if largest is not None:
+        assert result.extremes["brake.torque_Nm"].largest == pytest.approx(largest, rel=1e-9)
+
+
+def si(x):
+    """The sine integral, by its series."""
+    return math.fsum((-1.0) ** k * x ** (2 * k + 1) / ((2 * k + 1) * math.factorial(2 * k + 1)) for k in range(30))
 
 
 def tangent_mechanism(height):

@@ -944,6 +944,12 @@ def test_friction_is_refused_where_it_is_not_linear():
     assert optlink.balance(optlink.load("slider-crank", {**changes, "mechanism.guides.F.friction": 0.1})).proven
 
 
+def test_a_load_with_a_pole_between_the_positions_is_refused():
+    load = {"on": "rocker", "torque": {"expression": "1/(phi - 1.0)", "unit": "N*m"}}
+    with pytest.raises(optlink.InputError, match=r"no finite reactions at crank angle 57\.2958 deg"):
+        optlink.balance(optlink.load("balance-four-bar", {"loads.field": load}))
+
+
 def test_nothing_to_balance_is_said():
     file = optlink.load("balance-four-bar", {"bodies": {"coupler": {"mass": "0 kg"}}})
     with pytest.raises(optlink.InputError, match="zero: there is nothing"):

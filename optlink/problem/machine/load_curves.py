@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -50,6 +51,15 @@ class Formula:
         """Return the value [SI]."""
         return self.expression(known) * self.size
 
+    @property
+    def cornered(self) -> bool:
+        """Whether the value may have a pole, a jump or a corner."""
+        return bool(self.breakpoints({name: np.zeros(1) for name in self.expression.names}))
+
+    def breakpoints(self, known: Mapping[str, Value]) -> list[Value]:
+        """Return quantities at whose zeros the value may have a pole, a jump or a corner, see `Expression.breakpoints`."""
+        return self.expression.breakpoints(known)
+
 
 @dataclass(frozen=True)
 class Curve:
@@ -58,6 +68,7 @@ class Curve:
     over: str
     at: tuple[float, ...]
     values: tuple[float, ...]
+    cornered: ClassVar[bool] = True
 
     def __str__(self) -> str:
         return f"a table over {self.over}, {len(self.at)} rows"

@@ -105,7 +105,7 @@ class Expression:
             denominator = right if sign == "/" else left
             if sign == "tan":
                 denominator = np.cos(left)
-            elif sign == "^" and not np.any(np.asarray(right) < 0.0):
+            elif sign not in "/^" or (sign == "^" and not np.any(np.asarray(right) < 0.0)):
                 return
             array = np.atleast_1d(np.asarray(denominator, dtype=float))
             if np.any(array == 0.0) or (np.any(array < 0.0) and np.any(array > 0.0)):
@@ -119,6 +119,30 @@ class Expression:
             return "has no finite real value (a root or logarithm of a negative number, or an overflow)"
         return None
 
+    def breakpoints(self, values: Mapping[str, Value]) -> list[Value]:
+        """Return quantities at whose zeros the value may have a pole, a jump, a corner or an end of its domain.
+
+        They are denominators, bases of powers that are no whole numbers above zero, and arguments of roots, logarithms and
+        absolute values; those that are constant over arrays of values are left out.
+        """
+        found: list[Value] = []
+
+        def watch(sign: str, left: Any, right: Any) -> None:
+            if sign == "/":
+                found.append(right)
+            elif sign == "^":
+                if np.ndim(right) or right <= 0.0 or right % 1.0:
+                    found.append(left)
+            elif sign == "tan":
+                found.append(np.cos(left))
+            elif sign in ("asin", "acos"):
+                found.append(1.0 - left * left)
+            elif sign in ("sqrt", "log", "log10", "abs"):
+                found.append(left)
+
+        self._run(values, watch)
+        return [value for value in found if np.ndim(value)]
+
     def _run(self, values: Mapping[str, Value], watch: Callable[[str, Any, Any], None] | None) -> Value:
         stack: list[Value] = []
         with np.errstate(all="ignore"):
@@ -131,8 +155,8 @@ class Expression:
                     stack.append(-stack.pop())
                 elif kind == "function":
                     x = stack.pop()
-                    if watch and what == "tan":
-                        watch("tan", x, None)
+                    if watch:
+                        watch(what, x, None)
                     stack.append(FUNCTIONS[what](x))
                 else:
                     right, left = stack.pop(), stack.pop()
