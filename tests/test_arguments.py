@@ -96,5 +96,24 @@ def test_numbers_of_numpy_and_whole_floats_are_numbers() -> None:
     found = used(np.int64(3), np.float32(0.5), np.bool_(True), "out", more=np.float64(2))
     assert found == (3, 0.5, True, Path("out"), 2.0)
     assert [type(value) for value in found] == [int, float, bool, type(Path()), float]
-    with pytest.raises(TypeError, match="unexpected keyword"):
-        used(3, 0.5, True, other=1)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: optlink.simulate(MACHINE, time=3), r"time = 3: unknown argument of simulate\. Known: problem, duration, rows,"),
+        (lambda: optlink.solve(LAW, start=3), r'start = 3: unknown argument of solve\. Did you mean "starts"\?'),
+        (lambda: optlink.load("crank-rocker", override={}), 'unknown argument of load. Did you mean "overrides"?'),
+        (lambda: LAW.override(crank="1 m"), r'crank = "1 m": unknown argument of override\. Did you mean "changes"\?'),
+        (lambda: optlink.analyze(), "problem: analyze needs this argument"),
+        (lambda: optlink.analyze(MACHINE, problem=MACHINE), "problem: given twice to analyze"),
+        (lambda: LAW.override({}, {}), "override takes at most 1 arguments without a name"),
+        (lambda: optlink.balance(MACHINE, minimize="force"), 'Did you mean "minimise"?'),
+        (lambda: sweep(MACHINE, SPEEDS, point=3), 'point = 3: unknown argument of sweep. Did you mean "points"?'),
+        (lambda: sweep(CLEARANCE, SPEEDS, simulate={"turns": 3}), "turns = 3: unknown"),
+    ],
+)
+def test_unknown_and_missing_arguments_are_refused_in_one_sentence(call, message) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        call()
+    assert len(str(caught.value).splitlines()) == 1

@@ -6,7 +6,7 @@ import functools
 import inspect
 import types
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ParamSpec, TypeVar
 
@@ -14,6 +14,7 @@ import numpy as np
 import pydantic
 
 from optlink.errors import Fault, InputError
+from optlink.problem.quantity import nearest
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -35,7 +36,10 @@ WRONG = {
 
 
 def typed(function: Callable[P, R]) -> Callable[P, R]:
-    """Refuse arguments that are not of the types of a function's annotations, and convert numbers of numpy to those of Python."""
+    """Refuse unknown and missing arguments, and those that are not of the types of a function's annotations.
+
+    Numbers of numpy are converted to those of Python.
+    """
     signature = inspect.signature(function)
 
     @functools.cache
@@ -49,7 +53,10 @@ def typed(function: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        bound = signature.bind(*args, **kwargs)
+        try:
+            bound = signature.bind(*args, **kwargs)
+        except TypeError:
+            raise InputError(_faults_of_call(function.__name__, signature, args, kwargs)) from None
         bound.apply_defaults()
         given = {name: value.item() if isinstance(value, np.generic) else value for name, value in bound.arguments.items()}
         try:
@@ -60,6 +67,29 @@ def typed(function: Callable[P, R]) -> Callable[P, R]:
         return function(*bound.args, **bound.kwargs)
 
     return call
+
+
+def _faults_of_call(
+    function: str, signature: inspect.Signature, args: Sequence[object], kwargs: Mapping[str, object]
+) -> list[Fault]:
+    """Return the faults of a call whose arguments are not those of the function: unknown, given twice, too many, or missing."""
+    parameters = {name: parameter for name, parameter in signature.parameters.items() if name != "self"}
+    names, given = list(parameters), len(args) - (len(parameters) < len(signature.parameters))
+    places = sum(parameter.kind is not inspect.Parameter.KEYWORD_ONLY for parameter in parameters.values())
+    remedy = f"Known: {', '.join(names)}"
+    unknown = [
+        Fault(f"unknown argument of {function}", nearest(name, names), key=name, value=value)
+        for name, value in kwargs.items()
+        if name not in parameters
+    ]
+    twice = [Fault(f"given twice to {function}", "Give it once", key=name) for name in names[:given] if name in kwargs]
+    many = [Fault(f"{function} takes at most {places} arguments without a name", remedy)] if given > places else []
+    missing = [
+        Fault(f"{function} needs this argument", remedy, key=name)
+        for name in names[given:]
+        if name not in kwargs and parameters[name].default is inspect.Parameter.empty
+    ]
+    return [*unknown, *twice, *many] or missing
 
 
 def _accepted(hint: Any) -> Any:
