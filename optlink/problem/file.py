@@ -28,6 +28,7 @@ from optlink.problem.quantity import input_of, nearest
 from optlink.problem.tolerances import with_tolerance
 
 MAX_BYTES = 1_000_000
+MOST_NESTED = 50
 STROKE = "stroke"
 REQUIREMENTS = ("function", "path", "motion", "transmission", STROKE)
 """Kinds of requirements."""
@@ -207,7 +208,7 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
     load_extensions()
     where = folder or Path()
     raw = _without_arrays(raw)
-    _check_integers(raw, file)
+    _check_values(raw, file)
     raw = _typed(with_ranges(with_spellings(raw), skip=WORDS))
     model = _model(raw, file)
     try:
@@ -247,17 +248,20 @@ def _model(raw: Mapping[str, Any], file: str) -> type[Problem]:
     return DesignProblem if "requirement" in raw or "limits" in raw else Problem
 
 
-def _check_integers(raw: Mapping[str, Any], file: str) -> None:
-    """Refuse integers beyond the 64 bits of TOML at any level."""
-    todo: list[tuple[str, object]] = [("", raw)]
+def _check_values(raw: Mapping[str, Any], file: str) -> None:
+    """Refuse integers beyond the 64 bits of TOML at any level, and tables or lists that are nested too deep."""
+    todo: list[tuple[str, object, int]] = [("", raw, 0)]
     while todo:
-        key, value = todo.pop()
+        key, value, depth = todo.pop()
         if isinstance(value, int) and value.bit_length() > 64:
             raise InputError("the number is too large", "Write a number of at most 19 digits", file, key, value)
+        if depth > MOST_NESTED:
+            where = ".".join(key.split(".")[:3]).partition("[")[0]
+            raise InputError(f"nested more than {MOST_NESTED} deep", "Simplify it", file, where)
         if isinstance(value, Mapping):
-            todo += [(f"{key}.{name}" if key else str(name), item) for name, item in value.items()]
+            todo += [(f"{key}.{name}" if key else str(name), item, depth + 1) for name, item in value.items()]
         elif isinstance(value, list | tuple):
-            todo += [(f"{key}[{place}]", item) for place, item in enumerate(value)]
+            todo += [(f"{key}[{place}]", item, depth + 1) for place, item in enumerate(value)]
 
 
 def _typed(raw: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -310,7 +314,9 @@ def _read_toml(path: Path) -> dict[str, Any]:
         kind = " (it is UTF-16)" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else ""
         raise InputError(f"not UTF-8 text: byte {error.start}{kind}", "Save the file as UTF-8", file) from None
     try:
-        return tomllib.loads(text)
+        raw = tomllib.loads(text)
+        _check_values(raw, file)
+        return raw
     except RecursionError:
         raise InputError("brackets are nested too deep", "Simplify the file", file) from None
     except ValueError as error:  # TOMLDecodeError, and integers of thousands of digits

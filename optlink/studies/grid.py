@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from optlink.errors import InputError
 from optlink.problem.base_model import Record
-from optlink.problem.file import ProblemFile
+from optlink.problem.file import WORDS, ProblemFile
 from optlink.studies.toml_keys import Raw, exact_text
 from optlink.units import plain
 
@@ -259,6 +259,9 @@ def read_grid(problem: ProblemFile, vary: Sequence[str]) -> Grid:
             "--vary",
         )
     for axis in grid.axes:  # one by one, so that the error names the axis
+        if axis.key.partition(".")[0] in WORDS:
+            remedy = 'Vary a quantity, for example mechanism.frame="450..550 mm:101"'
+            raise InputError("no result depends on this key", remedy, problem.file, f"--vary {axis.key}")
         for at in {axis.values.index(end) for end in (min(axis.values), max(axis.values))}:
             with _of_axis(axis):
                 problem.override({axis.key: axis.raw(at)})

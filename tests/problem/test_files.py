@@ -285,6 +285,24 @@ def test_bad_assignments(text):
         parse_assignment(text)
 
 
+@pytest.mark.parametrize("nest", [lambda inner: {"a": inner}, lambda inner: [inner]], ids=["tables", "lists"])
+def test_values_that_are_nested_deep_are_refused(nest, crank_rocker, tmp_path):
+    deep = nest(3)
+    for _ in range(5000):
+        deep = nest(deep)
+    file = tmp_path / "deep.toml"
+    file.write_text(f"[mechanism.{'.'.join('a' * 5000)}]\n")
+    for refused in (
+        lambda: optlink.read({"mechanism": deep}),
+        lambda: optlink.load("crank-rocker", {"mechanism.crank": deep}),
+        lambda: crank_rocker.override({"mechanism.crank": deep}),
+        lambda: optlink.load(str(file)),
+    ):
+        with pytest.raises(InputError, match=r"mechanism.*: nested more than 50 deep") as error:
+            refused()
+        assert len(str(error.value)) < 200
+
+
 JUNK = [
     *(None, True, -1, 0, 1e308, -0.0, math.nan, math.inf, 10**30, "", " ", "mm", "1 mm", "-5 mm", "1e-300 m", "1e300 km"),
     *("5 deg", "90 rpm", "\0", "phi", "__import__('os')", "((", "9" * 400, "9" * 400 + " mm", "5 mm mm", "5 m*m/m", "5 /mm"),

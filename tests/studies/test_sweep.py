@@ -122,6 +122,12 @@ def test_a_million_million_points_are_refused_with_their_size():
     assert "GB" in text
 
 
+@pytest.mark.parametrize("axis", ["about=1..2 mm:3", "title=1 mm, 2 mm", "report.author=1..2 s:2", "expected.objective=1, 2"])
+def test_texts_and_expected_results_are_not_varied(axis):
+    with pytest.raises(InputError, match=f"--vary {axis.partition('=')[0]}: no result depends on this key"):
+        read_grid(problem(), [axis])
+
+
 def test_nothing_and_twice_are_no_grids():
     with pytest.raises(InputError, match="no parameter is varied"):
         read_grid(problem(), [])
