@@ -130,8 +130,15 @@ def tuning(outcome: Tuning) -> Summary:
         rows.append(("best parameters", fixed(outcome.cost * factor, 4)))
         rows.append(("scatter between starts", fixed(outcome.scatter * factor, 4)))
         lines = [good("Use them: " + " ".join(f'--set control.{name}="{value}"' for name, value in outcome.best.items()))]
-        if outcome.before - outcome.cost < 2.0 * outcome.scatter:
-            lines.append(bad("Note: the gain is less than twice the scatter; check it with other seeds and more starts"))
+        if outcome.check is not None:
+            before, best = outcome.check
+            rows.append(("from other starts: parameters of the problem", fixed(before.mean * factor, 4)))
+            rows.append(("from other starts: best parameters", fixed(best.mean * factor, 4)))
+            rows.append(("from other starts: scatter", fixed(best.scatter * factor, 4)))
+            if not (best.mean < before.mean or math.isnan(before.mean)):
+                lines = [bad("The best parameters are not better from other starts: the gain is an accident of these starts")]
+            elif before.mean - best.mean < 2.0 * best.scatter:
+                lines.append(bad("Note: the gain from other starts is less than twice the scatter; check it with more starts"))
         words = Paragraph(*lines)
     costs = table("Mean root mean square of the deviation", ["", f">{displayed}"], rows)
     return summary(outcome.problem.model.title, [f"{outcome.control}: {runs}", tried], costs, words)

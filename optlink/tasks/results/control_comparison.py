@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from annotated_types import MinLen
 from pydantic import Field, model_validator
 
 from optlink.linkage.vector2d import Array
-from optlink.problem.base_model import Column, Columns, Number, Record, Recorded, ResultRecord, check_length
+from optlink.problem.base_model import Column, Columns, Number, Record, Recorded, ResultRecord, absent, check_length
 from optlink.problem.file import ProblemFile
 from optlink.tasks.results.clearance import ClearanceSimulation
 
@@ -108,6 +108,15 @@ class Comparison(Recorded):
         return 1.0 - self.trials[kind].mean / self.trials["none"].mean
 
 
+class OtherStarts(Record):
+    """Mean rms error and scatter between starts that the search did not use: parameters of the problem, and best ones (SI)."""
+
+    before: Number
+    before_scatter: Number
+    cost: Number
+    scatter: Number
+
+
 class TuningRecord(ResultRecord):
     """Document of a tuning (SI)."""
 
@@ -124,6 +133,24 @@ class TuningRecord(ResultRecord):
     tried: Columns
     costs: Column
     scatters: Column
+    other_starts: OtherStarts | None = absent()
+
+    @classmethod
+    def of(cls, result: Tuning, **values: Any) -> Self:
+        """As `Record.of`, with the figures from other starts.
+
+        Parameters
+        ----------
+        result : Tuning
+        **values
+            Values of fields, in place of those of the result.
+        """
+        if result.check is not None:
+            before, best = result.check
+            values["other_starts"] = OtherStarts(
+                before=before.mean, before_scatter=before.scatter, cost=best.mean, scatter=best.scatter
+            )
+        return super().of(result, **values)
 
 
 @dataclass(frozen=True, repr=False)
@@ -132,7 +159,9 @@ class Tuning(Recorded):
 
     `problem`: the problem with the `best` values, which are empty if its own were better. The cost is the mean rms
     error over the starts; costs that differ by less than the scatter are equivalent. It is infinite if a run
-    stalled, or if the mean exceeds the best so far: the runs then stop early.
+    stalled, or if the mean exceeds the best so far: the runs then stop early. `check`: figures from as many starts that the
+    search did not use (those of the next seed), with the parameters of the problem and with the best ones; None if its own are
+    the best.
     """
 
     record = TuningRecord
@@ -150,6 +179,7 @@ class Tuning(Recorded):
     seed: int = 0
     revolutions: int = 11
     unit: str = "m"
+    check: tuple[Trials, Trials] | None = None
 
     @property
     def finished(self) -> bool:
