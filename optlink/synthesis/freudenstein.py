@@ -23,7 +23,6 @@ from optlink.synthesis.freudenstein_convex import CLOSE, Refinement
 from optlink.synthesis.freudenstein_fit import Cells, FitProblem, Keep, distinct_cells, fit, scan, step_of, zoom
 from optlink.synthesis.loop_equations import EXACT, LoopEquation, linear_form
 
-MEASURES = ("sum of squares", "rms", "max")
 UNLIMITED = (1e-3, 1e3)  # ratios beyond a thousand are not practical
 APART = 3.0  # least distance of two distinct start positions, in grid steps
 SPARE = 2  # `SPARE * count` start positions are refined, as some coincide afterwards
@@ -83,33 +82,6 @@ def _search(task: FitProblem, x0: Array, y0: Array, count: int) -> list[tuple[Ce
     return sorted(found, key=lambda one: (max(float(one[0].error), EXACT), -float(one[0].margin)))
 
 
-def _read(x: ArrayLike, y: ArrayLike, measure: str, ratios: tuple[float, float] | None, count: int) -> tuple[Array, Array]:
-    """Check and return the target rotations and outputs."""
-    one, other = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
-    if one.ndim != 1 or one.shape != other.shape:
-        raise ValueError(f"phi and psi are two lists of the same length, not of shapes {one.shape} and {other.shape}")
-    if not (np.all(np.isfinite(one)) and np.all(np.isfinite(other))):
-        raise ValueError("phi and psi must be finite")
-    if np.unique(one).size < 3:
-        raise ValueError("three positions at least, at different phi: fewer do not determine the three constants")
-    if np.ptp(other) == 0.0:
-        raise ValueError("psi is constant: an output that does not move needs no linkage")
-    if measure not in MEASURES:
-        raise ValueError(f"measure is one of {', '.join(MEASURES)}, not {measure!r}")
-    if ratios is not None and not 0.0 < ratios[0] < ratios[1] < math.inf:
-        raise ValueError(f"ratios are two positive numbers, the lower one first, not {ratios}")
-    if count < 1:
-        raise ValueError(f"count is 1 or more, not {count}")
-    return one, other
-
-
-def _grid(values: ArrayLike, what: str) -> Array:
-    grid = np.unique(np.asarray(values, dtype=float))
-    if grid.size == 0 or not np.all(np.isfinite(grid)):
-        raise ValueError(f"{what} must be one or more finite numbers")
-    return grid
-
-
 def _range(grid: Array) -> tuple[float, float]:
     return float(grid[0]), float(grid[-1])
 
@@ -125,7 +97,7 @@ def first_steps(
     phi0: ArrayLike,
     psi0: ArrayLike,
     measure: str = "max",
-    ratios: tuple[float, float] | None = None,
+    ratios: tuple[float, float] = UNLIMITED,
     count: int = 5,
     *,
     shift: bool = True,
@@ -136,13 +108,13 @@ def first_steps(
     Parameters
     ----------
     phi, psi : array (n,) [rad]
-        Target rotations of crank and rocker from their starts; n >= 3.
+        Target rotations of crank and rocker from their starts: three different ones of the crank at least, and the rocker moves.
     phi0, psi0 : float or array (p,), (q,) [rad]
         Start angles to scan; several values form a grid, which is refined around its best points.
     measure : "max", "rms" or "sum of squares"
         Measure of the output error.
-    ratios : (low, high) [-], optional
-        Limits of crank, coupler and rocker over the frame. Default: `UNLIMITED`.
+    ratios : (low, high) [-]
+        Limits of crank, coupler and rocker over the frame.
     count : int
         Largest number of linkages; their starts are at least `APART` grid steps apart or have different assembly modes.
     shift : bool
@@ -157,15 +129,11 @@ def first_steps(
     list of FirstStep
         By increasing error; empty if no start gives a linkage that keeps its assembly mode over the whole range.
 
-    Raises
-    ------
-    ValueError
-        For fewer than three positions, a constant psi, a non-finite value, or an option out of range.
     """
-    x, y = _read(phi, psi, measure, ratios, count)
-    grids = _grid(phi0, "phi0"), _grid(psi0, "psi0")
+    x, y = np.asarray(phi, dtype=float), np.asarray(psi, dtype=float)
+    grids = np.unique(np.asarray(phi0, dtype=float)), np.unique(np.asarray(psi0, dtype=float))
     ranges = (ANYWHERE, ANYWHERE) if shift else (_range(grids[0]), _range(grids[1]))
-    task = FitProblem(LoopEquation(ratios or UNLIMITED), x, y, measure == "max", shift, keep, *ranges)
+    task = FitProblem(LoopEquation(ratios), x, y, measure == "max", shift, keep, *ranges)
     return [_step(task, cell, own) for cell, own in _search(task, *grids, count)]
 
 
@@ -175,7 +143,7 @@ def fit_pairs(
     phi0: ArrayLike,
     psi0: ArrayLike,
     measure: str = "max",
-    ratios: tuple[float, float] | None = None,
+    ratios: tuple[float, float] = UNLIMITED,
     *,
     shift: bool = True,
     keep: Keep | None = None,
@@ -190,14 +158,9 @@ def fit_pairs(
         Pairs of start angles.
     measure, ratios, shift, keep
         As in `first_steps`.
-
-    Raises
-    ------
-    ValueError
-        As in `first_steps`.
     """
-    x, y = _read(phi, psi, measure, ratios, 1)
-    task = FitProblem(LoopEquation(ratios or UNLIMITED), x, y, measure == "max", shift, keep, ANYWHERE, ANYWHERE)
+    x, y = np.asarray(phi, dtype=float), np.asarray(psi, dtype=float)
+    task = FitProblem(LoopEquation(ratios), x, y, measure == "max", shift, keep, ANYWHERE, ANYWHERE)
     cells = fit(task, np.asarray(phi0, dtype=float), np.asarray(psi0, dtype=float))
     cells = cells[np.isfinite(cells.error)]
     own = {"residual": math.nan, "bound": 0.0, "proven": False, "status": "fit"}

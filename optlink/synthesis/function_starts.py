@@ -14,12 +14,26 @@ from optlink.linkage.vector2d import TURN, Array, unit
 from optlink.problem.function import DesignProblem
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.function import Function
-from optlink.synthesis.freudenstein import FirstStep, first_steps, fit_pairs
+from optlink.synthesis.freudenstein import UNLIMITED, FirstStep, first_steps, fit_pairs
 
 COUNT = 5  # first designs used as starting points
 BLOCK, BLOCKS = 1024, 8  # random start angles per block, and number of blocks
 GRID = 36  # start angles of crank and rocker that are scanned, each over half a turn
 WIDER = 2.0 * math.pi / 180.0  # relaxation of the transmission-angle limits: the nearest start may just violate them
+
+
+def fittable(problem: DesignProblem) -> bool:
+    """Return whether a function has convex first designs: free lengths, a range of ratios, and three positions at least."""
+    if not isinstance(problem.requirement.law, Function) or not all(problem.quantities[name].free for name in LENGTHS[:3]):
+        return False
+    low, high = _ratios(problem)
+    return low < high and len(problem.law.offsets) > 2
+
+
+def _ratios(problem: DesignProblem) -> tuple[float, float]:
+    """Return the limits of crank, coupler and rocker over the frame."""
+    ratio = problem.limits.link_ratio
+    return UNLIMITED if ratio is None else (ratio.low or UNLIMITED[0], ratio.high or UNLIMITED[1])
 
 
 def steps(problem: DesignProblem, count: int = COUNT) -> list[FirstStep]:
@@ -77,10 +91,8 @@ def _ranges(problem: DesignProblem) -> tuple[bool, list[tuple[float, float]]]:
 
 def _options(problem: DesignProblem, free: bool) -> dict[str, Any]:
     """Return the options of `first_steps`."""
-    ratio = problem.limits.link_ratio
-    ratios = None if ratio is None else (ratio.low or 1e-3, ratio.high or 1e3)
     keep = _keep(problem, problem.law.offsets)
-    return {"measure": problem.measure, "ratios": ratios, "shift": free, "keep": keep}
+    return {"measure": problem.measure, "ratios": _ratios(problem), "shift": free, "keep": keep}
 
 
 def values(problem: DesignProblem, step: FirstStep) -> dict[str, float]:

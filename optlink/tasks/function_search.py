@@ -115,10 +115,10 @@ def start_sequence(problem: DesignProblem, nlp: NLP, seed: int, begin: Mapping[s
     def bounds() -> Iterator[SearchStart]:
         return (SearchStart(x, drawn=True, close=False) for x in multistart.sobol(nlp.x_low, nlp.x_high, seed))
 
-    if not isinstance(problem.requirement.law, Function) or not all(problem.quantities[name].free for name in LENGTHS[:3]):
-        return StartSequence([given], bounds, None)
     from optlink.synthesis import function_starts
 
+    if not function_starts.fittable(problem):
+        return StartSequence([given], bounds, None)
     steps = function_starts.steps(problem)
     first = [SearchStart(nlp.x_of(function_starts.values(problem, step)), drawn=False, close=True) for step in steps]
 

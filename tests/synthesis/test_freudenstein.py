@@ -10,11 +10,14 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog, lsq_linear
 
+import optlink
 from optlink.linkage.fourbar import four_bar
 from optlink.linkage.motion import sweep
+from optlink.optimization.nlp import build
 from optlink.synthesis import freudenstein_convex
 from optlink.synthesis.freudenstein import FirstStep, first_steps
 from optlink.synthesis.loop_equations import LoopEquation
+from optlink.tasks.function_search import start_sequence
 from tests.tiers import mostly_slow
 
 DEGREE = math.radians(1.0)
@@ -379,26 +382,17 @@ def test_a_lying_solver_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None
     assert (silent.status, silent.bound, silent.proven) == ("no answer", 0.0, False)
 
 
-# --- what cannot be used ---------------------------------------------------------------------------------------------
+# --- what has no convex first designs ----------------------------------------------------------------------------------
 
 
-def test_unusable_input_is_named() -> None:
-    phi, psi = wanted("log10")
-    for arguments, word in [
-        ((phi[:2], psi[:2], 0.5, 0.5), "three positions"),
-        (([0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 1.0, 1.0], 0.5, 0.5), "three positions"),
-        ((phi, 0.0 * psi, 0.5, 0.5), "constant"),
-        ((phi, psi[:-1], 0.5, 0.5), "same length"),
-        ((phi, np.where(psi > 0.5, np.nan, psi), 0.5, 0.5), "finite"),
-        ((phi, psi, [], 0.5), "phi0"),
-        ((phi, psi, 0.5, np.inf), "psi0"),
-        ((phi, psi, 0.5, 0.5, "largest"), "measure"),
-        ((phi, psi, 0.5, 0.5, "max", (2.0, 1.0)), "ratios"),
-        ((phi, psi, 0.5, 0.5, "max", (0.0, 1.0)), "ratios"),
-        ((phi, psi, 0.5, 0.5, "max", None, 0), "count"),
-    ]:
-        with pytest.raises(ValueError, match=word):
-            first_steps(*arguments)
+@pytest.mark.parametrize("change", [{"requirement.points": 1}, {"limits.link_ratio": 1.0}, {"limits.link_ratio": {"min": 2e3}}])
+def test_a_function_without_convex_first_designs_is_searched_from_the_start_of_the_file(change: dict[str, object]) -> None:
+    """Two positions do not determine three constants, and a single ratio leaves no range of lengths."""
+    problem = optlink.load("function-sin", change).spec
+    starts = start_sequence(problem, build(problem), 0, None)
+    assert starts.step is None
+    assert [(start.drawn, start.close) for start in starts.first] == [(False, False)]
+    assert next(starts.rest()).drawn
 
 
 @pytest.mark.parametrize("psi", [[0.0, 1e-13, 0.0, 1e-13, 0.0], [0.0, 1.0, 0.0, 1.0, 0.0], [0.0, 3.0, -3.0, 2.0, 9.0]])
