@@ -21,6 +21,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.solvers.global_search.branch_and_bound import BATCH, FEW, Bounder, BranchAndBound, joint_history
 from optlink.solvers.global_search.checkpoint import FILE, Checkpoint
+from optlink.solvers.global_search.function_certificate import CLOSED, INTERRUPTED, MOST, certify_function
 from optlink.solvers.global_search.lagrangian import Guess, LagrangianBounds
 from optlink.solvers.global_search.quadratic import least_squares
 from optlink.tasks.function import FunctionResult
@@ -145,9 +146,8 @@ def certify(
     """
     check_options(gap, time_limit)
     model, problem = result.problem.model, stated or result.problem
-    of_function = (
-        isinstance(model, DesignProblem) and model.error_bounded and result.valid and not exact(problem, result.objective)
-    )
+    of_function = isinstance(model, DesignProblem) and model.error_bounded and result.valid and result.objective < MOST
+    of_function = of_function and not exact(problem, result.objective)
     kind = _ErrorSearch if of_function else _PathSearch if _of_path(result.problem) else _Search
     if resume and of_function:
         raise InputError("the proof of the largest error of a function cannot be resumed", "Leave it out", key="--resume")
@@ -323,17 +323,31 @@ class _Search:
         closed = self._exact or all(search.closed for search in searches)
         kept = all(search.leaves.test and isinstance(search.bounder, LagrangianBounds) for search in searches)
         rows = [(boxes, self._value(low), self._value(best)) for boxes, low, best in joint_history(searches)]
+        boxes, left = sum(one.boxes for one in searches), sum(len(one.open) + len(one.tiny) for one in searches)
+        covers = tuple(_cover(one, file) for one, file in zip(searches, variants, strict=True)) if kept and closed else ()
+        return self._proven(closed, lower, boxes, 0 if self._exact else left, rows, covers)
+
+    def _proven(
+        self,
+        closed: bool,
+        lower: float,
+        boxes: int,
+        left: int,
+        rows: list[tuple[int, float, float]],
+        covers: tuple[Cover, ...] = (),
+    ) -> Certificate:
+        """Return the certificate of the best known design for a lower bound of the objective."""
         return Certificate(
             status=self._status(closed, lower),
             objective=self._known,
             lower_bound=lower,
             asked=self.gap,
-            boxes=sum(search.boxes for search in searches),
-            open_boxes=0 if self._exact else sum(len(search.open) + len(search.tiny) for search in searches),
+            boxes=boxes,
+            open_boxes=left,
             unknowns=tuple(self.result.problem.model.free),
             improved=self.improved,
             history=np.array(rows, dtype=float).reshape(-1, 3),
-            covers=tuple(_cover(one, file) for one, file in zip(searches, variants, strict=True)) if kept and closed else (),
+            covers=covers,
         )
 
 
@@ -342,23 +356,11 @@ class _ErrorSearch(_Search):
 
     def run(self, seconds: float, boxes: float, progress: Progress | None) -> Any:
         """Search all assembly modes."""
-        from optlink.solvers.global_search.function_certificate import CLOSED, INTERRUPTED, certify_function
-
         begin = time.perf_counter()
         model, share = self.stated.model, INSIDE * self.gap
         assert isinstance(model, DesignProblem)
         found = certify_function(model, self._known, self.result.design, share, seconds, boxes, progress, self._from_candidate)
-        certificate = Certificate(
-            status=self._status(found.status == CLOSED, found.lower),
-            objective=self._known,
-            lower_bound=found.lower,
-            asked=self.gap,
-            boxes=found.boxes,
-            open_boxes=len(found.open),
-            unknowns=tuple(model.free),
-            improved=self.improved,
-            history=np.array(found.history, dtype=float).reshape(-1, 3),
-        )
+        certificate = self._proven(found.status == CLOSED, found.lower, found.boxes, len(found.open), found.history)
         return self._with(certificate, begin, interrupted=found.status == INTERRUPTED)
 
     def _from_candidate(self, design: dict[str, float], side: int) -> float:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Any, Literal
 
 from optlink.dynamics.loads import Force, Load, SlideDamper, Spring, Torque, TorsionSpring
 from optlink.linkage.mechanism import FRAME, Mechanism
-from optlink.linkage.stroke import OTHER, Direction
-from optlink.linkage.vector2d import Value
+from optlink.linkage.stroke import OTHER
 from optlink.problem.base_model import Section, in_folder
 from optlink.problem.machine.load_curves import Curve, Formula, read_size
+from optlink.problem.machine.revolution import Revolution
 from optlink.problem.quantity import (
     Damping,
     FixedAngle,
@@ -22,35 +22,6 @@ from optlink.problem.quantity import (
     Unusable,
     check_name,
 )
-
-
-class SlideSamples(Protocol):
-    """Properties of a machine's motion that a load depends on."""
-
-    def slow(self, load: Load) -> Direction:
-        """Return the stroke of a load's motion that takes longer."""
-        ...
-
-    def check_moves(self, load: Load) -> None:
-        """Refuse a load that opposes a motion that does not exist."""
-        ...
-
-    def middle(self, body: str, against: str, free: float) -> Value:
-        """Return the middle of the swing of a body relative to another [rad] of each design, within half a revolution of `free`.
-
-        Parameters
-        ----------
-        body : str
-        against : str
-            The other body.
-        free : float [rad]
-            Reference angle.
-        """
-        ...
-
-    def branch(self, body: str) -> Value:
-        """Return the middle of the swing of a body [rad] of each design, from -180 to 180 deg; 0 for one that turns fully."""
-        ...
 
 
 def spring_ends(mechanism: Mechanism, between: tuple[str, str]) -> list[tuple[str, str]]:
@@ -109,7 +80,7 @@ class LoadSection(Section):
     torsional_damping: TorsionalDamping | None = None
     """Viscous damping of the rotation of `on` relative to `against`."""
 
-    def build(self, name: str, mechanism: Mechanism, motion: SlideSamples) -> Load:
+    def build(self, name: str, mechanism: Mechanism, motion: Revolution) -> Load:
         """Return the load of a machine.
 
         Parameters
@@ -117,7 +88,7 @@ class LoadSection(Section):
         name : str
             Name of the load.
         mechanism : Mechanism
-        motion : SlideSamples
+        motion : Revolution
             Samples of the motion over a revolution.
 
         Raises
@@ -230,7 +201,7 @@ class LoadSection(Section):
             if self.against == self.on:
                 raise Unusable("a load does not act against itself", "Name another body, or frame", "against", self.against)
 
-    def _stroke(self, load: Force | Torque, motion: SlideSamples) -> dict[str, Any]:
+    def _stroke(self, load: Force | Torque, motion: Revolution) -> dict[str, Any]:
         """Return the stroke in which the load acts, and whether it follows the sense of crank rotation."""
         if load.opposing or self.stroke != "both":
             motion.check_moves(load)

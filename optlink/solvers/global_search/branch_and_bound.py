@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from optlink.execution.runner import Runs, ordered
 from optlink.linkage.vector2d import Array
-from optlink.solvers.global_search.lagrangian import CUT, OPEN, Box, BoxRecord
+from optlink.solvers.global_search.lagrangian import CUT, OPEN, BoxRecord
 
 BATCH = 256  # boxes that are bounded together
 LONG, WIDE = 10_000, 8  # boxes after which a search takes steps of several batches, for several processes; batches of a step
@@ -36,8 +36,18 @@ CHANGING = ("open", "tiny", "leaves", "boxes", "discarded")  # what a batch chan
 MOST_LEAVES = 200_000  # discarded boxes that are kept for the certificate
 
 
-class Bounder(Box, Protocol):
+class Bounder(Protocol):
     """Lower bounds over boxes of unknowns."""
+
+    @property
+    def low(self) -> Array:
+        """Lower bounds (n,) of the unknowns."""
+        ...
+
+    @property
+    def high(self) -> Array:
+        """Upper bounds (n,) of the unknowns."""
+        ...
 
     def bounded(self, low: Array, high: Array, threshold: float) -> BoxRecord:
         """Bound a batch of boxes.

@@ -22,6 +22,7 @@ Improve = Callable[[dict[str, float], int], float]
 """Receives a design [m, rad] that seems better than the best known one, and its assembly mode (+1 or -1); returns the objective
 of the valid design found from there."""
 
+MOST = 0.25 * math.pi  # rad, error up to which the proof holds
 LEVELS = (0.3, 0.05)  # gaps that are proven before the requested one, so that a search that is stopped has a bound
 POSITIONS = 25  # of the rows before those at the peaks of the error
 DENSE, FINE = 401, 20_001  # positions at which candidates are judged, and better designs
@@ -45,9 +46,9 @@ def certify_function(
     Parameters
     ----------
     problem : DesignProblem
-        Of a function, measure "max".
+        Of a function, whose error is bounded (`DesignProblem.error_bounded`).
     best : float [rad]
-        Largest error of the best known design.
+        Largest error of the best known design, below `MOST`.
     design : mapping of str to float [m, rad], optional
         That design; the proof is shorter with the positions of its largest errors.
     gap : float
@@ -60,16 +61,7 @@ def certify_function(
         Receives the share of the start angles that is done at the present level, and the gap that is proven.
     improve : function, optional
         Receives a better design [m, rad] and returns the objective of the valid one found from it. Default: its own error.
-
-    Raises
-    ------
-    ValueError
-        If the problem is of another kind, or `best` or `gap` is not positive.
     """
-    if not problem.error_bounded:
-        raise ValueError("only the largest error of a function, without tolerances, is bounded")
-    if not (0.0 < best < 0.25 * math.pi and 0.0 < gap < 1.0):
-        raise ValueError(f"best lies between 0 and pi/4 rad, and gap between 0 and 1, not {best} and {gap}")
     search = FunctionSearch(problem, best, None if design is None else dict(design), improve)
     search.run([level for level in LEVELS if level > gap] + [gap], seconds, boxes, progress)
     return search

@@ -26,13 +26,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
-from optlink.optimization.box_models import BoxModels
+from optlink.optimization.box_models import BoxModels, DesignBoxes
 from optlink.optimization.taylor_model import ROUNDING, TINY, UNIT, TaylorModel, pairs
 from optlink.optimization.taylor_rules import UPWARD
 from optlink.solvers.global_search.quadratic import box_minimum, cut_box, quadratic_bound
@@ -42,47 +42,6 @@ LAWSON = 6  # steps of the weights
 TESTS = ("limits", "objective", "Lagrangian", "cut")
 CUT = TESTS.index("cut")
 OPEN = -1  # in place of the index of a test: the box is not discarded
-
-
-class Box(Protocol):
-    """Bounds (n,) of unknowns."""
-
-    @property
-    def low(self) -> Array:
-        """Lower bounds of the unknowns."""
-        ...
-
-    @property
-    def high(self) -> Array:
-        """Upper bounds of the unknowns."""
-        ...
-
-
-class BoxProblem(Box, Protocol):
-    """A problem that can be evaluated over boxes of its unknowns.
-
-    `measure` of the residuals: "sum of squares", "rms" or "max".
-    """
-
-    @property
-    def measure(self) -> str:
-        """Measure of the residuals."""
-        ...
-
-    @property
-    def limits(self) -> tuple[str, ...]:
-        """Limit of every slack."""
-        ...
-
-    def over(self, low: Array, high: Array) -> BoxModels:
-        """Return the models over boxes.
-
-        Parameters
-        ----------
-        low, high : array (boxes, n)
-            Corners.
-        """
-        ...
 
 
 @dataclass(frozen=True)
@@ -129,9 +88,9 @@ class Guess:
 
 @dataclass
 class LagrangianBounds:
-    """Lower bounds of a `BoxProblem` in terms of the squared size of its residuals (`squared`)."""
+    """Lower bounds of a problem over boxes of its designs, in terms of the squared size of its residuals."""
 
-    problem: BoxProblem
+    problem: DesignBoxes
     guess: Guess | None = field(default=None)
 
     @property
