@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from optlink.linkage.vector2d import Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import nearest
 from optlink.studies.grid import Axis
-from optlink.studies.sweep_task import FiguresTask
+from optlink.studies.sweep_task import FiguresTask, MachineFigures
 from optlink.tasks.analyze import analyze
 from optlink.tasks.batch import analyze_batch, batch_extremes, reaction_parts
 from optlink.tasks.machine import crank_speed, machine_of
@@ -35,14 +35,6 @@ MANY = 2000  # designs per chunk
 FIGURES = ("min", "max", "rms")
 ANALYSED = "analysed"
 ANGLE = ".angle_rad"  # its extremes are those of the swing
-
-
-class AnalysedPoint(NamedTuple):
-    """Outcome of one design: its figures by name, and the reason where they are missing."""
-
-    figures: Mapping[str, float]
-    status: str
-    reason: str = ""
 
 
 @dataclass(frozen=True)
@@ -93,26 +85,22 @@ class AnalysisTask(FiguresTask):
                 raise InputError("no such column", nearest(name, (*columns, *single)), self.source.file, "--column", name)
         return tuple(found)
 
-    def lines(self, index: int) -> list[list[str]]:
-        """Return the rows of a chunk."""
-        values = [self.grid.values(point) for point in self.span(index)]
+    def machines(self, points: range) -> Iterator[MachineFigures]:
+        """Yield the figures of the designs at points of the grid."""
+        values = [self.grid.values(point) for point in points]
         known = self.problem.model.mechanism.quantities
         designs = {name: np.full(len(values), value) for name, value in self.design}
         for name, axis, column in zip(self.quantities, self.grid.axes, np.array(values).T, strict=True):
             designs[name] = column * factor(axis.unit, known[name].kind)
         clear = self._batched(designs)
-        rows = []
-        for i, point in enumerate(self.span(index)):
-            outcome = clear.get(i) or self._alone({name: float(sizes[i]) for name, sizes in designs.items()})
-            cells = [outcome.figures.get(name, math.nan) for name in self.figures]
-            missing = [name for name, cell in zip(self.figures, cells, strict=True) if not math.isfinite(cell)]
-            status, reason = outcome.status, outcome.reason
-            if status == ANALYSED and missing:
-                status, reason = "no value", f"{missing[0]} has no value for this design"
-            rows.append(self.row(point, cells, status, str(status == ANALYSED).lower(), reason))
-        return rows
+        for i in range(len(values)):
+            found = clear.get(i) or self._alone({name: float(sizes[i]) for name, sizes in designs.items()})
+            missing = [name for name in self.figures if not math.isfinite(found.figures.get(name, math.nan))]
+            if found.status == ANALYSED and missing:
+                found = found._replace(status="no value", reason=f"{missing[0]} has no value for this design")
+            yield found
 
-    def _batched(self, designs: Mapping[str, Array]) -> dict[int, AnalysedPoint]:
+    def _batched(self, designs: Mapping[str, Array]) -> dict[int, MachineFigures]:
         """Return the outcomes of the designs clear of all singular positions, by their index."""
         stems = {name.rpartition(".")[0] for name in self.figures}
         columns, _ = available_figures(self.problem)
@@ -131,22 +119,22 @@ class AnalysisTask(FiguresTask):
             with np.errstate(all="ignore"):
                 found[f"{name}.rms"] = np.sqrt(np.mean(sum(np.square(sampled[part]) for part in parts), axis=1))
         return {
-            int(number): AnalysedPoint({name: float(column[i]) for name, column in found.items()}, ANALYSED)
+            int(number): MachineFigures({name: float(column[i]) for name, column in found.items()}, ANALYSED)
             for i, number in enumerate(numbers)
         }
 
-    def _alone(self, design: Mapping[str, float]) -> AnalysedPoint:
+    def _alone(self, design: Mapping[str, float]) -> MachineFigures:
         """Return the outcome of one design [SI], including failures."""
         machine = machine_of(self.problem, design)
         ranges = reachable(machine.mechanism, machine.sizes)
         if not ranges.full:
-            return AnalysedPoint(
+            return MachineFigures(
                 {}, "partial rotation" if ranges.ranges else "not assembled", _unreached(self.problem, machine, ranges)
             )
         found = analyze(self.problem, self.points, design=design)
         if not found.sound:
-            return AnalysedPoint({}, "singular position" if found.singular.size else "no finite reactions", _unsound(found))
-        return AnalysedPoint({**found.figures, **dict(self._sampled(found))}, ANALYSED)
+            return MachineFigures({}, "singular position" if found.singular.size else "no finite reactions", _unsound(found))
+        return MachineFigures({**found.figures, **dict(self._sampled(found))}, ANALYSED)
 
     def _sampled(self, found: Analysis) -> Iterator[tuple[str, float]]:
         """Yield figures missing in the summary of the analysis: rms values, and extremes of angles."""

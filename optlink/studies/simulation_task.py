@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -11,11 +10,9 @@ from typing import Any
 from optlink.dynamics.ending import Ending
 from optlink.errors import InputError
 from optlink.problem.file import ProblemFile
-from optlink.studies.sweep_task import FiguresTask
+from optlink.studies.sweep_task import FiguresTask, MachineFigures
 from optlink.tasks.clearance import checked, simulate_clearance
 from optlink.tasks.simulate import simulate
-
-Figures = Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -43,29 +40,24 @@ class SimulationTask(FiguresTask):
         """Options of every simulation, and the given design."""
         return {"options": dict(self.stated), "design": dict(self.design)}
 
-    def lines(self, index: int) -> list[list[str]]:
-        """Return the rows of a chunk."""
-        rows = []
-        for point in self.span(index):
-            figures, status, reason = self.simulated(point)
-            cells = [figures.get(name, math.nan) for name in self.figures]
-            rows.append(self.row(point, cells, status, str(not reason).lower(), reason))
-        return rows
+    def machines(self, points: range) -> Iterator[MachineFigures]:
+        """Yield the figures of the simulations at points of the grid."""
+        return map(self.simulated, points)
 
     @cached_property
     def has_clearance(self) -> bool:
         """Whether there are joints with clearance."""
         return has_clearance(self.problem.override(self.grid.changes(0)))
 
-    def simulated(self, point: int) -> tuple[Figures, str, str]:
-        """Return the figures of a simulation, its ending, and the reason of an incomplete one."""
+    def simulated(self, point: int) -> MachineFigures:
+        """Return the figures of a simulation, with its ending as status."""
         try:
             file = self.problem.override(self.grid.changes(point))
             design = {name: value for name, value in self.design if name in file.model.free} or None
             found = simulate_machine(file, dict(self.stated), design, has_clearances=self.has_clearance)
         except InputError as error:
-            return {}, "not simulated", error.faults[0].message
-        if found[1] == Ending.INTERRUPTED.value:  # a row is complete or absent
+            return MachineFigures({}, "not simulated", error.faults[0].message)
+        if found.status == Ending.INTERRUPTED.value:  # a row is complete or absent
             raise KeyboardInterrupt
         return found
 
@@ -97,7 +89,7 @@ def with_integrator(
 
 def simulate_machine(
     problem: ProblemFile, options: Mapping[str, Any], design: Mapping[str, float] | None, *, has_clearances: bool
-) -> tuple[Figures, str, str]:
+) -> MachineFigures:
     """Simulate one machine.
 
     Parameters
@@ -111,10 +103,8 @@ def simulate_machine(
 
     Returns
     -------
-    figures : mapping of str to float
-    status : str
-    reason : str
-        Empty unless the run is incomplete.
+    MachineFigures
+        Its status is the ending of the run, its reason empty unless that is incomplete.
 
     Raises
     ------
@@ -124,9 +114,9 @@ def simulate_machine(
     known = dict(options)
     if has_clearances:
         found = simulate_clearance(problem, design=design, twin=False, **known)
-        return dict(found.figures), found.ending.value, "" if found.finished else found.message
+        return MachineFigures(found.figures, found.ending.value, "" if found.finished else found.message)
     if "points" in known:
         known["rows"] = known.pop("points")
     ideal = simulate(problem, design=design, **known)
     reason = "" if ideal.finished else f"{ideal.run.ending.text} (at {ideal.run.stopped:.9g} s)"
-    return ideal.figures, ideal.run.ending.value, reason
+    return MachineFigures(ideal.figures, ideal.run.ending.value, reason)

@@ -347,13 +347,13 @@ def _simulating(
     if clearances := has_clearance(first):
         options = with_integrator(first, options, design, grid.count)
     short = {**options, "revolutions": 1} if clearances else options
-    figures, _, _ = simulate_machine(first, short, design, has_clearances=clearances)
+    names = tuple(simulate_machine(first, short, design, has_clearances=clearances).figures)
     own = tuple((design or {}).items())
     return SimulationTask(
         **SweepTask.problem_fields(problem),
         grid=grid,
         chunk=1,
-        figures=tuple(figures),
+        figures=names,
         stated=tuple(options.items()),
         design=own,
     )

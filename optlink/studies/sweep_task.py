@@ -13,7 +13,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 from optlink.errors import InputError, Status
 from optlink.problem.file import ProblemFile
@@ -127,10 +127,30 @@ _kept: dict[str, SweepTask] = {}
 """The task that this process is at: what it has built is used for every chunk, though each may come with a copy of the task."""
 
 
+class MachineFigures(NamedTuple):
+    """Figures of one machine by name, its status, and the reason if a figure is missing or it is not valid."""
+
+    figures: Mapping[str, float]
+    status: str
+    reason: str = ""
+
+
 class FiguresTask(SweepTask):
     """A task whose rows are figures of given machines."""
 
     figures: Any
+
+    @abstractmethod
+    def machines(self, points: range) -> Iterable[MachineFigures]:
+        """Return the figures of the machines at points of the grid."""
+
+    def lines(self, index: int) -> list[list[str]]:
+        """Return the rows of a chunk."""
+        rows = []
+        for point, found in zip(self.span(index), self.machines(self.span(index)), strict=True):
+            cells = [found.figures.get(name, math.nan) for name in self.figures]
+            rows.append(self.row(point, cells, found.status, str(not found.reason).lower(), found.reason))
+        return rows
 
     @property
     def columns(self) -> list[str]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from optlink.errors import InputError
 from optlink.execution import interrupts
-from optlink.execution.runner import Runs, pool
+from optlink.execution.runner import Runs
 from optlink.linkage.vector2d import Array
 from optlink.optimization.box_models import DesignBoxes, box_problem
 from optlink.problem.file import ProblemFile
@@ -107,9 +107,7 @@ def certify(
     folder: Path | None = None,
     *,
     resume: bool = False,
-    engine: str = "local",
-    workers: int | None = None,
-    scheduler: str | None = None,
+    runs: Runs | None = None,
 ) -> Certified:
     """Bound the objective over all designs from below by branch and bound; a better design that is found becomes the answer.
 
@@ -131,8 +129,8 @@ def certify(
         Where the state of a long search is kept, so that an interrupted one can continue.
     resume : bool
         Continue the search that was interrupted there, with the bound that it would have had.
-    engine, workers, scheduler
-        See `optlink.execution.runner.pool`; they change nothing in the result. Processes are started when the search is long.
+    runs : function, optional
+        From `optlink.execution.runner.pool`, for a long search; it changes nothing in the result. Default: the present process.
 
     Returns
     -------
@@ -153,9 +151,8 @@ def certify(
         raise InputError("the proof of the largest error of a function cannot be resumed", "Leave it out", key="--resume")
     about = {"optlink": VERSION, "problem_hash": problem.hash, "gap": gap}
     checkpoint = None if folder is None or of_function else Checkpoint(folder / FILE, about)
-    with pool(engine, workers, scheduler) as runs:
-        found: Certified = kind(result, problem, gap, seed, checkpoint, resume, runs).run(time_limit, boxes, progress)
-        return found
+    found: Certified = kind(result, problem, gap, seed, checkpoint, resume, runs).run(time_limit, boxes, progress)
+    return found
 
 
 @dataclass

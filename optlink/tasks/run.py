@@ -146,15 +146,12 @@ def solve(
         runs = ends.enter_context(pool(engine, workers, scheduler)) if task.divisible else None
         kept: dict[str, Any] = {"designs": designs, "track": track, "runs": runs, "shared": shared}
         found = task.solve(problem, backend, starts, seed, progress, **kept)
-    if not task.certified or certify is False or found.interrupted:
-        return found
-    if certify is None and not proof.automatic(problem):
-        return found
-    boxes = proof.BUDGET if certify is None else math.inf
-    where: dict[str, Any] = {"engine": engine, "workers": workers, "scheduler": scheduler}
-    return proof.certify(  # type: ignore[type-var]
-        found, gap, time_limit, proving, seed, boxes, problem, folder, resume=resume, **where
-    )
+        if not task.certified or certify is False or found.interrupted or (certify is None and not proof.automatic(problem)):
+            return found
+        boxes = proof.BUDGET if certify is None else math.inf
+        return proof.certify(  # type: ignore[type-var]
+            found, gap, time_limit, proving, seed, boxes, problem, folder, resume=resume, runs=runs
+        )
 
 
 @typed
