@@ -1,4 +1,4 @@
-"""Reactions that grow without bound towards change points, in a machine that is continued through them."""
+"""Detect reactions that grow without bound towards change points through which the motion is continued."""
 
 from __future__ import annotations
 

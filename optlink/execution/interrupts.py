@@ -1,7 +1,7 @@
 """Handling of Ctrl-C: the first one stops in order, the second one at once; compiled code has two seconds to return.
 
-An interrupt can be lost: casadi and Python drop an exception that is raised in a callback or a destructor. It is raised again
-until the code that handles it says so.
+An interrupt can be lost: casadi and Python drop an exception that is raised in a callback or a destructor. Therefore it is raised
+again until the code that handles it confirms it.
 """
 
 from __future__ import annotations

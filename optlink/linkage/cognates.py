@@ -291,21 +291,22 @@ def cognates(linkage: CouplerLinkage, at: float | None = None) -> Cognates:
     ----------
     linkage : CouplerLinkage
     at : float [rad]
-        Crank angle of `linkage` at which the assembly modes of the cognates are determined; it also selects the range where
-        the linkage can be assembled in two. Default: the position of the last range with the best transmission.
+        Crank angle of `linkage` at which the assembly modes of the cognates are determined. If `linkage` can be assembled in
+        two ranges of crank angle, `at` also selects the range. Default: the position in the last range at which the
+        transmission angle of the cognate is closest to 90 deg.
 
     Returns
     -------
-    Cognates, a pair of Cognate or None (`Cognates` says when). Both trace the branch of the curve that `linkage` traces in its
-    mode and in that range. The one at the crank pivot is driven at E, where its crank rotates with the rocker of `linkage`,
-    unless only its link at A turns fully (`linkage` a Grashof double-rocker). That of a crank-rocker or a triple-rocker passes
-    dead centres at whichever end it is driven (`Cognate.turning_back`). A coupler point on the line B-C is no special case: then
-    the three pivots are collinear too. The result is undefined at a change point itself.
+    Cognates, a pair of Cognate or None (see `Cognates`). Both trace the branch of the coupler curve that `linkage` traces in its
+    assembly mode and in that range. The cognate at the crank pivot is driven at E, where its crank rotates with the rocker of
+    `linkage`, unless only its link at A turns fully (then `linkage` is a Grashof double-rocker). If `linkage` is a crank-rocker
+    or a triple-rocker, this cognate passes dead centres at whichever pivot it is driven (`Cognate.turning_back`). If the coupler
+    point lies on the line B-C, the three fixed pivots are collinear too. The result is undefined for a change-point linkage.
 
     Raises
     ------
     InputError
-        `linkage` cannot be assembled in a range of crank angles, or not at `at`.
+        If `linkage` cannot be assembled over any range of crank angles, or cannot be assembled at `at`.
     """
     ranges = reachable(*linkage.lengths)
     if not ranges:

@@ -135,7 +135,12 @@ def grashof(crank: float, coupler: float, rocker: float, frame: float, tolerance
     ----------
     crank, coupler, rocker, frame : float [m], positive
     tolerance : float [-]
-        Share of the longest link below which a slack counts as zero (change-point linkage).
+        A four-bar counts as a change-point linkage if the magnitude of its slack is below this fraction of its longest link.
+
+    Returns
+    -------
+    GrashofClass
+        Inversion and Grashof slack [m].
 
     Raises
     ------
@@ -148,8 +153,8 @@ def grashof(crank: float, coupler: float, rocker: float, frame: float, tolerance
 
     Examples
     --------
-    >>> found = optlink.grashof(crank=0.1, coupler=0.4, rocker=0.25, frame=0.5)
-    >>> found.inversion.value, round(found.slack, 6)  # p + q - s - l [m]
+    >>> result = optlink.grashof(crank=0.1, coupler=0.4, rocker=0.25, frame=0.5)
+    >>> result.inversion.value, round(result.slack, 6)  # p + q - s - l [m]
     ('crank-rocker', 0.05)
     """
     lengths = {"crank": crank, "coupler": coupler, "rocker": rocker, "frame": frame}

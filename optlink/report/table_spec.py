@@ -132,7 +132,7 @@ Part = TableSpec | Paragraph
 
 @dataclass(frozen=True)
 class Summary:
-    """What is shown of a result: title, status below it, tables and paragraphs."""
+    """Summary of a result: title, status below it, tables and paragraphs."""
 
     title: str
     status: Paragraph

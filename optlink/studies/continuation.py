@@ -1,7 +1,7 @@
 """Continue an optimum to a neighbouring problem by Newton's method on the optimality conditions with a fixed active set.
 
-The first step equals the prediction by sensitivities, further steps remove the residual. If the active set of the neighbour
-differs, the end is no optimum, which its examination detects: then a search is needed.
+The first step equals the prediction by sensitivities, further steps remove the residual. If the neighbour has another active set,
+the final point violates the optimality conditions; the caller detects this and starts a search.
 """
 
 from __future__ import annotations

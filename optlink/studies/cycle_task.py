@@ -1,8 +1,8 @@
 """Sweep task that optimises a machine cycle at every point of a grid.
 
-If only limits vary, the programme is built once: their bounds are its parameters. Within a chunk a search starts from the machine
-of a completed neighbour, and from machines that the task names; the first one of a chunk without these from the start of the
-problem and random dimensions, so that no chunk depends on another. Every machine is validated like a single one.
+If only limits vary, the programme is built once: their bounds are its parameters. Within a chunk, each search starts from the
+result of a neighbouring point and from the anchors of the task. Without either, the first search of a chunk starts from the
+starting point of the problem and from random dimensions. So no chunk depends on another. Every machine is validated as by `solve`.
 """
 
 from __future__ import annotations

@@ -109,24 +109,24 @@ def certify(
     resume: bool = False,
     runs: Runs | None = None,
 ) -> Certified:
-    """Bound the objective over all designs from below by branch and bound; a better design that is found becomes the answer.
+    """Compute a lower bound of the objective over all designs by branch and bound; a better design replaces that of the result.
 
     Parameters
     ----------
     result : FunctionResult or PathResult
-        Of `optlink.solve`, whether it has a design or not.
+        From `optlink.solve`, with or without a design.
     gap : float
-        Share of the objective by which a design may be better without being found.
+        Relative optimality gap at which the search ends.
     time_limit : float [s]
     progress : function of (share, gap), optional
     seed : int
         Seed of searches for a better design.
     boxes : float
-        Most boxes that are bounded.
+        Largest number of boxes.
     stated : ProblemFile, optional
-        The problem with assembly modes that are left open, of which `result` has the best. Default: that of `result`.
+        The problem before the choice of assembly modes that it leaves open; `result` has the best ones. Default: that of `result`.
     folder : Path, optional
-        Where the state of a long search is kept, so that an interrupted one can continue.
+        Folder for the state of a long search, from which an interrupted search resumes.
     resume : bool
         Continue the search that was interrupted there, with the bound that it would have had.
     runs : function, optional

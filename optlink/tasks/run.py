@@ -82,7 +82,7 @@ def solve(
     backend : "ipopt", "slsqp" or "both"
         Local solver. With "both", each solver searches separately and the results must agree (laws, functions, cycles).
     starts : int, optional
-        Number of starting points; more are never worse. Default: chosen by the kind of problem.
+        Number of starting points; a larger number never gives a worse result. Default: chosen by the kind of problem.
     seed : int
         Seed of the random starting points.
     progress : function of the completed fraction, optional
@@ -95,18 +95,18 @@ def solve(
         For motion laws, functions, timed paths and transmission problems. Default: motion laws of at most two design variables,
         with at most 2000 boxes (about a second).
     gap : float
-        Share of the objective by which a design may be better without being found.
+        Relative optimality gap: the proof ends when no design can be better by more than this fraction of the objective.
     time_limit : float [s]
-        Time of the proof; the bound that is reached then holds.
-    proving : function of (share of the bounds that is done, present gap), optional
-        Progress of the proof.
+        Time limit of the proof. The lower bound reached by then is valid.
+    proving : function of (completed fraction of the proof, current gap), optional
+        Called with the progress of the proof.
     folder : Path, optional
-        Where the state of a long proof is kept, so that an interrupted one can continue.
+        Folder for the state of a long proof, from which an interrupted proof resumes.
     resume : bool
-        Continue the proof that was interrupted in `folder`.
+        Resume the interrupted proof in `folder`.
     engine, workers, scheduler
-        See `optlink.execution.runner.pool`: where a long search or proof is made; a short search too, if one of them is given.
-        They change nothing in the result.
+        Execution of long searches and proofs, see `optlink.execution.runner.pool`; if one of them is set, of short searches too.
+        The result does not depend on them.
 
     Returns
     -------

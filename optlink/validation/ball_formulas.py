@@ -1,9 +1,9 @@
 """Deviations and limits of a problem over a box of designs, in ball arithmetic; written separately from the optimiser's terms.
 
-Limits that cannot be evaluated are left out, and limits at every crank angle apply at some of them only: that makes a lower bound
-of the objective lower, and no wrong certificate valid. The rows come in the order of the multipliers of a certificate: crank
-condition, dead centres, transmission angle, registered limits, pivots, limits at single crank angles, tolerances of points; of
-each the lower side before the upper one.
+Limits that cannot be evaluated are omitted, and limits at every crank angle are applied at some crank angles only. This relaxation
+can only decrease a lower bound of the objective, so no wrong certificate passes. The rows have the order of the multipliers of a
+certificate: crank condition, dead centres, transmission angle, registered limits, pivots, limits at single crank angles,
+tolerances of points; for each the lower side first.
 """
 
 from __future__ import annotations

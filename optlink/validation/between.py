@@ -1,9 +1,9 @@
 """Deviation of the traced curve between neighbouring target points.
 
-Between two points the target is not stated, so the curve is measured from the straight segment between the two traced points. As
-much as a smooth curve through the points rises above it is allowed: twice the sagitta of an arc with the curvature of the points
-there. The rest is the excursion. It is zero for the points of a circle, however far apart they are, and it is the whole distance
-where the points lie in line.
+There is no target between two points, so the distance of the curve from the straight segment between the two traced points is
+measured. Twice the sagitta of an arc with the local curvature of the points is permitted, because a smooth curve through the points
+has this distance. The excess over it is the excursion. It is zero for points on a circle, however far apart they are, and equals
+the whole distance for collinear points.
 """
 
 from __future__ import annotations

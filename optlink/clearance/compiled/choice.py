@@ -1,4 +1,4 @@
-"""Choice of the integrator of a machine with joint clearance: by the work that is requested, never by what is cached."""
+"""Choice of the integrator of a machine with joint clearance from the amount of requested work, independent of the cache."""
 
 from __future__ import annotations
 

@@ -120,7 +120,7 @@ class Explorer:
 
     A slider of a design variable changes the design, which is validated. A slider of a fixed dimension or of a limit changes
     the problem, which is optimised again: at once for a function of a four-bar, else at the button. Machines without design
-    variables are analysed. The initial design is, unless given, the optimum of a function, path or motion problem, and the
+    variables are analysed. The default of the initial design is the optimum of a function, path or motion problem, or the
     starting values of a machine.
 
     Attributes

@@ -52,7 +52,7 @@ COMMANDS = {name.rpartition("/")[0]: command for name, (command, _) in (KNOWN | 
 
 
 class _Head(Record):
-    """What the document of any result tells about its problem."""
+    """Entries of a result document that identify its problem."""
 
     problem: str
     problem_hash: str

@@ -1,4 +1,4 @@
-"""What is shown of the certificate of a global optimum, the same for every kind of result: table and clauses."""
+"""Table and sentences for the certificate of a global optimum, the same for every kind of result."""
 
 from __future__ import annotations
 

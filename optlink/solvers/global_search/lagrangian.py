@@ -7,12 +7,12 @@ A box is discarded if
 - the Lagrangian, objective minus multipliers times slacks of the limits, is ("Lagrangian"): where no slack is negative it is a
   lower bound of the objective.
 
-What is left of a box is made smaller where that is possible: parts in which a limit is violated or one deviation alone makes the
-objective too large are cut off ("cut").
+A box that is not discarded is reduced where possible: parts in which a limit is violated, or in which a single deviation makes
+the objective too large, are cut off ("cut").
 
-Any multipliers that are not negative give a bound that holds; a few cheap steps choose good ones. The objective is a sum of
-squares with weights. For the largest of several deviations, any weights with the sum 1 give a lower bound of its square, and the
-best weights give the largest one (Lawson); they too are chosen for every box.
+Any non-negative multipliers give a valid bound; a few cheap steps choose good ones. The objective is a weighted sum of squares.
+For the largest of several deviations, any weights with the sum 1 give a lower bound of its square, and the best weights give the
+largest one (Lawson); they too are chosen for every box.
 
 References
 ----------

@@ -1,10 +1,9 @@
 """Optima at many points of a grid: a search in the middle of every block, Newton's method from there to all of its points.
 
 The optimum of the search in the middle of a block is compared with those of the neighbouring blocks, continued to that point;
-where they differ, every point of the block takes the best one. So it does with other optima, which searches from many starting
-points find in the middles of a few large blocks. A grid of many points has coarse blocks too: where the searches of these agree
-with each other, their points need no others. The result at a point depends on the grid alone, not on the points that are computed
-with it.
+where they differ, every point of the block gets the best one. The comparison includes further optima, from multistart searches in
+the middles of a few large blocks. A grid of many points also has coarse blocks: where their searches agree, their points need no
+further searches. The result at a point depends on the grid only, not on the other points that are computed with it.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Tolerance analysis: effect of deviations of the dimensions on an output, to first order and by quasi-random samples.
 
-The crank angle, and with a motion law its start, stay nominal: the drive is set to the drawing, the parts deviate.
+Crank angles, and the start of a motion law, keep their nominal values; only dimensions deviate.
 """
 
 from __future__ import annotations
