@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from optlink.clearance.contact_laws import EXPONENT, NORMAL, friction
-from optlink.dynamics.loads import Acting
+from optlink.dynamics.machine import Acting
 from optlink.linkage.vector2d import Value, Vector, cross, dot, minus
 
 CENTRED = 1e-24

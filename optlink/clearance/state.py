@@ -14,8 +14,7 @@ from optlink.clearance.joint import Gap, Motion
 from optlink.clearance.spanning_tree import SpanningTree
 from optlink.dynamics.inertia import BodyMotion, Wrench, body_motion
 from optlink.dynamics.inverse import required_wrench
-from optlink.dynamics.loads import Acting
-from optlink.dynamics.machine import Machine, jet_parts
+from optlink.dynamics.machine import Acting, Machine, jet_parts
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.vector2d import Value, Vector, minus, plus, turn

@@ -32,9 +32,9 @@ def list_problems(as_json: Json = False, quiet: Quiet = False) -> None:
     if console.quiet:
         print("\n".join(file.name for file in files))
         return
-    from optlink.report.views import function_tables
+    from optlink.report.views import problem_tables
 
-    console.show(function_tables.listing(files))
+    console.show(problem_tables.listing(files))
 
 
 def show(
@@ -69,9 +69,9 @@ def show(
     if as_toml:
         print(_template(file), end="")
         return
-    from optlink.report.views import function_tables
+    from optlink.report.views import problem_tables
 
-    console.show(function_tables.problem(file))
+    console.show(problem_tables.problem(file))
 
 
 def _template(problem: ProblemFile) -> str:

@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from optlink.dynamics.inertia import Wrench
+from optlink.dynamics.machine import Moving
 from optlink.io import Registry
 from optlink.linkage.dyad_types import PRP, RPP, RPR, RRP, RRR
-from optlink.linkage.mechanism import Guide
+from optlink.linkage.mechanism import Dyad, Guide, Link
 from optlink.linkage.vector2d import Value, Vector, cross, dot, minus, plus
-
-if TYPE_CHECKING:
-    from optlink.dynamics.inverse import ForceBalance
 
 
 def solve_two_by_two(row: Vector, right: Value, other: Vector, other_right: Value) -> Vector:
@@ -71,12 +69,54 @@ class GroupForces:
         return self.each(lambda x: np.where(which, x, next(rest)))
 
 
+class RemainingWrenches:
+    """Wrenches `needed` that the joints not solved yet must exert on the bodies of a machine in motion."""
+
+    def __init__(self, moving: Moving, needed: Mapping[str, Wrench]) -> None:
+        self.moving, self.mechanism, self.needed = moving, moving.machine.mechanism, dict(needed)
+
+    def across(self, guide: Guide, tilts: Mapping[str, Value]) -> Vector:
+        """Return the direction in which a guide exerts no force: its line, rotated by the friction angle.
+
+        Parameters
+        ----------
+        guide : Guide
+        tilts : mapping of str to Value [-]
+            Tangents of the friction angles of guides with friction.
+        """
+        x, y = self.moving.line(guide.name)
+        if guide.name not in tilts:
+            return x, y
+        tilt = tilts[guide.name]
+        return x - tilt * y, y + tilt * x
+
+    def at(self, guide: Guide) -> Vector:
+        """Return the point of the slider that slides along the line."""
+        return self.moving.position(guide.at or self.mechanism.bodies[guide.slider].start)
+
+    def about(self, link: Link, point: Vector) -> Value:
+        """Return the moment about a point that the joints exert on a body.
+
+        Parameters
+        ----------
+        link : Link
+            Body.
+        point : pair of Value [m]
+        """
+        return self.needed[link.body].about(self.moving.state(link.body).start, point)
+
+    def total(self, group: Dyad) -> Vector:
+        """Return the force that the outer joints exert on both bodies of a group."""
+        first, second = (self.needed[link.body].force for link in group.links)
+        return plus(first, second)
+
+
 BALANCES: Registry[Callable[..., GroupForces]] = Registry()
 """By the kind of the group: (remaining wrenches, group, tangents of friction angles of guides) -> forces."""
 
 
 @partial(BALANCES.add, "RRR")
-def _rrr(balance: ForceBalance, group: RRR, tilts: Mapping[str, Value]) -> GroupForces:
+def _rrr(balance: RemainingWrenches, group: RRR, tilts: Mapping[str, Value]) -> GroupForces:
     """Moments of the first link about the inner joint, of both about the other outer joint."""
     first, second = group.links
     p, q, j = (balance.moving.position(name) for name in (*group.pins, group.joint))
@@ -89,7 +129,7 @@ def _rrr(balance: ForceBalance, group: RRR, tilts: Mapping[str, Value]) -> Group
 
 
 @partial(BALANCES.add, "RRP")
-def _rrp(balance: ForceBalance, group: RRP, tilts: Mapping[str, Value]) -> GroupForces:
+def _rrp(balance: RemainingWrenches, group: RRP, tilts: Mapping[str, Value]) -> GroupForces:
     """Moment of the link about the joint, force of both along the guide."""
     link, slider = group.links
     p, j, across = balance.moving.position(group.outer), balance.moving.position(group.joint), balance.across(group.guide, tilts)
@@ -107,7 +147,7 @@ def _rrp(balance: ForceBalance, group: RRP, tilts: Mapping[str, Value]) -> Group
 
 
 @partial(BALANCES.add, "RPR")
-def _rpr(balance: ForceBalance, group: RPR, tilts: Mapping[str, Value]) -> GroupForces:
+def _rpr(balance: RemainingWrenches, group: RPR, tilts: Mapping[str, Value]) -> GroupForces:
     """Force of the slider along the guide, moment of both about the other outer joint."""
     slider, second = group.links
     p, q = (balance.moving.position(name) for name in group.outer)
@@ -124,7 +164,7 @@ def _rpr(balance: ForceBalance, group: RPR, tilts: Mapping[str, Value]) -> Group
 
 
 @partial(BALANCES.add, "RPP")
-def _rpp(balance: ForceBalance, group: RPP, tilts: Mapping[str, Value]) -> GroupForces:
+def _rpp(balance: RemainingWrenches, group: RPP, tilts: Mapping[str, Value]) -> GroupForces:
     """Force of the first body along its guide, of both along the rail."""
     first, yoke = group.links
     p, needed, total = balance.moving.position(group.outer), balance.needed[first.body].force, balance.total(group)
@@ -141,7 +181,7 @@ def _rpp(balance: ForceBalance, group: RPP, tilts: Mapping[str, Value]) -> Group
 
 
 @partial(BALANCES.add, "PRP")
-def _prp(balance: ForceBalance, group: PRP, tilts: Mapping[str, Value]) -> GroupForces:
+def _prp(balance: RemainingWrenches, group: PRP, tilts: Mapping[str, Value]) -> GroupForces:
     """Forces of both sliders along their guides determine the pin between them."""
     first, second = group.links
     j = balance.moving.position(group.joint)

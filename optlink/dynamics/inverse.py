@@ -17,10 +17,10 @@ from functools import cached_property
 
 import numpy as np
 
-from optlink.dynamics.dyad_balances import BALANCES, GroupForces
+from optlink.dynamics.dyad_balances import BALANCES, GroupForces, RemainingWrenches
 from optlink.dynamics.inertia import UNITS, Wrench, wrench
 from optlink.dynamics.machine import Machine, Moving
-from optlink.linkage.mechanism import FRAME, Dyad, Guide, Link
+from optlink.linkage.mechanism import FRAME, Dyad, Guide
 from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, minus, plus
 
 ROUNDING = 1e-9
@@ -176,12 +176,12 @@ def virtual_torque(wrenches: Mapping[str, Wrench], moving: Moving) -> Value:
     return power / source.motion.speed
 
 
-class ForceBalance:
+class ForceBalance(RemainingWrenches):
     """The remaining wrenches, solved group by group."""
 
     def __init__(self, moving: Moving, needed: Mapping[str, Wrench], normals: Mapping[str, Value] | None = None) -> None:
-        self.moving, self.mechanism = moving, moving.machine.mechanism
-        self.needed, self.normals = dict(needed), normals
+        super().__init__(moving, needed)
+        self.normals = normals
         self.pins: dict[str, dict[str, Vector]] = {}
         self.guides: dict[str, GuideForce] = {}
         self.rows: dict[str, tuple[Vector, Vector]] = {}
@@ -244,41 +244,6 @@ class ForceBalance:
         """Coefficient of friction with the sign of the slider's velocity along the line."""
         sense = self.moving.sense(lambda source: source.slides[guide.name][1:], self.moving.machine.size)
         return self.moving.machine.friction[guide.name] * sense
-
-    def across(self, guide: Guide, tilts: Mapping[str, Value]) -> Vector:
-        """Return the direction in which a guide exerts no force: its line, rotated by the friction angle.
-
-        Parameters
-        ----------
-        guide : Guide
-        tilts : mapping of str to Value [-]
-            Tangents of the friction angles of guides with friction.
-        """
-        x, y = self.moving.line(guide.name)
-        if guide.name not in tilts:
-            return x, y
-        tilt = tilts[guide.name]
-        return x - tilt * y, y + tilt * x
-
-    def at(self, guide: Guide) -> Vector:
-        """Return the point of the slider that slides along the line."""
-        return self.moving.position(guide.at or self.mechanism.bodies[guide.slider].start)
-
-    def about(self, link: Link, point: Vector) -> Value:
-        """Return the moment about a point that the joints exert on a body.
-
-        Parameters
-        ----------
-        link : Link
-            Body.
-        point : pair of Value [m]
-        """
-        return self.needed[link.body].about(self.moving.state(link.body).start, point)
-
-    def total(self, group: Dyad) -> Vector:
-        """Return the force that the outer joints exert on both bodies of a group."""
-        first, second = (self.needed[link.body].force for link in group.links)
-        return plus(first, second)
 
     # --- transmitted forces ----------------------------------------------------------------------------------------
 

@@ -8,64 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
+from typing import Literal
 
 import numpy as np
 
-from optlink.dynamics.inertia import BodyMotion, Wrench
+from optlink.dynamics.machine import Acting, Moving
 from optlink.linkage.mechanism import FRAME
-from optlink.linkage.vector2d import Value, Vector, angle_from, cross, dot, minus, turn, unit
-
-if TYPE_CHECKING:
-    from optlink.dynamics.machine import Moving
+from optlink.linkage.vector2d import Value, Vector, angle_from, dot, minus, turn, unit
 
 Magnitude = Callable[[Mapping[str, Value]], Value]
 """Force [N] or torque [N m] from phi (crank angle) [rad], omega (crank speed), and s, v of a slider or theta, w of a body."""
 
 Stroke = Literal["both", "forward", "backward"]
-
-
-class Acting(NamedTuple):
-    """A force [N] at a point of a body [m], and a torque [N m] on it."""
-
-    body: str
-    point: Vector
-    force: Vector
-    torque: Value
-
-    def wrench(self, state: BodyMotion) -> Wrench:
-        """Return the force and torque as a wrench about the start of the body."""
-        return Wrench(self.force, self.torque + cross(minus(self.point, state.start), self.force))
-
-    def power(self, state: BodyMotion) -> Value:
-        """Return the power fed into the machine [W]."""
-        return dot(self.force, state.at(self.point)[0]) + self.torque * state.omega
-
-
-class Load(Protocol):
-    """Protocol of all loads."""
-
-    @property
-    def name(self) -> str:
-        """Name in the problem file."""
-        ...
-
-    @property
-    def switching(self) -> bool:
-        """Whether the load jumps where a motion reverses."""
-        ...
-
-    def act(self, moving: Moving) -> Iterator[Acting]:
-        """Yield the forces and torques of the load, body by body."""
-        ...
-
-    def reversing(self, moving: Moving) -> tuple[Value, Value] | None:
-        """Return the velocity at whose reversal the load jumps, and the corresponding acceleration."""
-        ...
-
-    def potential(self, moving: Moving) -> Value:
-        """Return the potential energy [J]; zero except for springs."""
-        ...
 
 
 def _sense(load: Force | Torque, moving: Moving) -> Value:

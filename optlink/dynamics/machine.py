@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optlink.dynamics.inertia import BodyMotion, Inertia, body_motion, kinetic, potential
+from optlink.dynamics.inertia import BodyMotion, Inertia, Wrench, body_motion, kinetic, potential
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.stroke import Ranges, reachable
-from optlink.linkage.vector2d import Value, Vector, magnitude, sign
-
-if TYPE_CHECKING:
-    from optlink.dynamics.loads import Load
+from optlink.linkage.vector2d import Value, Vector, cross, dot, magnitude, minus, sign
 
 INSTANT = 1e-10
 """Crank rotation [rad] after which a one-sided value is meant where a load jumps."""
@@ -31,6 +28,49 @@ NOISE = 1e-13
 def jet_parts(x: Value) -> tuple[Value, Value, Value]:
     """Return value, rate and acceleration of a quantity that may be a jet."""
     return (x.value, x.rate, x.acceleration) if isinstance(x, Jet) else (x, 0.0, 0.0)
+
+
+class Acting(NamedTuple):
+    """A force [N] at a point of a body [m], and a torque [N m] on it."""
+
+    body: str
+    point: Vector
+    force: Vector
+    torque: Value
+
+    def wrench(self, state: BodyMotion) -> Wrench:
+        """Return the force and torque as a wrench about the start of the body."""
+        return Wrench(self.force, self.torque + cross(minus(self.point, state.start), self.force))
+
+    def power(self, state: BodyMotion) -> Value:
+        """Return the power fed into the machine [W]."""
+        return dot(self.force, state.at(self.point)[0]) + self.torque * state.omega
+
+
+class Load(Protocol):
+    """Protocol of all loads."""
+
+    @property
+    def name(self) -> str:
+        """Name in the problem file."""
+        ...
+
+    @property
+    def switching(self) -> bool:
+        """Whether the load jumps where a motion reverses."""
+        ...
+
+    def act(self, moving: Moving) -> Iterator[Acting]:
+        """Yield the forces and torques of the load, body by body."""
+        ...
+
+    def reversing(self, moving: Moving) -> tuple[Value, Value] | None:
+        """Return the velocity at whose reversal the load jumps, and the corresponding acceleration."""
+        ...
+
+    def potential(self, moving: Moving) -> Value:
+        """Return the potential energy [J]; zero except for springs."""
+        ...
 
 
 @dataclass(frozen=True)

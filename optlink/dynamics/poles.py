@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.dynamics.loads import Force, Load, Torque
-from optlink.dynamics.machine import Machine
+from optlink.dynamics.loads import Force, Torque
+from optlink.dynamics.machine import Load, Machine
 from optlink.linkage.extrema import POINTS, distinct, refined_minima, zeros
 from optlink.linkage.vector2d import Array, Value
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optlink.dynamics.loads import Force, Load, Torque
-from optlink.dynamics.machine import Machine, slider_names
+from optlink.dynamics.loads import Force, Torque
+from optlink.dynamics.machine import Load, Machine, slider_names
 from optlink.linkage.extrema import zeros
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.stroke import OTHER, Direction, Pace, StrokeRange, Travel, pace_of, slow_stroke, travels

@@ -12,14 +12,11 @@ import queue
 import threading
 from collections.abc import Iterable, Iterator
 from concurrent.futures import CancelledError
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from optlink.errors import InputError, SolverError
 from optlink.execution.process import Process
-from optlink.execution.worker import ChunkResult, ChunkTask, packed, run_chunk
-
-if TYPE_CHECKING:
-    from optlink.execution.runner import Runs
+from optlink.execution.worker import ChunkResult, ChunkTask, Runs, packed, run_chunk
 
 PATIENCE = 10  # s, time limit for the scheduler and for a first worker
 AHEAD = 3  # chunks queued per worker

@@ -16,7 +16,7 @@ from typing import Any
 from optlink.errors import InputError
 from optlink.execution import interrupts
 from optlink.execution.process import Process
-from optlink.execution.worker import ChunkResult, ChunkTask, packed, run_chunk
+from optlink.execution.worker import ChunkResult, ChunkTask, Runs, packed, run_chunk
 from optlink.problem.quantity import check_choice
 
 ENGINES = ("local", "dask")
@@ -24,8 +24,6 @@ WAIT = 0.2  # s, polling interval of waiting threads
 MAX_WORKERS = 1024
 
 Answer = tuple[int, ChunkResult | BaseException]
-Runs = Callable[[ChunkTask, Iterable[int]], Iterator[tuple[int, ChunkResult]]]
-"""Runs chunks of a task in the order of their numbers as listed, and yields each number and result on completion."""
 
 
 def cores() -> int:

@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from typing import IO, Any, NamedTuple, Protocol, TypeVar
 
 from optlink.errors import Fault, InputError, OptlinkError, SolverError
@@ -54,6 +54,10 @@ class ChunkResult(NamedTuple):
         if self.broken:
             raise SolverError(f"chunk {index} of the study failed; please report it with the problem file:\n{self.broken}")
         return self
+
+
+Runs = Callable[[ChunkTask, Iterable[int]], Iterator[tuple[int, ChunkResult]]]
+"""Runs chunks of a task in the order of their numbers as listed, and yields each number and result on completion."""
 
 
 def run_chunk(task: ChunkTask, index: int) -> ChunkResult:

@@ -16,8 +16,8 @@ import casadi
 import numpy as np
 
 from optlink.dynamics.inverse import Reactions, reactions, required_wrench
-from optlink.dynamics.loads import Force, Load
-from optlink.dynamics.machine import Machine, Moving, jet_parts
+from optlink.dynamics.loads import Force
+from optlink.dynamics.machine import Load, Machine, Moving, jet_parts
 from optlink.linkage.extrema import sign_changes, zeros
 from optlink.linkage.jet import Jet
 from optlink.linkage.motion import Motion

@@ -189,3 +189,36 @@ def scale(largest: float, unit: str) -> Scale:
         factor = 1.0 / size
     digits = math.floor(math.log10(largest * factor)) if largest > 0.0 else 0
     return Scale(factor, product(letter + unit), min(max(0, 4 - digits), 9))
+
+
+def figure(value: float, unit: str = "") -> str:
+    """Format a value in a display unit with four significant digits.
+
+    Parameters
+    ----------
+    value : float
+    unit : str, optional
+    """
+    if not math.isfinite(value):
+        return "unlimited"
+    size = abs(value)
+    shown = f"{value:z.4g}" if 1e-4 <= size < 1e4 or value == 0.0 else f"{value:z,.0f}" if 1e4 <= size < 1e9 else f"{value:.3e}"
+    return shown.replace("-", "−") + ("°" if unit == "deg" else f" {pretty(unit)}" if unit else "")
+
+
+def si(value: float, unit: str) -> str:
+    """Format a value [SI] in its display unit.
+
+    Parameters
+    ----------
+    value : float
+    unit : str
+        "m", "N", "N m", "J", "W", or "rad".
+    """
+    shown = scale(abs(value), "deg" if unit == "rad" else unit)
+    return figure(value * shown.factor, shown.unit)
+
+
+def joined(words: Sequence[str]) -> str:
+    """Join words with commas and "and"."""
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)

@@ -18,7 +18,8 @@ import numpy as np
 
 from optlink.errors import Status
 from optlink.execution import interrupts
-from optlink.execution.runner import Runs, ordered
+from optlink.execution.runner import ordered
+from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
 from optlink.optimization.cycle_constraints import EVENT
 from optlink.optimization.cycle_nlp import CycleNLP, build_cycle

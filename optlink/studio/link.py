@@ -12,7 +12,6 @@ from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import optlink
 from optlink.studio.history import History
 from optlink.studio.worker import STOP, frame
 
@@ -44,7 +43,7 @@ class Worker:
     @classmethod
     async def start(cls) -> Worker:
         """Start a process."""
-        root = str(Path(optlink.__file__).parent.parent)
+        root = str(Path(__file__).parents[2])
         paths = os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH", "")]))
         threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         process = await asyncio.create_subprocess_exec(

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.execution.runner import Runs, ordered
-from optlink.execution.worker import built, packed
+from optlink.execution.runner import ordered
+from optlink.execution.worker import Runs, built, packed
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.path import STEP, PathProblem
 from optlink.synthesis import random_starts as starts

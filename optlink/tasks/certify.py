@@ -14,7 +14,7 @@ import numpy as np
 
 from optlink.errors import InputError
 from optlink.execution import interrupts
-from optlink.execution.runner import Runs
+from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
 from optlink.optimization.box_models import DesignBoxes, box_problem
 from optlink.problem.file import ProblemFile

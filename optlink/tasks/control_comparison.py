@@ -12,7 +12,8 @@ from optlink.clearance.compiled.choice import resumed
 from optlink.clearance.controller import Control
 from optlink.clearance.output import Output
 from optlink.errors import InputError
-from optlink.execution.runner import Runs, pool
+from optlink.execution.runner import pool
+from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.arguments import typed
 from optlink.problem.base_model import SPELLINGS

@@ -16,7 +16,8 @@ import numpy as np
 
 from optlink.errors import Status
 from optlink.execution import interrupts
-from optlink.execution.runner import Runs, ordered
+from optlink.execution.runner import ordered
+from optlink.execution.worker import Runs
 from optlink.linkage.fourbar import LENGTHS
 from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.nlp import NLP

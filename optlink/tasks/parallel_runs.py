@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from optlink.dynamics.ending import Ending
-from optlink.execution.runner import Runs
+from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
 from optlink.problem.file import ProblemFile
 from optlink.tasks.clearance import revolutions_counted, simulate_clearance

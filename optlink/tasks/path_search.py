@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from optlink.errors import Status
-from optlink.execution.runner import Runs, ordered
-from optlink.execution.worker import built, packed
+from optlink.execution.runner import ordered
+from optlink.execution.worker import Runs, built, packed
 from optlink.optimization.path_nlp import build_path_nlp, solved_values
 from optlink.problem.file import ProblemFile
 from optlink.problem.path import PathProblem

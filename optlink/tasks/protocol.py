@@ -10,7 +10,7 @@ from typing import ClassVar, Generic, Protocol, TypeVar
 
 from optlink.errors import InputError
 from optlink.execution import interrupts
-from optlink.execution.runner import Runs
+from optlink.execution.worker import Runs
 from optlink.problem.file import ProblemFile
 from optlink.problem.machine.model import Problem
 from optlink.problem.quantity import check_choice, check_range

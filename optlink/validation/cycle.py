@@ -10,8 +10,8 @@ import numpy as np
 
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.inertia import Parameters
-from optlink.dynamics.loads import Acting, Steady
-from optlink.dynamics.machine import Machine, Moving, slider_names
+from optlink.dynamics.loads import Steady
+from optlink.dynamics.machine import Acting, Machine, Moving, slider_names
 from optlink.dynamics.work import NODES, WEIGHTS, Work, gauss_points
 from optlink.linkage.extrema import distinct, extremes, maxima
 from optlink.linkage.motion import Motion, sweep

@@ -35,7 +35,7 @@ from optlink.clearance.joint import Motion
 from optlink.clearance.statistics import KEPT
 from optlink.dynamics.ending import Ending
 from optlink.dynamics.inverse import acting_on
-from optlink.dynamics.loads import Acting
+from optlink.dynamics.machine import Acting
 from optlink.linkage.vector2d import cross, minus
 from optlink.report.views import clearance_tables
 from optlink.tasks.clearance import simulate_clearance

@@ -18,8 +18,8 @@ import pytest
 from optlink.dynamics import dyad_balances, inverse as reactions_module
 from optlink.dynamics.inertia import Inertia, Parameters, Wrench
 from optlink.dynamics.inverse import Reactions, acting_on, reactions, regressor, reported_on, shaking, torque_parts
-from optlink.dynamics.loads import Force, Load, SlideDamper, Spring, Torque, TorsionSpring
-from optlink.dynamics.machine import Machine, Moving
+from optlink.dynamics.loads import Force, SlideDamper, Spring, Torque, TorsionSpring
+from optlink.dynamics.machine import Load, Machine, Moving
 from optlink.linkage.assur import assemble
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import FRAME, BodyPoint, Guide, Link, Mechanism

@@ -14,11 +14,10 @@ from rich.console import Console
 
 import optlink
 from optlink.report import terminal
-from optlink.report.format import change, dimension, fixed, number, significant
+from optlink.report.format import change, dimension, figure, fixed, number, significant
 from optlink.report.registry import table_of
 from optlink.report.table_spec import Part, Summary
 from optlink.report.views import conclusions, path as path_view
-from optlink.report.views.conclusions import figure
 from optlink.report.views.function import function_values
 from optlink.report.views.function_tables import active
 from optlink.report.views.relaxations import conflict

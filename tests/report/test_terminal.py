@@ -12,7 +12,7 @@ from optlink.problem.file import load, shipped
 from optlink.report import terminal
 from optlink.report.registry import table_of
 from optlink.report.table_spec import Summary, TableSpec, table
-from optlink.report.views import function_tables
+from optlink.report.views import problem_tables
 from optlink.studies.pareto.epsilon_constraint import pareto
 from optlink.units import percent
 from tests.solved import solution
@@ -29,10 +29,10 @@ def printed(shown: Summary | TableSpec, width: int, monkeypatch) -> str:
 @cache
 def screen(name: str) -> Summary | TableSpec:
     if name == "list":
-        return function_tables.listing([load(one) for one in shipped()])
+        return problem_tables.listing([load(one) for one in shipped()])
     kind, _, problem = name.partition(" ")
     if kind == "show":
-        return function_tables.problem(load(problem))
+        return problem_tables.problem(load(problem))
     if kind == "analyze":
         return table_of("analysis")(optlink.analyze(load(problem)))
     result = solution(problem)

@@ -337,7 +337,7 @@ def test_quadrature_beside_alignment_raises_no_alarm(monkeypatch):
 
 
 def test_a_wrong_power_does(monkeypatch):
-    from optlink.dynamics.loads import Acting
+    from optlink.dynamics.machine import Acting
 
     file = machine("press")
     good = Cycle(file.model, {})

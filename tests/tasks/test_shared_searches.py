@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 import optlink
-from optlink.execution.runner import Runs, ordered, pool
-from optlink.execution.worker import ChunkResult, ChunkTask, run_chunk
+from optlink.execution.runner import ordered, pool
+from optlink.execution.worker import ChunkResult, ChunkTask, Runs, run_chunk
 from optlink.tasks.path_search import PolishTask
 from optlink.tasks.run import design_task
 

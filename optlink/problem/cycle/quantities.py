@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
@@ -20,11 +20,23 @@ from optlink.linkage.dyad_types import RPR, RRP, RRR, Transmitting, transmitting
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.vector2d import Array, Value, cross, dot, magnitude, minus
 
-if TYPE_CHECKING:
-    from optlink.problem.cycle.terms import Term
 
-Signal = Callable[[Moving, Reactions, "Term"], tuple[Value, ...]]
-Course = Callable[[MotionColumns, "Term"], Array]
+class ElementTerm(Protocol):
+    """A term, of which a quantity reads the name `of` its element and the body `on` which a reaction acts."""
+
+    @property
+    def of(self) -> str | None:
+        """Name of the element."""
+        ...
+
+    @property
+    def on(self) -> str | None:
+        """Name of the body."""
+        ...
+
+
+Signal = Callable[[Moving, Reactions, ElementTerm], tuple[Value, ...]]
+Course = Callable[[MotionColumns, ElementTerm], Array]
 
 
 @dataclass(frozen=True)
@@ -112,14 +124,14 @@ class QuantityType:
 QUANTITIES: Registry[QuantityType] = Registry()
 
 
-def _guide(moving: Moving, term: Term) -> str:
+def _guide(moving: Moving, term: ElementTerm) -> str:
     return str(guide_of(str(term.of), moving.machine.mechanism))
 
 
 def _column(suffix: str, *, of_slider: bool = False) -> Course:
     """Return a function that reads a column of a guide, or of its slider."""
 
-    def read(record: MotionColumns, term: Term) -> Array:
+    def read(record: MotionColumns, term: ElementTerm) -> Array:
         guide = _guide(record.moving, term)
         return record[f"{slider_names(record.moving.machine)[guide] if of_slider else guide}.{suffix}"]
 
@@ -131,7 +143,7 @@ def _size(x: str, y: str) -> Course:
     return lambda record, term: np.hypot(record[x.format(term.of)], record[y.format(term.of)])
 
 
-def _pin(record: MotionColumns, term: Term) -> Array:
+def _pin(record: MotionColumns, term: ElementTerm) -> Array:
     machine, name = record.moving.machine, str(term.of)
     force = record.reactions.pins[name][term.on or reported_on(machine)[name]]
     return np.asarray(np.hypot(*(record.full(part) for part in force)))
@@ -141,7 +153,7 @@ def _dyad_of(mechanism: Mechanism, joint: str | None) -> Transmitting:
     return next(group for group in transmitting(mechanism) if group.joint == joint)
 
 
-def _pressure(moving: Moving, reactions: Reactions, term: Term) -> tuple[Value, ...]:
+def _pressure(moving: Moving, reactions: Reactions, term: ElementTerm) -> tuple[Value, ...]:
     """Return 90 deg less the transmission angle [rad], of one dyad or of all."""
     groups = [group for group in transmitting(moving.machine.mechanism) if term.of in (None, group.joint)]
     return tuple(0.5 * np.pi - _transmission_angle(moving, group) for group in groups)
@@ -160,7 +172,7 @@ def _transmission_angle(moving: Moving, group: Transmitting) -> Value:
     return np.arctan2(magnitude(cross(p, q)), dot(p, q))
 
 
-def _pressure_measured(record: MotionColumns, term: Term) -> Array:
+def _pressure_measured(record: MotionColumns, term: ElementTerm) -> Array:
     groups = [group for group in transmitting(record.moving.machine.mechanism) if term.of in (None, group.joint)]
     return np.asarray(np.max([np.abs(0.5 * np.pi - _measured(record, group)) for group in groups], axis=0))
 
@@ -179,7 +191,7 @@ def _measured(record: MotionColumns, group: Transmitting) -> Array:
     return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))  # values beyond +-1 are rounding errors
 
 
-def _lever_arm(record: MotionColumns, term: Term) -> Array:
+def _lever_arm(record: MotionColumns, term: ElementTerm) -> Array:
     return np.asarray(np.abs(_column("v_m_s", of_slider=True)(record, term) / record.moving.motion.speed))
 
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 from functools import partial
 from typing import Annotated, Any, Literal
 
-from optlink.dynamics.loads import Force, Load, SlideDamper, Spring, Torque, TorsionSpring
+from optlink.dynamics.loads import Force, SlideDamper, Spring, Torque, TorsionSpring
+from optlink.dynamics.machine import Load
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.stroke import OTHER
 from optlink.problem.base_model import Section, in_folder

@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from optlink.clearance.joint import Gap
-from optlink.dynamics.loads import Force, Load
-from optlink.dynamics.machine import Machine, Moving
+from optlink.dynamics.loads import Force
+from optlink.dynamics.machine import Load, Machine, Moving
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.stroke import LEAST_DIFFERENCE, Direction
 from optlink.linkage.vector2d import TURN, Array, Value, cross, dot

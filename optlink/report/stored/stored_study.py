@@ -21,7 +21,7 @@ from optlink.report.html.moving_linkage import Moving
 from optlink.report.html.shell import PageContent, PageSection, arranged, fitted, linkage_sections
 from optlink.report.shapes import even
 from optlink.report.table_spec import Line, Paragraph
-from optlink.report.views import function_tables
+from optlink.report.views import problem_tables
 from optlink.tasks.analyze import analyze
 from optlink.tasks.results.analysis import Analysis
 from optlink.version import VERSION
@@ -166,7 +166,7 @@ def closing(file: ProblemFile, by: str) -> Iterable[PageSection]:
         Method by which the result was found.
     """
     about = (" ".join(piece.replace("`", "").split()) for piece in file.model.about.split("\n\n") if piece.strip())
-    yield PageSection("Problem", (Paragraph(*about), function_tables.problem(file).parts))
+    yield PageSection("Problem", (Paragraph(*about), problem_tables.problem(file).parts))
     yield PageSection("Sources", (dict(_sources(file, by)),))
 
 

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from optlink.optimization.objectives import MEASURES
-from optlink.report.format import pretty, scale
+from optlink.report.format import figure, joined, si
 from optlink.report.views.certificate_view import clause
+from optlink.report.views.relaxations import contradiction
 from optlink.units import percent
 
 if TYPE_CHECKING:
@@ -33,39 +34,6 @@ if TYPE_CHECKING:
 SMALL = 1e-9  # share of the given value below which what is left is rounding
 
 
-def figure(value: float, unit: str = "") -> str:
-    """Format a value in a display unit with four significant digits.
-
-    Parameters
-    ----------
-    value : float
-    unit : str, optional
-    """
-    if not math.isfinite(value):
-        return "unlimited"
-    size = abs(value)
-    shown = f"{value:z.4g}" if 1e-4 <= size < 1e4 or value == 0.0 else f"{value:z,.0f}" if 1e4 <= size < 1e9 else f"{value:.3e}"
-    return shown.replace("-", "−") + ("°" if unit == "deg" else f" {pretty(unit)}" if unit else "")
-
-
-def si(value: float, unit: str) -> str:
-    """Format a value [SI] in its display unit.
-
-    Parameters
-    ----------
-    value : float
-    unit : str
-        "m", "N", "N m", "J", "W", or "rad".
-    """
-    shown = scale(abs(value), "deg" if unit == "rad" else unit)
-    return figure(value * shown.factor, shown.unit)
-
-
-def joined(words: Sequence[str]) -> str:
-    """Join words with commas and "and"."""
-    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
-
-
 # --- designs -----------------------------------------------------------------------------------------------------------------
 
 
@@ -78,7 +46,6 @@ def design(outcome: FunctionResult | PathResult | CycleResult, limits: Iterable[
     limits : iterable of LimitState
         Constraints with their shadow prices.
     """
-    from optlink.report.views.relaxations import contradiction
     from optlink.tasks.results.cycle import CycleResult
     from optlink.tasks.results.path import PathDesign
 

@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 from typing import TYPE_CHECKING
 
+from optlink.report.format import figure, joined
 from optlink.report.table_spec import TableSpec, table
-from optlink.report.views.conclusions import figure, joined
 
 if TYPE_CHECKING:
     from optlink.solvers.solution import Relaxation

@@ -21,7 +21,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.execution.runner import Runs, ordered
+from optlink.execution.runner import ordered
+from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
 from optlink.solvers.global_search.lagrangian import CUT, OPEN, BoxRecord
 

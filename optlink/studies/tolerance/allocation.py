@@ -24,7 +24,7 @@ from optlink.problem.base_model import Record
 from optlink.studies.tolerance.monte_carlo import MonteCarlo, MonteCarloRecord, monte_carlo
 
 if TYPE_CHECKING:
-    from optlink.execution.runner import Runs
+    from optlink.execution.worker import Runs
     from optlink.studies.tolerance.analysis import Tolerance
 
 PROVEN = 1e-6  # largest relative duality gap of a proven cost

@@ -16,7 +16,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from optlink.errors import InputError
-from optlink.execution.runner import Runs, check, pool
+from optlink.execution.runner import check, pool
+from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
 from optlink.problem.arguments import typed
 from optlink.problem.base_model import Column, Contradiction, Number, Record, Recorded, ResultRecord, absent, check_length

@@ -18,7 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from optlink.errors import InputError
-from optlink.execution.runner import Runs, ordered
+from optlink.execution.runner import ordered
+from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP, build
 from optlink.problem.file import ProblemFile

@@ -13,7 +13,8 @@ from annotated_types import Gt
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from optlink.execution.runner import Runs, ordered
+from optlink.execution.runner import ordered
+from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import Column, Contradiction, Number, Record
 from optlink.problem.tolerances import Deviation

@@ -1,0 +1,137 @@
+"""All settings of a problem file, each with its value or default, as tables; and the list of shipped problems."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from optlink.problem.base_model import Section
+from optlink.problem.cycle.model import CycleProblem
+from optlink.problem.file import ProblemFile
+from optlink.problem.function import DesignProblem
+from optlink.problem.interval import Interval
+from optlink.problem.mechanism import FourBarSection
+from optlink.problem.path import PathProblem
+from optlink.problem.quantity import Quantity
+from optlink.problem.targets.target_points import TargetPoints
+from optlink.report.table_spec import (
+    Part,
+    Summary,
+    TableSpec,
+    quiet,
+    summary,
+    table,
+)
+from optlink.report.views.analysis_tables import machine
+from optlink.report.views.cycle_tables import cycle_problem
+
+MOST = 8  # largest number of points listed
+
+
+def problem(file: ProblemFile) -> Summary:
+    """List all settings of a problem: every key with its value or default, in units."""
+    model = file.model
+    about = [" ".join(model.about.split())] if model.about else []
+    parts: list[Part] = []
+    if isinstance(model.mechanism, FourBarSection):
+        parts.append(_section("mechanism", model.mechanism))
+    if isinstance(model, DesignProblem | PathProblem):
+        over = {"transmission_over": model.limits.transmission_range}
+        task = holding(model) if isinstance(model, PathProblem) else None
+        parts += [_section("requirement", model.requirement, task), _section("limits", model.limits, over)]
+    if isinstance(model, CycleProblem):
+        parts.append(cycle_problem(model))
+    if not isinstance(model, DesignProblem | PathProblem) or model.bodies or model.loads:
+        parts += machine(file)
+    if model.tolerances:
+        rows = []
+        for deviation, said in zip(model.deviations, model.tolerances.values(), strict=True):
+            default = "" if said.shape or said.measured else f"default: {deviation.shape}"
+            rows.append((deviation.name, str(said), quiet(default)))
+        parts.append(table("[tolerances]", "<<<", rows))
+    if model.report.model_fields_set:
+        parts.append(_section("report", model.report, only_stated=True))
+    if model.expected is not None:
+        parts.append(_section("expected", model.expected, only_stated=True))
+    return summary(model.title, [*about, quiet(f"Source: {model.source or '-'}")], *parts)
+
+
+def holding(model: PathProblem) -> dict[str, str]:
+    """Return the effective values of optional keys of a path or motion synthesis problem."""
+    from optlink.problem.path import MARK, START, ZERO
+
+    found = {"timing": model.timing, "measure": model.measure, "closed": str(model.closed).lower()}
+    if model.requirement.kind == "motion":
+        found["angle_length"] = f"{1e3 * model.radian:.6g} mm"
+    else:
+        found["angle_length"] = "none"
+    added = {key: str(model.quantities[key]) for key in (START, MARK) if key in model.quantities}
+    found["psi0"] = "none"
+    if ZERO in model.quantities:
+        added["zero" if model.slides else "psi0"] = str(model.quantities[ZERO])
+    return found | added
+
+
+def _section(name: str, section: Section, instead: Mapping[str, str] | None = None, *, only_stated: bool = False) -> TableSpec:
+    rows = []
+    for key, field in type(section).model_fields.items():
+        stated = key in section.model_fields_set
+        if stated or not only_stated:
+            text = (instead or {}).get(key) or _plain(key, getattr(section, key))
+            rows.append((field.alias or key, text, quiet("" if stated else "default")))
+    return table(f"[{name}]", "<<<", rows)
+
+
+ABSENT = {
+    "psi0": "the rocker angle at the start",
+    "span": "that of the table",
+    "points": "its rows",
+    "robust": "no",
+    "pivot": "fixed: 0 mm, 0 mm",
+    "direction": "fixed: 0 deg",
+    "law": "none",
+    "output": "none",
+    "zero": "none",
+    "start": "none",
+    "mark": "none",
+}
+"""Defaults of the keys that are not limits."""
+
+
+def _plain(name: str, value: object) -> str:
+    if value is None:
+        return ABSENT.get(name, "no limit")
+    if isinstance(value, Quantity | Interval | str | int | float):
+        return str(value)
+    if isinstance(value, dict):
+        written = ((key, ", ".join(map(str, item)) if isinstance(item, tuple) else item) for key, item in value.items())
+        return "\n".join(f"{key}  {item}" for key, item in written) or "none"
+    if isinstance(value, tuple):
+        return ", ".join(map(str, value))
+    if isinstance(value, TargetPoints):
+        return _listed(value)
+    text = getattr(value, "text", None)
+    if text is not None:
+        return str(text)
+    phi, psi = getattr(value, "phi", ()), getattr(value, "psi", ())
+    size, unit = (1e3, "mm") if getattr(value, "kind", "angle") == "coordinate" else (math.degrees(1.0), "deg")
+    rows = (f"{np.degrees(a):g} deg -> {size * b:g} {unit}" for a, b in zip(phi, psi, strict=True))
+    return "table: " + ", ".join(list(rows)[:MOST]) + (f", ... ({len(phi)} rows)" if len(phi) > MOST else "")
+
+
+def _listed(targets: TargetPoints) -> str:
+    """List the first points or poses."""
+    angles = targets.angles or (None,) * len(targets.points)
+    written = (
+        f"({1e3 * x:.6g}, {1e3 * y:.6g})" + ("" if angle is None else f" at {math.degrees(angle):.6g} deg")
+        for (x, y), angle in zip(targets.points, angles, strict=True)
+    )
+    count, what = len(targets.points), "poses" if targets.angles else "points"
+    return f"{count} {what} [mm]: {', '.join(list(written)[:MOST])}{', ...' if count > MOST else ''}"
+
+
+def listing(files: Iterable[ProblemFile]) -> TableSpec:
+    """List the shipped problems, one per row."""
+    return table("Shipped problems", ["name", "description"], ((one.name, f"{one.model.title} ({one.kind})") for one in files))
