@@ -216,6 +216,22 @@ def explain(
     return Explanation(x[: search.n], tuple(conflict), tuple(together))
 
 
+def feasible_point(nlp: NLP, seed: int = 0) -> Array | None:
+    """Return the x (n,) of a design that meets all limits, found by local searches from the start and Sobol points; else None.
+
+    Parameters
+    ----------
+    nlp : NLP
+    seed : int
+        Seed of the Sobol points.
+    """
+    limits = limits_of(limit_sides(nlp))
+    search = _Search(nlp, limits, _begin(nlp, seed), ("ipopt",))
+    search.enough = AGREEING
+    total, x = search.least(np.ones(len(limits)), np.full(len(limits), FREE))
+    return np.clip(x[: search.n], nlp.x_low, nlp.x_high) if total <= MET else None
+
+
 def tightest(nlp: NLP, key: str, sense: str, point: Array) -> float:
     """Return the tightest value [display unit] of a limit that a design meets with all other limits; NaN if none is found.
 

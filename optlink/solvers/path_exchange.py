@@ -37,6 +37,7 @@ EDGE = 1e-3  # share of the motion: this close to its ends the derivative at a p
 ROUNDING = 1e-9  # scaled units: a shorter step is none
 APART = 1e-4  # share of the motion; closer positions count as one
 MISSED = 1e3  # penalty of exceeding a limit by one, in multiples of the objective
+RESTORED = 0.5  # share of a violation: a step that leaves at most this much of it restores feasibility
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,8 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
     """Return an optimum near a start that satisfies its limits also between the positions of the NLP.
 
     In every round the exchange points move to where limits are exceeded or nearly so, and the NLP is solved within a radius, in
-    which these positions hardly move; a step is accepted only if the merit over all positions decreases.
+    which these positions hardly move; a step is accepted only if the merit over all positions decreases. The penalty of the merit
+    is raised where it would reject a step that restores feasibility: near an exact design the objective alone is a poor measure.
 
     Parameters
     ----------
@@ -72,7 +74,7 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
     if not near and found.status is not Status.OPTIMAL:
         found = local.solve_from(nlp, start.x, backend, resume_infeasible=False, continuations=0)
     radius, tops, missed = RADIUS, _tops(task, found), list[RowPeak]()
-    worst = math.inf
+    worst, penalty = math.inf, 0.0
     for _ in range(EXCHANGES):
         if not math.isfinite(found.objective):
             break
@@ -83,7 +85,8 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
         begun = found.x
         moved, limited = _followed(nlp, found, len(task.free), radius, backend, tops, missed)
         there = _tops(task, moved)
-        if _merit(moved, there) < _merit(found, tops):
+        penalty = max(penalty, _needed_penalty(found, tops, moved, there))
+        if _merit(moved, there, penalty) < _merit(found, tops, penalty):
             found, tops, missed, worst = moved, there, [], math.inf
             radius = min(GROWTH * radius, LARGEST) if limited else radius
         elif 0.0 < there[0].height < worst:
@@ -158,10 +161,23 @@ def _moving_rows(nlp: NLP) -> list[int]:
     return [j for j, row in enumerate(nlp.rows) if j >= first or (row.limit, row.label) not in names]
 
 
-def _merit(found: Solution, tops: list[RowPeak]) -> float:
-    """Return the objective plus a penalty on violated limits, at the positions of the NLP or between them."""
-    missed = max(found.violation, tops[0].height, 0.0)
-    return found.objective + MISSED * missed * abs(found.objective) if math.isfinite(missed) else math.inf
+def _missed(found: Solution, tops: list[RowPeak]) -> float:
+    """Return the largest violation of a limit, at the positions of the NLP or between them."""
+    return max(found.violation, tops[0].height, 0.0)
+
+
+def _merit(found: Solution, tops: list[RowPeak], penalty: float) -> float:
+    """Return the objective plus the penalty of its violation, `MISSED` times the objective or more."""
+    missed = _missed(found, tops)
+    return found.objective + max(MISSED * abs(found.objective), penalty) * missed if math.isfinite(missed) else math.inf
+
+
+def _needed_penalty(found: Solution, tops: list[RowPeak], moved: Solution, there: list[RowPeak]) -> float:
+    """Return a penalty with which a step that restores feasibility decreases the merit; 0 for any other step."""
+    before, after = _missed(found, tops), _missed(moved, there)
+    if not (math.isfinite(before) and after <= RESTORED * before and found.objective < moved.objective < math.inf):
+        return 0.0
+    return 2.0 * (moved.objective - found.objective) / (before - after)
 
 
 def _tops(task: PathProblem, found: Solution) -> list[RowPeak]:

@@ -69,11 +69,12 @@ class PathTask(DesignTask[PathResult]):
         timer.lap("build")
         rounds.run()
         timer.lap("search, polish and validate")
-        found, coverage = rounds.collection, rounds.collection.evidence()
+        found = rounds.collection
         task = path_model(problem)
         notes = [*([task.target_points.note] if task.target_points.note else []), *rounds.notes]
-        reason = None if found.designs or rounds.interrupted else rounds.conflict(seed)
+        reason = None if found.designs or rounds.interrupted else rounds.explained(seed)
         limits = () if reason is None else reason.conflict
+        coverage = found.evidence()
         if rounds.better is not None and not found.no_worse(rounds.better):
             error = math.sqrt(float(np.mean(rounds.better.measured.distances**2)))
             notes.append(FOUR_BAR_BETTER.format(1e3 * error))
@@ -190,19 +191,36 @@ class _Search:
         left = math.ceil((starts - found.starts) / PER_ROUND) if starts else self._most - found.rounds
         return max(1, min(left, SHARED_AHEAD))
 
-    def conflict(self, seed: int) -> Explanation | None:
-        """Return limits of the linkage that conflict; None if some linkage satisfies them, whatever its deviations.
+    def explained(self, seed: int) -> Explanation | None:
+        """Return limits of the linkage that conflict, or refine a design that meets all of them, whatever its deviations.
 
-        The order of the points and their tolerances are kept while limits are relaxed.
+        All assembly modes and senses of rotation are tried, those of the nearest design first. The order of the points and their
+        tolerances are kept while limits are relaxed.
         """
-        from optlink.solvers.infeasibility import Explanation, explain
+        from optlink.solvers.infeasibility import Explanation, explain, feasible_point
 
-        nlp = self.collection.polisher.programme(0, 1)
-        nlp.set_exchange_points((np.arange(nlp.exchange_count) + 0.5) / nlp.exchange_count)
-        near = self.collection.nearest
-        points = None if near is None or near.solution is None or near.solution.nlp is not nlp else [near.solution.x, nlp.x_start]
-        found = explain(replace(nlp, states=nlp.states | {"requirement.points"}), seed, points)
-        return found if isinstance(found, Explanation) and found.conflict else None
+        polisher, near = self.collection.polisher, self.collection.nearest
+        task = path_model(self.problem)
+        senses = {"counter-clockwise": (1,), "clockwise": (-1,)}.get(task.requirement.rotation or "", (1, -1))
+        keys = [(k, sense) for sense in (senses if task.data.offsets is None else (1,)) for k in range(len(polisher.files))]
+        known = None if near is None or near.solution is None else near.solution
+        if known is not None:
+            keys.sort(key=lambda key: polisher.programmes.get(key) is not known.nlp)
+        reason: Explanation | None = None
+        possible = False
+        for k, sense in keys:
+            nlp = polisher.programme(k, sense)
+            nlp.set_exchange_points((np.arange(nlp.exchange_count) + 0.5) / nlp.exchange_count)
+            kept = replace(nlp, states=nlp.states | {"requirement.points"})
+            points = [known.x, nlp.x_start] if known is not None and known.nlp is nlp else None
+            found = explain(kept, seed, points) if reason is None and not possible else feasible_point(kept, seed)
+            if isinstance(found, Explanation):
+                reason = found
+            elif found is not None:
+                possible = True
+                if self.collection.rescue(k, nlp, found):
+                    break
+        return reason if reason is not None and reason.conflict and not possible else None
 
     def _grow(self) -> None:
         """Add designs derived from the best four-bars that the linkage contains."""

@@ -13,6 +13,7 @@ import numpy as np
 from optlink.errors import Status
 from optlink.execution.runner import ordered
 from optlink.execution.worker import Runs, built, packed
+from optlink.linkage.vector2d import Array
 from optlink.optimization.path_nlp import build_path_nlp, solved_values
 from optlink.problem.file import ProblemFile
 from optlink.problem.path import PathProblem
@@ -138,6 +139,24 @@ class Polisher:
         """Return the candidate itself, validated: a feasible design if it satisfies its limits everywhere."""
         start = self._given(candidate)
         return feasible(validated_design(self.files[candidate.variant], start.nlp, start))
+
+    def from_feasible(self, variant: int, nlp: NLP, x: Array) -> Iterator[PathDesign]:
+        """Yield the local optimum near a point that meets all limits at the positions of its NLP, then the point itself.
+
+        Parameters
+        ----------
+        variant : int
+            Index of the file with definite assembly modes.
+        nlp : NLP
+        x : array (n,)
+            Scaled point.
+        """
+        from optlink.solvers import multistart as local
+        from optlink.solvers.path_exchange import solve_semi_infinite
+
+        file, start = self.files[variant], local.solution_at(nlp, nlp.lifted(x), "found by the analysis of limits")
+        yield validated_design(file, nlp, solve_semi_infinite(path_model(file), start, self.backend))
+        yield feasible(validated_design(file, nlp, start))
 
     def _given(self, candidate: Candidate) -> Solution:
         """Return a candidate as a point of its NLP."""
@@ -288,6 +307,14 @@ class DesignCollection:
         self.designs.append(design)
         self.designs.sort(key=_rank)
         del self.designs[self.requested :]
+
+    def rescue(self, variant: int, nlp: NLP, x: Array) -> bool:
+        """Add a design near a feasible point of an NLP; return whether there is a valid one. See `Polisher.from_feasible`."""
+        for design in self.polisher.from_feasible(variant, nlp, x):
+            if design.valid:
+                self.insert(design)
+                return True
+        return False
 
     def evidence(self) -> Evidence:
         """Return how many starts reached the best optimum, and how likely a better one was missed.

@@ -12,8 +12,11 @@ import pytest
 import optlink
 from optlink.errors import Status
 from optlink.solvers.solution import LEAST_PRICE
+from optlink.synthesis.batch_search import Candidate
 from optlink.tasks.path import PathResult
+from optlink.tasks.path_search import Polisher, validated_design
 from optlink.tasks.results.common import optimality
+from optlink.tasks.results.path import PathDesign
 from optlink.tasks.run import solve
 
 SWING = 110.0
@@ -103,3 +106,75 @@ def test_a_limit_without_a_price_shows_none() -> None:
     assert math.isfinite(f)
     scaled = replace(dead, multipliers=dead.multipliers * abs(f))
     assert not any(limit.multiplier for limit in replace(result.solution, conditions=scaled).limits)
+
+
+ROD = 102.0  # mm; with a transmission angle just below its limit
+LEVER: dict[str, Any] = {
+    "title": "Lever of a Stephenson III six-bar",
+    "mechanism": {
+        "ground": {"A": ["0 mm", "0 mm"], "D": ["115 mm", "53 mm"], "F": ["111 mm", "-179 mm"]},
+        "links": {
+            "crank": {"joints": ["A", "B"], "length": "33 mm"},
+            "coupler": {"joints": ["B", "C"], "length": "127.2 mm", "points": {"E": ["23 mm", "-26 mm"]}},
+            "rocker": {"joints": ["D", "C"], "length": "123 mm"},
+            "rod": {"joints": ["E", "G"], "length": "64..128 mm"},
+            "lever": {"joints": ["F", "G"], "length": "235 mm", "points": {"P": ["149..196 mm", "-77..-49 mm"]}},
+        },
+        "assembly": {"C": "right of B-D", "G": "left of E-F"},
+    },
+    "limits": {"transmission_angle": ["20 deg", "160 deg"]},
+}
+
+
+def lever(rod: float, turned: np.ndarray) -> tuple[np.ndarray, float]:
+    """P [mm] of the lever with a rod [mm] and P at 173, -63 mm, and its least transmission angle [deg], by complex numbers."""
+
+    def joint(p: Any, a: float, q: Any, b: float, side: int) -> Any:
+        d = abs(q - p)
+        x = (a * a - b * b + d * d) / (2 * d)
+        return p + (q - p) / d * (x + 1j * side * np.sqrt(a * a - x * x))
+
+    b, d, f = 33 * np.exp(1j * turned), 115 + 53j, 111 - 179j + 0 * turned
+    c = joint(b, 127.2, d, 123, -1)
+    e = b + (c - b) / abs(c - b) * (23 - 26j)
+    g = joint(e, rod, f, 235, 1)
+    least = min(
+        float(np.min(np.degrees(np.abs(np.angle((one - at) / (other - at)))))) for one, other, at in ((b, d, c), (e, f, g))
+    )
+    return f + (g - f) / abs(g - f) * (173 - 63j), least
+
+
+def lever_problem(**assembly: str) -> Any:
+    """A path that a rod with a transmission angle just below its limit of 20 deg follows exactly."""
+    turned = np.radians(-91.0 - 30.0 * np.arange(12))
+    at = lever(ROD, turned)[0].tolist()
+    points = [
+        {"x": f"{p.real} mm", "y": f"{p.imag} mm", "crank": f"{math.degrees(a)} deg"} for p, a in zip(at, turned, strict=True)
+    ]
+    mechanism = {**LEVER["mechanism"], "assembly": LEVER["mechanism"]["assembly"] | assembly}
+    return optlink.read({**LEVER, "mechanism": mechanism, "requirement": {"kind": "path", "point": "P", "points": points}})
+
+
+def test_a_limit_that_an_exact_linkage_hardly_misses_is_met() -> None:
+    """Near an exact linkage the objective is tiny: a merit in multiples of it preferred that linkage to all within the limit."""
+    turned = np.linspace(0.0, 2.0 * np.pi, 721)
+    assert 19.5 < lever(ROD, turned)[1] < 20.0
+    result = solve(lever_problem(), starts=60)
+    assert result.valid, result.conflict
+    assert result.status is Status.OPTIMAL
+    assert lever(result.design["rod.length"] * 1e3, turned)[1] == pytest.approx(20.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("assembly", [{}, {"C": "either"}])
+def test_a_design_that_the_analysis_of_limits_finds_is_refined(monkeypatch: pytest.MonkeyPatch, assembly: dict[str, str]) -> None:
+    """No candidate becomes valid, but a linkage meets all limits: it is the answer, in whichever assembly mode it is found."""
+
+    def failing(self: Polisher, candidate: Candidate, *, near: bool = False) -> PathDesign:
+        start = self._given(candidate)
+        return validated_design(self.files[candidate.variant], start.nlp, replace(start, status=Status.STALLED))
+
+    monkeypatch.setattr(Polisher, "polish", failing)
+    result = solve(lever_problem(**assembly), starts=60)
+    assert result.valid, result.conflict
+    assert result.status is Status.OPTIMAL
+    assert not result.conflict
