@@ -7,6 +7,7 @@ evaluator: a unit is a product of powers. Importing pint takes longer than most 
 from __future__ import annotations
 
 import contextlib
+import datetime
 import functools
 import math
 import re
@@ -277,7 +278,8 @@ def parse(text: object, kind: str) -> tuple[float, str]:
     """
     expected_kind = KINDS[kind]
     if isinstance(text, bool) or not isinstance(text, (str, int, float)):
-        found = {bool: "a logical value", list: "a list", dict: "a table"}.get(type(text), type(text).__name__)
+        kinds = {bool: "a logical value", list: "a list", dict: "a table", datetime.date: "a date", datetime.time: "a time"}
+        found = kinds.get(type(text), type(text).__name__)
         raise UnitProblem(f"expected {_a(kind)}, found {found}", f'Write it as text: "{expected_kind.example}"')
     if not isinstance(text, str):
         if abs(text) > 1e300 or not math.isfinite(text):

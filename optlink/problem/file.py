@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
+import difflib
 import hashlib
 import json
 import os
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +22,7 @@ from optlink.errors import InputError, shown
 from optlink.io import data_files, load_extensions
 from optlink.problem.arguments import typed
 from optlink.problem.base_model import DEEPEST, SPELLED, SPELLINGS, with_ranges, with_spellings
-from optlink.problem.file_errors import SECTIONS, as_written, faults, keys_ending, known_keys, of_dyads, toml_fault
+from optlink.problem.file_errors import SECTIONS, as_written, faults, keys_ending, known_keys, of_dyads, text_fault, toml_fault
 from optlink.problem.function import DesignProblem
 from optlink.problem.limits import MARGINS, Alignment
 from optlink.problem.machine.model import Problem
@@ -32,6 +34,8 @@ MOST_NESTED = 50
 STROKE = "stroke"
 REQUIREMENTS = ("function", "path", "motion", "transmission", STROKE)
 """Kinds of requirements."""
+OTHER_KINDS = {"point", "timing", "mark", "angle_length", "closed", "stroke"}
+"""Keys of a requirement that no motion law has."""
 SIDES = ("min", "max")
 
 
@@ -135,6 +139,16 @@ def _without_defaults(raw: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in {**raw, "limits": own}.items() if key != "limits" or value}
 
 
+def _similar(text: str, names: Iterable[str]) -> str:
+    """Return the remedy for a name that is no shipped problem: a file or a problem with a similar name."""
+    with contextlib.suppress(OSError, ValueError):
+        files = sorted(path.name for path in Path().glob("*.toml"))
+        if meant := [f"{text}.toml"] * (f"{text}.toml" in files) or difflib.get_close_matches(text, files, n=1, cutoff=0.8):
+            return f'Did you mean the file "{meant[0]}"?'
+    guess = nearest(text, names).partition("Known: ")[0]
+    return f"{guess}`optlink list` names the shipped ones; or give the path of a .toml file"
+
+
 def shipped() -> dict[str, Path]:
     """Return names and files of the shipped problems."""
     return data_files("problems")
@@ -177,7 +191,7 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
                     key="PROBLEM",
                     value=text,
                 )
-            raise InputError("no such problem", nearest(text, names) + ", or the path of a .toml file", key="PROBLEM", value=text)
+            raise InputError("no such problem", _similar(text, names), key="PROBLEM", value=text)
     raw = with_ranges(with_spellings(_read_toml(path)), skip=WORDS)
     file = path.name if text in names else text
     changes = _without_arrays(overrides or {})
@@ -226,6 +240,8 @@ def _model(raw: Mapping[str, Any], file: str) -> type[Problem]:
     requirement: Any = raw.get("requirement")
     registered = [model for section, model in SECTIONS.items() if section in raw]
     kind = requirement.get("kind", "function") if isinstance(requirement, dict) else None
+    if isinstance(requirement, dict) and not {"kind", "law"} & set(requirement) and OTHER_KINDS & set(requirement):
+        raise InputError("this key is missing", 'Add kind = "path", "motion" or "stroke"', file, "requirement.kind")
     if kind is not None and kind not in REQUIREMENTS:
         raise InputError("unknown kind", nearest(str(kind), REQUIREMENTS), file, "requirement.kind", kind)
     if registered:
@@ -311,16 +327,17 @@ def _read_toml(path: Path) -> dict[str, Any]:
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        kind = " (it is UTF-16)" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else ""
-        raise InputError(f"not UTF-8 text: byte {error.start}{kind}", "Save the file as UTF-8", file) from None
+        raise InputError(text_fault(data, error, file)) from None
     try:
         raw = tomllib.loads(text)
         _check_values(raw, file)
-        return raw
     except RecursionError:
         raise InputError("brackets are nested too deep", "Simplify the file", file) from None
     except ValueError as error:  # TOMLDecodeError, and integers of thousands of digits
         raise InputError(toml_fault(str(error), file, text)) from None
+    if not raw:
+        raise InputError("the file has no keys: all sections are missing", "Begin with a template: `optlink new --list`", file)
+    return raw
 
 
 def _without_arrays(raw: Any, depth: int = 0) -> Any:

@@ -15,6 +15,7 @@ from optlink.io import Registry
 from optlink.problem.base_model import Ends
 from optlink.problem.function import DesignProblem
 from optlink.problem.machine.model import Problem
+from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.quantity import Unusable, nearest
 from optlink.units import split
 
@@ -117,10 +118,20 @@ def _fitting(path: tuple[str | int, ...], model: type[Problem], raw: Mapping[str
     from optlink.problem.path_checks import inapplicable_keys
 
     known = known_keys(path, model)
+    if path == ("mechanism",):
+        other = FourBarSection if of_dyads(raw) else DyadsSection
+        own = DyadsSection if of_dyads(raw) else FourBarSection
+        known = [key for key in known if key in own.model_fields or key not in other.model_fields]
     if model is PathProblem and len(path) == 1:
         others = inapplicable_keys(str(path[0]), raw["requirement"].get("kind", "function"), four_bar=not of_dyads(raw))
         known = [key for key in known if key not in others]
     return known
+
+
+def _elsewhere(section: str, key: str, model: type[Problem]) -> list[str]:
+    """Return the full names of a key that belongs to other sections than the one where it stands."""
+    others = (name for name in ("mechanism", "requirement", "limits", "drive") if name != section and name in model.model_fields)
+    return [f"{name}.{key}" for name in others if key in known_keys((name,), model)]
 
 
 def faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[str, Any], file: str) -> Iterator[Fault]:
@@ -164,7 +175,8 @@ def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[
             yield Fault(problem.message, problem.remedy, file, key + below, problem.value if problem.key else _plain(value))
         elif kind == "extra_forbidden":
             fitting = _fitting(tuple(path[:-1]), model, raw)
-            yield Fault(UNKNOWN, nearest(str(path[-1]), fitting, [] if path[1:] else keys_ending(raw, key)), file, key)
+            deeper = _elsewhere(str(path[0]), str(path[-1]), model) if path[1:] else keys_ending(raw, key)
+            yield Fault(UNKNOWN, nearest(str(path[-1]), fitting, deeper if len(path) < 3 else []), file, key)
         elif kind == "union_tag_invalid":
             given = raw["mechanism"].get("type")
             yield Fault("not a type of linkage", nearest(str(given), ("four-bar", "dyads")), file, f"{key}.type", _plain(given))
@@ -178,25 +190,111 @@ def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[
             remedy = f"Leave it out, or limit a quantity of the cycle: {limit}"
             yield Fault("not a limit of this kind of problem", remedy, file, key, _plain(value))
         elif kind in ("model_type", "model_attributes_type"):
-            yield Fault("expected a table", f"Begin it with [{key}]" if key else "Write the sections", file, key, _plain(value))
+            body = f'Write {path[-1]} = {{ mass = "1.2 kg" }}' if path[:-1] == ["bodies"] else ""
+            remedy = body or (f"Begin it with [{key}]" if key else "Write the sections")
+            yield Fault("expected a table", remedy, file, key, _plain(value))
+        elif kind == "string_type":
+            plain_text = isinstance(value, int | float) and len(path) == 1
+            remedy = f'Write it in quotes: "{value}"' if plain_text else _example(key)
+            yield Fault("this is not a text", remedy, file, key, _plain(value))
         else:
             message = item["msg"][0].lower() + item["msg"][1:]
-            yield Fault(message, _example(key), file, key, _plain(value))
+            yield Fault(_WRONG.get(kind, message), _example(key), file, key, _plain(value))
 
 
+_WRONG = {
+    **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "this is not a whole number"),
+    **dict.fromkeys(("greater_than", "greater_than_equal", "less_than", "less_than_equal"), "out of range"),
+}
+"""What is wrong with a value, by the type of pydantic's error."""
+
+
+QUOTED = 'Write text and values with a unit in quotes: "250 mm"'
+ONE_LINE = "Write the whole table between { and } in one line, without a comma before }"
 TOML_FAULTS = (
-    (r"Illegal character '\\n'", "a quote is not closed", "Close it in that line"),
-    (r"Cannot declare \((.*?),?\) twice", "the section [{0}] occurs twice", "Put its keys into one of them"),
-    ("Cannot overwrite a value", "a key occurs twice in its section", "Keep one of them"),
-    ("Unclosed array", "a bracket [ is not closed", "Close it with ]"),
+    (r"Illegal character '\\n'|Expected \"'\"|Unterminated string", "", "a quote is not closed", "Close it in that line"),
+    (r"Cannot declare \((.*?),?\) twice", "", "the section [{0}] occurs twice", "Put its keys into one of them"),
     (
-        "Expected newline or end of document|Invalid value",
-        "a value is neither a number nor in quotes",
-        'Write text and values with a unit in quotes: "250 mm"',
+        "Cannot overwrite a value",
+        "",
+        "a key occurs twice in its section",
+        "Keep one of them, or begin the next section, for example [requirement], between them",
     ),
-    ("Expected '=' after a key", "no = after a key", "Write key = value"),
+    ("Duplicate inline table key '(.*)'", "", "the key {0} occurs twice in a table", "Keep one of them"),
+    ("Unclosed array", r"(?![\w.-]+\s*=)[A-Za-z°%µ/]", "a value is neither a number nor in quotes", QUOTED),
+    (
+        "Unclosed array",
+        r"(?!\[\w[\w.]*\]\s*$)[^\s=#]+(?![^#]*=)",
+        "two values of a list have no comma between them",
+        "Write a comma between them",
+    ),
+    ("Unclosed array", "", "a bracket [ is not closed", "Close it with ]"),
+    (
+        "Unclosed inline table",
+        r"[A-Za-z]\w*\s*=|;",
+        "two keys of a table have no comma between them",
+        "Write a comma between them",
+    ),
+    ("Unclosed inline table", r"[^\s#]", "a value is neither a number nor in quotes", QUOTED),
+    ("Unclosed inline table", "", "a brace {{ is not closed in its line", ONE_LINE),
+    ("Invalid initial character for a key part", r"[\s}]*$", "a table in braces does not end in its line", ONE_LINE),
+    ("Expected newline or end of document", r",\d", "a number has a decimal comma", "Write a decimal point"),
+    ("Expected newline or end of document", "([;,])", 'nothing may follow a value, but there is "{0}"', "Remove it"),
+    ("Invalid value", r"\s*(?:#.*)?$", "the value is missing", 'Write one behind =, for example key = "250 mm"'),
+    ("Invalid value", "=", "there are two signs =", "Write one"),
+    ("Invalid value", r"\(", "a list is in round brackets", 'Write ["100 mm", "600 mm"]'),
+    ("Expected newline or end of document|Invalid value", "", "a value is neither a number nor in quotes", QUOTED),
+    ("Expected ']' at the end of a table", "", "the line of a section does not end with ]", "Write for example [limits]"),
+    ("Unescaped|Invalid hex", "", "a text in double quotes has a backslash", "Write / in place of it, or single quotes"),
+    ("Invalid statement", "(%|//|;)", 'a line begins with "{0}"', "Begin a comment with #"),
+    (
+        "Expected '=' after a key",
+        r"[^\x00-\x7f]",
+        "a key has a letter that is not of the alphabet a to z",
+        "Put the key in quotes",
+    ),
+    ("Expected '=' after a key", r"\w+\s*=", "a key has a blank", "Write it as one word: transmission_angle"),
+    ("Expected '=' after a key", "", "no = after a key", "Write key = value"),
+    ("Invalid statement", "", "a line is neither key = value nor a [section] nor a # comment", "Correct that line"),
 )
-"""Messages of the TOML parser (a pattern), each in plain words with its remedy."""
+"""Message of the TOML parser and rest of the line where it stopped (patterns), each in plain words with its remedy."""
+
+
+BINARY = {
+    b"PK\x03\x04": "a ZIP archive, such as an Excel or Word file",
+    b"%PDF": "a PDF file",
+    b"\x89PNG": "a picture",
+    b"\xff\xd8\xff": "a picture",
+    b"GIF8": "a picture",
+    b"\xd0\xcf\x11\xe0": "an Office file",
+}
+"""Kinds of files that are no text, by their first bytes."""
+
+
+TOML_FILE = "Give the path of a problem file, a .toml text file"
+
+
+def _kind(data: bytes) -> str:
+    return next((words for start, words in BINARY.items() if data.startswith(start)), "")
+
+
+def text_fault(data: bytes, error: UnicodeDecodeError, file: str) -> Fault:
+    """Return the fault of a file that is not UTF-8 text.
+
+    Parameters
+    ----------
+    data : bytes
+        Content of the file.
+    error : UnicodeDecodeError
+    file : str
+        Name of the file.
+    """
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return Fault(f"not UTF-8 text: byte {error.start} (it is UTF-16)", "Save the file as UTF-8", file)
+    if (kind := _kind(data)) or b"\0" in data:
+        return Fault(f"this is {kind or 'not a text file'}", TOML_FILE, file)
+    line = data.count(b"\n", 0, error.start) + 1
+    return Fault(f"not UTF-8 text: byte 0x{data[error.start]:02X} in line {line}", "Save the file as UTF-8", file)
 
 
 def toml_fault(message: str, file: str, text: str = "") -> Fault:
@@ -214,15 +312,21 @@ def toml_fault(message: str, file: str, text: str = "") -> Fault:
     if text.lstrip().startswith("{"):
         remedy = "Give the problem, with --design FILE or --certificate FILE; only `report` and `export` read a result itself"
         return Fault("this is JSON, not a problem file in TOML", remedy, file)
+    if kind := _kind(text[:8].encode()):
+        return Fault(f"this is {kind}", TOML_FILE, file)
     if "\0" in text:
         return Fault("not UTF-8 text: it contains NUL characters", "Save the file as UTF-8", file)
     if "\r" in text and "\n" not in text:
         return Fault("the lines end with carriage returns alone", "Save the file with the line ends LF or CRLF", file)
-    for pattern, words, remedy in TOML_FAULTS:
-        found = re.match(pattern, message)
-        if found is not None:
-            names = [group.replace("'", "").replace(", ", ".") for group in found.groups()]
+    line, column = map(int, found.groups()) if (found := re.search(r"\(at line (\d+), column (\d+)\)", message)) else (0, 0)
+    stopped = text.replace("\r\n", "\n").split("\n")[line - 1] if line else ""
+    for pattern, follows, words, remedy in TOML_FAULTS:
+        found, rest = re.match(pattern, message), re.match(follows, stopped[column - 1 :] if line else "")
+        if found is not None and rest is not None:
+            names = [group.replace("'", "").replace(", ", ".") for group in (*found.groups(), *rest.groups())]
             place = f" {message[message.rindex('(at') :]}" if "(at" in message else ""
+            key = re.match(r"\s*([\w.-]+)\s*=", stopped) if "twice in its section" in words else None
+            words = words.replace("a key", f"the key {key[1]}") if key else words
             return Fault(f"not valid TOML: {words.format(*names)}{place}", remedy, file)
     return Fault(f"not valid TOML: {message}", "Correct that line; text needs quotes", file)
 
@@ -249,6 +353,8 @@ def _example(key: str) -> str:
         return 'Add mass = "1.2 kg"'
     if last == "joints":
         return 'Add joints = ["B", "C"], or joints = ["E"] for a body that a guide carries'
+    if key.startswith("mechanism.assembly"):
+        return 'Write for example "left of B-D", "forward" or "either"'
     if last == "slider":
         return 'Add slider = "NAME", with the name of the body that slides'
     if key.startswith(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import functools
+import json
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -69,8 +70,19 @@ def input_of(file: str | None, key: str | None = None, value: object = None) -> 
 
 
 OTHER_WORDS = {
-    **dict.fromkeys(("max", "maximum"), ("peak", "largest")),
-    **dict.fromkeys(("min", "minimum"), ("least",)),
+    **dict.fromkeys(("max", "maximum"), ("max", "peak", "largest", "bounds")),
+    **dict.fromkeys(("min", "minimum"), ("least", "bounds")),
+    **dict.fromkeys(("lower", "upper", "lb", "ub", "range"), ("bounds", "span")),
+    **dict.fromkeys(("x0", "initial", "guess", "value", "nominal"), ("start",)),
+    **dict.fromkeys(("constraint", "constraints", "restrictions"), ("limits",)),
+    **dict.fromkeys(("target", "task", "goal", "aim"), ("requirement",)),
+    **dict.fromkeys(("variables", "design", "parameters", "linkage", "geometry"), ("mechanism",)),
+    **dict.fromkeys(("rpm", "omega", "angular_velocity"), ("speed",)),
+    **dict.fromkeys(("objective", "norm", "criterion"), ("measure",)),
+    **dict.fromkeys(("t", "theta", "alpha"), ("phi",)),
+    **dict.fromkeys(("options", "settings", "solver"), ()),
+    **{"ground": ("frame",), "n": ("points",), "to": ("span",), "phi0": ("from", "start"), "name": ("title",)},
+    "coupler curve": ("path",),
     **dict.fromkeys(("slider-crank", "crank-slider", "six-bar", "sixbar"), ("dyads",)),
     "crank-rocker": ("four-bar",),
     "dwell": ("path",),
@@ -93,9 +105,10 @@ def nearest(key: str, known: Iterable[str], deeper: Sequence[str] = ()) -> str:
         Full names that end with it, which are meant rather than others.
     """
     names, quoted = list(known), '"{}"'.format
-    meant = [*deeper, *(name for name in OTHER_WORDS.get(key.lower(), ()) if name in names)]
+    same = [name for name in names if name.lower() == key.lower()]
+    meant = same or [*deeper, *(name for name in OTHER_WORDS.get(key.lower(), ()) if name in names)]
     inside = sorted((name for name in names if len(key) > 2 and key in name), key=len)
-    close = meant or inside or difflib.get_close_matches(key, names, n=1, cutoff=0.5)
+    close = meant or inside or (key not in OTHER_WORDS and difflib.get_close_matches(key, names, n=1, cutoff=0.55)) or []
     guess = f"Did you mean {' or '.join(map(quoted, close[:3]))}? " if close else ""
     return f"{guess}Known: {', '.join(quoted(name) if ',' in name else name for name in names)}"
 
@@ -273,6 +286,10 @@ def read_quantity(raw: object, kind: str) -> Quantity:
     """
     if isinstance(raw, Quantity):
         return raw
+    if isinstance(raw, list) or (isinstance(raw, str) and raw.strip().lower() == "free"):
+        ends = json.dumps(raw, ensure_ascii=False) if isinstance(raw, list) and len(raw) == 2 else range_example(kind)
+        remedy = f'Write {{ bounds = {ends} }} for a design variable, or one value, for example "{KINDS[kind].example}"'
+        raise Unusable(f"this is not {'an' if kind[0] in 'aeiou' else 'a'} {kind}", remedy, "", raw)
     if not isinstance(raw, dict):
         value, unit = read_scalar(raw, kind)
         return Quantity(value, kind, unit)
@@ -284,7 +301,9 @@ def read_quantity(raw: object, kind: str) -> Quantity:
     if not isinstance(bounds, list) or len(bounds) != 2:
         raise Unusable("bounds are two values, lower and upper", f"Write {example}", "bounds", bounds)
     (low, low_unit), (high, _) = (read_scalar(bound, kind, "bounds") for bound in bounds)
-    if low >= high:
+    if low == high:
+        raise Unusable("both bounds are the same", f'Give one value to fix it: "{bounds[0]}"', "bounds", bounds)
+    if low > high:
         raise Unusable("the lower bound is not below the upper", "Exchange them, or give one value to fix it", "bounds", bounds)
     if "start" not in raw:
         return Quantity(0.5 * (low + high), kind, low_unit, low, high)
@@ -351,6 +370,9 @@ def read_fixed(raw: object, kind: str) -> Quantity:
     """
     if isinstance(raw, dict):
         raise Unusable("this quantity cannot be free", f'Give one value, for example "{KINDS[kind].example}"', "", raw)
+    if isinstance(raw, list | str):
+        value, unit = read_scalar(raw, kind)
+        return Quantity(value, kind, unit)
     return read_quantity(raw, kind)
 
 

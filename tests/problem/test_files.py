@@ -38,7 +38,50 @@ BAD = {
     "one bound": ({"mechanism.coupler.bounds": ["100 mm"]}, "mechanism.coupler.bounds", "two values"),
     "no bounds": ({"mechanism.coupler": {"start": "400 mm"}}, "mechanism.coupler.bounds", "needs bounds"),
     "a boolean": ({"mechanism.frame": True}, "mechanism.frame", "expected a length"),
-    "a list": ({"mechanism.frame": ["500 mm"]}, "mechanism.frame", "expected a length"),
+    "a list": ({"mechanism.frame": ["500 mm"]}, "mechanism.frame", "this is not a length"),
+    "bounds in a list": (
+        {"mechanism.frame": ["5 mm", "9 mm"]},
+        "mechanism.frame",
+        'Write { bounds = ["5 mm", "9 mm"] } for a design variable',
+    ),
+    "free without bounds": ({"mechanism.frame": "free"}, "mechanism.frame", "for a design variable"),
+    "same bounds": (
+        {"mechanism.coupler": {"bounds": ["5 mm", "5 mm"]}},
+        "mechanism.coupler.bounds",
+        'Give one value to fix it: "5 mm"',
+    ),
+    "bounds of another tool": ({"mechanism.coupler": {"lb": "5 mm", "ub": "9 mm"}}, "mechanism.coupler.lb", 'mean "bounds"'),
+    "start of another tool": (
+        {"mechanism.coupler": {"x0": "5 mm", "bounds": ["5 mm", "9 mm"]}},
+        "mechanism.coupler.x0",
+        'mean "start"',
+    ),
+    "key of another section": (
+        {"requirement.transmission_angle": ["40 deg", "140 deg"]},
+        "requirement.transmission_angle",
+        'Did you mean "limits.transmission_angle"',
+    ),
+    "dimension among the limits": (
+        {"limits.coupler": ["5 mm", "9 mm"]},
+        "limits.coupler",
+        'Did you mean "mechanism.coupler"',
+    ),
+    "key of other linkages": (
+        {"mechanism.ground": "5 mm"},
+        "mechanism.ground",
+        'mean "frame"? Known: type, crank, coupler, rocker, frame, points, pivot, direction, assembly',
+    ),
+    "capital letter": ({"mechanism.Coupler": "5 mm"}, "mechanism.Coupler", 'mean "coupler"'),
+    "section of another tool": ({"constraints": {}}, "constraints", 'mean "limits"'),
+    "title as a number": ({"title": 3}, "title", 'this is not a text. Write it in quotes: "3"'),
+    "points as text": ({"requirement.points": "40"}, "requirement.points", "this is not a whole number"),
+    "points out of range": ({"requirement.points": -1}, "requirement.points", "out of range. Give a whole number"),
+    "mass alone": ({"bodies": {"rocker": "2 kg"}}, "bodies.rocker", 'Write rocker = { mass = "1.2 kg" }'),
+    "kind of a path": (
+        {"requirement": {"point": "C", "points": [["1 mm", "2 mm"], ["3 mm", "4 mm"]]}},
+        "requirement.kind",
+        'Add kind = "path"',
+    ),
     "unknown key": ({"mechanism.copler": "4 mm"}, "mechanism.copler", 'Did you mean "coupler"'),
     "unknown section": ({"limit.crank": "span"}, "limit.crank", 'Did you mean "limits"'),
     "unknown key of a quantity": ({"mechanism.coupler.begin": "4 mm"}, "mechanism.coupler.begin", "start, bounds"),
@@ -131,7 +174,26 @@ def test_bad_value_is_named_with_key_and_remedy(crank_rocker, name):
         ('title = "a\n', "a quote is not closed (at line 1"),
         ("[limits]\n[limits]\n", "the section [limits] occurs twice (at line 2"),
         ("[a.b]\n[a.b]\n", "the section [a.b] occurs twice"),
-        ("a = 1\na = 2\n", "a key occurs twice in its section (at line 2"),
+        ("a = 1\na = 2\n", "the key a occurs twice in its section (at line 2"),
+        ('a = [20 mm, "80 mm"]\n', "a value is neither a number nor in quotes (at line 1, column 9"),
+        ('a = ["20 mm" "80 mm"]\n', "two values of a list have no comma between them (at line 1"),
+        ('a = ["1 mm"\n[limits]\n', "a bracket [ is not closed (at line 2"),
+        ('a = { start = "1 mm",\n  bounds = "1..2 mm" }\n', "a table in braces does not end in its line (at line 1"),
+        ('a = { start = "1 mm" bounds = "1..2 mm" }\n', "two keys of a table have no comma between them (at line 1"),
+        ("a = { start = 20 mm }\n", "a value is neither a number nor in quotes (at line 1"),
+        ("a = { b = 1\n", "a brace { is not closed in its line (at line 1"),
+        ("a = { b = 1, b = 2 }\n", "the key b occurs twice in a table (at line 1"),
+        ('a = "1 mm";\n', 'nothing may follow a value, but there is ";" (at line 1'),
+        ("a = 1,5\n", "a number has a decimal comma (at line 1"),
+        ("a = \n", "the value is missing (at line 1"),
+        ("a == 1\n", "there are two signs = (at line 1"),
+        ("a = (1, 2)\n", "a list is in round brackets (at line 1"),
+        ("% lengths\n", 'a line begins with "%" (at line 1'),
+        ("[limits\na = 1\n", "the line of a section does not end with ] (at line 1"),
+        ('a = "C:\\data.csv"\n', "a text in double quotes has a backslash (at line 1"),
+        ("l\u00e4nge = 1\n", "a key has a letter that is not of the alphabet a to z (at line 1"),
+        ("transmission angle = 1\n", "a key has a blank (at line 1"),
+        ("a = '1 mm\n", "a quote is not closed"),
         ("frame = 250 mm\n", "a value is neither a number nor in quotes (at line 1"),
         ("title = Wiper\n", "a value is neither a number nor in quotes (at line 1"),
         ('a = ["1 mm"\nb = 2\n', "a bracket [ is not closed (at line 2"),
@@ -139,7 +201,7 @@ def test_bad_value_is_named_with_key_and_remedy(crank_rocker, name):
     ],
 )
 def test_a_slip_of_toml_is_named_in_plain_words(tmp_path, text, words):
-    (tmp_path / "a.toml").write_text(text)
+    (tmp_path / "a.toml").write_text(text, encoding="utf-8", newline="\r\n")
     with pytest.raises(InputError) as caught:
         optlink.load(tmp_path / "a.toml")
     (fault,) = caught.value.faults
@@ -194,7 +256,12 @@ def test_several_faults_are_all_named(crank_rocker):
         (b"a = " + b"[" * 5000, "TOML|nested"),
         (b"a = " + b"9" * 6000, "not valid TOML"),
         (b"# " + b"x" * 1_100_000, "larger than"),
-        (b"", "missing"),
+        (b"", "the file has no keys.*optlink new --list"),
+        (b"# nothing\n", "the file has no keys"),
+        (b"PK\x03\x04\x14\x00\x06\x00", "a ZIP archive, such as an Excel"),
+        (b"PK\x03\x04\x14\x00\xe2\x00", "a ZIP archive, such as an Excel"),
+        (b"\x00\x01\xff", "this is not a text file"),
+        ("title = 'x'\nabout = 'f\u00fcr'".encode("latin-1"), "byte 0xFC in line 2"),
     ],
 )
 def test_broken_files(tmp_path, content, words):
@@ -203,6 +270,16 @@ def test_broken_files(tmp_path, content, words):
     with pytest.raises(InputError, match=words) as caught:
         load(path)
     assert "broken.toml" in str(caught.value)
+
+
+@pytest.mark.parametrize(("name", "remedy"), [("mine", 'the file "mine.toml"'), ("mine.tml", 'the file "mine.toml"')])
+def test_a_file_without_its_suffix_is_pointed_to(tmp_path, monkeypatch, name, remedy):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match="`optlink list` names the shipped ones; or give the path"):
+        load(name)
+    (tmp_path / "mine.toml").write_text("", encoding="utf-8")
+    with pytest.raises(InputError, match=f"no such problem. Did you mean {remedy}"):
+        load(name)
 
 
 def test_missing_file_and_folder_and_name(tmp_path):

@@ -151,7 +151,7 @@ BAD: dict[str, tuple[dict[str, Any], str, str]] = {
     "mode of other joints": ({"mechanism.assembly.C": "left of B-Q"}, "mechanism.assembly.C", '"left of B-D"'),
     "mode of another group": ({"mechanism.assembly.E": "left of B-D"}, "mechanism.assembly.E", '"forward" or "backward"'),
     "mode of no group": ({"mechanism.assembly.Q": "forward"}, "mechanism.assembly.Q", "Joints with an assembly mode: C, E"),
-    "mode as a number": ({"mechanism.assembly.C": 1}, "assembly.C", "string"),
+    "mode as a number": ({"mechanism.assembly.C": 1}, "assembly.C", 'not a text. Write for example "left of B-D"'),
     # bodies and joints
     "negative mass": ({"bodies.link2.mass": "-3 kg"}, "bodies.link2.mass", "not negative"),
     "no mass": ({"bodies.link2.mass": None}, "bodies.link2.mass", "missing"),

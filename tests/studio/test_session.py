@@ -173,7 +173,7 @@ def test_bad_requests_are_answered_with_one_fault_and_change_nothing(page: Page,
     [
         ("mechanism.frame", -5.0, "A length must be positive."),
         ("limits.transmission_angle.min", 150.0, "The lower limit is above the upper."),
-        ("mechanism.coupler.bounds", [300.0, 300.0], "The lower bound is not below the upper."),
+        ("mechanism.coupler.bounds", [300.0, 300.0], "Both bounds are the same."),
     ],
 )
 def test_a_drag_to_an_impossible_value_keeps_the_linkage_and_says_why(page: Page, handle: str, value: Any, words: str) -> None:
