@@ -492,3 +492,21 @@ def test_harmless_laws_have_no_hazard(text):
     law = parse(text, NAMES)
     assert law.hazards({**HERE, "phi": GRID}) is None
     assert np.isfinite(law({**HERE, "phi": GRID})).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "remedy"),
+    [
+        ("psi0 + 0,35*phi", "Write decimals with a point"),
+        ("psi0 + 0.35.*phi", "Write * / ^ without a point before them"),
+        ("psi = 0.35*phi", "Write what is on the right of ="),
+        ("psi0 + sin(30\N{DEGREE SIGN})", "Angles are in radians: write 30*pi/180"),
+        ("0.35*\N{GREEK SMALL LETTER PHI}", "Write phi"),
+        ("law.csv", 'Write law = { csv = "law.csv" }'),
+        ("phi % 2", "A law has numbers"),
+    ],
+)
+def test_the_remedy_for_a_character_of_another_notation(text: str, remedy: str) -> None:
+    with pytest.raises(LawError) as error:
+        parse(text, ("phi", "psi", "psi0"))
+    assert error.value.remedy.startswith(remedy)

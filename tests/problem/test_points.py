@@ -266,7 +266,9 @@ def test_repeated_rows_do_no_harm_where_the_curve_is_reduced(tmp_path):
         (b"x_mm,y_mm\n1,5,2,5\n", "row 2 of c.csv has 4 cells, the title row has 2"),
         (b"x_mm,y_mm\n1,1_0\n", "row 2 of c.csv has no finite number in column y_mm"),
         ("x_mm,y_mm\n1,\u0663\n".encode(), "row 2 of c.csv has no finite number in column y_mm"),
-        (b"x_mm;y_mm\n1,5;2,5\n", "row 2 of c.csv has no finite number in column x_mm"),
+        (b"x_mm;y_mm\n1,5;2,5\n", "row 2 of c.csv has a decimal comma in column x_mm"),
+        (b'x_mm,y_mm\n"1.000,5",2\n', "row 2 of c.csv has a decimal comma in column x_mm"),
+        (b"sep=;\r\nx_mm;y_mm\r\n1;2\r\n3;4,5\r\n", "row 4 of c.csv has a decimal comma in column y_mm"),
         (b"x_mm,y_mm\n1,1e300\n", "row 2 of c.csv lies too far away"),
         (b"\xff\xfe\x00x", "not a CSV text file"),
         (b"x_mm,y_mm\n1,\x002\n", "c.csv"),
@@ -279,6 +281,20 @@ def test_bad_csv_names_the_row(tmp_path, content, words):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="pipes, devices and names of POSIX")
+@pytest.mark.parametrize(
+    ("titles", "remedy"),
+    [("x,y", 'Did you mean "x_mm"?'), ("X_mm,Y_mm", 'Did you mean "x_mm"?'), ("0,150", "Name the columns in a first row")],
+)
+def test_an_unknown_column_is_pointed_to_that_with_its_unit(tmp_path, titles, remedy):
+    (tmp_path / "c.csv").write_text(f"{titles}\n20,150\n")
+    assert refused({"csv": "c.csv"}, tmp_path, "csv", "unknown column").remedy.startswith(remedy)
+
+
+def test_the_separator_line_of_a_spreadsheet_is_no_row(tmp_path):
+    (tmp_path / "c.csv").write_bytes(b"\xef\xbb\xbfsep=;\r\nx_mm;y_mm\r\n1;2\r\n3;4.5\r\n")
+    np.testing.assert_allclose(mm(read_points({"csv": "c.csv"}, tmp_path)), [[1, 2], [3, 4.5]])
+
+
 @pytest.mark.parametrize("form", ["csv", "svg"])
 def test_files_that_are_none(tmp_path, form):
     (tmp_path / "folder").mkdir()

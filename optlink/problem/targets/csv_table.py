@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,6 +45,9 @@ class CsvTable:
         """
         cell = cells[index] if index < len(cells) else ""
         value = read_number(cell)
+        if math.isnan(value) and re.fullmatch(r"\s*[-+]?[\d.]*\d,\d+\s*", cell):
+            message = f"row {row} of {self.name} has a decimal comma in column {self.titles[index]}"
+            raise Unusable(message, "Replace the decimal commas of the file by points", "csv", shortened(cell))
         if math.isnan(value):
             message = f"row {row} of {self.name} has no finite number in column {self.titles[index]}"
             raise Unusable(message, remedy, "csv", shortened(cell) or "nothing")
@@ -72,19 +76,21 @@ def read_csv(raw: Mapping[str, Any], folder: Path, most: int) -> CsvTable:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise Unusable(f"{name} is not a CSV text file: {error.reason}", "Save it as CSV, UTF-8", "csv", name) from None
+    stated = re.match(r"sep=([;,\t])[;,\t\s]*?\r?\n", text, re.IGNORECASE)  # Excel's own first line
+    text = text[stated.end() :] if stated else text
     first = text[:10_000].lstrip().partition("\n")[0]
     delimiter = next((sign for sign in ";\t" if sign in first and "," not in first), ",")
-    rows = _filled(csv.reader(io.StringIO(text, newline=""), delimiter=delimiter), name)
+    rows = _filled(csv.reader(io.StringIO(text, newline=""), delimiter=delimiter), name, 2 if stated else 1)
     titles = [cell.strip() for cell in next(rows, (0, []))[1]]
     while titles and not titles[-1]:
         titles.pop()
     return CsvTable(name, titles, _checked(rows, name, len(titles), most))
 
 
-def _filled(reader: Iterator[list[str]], name: str) -> Iterator[tuple[int, list[str]]]:
+def _filled(reader: Iterator[list[str]], name: str, first: int) -> Iterator[tuple[int, list[str]]]:
     """Yield the rows that are not empty."""
     try:
-        yield from ((number, cells) for number, cells in enumerate(reader, start=1) if "".join(cells).strip())
+        yield from ((number, cells) for number, cells in enumerate(reader, start=first) if "".join(cells).strip())
     except csv.Error as error:
         raise Unusable(f"{name} is not a CSV text file: {error}", "Save it as CSV, UTF-8", "csv", name) from None
 

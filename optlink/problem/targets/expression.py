@@ -54,6 +54,20 @@ _TOKEN = re.compile(
 _POWER = {"+": (10, 11), "-": (10, 11), "*": (20, 21), "/": (20, 21), "^": (41, 40)}
 _NEGATE = 30
 
+_REMEDIES = {
+    ",": "Write decimals with a point",
+    ".": "Write * / ^ without a point before them",
+    "=": "Write what is on the right of =",
+    "\N{DEGREE SIGN}": "Angles are in radians: write 30*pi/180",
+    "\N{GREEK SMALL LETTER PHI}": "Write phi in its place",
+    "\N{GREEK SMALL LETTER PSI}": "Write psi in its place",
+    "\N{GREEK SMALL LETTER PI}": "Write pi in its place",
+    "\N{MINUS SIGN}": "Write - in its place",
+    "\N{MIDDLE DOT}": "Write * in its place",
+    "\N{SUPERSCRIPT TWO}": "Write ^2 in its place",
+}
+"""What to write instead of a character that does not belong in a law."""
+
 Step = tuple[str, Any]
 
 
@@ -222,11 +236,10 @@ class _Parser:
             return
         match = _TOKEN.match(rest)
         if match is None:
-            self.fail(
-                f'"{self.text[column - 1]}" does not belong in a law',
-                f"A law has numbers, {', '.join(sorted(self.names))}, pi, + - * / ^, brackets and the usual functions",
-                column,
-            )
+            sign = self.text[column - 1]
+            law = f"A law has numbers, {', '.join(sorted(self.names))}, pi, + - * / ^, brackets and the usual functions"
+            file = f'Write law = {{ csv = "{self.text.strip()}" }}' if self.text.strip().endswith(".csv") else None
+            self.fail(f'"{sign}" does not belong in a law', file or _REMEDIES.get(sign, law), column)
         self.end += match.end()
         self.here = _Token(str(match.lastgroup), match.group().strip().replace("**", "^"), column)
 

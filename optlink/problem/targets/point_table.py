@@ -16,7 +16,7 @@ from optlink.linkage.vector2d import Array
 from optlink.problem.quantity import LONGEST, SHORTEST, Unusable, nearest, read_scalar
 from optlink.problem.targets.csv_table import CsvTable, read_csv
 from optlink.problem.targets.target_points import COINCIDENT, HEAVIEST, MAX_POINTS, TargetPoints, diagonal, pairs, shortened
-from optlink.units import factor, show
+from optlink.units import factor, read_number, show
 
 MAX_ROWS = 1_000_000
 
@@ -196,7 +196,11 @@ def _check_titles(table: CsvTable) -> None:
     for title in titles:
         if title not in _TITLES:
             shown = [known for known in _TITLES if not known.endswith(("_cm", "_in"))]
-            raise Unusable(f'{name} has an unknown column "{shortened(title)}"', nearest(title, shown), "csv", shortened(title))
+            with_unit = [known for known in shown if known.startswith(f"{title.lower()}_")]
+            remedy = nearest(title, shown, with_unit[:1])
+            if not math.isnan(read_number(title)):
+                remedy = "Name the columns in a first row, for example x_mm,y_mm"
+            raise Unusable(f'{name} has an unknown column "{shortened(title)}"', remedy, "csv", shortened(title))
     columns = [_TITLES[title][0] for title in titles]
     for column in ("x", "y"):
         if column not in columns:
