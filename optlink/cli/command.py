@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
@@ -22,6 +23,36 @@ SPELLED = {"--minimize": ("--minimise",), "--analyse": ("--analyze",)}
 
 COMMANDS = {"analyse": "analyze"}
 """Other spellings of commands."""
+
+
+MEANT = {
+    **dict.fromkeys(("optimise", "optimize", "run", "design", "synthesize", "synthesise"), "solve"),
+    **{name: f"study {name}" for name in ("sensitivity", "sweep", "tolerance", "pareto")},
+    **dict.fromkeys(("init", "create", "template", "templates"), "new"),
+    **dict.fromkeys(("examples", "problems", "ls"), "list"),
+    **dict.fromkeys(("gui", "edit", "open"), "studio"),
+    **dict.fromkeys(("plot", "draw", "animate"), "solve PROBLEM --out DIR"),
+    **dict.fromkeys(("check", "verify"), "validate"),
+    **dict.fromkeys(("kinematics", "dynamics", "analysis"), "analyze"),
+    "version": "--version",
+    "help": "--help",
+    "dxf": "export",
+    "html": "report",
+}
+"""What is meant by commands that other programs have."""
+
+MEANT_OPTIONS = {
+    **dict.fromkeys(("--solver", "--method", "--algorithm", "--optimizer", "--optimiser"), "--backend"),
+    **dict.fromkeys(("--multistart", "--restarts", "--random"), "--starts"),
+    **dict.fromkeys(("--jobs", "-j", "--threads", "--cores", "--processes", "--parallel"), "--workers"),
+    **dict.fromkeys(("--plot", "--animate", "--gif", "--save", "--figures", "--pictures", "--outdir", "--dir"), "--out"),
+    **dict.fromkeys(("--param", "--parameter", "--override", "--var"), "--set"),
+    **dict.fromkeys(("--silent", "-s"), "--quiet"),
+    **dict.fromkeys(("--timeout", "--maxtime"), "--time-limit"),
+}
+"""What is meant by options that other programs have; where the command has it."""
+
+DIMENSIONS = ("crank", "coupler", "rocker", "frame")
 
 
 class Command(TyperCommand):
@@ -132,19 +163,45 @@ UsageError: type[Any] = typer.BadParameter.__bases__[0]  # of click, or of typer
 def _failure(error: Any) -> BaseException:
     """Return what is wrong with a command line, with the remedy."""
     param, context = getattr(error, "param", None), error.ctx
+    if type(error).__name__ == "NoArgsIsHelpError":
+        print(context.get_help())
+        return typer.Exit(error.exit_code)
     if not error.message and param is None:
         return typer.Exit(error.exit_code)  # the help was shown, since there were no arguments
     command = context.command_path if context else "optlink"
     remedy = f"`{command} --help` lists its options"
     if param is not None:
-        key = (param.metavar or param.name.upper()) if param.param_type_name == "argument" else max(param.opts, key=len)
+        argument = param.param_type_name == "argument"
+        key = (param.metavar or param.name.upper()) if argument else max(param.opts, key=len)
         message, _, better = error.message.rstrip(".").partition(". ")
+        if not message and not argument:
+            message, better = "this option is required", f"Add {key} {param.metavar}"
         return InputError(message or "the argument is missing", better or remedy, command, key)
-    possible, option = getattr(error, "possibilities", None), getattr(error, "option_name", None)
     message, _, better = error.message.rstrip(".").partition(". ")
+    option = getattr(error, "option_name", None)
     message = message[:1].lower() + message[1:].removesuffix(f": {option}").replace(f" '{option}'", "")
-    better = f"Did you mean {' or '.join(sorted(possible))}?" if possible else better
-    return InputError(message, better or remedy, command, option)
+    return InputError(message, _meant(error, message) or better or remedy, command, option)
+
+
+def _meant(error: Any, message: str) -> str:
+    """Return a remedy that names the command, option or form that is meant, if one is recognised."""
+    option, possible = getattr(error, "option_name", None), getattr(error, "possibilities", None)
+    if unknown := re.fullmatch("no such command '(.*)'", message):
+        name = f"solve {unknown[1]}" if unknown[1].endswith(".toml") else MEANT.get(unknown[1])
+        top = error.ctx is None or error.ctx.parent is None
+        return f"Did you mean '{name}'?" if name and top else ""
+    if extra := re.fullmatch(r"got unexpected extra arguments?(?:\(s\))? \((.*)\)", message):
+        key, equals, value = extra[1].partition("=")
+        if equals:
+            return f'Write --set {key}="{value}"'
+        return 'Write key and value in one, --set mechanism.frame="480 mm"' if re.match(r"[-+.\d]", extra[1]) else ""
+    if option and error.ctx:
+        options = {name for param in error.ctx.command.params for name in param.opts}
+        if (meant := MEANT_OPTIONS.get(option)) in options:
+            return f"Did you mean {meant}?"
+        if option.removeprefix("--") in DIMENSIONS and "--set" in options:
+            return f'Write --set mechanism.{option.removeprefix("--")}="100 mm"'
+    return f"Did you mean {' or '.join(sorted(possible))}?" if possible else ""
 
 
 class App(typer.Typer):

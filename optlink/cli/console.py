@@ -375,6 +375,10 @@ def _no_study(out: Path) -> None:
     raise InputError(message, "Choose another folder; nothing was overwritten", str(out), "--out")
 
 
+FILES = (".html", ".htm", ".pdf", ".png", ".svg", ".gif", ".json", ".toml", ".csv", ".dxf", ".txt")
+"""Endings of files, which are no names of result folders."""
+
+
 @contextlib.contextmanager
 def _result_folder(out: Path, command: str, problem: str) -> Iterator[None]:
     """Create and lock the result folder; remove it again if it is new and the input is invalid."""
@@ -382,6 +386,9 @@ def _result_folder(out: Path, command: str, problem: str) -> Iterator[None]:
     from optlink.io import folder
 
     new = [place for place in (out, *out.parents) if not os.path.exists(place)]
+    if new and out.suffix.lower() in FILES:
+        remedy = "Give the name of a folder, for example out; `optlink report` writes a page, `optlink export` a drawing or table"
+        raise InputError("this is the name of a file, and the results are several", remedy, key="--out", value=str(out))
     _no_study(out)
     folder(out)
     try:

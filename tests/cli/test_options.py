@@ -95,6 +95,16 @@ def test_other_spellings_are_the_same_option(old, new):
             "optlink solve: --json: option does not take a value. `optlink solve --help` lists its options",
         ),
         (("solve", "--quiet"), "optlink solve: PROBLEM: the argument is missing. `optlink solve --help` lists its options"),
+        (("sweep", "x"), "optlink: no such command 'sweep'. Did you mean 'study sweep'?"),
+        (("optimize", "x"), "optlink: no such command 'optimize'. Did you mean 'solve'?"),
+        (("mine.toml", "x"), "optlink: no such command 'mine.toml'. Did you mean 'solve mine.toml'?"),
+        (("solve", "x", "--solver=ipopt"), "optlink solve: --solver: no such option. Did you mean --backend?"),
+        (("solve", "x", "--frame", "1"), 'optlink solve: --frame: no such option. Write --set mechanism.frame="100 mm"'),
+        (
+            ("solve", "x", "mechanism.frame=480 mm"),
+            'optlink solve: got unexpected extra argument(s) (mechanism.frame=480 mm). Write --set mechanism.frame="480 mm"',
+        ),
+        (("report", "x"), "optlink report: --out: this option is required. Add --out FILE.html"),
         (("solve", "x", "y"), "optlink solve: got unexpected extra argument(s) (y). `optlink solve --help` lists its options"),
     ],
 )
@@ -104,6 +114,21 @@ def test_a_command_line_that_cannot_be_used_is_invalid_input_like_any_other(argu
     assert (done.exit_code, done.stdout, done.stderr) == (2, "", f"Error: {message}\n")
     told = json.loads(run(*arguments[:-1], "--json", arguments[-1]).stdout)
     assert (told["schema"], told["message"]) == ("optlink/error/1", message)
+
+
+@pytest.mark.parametrize("words", [(), ("study",)])
+def test_a_group_alone_shows_its_help_and_no_error(words):
+    done = run(*words)
+    assert (done.exit_code, done.stderr) == (2, "")
+    assert done.stdout == run(*words, "--help").stdout
+
+
+def test_a_result_folder_has_no_name_of_a_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = run("solve", "crank-rocker", "--out", "result.html")
+    assert done.exit_code == 2
+    assert '--out = "result.html": this is the name of a file' in " ".join(done.stderr.split())
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("words", [("--out=",), ("-o", ""), ("--out", " ")])

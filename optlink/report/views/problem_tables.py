@@ -134,4 +134,6 @@ def _listed(targets: TargetPoints) -> str:
 
 def listing(files: Iterable[ProblemFile]) -> TableSpec:
     """List the shipped problems, one per row."""
-    return table("Shipped problems", ["name", "description"], ((one.name, f"{one.model.title} ({one.kind})") for one in files))
+    rows = ((one.name, f"{one.model.title} ({one.kind})") for one in files)
+    note = "Next: optlink show NAME; then optlink solve NAME (design, balancing) or optlink analyze NAME (analysis)"
+    return table("Shipped problems", ["name", "description"], rows, notes=[note])
