@@ -21,10 +21,8 @@ PATIENCE = 4.0  # s within which a stopped computation must end
 STARTING = 60.0  # s, the same for a process that has not finished its imports
 LIMIT = 600.0  # s for one computation
 MOST_WAITING = 100  # requests
-LONG = ("drag", "set", "lock", "search", "undo", "redo", "start", "open", "new", "draw", "choose", "resume")
-"""Requests whose computation a later request may stop."""
 QUIET = ("save", "link", "export")
-"""Requests that wait for the present computation rather than stopping it."""
+"""Requests that wait for the present computation rather than stopping it, and that no later one stops."""
 AGAIN = 1.0  # s until a process that did not start is replaced
 FAILED = "The computation ended unexpectedly and was started again."
 STOPPED = "The computation did not stop when it should, and was started again."
@@ -144,7 +142,7 @@ class Link:
     def _give_way(self) -> None:
         """Stop the present computation if another one waits; saving waits for its end."""
         assert self._running is not None
-        long = self._running["type"] in LONG and not _moving(self._running)
+        long = self._running["type"] not in QUIET and not _moving(self._running)
         if long and any(one["type"] not in QUIET for one in self._waiting):
             self._stop()
 

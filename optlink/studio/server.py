@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import mimetypes
 import secrets
 import signal
 import socket
@@ -19,9 +20,11 @@ from typing import Any
 
 import uvicorn
 from starlette.applications import Starlette
-from starlette.requests import Request
+from starlette.datastructures import MutableHeaders
+from starlette.requests import HTTPConnection, Request
 from starlette.responses import FileResponse, PlainTextResponse, Response
-from starlette.routing import Route, WebSocketRoute
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Receive, Scope, Send as AsgiSend
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
@@ -38,8 +41,8 @@ ABUSE = 2000  # refused messages after which a connection is closed
 REPORTED = 100  # refused messages that are answered one by one
 PAGES = 8  # at a time
 POLICY = 1008  # code of a socket that is closed for breaking the rules
-KNOWN = (".html", ".css", ".js", ".mjs", ".svg", ".png", ".woff2", ".txt")
-TYPES = {".js": "text/javascript", ".mjs": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".html": "text/html"}
+TYPES = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".html": "text/html"}
+"""Media types of the files of the page, whatever the system calls them."""
 REQUESTS = (
     *("open", "new", "drag", "set", "lock", "search", "stop", "undo", "redo"),
     *("draw", "choose", "save", "export", "link"),
@@ -62,11 +65,10 @@ class Studio:
         self.port, self.opened, self.token = port, opened, secrets.token_urlsafe(32)
         self.links: set[Link] = set()
         self._spare: asyncio.Task[Worker] | None = None
-        routes = [
-            Route("/", self._page),
-            Route("/assets/{path:path}", self._asset),
-            WebSocketRoute("/live", self._live),
-        ]
+        for ending, media in TYPES.items():
+            mimetypes.add_type(media, ending)
+        assets = Mount("/assets", StaticFiles(directory=ASSETS))
+        routes = [Route("/", self._page), assets, WebSocketRoute("/live", self._live)]
         self.app: ASGIApp = _Guard(Starlette(routes=routes, lifespan=self._lifespan), self)
 
     @property
@@ -124,18 +126,9 @@ class Studio:
     # --- pages --------------------------------------------------------------------------------------------------------------
 
     async def _page(self, request: Request) -> Response:
-        answer = self._file("index.html")
+        answer = FileResponse(ASSETS / "index.html")
         answer.set_cookie(self.cookie, self.token, httponly=True, samesite="strict", path="/")
         return answer
-
-    async def _asset(self, request: Request) -> Response:
-        return self._file(request.path_params["path"])
-
-    def _file(self, name: str) -> Response:
-        path = (ASSETS / name).resolve()
-        if not path.is_relative_to(ASSETS.resolve()) or path.suffix not in KNOWN or not path.is_file():
-            return PlainTextResponse("No such file.", 404)
-        return FileResponse(path, media_type=TYPES.get(path.suffix))
 
     # --- the socket ---------------------------------------------------------------------------------------------------------
 
@@ -226,14 +219,12 @@ class _Guard:
         if scope["type"] == "lifespan":
             await self.app(scope, receive, send)
             return
-        studio, live = self.studio, scope["type"] == "websocket"
-        headers: dict[str, list[str]] = {}
-        for name, value in scope["headers"]:
-            headers.setdefault(name.decode("latin-1").lower(), []).append(value.decode("latin-1"))
-        origin = headers.get("origin", [])
-        good = len(headers.get("host", [])) == 1 and headers["host"][0] in studio.hosts
-        good = good and (set(origin) <= studio.origins if not live else len(origin) == 1 and origin[0] in studio.origins)
-        if not good or not self._known(scope, headers):
+        studio, live, request = self.studio, scope["type"] == "websocket", HTTPConnection(scope)
+        hosts, origins = request.headers.getlist("host"), request.headers.getlist("origin")
+        good = len(hosts) == 1 and hosts[0] in studio.hosts
+        good = good and (len(origins) == 1 or not live) and set(origins) <= studio.origins
+        tokens = request.query_params.get("token"), request.cookies.get(studio.cookie)
+        if not good or not any(map(studio.admits, tokens)):
             if live:
                 await receive()
                 await send({"type": "websocket.close", "code": POLICY})
@@ -244,25 +235,10 @@ class _Guard:
 
         async def sent(message: Any) -> None:
             if message["type"] == "http.response.start":
-                extra = [(name.lower().encode(), value.encode()) for name, value in studio.headers().items()]
-                message["headers"] = [*message.get("headers", []), *extra]
+                MutableHeaders(scope=message).update(studio.headers())
             await send(message)
 
         await self.app(scope, receive, sent)
-
-    def _known(self, scope: Scope, headers: dict[str, list[str]]) -> bool:
-        from http.cookies import CookieError, SimpleCookie
-        from urllib.parse import parse_qs
-
-        query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
-        if self.studio.admits(query.get("token", [None])[0]):
-            return True
-        for line in headers.get("cookie", []):
-            with contextlib.suppress(CookieError):
-                cookie_value = SimpleCookie(line).get(self.studio.cookie)
-                if cookie_value is not None and self.studio.admits(cookie_value.value):
-                    return True
-        return False
 
 
 def serve(opened: str | None = None, port: int = 0, ready: Callable[[str], None] = print) -> None:
