@@ -9,8 +9,8 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import fields
 from operator import attrgetter
 from pathlib import Path
-from types import NoneType
-from typing import Annotated, Any, ClassVar, Self, TypeVar, get_args
+from types import FunctionType, NoneType
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from pydantic import (
     ValidationInfo,
     WithJsonSchema,
 )
+from pydantic.fields import FieldInfo
 
 from optlink.errors import InputError
 from optlink.io import Summary, finite
@@ -222,8 +223,17 @@ def absent() -> Any:
     return Field(None, exclude_if=lambda value: value is None)
 
 
+def itself(result: T) -> T:
+    """Return a result: the source of a field that has several of its values."""
+    return result
+
+
 class Record(BaseModel):
-    """Part of a JSON document. A text in the annotation of a field is the attribute of the result that it comes from."""
+    """Part of a JSON document.
+
+    A text in the annotation of a field is the attribute of the result that it comes from, a function returns its value for a
+    result; a field with one possible value has that.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, serialize_by_alias=True, validate_by_name=True, defer_build=True)
 
@@ -240,10 +250,8 @@ class Record(BaseModel):
         """
         for name, field in cls.model_fields.items():
             if name not in values:
-                source = next((text for text in field.metadata if isinstance(text, str)), name)
-                values[name] = attrgetter(source)(result)
-            kinds = (field.annotation, *get_args(field.annotation))
-            for kind in (kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Record)):
+                values[name] = _source(name, field)(result)
+            if (kind := _part(field.annotation)) is not None:
                 values[name] = _records(kind, values[name])
         return cls.model_construct(**values)  # type: ignore[return-value]
 
@@ -265,39 +273,41 @@ class Record(BaseModel):
         return finite(self.model_dump(warnings=False))  # type: ignore[no-any-return]
 
 
+def _source(name: str, field: FieldInfo) -> Callable[[Any], Any]:
+    """Return the function of a result that is the value of a field."""
+    if get_origin(field.annotation) is Literal and len(choices := get_args(field.annotation)) == 1:
+        return lambda _: choices[0]
+    source = next((mark for mark in field.metadata if isinstance(mark, str | FunctionType)), name)
+    return attrgetter(source) if isinstance(source, str) else source
+
+
+def _part(annotation: Any) -> type[Record] | None:
+    """Return the type of the records in a field, if it has any."""
+    if isinstance(annotation, type) and issubclass(annotation, Record):
+        return annotation
+    return next(filter(None, map(_part, get_args(annotation))), None)
+
+
 def _records(kind: type[Record], value: Any) -> Any:
     """Return the records of one part of a result, or of several in a tuple or a dictionary."""
     if value is None or isinstance(value, Record):
         return value
     if isinstance(value, Mapping):
         return {name: _records(kind, item) for name, item in value.items()}
-    return tuple(_records(kind, item) for item in value) if isinstance(value, list | tuple) else kind.of(value)
+    return tuple(_records(kind, item) for item in value) if type(value) in (list, tuple) else kind.of(value)
 
 
 class ResultRecord(Record):
     """The common first entries of the document of every result."""
 
     format: str = Field(alias="schema")
-    optlink: str
+    optlink: Annotated[str, lambda _: VERSION]
     problem: Annotated[str, "problem.name"]
     title: Annotated[str, "problem.model.title"]
     problem_hash: Annotated[str, "problem.hash"]
     overrides: Annotated[dict[str, Any], "problem.overrides"] = Field(default_factory=dict)
-    seed: int | None
+    seed: Annotated[int | None, lambda result: getattr(result, "seed", None)]
     status: Any
-
-    @classmethod
-    def of(cls, result: Any, **values: Any) -> Self:
-        """As `Record.of`.
-
-        Parameters
-        ----------
-        result : object
-        **values
-            Values of fields, in place of those of the result.
-        """
-        [schema] = get_args(cls.model_fields["format"].annotation)
-        return super().of(result, **{"format": schema, "optlink": VERSION, "seed": getattr(result, "seed", None)} | values)
 
 
 class Recorded(Summary):

@@ -108,7 +108,7 @@ class CycleTask(OptimumTask):
 
     def _row(self, point: int, found: CycleResult, how: str) -> list[str]:
         usable = found.solution is not None and found.status in (Status.OPTIMAL, Status.STALLED)
-        missed = [item.name for item in found.conflict] or [check.name for check in found.validation.checks if not check.passed]
+        missed = [item.name for item in found.conflict] or found.validation.failed
         limits = active(found.solution) if usable and found.solution is not None else ()
         row = FoundOptimum(found.design, found.objective, found.status, found.valid, dict.fromkeys(missed), limits, how)
         return self.optimum(point, row)

@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,21 +72,9 @@ class AxisRecord(Record):
 
     key: str
     unit: str
-    first: float
-    last: float
-    values: int
-
-    @classmethod
-    def of(cls, result: Axis, **values: Any) -> Self:
-        """As `Record.of`, with the ends and the number of the values.
-
-        Parameters
-        ----------
-        result : Axis
-        **values
-            Values of fields, in place of those of the result.
-        """
-        return super().of(result, first=result.values[0], last=result.values[-1], values=len(result.values), **values)
+    first: Annotated[float, lambda axis: axis.values[0]]
+    last: Annotated[float, lambda axis: axis.values[-1]]
+    values: Annotated[int, lambda axis: len(axis.values)]
 
 
 def read_axis(assignment: str) -> Axis:

@@ -39,7 +39,7 @@ from optlink.tasks.certify import automatic
 from optlink.tasks.protocol import completed
 from optlink.tasks.results.balance import Balance
 from optlink.tasks.run import solve
-from optlink.validation import Validation, validate, validate_batch
+from optlink.validation import validate, validate_batch
 
 Index = NDArray[np.intp]
 CHUNK, SLOW_CHUNK = 100, 4  # points per chunk; the second if every point needs a separate search
@@ -168,15 +168,13 @@ class ReoptimiseTask(OptimumTask):
         if self.fast_override is not None:
             task = self.fast_override.model(self.grid.columns(points))
             validations = validate_batch(task, task.designs(values), objective)
-            valid, failed = (
-                validations.valid,
-                {k: _failed(validations.of(k)) for k in np.flatnonzero(~validations.valid).tolist()},
-            )
+            valid = validations.valid
+            failed = {k: validations.of(k).failed for k in np.flatnonzero(~valid).tolist()}
         else:
             tasks = [self.model(point) for point in points.tolist()]
             designs = [task.design({name: own[k] for name, own in values.items()}) for k, task in enumerate(tasks)]
             single = [validate(task, *own) for task, *own in zip(tasks, designs, objective.tolist(), strict=True)]
-            valid, failed = np.array([one.valid for one in single]), {k: _failed(one) for k, one in enumerate(single)}
+            valid, failed = np.array([one.valid for one in single]), {k: one.failed for k, one in enumerate(single)}
         keys = list(map(tuple, sides.tolist()))
         labels = {key: "; ".join(_labels(nlp, np.flatnonzero(key), np.array(key))) for key in set(keys)}
         methods = np.where(found.searched[done], SEARCHED, FOLLOWED).tolist()
@@ -218,16 +216,12 @@ class ReoptimiseTask(OptimumTask):
                 return anew
         design = task.design(solution.design)
         validation = validate(task, design, solution.objective)
-        failed = _failed(validation)
+        failed = validation.failed
         valid = solution.status is Status.OPTIMAL and not failed
         if solution.status is Status.INFEASIBLE:
             missed, against = conflicting(solution)
             return FoundOptimum(solution.design, solution.objective, solution.status, valid, missed or failed, against, found)
         return FoundOptimum(solution.design, solution.objective, solution.status, valid, failed, active(solution), found)
-
-
-def _failed(validation: Validation) -> tuple[str, ...]:
-    return tuple(check.name for check in validation.checks if not check.passed)
 
 
 class ParametricProgramme:
@@ -314,8 +308,7 @@ def _separately(task: ProblemFile, backend: str) -> FoundOptimum:
     """Return the optimum of a problem that is built and searched separately."""
     result = completed(solve(task, backend))
     assert not isinstance(result, Balance)
-    failed = tuple(check.name for check in result.validation.checks if not check.passed)
-    failed = tuple(item.name for item in result.conflict) or failed
+    failed = tuple(item.name for item in result.conflict) or result.validation.failed
     limits = () if result.solution is None else active(result.solution)
     return FoundOptimum(result.design, result.objective, result.status, result.valid, failed, limits, SEARCHED)
 

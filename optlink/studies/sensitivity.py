@@ -8,14 +8,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
 from optlink.errors import InputError, Status
 from optlink.problem.arguments import typed
-from optlink.problem.base_model import Number, Record, Recorded, ResultRecord, absent
+from optlink.problem.base_model import Number, Record, Recorded, ResultRecord, absent, itself
 from optlink.problem.file import ProblemFile
 from optlink.solvers.solution import Solution
 from optlink.studies.cycle_parameters import CycleParameters
@@ -97,23 +97,11 @@ class SensitivitiesRecord(ResultRecord):
 
     format: Literal["optlink/sensitivity/2"] = Field(alias="schema")
     notes: tuple[str, ...]
-    objective: OptimumValueRecord
+    objective: Annotated[OptimumValueRecord, itself]
     design: Annotated[dict[str, float], "values"]
     design_units: Annotated[dict[str, str], "units"]
     largest_gap: Annotated[float | None, "gap"]
     parameters: Annotated[tuple[SensitivityRecord, ...], "rows"]
-
-    @classmethod
-    def of(cls, result: Sensitivities, **values: Any) -> Self:
-        """As `Record.of`, with the objective.
-
-        Parameters
-        ----------
-        result : Sensitivities
-        **values
-            Values of fields, in place of those of the result.
-        """
-        return super().of(result, objective=OptimumValueRecord.of(result), **values)
 
 
 @dataclass(frozen=True, repr=False)

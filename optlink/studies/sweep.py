@@ -10,11 +10,11 @@ import tempfile
 import time
 import weakref
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import MinLen
@@ -72,6 +72,11 @@ def _numbers(best: dict[str, str] | None) -> dict[str, str] | None:
     return best
 
 
+def _of_optima(name: str) -> Callable[[Sweep], Any]:
+    """Return the source of a figure of optima, which other sweeps do not have."""
+    return lambda result: None if result.evaluated else getattr(result, name)
+
+
 class SweepRecord(ResultRecord):
     """Document of a sweep; the last five keys only where designs were optimised."""
 
@@ -88,24 +93,11 @@ class SweepRecord(ResultRecord):
     points_done_now: Annotated[int, "done"]
     seconds: float
     processor_seconds: Annotated[float, "cpu"]
-    infeasible_points: Annotated[int | None, "infeasible"] = absent()
-    searched_points: Annotated[int | None, "searched"] = absent()
-    active_set_changes: Annotated[int | None, "changed"] = absent()
-    changes: tuple[ActiveSetChange, ...] | None = absent()
-    best: Annotated[dict[str, str] | None, AfterValidator(_numbers)] = absent()
-
-    @classmethod
-    def of(cls, result: Any, **values: Any) -> Self:
-        """As `Record.of`, without the figures of optima where there are none.
-
-        Parameters
-        ----------
-        result : object
-        **values
-            Values of fields, in place of those of the result.
-        """
-        optima = ("infeasible_points", "searched_points", "active_set_changes", "changes", "best")
-        return super().of(result, **dict.fromkeys(optima) if result.evaluated else {}, **values)
+    infeasible_points: Annotated[int | None, _of_optima("infeasible")] = absent()
+    searched_points: Annotated[int | None, _of_optima("searched")] = absent()
+    active_set_changes: Annotated[int | None, _of_optima("changed")] = absent()
+    changes: Annotated[tuple[ActiveSetChange, ...] | None, _of_optima("changes")] = absent()
+    best: Annotated[dict[str, str] | None, _of_optima("best"), AfterValidator(_numbers)] = absent()
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)

@@ -9,7 +9,7 @@ import time
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,7 +22,7 @@ from optlink.optimization.nlp import NLP, build
 from optlink.optimization.objectives import MEASURES
 from optlink.problem.arguments import typed
 from optlink.problem.assignment import parse_assignments
-from optlink.problem.base_model import Number, Record, absent
+from optlink.problem.base_model import Number, Record, absent, itself
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design, started
 from optlink.problem.quantity import Quantity, input_of, read_quantity
@@ -54,33 +54,13 @@ class FunctionObjectiveRecord(Record):
     value: Annotated[Number, "objective"]
     unit: str
     measure: Annotated[str, "problem.spec.measure"]
-    rms_deg: Number
-    largest_deg: Number
-    alternations: int | None = absent()
-    robust: str | None = absent()
-    tolerances_SI: dict[str, float] | None = absent()
-
-    @classmethod
-    def of(cls, result: FunctionResult, **values: Any) -> Self:
-        """As `Record.of`, with the errors.
-
-        Parameters
-        ----------
-        result : FunctionResult
-        **values
-            Values of fields, in place of those of the result.
-        """
-        task, error = result.problem.spec, result.error()
-        robust = task.requirement.robust
-        return super().of(
-            result,
-            rms_deg=math.degrees(MEASURES["rms"].of(error)),
-            largest_deg=math.degrees(MEASURES["max"].of(error)),
-            alternations=result.alternations if task.measure == "max" else None,
-            robust=None if robust is None else robust.text,
-            tolerances_SI=None if robust is None else {d.name: d.tolerance for d in task.deviations},
-            **values,
-        )
+    rms_deg: Annotated[Number, lambda result: math.degrees(MEASURES["rms"].of(result.error()))]
+    largest_deg: Annotated[Number, lambda result: math.degrees(MEASURES["max"].of(result.error()))]
+    alternations: Annotated[int | None, lambda result: result.alternations if result.problem.spec.measure == "max" else None] = (
+        absent()
+    )
+    robust: Annotated[str | None, lambda result: getattr(result.problem.spec.requirement.robust, "text", None)] = absent()
+    tolerances_SI: Annotated[dict[str, float] | None, "tolerances"] = absent()
 
 
 class FunctionRecord(SingleRecord):
@@ -88,34 +68,13 @@ class FunctionRecord(SingleRecord):
 
     format: Literal["optlink/function/2"] = Field(alias="schema")
     assembly: str
-    objective: FunctionObjectiveRecord
+    objective: Annotated[FunctionObjectiveRecord, itself]
     evidence: Evidence | None = absent()
-    starts_that_reached_each_value: tuple[int, ...] | None = absent()
-    first_step: dict[str, Any] | None = absent()
+    starts_that_reached_each_value: Annotated[tuple[int, ...] | None, lambda result: result.counts or None] = absent()
+    first_step: Annotated[
+        dict[str, Any] | None, lambda result: result.first and vars(result.first) | {"gap": result.first.gap}
+    ] = absent()
     certificate: CertificateRecord | None = absent()
-
-    @classmethod
-    def of(cls, result: FunctionResult, **values: Any) -> Self:
-        """As `Record.of`, with the strokes of the machine.
-
-        Parameters
-        ----------
-        result : FunctionResult
-        **values
-            Values of fields, in place of those of the result.
-        """
-        from optlink.tasks.results.analysis import stroke_document
-
-        machine, first = turning_machine(result.problem, result.design), result.first
-        return super().of(
-            result,
-            design=result.displayed(result.design),
-            objective=FunctionObjectiveRecord.of(result),
-            strokes={} if machine is None else stroke_document(machine, result.problem.spec.span),
-            starts_that_reached_each_value=result.counts or None,
-            first_step=None if first is None else vars(first) | {"gap": first.gap},
-            **values,
-        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -148,6 +107,20 @@ class FunctionResult(SingleResult):
     def assembly(self) -> str:
         """Assembly mode of the design."""
         return self.problem.spec.mechanism.assembly
+
+    @property
+    def tolerances(self) -> dict[str, float] | None:
+        """Tolerances [SI] of a robust design by the name of the dimension; None for others."""
+        spec = self.problem.spec
+        return None if spec.requirement.robust is None else {d.name: d.tolerance for d in spec.deviations}
+
+    @property
+    def strokes(self) -> dict[str, Any]:
+        """Strokes of every output, as JSON; empty if the crank does not turn fully."""
+        from optlink.tasks.results.analysis import stroke_document
+
+        machine = turning_machine(self.problem, self.design)
+        return {} if machine is None else stroke_document(machine, self.problem.spec.span)
 
     @property
     def sizes(self) -> dict[str, float]:
@@ -208,7 +181,7 @@ class FunctionResult(SingleResult):
 
     def displayed(self, design: Mapping[str, float]) -> dict[str, float]:
         """Return a design [SI] in display units, which end the keys."""
-        return super().displayed(self.problem.spec.design(design))
+        return super().displayed(self.complete(design))
 
 
 class FunctionTask(DesignTask[FunctionResult]):

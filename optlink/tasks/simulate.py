@@ -72,7 +72,6 @@ class Simulation(Tabled):
     """Simulation in time: `run` as integrated, `columns` by name over the output times, and their meanings."""
 
     record = SimulationRecord
-    mean_speed_over = "time"
 
     problem: ProblemFile
     machine: Machine

@@ -155,7 +155,7 @@ def _conclusion(subject: ReportModel, shown: Summary) -> str:
 def _failed(subject: ReportModel) -> str:
     """Return the names of the failed checks."""
     checked = getattr(subject.result, "validation", None)
-    names = [check.name for check in checked.checks if not check.passed] if checked else []
+    names = checked.failed if checked else ()
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 

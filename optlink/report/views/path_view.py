@@ -201,7 +201,7 @@ def _digits(value: float, count: int) -> str:
 
 def failed(design: PathDesign | FunctionResult | CycleResult) -> str:
     """Return the reason why a design is not valid."""
-    names = [check.name for check in design.validation.checks if not check.passed]
+    names = design.validation.failed
     more = f" and {len(names) - 2} more checks" if len(names) > 3 else ""
     return f"fails {', '.join(names[: 2 if more else 3])}{more}" if names else design.status.text
 

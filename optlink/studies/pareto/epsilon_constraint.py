@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from annotated_types import Len
@@ -40,6 +40,8 @@ from optlink.studies.reoptimise_task import CHUNK, ReoptimiseTask, check_backend
 from optlink.studies.sweep import GridStudy, TemporaryFolder
 from optlink.studies.sweep_task import OptimumTask
 from optlink.version import VERSION
+
+T = TypeVar("T")
 
 POINTS = {1: 15, 2: 7}  # per constrained objective, by their number
 ENDS = "ends.json"  # results of the searches for the ends, kept in the folder
@@ -73,8 +75,8 @@ class PointRecord(Record):
 
     objectives: dict[str, float]
     design: dict[str, float]
-    active: tuple[str, ...]
-    mark: str | None
+    active: Annotated[tuple[str, ...], lambda point: [name for name in point.active.split("; ") if name]]
+    mark: Annotated[str | None, lambda point: point.mark or None]
 
 
 class ActiveLimitRecord(AxisRecord):
@@ -86,8 +88,8 @@ class ActiveLimitRecord(AxisRecord):
 class KneeRecord(Record):
     """The point farthest from the chord of the ends, and its distance."""
 
-    point: int
-    distance: float
+    point: Annotated[int, lambda knee: knee[0]]
+    distance: Annotated[float, lambda knee: knee[1]]
 
 
 class ParetoRecord(ResultRecord):
@@ -95,12 +97,18 @@ class ParetoRecord(ResultRecord):
 
     format: Literal["optlink/pareto/2"] = Field(alias="schema")
     objectives: Annotated[tuple[ObjectiveRecord, ...], Len(2, 3)]
-    minimised: str
+    minimised: Annotated[str, lambda result: result.objectives[result.minimised].column]
     constrained: Annotated[tuple[ActiveLimitRecord, ...], "grid.axes"]
-    front: tuple[PointRecord, ...]
-    ends: dict[str, int]
-    knee: KneeRecord | None
-    reference: dict[str, str | float] | None
+    front: Annotated[
+        tuple[PointRecord, ...],
+        lambda result: tuple(PointRecord.of(point, objectives=result.by_column(point.values)) for point in result.points),
+    ]
+    ends: Annotated[dict[str, int], lambda result: result.by_column(result.ends) if result.points else {}]
+    knee: Annotated[KneeRecord | None, lambda result: result.knee and KneeRecord.of(result.knee)]
+    reference: Annotated[
+        dict[str, str | float] | None,
+        lambda result: result.reference and {"what": result.reference_label, **result.by_column(result.reference)},
+    ]
     points: Annotated[int, "solved"]
     valid_points: Annotated[int, "valid"]
     infeasible_points: Annotated[int, "infeasible"]
@@ -111,41 +119,6 @@ class ParetoRecord(ResultRecord):
     points_done_now: Annotated[int, "done"]
     seconds: float
     processor_seconds: Annotated[float, "cpu"]
-
-    @classmethod
-    def of(cls, result: Any, **values: Any) -> Self:
-        """As `Record.of`, with the objectives of every point by column.
-
-        Parameters
-        ----------
-        result : object
-        **values
-            Values of fields, in place of those of the result.
-        """
-        named = [aim.column for aim in result.objectives]
-        front = [
-            PointRecord(
-                objectives=dict(zip(named, point.values, strict=True)),
-                design=dict(point.design),
-                active=tuple(name for name in point.active.split("; ") if name),
-                mark=point.mark or None,
-            )
-            for point in result.points
-        ]
-        reference = (
-            None
-            if result.reference is None
-            else {"what": result.reference_label, **dict(zip(named, result.reference, strict=True))}
-        )
-        return super().of(
-            result,
-            minimised=named[result.minimised],
-            front=tuple(front),
-            ends=dict(zip(named, result.ends, strict=True)) if front else {},
-            knee=None if result.knee is None else KneeRecord(point=result.knee[0], distance=result.knee[1]),
-            reference=reference,
-            **values,
-        )
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -192,6 +165,10 @@ class Pareto(GridStudy):
                 best = self.objectives[self.minimised].best
                 return f"No trade-off in this range: the {best} has {aim.name} {value:.6g} {aim.unit}; give a range beyond it"
         return "No trade-off: one of the designs found is best in every objective"
+
+    def by_column(self, values: Sequence[T]) -> dict[str, T]:
+        """Return one value for each objective by the column of the objective."""
+        return dict(zip([aim.column for aim in self.objectives], values, strict=True))
 
     @property
     def costs(self) -> Array:

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -20,7 +20,7 @@ from optlink.execution.runner import check, pool
 from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
 from optlink.problem.arguments import typed
-from optlink.problem.base_model import Column, Contradiction, Number, Record, Recorded, ResultRecord, absent, check_length
+from optlink.problem.base_model import Column, Contradiction, Number, Record, Recorded, ResultRecord, absent, check_length, itself
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_choice, nearest
 from optlink.problem.tolerances import CHOICES, NORMAL, SHAPES, Deviation
@@ -49,18 +49,31 @@ class DeviationRecord(Record):
     per_deviation: Column
     contribution_percent: Column
     contribution_where_it_scatters_most_percent: float
-    measured_parts: int | None = absent()
+    measured_parts: Annotated[int | None, lambda deviation: len(deviation.values) or None] = absent()
 
 
 class LinearRecord(Record):
     """Effect of all tolerances to first order, over the crank angles [SI]."""
 
     shift: Column
-    worst_low: Column
-    worst_high: Column
+    worst_low: Annotated[Column, lambda result: result.worst[0]]
+    worst_high: Annotated[Column, lambda result: result.worst[1]]
     rss: Column
     sigma: Column
-    scatters_most_at_deg: float
+    scatters_most_at_deg: Annotated[float, lambda result: math.degrees(result.nominal.crank_angles[result.where])]
+
+
+def _effects(result: Tolerance) -> list[DeviationRecord]:
+    """Return every deviation with its effect."""
+    return [
+        DeviationRecord.of(
+            one,
+            per_deviation=by,
+            contribution_percent=100.0 * share,
+            contribution_where_it_scatters_most_percent=100.0 * share[result.where],
+        )
+        for one, by, share in zip(result.deviations, result.by, result.contributions, strict=True)
+    ]
 
 
 class ToleranceRecord(ResultRecord):
@@ -73,11 +86,21 @@ class ToleranceRecord(ResultRecord):
     crank_angles_deg: Annotated[Column, "nominal.degrees"]
     value: Annotated[Column, "nominal.value"]
     judged_as_drawn: Annotated[Column, "nominal.base"]
-    limit: Number
-    tolerances: tuple[DeviationRecord, ...]
-    linear: LinearRecord
+    limit: Annotated[Number, lambda result: math.nan if result.limit is None else result.limit]
+    tolerances: Annotated[tuple[DeviationRecord, ...], _effects]
+    linear: Annotated[LinearRecord, itself]
     monte_carlo: MonteCarloRecord | None = absent()
-    robust: RobustRecord | None = absent()
+    robust: Annotated[
+        RobustRecord | None,
+        lambda result: (
+            result.robust
+            and RobustRecord.of(
+                result.robust,
+                monte_carlo_of_the_nominal_design=result.unrobust,
+                the_nominal_design_yields_more=result.nominal_yields_more,
+            )
+        ),
+    ] = absent()
     allocation: AllocationRecord | None = absent()
 
     @model_validator(mode="after")
@@ -93,39 +116,6 @@ class ToleranceRecord(ResultRecord):
                 if isinstance(values, np.ndarray):
                     check_length(values, count, where + name)
         return self
-
-    @classmethod
-    def of(cls, result: Tolerance, **values: Any) -> Self:
-        """As `Record.of`, with the figures of every deviation.
-
-        Parameters
-        ----------
-        result : Tolerance
-        **values
-            Values of fields, in place of those of the result.
-        """
-        at, (low, high) = result.where, result.worst
-        tolerances = [
-            DeviationRecord.of(
-                one,
-                measured_parts=len(one.values) or None,
-                per_deviation=by,
-                contribution_percent=100.0 * share,
-                contribution_where_it_scatters_most_percent=100.0 * share[at],
-            )
-            for one, by, share in zip(result.deviations, result.by, result.contributions, strict=True)
-        ]
-        linear = LinearRecord.of(
-            result, worst_low=low, worst_high=high, scatters_most_at_deg=math.degrees(result.nominal.crank_angles[at])
-        )
-        robust = result.robust
-        if robust is not None:
-            other = None if result.unrobust is None else MonteCarloRecord.of(result.unrobust)
-            beside = {"monte_carlo_of_the_nominal_design": other, "the_nominal_design_yields_more": result.nominal_yields_more}
-            failed = tuple(check.name for check in robust.result.validation.checks if not check.passed)
-            values["robust"] = RobustRecord.of(robust, failed_checks=failed or None, **beside)
-        limit = math.nan if result.limit is None else result.limit
-        return super().of(result, limit=limit, tolerances=tuple(tolerances), linear=linear, **values)
 
     @property
     def scale(self) -> float:

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Self
 
 import numpy as np
 from annotated_types import Gt
@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 from optlink.execution.runner import ordered
 from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
-from optlink.problem.base_model import Column, Contradiction, Number, Record
+from optlink.problem.base_model import Column, Contradiction, Number, Record, itself
 from optlink.problem.tolerances import Deviation
 from optlink.studies.tolerance.nominal import Nominal
 from optlink.studies.tolerance.sampling import sample_deviations, wilson
@@ -68,6 +68,17 @@ class MonteCarlo:
         """Ends of the 95 % confidence interval of the yield for independent samples; quasi-random ones are more accurate."""
         return wilson(self.good, self.samples) if self.good >= 0 else (math.nan, math.nan)
 
+    @property
+    def filled(self) -> slice:
+        """Bins of the histogram without the empty ones at both ends."""
+        filled = np.flatnonzero(self.counts)
+        return slice(int(filled[0]), int(filled[-1]) + 1) if len(filled) else slice(0, 0)
+
+    @property
+    def quantiles(self) -> dict[str, float]:
+        """Values [SI] below which some shares of the samples lie; see `below`."""
+        return {f"{100.0 * share:g}_percent": self.below(share) for share in (0.5, 0.95, 0.99, 0.999)}
+
     def below(self, share: float) -> float:
         """Return the value [SI] below which a share of the samples lies, to one histogram bin; infinite beyond its end."""
         reached = np.cumsum(self.counts) >= share * self.samples
@@ -78,28 +89,14 @@ class MonteCarlo:
 class HistogramRecord(Record):
     """The non-empty bins of the largest judged value: their edges [SI], one more than bins, and their counts."""
 
-    edges: Column
-    counts: Column
+    edges: Annotated[Column, lambda sampled: sampled.edges[sampled.filled.start : sampled.filled.stop + 1]]
+    counts: Annotated[Column, lambda sampled: sampled.counts[sampled.filled]]
 
     @model_validator(mode="after")
     def _check_edges(self) -> Self:
         if len(self.counts) and len(self.edges) != len(self.counts) + 1:
             raise Contradiction("", "it has not one edge more than bins")
         return self
-
-    @classmethod
-    def of(cls, result: MonteCarlo, **values: Any) -> Self:
-        """As `Record.of`, without the empty bins at both ends.
-
-        Parameters
-        ----------
-        result : MonteCarlo
-        **values
-            Values of fields, in place of those of the result.
-        """
-        filled = np.flatnonzero(result.counts)
-        first, last = (int(filled[0]), int(filled[-1]) + 1) if len(filled) else (0, 0)
-        return super().of(result, edges=result.edges[first : last + 1], counts=result.counts[first:last], **values)
 
 
 class MonteCarloRecord(Record):
@@ -113,10 +110,12 @@ class MonteCarloRecord(Record):
     sigma_standard_error: Annotated[Column, "sigma_error"]
     least: Column
     most: Column
-    stays_below: dict[str, Number]
-    histogram: HistogramRecord
+    stays_below: Annotated[dict[str, Number], "quantiles"]
+    histogram: Annotated[HistogramRecord, itself]
     share: Number = Field(alias="yield")
-    yield_interval_95_percent: tuple[float, float] | None
+    yield_interval_95_percent: Annotated[
+        tuple[float, float] | None, lambda sampled: sampled.interval if sampled.good >= 0 else None
+    ]
     yield_by_the_linear_model: Annotated[Number, "linear_share"]
     seconds: float
 
@@ -124,21 +123,6 @@ class MonteCarloRecord(Record):
     def interval(self) -> tuple[float, float]:
         """Ends of the 95 % confidence interval of the yield; NaN without a limit."""
         return self.yield_interval_95_percent or (math.nan, math.nan)
-
-    @classmethod
-    def of(cls, result: MonteCarlo, **values: Any) -> Self:
-        """As `Record.of`, with quantiles and without bounds of a yield that has no limit.
-
-        Parameters
-        ----------
-        result : MonteCarlo
-        **values
-            Values of fields, in place of those of the result.
-        """
-        below = {f"{100.0 * share:g}_percent": result.below(share) for share in (0.5, 0.95, 0.99, 0.999)}
-        interval = result.interval if result.good >= 0 else None
-        histogram = HistogramRecord.of(result)
-        return super().of(result, stays_below=below, histogram=histogram, yield_interval_95_percent=interval, **values)
 
 
 @dataclass

@@ -86,7 +86,7 @@ class RobustRecord(Record):
     largest_of_the_nominal_design_rad: Annotated[float, "before"]
     monte_carlo_of_the_nominal_design: MonteCarloRecord | None
     the_nominal_design_yields_more: bool
-    failed_checks: tuple[str, ...] | None = absent()
+    failed_checks: Annotated[tuple[str, ...] | None, lambda robust: robust.result.validation.failed or None] = absent()
 
 
 def robust(problem: ProblemFile, tolerances: Sequence[str], sigmas: float | None = 3.0, *, shape: str = NORMAL) -> RobustDesign:

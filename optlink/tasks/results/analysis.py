@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
@@ -38,24 +38,24 @@ class GroupRecord(Record):
 
     kind: str
     joint: str
-    bodies: tuple[str, ...]
+    bodies: Annotated[tuple[str, ...], lambda group: [link.body for link in group.links]]
 
 
 class ExtremeRecord(Record):
     """Least and largest value of a column."""
 
     min: Annotated[Number, "least"]
-    min_at_deg: Number
+    min_at_deg: Annotated[Number, lambda extreme: math.degrees(extreme.least_at)]
     max: Annotated[Number, "largest"]
-    max_at_deg: Number
+    max_at_deg: Annotated[Number, lambda extreme: math.degrees(extreme.largest_at)]
 
 
 class SingularRecord(Record):
     """A position at which the motion is not determined; `followed`: the mechanism is continued through it."""
 
-    crank_angle_deg: float
+    crank_angle_deg: Annotated[float, lambda position: math.degrees(position.crank_angle)]
     joint: Annotated[str, "group.joint"]
-    alignment_deg: float
+    alignment_deg: Annotated[float, lambda position: math.degrees(position.angle)]
     followed: bool
 
 
@@ -76,60 +76,28 @@ class AnalysisRecord(ResultRecord):
     format: Literal["optlink/analysis/2"] = Field(alias="schema")
     sound: bool
     notes: tuple[str, ...]
-    groups: tuple[GroupRecord, ...]
+    groups: Annotated[tuple[GroupRecord, ...], "machine.mechanism.groups"]
     sizes: Annotated[dict[str, float], "machine.sizes"]
     speed_rad_s: Annotated[float, "speed"]
     full_rotation: Annotated[bool, "full"]
-    reachable_deg: tuple[tuple[float, float], ...]
-    reactions: dict[str, str]
-    strokes: dict[str, dict[str, Any]]
-    swings: dict[str, dict[str, Any]]
+    reachable_deg: Annotated[
+        tuple[tuple[float, float], ...], lambda result: [list(map(math.degrees, ends)) for ends in result.ranges.ranges]
+    ]
+    reactions: Annotated[dict[str, str], lambda result: reaction_conventions(result.machine)]
+    strokes: Annotated[dict[str, dict[str, Any]], lambda result: result.documents(result.strokes, "m")]
+    swings: Annotated[dict[str, dict[str, Any]], lambda result: result.documents(result.swings, "rad")]
     extremes: dict[str, ExtremeRecord]
-    load_jumps_deg: tuple[float, ...]
+    load_jumps_deg: Annotated[tuple[float, ...], lambda result: result.within(result.jumps)]
     work_J: Annotated[Number, "work"]
-    singular_deg: tuple[float, ...]
-    singular_positions: tuple[SingularRecord, ...]
-    cycle_deg: float | None
+    singular_deg: Annotated[tuple[float, ...], lambda result: result.within(result.singular)]
+    singular_positions: Annotated[tuple[SingularRecord, ...], lambda result: (*result.ranges.singular, *result.ranges.followed)]
+    cycle_deg: Annotated[float | None, lambda result: math.degrees(result.cycle) if result.full else None]
     unbounded: tuple[str, ...]
-    jammed_deg: tuple[float, ...]
-    undefined_deg: tuple[float, ...]
+    jammed_deg: Annotated[tuple[float, ...], lambda result: result.within(result.jammed)]
+    undefined_deg: Annotated[tuple[float, ...], lambda result: result.within(result.undefined)]
     meanings: dict[str, str]
     columns: Columns
     flywheel: FlywheelRecord | None = absent()
-
-    @classmethod
-    def of(cls, result: Analysis, **values: Any) -> Self:
-        """As `Record.of`, with crank angles in degrees.
-
-        Parameters
-        ----------
-        result : Analysis
-        **values
-            Values of fields, in place of those of the result.
-        """
-        deg, machine, wheel = math.degrees, result.machine, result.flywheel
-        positions = (*result.ranges.singular, *result.ranges.followed)
-        angles = {f"{name}_deg": result.within(getattr(result, name)) for name in ("singular", "jammed", "undefined")}
-        return super().of(
-            result,
-            groups=tuple(GroupRecord.of(g, bodies=[link.body for link in g.links]) for g in machine.mechanism.groups),
-            reachable_deg=[[deg(low), deg(high)] for low, high in result.ranges.ranges],
-            reactions=reaction_conventions(machine),
-            strokes={name: result.travel(travel, "m") for name, travel in result.strokes.items()},
-            swings={name: result.travel(travel, "rad") for name, travel in result.swings.items()},
-            extremes={
-                name: ExtremeRecord.of(one, min_at_deg=deg(one.least_at), max_at_deg=deg(one.largest_at))
-                for name, one in result.extremes.items()
-            },
-            load_jumps_deg=result.within(result.jumps),
-            singular_positions=tuple(
-                SingularRecord.of(p, crank_angle_deg=deg(p.crank_angle), alignment_deg=deg(p.angle)) for p in positions
-            ),
-            cycle_deg=deg(result.cycle) if result.full else None,
-            flywheel=None if wheel is None else FlywheelRecord.of(wheel, mean_speed_over="crank angle"),
-            **angles,
-            **values,
-        )
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -229,24 +197,27 @@ class Analysis(Tabled):
         """Loads that act in one stroke only; empty if the crank cannot turn fully."""
         return acting_loads(self.machine, self.speed) if self.full else ()
 
-    def travel(self, travel: Travel, unit: str) -> dict[str, Any]:
-        """Return a stroke or swing as JSON, in `unit`.
+    def documents(self, travels: Mapping[str, Travel], unit: str) -> dict[str, dict[str, Any]]:
+        """Return strokes or swings as JSON, in `unit`.
 
         Parameters
         ----------
-        travel : Travel
+        travels : mapping of str to Travel
             [m, rad]
         unit : "m" or "rad"
         """
         return {
-            f"span_{unit}": travel.span,
-            f"low_{unit}": travel.low,
-            f"high_{unit}": travel.high,
-            "low_at_deg": math.degrees(travel.low_at),
-            "high_at_deg": math.degrees(travel.high_at),
-            "dead_centres_deg": [math.degrees(at) for at in travel.dead_centres],
-            "time_ratio": travel.time_ratio,
-            **stroke_records(travel, self.speed, self.acting),
+            name: {
+                f"span_{unit}": travel.span,
+                f"low_{unit}": travel.low,
+                f"high_{unit}": travel.high,
+                "low_at_deg": math.degrees(travel.low_at),
+                "high_at_deg": math.degrees(travel.high_at),
+                "dead_centres_deg": [math.degrees(at) for at in travel.dead_centres],
+                "time_ratio": travel.time_ratio,
+                **stroke_records(travel, self.speed, self.acting),
+            }
+            for name, travel in travels.items()
         }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +67,11 @@ class Cover:
     multipliers: Array
     limits: tuple[str, ...]
 
+    @property
+    def names(self) -> list[str]:
+        """Names of the tests."""
+        return [TESTS[k] for k in self.test]
+
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
@@ -107,6 +112,11 @@ class Certificate:
 
     rigorous = True
     """Whether the bound includes all rounding errors."""
+
+    @property
+    def shown(self) -> tuple[Cover, ...] | None:
+        """The covers if their boxes are few enough for the result document."""
+        return self.covers if 0 < sum(len(cover.test) for cover in self.covers) <= SHOWN else None
 
     @property
     def closed(self) -> bool:
@@ -190,7 +200,7 @@ class CoverRecord(Record):
     assembly: Any
     low: Rows
     high: Rows
-    test: tuple[Literal["limits", "objective", "Lagrangian", "cut"], ...]
+    test: Annotated[tuple[Literal["limits", "objective", "Lagrangian", "cut"], ...], "names"]
 
     def cover(self, unknowns: int) -> Cover:
         """Return the cover.
@@ -229,23 +239,7 @@ class CertificateRecord(Record):
     improved: bool
     unknowns: tuple[str, ...]
     history: Rows
-    discarded: tuple[CoverRecord, ...] | None = absent()
-
-    @classmethod
-    def of(cls, result: Certificate, **values: Any) -> Self:
-        """As `Record.of`, with the discarded boxes if they are few.
-
-        Parameters
-        ----------
-        result : Certificate
-        **values
-            Values of fields, in place of those of the certificate.
-        """
-        few = 0 < sum(len(cover.test) for cover in result.covers) <= SHOWN
-        covers = (
-            tuple(CoverRecord.of(cover, test=tuple(TESTS[k] for k in cover.test)) for cover in result.covers) if few else None
-        )
-        return super().of(result, discarded=covers, **values)
+    discarded: Annotated[tuple[CoverRecord, ...] | None, "shown"] = absent()
 
     def certificate(self, unknowns: tuple[str, ...], *, exact: bool) -> Certificate:
         """Return the certificate, after a check that it fits the problem and itself.
@@ -294,7 +288,7 @@ def cover_document(cover: Cover, *, witnesses: bool) -> dict[str, Any]:
         Whether the multipliers are included.
     """
     document: dict[str, Any] = {"assembly": cover.assembly, "low": cover.low.tolist(), "high": cover.high.tolist()}
-    document["test"] = [TESTS[k] for k in cover.test]
+    document["test"] = cover.names
     if witnesses:
         document["limits"] = list(cover.limits)
         used = [np.flatnonzero(row > 0.0) for row in cover.multipliers]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -63,23 +63,13 @@ class ClearanceRecord(ResultRecord):
     stopped_s: Annotated[Number, "stopped"]
     prediction: PredictionRecord | None
     per_revolution: Columns
-    impacts: tuple[ImpactRecord, ...]
+    impacts: Annotated[
+        tuple[ImpactRecord, ...],
+        lambda result: tuple(ImpactRecord.of(one, gap=result.gaps[one.gap].point) for one in result.impacts),
+    ]
     poincare_map: Columns
     meanings: dict[str, str]
     columns: Columns
-
-    @classmethod
-    def of(cls, result: Any, **values: Any) -> Self:
-        """As `Record.of`, with the names of the joints.
-
-        Parameters
-        ----------
-        result : object
-        **values
-            Values of fields, in place of those of the result.
-        """
-        impacts = tuple(ImpactRecord.of(one, gap=result.gaps[one.gap].point) for one in result.impacts)
-        return super().of(result, impacts=impacts, **values)
 
 
 @dataclass(frozen=True, repr=False, eq=False)

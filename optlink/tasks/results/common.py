@@ -122,6 +122,10 @@ class SingleResult(Recorded):
         """The problem with the assembly modes of the design."""
         return self.problem
 
+    def complete(self, design: Mapping[str, float]) -> dict[str, float]:
+        """Return every quantity [SI] for values of design variables."""
+        return self.problem.model.design(design)
+
     def displayed(self, design: Mapping[str, float]) -> dict[str, float]:
         """Return a design [SI] in display units, which end the keys."""
         return self.problem.model.displayed(design)
@@ -158,7 +162,7 @@ class OptimumRecord(Record):
     design: dict[str, Number]
     objective: Number
     count: int
-    assembly: str | None = absent()
+    assembly: Annotated[str | None, lambda optimum: optimum.assembly or None] = absent()
 
 
 class SearchRecord(ResultRecord):
@@ -173,42 +177,34 @@ class SearchRecord(ResultRecord):
     seconds: dict[str, float]
 
 
+def _backends(result: SingleResult) -> dict[str, SolutionRecord] | None:
+    """Return the solutions of the back ends in display units."""
+    return {name: SolutionRecord.of(one, design=result.displayed(one.design)) for name, one in result.backends.items()} or None
+
+
+def _optima(result: SingleResult) -> tuple[OptimumRecord, ...] | None:
+    """Return the distinct optima in display units."""
+    return tuple(OptimumRecord.of(one, design=result.displayed(one.design)) for one in result.optima) or None
+
+
 class SingleRecord(SearchRecord):
     """The common entries of the document of a search for one design."""
 
-    design: dict[str, float]
+    design: Annotated[dict[str, float], lambda result: result.displayed(result.complete(result.design))]
     fit: FitRecord | None
     strokes: dict[str, dict[str, Any]]
-    limits: tuple[LimitState, ...]
+    limits: Annotated[tuple[LimitState, ...], lambda result: result.solution.limits if result.solution else ()]
     validation: Annotated[tuple[Check, ...], "validation.checks"]
-    iterations: int
-    kkt: Number = absent()
-    violation: Number = absent()
-    curvature: Number = absent()
-    backends: dict[str, SolutionRecord] | None = absent()
-    optima: tuple[OptimumRecord, ...] | None = absent()
-    conflict: tuple[Relaxation, ...] | None = absent()
-    relax_together: Annotated[tuple[Relaxation, ...] | None, "together"] = absent()
-
-    @classmethod
-    def of(cls, result: Any, **values: Any) -> Self:
-        """As `Record.of`, with the designs of solvers and optima in display units.
-
-        Parameters
-        ----------
-        result : object
-        **values
-            Values of fields, in place of those of the result.
-        """
-        solution = result.solution
-        values |= {name: getattr(solution, name, None) for name in ("kkt", "violation", "curvature")}
-        values |= {"limits": solution.limits if solution else (), "iterations": solution.iterations if solution else 0}
-        shown = result.displayed
-        backends = {name: SolutionRecord.of(one, design=shown(one.design)) for name, one in result.backends.items()}
-        optima = [OptimumRecord.of(one, design=shown(one.design), assembly=one.assembly or None) for one in result.optima]
-        values |= {"backends": backends or None, "optima": tuple(optima) or None}
-        values |= {"conflict": result.conflict or None, "relax_together": result.together if result.conflict else None}
-        return super().of(result, **values)
+    iterations: Annotated[int, lambda result: result.solution.iterations if result.solution else 0]
+    kkt: Annotated[Number, lambda result: getattr(result.solution, "kkt", None)] = absent()
+    violation: Annotated[Number, lambda result: getattr(result.solution, "violation", None)] = absent()
+    curvature: Annotated[Number, lambda result: getattr(result.solution, "curvature", None)] = absent()
+    backends: Annotated[dict[str, SolutionRecord] | None, _backends] = absent()
+    optima: Annotated[tuple[OptimumRecord, ...] | None, _optima] = absent()
+    conflict: Annotated[tuple[Relaxation, ...] | None, lambda result: result.conflict or None] = absent()
+    relax_together: Annotated[tuple[Relaxation, ...] | None, lambda result: result.together if result.conflict else None] = (
+        absent()
+    )
 
 
 def check_entries(table: str, entries: Collection[str], names: Iterable[str]) -> None:

@@ -6,13 +6,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from optlink.dynamics.machine import Machine
 from optlink.errors import InputError, Status
-from optlink.problem.base_model import Number, Record
+from optlink.problem.base_model import Number, Record, itself
 from optlink.problem.cycle.model import CycleProblem, StrokeProblem
 from optlink.problem.cycle.terms import Term
 from optlink.problem.file import ProblemFile
@@ -42,8 +42,8 @@ class CycleFigure:
 class CycleObjectiveRecord(Record):
     """Minimised value [SI]."""
 
-    value: Number
-    unit: str
+    value: Annotated[Number, "objective"]
+    unit: Annotated[str, lambda result: KINDS[result.task.unit_kind].si if result.task.unit_kind else ""]
 
 
 class InitialRecord(Record):
@@ -58,24 +58,9 @@ class CycleRecord(SingleRecord):
 
     format: Literal["optlink/cycle/2"] = Field(alias="schema")
     free: tuple[str, ...]
-    objective: CycleObjectiveRecord
+    objective: Annotated[CycleObjectiveRecord, itself]
     initial: InitialRecord
     figures: tuple[CycleFigure, ...]
-
-    @classmethod
-    def of(cls, result: CycleResult, **values: Any) -> Self:
-        """As `Record.of`, with the objective in SI.
-
-        Parameters
-        ----------
-        result : CycleResult
-        **values
-            Values of fields, in place of those of the result.
-        """
-        kind = result.task.unit_kind
-        objective = CycleObjectiveRecord(value=result.objective, unit=KINDS[kind].si if kind else "")
-        design = result.displayed(result.complete(result.design))
-        return super().of(result, design=design, objective=objective, **values)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -118,10 +103,6 @@ class CycleResult(SingleResult):
     def analysis(self) -> Analysis | None:
         """Cycle of the resulting machine; None if its crank cannot turn fully."""
         return self._analysed(self.complete(self.design))
-
-    def complete(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return every quantity [SI] for values of design variables."""
-        return self.problem.model.design(values)
 
     def _analysed(self, values: Mapping[str, float]) -> Analysis | None:
         try:

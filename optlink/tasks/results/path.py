@@ -68,6 +68,11 @@ class PathDesign(Summary):
         return self.values
 
     @property
+    def displayed(self) -> dict[str, float]:
+        """All quantities of the problem in display units, which end the keys."""
+        return self.task.displayed({name: self.values[name] for name in self.task.quantities})
+
+    @property
     def valid(self) -> bool:
         """Whether the design is validated, and optimal if it was searched."""
         return verified(self.status, self.validation)
@@ -183,34 +188,20 @@ class PathDesign(Summary):
 class CognateRecord(Record):
     """Another four-bar with the same coupler curve."""
 
-    frame_mm: float
-    crank_mm: float
-    coupler_mm: float
-    rocker_mm: float
-    along_mm: float
-    across_mm: float
-    x_mm: float = Field(alias="A.x_mm")
-    y_mm: float = Field(alias="A.y_mm")
-    direction_deg: float
+    frame_mm: Annotated[float, lambda cognate: 1e3 * cognate.linkage.frame]
+    crank_mm: Annotated[float, lambda cognate: 1e3 * cognate.linkage.crank]
+    coupler_mm: Annotated[float, lambda cognate: 1e3 * cognate.linkage.coupler]
+    rocker_mm: Annotated[float, lambda cognate: 1e3 * cognate.linkage.rocker]
+    along_mm: Annotated[float, lambda cognate: 1e3 * cognate.linkage.along]
+    across_mm: Annotated[float, lambda cognate: 1e3 * cognate.linkage.across]
+    x_mm: Annotated[float, lambda cognate: 1e3 * cognate.linkage.x] = Field(alias="A.x_mm")
+    y_mm: Annotated[float, lambda cognate: 1e3 * cognate.linkage.y] = Field(alias="A.y_mm")
+    direction_deg: Annotated[float, lambda cognate: math.degrees(cognate.linkage.direction)]
     side: Annotated[int, "linkage.side"]
     inversion: Annotated[str, "inversion.value"]
     crank_turns: bool
     keeps_side: bool
     turns_as: str
-
-    @classmethod
-    def of(cls, result: Cognate, **values: Any) -> Self:
-        """As `Record.of`, in display units.
-
-        Parameters
-        ----------
-        result : Cognate
-        **values
-            Values of fields, in place of those of the result.
-        """
-        linkage = result.linkage
-        values |= {f"{name}_mm": 1e3 * getattr(linkage, name) for name in (*LENGTHS, "along", "across", "x", "y")}
-        return super().of(result, direction_deg=math.degrees(linkage.direction), **values)
 
 
 class PathDesignRecord(Record):
@@ -219,17 +210,17 @@ class PathDesignRecord(Record):
     valid: bool
     status: Status
     assembly: Any
-    design: dict[str, float]
+    design: Annotated[dict[str, float], "displayed"]
     objective: dict[str, Any]
     fit: FitRecord | None
-    least_transmission_deg: Number
+    least_transmission_deg: Annotated[Number, lambda result: math.degrees(result.least_transmission)]
     points: dict[str, Rows]
     limits: tuple[LimitState, ...]
     validation: Annotated[tuple[Check, ...], "validation.checks"]
     cognates: tuple[CognateRecord, ...]
-    kkt: Number = absent()
-    violation: Number = absent()
-    iterations: int | None = absent()
+    kkt: Annotated[Number, lambda result: getattr(result.solution, "kkt", None)] = absent()
+    violation: Annotated[Number, lambda result: getattr(result.solution, "violation", None)] = absent()
+    iterations: Annotated[int | None, lambda result: getattr(result.solution, "iterations", None)] = absent()
 
     @classmethod
     def of(cls, result: PathDesign, **values: Any) -> Self:
@@ -265,10 +256,7 @@ class PathDesignRecord(Record):
         if measured.turned is not None:
             points["turned_deg"] = np.degrees(measured.turned)
             objective["largest_turned_deg"] = math.degrees(float(np.max(np.abs(measured.turned))))
-        names = task.displayed({name: result.values[name] for name in task.quantities})
-        values |= {name: getattr(result.solution, name, None) for name in ("kkt", "violation", "iterations")}
-        least = math.degrees(result.least_transmission)
-        return super().of(result, design=names, objective=objective, points=points, least_transmission_deg=least, **values)
+        return super().of(result, objective=objective, points=points, **values)
 
 
 class PathRecord(SearchRecord):
@@ -277,35 +265,17 @@ class PathRecord(SearchRecord):
     format: Literal["optlink/path/2"] = Field(alias="schema")
     starts_that_reached_the_best: Annotated[int, "hits"]
     evidence: Evidence
-    design: dict[str, float] | None = absent()
+    design: Annotated[dict[str, float] | None, lambda result: result.best and result.best.displayed] = absent()
     strokes: dict[str, dict[str, Any]] | None = absent()
-    assembly: Any = absent()
-    fit: FitRecord | None
+    assembly: Annotated[Any, lambda result: result.best and result.best.assembly] = absent()
+    fit: Annotated[FitRecord | None, lambda result: result.best and result.best.fit]
     designs: tuple[PathDesignRecord, ...]
-    conflict: tuple[Relaxation, ...] | None = absent()
-    relax_together: tuple[Relaxation, ...] | None = absent()
+    conflict: Annotated[tuple[Relaxation, ...] | None, lambda result: result.conflict or None] = absent()
+    relax_together: Annotated[tuple[Relaxation, ...] | None, lambda result: result.together if result.conflict else None] = (
+        absent()
+    )
     certificate: CertificateRecord | None = absent()
-    nearest_miss: PathDesignRecord | None
-
-    @classmethod
-    def of(cls, result: PathResult, **values: Any) -> Self:
-        """As `Record.of`, with the figures of the best design.
-
-        Parameters
-        ----------
-        result : PathResult
-        **values
-            Values of fields, in place of those of the result.
-        """
-        best, designs = result.best, tuple(PathDesignRecord.of(one) for one in result.designs)
-        miss = None if result.nearest is None or designs else PathDesignRecord.of(result.nearest)
-        first = designs[0] if designs else miss
-        values |= {name: getattr(first, name, None) for name in ("design", "assembly", "fit")}
-        machine = None if best is None else turning_machine(best.problem, best.values)
-        angles = np.zeros(1) if best is None else best.crank_angles
-        strokes = {} if machine is None else stroke_document(machine, float(angles[-1] - angles[0]))
-        values |= {"conflict": result.conflict or None, "relax_together": result.together if result.conflict else None}
-        return super().of(result, designs=designs, nearest_miss=miss, strokes=None if best is None else strokes, **values)
+    nearest_miss: Annotated[PathDesignRecord | None, lambda result: None if result.designs else result.nearest]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -355,6 +325,14 @@ class PathResult(Recorded):
             return None
         begin, end = float(self.best.crank_angles[0]), float(self.best.crank_angles[-1])
         return started(self.best.machine, begin, end - begin)
+
+    @property
+    def strokes(self) -> dict[str, Any] | None:
+        """Strokes of every output of the best design, as JSON; empty if the crank does not turn fully, None without a design."""
+        if self.best is None:
+            return None
+        machine, angles = turning_machine(self.best.problem, self.best.values), self.best.crank_angles
+        return {} if machine is None else stroke_document(machine, float(angles[-1] - angles[0]))
 
     @property
     def definite(self) -> ProblemFile:
