@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import graphlib
 import importlib
 import re
 import subprocess
@@ -9,6 +10,7 @@ import sys
 import tomllib
 from pathlib import Path
 
+import grimp
 import pytest
 
 import optlink
@@ -37,6 +39,19 @@ def loaded_after(code: str) -> set[str]:
 def test_help_loads_nothing_heavy():
     code = "import sys; sys.argv = ['optlink', '--help']\nfrom optlink.cli.app import main\ntry: main()\nexcept SystemExit: pass"
     assert loaded_after(code) & HEAVY == set()
+
+
+def test_no_module_imports_itself_through_others():
+    """Not even by deferred imports or for annotations; the models of a requirement with their checks are one unit."""
+    unit = {f"optlink.problem.{name}" for name in ("function", "limits", "path", "path_checks")}
+    graph = grimp.build_graph("optlink", cache_dir=None)
+    imports = {one: set(graph.find_modules_directly_imported_by(one)) for one in graph.modules}
+    assert imports["optlink.problem.limits"] & unit  # deferred imports are seen
+    apart = {one: {other for other in others if not {one, other} <= unit} for one, others in imports.items()}
+    graphlib.TopologicalSorter(apart).prepare()  # CycleError names the cycle
+    apart["optlink.units"].add("optlink.problem.file")
+    with pytest.raises(graphlib.CycleError, match="optlink.units"):
+        graphlib.TopologicalSorter(apart).prepare()
 
 
 def command(*words: str) -> str:

@@ -26,7 +26,8 @@ from optlink.solvers.semi_infinite import refine_peaks
 from optlink.solvers.solution import Solution
 from optlink.studies.cycle_task import with_starting_values
 from optlink.studies.kkt_derivatives import KKTPerturbation
-from optlink.studies.parameters import Optimum, OptimumParameters, Parameter, design_variables, displayed, parameters
+from optlink.studies.optimum_parameters import Optimum, OptimumParameters
+from optlink.studies.parameters import Parameter, design_variables, displayed, parameters
 from optlink.studies.toml_keys import exact_text, read_figure, value_at
 from optlink.symbolic import CompiledFunction
 from optlink.tasks.cycle import solve as solve_cycle

@@ -3,24 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optlink.optimization.constraints import Scale
 from optlink.optimization.nlp import NLP
-from optlink.problem.file import ProblemFile
 from optlink.problem.limits import MARGIN_KEYS
-from optlink.solvers.solution import Solution
-from optlink.studies.toml_keys import exact_text
-from optlink.tasks.protocol import completed
-
-if TYPE_CHECKING:
-    from optlink.studies.kkt_derivatives import KKTPerturbation, KKTSystem
 
 ROUNDING = 1e-14  # of a scaled quantity: smaller values count as zero
 SHARE = 0.01
@@ -78,98 +70,6 @@ class Parameter:
             nlp.p[1 + self.constant] = own
         for entry in self.entries:
             nlp.limit(entry, own if self.equal or not self.upper else None, own if self.equal or self.upper else None)
-
-
-Optimum = tuple[float, dict[str, float]]
-"""Objective [SI] and design variables in display units."""
-
-
-class OptimumParameters:
-    """The parameters of an optimum, which are those of its programme, and the optima beside it.
-
-    `share`, `most`: step of central differences relative to the value, and its largest share of the range of validity.
-    """
-
-    share, most = 3e-5, 0.4
-
-    def __init__(self, problem: ProblemFile, system: KKTSystem) -> None:
-        self.problem, self.system, self.nlp = problem, system, system.nlp
-
-    @staticmethod
-    def refined(solution: Solution) -> Solution:
-        """Return an optimum with all digits."""
-        return solution
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Notes on the derivatives."""
-        return ()
-
-    @cached_property
-    def parameters(self) -> list[Parameter]:
-        """All parameters, with the keys of the problem file."""
-        return parameters(self.nlp)
-
-    def push(self, parameter: Parameter) -> KKTPerturbation:
-        """Return the change of the optimality system per unit of a parameter.
-
-        Raises
-        ------
-        InputError
-            If the value cannot be changed to both sides.
-        """
-        return self.system.push(parameter)
-
-    def optimum_at(
-        self, solution: Solution, parameter: Parameter, value: float, change: Mapping[str, float], backend: str
-    ) -> Optimum | None:
-        """Return the optimum with another value of a parameter; None if there is none, or a different one is found.
-
-        Parameters
-        ----------
-        solution : Solution
-            Optimum with the present value.
-        parameter : Parameter
-        value : float [parameter.unit]
-        change : mapping of str to float [display units]
-            Predicted change of the design variables.
-        backend : "slsqp" or "ipopt"
-        """
-        from optlink.solvers import multistart
-
-        nlp = solution.nlp
-        try:
-            parameter.place(nlp, value)
-            found = multistart.solve_from(nlp, solution.x, backend)
-        finally:
-            parameter.place(nlp, parameter.value)
-        return found.objective, displayed(nlp, found.x)
-
-
-class FunctionParameters(OptimumParameters):
-    """The parameters of a function synthesis, whose file is read, built and searched anew with another value."""
-
-    def optimum_at(
-        self, solution: Solution, parameter: Parameter, value: float, change: Mapping[str, float], backend: str
-    ) -> Optimum | None:
-        """Return the optimum with another value; see `OptimumParameters.optimum_at`.
-
-        Parameters
-        ----------
-        solution : Solution
-        parameter : Parameter
-        value : float [parameter.unit]
-        change : mapping of str to float [display units]
-        backend : "slsqp" or "ipopt"
-        """
-        from optlink.tasks.function import solve
-
-        if not parameter.in_file:
-            return super().optimum_at(solution, parameter, value, change, backend)
-        other = self.problem.override({parameter.key: exact_text(value, parameter.unit)})
-        found = completed(solve(other, backend, begin=solution.design))
-        assert found.solution is not None
-        return found.objective, displayed(found.solution.nlp, found.solution.x)
 
 
 def displayed(nlp: NLP, x: Sequence[float] | NDArray[np.float64]) -> dict[str, float]:

@@ -20,7 +20,8 @@ from optlink.problem.file import ProblemFile
 from optlink.solvers.solution import Solution
 from optlink.studies.cycle_parameters import CycleParameters
 from optlink.studies.kkt_derivatives import KKTSystem, ValidityEnd
-from optlink.studies.parameters import FunctionParameters, OptimumParameters, Parameter, design_variables, displayed
+from optlink.studies.optimum_parameters import FunctionParameters, OptimumParameters
+from optlink.studies.parameters import Parameter, design_variables, displayed
 from optlink.tasks.protocol import completed
 from optlink.tasks.results.balance import Balance
 from optlink.tasks.run import solve

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,10 +22,6 @@ from optlink.solvers.solution import Solution
 from optlink.studio.follow import CycleFollower, Follower, FunctionFollower, PathFollower
 from optlink.units import DISPLAYED
 from optlink.validation.path import deviations
-
-if TYPE_CHECKING:
-    from optlink.studio.design import Design
-
 
 ALONG = 60  # positions of the error curve
 WORDS = ("crank", "transmission_over", *MARGINS)  # limits that change the structure of a programme
@@ -77,8 +73,19 @@ class Kind:
         """Return the factor from SI and the display unit of the objective, and its name; no name if there is none."""
         return 1.0, "", ""
 
-    def error_curves(self, design: Design) -> Iterator[ErrorCurve]:
-        """Yield the error of a design, if the kind has one."""
+    def error_curves(self, model: Any, values: Mapping[str, float], start: float, angles: Array | None) -> Iterator[ErrorCurve]:
+        """Yield the error of a design, if the kind has one.
+
+        Parameters
+        ----------
+        model : Problem
+        values : mapping of str to float [SI]
+            All quantities of the design.
+        start : float [rad]
+            Crank angle of its first position.
+        angles : array (points,) [rad], optional
+            Crank angles of the target points, where the values do not determine them.
+        """
         yield from ()
 
     def follower(self, problem: ProblemFile, values: Mapping[str, float], way: int) -> Follower | None:
@@ -138,12 +145,11 @@ class _FunctionSynthesis(_Searched):
         unit = MEASURES[measure].unit
         return (math.degrees(1.0), "deg", words) if unit == "rad" else (1.0, unit.replace("^2", "²"), words)
 
-    def error_curves(self, design: Design) -> Iterator[ErrorCurve]:
-        model: Any = design.problem.model
+    def error_curves(self, model: Any, values: Mapping[str, float], start: float, angles: Array | None) -> Iterator[ErrorCurve]:
         offsets = model.span * np.linspace(0.0, 1.0, ALONG + 1)
         with np.errstate(all="ignore"):
-            error = np.degrees(error_at(model, design.values, offsets))
-        yield ErrorCurve("Output error", design.start + offsets, "target minus generated", "deg", error)
+            error = np.degrees(error_at(model, values, offsets))
+        yield ErrorCurve("Output error", start + offsets, "target minus generated", "deg", error)
 
     def follower(self, problem: ProblemFile, values: Mapping[str, float], way: int) -> Follower | None:
         return FunctionFollower(problem)
@@ -169,12 +175,11 @@ class _PathSynthesis(_Searched):
         per, unit = model.objective_display
         return per, unit.replace("^2", "²"), words
 
-    def error_curves(self, design: Design) -> Iterator[ErrorCurve]:
-        model: Any = design.problem.model
-        if model.requirement.kind != "transmission" and design.crank_angles is not None:
+    def error_curves(self, model: Any, values: Mapping[str, float], start: float, angles: Array | None) -> Iterator[ErrorCurve]:
+        if model.requirement.kind != "transmission" and angles is not None:
             factor, unit = DISPLAYED[model.unit]
-            distances = deviations(model, design.values, design.crank_angles).distances
-            yield ErrorCurve("Deviation at the points", design.crank_angles, "deviation", unit, factor * distances)
+            distances = deviations(model, values, angles).distances
+            yield ErrorCurve("Deviation at the points", angles, "deviation", unit, factor * distances)
 
     def follower(self, problem: ProblemFile, values: Mapping[str, float], way: int) -> Follower | None:
         return PathFollower(problem, way)

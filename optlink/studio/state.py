@@ -129,11 +129,13 @@ def charts(design: Design, picture: Picture, *, moving: bool) -> list[dict[str, 
     moving : bool
         Leave out what takes longer than a few milliseconds.
     """
-    found = [_chart(*curve[:2], [curve[2:]]) for curve in kind_of(design.problem).error_curves(design)]
+    kind, model = kind_of(design.problem), design.problem.model
+    curves = kind.error_curves(model, design.values, design.start, design.crank_angles)
+    found = [_chart(*curve[:2], [curve[2:]]) for curve in curves]
     found += _transmission(design, picture)
-    if design.problem.model.loads or design.problem.model.bodies:
+    if model.loads or model.bodies:
         found += _forces(design, picture)
-    elif design.problem.task == "cycle" or not design.problem.model.free:
+    elif design.problem.task == "cycle" or not model.free:
         found += _motion(picture)
     return found
 

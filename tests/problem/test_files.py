@@ -315,7 +315,7 @@ def test_table_from_csv(crank_rocker, tmp_path):
             "row 3 of law.csv has 3 cells, the title row has 2. Correct the row; decimals have a point",
         ),
         ("phi_deg,psi_deg,psi_rad\n0,0,0\n15,2,0.03\n", "two columns of psi"),
-        ("phi_deg;psi_deg\n0;0\n15;2,5\n", "row 3 of law.csv has no finite number in column psi_deg"),
+        ("phi_deg;psi_deg\n0;0\n15;2,5\n", "row 3 of law.csv has a decimal comma in column psi_deg"),
         ("x,y\n0,0\n", "no column phi_deg"),
         ("", "no column phi_deg"),
         ("phi_deg,psi_deg\n0,0\n0,1\n", "row 2"),

@@ -20,7 +20,8 @@ from optlink.execution.runner import pool
 from optlink.problem.tolerances import SHAPES, Deviation
 from optlink.studies.tolerance import allocation
 from optlink.studies.tolerance.allocation import least_cost
-from optlink.studies.tolerance.analysis import linear_analysis, tolerance
+from optlink.studies.tolerance.analysis import tolerance
+from optlink.studies.tolerance.linear import linear_analysis
 from optlink.studies.tolerance.monte_carlo import monte_carlo
 from optlink.studies.tolerance.nominal import nominal_design
 from optlink.studies.tolerance.options import read_deviations

@@ -13,19 +13,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Gt
 
 from optlink.errors import InputError, SolverError
+from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import Record
+from optlink.studies.tolerance.linear import LinearAnalysis
 from optlink.studies.tolerance.monte_carlo import MonteCarlo, MonteCarloRecord, monte_carlo
-
-if TYPE_CHECKING:
-    from optlink.execution.worker import Runs
-    from optlink.studies.tolerance.analysis import Tolerance
 
 PROVEN = 1e-6  # largest relative duality gap of a proven cost
 SEARCHED = 1 << 16  # samples of the exact linkage at each k
@@ -124,13 +122,13 @@ def least_cost(weights: Array, costs: Array) -> tuple[Array, float]:
 
 
 def allocate(
-    study: Tolerance, target_yield: float, costs: Mapping[str, float], samples: int, seed: int, runs: Runs | None = None
+    study: LinearAnalysis, target_yield: float, costs: Mapping[str, float], samples: int, seed: int, runs: Runs | None = None
 ) -> Allocation:
     """Return the tolerances of least cost with which a study keeps its limit with a required yield.
 
     Parameters
     ----------
-    study : Tolerance
+    study : LinearAnalysis
         Its tolerances are the reference; those without effect keep their values.
     target_yield : float
         Required yield, between 0 and 1.
@@ -177,7 +175,7 @@ def allocate(
     if gap > PROVEN:
         raise SolverError(f"the least cost of tolerances is not proven: {gap:.1e} of it is open")
 
-    def scaled(k: float) -> Tolerance:
+    def scaled(k: float) -> LinearAnalysis:
         found = tolerances.copy()
         found[moves] = unit / k
         wider = (replace(d, tolerance=float(t)) for d, t in zip(study.deviations, found, strict=True))

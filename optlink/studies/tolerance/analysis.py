@@ -9,7 +9,6 @@ import contextlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -23,11 +22,13 @@ from optlink.problem.arguments import typed
 from optlink.problem.base_model import Column, Contradiction, Number, Record, Recorded, ResultRecord, absent, check_length, itself
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_choice, nearest
-from optlink.problem.tolerances import CHOICES, NORMAL, SHAPES, Deviation
-from optlink.studies.motion_sensitivity import output_sensitivity
+from optlink.problem.tolerances import CHOICES, NORMAL, SHAPES
+from optlink.studies.tolerance import robust_design
 from optlink.studies.tolerance.allocation import Allocation, AllocationRecord, allocate
+from optlink.studies.tolerance.linear import LinearAnalysis, linear_analysis
+from optlink.studies.tolerance.maximum_yield import maximise_yield
 from optlink.studies.tolerance.monte_carlo import CHUNK, MonteCarlo, MonteCarloRecord, Progress, monte_carlo
-from optlink.studies.tolerance.nominal import ERROR, Nominal, display_unit, nominal_design
+from optlink.studies.tolerance.nominal import ERROR, display_unit, nominal_design
 from optlink.studies.tolerance.options import read_deviations
 from optlink.studies.tolerance.robust_design import YIELD, RobustDesign, RobustRecord, check_law
 from optlink.units import UnitProblem, parse
@@ -134,17 +135,12 @@ class ToleranceRecord(ResultRecord):
 
 
 @dataclass(frozen=True, repr=False)
-class Tolerance(Recorded):
-    """Tolerances of a design and their effect; `by` (deviations, angles): change of the judged value per deviation [SI]."""
+class Tolerance(LinearAnalysis, Recorded):
+    """Tolerances of a design and their effect: to first order, by samples, with allocated tolerances, of a robust design."""
 
     record = ToleranceRecord
     status = "done"
 
-    problem: ProblemFile
-    nominal: Nominal
-    deviations: tuple[Deviation, ...]
-    by: Array
-    limit: float | None
     monte_carlo: MonteCarlo | None = None
     allocation: Allocation | None = None
     robust: RobustDesign | None = None  # the robust design, if requested
@@ -161,44 +157,6 @@ class Tolerance(Recorded):
         if self.limit is None or self.unrobust is None or self.monte_carlo is None:
             return False
         return self.unrobust.good > self.monte_carlo.good
-
-    @cached_property
-    def shift(self) -> Array:
-        """Mean change (angles,) to first order."""
-        return np.asarray(np.array([d.mean for d in self.deviations]) @ self.by, dtype=float)
-
-    @cached_property
-    def worst(self) -> tuple[Array, Array]:
-        """Least and largest change (angles,) to first order with all deviations at their worst ends."""
-        ends = np.array([d.ends for d in self.deviations])
-        both = ends[:, :, None] * self.by[:, None, :]
-        return np.sum(np.min(both, axis=1), axis=0), np.sum(np.max(both, axis=1), axis=0)
-
-    @cached_property
-    def rss(self) -> Array:
-        """Root sum square (angles,) of each tolerance times its derivative; for measured deviations three sigma."""
-        sizes = np.array([3.0 * d.sigma if d.values else d.tolerance for d in self.deviations])
-        return np.asarray(np.sqrt(np.sum(np.square(sizes[:, None] * self.by), axis=0)), dtype=float)
-
-    @cached_property
-    def sigma(self) -> Array:
-        """Standard deviation (angles,) to first order."""
-        return np.asarray(np.sqrt(np.sum(self._variances, axis=0)), dtype=float)
-
-    @cached_property
-    def _variances(self) -> Array:
-        return np.square(np.array([d.sigma for d in self.deviations])[:, None] * self.by)
-
-    @property
-    def where(self) -> int:
-        """Index of the crank angle of largest scatter."""
-        return int(np.argmax(self.sigma))
-
-    @cached_property
-    def contributions(self) -> Array:
-        """Share of each deviation in the variance (deviations, angles); zeros without scatter."""
-        whole = np.sum(self._variances, axis=0)
-        return self._variances / np.where(whole > 0.0, whole, 1.0)
 
     @property
     def columns(self) -> dict[str, Array]:
@@ -303,7 +261,8 @@ def tolerance(
         for name in costs or {}:
             if name not in [d.name for d in deviations]:
                 raise InputError("no such tolerance", nearest(name, [d.name for d in deviations]), key=f"--cost {name}")
-        found = replace(linear_analysis(problem, nominal, deviations, _limit(limit, angular=nominal.angular)), robust=again)
+        first = linear_analysis(problem, nominal, deviations, _limit(limit, angular=nominal.angular))
+        found = Tolerance(problem, nominal, first.deviations, first.by, first.limit, robust=again)
         if samples and again is not None:
             best = nominal_design(file, output, crank_angles, {name: again.nominal[name] for name in again.free})
             other = linear_analysis(problem, best, deviations, found.limit)
@@ -337,36 +296,16 @@ def _robust_design(
     runs: Runs | None,
 ) -> RobustDesign:
     """Return the robust design for the error; see `tolerance`."""
-    from optlink.studies.tolerance import robust_design as redesign
-
     if robust == YIELD and not samples:
         raise InputError("a yield is counted by samples", "Leave --samples out", key="--samples", value=samples)
     allowed = _limit(limit, angular=True)
     if robust not in (MARGIN, YIELD):
-        return redesign.robust(problem, tolerances, None if robust == WORST else float(robust), shape=shape)
+        return robust_design.robust(problem, tolerances, None if robust == WORST else float(robust), shape=shape)
     if allowed is None:
         raise InputError(f"a {robust} needs a limit", 'Add for example --limit "0.5 deg"', key="--robust")
     if robust == MARGIN:
-        return redesign.most_reliable(problem, tolerances, allowed, shape=shape)
-    from optlink.studies.tolerance.maximum_yield import maximise_yield
-
+        return robust_design.most_reliable(problem, tolerances, allowed, shape=shape)
     return maximise_yield(problem, tolerances, allowed, samples, seed, shape=shape, runs=runs)
-
-
-def linear_analysis(problem: ProblemFile, nominal: Nominal, deviations: Sequence[Deviation], limit: float | None) -> Tolerance:
-    """Return the linear analysis with exact derivatives at the nominal design.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-    nominal : Nominal
-    deviations : sequence of Deviation
-    limit : float [rad or m], optional
-        Largest absolute judged value.
-    """
-    sizes = list(dict.fromkeys(d.size for d in deviations))
-    slopes = output_sensitivity(nominal.mechanism, nominal.sizes, nominal.crank_angles, nominal.output, sizes).by
-    return Tolerance(problem, nominal, tuple(deviations), nominal.sign * np.array([slopes[d.size] for d in deviations]), limit)
 
 
 def _check(samples: int, seed: int, shape: str, target_yield: float | None, limit: str | None) -> None:

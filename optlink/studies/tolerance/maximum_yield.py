@@ -24,7 +24,7 @@ from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP, build
 from optlink.problem.file import ProblemFile
 from optlink.problem.tolerances import NORMAL, Deviation
-from optlink.studies.tolerance.analysis import linear_analysis
+from optlink.studies.tolerance.linear import linear_analysis
 from optlink.studies.tolerance.monte_carlo import largest_errors, monte_carlo
 from optlink.studies.tolerance.nominal import nominal_design
 from optlink.studies.tolerance.options import read_deviations

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Self
+from typing import Annotated, Self
 
 import numpy as np
 from annotated_types import Gt
@@ -18,11 +18,9 @@ from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import Column, Contradiction, Number, Record, itself
 from optlink.problem.tolerances import Deviation
+from optlink.studies.tolerance.linear import LinearAnalysis
 from optlink.studies.tolerance.nominal import Nominal
 from optlink.studies.tolerance.sampling import sample_deviations, wilson
-
-if TYPE_CHECKING:
-    from optlink.studies.tolerance.analysis import Tolerance
 
 PORTION = 12_000  # positions per block, so that intermediate arrays fit in the processor cache
 CHUNK = 1 << 17  # samples that are one piece of work, a multiple of those of a batch
@@ -208,13 +206,13 @@ class SampleTask:
 
 
 def monte_carlo(
-    study: Tolerance, samples: int, seed: int, progress: Progress | None = None, runs: Runs | None = None
+    study: LinearAnalysis, samples: int, seed: int, progress: Progress | None = None, runs: Runs | None = None
 ) -> MonteCarlo:
     """Assemble and move random linkages exactly, and return their statistics; memory does not grow with their number.
 
     Parameters
     ----------
-    study : Tolerance
+    study : LinearAnalysis
     samples : int
     seed : int
         Seed of the Sobol points.
