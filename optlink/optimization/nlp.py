@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 
 import casadi
 import numpy as np
+from numpy.typing import NDArray
 
 from optlink.linkage.fourbar import LENGTHS
-from optlink.linkage.vector2d import Array, turn, unit
+from optlink.linkage.vector2d import TURN, Array, turn, unit
 from optlink.optimization.constraints import DEGREES, ConstraintRow, Scale, rows as limit_rows
 from optlink.optimization.mapped_terms import MappedTerms
 from optlink.optimization.objectives import MEASURES, ErrorMeasure, output_error
@@ -31,13 +32,15 @@ from optlink.symbolic import BufferedFunction, CompiledFunction, packed, symbols
 
 @dataclass(frozen=True)
 class Variable:
-    """A component of the design vector: x = (value - origin) / size. `key`: that of the quantity in the problem file."""
+    """A component of the design vector: x = (value - origin) / size. `key`: that of the quantity in the problem file. `periodic`:
+    an angle whose values a revolution apart are one design."""
 
     name: str
     size: float
     scale: Scale
     origin: float = 0.0
     key: str = ""
+    periodic: bool = False
 
     def scaled(self, value: float) -> float:
         """Return the component of the design vector for a value [SI]."""
@@ -263,6 +266,11 @@ class NLP:
         return self.lifted(np.clip(x, self.x_low, self.x_high) if bounded else x)
 
     @property
+    def around(self) -> NDArray[np.bool_]:
+        """Whether each component of x is an angle that may be any (n,): its bounds, a revolution apart, are no limits."""
+        return np.array([v.periodic for v in self.variables], dtype=bool) & (self.x_high - self.x_low >= TURN - 1e-9)
+
+    @property
     def exchange_count(self) -> int:
         """Number of exchange points."""
         return len(self.p) - 1 - len(self.constants) - (self.smoothing > 0)
@@ -407,7 +415,7 @@ def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
 
     def scaled(name: str) -> Variable:
         scale = Scale("mm", 1e3 * size) if name in LENGTHS else DEGREES
-        return Variable(name, sizes[name], scale, key=quantity_key(problem, name))
+        return Variable(name, sizes[name], scale, key=quantity_key(problem, name), periodic=problem.is_periodic(name))
 
     variables, constants = [scaled(name) for name in free], [scaled(name) for name in fixed]
     constants += [Variable(name, size, Scale("mm", 1e3 * size)) for name in counted]

@@ -48,7 +48,7 @@ def scaled_variable(problem: PathProblem, name: str) -> Variable:
     """
     quantity, key = problem.quantities[name], quantity_key(problem, name)
     if quantity.kind not in ("length", "coordinate"):
-        return Variable(name, 1.0, DEGREES, key=key)
+        return Variable(name, 1.0, DEGREES, key=key, periodic=problem.is_periodic(name))
     axis = name.rpartition(".")[2] if quantity.kind == "coordinate" else ""
     origin = problem.centre["xy".index(axis)] if axis in ("x", "y") else 0.0
     return Variable(name, problem.size, Scale("mm", 1e3 * problem.size, offset=1e3 * origin), origin, key)

@@ -22,7 +22,7 @@ from optlink.problem.quantity import Angle, FixedAngle, Quantity, Unusable, near
 from optlink.problem.robust import Robustness, check_robust
 from optlink.problem.targets.expression import Expression
 from optlink.problem.targets.function import Function
-from optlink.problem.targets.law import Law, Table, begins_at_psi0, check_rotation, read_law, rotation
+from optlink.problem.targets.law import Law, Table, begins_at_psi0, check_rotation, is_periodic, read_law, rotation
 
 MAX_POINTS = 10_000
 NUMBERS = ("mechanism.", "limits.", "tolerances.", "requirement.from", "requirement.psi0")
@@ -123,6 +123,16 @@ class DesignProblem(Problem):
     def sense(self) -> int:
         """Sense of crank rotation: +1 counter-clockwise, -1 clockwise."""
         return 1 if self.span > 0.0 else -1
+
+    def is_periodic(self, name: str) -> bool:
+        """Return whether values of an angle that are a revolution apart are one design; not those that the law contains as such.
+
+        Parameters
+        ----------
+        name : str
+            Name of the quantity.
+        """
+        return name in ("phi0", "psi0") and is_periodic(self.requirement.law, name)
 
     @property
     def tied(self) -> bool:

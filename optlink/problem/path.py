@@ -23,7 +23,7 @@ from optlink.problem.limits import Limits
 from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.quantity import Angle, Coordinate, FixedAngle, FixedLength, Quantity, Unusable, nearest
-from optlink.problem.targets.law import Law, Table, read_output_law, rotation
+from optlink.problem.targets.law import Law, Table, is_periodic, read_output_law, rotation
 from optlink.problem.targets.points import read_points
 from optlink.problem.targets.target_points import TargetPoints, closed
 from optlink.units import DISPLAYED
@@ -174,6 +174,19 @@ class PathProblem(Problem):
         elif task.kind == "function" and self.based:
             found[ZERO] = task.psi0 or anywhere
         return found
+
+    def is_periodic(self, name: str) -> bool:
+        """Return whether values of an angle that are a revolution apart are one design; not those that a law contains as such.
+
+        Parameters
+        ----------
+        name : str
+            Name of the quantity.
+        """
+        if self.quantities[name].kind != "angle":
+            return False
+        prescribed = self.requirement.kind == "function" and name in (START, ZERO)
+        return not prescribed or is_periodic(self.requirement.law, "phi0" if name == START else "psi0")
 
     @property
     def based(self) -> bool:

@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from optlink.errors import Status
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.nlp import NLP, SMALLEST_SCALE
 from optlink.problem.robust import SMOOTHED
 from optlink.solvers.contract import MINIMAX, SOLVERS, backend
 from optlink.solvers.feasibility import repair
 from optlink.solvers.newton import refined
-from optlink.solvers.solution import FEASIBLE, Attempt, Solution, verified_solution, violation
+from optlink.solvers.solution import ACTIVE, FEASIBLE, Attempt, Backend, Solution, verified_solution, violation
 
 SAME_OBJECTIVE = 1e-6  # relative
 SAME_ERROR = 1e-8  # rad; errors that differ by less count as equal
@@ -138,7 +138,20 @@ def solve_from(
             break
         steps = solution.iterations + again.iterations
         solution = replace(best([again, solution]), iterations=steps, path=solution.path)
-    return solution
+    return _continued_around(nlp, solution, run)
+
+
+def _continued_around(nlp: NLP, solution: Solution, run: Backend) -> Solution:
+    """Return the optimum to which the objective decreases where an angle that may be any ended at one of its bounds."""
+    x, around = solution.x.copy(), nlp.around
+    if solution.status is not Status.STALLED or not np.any(around):
+        return solution
+    beyond = (nlp.x_high - x <= ACTIVE) * 1.0 - (x - nlp.x_low <= ACTIVE)
+    if not np.any(beyond[around]):
+        return solution
+    x[around] -= TURN * beyond[around]
+    p = scaled_parameters(nlp, x)
+    return best([conclude(nlp, run(nlp, x, p), p), solution])
 
 
 def _smoothed(nlp: NLP, x: Array, name: str, track: bool) -> Attempt:

@@ -15,7 +15,7 @@ import numpy as np
 
 from optlink.errors import Status
 from optlink.linkage.extrema import Function, maxima
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.nlp import NLP
 from optlink.optimization.path_nlp import has_sampled_objective, limit_excesses, objective_excess, solved_values
 from optlink.problem.path import PathProblem
@@ -129,6 +129,8 @@ def _followed(
     x, reach = np.concatenate([start.x, places[:many]]), min(REACH * max(1.0, radius / RADIUS), FARTHEST)
     room = np.where(fixed, 0.0, reach)
     low, high = np.concatenate([nlp.x_low, x[n:] - room]), np.concatenate([nlp.x_high, x[n:] + room])
+    around = np.flatnonzero(nlp.around[:count])
+    low[around], high[around] = -math.inf, math.inf  # a step may pass where such an angle jumps by a revolution
     low[:count], high[:count] = np.maximum(low[:count], x[:count] - radius), np.minimum(high[:count], x[:count] + radius)
     first = len(moving.rows) - many
     for i, (least, most) in enumerate(zip(low, high, strict=True)):
@@ -139,7 +141,9 @@ def _followed(
     end = polish(moving, contract.backend(backend)(moving, x, p), p)
     step = np.abs(end.x - x)
     limited = bool(np.any(step[:count] > ALL_BUT * radius) or np.any(step[n:] > ALL_BUT * reach))
-    return local.solution_at(nlp, end.x[:n], end.message), limited
+    there = end.x[:n].copy()
+    there[around] -= TURN * ((there[around] > nlp.x_high[around]) * 1.0 - (there[around] < nlp.x_low[around]))
+    return local.solution_at(nlp, there, end.message), limited
 
 
 def _with_moving_peaks(nlp: NLP, many: int) -> NLP:

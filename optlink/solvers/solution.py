@@ -229,7 +229,7 @@ def stationarity(nlp: NLP, x: Array, point: NLPValues, within: float = ACTIVE) -
     """Return multipliers of the active bounds and rows by least squares, and the remaining KKT residual.
 
     A multiplier is positive at an upper bound and negative at a lower bound; multipliers of the wrong sign are dropped, worst
-    first, and the rest solved again (an active-set nonnegative least-squares method).
+    first, and the rest solved again (an active-set nonnegative least-squares method). Those of an angle that may be any are none.
 
     Parameters
     ----------
@@ -245,6 +245,7 @@ def stationarity(nlp: NLP, x: Array, point: NLPValues, within: float = ACTIVE) -
     low, high = nlp.lower, nlp.upper
     jacobian = np.concatenate([np.eye(len(x)), point.jacobian])
     sign = (high - values <= within) * 1.0 - (values - low <= within)
+    sign[: len(x)][nlp.around] = 0.0
     equal = low == high
     active = np.flatnonzero((sign != 0.0) | equal).tolist()
     found: Array = np.zeros(0)
@@ -322,24 +323,26 @@ def _limit_states(nlp: NLP, x: Array, g: Array, multipliers: Array, price: float
     Rows that share a limit and a label are one limit: the tightest of them is shown, with the sum of their multipliers.
     """
     n = len(x)
+    around = nlp.around
     entries = [
-        (v.key or v.name, v.name, x[i], nlp.x_low[i], nlp.x_high[i], v.scale, multipliers[i])
+        (v.key or v.name, v.name, x[i], nlp.x_low[i], nlp.x_high[i], v.scale, multipliers[i], not around[i])
         for i, v in enumerate(nlp.variables)
         if v.name not in nlp.helpers
     ]
     entries += [
-        (row.limit, row.label, g[j], nlp.low[j], nlp.high[j], row.scale, multipliers[n + j])
+        (row.limit, row.label, g[j], nlp.low[j], nlp.high[j], row.scale, multipliers[n + j], True)
         for j, row in enumerate(nlp.rows)
         if row.limit not in nlp.helpers
     ]
     states: dict[tuple[str, str, str], LimitState] = {}
-    for key, name, value, low, high, scale, multiplier in entries:
+    for key, name, value, low, high, scale, multiplier, limits in entries:
         sides = ["="] if low == high else [side for side, bound in ((">=", low), ("<=", high)) if math.isfinite(bound)]
         for side in sides:
             bound = low if side == ">=" else high
             if scale.cosine and abs(bound) >= 1.0:
                 continue
             state = _limit_state(key, name, float(value), float(bound), side, scale, float(multiplier), price)
+            state = state if limits else replace(state, active=False)
             known = states.get((key, name, side))
             if known is not None:
                 tightest = min(known, state, key=lambda s: s.slack)

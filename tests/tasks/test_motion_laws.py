@@ -213,3 +213,37 @@ def test_a_search_from_beyond_a_limit_of_many_positions_stays_near() -> None:
     total = sum((x - 72.8 - 20.52 * (a - angles[0])) ** 2 for x, a in zip(reached, angles, strict=True))
     assert found.valid
     assert found.designs[0].objective <= 1e-6 * float(np.min(total[met])) * (1.0 + 1e-9)
+
+
+def arm(start: str, bounds: tuple[str, str], law: str = "psi0 + 0.4*sin(phi - phi0)") -> optlink.ProblemFile:
+    """A crank-rocker whose best start angle is near 126.8 deg."""
+    lengths = {
+        name: {"start": f"{at} mm", "bounds": [f"{at - 1} mm", f"{at + 1} mm"]} for name, at in (("coupler", 95), ("rocker", 70))
+    }
+    mechanism = {"type": "four-bar", "crank": "30 mm", "frame": "100 mm", **lengths}
+    requirement = {"law": law, "from": {"start": start, "bounds": list(bounds)}, "span": "90 deg", "points": 12}
+    return optlink.read({"title": "arm", "mechanism": mechanism, "requirement": requirement})
+
+
+@pytest.mark.parametrize("backend", ["ipopt", "slsqp"])
+def test_a_search_passes_the_jump_of_an_angle_that_may_be_any(backend: str) -> None:
+    """Both bounds are one position: the search ended at one of them, "locally optimal", with 3.6 times the objective."""
+    whole = optlink.solve(arm("100 deg", ("0 deg", "360 deg")), backend, 1)
+    ends = optlink.solve(arm("100 deg", ("-235 deg", "125 deg")), backend, 1)
+    assert ends.valid
+    assert ends.objective == pytest.approx(whole.objective, rel=1e-9)
+    assert math.cos(ends.design["phi0"] - whole.design["phi0"]) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_an_optimum_at_the_jump_has_no_active_bound_there() -> None:
+    best = math.degrees(optlink.solve(arm("100 deg", ("0 deg", "360 deg")), starts=1).design["phi0"])
+    found = optlink.solve(arm("100 deg", (f"{best - 360.0!r} deg", f"{best!r} deg")), starts=1).solution
+    assert found is not None
+    assert [limit.name for limit in found.limits if limit.active] == ["coupler"]
+
+
+def test_a_start_angle_that_the_law_contains_as_such_has_bounds() -> None:
+    """With 0.3 phi0 in the law, start angles a revolution apart prescribe different outputs."""
+    law = "psi0 + 0.3*phi0 + 0.4*sin(phi - phi0)"
+    assert not arm("100 deg", ("-235 deg", "125 deg"), law).spec.is_periodic("phi0")
+    assert arm("100 deg", ("-235 deg", "125 deg"), "psi0 + 0.3*sin(phi0)*(phi - phi0)").spec.is_periodic("phi0")

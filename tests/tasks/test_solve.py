@@ -301,15 +301,17 @@ def test_an_interrupted_search_keeps_what_it_has(crank_rocker, monkeypatch):
 
 
 def test_several_optima_are_told_apart(crank_rocker):
-    """With a free start angle the problem has more than one local optimum; the best is taken."""
+    """With a bounded start angle the problem has more than one local optimum, one at a bound; the best is taken."""
     problem = crank_rocker.override(
         {
-            "requirement.from": {"start": "150 deg", "bounds": ["0 deg", "360 deg"]},
+            "requirement.from": {"start": "150 deg", "bounds": ["0 deg", "350 deg"]},
             "mechanism.frame": {"start": "300 mm", "bounds": ["200 mm", "600 mm"]},
         }
     )
     result = optlink.solve(problem, "ipopt", starts=24, seed=1)
     assert len(result.optima) >= 2
+    whole = problem.override({"requirement.from": {"start": "150 deg", "bounds": ["0 deg", "360 deg"]}})
+    assert len(optlink.solve(whole, "ipopt", starts=24, seed=1).optima) == 1
     objectives = [optimum.objective for optimum in result.optima]
     assert objectives == sorted(objectives)
     assert result.objective == objectives[0]

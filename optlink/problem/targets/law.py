@@ -124,6 +124,25 @@ def begins_at_psi0(law: Source) -> bool:
         return not np.any(np.abs(law({"phi": phi0, "phi0": phi0, "psi0": psi0}) - psi0) > SAME)
 
 
+def is_periodic(law: Source, name: str) -> bool:
+    """Return whether values of the start angle phi0 or of psi0 that are a revolution apart prescribe the same output.
+
+    Parameters
+    ----------
+    law : Expression, SlideExpression, Function or Table
+    name : "phi0" or "psi0"
+    """
+    if not isinstance(law, Expression | SlideExpression):
+        return True
+    phi0, psi0 = STARTS
+    values = {"phi": phi0 + 0.7, "phi0": phi0, "psi0": psi0}
+    turned = values | ({"phi": phi0 + 0.7 + TURN, "phi0": phi0 + TURN} if name == "phi0" else {"psi0": psi0 + TURN})
+    with np.errstate(all="ignore"):
+        change = law(turned) - law(values) + 0.0 * phi0
+    whole = TURN * np.round(change / TURN) if isinstance(law, Expression) else 0.0
+    return bool(np.all(np.abs(change - whole) <= SAME))
+
+
 def rotation(law: Source, span: Quantity | None) -> float:
     """Return the crank rotation of a law [rad], negative clockwise: that of a table or function, else the span of the file.
 
