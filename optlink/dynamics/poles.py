@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from optlink.dynamics.loads import Force, Torque
 from optlink.dynamics.machine import Load, Machine
-from optlink.linkage.extrema import POINTS, distinct, refined_minima, zeros
+from optlink.linkage.extrema import POINTS, distinct, refined_minima
 from optlink.linkage.vector2d import Array, Value
+from optlink.linkage.zeros import zeros
 
 SAMPLES = 1440  # of a range or revolution
 SMALL = 1e-2  # share of its largest value below which a quantity may come close to zero between two samples

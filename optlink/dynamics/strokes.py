@@ -10,10 +10,10 @@ import numpy as np
 
 from optlink.dynamics.loads import Force, Torque
 from optlink.dynamics.machine import Load, Machine, slider_names
-from optlink.linkage.extrema import zeros
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.stroke import OTHER, Direction, Pace, StrokeRange, Travel, pace_of, slow_stroke, travels
 from optlink.linkage.vector2d import TURN, Array
+from optlink.linkage.zeros import zeros
 
 GRID = 720  # crank angles among which reversals are bracketed
 AHEAD = 1e-6  # rad beyond a reversal at which the direction of motion is read

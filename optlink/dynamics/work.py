@@ -7,8 +7,9 @@ import numpy as np
 from optlink.dynamics.inverse import reactions
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.poles import irregular
-from optlink.linkage.extrema import distinct, zeros
+from optlink.linkage.extrema import distinct
 from optlink.linkage.vector2d import Array
+from optlink.linkage.zeros import zeros
 
 PANELS = 180  # per range or revolution: 2 degrees each in a revolution
 HALVINGS = 30  # of the panels towards a peak of a load

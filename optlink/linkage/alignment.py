@@ -13,11 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.extrema import in_portions, zeros
+from optlink.linkage.extrema import in_portions
 from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.margins import NEAR_ALIGNMENT, SINGULAR_ALIGNMENT
 from optlink.linkage.mechanism import Dyad, Mechanism, Pose
 from optlink.linkage.vector2d import TURN, Array, Value
+from optlink.linkage.zeros import zeros
 
 GRID = 1440
 """Positions per revolution between which each least alignment is bracketed."""

@@ -1,17 +1,11 @@
-"""Extrema and zeros of many functions of the crank angle at once: sampled on one grid, then refined together.
+"""Extrema of many functions of the crank angle at once: sampled on one grid, then refined together.
 
 Every function is refined on an interpolant of its samples and evaluated once more at the extremum of the interpolant; where
-the interpolant is not accurate, more samples are taken.
-
-References
-----------
-Zeros: T. R. Chandrupatla, A new hybrid quadratic/bisection algorithm for finding the zero of a nonlinear function
-without using derivatives, Advances in Engineering Software 28 (1997) 145-149.
+the interpolant is not accurate, more samples are taken. Where several local extrema are nearly equal, all of them are refined.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
@@ -29,6 +23,7 @@ EXACT, ROUNDING = 1e-9, 1e-13  # shares of the range of its samples, and of thei
 SMOOTH = 1e-6  # share of that range which the last term of an interpolant may add half-way between samples
 BEFORE = 1e-9  # rad before a jump at which the value before it is sampled
 ZERO = 1e-13  # share of the largest value of its kind below which a function is rounding error
+RIVALS = 6  # local extrema at most among which the samples do not decide
 PORTION, VALUES = 512, 1_000_000  # angles, and values of all functions, per portion
 HALFWAY = float(np.prod(np.arange(0.5, POINTS // 2) ** 2))
 """Product of the distances to all samples but the last, from half-way between the two in the middle."""
@@ -161,23 +156,56 @@ def _extremes(
     best = np.stack([np.argmin(np.where(known, one * values, np.inf), axis=-1) for one in signs], axis=-1).ravel()
     rows, sign = np.arange(len(values)).repeat(len(signs)), np.tile(signs, len(values))
     angle, value = grid[best], sign * values[rows, best]
-    low, high = grid[np.maximum(best - 1, 0)], grid[np.minimum(best + 1, len(grid) - 1)]
-    for edge in breaks:
-        low, high = (
-            np.where((low < edge) & (edge <= angle), edge, low),
-            np.where((angle < edge) & (edge <= high), edge - BEFORE, high),
-        )
     some = np.flatnonzero(np.isfinite(value) & ~zero[rows])  # extrema still to be refined
-    nodes, samples = _beside(values, rows[some], grid, best[some], breaks)
-    angle, value = refined_minima(
-        lambda points, which: sign[which, None] * own(points, which),
-        (angle, value, low, high),
-        some,
-        nodes,
-        sign[some, None] * samples,
-    )
+    others = _rivals(np.where(known, values, np.nan), signs, grid, breaks)
+    room = EXACT * (np.where(known, values, -np.inf).max(axis=-1) - np.where(known, values, np.inf).min(axis=-1))[rows]
+    for _ in range(RIVALS):
+        at = grid[best]
+        low, high = grid[np.maximum(best - 1, 0)], grid[np.minimum(best + 1, len(grid) - 1)]
+        for edge in breaks:
+            low, high = (
+                np.where((low < edge) & (edge <= at), edge, low),
+                np.where((at < edge) & (edge <= high), edge - BEFORE, high),
+            )
+        nodes, samples = _beside(values, rows[some], grid, best[some], breaks)
+        refined = refined_minima(
+            lambda points, which: sign[which, None] * own(points, which),
+            (at, sign * values[rows, best], low, high),
+            some,
+            nodes,
+            sign[some, None] * samples,
+        )
+        angle[some], value[some] = _lower(angle[some], value[some], *(part[some] for part in refined))
+        others[np.arange(len(best)), best] = np.inf
+        best = np.argmin(others, axis=-1)
+        some = some[others[some, best[some]] < value[some] - room[some]]
+        if not some.size:
+            break
     shape = (len(values), len(signs))
     return np.where(np.isfinite(value), angle, np.nan).reshape(shape), (sign * value).reshape(shape)
+
+
+def _rivals(values: Array, signs: tuple[float, ...], grid: Array, breaks: Array) -> Array:
+    """Lower bounds (functions x signs, n) of the local minima beside samples (functions, n) times each sign; infinite elsewhere.
+
+    Each is that of the parabola through a sample and its neighbours, less the error of that parabola by the third differences.
+    """
+    found = np.full((len(values) * len(signs), len(grid)), np.inf)
+    before, after = np.diff(grid)[:-1], np.diff(grid)[1:]
+    beside = np.searchsorted(breaks, grid[2:], side="right") > np.searchsorted(breaks, grid[:-2], side="left")
+    even = ~beside & (np.minimum(before, after) > 0.01 * np.maximum(before, after))
+    for k, sign in enumerate(signs):
+        own = sign * values
+        with np.errstate(all="ignore"):
+            slopes = np.diff(own, axis=-1) / np.diff(grid)
+            curvature = 2.0 * np.diff(slopes, axis=-1) / (before + after)
+            slope = (slopes[:, :-1] * after + slopes[:, 1:] * before) / (before + after)
+            change = np.abs(np.diff(curvature, axis=-1, prepend=curvature[:, :1], append=curvature[:, -1:]))
+            third = np.maximum(change[:, :-1], change[:, 1:]) * np.maximum(before, after) ** 2
+            lowest = own[:, 1:-1] - slope * slope / (2.0 * curvature) - third
+        minimum = even & (slopes[:, :-1] <= 0.0) & (slopes[:, 1:] >= 0.0) & (curvature > 0.0)
+        found[k :: len(signs), 1:-1] = np.where(minimum & np.isfinite(lowest), lowest, np.inf)
+    return found
 
 
 def refined_minima(
@@ -311,134 +339,3 @@ def in_portions(function: Function, angles: Array, rows: Index | None = None) ->
         found.append(values if rows is None else values[rows[done : done + size], np.arange(values.shape[1])])
         done, size = done + size, max(PORTION, VALUES // max(1, len(values)))
     return np.concatenate(found, axis=-1)
-
-
-STILL = 1e-11
-"""Share of its largest value below which a rate is rounding."""
-
-
-NEWTON = 12  # steps
-NOISE = 1024  # units of the last place: shorter steps that no longer shrink are due to rounding of the function
-Slope = Callable[[int, float], tuple[float, float]]
-
-
-def zeros(
-    function: Function,
-    grid: Array,
-    count: int = 60,
-    *,
-    still: bool = False,
-    slope: Slope | None = None,
-    samples: Array | None = None,
-) -> list[Array]:
-    """Compute the crank angles [rad] at which each function changes sign, to machine precision.
-
-    Parameters
-    ----------
-    function : callable, crank angles (n,) -> values (functions, n)
-    grid : array (n,) [rad], rising
-    count : int
-        Maximum number of rounds of inverse quadratic interpolation or bisection.
-    still : bool
-        Whether the functions are rates that may be zero over a range: rounding errors then count as zero, not as reversals.
-    slope : callable, (index of a function, crank angle) -> (value, derivative), optional
-        Newton's method then replaces the rounds wherever it converges within the bracket.
-    samples : array (functions, n), optional
-        The values on the grid, where they are known.
-
-    Returns
-    -------
-    one rising array per function; sign changes across a gap (NaN) or a jump to NaN do not count
-    """
-    values = in_portions(function, grid) if samples is None else samples
-    crossing, left, right = sign_changes(values, still=still)
-    which, where = np.nonzero(crossing)
-
-    def own(angles: Array, brackets: Index) -> Array:
-        return in_portions(function, angles, which[brackets])
-
-    ends = grid[where], grid[where + 1], left[crossing], right[crossing]
-    found = np.full(len(which), np.nan)
-    if slope is not None:
-        found[:] = [_newton(slope, int(k), *(float(end[i]) for end in ends)) for i, k in enumerate(which)]
-    rest = np.flatnonzero(np.isnan(found))
-    low, high, at_low, at_high = (end[rest] for end in ends)
-    found[rest] = refined_roots(lambda angles, brackets: own(angles, rest[brackets]), low, high, at_low, at_high, count)
-    return [found[which == k] for k in range(len(crossing))]
-
-
-def sign_changes(values: Array, *, still: bool = False) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Return between which samples functions change sign (..., n - 1), and their values before and after each step.
-
-    Parameters
-    ----------
-    values : array (..., n)
-        Samples of each function.
-    still : bool
-        Whether the functions are rates that may be zero over a range: rounding errors then count as zero.
-    """
-    if still:
-        size = np.max(np.where(np.isfinite(values), np.abs(values), 0.0), axis=-1, keepdims=True, initial=0.0)
-        values = np.where(np.abs(values) <= STILL * size, 0.0, values)
-    left, right = values[..., :-1], values[..., 1:]
-    return np.isfinite(left) & np.isfinite(right) & (np.sign(left) * np.sign(right) <= 0.0) & (left != 0.0), left, right
-
-
-def _newton(slope: Slope, k: int, low: float, high: float, at_low: float, at_high: float) -> float:
-    """Return the zero of a function within a bracket, to rounding; NaN if Newton's method leaves it or does not converge."""
-    at, last, place = low + (high - low) * abs(at_low) / (abs(at_low) + abs(at_high)), math.inf, math.ulp(high)
-    for _ in range(NEWTON):
-        value, rate = slope(k, at)
-        step = value / rate if rate else math.inf
-        at -= step
-        if not low <= at <= high:
-            return math.nan
-        if abs(step) <= 2.0 * place or (abs(step) <= NOISE * place and abs(step) > 0.5 * last):
-            return at
-        last = abs(step)
-    return math.nan
-
-
-def refined_roots(
-    function: Callable[[Array, Index], Array], low: Array, high: Array, at_low: Array, at_high: Array, count: int
-) -> Array:
-    """Return the upper ends (n,) of the brackets of sign changes, refined to rounding (Chandrupatla 1997).
-
-    Parameters
-    ----------
-    function : callable, crank angles (m,) [rad] and numbers of the brackets that they lie in (m,) -> values (m,)
-    low, high : array (n,) [rad]
-        Ends of the brackets.
-    at_low, at_high : array (n,)
-        Values at these.
-    count : int
-        Maximum number of rounds.
-    """
-    # `new` and `old` bracket a zero, `last` is the end dropped before
-    found, active, sign = high.copy(), np.arange(len(low)), np.sign(at_low)
-    new, old, last, f_new, f_old, f_last = high, low, low, at_high, at_low, at_low
-    lower = np.zeros(len(low), dtype=bool)  # whether `new` is the lower end
-    step, rounding = np.full(len(low), 0.5), np.spacing(np.maximum(np.abs(low), np.abs(high)))
-    for _ in range(count if len(low) else 0):
-        at = new + step * (old - new)
-        f_at = function(at, active)
-        below = np.sign(f_at) == sign
-        same = below == lower
-        last, f_last = np.where(same, new, old), np.where(same, f_new, f_old)
-        old, f_old = np.where(same, old, new), np.where(same, f_old, f_new)
-        new, f_new, lower = at, f_at, below
-        found[active] = np.maximum(new, old)
-        width, least = np.abs(old - new), rounding[active]  # at a zero at 0, of the bracket: not of ever smaller numbers
-        wide = width > 2.0 * least
-        if not np.any(wide):
-            break
-        active, sign, lower, width, least = (x[wide] for x in (active, sign, lower, width, least))
-        new, old, last, f_new, f_old, f_last = (x[wide] for x in (new, old, last, f_new, f_old, f_last))
-        with np.errstate(all="ignore"):
-            xi, phi = (new - old) / (last - old), (f_new - f_old) / (f_last - f_old)
-            a, b = f_new / (f_old - f_new) * f_last / (f_old - f_last), (last - new) / (old - new)
-            inverse = a + b * f_new / (f_last - f_new) * f_old / (f_last - f_old)
-            good = (phi * phi < xi) & ((1.0 - phi) ** 2 < 1.0 - xi) & np.isfinite(inverse)
-        edge = np.minimum(0.5, least / width)
-        step = np.clip(np.where(good, inverse, 0.5), edge, 1.0 - edge)
-    return found

@@ -11,11 +11,12 @@ import numpy as np
 
 from optlink.linkage.alignment import AlignedPosition, alignment_margin, least_alignments, lesser
 from optlink.linkage.dyad_types import PRP
-from optlink.linkage.extrema import distinct, zeros
+from optlink.linkage.extrema import distinct
 from optlink.linkage.jet import Jet
 from optlink.linkage.mechanism import Dyad, Mechanism, Pose
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array, Value
+from optlink.linkage.zeros import zeros
 
 GRID = 1440
 """Positions per revolution among which everything is bracketed."""

@@ -18,11 +18,11 @@ import numpy as np
 from optlink.dynamics.inverse import Reactions, reactions, required_wrench
 from optlink.dynamics.loads import Force
 from optlink.dynamics.machine import Load, Machine, Moving, jet_parts
-from optlink.linkage.extrema import sign_changes, zeros
 from optlink.linkage.jet import Jet
 from optlink.linkage.motion import Motion
 from optlink.linkage.stroke import Direction, slow_stroke
 from optlink.linkage.vector2d import TURN, Array, Value, dot, sign, unit
+from optlink.linkage.zeros import sign_changes, zeros
 from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.cycle.quantities import guide_of
 from optlink.problem.cycle.terms import Term, output_of

@@ -16,9 +16,10 @@ from optlink.dynamics.strokes import acting_loads
 from optlink.dynamics.work import Work
 from optlink.errors import InputError
 from optlink.linkage.alignment import AlignedPosition, positions_text
-from optlink.linkage.extrema import distinct, extremes, zeros
+from optlink.linkage.extrema import distinct, extremes
 from optlink.linkage.stroke import Ranges, Travel, range_end_reason, travels, within_cycle
 from optlink.linkage.vector2d import TURN, Array
+from optlink.linkage.zeros import zeros
 from optlink.problem.arguments import typed
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range

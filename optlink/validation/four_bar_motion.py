@@ -13,9 +13,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.extrema import POINTS, refined_minima, refined_roots
+from optlink.linkage.extrema import POINTS, refined_minima
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.vector2d import TURN, Array, Value, Vector, cross, dot, minus
+from optlink.linkage.zeros import refined_roots
 from optlink.validation.check import Checks, length_check
 from optlink.validation.margins import included_cosine
 

@@ -10,7 +10,8 @@ from scipy.optimize import brentq, minimize_scalar
 
 import optlink
 from optlink.linkage import extrema
-from optlink.linkage.extrema import distinct, extremes, maxima, zeros
+from optlink.linkage.extrema import distinct, extremes, maxima
+from optlink.linkage.zeros import zeros
 from tests.tiers import mostly_slow
 
 TURN = 2.0 * math.pi
@@ -253,3 +254,37 @@ def test_newton_ends_at_rounding_noise_of_the_function():
     (found,) = zeros(values, grid, slope=lambda _, at: (math.sin(at - root) + next(noise), math.cos(at - root)))
     assert found == pytest.approx([root], abs=1e-14)
     assert sum(calls) == len(grid)
+
+
+def test_the_least_of_two_nearly_equal_minima_is_found_between_the_samples():
+    """The higher minimum lies on a sample, the lower one half-way between two, where both samples are above the other."""
+    grid = np.linspace(0.0, TURN, 721)
+    middle = math.pi + 0.5 * grid[1]
+
+    def function(angles):
+        second = -(1.0 + 1e-6) * np.cos(2.0 * (angles - middle))
+        first = -np.cos(2.0 * angles)
+        return np.array([np.where(np.abs(angles - math.pi) < 0.5 * math.pi, second, first)])
+
+    at, value = extremes(function, grid, (0.5 * math.pi, 1.5 * math.pi))
+    assert value[0, 0] == pytest.approx(-1.0 - 1e-6, abs=1e-12)
+    assert at[0, 0] == pytest.approx(middle, abs=1e-7)
+    seen = maxima(lambda angles: -function(angles), grid, (0.5 * math.pi, 1.5 * math.pi))
+    assert seen[1][0] == pytest.approx(1.0 + 1e-6, abs=1e-12)
+
+
+def test_nearly_equal_extremes_of_random_fourier_series_are_those_of_all_their_zeros_of_slope():
+    rng = np.random.default_rng(3)
+    orders, count = np.arange(1, 9), 60
+    sizes, phases = rng.normal(size=(count, 8)) / orders**1.5, rng.uniform(0.0, TURN, (count, 8))
+    sizes[:, ::2] *= 10.0 ** rng.uniform(-6.0, -3.0, (count, 1))  # almost of half the period
+
+    def series(angles, kind):
+        arguments = orders[:, None] * angles + phases[:, :, None]
+        return np.einsum("ik,ikn->in", sizes * orders**kind, (np.cos, np.sin)[kind](arguments))
+
+    grid = np.linspace(0.0, TURN, 721)
+    found = extremes(lambda angles: series(angles, 0), grid, periodic=True)[1]
+    for row, flat in enumerate(zeros(lambda angles: series(angles, 1), np.linspace(0.0, TURN, 4001))):
+        values = series(flat, 0)[row]
+        np.testing.assert_allclose(found[row], [values.min(), values.max()], rtol=0.0, atol=1e-12 * np.ptp(values))

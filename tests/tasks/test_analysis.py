@@ -19,8 +19,9 @@ from optlink.cli.app import app
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.work import Work, jumps
 from optlink.linkage import stroke as cycle
-from optlink.linkage.extrema import extremes, zeros
+from optlink.linkage.extrema import extremes
 from optlink.linkage.fourbar import four_bar, grashof, reachable as four_bar_reachable
+from optlink.linkage.zeros import zeros
 from optlink.problem.function import DesignProblem
 from optlink.studies.sweep import sweep
 from optlink.tasks.machine import machine_of
