@@ -283,7 +283,7 @@ def test_nearly_equal_extremes_of_random_fourier_series_are_those_of_all_their_z
         arguments = orders[:, None] * angles + phases[:, :, None]
         return np.einsum("ik,ikn->in", sizes * orders**kind, (np.cos, np.sin)[kind](arguments))
 
-    grid = np.linspace(0.0, TURN, 721)
+    grid = np.linspace(0.0, TURN, 722)  # an odd number of steps
     found = extremes(lambda angles: series(angles, 0), grid, periodic=True)[1]
     for row, flat in enumerate(zeros(lambda angles: series(angles, 1), np.linspace(0.0, TURN, 4001))):
         values = series(flat, 0)[row]
