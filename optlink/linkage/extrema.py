@@ -24,6 +24,7 @@ SMOOTH = 1e-6  # share of that range which the last term of an interpolant may a
 BEFORE = 1e-9  # rad before a jump at which the value before it is sampled
 ZERO = 1e-13  # share of the largest value of its kind below which a function is rounding error
 RIVALS = 6  # local extrema at most among which the samples do not decide
+UNEVEN = 1e-3  # least ratio of two steps with a parabola
 PORTION, VALUES = 512, 1_000_000  # angles, and values of all functions, per portion
 HALFWAY = float(np.prod(np.arange(0.5, POINTS // 2) ** 2))
 """Product of the distances to all samples but the last, from half-way between the two in the middle."""
@@ -157,7 +158,8 @@ def _extremes(
     rows, sign = np.arange(len(values)).repeat(len(signs)), np.tile(signs, len(values))
     angle, value = grid[best], sign * values[rows, best]
     some = np.flatnonzero(np.isfinite(value) & ~zero[rows])  # extrema still to be refined
-    others = _rivals(np.where(known, values, np.nan), signs, grid, breaks)
+    part = np.searchsorted(breaks, grid, side="right")
+    others = _rivals(np.where(known, values, np.nan), signs, grid, part)
     room = EXACT * (np.where(known, values, -np.inf).max(axis=-1) - np.where(known, values, np.inf).min(axis=-1))[rows]
     for _ in range(RIVALS):
         at = grid[best]
@@ -176,7 +178,9 @@ def _extremes(
             sign[some, None] * samples,
         )
         angle[some], value[some] = _lower(angle[some], value[some], *(part[some] for part in refined))
-        others[np.arange(len(best)), best] = np.inf
+        for near in (np.maximum(best - 1, 0), best, np.minimum(best + 1, len(grid) - 1)):  # in the bracket
+            same = np.flatnonzero(part[near] == part[best])
+            others[same, near[same]] = np.inf
         best = np.argmin(others, axis=-1)
         some = some[others[some, best[some]] < value[some] - room[some]]
         if not some.size:
@@ -185,15 +189,15 @@ def _extremes(
     return np.where(np.isfinite(value), angle, np.nan).reshape(shape), (sign * value).reshape(shape)
 
 
-def _rivals(values: Array, signs: tuple[float, ...], grid: Array, breaks: Array) -> Array:
+def _rivals(values: Array, signs: tuple[float, ...], grid: Array, part: Index) -> Array:
     """Lower bounds (functions x signs, n) of the local minima beside samples (functions, n) times each sign; infinite elsewhere.
 
-    Each is that of the parabola through a sample and its neighbours, less the error of that parabola by the third differences.
+    Each is that of the parabola through three samples of one part of the grid, less its error by the third differences.
     """
     found = np.full((len(values) * len(signs), len(grid)), np.inf)
     before, after = np.diff(grid)[:-1], np.diff(grid)[1:]
-    beside = np.searchsorted(breaks, grid[2:], side="right") > np.searchsorted(breaks, grid[:-2], side="left")
-    even = ~beside & (np.minimum(before, after) > 0.01 * np.maximum(before, after))
+    longer = np.maximum(before, after)
+    together = (part[2:] == part[:-2]) & (np.minimum(before, after) > UNEVEN * longer)
     for k, sign in enumerate(signs):
         own = sign * values
         with np.errstate(all="ignore"):
@@ -201,10 +205,12 @@ def _rivals(values: Array, signs: tuple[float, ...], grid: Array, breaks: Array)
             curvature = 2.0 * np.diff(slopes, axis=-1) / (before + after)
             slope = (slopes[:, :-1] * after + slopes[:, 1:] * before) / (before + after)
             change = np.abs(np.diff(curvature, axis=-1, prepend=curvature[:, :1], append=curvature[:, -1:]))
-            third = np.maximum(change[:, :-1], change[:, 1:]) * np.maximum(before, after) ** 2
-            lowest = own[:, 1:-1] - slope * slope / (2.0 * curvature) - third
-        minimum = even & (slopes[:, :-1] <= 0.0) & (slopes[:, 1:] >= 0.0) & (curvature > 0.0)
-        found[k :: len(signs), 1:-1] = np.where(minimum & np.isfinite(lowest), lowest, np.inf)
+            lowest = own[:, 1:-1] - 0.5 * slope * slope / curvature - np.fmax(change[:, :-1], change[:, 1:]) * longer**2
+            place = -slope / curvature
+            inside = together & (curvature > 0.0) & np.isfinite(lowest) & (-before <= place) & (place <= after)
+        rows, middle = np.nonzero(inside)
+        nearest = middle + 1 + (place > 0.5 * after)[inside] - (place < -0.5 * before)[inside]
+        np.minimum.at(found, (rows * len(signs) + k, nearest), lowest[inside])
     return found
 
 
