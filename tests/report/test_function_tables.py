@@ -17,7 +17,7 @@ from optlink.report import terminal
 from optlink.report.format import change, dimension, figure, fixed, number, significant
 from optlink.report.registry import table_of
 from optlink.report.table_spec import Part, Summary
-from optlink.report.views import conclusions, path as path_view
+from optlink.report.views import conclusions, path as path_view, problem_tables
 from optlink.report.views.function import function_values
 from optlink.report.views.function_tables import active
 from optlink.report.views.relaxations import conflict
@@ -52,6 +52,33 @@ def test_the_table_of_a_small_linkage_is_its_design() -> None:
     text = shown(validate(small, {}))
     assert "coupler 0.0873379 mm" in text
     assert "crank 0.02 mm" in text
+
+
+def test_distinct_optima_have_the_units_of_the_objective_and_of_the_design_variables() -> None:
+    """Their objective is that of the head: a pressure angle in deg, not in rad."""
+    result = optlink.solve(optlink.load("stroke-slider-crank"), starts=3)
+    optima = next(part for part in table_of("cycle")(result).parts if getattr(part, "title", "").startswith("Distinct optima"))
+    assert [column.name for column in optima.columns[:3]] == ["objective [deg]", "crank.length [mm]", "rod.length [mm]"]
+    assert number(np.degrees(result.objective), 8) in words(optima)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "there", "not_there"),
+    [
+        ("function-sin", {}, ("psi0 free, -360 deg ... 360 deg", "span 90 deg"), ("outer dead centre", "that of the table")),
+        ("path-bean", {}, ("timing free",), ("law", "span that", "psi0", "mark")),
+        ("law-six-bar", {}, ("span 180 deg", "its 13 rows"), ("length_margin", "swing_angle", "timing", "psi0")),
+        ("law-slider-crank", {}, ("points 30", "span 90 deg"), ("link_ratio",)),
+        ("transmission-optimal", {}, ("measure max",), ("points", "timing")),
+        ("path-bean", {"limits.pivots": {"x": ["-9 mm", "80 mm"]}}, ("pivots x -9 mm ... 80 mm, y any",), ("table:",)),
+    ],
+)
+def test_a_problem_is_shown_with_the_keys_and_defaults_of_its_kind(
+    name: str, changes: dict[str, object], there: tuple[str, ...], not_there: tuple[str, ...]
+) -> None:
+    shown = words(problem_tables.problem(optlink.load(name, changes))).partition("[requirement]")[2].partition("[expected]")[0]
+    assert [text for text in there if text not in shown] == []
+    assert [text for text in not_there if f" {text} " in shown] == []
 
 
 def test_a_multistart_search_is_not_recommended_after_one(solved: optlink.FunctionResult) -> None:

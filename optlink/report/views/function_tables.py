@@ -1,4 +1,4 @@
-"""Tables of a function synthesis result, of a problem file, and of the check of a certificate."""
+"""Tables of a function synthesis result and of the check of a certificate."""
 
 from __future__ import annotations
 
@@ -265,15 +265,15 @@ def _optima(outcome: SearchedResult, over: str) -> TableSpec:
     """Tabulate the distinct optima of a multistart search."""
     model, listed = outcome.problem.model, outcome.optima[:LISTED]
     free, modes = list(model.free)[:WIDEST], len({optimum.assembly for optimum in outcome.optima}) > 1
-    rows = []
+    rows, (scale, unit) = [], model.objective_display
     for optimum in listed:
         values = [dimension(optimum.design[name] * model.display(name)[0]) for name in free]
         mode = [optimum.assembly] if modes else []
-        rows.append((number(optimum.objective, 6 if modes else 8), *values, *mode, str(optimum.count)))
+        rows.append((number(scale * optimum.objective, 6 if modes else 8), *values, *mode, str(optimum.count)))
     left = outcome.starts - sum(optimum.count for optimum in listed)  # negative: searches of several back ends
     columns = [
-        ">objective",
-        *(f">{name}" for name in free),
+        f">objective [{unit}]" if unit else ">objective",
+        *(f">{name} [{model.display(name)[1]}]" for name in free),
         *(["assembly"] if modes else []),
         ">starts" if left >= 0 else ">searches",
     ]
@@ -288,8 +288,9 @@ def _optima(outcome: SearchedResult, over: str) -> TableSpec:
 
 def _backends(outcome: SearchedResult) -> TableSpec:
     model, found = outcome.problem.model, outcome.backends.values()
+    scale, shown = model.objective_display
     rows = [("status", *(one.status.value for one in found), "")]
-    rows.append(("objective", *(number(one.objective, 9) for one in found), model.objective_unit))
+    rows.append(("objective", *(number(scale * one.objective, 9) for one in found), shown))
     for name in model.free:
         factor, unit = model.display(name)
         rows.append((name, *(fixed(one.design[name] * factor, 5) for one in found), unit))

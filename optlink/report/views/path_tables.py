@@ -192,7 +192,8 @@ def _times(outcome: PathResult) -> Paragraph:
         return Paragraph(quiet(shown), appendix=True)
     statistical = outcome.designs and not certified(outcome.certificate)
     reached = f"{found.hits} of {outcome.starts} starts reached the best value; {found.chance}; " if statistical else ""
-    return Paragraph(quiet(f"{reached}batch of least squares, then {outcome.backend}; {shown}"), appendix=True)
+    method = f"{reached}batch of least squares, then {outcome.backend}"
+    return Paragraph(quiet("; ".join(filter(None, (method, shown)))), appendix=True)
 
 
 # --- comparison of designs ---------------------------------------------------------------------------------------------------

@@ -1,37 +1,34 @@
-"""All settings of a problem file, each with its value or default, as tables; and the list of shipped problems."""
+"""Tables of a problem file and of the list of all shipped ones."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from optlink.problem.base_model import Section
-from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.file import ProblemFile
-from optlink.problem.function import DesignProblem
+from optlink.problem.function import POSITIONS, DesignProblem
 from optlink.problem.interval import Interval
 from optlink.problem.mechanism import FourBarSection
-from optlink.problem.path import PathProblem
 from optlink.problem.quantity import Quantity
+from optlink.problem.targets.law import Table
 from optlink.problem.targets.target_points import TargetPoints
-from optlink.report.table_spec import (
-    Part,
-    Summary,
-    TableSpec,
-    quiet,
-    summary,
-    table,
-)
-from optlink.report.views.analysis_tables import machine
-from optlink.report.views.cycle_tables import cycle_problem
+from optlink.report.table_spec import Part, Summary, TableSpec, quiet, summary, table
+
+if TYPE_CHECKING:
+    from optlink.problem.path import PathProblem
 
 MOST = 8  # largest number of points listed
 
 
 def problem(file: ProblemFile) -> Summary:
     """List all settings of a problem: every key with its value or default, in units."""
+    from optlink.problem.cycle.model import CycleProblem
+    from optlink.problem.path import PathProblem
+
     model = file.model
     about = [" ".join(model.about.split())] if model.about else []
     parts: list[Part] = []
@@ -39,11 +36,18 @@ def problem(file: ProblemFile) -> Summary:
         parts.append(_section("mechanism", model.mechanism))
     if isinstance(model, DesignProblem | PathProblem):
         over = {"transmission_over": model.limits.transmission_range}
-        task = holding(model) if isinstance(model, PathProblem) else None
-        parts += [_section("requirement", model.requirement, task), _section("limits", model.limits, over)]
+        task, others = (holding(model), _inapplicable(model)) if isinstance(model, PathProblem) else (_effective(model), ((), ()))
+        parts += [
+            _section("requirement", model.requirement, task, leave_out=others[0]),
+            _section("limits", model.limits, over, leave_out=others[1]),
+        ]
     if isinstance(model, CycleProblem):
+        from optlink.report.views.cycle_tables import cycle_problem
+
         parts.append(cycle_problem(model))
     if not isinstance(model, DesignProblem | PathProblem) or model.bodies or model.loads:
+        from optlink.report.views.analysis_tables import machine
+
         parts += machine(file)
     if model.tolerances:
         rows = []
@@ -55,7 +59,26 @@ def problem(file: ProblemFile) -> Summary:
         parts.append(_section("report", model.report, only_stated=True))
     if model.expected is not None:
         parts.append(_section("expected", model.expected, only_stated=True))
-    return summary(model.title, [*about, quiet(f"Source: {model.source or '-'}")], *parts)
+    return summary(model.title, [*about, quiet(f"Source: {model.source or 'none is given'}")], *parts)
+
+
+def _effective(model: DesignProblem) -> dict[str, str]:
+    """Return the effective values of optional keys of a motion law or function of a four-bar."""
+    task = model.requirement
+    found = {"span": f"{math.degrees(model.span):g} deg", "points": _positions(task.law)}
+    found |= {key: str(model.quantities[name]) for key, name in (("start", "phi0"), ("psi0", "psi0")) if name in model.quantities}
+    return {key: text for key, text in found.items() if key not in task.model_fields_set}
+
+
+def _inapplicable(model: PathProblem) -> tuple[Collection[str], Collection[str]]:
+    """Return the keys of the requirement and of the limits that do not apply to the kind of problem."""
+    from optlink.problem.path_checks import inapplicable_keys
+
+    kind, four_bar = model.requirement.kind, isinstance(model.mechanism, FourBarSection)
+    task = inapplicable_keys("requirement", kind, four_bar=four_bar)
+    if kind not in ("path", "motion"):
+        task |= {"point", "rotation", "points" if kind == "transmission" else "psi0" if model.slides else "zero"}
+    return task, inapplicable_keys("limits", kind, four_bar=four_bar)
 
 
 def holding(model: PathProblem) -> dict[str, str]:
@@ -68,17 +91,31 @@ def holding(model: PathProblem) -> dict[str, str]:
     else:
         found["angle_length"] = "none"
     added = {key: str(model.quantities[key]) for key in (START, MARK) if key in model.quantities}
-    found["psi0"] = "none"
+    if model.requirement.kind == "function":
+        found["span"] = f"{math.degrees(model.rotation_of_law):g} deg"
+        found["points"] = _positions(model.requirement.law)
     if ZERO in model.quantities:
         added["zero" if model.slides else "psi0"] = str(model.quantities[ZERO])
-    return found | added
+    return {key: text for key, text in (found | added).items() if key not in model.requirement.model_fields_set}
 
 
-def _section(name: str, section: Section, instead: Mapping[str, str] | None = None, *, only_stated: bool = False) -> TableSpec:
+def _positions(law: object) -> str:
+    """Return the default positions of a law."""
+    return f"its {len(law.phi)} rows" if isinstance(law, Table) else str(POSITIONS)
+
+
+def _section(
+    name: str,
+    section: Section,
+    instead: Mapping[str, str] | None = None,
+    *,
+    only_stated: bool = False,
+    leave_out: Collection[str] = (),
+) -> TableSpec:
     rows = []
     for key, field in type(section).model_fields.items():
         stated = key in section.model_fields_set
-        if stated or not only_stated:
+        if stated or not (only_stated or key in leave_out):
             text = (instead or {}).get(key) or _plain(key, getattr(section, key))
             rows.append((field.alias or key, text, quiet("" if stated else "default")))
     return table(f"[{name}]", "<<<", rows)
@@ -101,6 +138,8 @@ ABSENT = {
 
 
 def _plain(name: str, value: object) -> str:
+    from optlink.problem.path import RegionSection
+
     if value is None:
         return ABSENT.get(name, "no limit")
     if isinstance(value, Quantity | Interval | str | int | float):
@@ -110,6 +149,8 @@ def _plain(name: str, value: object) -> str:
         return "\n".join(f"{key}  {item}" for key, item in written) or "none"
     if isinstance(value, tuple):
         return ", ".join(map(str, value))
+    if isinstance(value, RegionSection):
+        return ", ".join(f"{axis} {side or 'any'}" for axis, side in (("x", value.x), ("y", value.y)))
     if isinstance(value, TargetPoints):
         return _listed(value)
     text = getattr(value, "text", None)
