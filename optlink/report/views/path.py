@@ -6,6 +6,8 @@ mechanism, output or transmission angles, alternative designs.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -20,22 +22,12 @@ from optlink.report.animation import film, there_and_back
 from optlink.report.chart_spec import Array, ChartSpec
 from optlink.report.drawing import Sketch
 from optlink.report.labels import place_labels
-from optlink.report.style import CRANK, TARGET, degrees, figure, heading, styled
+from optlink.report.style import CRANK, LIMIT, TARGET, degrees, figure, heading, styled
 from optlink.report.view import View
 from optlink.report.views.certificate_charts import certificate_charts
 from optlink.report.views.path_charts import Close, dots, errors, points_on, small_frames
-from optlink.report.views.path_drawings import (
-    BESIDE,
-    HIGH,
-    curve,
-    designs,
-    function_values,
-    initial_pose,
-    mechanism,
-    output_film,
-    trim,
-)
-from optlink.report.views.path_view import LINE, SMALL, PathView, assembly, best, entitle, headed, with_verdict, wrapped
+from optlink.report.views.path_drawings import BESIDE, HIGH, curve, designs, function_values, initial_pose, output_film, trim
+from optlink.report.views.path_view import LINE, SMALL, TITLE, PathView, assembly, best, headed, with_verdict, wrapped
 from optlink.tasks.results.path import PathDesign, PathResult
 
 FRAMES = 90
@@ -79,29 +71,40 @@ def columns(design: PathDesign) -> dict[str, Array]:
 
 
 @styled
-def path(result: PathResult) -> Figure | None:
-    """Draw the mechanism at its first point with its coupler curve, and beside it a close-up of the curve."""
+def drawing(result: PathResult, *, pointed: bool) -> Figure | None:
+    """Draw the mechanism at its first point or position; of a path or motion beside it a close-up of the curve.
+
+    Parameters
+    ----------
+    result : PathResult
+    pointed : bool
+        Whether to draw a path or a motion, or else a function or a transmission; None if it is not of that kind.
+    """
     track = best(result)
-    if track is None or not track.task.pointed:
+    if track is None or track.task.pointed != pointed:
         return None
-    sketch, close = track.sketch, Close(track)
-    ratios = sketch.ratio, close.ratio
-    widths = [min(max(HIGH / ratio + BESIDE, 3.6), 6.2) for ratio in ratios]
+    close = Close(track) if pointed else None
+    ratios = [track.sketch.ratio] if close is None else [track.sketch.ratio, close.ratio]
+    least, most, below = (5.0, 7.6, 1.0) if close is None else (3.6, 6.2, 1.3)
+    widths = [min(max(HIGH / ratio + BESIDE, least), most) for ratio in ratios]
     height = min(HIGH, max((width - BESIDE) * ratio for width, ratio in zip(widths, ratios, strict=True)))
     width = sum(widths)
     title = headed(track, width - 0.4)
-    made = figure(width, height + 1.3 + LINE * (title.count("\n") + 1))
-    entitle(made, track, title)
-    left, right = made.subplots(1, 2, width_ratios=widths)
-    labels = initial_pose(left, track) + close.draw(right, track.factor)
-    what = "pose" if close.motion else "point"
-    crank = f"{what} {track.first + 1}: crank at {degrees(float(track.design.crank_angles[track.first]))}"
+    made = figure(width, height + below + LINE * (title.count("\n") + 1))
+    made.suptitle(title, fontsize=TITLE, color=TARGET if track.design.valid else LIMIT)
+    left, *others = made.subplots(1, len(ratios), width_ratios=widths, squeeze=False)[0]
+    labels = initial_pose(left, track)
+    crank = f"crank at {degrees(float(track.design.crank_angles[track.first]))}"
+    if close is not None:
+        right, what = others[0], "pose" if close.motion else "point"
+        crank = f"{what} {track.first + 1}: {crank}"
+        labels += close.draw(right, track.factor)
+        right.set_title(heading(f"{what}s and generated curve", widths[1] - 0.6, SMALL), fontsize=SMALL)
+        handles, names = right.get_legend_handles_labels()
+        long = sum(0.55 + 0.068 * len(name) for name in names)  # inch
+        ncols = len(names) if long < width else -(-len(names) // 2)
+        made.legend(handles, names, loc="outside lower center", ncols=ncols, frameon=False, fontsize=8.5)
     left.set_title(wrapped([crank, *assembly(track.design)], widths[0] - 0.6, ", ", SMALL), fontsize=SMALL)
-    right.set_title(heading(f"{what}s and generated curve", widths[1] - 0.6, SMALL), fontsize=SMALL)
-    handles, names = right.get_legend_handles_labels()
-    long = sum(0.55 + 0.068 * len(name) for name in names)  # inch
-    ncols = len(names) if long < width else -(-len(names) // 2)
-    made.legend(handles, names, loc="outside lower center", ncols=ncols, frameon=False, fontsize=8.5)
     trim(made)
     place_labels(made, labels)
     return made
@@ -165,25 +168,24 @@ def frames(result: PathResult, count: int = FRAMES) -> list[Image.Image]:
     track = best(result)
     if track is None:
         return []
-    if not track.task.pointed:
-        return output_film(track, count)
-    sketch = Passing(track)
+    title = track.task.title if track.design.valid else f"NOT VALID: {track.task.title}"
     steps = track.begin + track.way * np.linspace(0.0, TURN, count, endpoint=False)
-    if not track.design.crank_turns:
+    if track.task.requirement.kind == "function" or (track.task.pointed and not track.design.crank_turns):
         steps = there_and_back(track.begin, track.end, count)
-    motion = track.sweep(steps)
+    if not track.task.pointed:
+        return output_film(track, steps, title)
+    sketch, motion = Passing(track), track.sweep(steps)
     marks = track.position(motion) * sketch.close.unit.factor
 
     def points(axes: Axes) -> None:
         points_on(axes, track.targets * sketch.scale.factor)
 
-    title = track.task.title if track.design.valid else f"NOT VALID: {track.task.title}"
     return film(sketch, motion, sketch.lay, marks, title, more=points)
 
 
 VIEW = View(
     charts=charts,
-    drawings={"path": path, "mechanism": mechanism, "designs": designs},
+    drawings={"path": partial(drawing, pointed=True), "mechanism": partial(drawing, pointed=False), "designs": designs},
     tables=lambda result: {} if result.best is None else {"points": columns(result.best)},
     design=lambda result: with_verdict(result.machine, result.best),
     frames=frames,

@@ -17,28 +17,15 @@ from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.vector2d import TURN
 from optlink.problem.path import PathProblem
 from optlink.problem.targets.function import Function
-from optlink.report.animation import film, there_and_back
+from optlink.report.animation import film
 from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Panel, crank_angle
 from optlink.report.labels import Label, place_labels
 from optlink.report.shapes import even
-from optlink.report.style import BODIES, CRANK, LIMIT, TARGET, beside, degrees, figure, heading, panels, scale, styled
+from optlink.report.style import BODIES, CRANK, LIMIT, TARGET, beside, figure, heading, panels, scale, styled
 from optlink.report.views.function import function_chart
 from optlink.report.views.path_charts import NUMBERED, points_on
 from optlink.report.views.path_tables import kin
-from optlink.report.views.path_view import (
-    LINE,
-    SMALL,
-    PathView,
-    assembly,
-    best,
-    entitle,
-    figures,
-    headed,
-    objective,
-    title_of,
-    transmission,
-    wrapped,
-)
+from optlink.report.views.path_view import PathView, assembly, figures, objective, title_of, transmission, wrapped
 from optlink.tasks.results.path import PathResult
 from optlink.validation.path import deviations, transmission_angles
 
@@ -193,26 +180,6 @@ def output(track: PathView) -> Output:
     return Output(np.degrees(angles), travel[:, None] * unit.factor, target * unit.factor, name, ["generated"], unit.factor)
 
 
-@styled
-def mechanism(result: PathResult) -> Figure | None:
-    """Draw the mechanism of a function or transmission synthesis at its first position."""
-    track = best(result)
-    if track is None or track.task.pointed:
-        return None
-    width = min(max(HIGH / track.sketch.ratio + BESIDE, 5.0), 7.6)
-    height = min(HIGH, (width - BESIDE) * track.sketch.ratio)
-    title = headed(track, width - 0.4)
-    made = figure(width, height + 1.0 + LINE * (title.count("\n") + 1))
-    entitle(made, track, title)
-    axes = made.subplots()
-    labels = initial_pose(axes, track)
-    crank = f"crank at {degrees(float(track.design.crank_angles[track.first]))}"
-    axes.set_title(wrapped([crank, *assembly(track.design)], width - 0.6, ", ", SMALL), fontsize=SMALL)
-    trim(made)
-    place_labels(made, labels)
-    return made
-
-
 def curve(track: PathView) -> ChartSpec:
     """Return the prescribed and generated output of a function with their difference, or the transmission angles."""
     shown = output(track)
@@ -262,22 +229,18 @@ def _outputs(shown: Output) -> Panel:
     return Panel(Axis(shown.name), traces, 1.6)
 
 
-def output_film(track: PathView, count: int) -> list[Image.Image]:
+def output_film(track: PathView, steps: Array, title: str) -> list[Image.Image]:
     """Draw the frames of the mechanism beside its output or its transmission angles.
 
     Parameters
     ----------
     track : PathView
-    count : int
-        Number of frames.
+    steps : array (frames,) [rad]
+        Crank angles.
+    title : str
     """
     shown = output(track)
-    steps = track.begin + track.way * np.linspace(0.0, TURN, count, endpoint=False)
-    if shown.target is not None:
-        steps = there_and_back(track.begin, track.end, count)
     order = np.argsort(shown.crank)
     height = np.interp(np.degrees(steps), shown.crank[order], shown.generated[order, 0])
     marks = np.stack([np.degrees(steps), height], axis=-1)
-    strip = ChartSpec("", "", [_outputs(shown)], _crank(track, shown))
-    title = track.task.title if track.design.valid else f"NOT VALID: {track.task.title}"
-    return film(track.sketch, track.sweep(steps), strip, marks, title)
+    return film(track.sketch, track.sweep(steps), ChartSpec("", "", [_outputs(shown)], _crank(track, shown)), marks, title)

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array
@@ -17,7 +16,7 @@ from optlink.report.drawing import Sketch
 from optlink.report.files import verdict
 from optlink.report.format import round_below
 from optlink.report.shapes import finite, spread
-from optlink.report.style import LIMIT, TARGET, Scale, degrees, heading, scale
+from optlink.report.style import Scale, degrees, heading, scale
 from optlink.report.views.path_tables import exact, exact_places, measure, words
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.cycle import CycleResult
@@ -360,15 +359,3 @@ def headed(track: PathView, width: float) -> str:
     """
     texts = wrapped(figures(track), width, "; "), wrapped(sizes(track), width, "   ")
     return title_of(track, width, track.task.title, *texts)
-
-
-def entitle(made: Figure, track: PathView, title: str) -> None:
-    """Write the title of a figure, in red if the design is not valid.
-
-    Parameters
-    ----------
-    made : Figure
-    track : PathView
-    title : str
-    """
-    made.suptitle(title, fontsize=TITLE, color=TARGET if track.design.valid else LIMIT)
