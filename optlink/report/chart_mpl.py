@@ -255,10 +255,10 @@ def _bars(axes: Axes, trace: Bars) -> None:
         axes.plot(trace.x, trace.y, drawstyle="steps-mid", color=colour, linewidth=1.2, gid=trace.gid or None, **style)
         return
     if trace.horizontal:
-        made = axes.barh(trace.x, trace.y, height=trace.width, xerr=trace.error, color=colour, **style)
+        made = axes.barh(trace.x, trace.y, height=trace.width, color=colour, **style)
         axes.grid(visible=False, axis="y")
     else:
-        made = axes.bar(trace.x, trace.y, width=trace.width, yerr=trace.error, color=colour, **style)
+        made = axes.bar(trace.x, trace.y, width=trace.width, color=colour, **style)
     for bar in made:
         bar.set_gid(trace.gid or None)
 

@@ -29,7 +29,7 @@ import numpy as np
 from optlink.linkage.vector2d import Array as Array
 
 Dash = Literal["solid", "dash", "dot", "dashdot"]
-Symbol = Literal["circle", "open circle", "square", "cross", "plus", "star", "diamond", "triangle", "dash"]
+Symbol = Literal["circle", "open circle", "square", "cross", "plus", "star", "triangle"]
 SYMBOLS: dict[Symbol, tuple[str, str]] = {
     "circle": ("o", "circle"),
     "open circle": ("o", "circle-open"),
@@ -37,9 +37,7 @@ SYMBOLS: dict[Symbol, tuple[str, str]] = {
     "cross": ("x", "x"),
     "plus": ("+", "cross-thin-open"),
     "star": ("*", "star"),
-    "diamond": ("D", "diamond"),
     "triangle": ("^", "triangle-up"),
-    "dash": ("_", "line-ew-open"),
 }
 """Names of the symbols in matplotlib and in plotly."""
 CRANK_ANGLE = "crank angle φ [deg]"
@@ -132,8 +130,7 @@ class Curve:
 class Bars:
     """Bars at places `x` with heights `y` from zero (lengths if `horizontal`); `colours` one for all or one each.
 
-    `width` is that of a bar in the unit of `x`, one for all or (n,); `error` (n,) is drawn as an error bar, `text` is shown when
-    pointing at a bar.
+    `width` is that of a bar in the unit of `x`, one for all or (n,); `text` is shown when pointing at a bar.
     """
 
     x: Array
@@ -143,7 +140,6 @@ class Bars:
     width: float | Array = 0.7
     horizontal: bool = False
     opacity: float = 1.0
-    error: Array | None = None
     legend: bool = True
     text: Sequence[str] = ()
     gid: str = ""

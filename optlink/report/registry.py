@@ -6,7 +6,7 @@ Each is imported when it is used: a table needs no plotting library.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 from optlink.report.view import View
 
@@ -111,21 +111,16 @@ def records() -> dict[str, type[ResultRecord]]:
     from optlink.tasks.results.path import PathRecord
     from optlink.tasks.simulate import SimulationRecord
 
-    return {
-        "function": FunctionRecord,
-        "path": PathRecord,
-        "cycle": CycleRecord,
-        "analysis": AnalysisRecord,
-        "sensitivity": SensitivitiesRecord,
-        "output sensitivity": OutputSensitivityRecord,
-        "simulation": SimulationRecord,
-        "clearance": ClearanceRecord,
-        "control comparison": ComparisonRecord,
-        "balance": BalanceRecord,
-        "sweep": SweepRecord,
-        "tolerance": ToleranceRecord,
-        "pareto": ParetoRecord,
-    }
+    designs = (FunctionRecord, PathRecord, CycleRecord, AnalysisRecord, SensitivitiesRecord, OutputSensitivityRecord)
+    machines = (SimulationRecord, ClearanceRecord, ComparisonRecord, BalanceRecord)
+    every = (*designs, *machines, SweepRecord, ToleranceRecord, ParetoRecord)
+    return {schema_of(one).split("/")[1].replace("-", " "): one for one in every}
+
+
+def schema_of(record: type[ResultRecord]) -> str:
+    """Return the only schema that a record takes, "optlink/KIND/VERSION"."""
+    [schema] = get_args(record.model_fields["format"].annotation)
+    return str(schema)
 
 
 def json_schema(kind: str) -> dict[str, Any]:

@@ -236,7 +236,7 @@ def _curve(trace: Curve) -> Trace:
         drawn["line"] = {"color": trace.colour, "width": round(DOTS * trace.width, 2), "dash": trace.dash, "simplify": False}
     if "markers" in trace.mode:
         drawn["marker"] = {"color": trace.colour, "size": round(DOTS * trace.size, 1), "symbol": SYMBOLS[trace.symbol][1]}
-        if trace.symbol in ("open circle", "plus", "dash"):
+        if trace.symbol in ("open circle", "plus"):
             drawn["marker"]["line"] = {"width": 1.7, "color": trace.colour}
     if trace.shade is not None:
         bar = {"title": {"text": escape(trace.shade_name), "side": "right"}, "thickness": 16}
@@ -291,8 +291,6 @@ def _bars(trace: Bars) -> Trace:
     drawn |= {"marker": {"color": colour}, "opacity": trace.opacity, "showlegend": trace.legend and bool(trace.name)}
     drawn["width"] = short(np.broadcast_to(np.asarray(trace.width, dtype=float), np.shape(trace.x)))
     drawn |= {"orientation": "h"} if trace.horizontal else {}
-    if trace.error is not None:
-        drawn[f"error_{sizes}"] = {"type": "data", "array": short(trace.error), "color": "#444444"}
     if trace.text:
         drawn |= {"text": [escape(text) for text in trace.text], "textposition": "none"}
         drawn["hovertemplate"] = f"%{{text}}: %{{{sizes}:.4g}}<extra></extra>"

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any
 
 from optlink.errors import InputError, OptlinkError
 from optlink.problem.base_model import Contradiction
@@ -21,7 +21,7 @@ from optlink.report.export.svg import svg
 from optlink.report.html.moving_linkage import Moving
 from optlink.report.html.page import moved
 from optlink.report.html.shell import asset, fragment, templates
-from optlink.report.registry import table_of, view_of
+from optlink.report.registry import schema_of, table_of, view_of
 from optlink.report.report_model import Outcome, report_model_of
 from optlink.report.stored.loader import KNOWN, STUDIES
 from optlink.report.table_spec import Part, TableSpec
@@ -45,7 +45,7 @@ def notebook_html(result: Any) -> str | None:
     ----------
     result : any result of `optlink`
     """
-    [schema] = get_args(type(result).record.model_fields["format"].annotation)
+    schema = schema_of(type(result).record)
     if schema not in KNOWN:
         return None
     _, kind = KNOWN[schema]

@@ -195,7 +195,8 @@ def templates() -> Environment:
     }
     made.tests.update({name: lambda shown, kind=kind: isinstance(shown, kind) for name, kind in kinds.items()})
     made.tests["short"] = lambda cell: max(map(len, cell.text.split("\n"))) <= WHOLE  # must not be broken
-    made.filters.update(json=_json, lines=_lines, card_classes=_card_classes, row_header=_row_header)
+    made.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
+    made.filters.update(lines=_lines, card_classes=_card_classes, row_header=_row_header)
     made.filters.update(four=four, coloured=lambda text: Markup(theme.variable(text)))
     return made
 
@@ -259,12 +260,6 @@ def _charted(chart: Chart) -> dict[str, Any]:
 
 
 # --- data for the page script ------------------------------------------------------------------------------------------------
-
-
-def _json(document: object) -> Markup:
-    """Serialise a document for a script element; characters that could end the element are escaped."""
-    text = json.dumps(document, separators=(",", ":"), allow_nan=False)
-    return Markup(text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e"))
 
 
 def _policy(*scripts: str) -> str:

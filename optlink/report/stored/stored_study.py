@@ -135,21 +135,19 @@ def with_drawings(chart: Chart, designs: Callable[[int], tuple[ProblemFile, Mapp
     return replace(chart, draw=draw)
 
 
-def turning(file: ProblemFile, design: Mapping[str, float]) -> Callable[[int], Moving | None]:
-    """Return a function that animates the machine of a problem over its crank angle.
+def turning(file: ProblemFile, design: Mapping[str, float], steps: int) -> Moving | None:
+    """Animate the machine of a problem over its crank angle; None if it cannot be assembled.
 
     Parameters
     ----------
     file : ProblemFile
     design : mapping of str to float [m, rad]
         Replaces dimensions of the problem.
+    steps : int
+        Number of positions per revolution.
     """
-
-    def made(steps: int) -> Moving | None:
-        cycle = cycle_of(file, design)
-        return None if cycle is None else moving_linkage.turning(cycle, steps)
-
-    return made
+    cycle = cycle_of(file, design)
+    return None if cycle is None else moving_linkage.turning(cycle, steps)
 
 
 def still(_: int) -> None:

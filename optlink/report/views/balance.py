@@ -362,7 +362,7 @@ def stored_study(record: BalanceRecord, file: ProblemFile, _: Path) -> StoredStu
         conclusion=conclusions.balance(found),
         status=shown.status.lines,
         sections=[PageSection("Balance and verification", (shown.parts,)), *curves],
-        moving=still if found.balanced is None else turning(found.balanced, {}),
+        moving=still if found.balanced is None else partial(turning, found.balanced, {}),
         by=f"a convex programme, {found.solver}; verified by the inverse dynamics of the balanced machine",
         drawn="The balanced machine: rings mark the centroids of its bodies with their counterweights.",
         after=1,

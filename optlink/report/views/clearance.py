@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -320,33 +320,29 @@ def stored_study(record: ClearanceRecord, file: ProblemFile, _: Path) -> StoredS
         conclusion=conclusions.clearance(found),
         status=shown.status.lines,
         sections=[PageSection("Figures", (shown.parts,)), PageSection("Curves", curves)],
-        moving=_moving(found),
+        moving=partial(_moving, found),
         by=f"event-driven integration of all bodies, tolerance {found.tolerance:g}{control}",
         drawn="Its last revolutions, drawn without the clearance, which is too small to be seen; journal orbits are below.",
     )
 
 
-def _moving(found: ClearanceSimulation) -> Callable[[int], Moving | None]:
-    """Return a function that animates the machine without clearance over the last revolutions."""
-
-    def made(steps: int) -> Moving | None:
-        cycle = cycle_of(found.problem, {}) if found.revolutions else None
-        if cycle is None:
-            return None
-        turns = RevolutionCurves(found)
-        span = turns.rows(WINDOW)
-        rows = span.start + even(span.stop - span.start, steps + 1)
-        crank = found["crank_angle_deg"][rows]
-        shown = [("crank angle", Scale(1.0, "deg"), np.mod(crank, 360.0))]
-        shown.append((f"deviation of {found.output.name}", turns.shares(turns.rms), turns.error[rows]))
-        unit = scale(largest(found.columns, [TORQUE]), "N m")
-        shown.append(("driving torque", unit, found[TORQUE][rows]))
-        names = {gap.point: f"{gap.point}.normal_N" for gap in found.gaps}
-        force = scale(largest(found.columns, names.values()), "N")
-        shown += [(f"contact force at {point}", force, found[name][rows]) for point, name in names.items()]
-        return in_time(through(cycle, np.radians(crank)), found["time_s"][rows], shown)
-
-    return made
+def _moving(found: ClearanceSimulation, steps: int) -> Moving | None:
+    """Animate the machine without clearance over the last revolutions."""
+    cycle = cycle_of(found.problem, {}) if found.revolutions else None
+    if cycle is None:
+        return None
+    turns = RevolutionCurves(found)
+    span = turns.rows(WINDOW)
+    rows = span.start + even(span.stop - span.start, steps + 1)
+    crank = found["crank_angle_deg"][rows]
+    shown = [("crank angle", Scale(1.0, "deg"), np.mod(crank, 360.0))]
+    shown.append((f"deviation of {found.output.name}", turns.shares(turns.rms), turns.error[rows]))
+    unit = scale(largest(found.columns, [TORQUE]), "N m")
+    shown.append(("driving torque", unit, found[TORQUE][rows]))
+    names = {gap.point: f"{gap.point}.normal_N" for gap in found.gaps}
+    force = scale(largest(found.columns, names.values()), "N")
+    shown += [(f"contact force at {point}", force, found[name][rows]) for point, name in names.items()]
+    return in_time(through(cycle, np.radians(crank)), found["time_s"][rows], shown)
 
 
 VIEW = View(

@@ -29,6 +29,7 @@ from optlink.report.views.certificate_charts import certificate_charts
 from optlink.report.views.path_view import with_verdict
 from optlink.solvers.contract import selectable
 from optlink.tasks.function import FunctionResult
+from optlink.validation.path import transmission_angles
 
 
 def _moved(result: FunctionResult, angles: Array) -> Motion:
@@ -59,9 +60,7 @@ def _range(result: FunctionResult) -> Array:
 
 
 def _transmission(motion: Motion) -> Array:
-    b, c, d = (motion.position(name) for name in "BCD")
-    cosine = np.sum((b - c) * (d - c), axis=-1) / (np.linalg.norm(b - c, axis=-1) * np.linalg.norm(d - c, axis=-1))
-    return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))  # clipped, since values beyond +-1 are rounding errors
+    return np.degrees(transmission_angles(motion, motion.mechanism)[:, 0])
 
 
 # --- mechanism -------------------------------------------------------------------------------------------------------

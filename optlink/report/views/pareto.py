@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -122,7 +123,7 @@ def stored_study(record: ParetoRecord, file: ProblemFile, path: Path) -> StoredS
         conclusion=conclusions.pareto(found),
         status=shown.status.lines,
         sections=[PageSection("Front", drawn), PageSection("Points and designs", (shown.parts,))],
-        moving=still if chosen is None else turning(file, named_si(file, found.points[chosen].design)),
+        moving=still if chosen is None else partial(turning, file, named_si(file, found.points[chosen].design)),
         by="local optima with limits on all objectives but one (epsilon-constraint method), each verified by the validator",
         drawn=words,
         after=1,

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -189,7 +190,6 @@ def _history(result: Simulation) -> History:
     return History(title, result.machine, result.driven, ending, result.columns, result.figures)
 
 
-Columns = Mapping[str, Array]
 AGREES = 1e-6  # tolerance of stored positions, as a share of the size of the machine
 VERDICTS = {Ending.FINISHED: "Finished", Ending.AT_REST: "Came to rest"}
 
@@ -209,7 +209,7 @@ def stored_study(record: SimulationRecord, file: ProblemFile, _: Path) -> Stored
         If the record is damaged.
     """
     columns, figures, ending = record.columns, record.figures, record.status
-    crank_body = machine_of(file).mechanism.crank.body
+    check_entries("sizes_SI", record.sizes_SI, file.model.mechanism.quantities)
     run = History(file.model.title, machine_of(file), record.driven, ending.value, columns, figures)
     curves = chart_plotly.charts(charts(run))
     tables = analysis_tables.simulation_parts(figures, columns, record.steps, record.evaluations)
@@ -221,7 +221,7 @@ def stored_study(record: SimulationRecord, file: ProblemFile, _: Path) -> Stored
         conclusion=conclusions.simulation(figures, record.finished, record.message),
         status=[f"{ending.value}, driven by {record.driven}; {record.message}", *record.notes],
         sections=[PageSection("Figures", (tuple(tables),)), PageSection("Over time", curves)],
-        moving=_moving(file, columns, crank_body, _sizes(record, file)) if curves else still,
+        moving=partial(_moving, file, record) if curves else still,
         by=f"integration in time; driven by {record.driven}",
         drawn="As the crank turned in time: the slider goes from row to row of the simulation.",
     )
@@ -230,33 +230,24 @@ def stored_study(record: SimulationRecord, file: ProblemFile, _: Path) -> Stored
 # --- animation ---------------------------------------------------------------------------------------------------------------
 
 
-def _sizes(record: SimulationRecord, file: ProblemFile) -> dict[str, float]:
-    """Return the dimensions [SI] of the simulated machine."""
-    check_entries("sizes_SI", record.sizes_SI, file.model.mechanism.quantities)
-    return record.sizes_SI
-
-
-def _moving(file: ProblemFile, columns: Columns, body: str, sizes: Mapping[str, float]) -> Callable[[int], Moving | None]:
-    """Return a function that animates the linkage at rows of the simulation, if the stored positions match its dimensions."""
-
-    def made(steps: int) -> Moving | None:
-        cycle = cycle_of(file, sizes)
-        if cycle is None:
-            return None
-        rows = even(len(columns["time_s"]), steps + 1)
-        drawn = through(cycle, np.radians(columns["crank_angle_deg"][rows]))
-        for name, places in drawn.points.items():
-            if {f"{name}.x_m", f"{name}.y_m"} <= columns.keys():
-                own = np.stack([columns[f"{name}.x_m"][rows], -columns[f"{name}.y_m"][rows]], axis=1) * 1e3
-                if np.nanmax(np.abs(own - places), initial=0.0) > AGREES * max(drawn.box[2:]):
-                    return None  # the stored positions belong to a different machine
-        shown = [("crank angle", Scale(1.0, "deg"), columns["crank_angle_deg"][rows])]
-        for name, words, unit in ((f"{body}.omega_rad_s", "crank speed", "rad/s"), ("input.torque_Nm", "driving torque", "N m")):
-            if name in columns:
-                shown.append((words, scale(largest(columns, [name]), unit), columns[name][rows]))
-        return in_time(drawn, columns["time_s"][rows], shown)
-
-    return made
+def _moving(file: ProblemFile, record: SimulationRecord, steps: int) -> Moving | None:
+    """Animate the linkage at rows of the simulation, if the stored positions match its dimensions."""
+    cycle, columns = cycle_of(file, record.sizes_SI), record.columns
+    if cycle is None:
+        return None
+    body = cycle.machine.mechanism.crank.body
+    rows = even(len(columns["time_s"]), steps + 1)
+    drawn = through(cycle, np.radians(columns["crank_angle_deg"][rows]))
+    for name, places in drawn.points.items():
+        if {f"{name}.x_m", f"{name}.y_m"} <= columns.keys():
+            own = np.stack([columns[f"{name}.x_m"][rows], -columns[f"{name}.y_m"][rows]], axis=1) * 1e3
+            if np.nanmax(np.abs(own - places), initial=0.0) > AGREES * max(drawn.box[2:]):
+                return None  # the stored positions belong to a different machine
+    shown = [("crank angle", Scale(1.0, "deg"), columns["crank_angle_deg"][rows])]
+    for name, words, unit in ((f"{body}.omega_rad_s", "crank speed", "rad/s"), ("input.torque_Nm", "driving torque", "N m")):
+        if name in columns:
+            shown.append((words, scale(largest(columns, [name]), unit), columns[name][rows]))
+    return in_time(drawn, columns["time_s"][rows], shown)
 
 
 VIEW = View(charts=lambda result: charts(_history(result)), tables=lambda result: {"course": result.columns}, page=stored_study)

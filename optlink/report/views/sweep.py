@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -134,7 +135,7 @@ def stored_study(record: SweepRecord, file: ProblemFile, path: Path) -> StoredSt
         conclusion=conclusions.sweep(found),
         status=shown.status.lines,
         sections=[PageSection("Sweep", drawn), PageSection("Figures", (shown.parts,))],
-        moving=still if table.best is None else turning(*_design(file, table, table.best)),
+        moving=still if table.best is None else partial(turning, *_design(file, table, table.best)),
         by=by,
         drawn="The best point of the sweep.",
         after=1,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -57,7 +58,9 @@ def stored_study(record: ToleranceRecord, file: ProblemFile, _: Path) -> StoredS
         conclusion=conclusions.tolerance(record),
         status=shown.status.lines,
         sections=[PageSection("Scatter", chart_plotly.charts(charts(record))), PageSection("Figures", (shown.parts,))],
-        moving=turning(file, {name: value for name, value in record.sizes_SI.items() if name in file.model.mechanism.quantities}),
+        moving=partial(
+            turning, file, {name: value for name, value in record.sizes_SI.items() if name in file.model.mechanism.quantities}
+        ),
         by=by,
         drawn="The linkage with nominal dimensions.",
         after=1,
