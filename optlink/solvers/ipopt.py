@@ -59,15 +59,6 @@ class _Recorder(casadi.Callback):
     def get_n_in(self) -> int:
         return int(casadi.nlpsol_n_out())
 
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_name_in(self, i: int) -> str:
-        return str(casadi.nlpsol_out(i))
-
-    def get_name_out(self, i: int) -> str:
-        return "ret"
-
     def get_sparsity_in(self, i: int) -> Any:
         return casadi.Sparsity.dense(self.sizes[casadi.nlpsol_out(i)], 1)
 

@@ -257,17 +257,14 @@ class FunctionSearch:
 
         Designs of equal value count as one: where only ratios matter there are as many designs as starts.
         """
-        groups: list[tuple[Solution, int, bool]] = []
-        for one in self.optima:
-            mine = one.candidate is not None and one.candidate is self.best
-            for k, (known, drawn, best) in enumerate(groups):
-                if multistart.compare(known, one.coarse).same:
-                    groups[k] = known, drawn + one.drawn, best or mine
-                    break
-            else:
-                groups.append((one.coarse, one.drawn, mine))
-        groups.sort(key=lambda group: (not group[2], group[0].objective))
-        return [max(1, drawn) for _, drawn, _ in groups]
+
+        def equal(one: DistinctOptimum, other: DistinctOptimum) -> bool:
+            return multistart.compare(one.coarse, other.coarse).same
+
+        groups = tally(((one, one.drawn) for one in self.optima), equal)
+        best = [one for one in self.optima if one.candidate is not None and one.candidate is self.best]
+        groups.sort(key=lambda group: (not any(equal(group[0], one) for one in best), group[0].coarse.objective))
+        return [max(1, drawn) for _, drawn in groups]
 
     def run(
         self,
