@@ -122,9 +122,9 @@ def test_every_link_and_picture_exists(page):
 
 def test_a_broken_link_would_be_seen():
     assert "no-such-heading" not in anchors(DOCS / "studies.md")
-    assert "how-the-output-answers-to-the-sizes" in anchors(DOCS / "studies.md")
+    assert "output-sensitivity" in anchors(DOCS / "studies.md")
     assert "joints-with-clearance-and-control" in anchors(DOCS / "problem-files.md")
-    assert slug("Path, motion, function: what a linkage shall do") == "path-motion-function-what-a-linkage-shall-do"
+    assert slug("Path, motion, function: kinds of requirement") == "path-motion-function-kinds-of-requirement"
 
 
 def test_every_template_has_its_recipe():

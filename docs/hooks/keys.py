@@ -49,7 +49,7 @@ ROOTS: dict[type[Problem], tuple[str, str]] = {
 """Models of a complete file: suffix of their anchors, and kind of problem."""
 
 NARRATED = {
-    "": "problem-files.md#a-whole-file",
+    "": "problem-files.md#complete-file",
     "mechanism": "problem-files.md#mechanism",
     "bodies": "problem-files.md#bodies-and-joints",
     "joints": "problem-files.md#joints-with-clearance-and-control",
