@@ -78,8 +78,8 @@ class InputError(OptlinkError):
     exit_code = 2
 
     def __init__(self, faults: str | Fault | Sequence[Fault], *place: Any, **named: Any) -> None:
-        found = Fault(faults, *place, **named) if isinstance(faults, str) else faults
-        self.faults: tuple[Fault, ...] = (found,) if isinstance(found, Fault) else tuple(found)
+        entries = Fault(faults, *place, **named) if isinstance(faults, str) else faults
+        self.faults: tuple[Fault, ...] = (entries,) if isinstance(entries, Fault) else tuple(entries)
         super().__init__("\n".join(str(fault) for fault in self.faults))
 
     def __reduce__(self) -> tuple[type[InputError], tuple[tuple[Fault, ...]]]:

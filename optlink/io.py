@@ -124,10 +124,10 @@ def write_json(path: Path, document: dict[str, Any]) -> None:
 def read_object(path: Path) -> dict[str, Any] | None:
     """Return the JSON object of a file; None if there is none that can be read."""
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return None
-    return found if isinstance(found, dict) else None
+    return document if isinstance(document, dict) else None
 
 
 def check_sum(data: bytes, begin: int = 0) -> str:
@@ -149,8 +149,8 @@ def with_check_sum(document: Mapping[str, Any]) -> dict[str, Any]:
 
 def checked(document: Mapping[str, Any]) -> dict[str, Any] | None:
     """Return a document without its check sum; None if it was changed."""
-    found = {name: value for name, value in document.items() if name != SUM}
-    return found if with_check_sum(found)[SUM] == document.get(SUM) else None
+    content = {name: value for name, value in document.items() if name != SUM}
+    return content if with_check_sum(content)[SUM] == document.get(SUM) else None
 
 
 @contextlib.contextmanager
@@ -208,7 +208,7 @@ def _opened(path: Path, place: Path) -> int:
         except OSError as error:
             message, remedy = f"cannot write there: {error.strerror}", "Give a folder that you may write to"
             raise InputError(message, remedy, key="--out", value=str(path)) from None
-        if not _taken(handle):
+        if not _lock(handle):
             number = ""
             with contextlib.suppress(OSError, UnicodeDecodeError):
                 number = os.read(handle, 20).decode()
@@ -224,7 +224,7 @@ def _opened(path: Path, place: Path) -> int:
         os.close(handle)
 
 
-def _taken(handle: int) -> bool:
+def _lock(handle: int) -> bool:
     """Try to lock an open file; return whether the lock is now held by this process."""
     if sys.platform == "win32":
         import msvcrt

@@ -183,7 +183,7 @@ def _product(factors: Iterator[tuple[_Unit, float]]) -> _Unit:
     below: list[str] = []
     for unit, exponent in exponents.items():
         scale *= unit.scale**exponent
-        powers = [power + exponent * own for power, own in zip(powers, unit.powers, strict=True)]
+        powers = [power + exponent * unit_power for power, unit_power in zip(powers, unit.powers, strict=True)]
         if exponent:
             size = abs(exponent)
             (above if exponent > 0.0 else below).append(unit.symbol + (f"^{size:g}" if size != 1.0 else ""))
@@ -213,15 +213,15 @@ def _unit(unit: str, kind: str) -> _Unit:
         raise UnitProblem(f'"{unit[:40]}" is not a unit', use)
     table = _table()
     try:
-        found = _product(_factors(spelled, table))
+        result = _product(_factors(spelled, table))
     except KeyError as error:
         close = [f'"{name}"' for name in table if name.lower() == str(error.args[0]).lower()]
         hint = f"Upper and lower case matter: {' or '.join(close)}. " if close else ""
         raise UnitProblem(f'the unit "{unit[:40]}" is unknown', hint + use) from None
-    found = _unit(_PER_TIME[kind][found.symbol], kind) if found.symbol in _PER_TIME.get(kind, {}) else found
-    if found.powers != _product(_factors(expected_kind.si, table)).powers:
+    result = _unit(_PER_TIME[kind][result.symbol], kind) if result.symbol in _PER_TIME.get(kind, {}) else result
+    if result.powers != _product(_factors(expected_kind.si, table)).powers:
         raise UnitProblem(f'"{unit[:40]}" is not a unit of {kind}', use)
-    return found
+    return result
 
 
 def factor(unit: str, kind: str) -> float:
@@ -279,8 +279,8 @@ def parse(text: object, kind: str) -> tuple[float, str]:
     expected_kind = KINDS[kind]
     if isinstance(text, bool) or not isinstance(text, (str, int, float)):
         kinds = {bool: "a logical value", list: "a list", dict: "a table", datetime.date: "a date", datetime.time: "a time"}
-        found = kinds.get(type(text), type(text).__name__)
-        raise UnitProblem(f"expected {_a(kind)}, found {found}", f'Write it as text: "{expected_kind.example}"')
+        name = kinds.get(type(text), type(text).__name__)
+        raise UnitProblem(f"expected {_a(kind)}, found {name}", f'Write it as text: "{expected_kind.example}"')
     if not isinstance(text, str):
         if abs(text) > 1e300 or not math.isfinite(text):
             raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{expected_kind.example}"')

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from optlink.balancing.certificate import GAP, Certificate, solved
-from optlink.balancing.socp import FITS, BalancingProgramme, Bound, Price
+from optlink.balancing.socp import CONSTRAINT_TOLERANCE, BalancingProgramme, Bound, Price
 from optlink.dynamics.counterweights import BalanceMeasure
 from optlink.errors import SolverError
 from optlink.linkage.vector2d import Array
@@ -35,7 +35,7 @@ END = 5e-8
 ROUNDS = 60
 """Greatest number of linearisations of the moments of inertia of discs."""
 
-NEAR = 1e-6
+LEAST_SQUARES_DIFFERENCE = 1e-6
 """Scaled difference from the least-squares optimum up to which that is tried in place of the solver's."""
 
 
@@ -97,9 +97,9 @@ def optimum(programme: BalancingProgramme, goal: Goal) -> Optimum:
     expression = sum(weight * programme.expression(measure) for measure, weight in goal)
     rows = [programme.row(bound) for bound in programme.bounds]
     problem = cp.Problem(cp.Minimize(expression), [*programme.cones, *programme.relaxed, *rows])
-    found = solved(cp, problem)
-    if found.status != "optimal":
-        return Optimum(np.full(programme.effects.count, np.nan), math.nan, found)
+    certificate = solved(cp, problem)
+    if certificate.status != "optimal":
+        return Optimum(np.full(programme.effects.count, np.nan), math.nan, certificate)
     x = np.array(programme.x.value, dtype=float)
     duals = [max(float(np.max(row.dual_value)), 0.0) for row in (*rows, *(place.constraint for place in programme.hard))]
     value = evaluate(programme, goal, x)
@@ -108,10 +108,10 @@ def optimum(programme: BalancingProgramme, goal: Goal) -> Optimum:
         if exact is not None:
             least = goal[0][1] * programme.evaluate(goal[0][0], exact)
             # the residual of least squares is a lower bound for all parameters, within limits or not
-            proof = Certificate("optimal", least, least, 0.0, found.iterations)
+            proof = Certificate("optimal", least, least, 0.0, certificate.iterations)
             return Optimum(exact, least, proof, _prices(programme, duals, exact), True)
     x = _without_crumbs(programme, goal, _Lightest(programme, [measure for measure, _ in goal]).like(x))
-    return Optimum(x, evaluate(programme, goal, x), found, _prices(programme, duals, x))
+    return Optimum(x, evaluate(programme, goal, x), certificate, _prices(programme, duals, x))
 
 
 def _without_crumbs(programme: BalancingProgramme, goal: Goal, x: Array) -> Array:
@@ -121,7 +121,9 @@ def _without_crumbs(programme: BalancingProgramme, goal: Goal, x: Array) -> Arra
         if 0.0 < x[4 * k] < CRUMB:
             without = x.copy()
             without[4 * k : 4 * k + 4] = 0.0
-            if evaluate(programme, goal, without) <= value + FITS and programme.excess(without) <= max(excess, FITS):
+            if evaluate(programme, goal, without) <= value + CONSTRAINT_TOLERANCE and programme.excess(without) <= max(
+                excess, CONSTRAINT_TOLERANCE
+            ):
                 x = without
     return x
 
@@ -129,15 +131,15 @@ def _without_crumbs(programme: BalancingProgramme, goal: Goal, x: Array) -> Arra
 def _prices(programme: BalancingProgramme, duals: Sequence[float], x: Array) -> tuple[Price, ...]:
     """Return the shadow price of every limit from its dual variable: scaled objective per SI unit of the limit."""
     programme.put(x)
-    found = []
+    prices = []
     sides = {(bound.name, bound.sense): dual for bound, dual in zip(programme.bounds, duals, strict=False)}
     for bound, dual in zip(programme.bounds, duals, strict=False):
         value = float(bound.expression.value) * bound.scale
         net = max(dual - sides.get((bound.name, -bound.sense), 0.0), 0.0)  # both sides of a prescribed value share any dual
-        found.append(Price(bound.name, bound.kind, bound.bound, value, bound.sense, net / bound.scale))
+        prices.append(Price(bound.name, bound.kind, bound.bound, value, bound.sense, net / bound.scale))
     for place, dual in zip(programme.hard, duals[len(programme.bounds) :], strict=True):
-        found.append(Price(place.name, "length", place.bound, place.reached, 1, dual * place.rate))
-    return tuple(found)
+        prices.append(Price(place.name, "length", place.bound, place.reached, 1, dual * place.rate))
+    return tuple(prices)
 
 
 def _span(rows: Array) -> tuple[Array, Array]:
@@ -152,7 +154,7 @@ def _least_squares(programme: BalancingProgramme, measure: BalanceMeasure, value
     rows, offset = programme.rows(measure)
     matters, _ = _span(rows)
     x = -matters @ np.linalg.lstsq(rows @ matters, offset, rcond=None)[0]
-    if value - float(np.linalg.norm(rows @ x + offset)) > NEAR:
+    if value - float(np.linalg.norm(rows @ x + offset)) > LEAST_SQUARES_DIFFERENCE:
         return None
     return _Lightest(programme, [measure]).same(x)
 
@@ -182,8 +184,8 @@ class _Lightest:
         if not self.idle.shape[1]:
             return x if self.programme.satisfies(x, self.limits) else None
         self.given.value = x
-        found = solved(self.programme.cp, self.exact)
-        if found.status != "optimal" or found.outside > FITS:
+        certificate = solved(self.programme.cp, self.exact)
+        if certificate.status != "optimal" or certificate.outside > CONSTRAINT_TOLERANCE:
             return None
         return np.asarray(x + self.idle @ np.atleast_1d(self.free.value))
 
@@ -197,8 +199,8 @@ class _Lightest:
             if solved(self.programme.cp, self.near).status != "optimal":
                 continue
             near = np.array(self.programme.x.value, dtype=float)
-            found = [self.programme.evaluate(measure, near) for measure in self.measures]
-            if np.all(found <= values + room + FITS) and self.programme.excess(near) <= GAP:
+            measured = [self.programme.evaluate(measure, near) for measure in self.measures]
+            if np.all(measured <= values + room + CONSTRAINT_TOLERANCE) and self.programme.excess(near) <= GAP:
                 return near if self._size(near) < self._size(best) * (1.0 - LIGHTER) else best
         return best
 
@@ -238,8 +240,8 @@ def realised_discs(programme: BalancingProgramme, goal: Goal, x: Array) -> Array
     for _ in range(ROUNDS):
         slopes.value, levels.value = (np.array(part) for part in zip(*(programme.tangent(best, k) for k in discs), strict=True))
         here.value, width.value = best, reach
-        found = solved(cp, problem)
-        if found.status == "optimal":
+        certificate = solved(cp, problem)
+        if certificate.status == "optimal":
             step = programme.realised(np.array(programme.x.value, dtype=float))
             if _merit(programme, goal, step) < _merit(programme, goal, best) - 1e-12:
                 best, reach = step, 2.0 * reach
@@ -275,15 +277,15 @@ def conflict(programme: BalancingProgramme) -> tuple[Conflict, ...]:
     rows = [programme.row(bound, slack[k] * sizes[k]) for k, bound in enumerate(bounds)]
     elastic = solved(cp, cp.Problem(cp.Minimize(cp.sum(slack)), [*programme.cones, *programme.relaxed, *rows]))
     amounts = np.array(slack.value, dtype=float) if elastic.status == "optimal" else np.full(len(bounds), np.inf)
-    found = []
+    conflicts = []
     for k, bound in enumerate(bounds):
         problem = cp.Problem(cp.Minimize(bound.sense * bound.expression), programme.constraints(bound))
-        alone = solved(cp, problem)
-        value = float(bound.expression.value) * bound.scale if alone.status == "optimal" else math.inf
+        single = solved(cp, problem)
+        value = float(bound.expression.value) * bound.scale if single.status == "optimal" else math.inf
         together = bound.bound + bound.sense * float(amounts[k]) * sizes[k] * bound.scale
-        if math.isfinite(value) or amounts[k] > FITS:
-            found.append(Conflict(bound, together if amounts[k] > FITS else bound.bound, value))
-    return tuple(found)
+        if math.isfinite(value) or amounts[k] > CONSTRAINT_TOLERANCE:
+            conflicts.append(Conflict(bound, together if amounts[k] > CONSTRAINT_TOLERANCE else bound.bound, value))
+    return tuple(conflicts)
 
 
 # --- the trade-off ----------------------------------------------------------------------------------------------------------
@@ -343,7 +345,9 @@ def curve(programme: BalancingProgramme, first: BalanceMeasure, second: BalanceM
     (a0, b0), (a1, b1) = ((programme.evaluate(first, end.x), programme.evaluate(second, end.x)) for end in ends)
     start = TradeOffPoint(ends[0].x, a0, b0, a0 - ends[0].lower, math.nan)
     stop = TradeOffPoint(ends[1].x, a1, b1, b1 - ends[1].lower, math.nan)
-    if a1 - a0 <= 10.0 * NEAR or b0 - b1 <= 10.0 * NEAR:  # no conflict: one point minimises both
+    if (
+        a1 - a0 <= 10.0 * LEAST_SQUARES_DIFFERENCE or b0 - b1 <= 10.0 * LEAST_SQUARES_DIFFERENCE
+    ):  # no conflict: one point minimises both
         return Curve((start,), math.nan, math.nan)
     at, depth = cp.Parameter(2), cp.Variable()
     rows = [
@@ -356,17 +360,17 @@ def curve(programme: BalancingProgramme, first: BalanceMeasure, second: BalanceM
     for share in np.linspace(0.0, 1.0, count)[1:-1]:
         at.value = np.array([a0 + share * (a1 - a0), b0 - share * (b0 - b1)])
         begin = time.perf_counter()
-        found = solved(cp, problem)
+        certificate = solved(cp, problem)
         seconds.append(time.perf_counter() - begin)
-        if found.status != "optimal":
-            raise SolverError(f"the trade-off stopped at {percent(share, 0)} of its length: {found.status}")
+        if certificate.status != "optimal":
+            raise SolverError(f"the trade-off stopped at {percent(share, 0)} of its length: {certificate.status}")
         x = np.array(programme.x.value, dtype=float)
         one, other = (float(np.max(row.dual_value)) for row in rows)
         values = programme.evaluate(first, x), programme.evaluate(second, x)
         x = lightest.like(x)
         pair = programme.evaluate(first, x), programme.evaluate(second, x)
         worse = max(pair[0] - values[0], pair[1] - values[1], 0.0)  # increase accepted for less mass
-        gap, rate = found.gap * max(a1 - a0, b0 - b1) + worse, other / one if one > 0.0 else math.inf
+        gap, rate = certificate.gap * max(a1 - a0, b0 - b1) + worse, other / one if one > 0.0 else math.inf
         inner.append(TradeOffPoint(x, *pair, gap, rate))
     return Curve((start, *inner, stop), seconds[0], float(np.median(seconds[1:])) if len(seconds) > 1 else math.nan)
 

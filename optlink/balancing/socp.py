@@ -24,7 +24,7 @@ NOTHING = 1e-9
 SHORTEST = 1e-9
 """Free length of a spring [m] below which there is none: a problem file states no shorter one."""
 
-FITS = 1e-8
+CONSTRAINT_TOLERANCE = 1e-8
 """By how much a scaled constraint may be missed by rounding."""
 
 
@@ -187,16 +187,16 @@ class BalancingProgramme:
             steiner = float(at @ at) * m
         else:
             steiner = cp.quad_over_lin(p, m)
-        own: Any = 0.0
+        moment: Any = 0.0
         if weight.kind == "disc":
             if weight.radius is not None:
-                own = 0.5 * (weight.radius / length) ** 2 * m
+                moment = 0.5 * (weight.radius / length) ** 2 * m
             else:
-                own = weight.spread * unit / length**2 * cp.square(m)
+                moment = weight.spread * unit / length**2 * cp.square(m)
         if weight.at is not None and weight.radius is not None:
-            self.cones.append(inertia == steiner + own)  # linear: nothing to relax
+            self.cones.append(inertia == steiner + moment)  # linear: nothing to relax
         else:
-            (self.relaxed if weight.kind == "disc" else self.cones).append(steiner + own <= inertia)
+            (self.relaxed if weight.kind == "disc" else self.cones).append(steiner + moment <= inertia)
         furthest = math.hypot(*weight.origin) + min(weight.reach, weight.extent) if weight.at is None else math.hypot(*weight.at)
         if weight.reach < math.inf:
             self._hard(f"reach {label}", weight.reach, cp.norm(away), m, length)
@@ -256,12 +256,12 @@ class BalancingProgramme:
     # --- measures -----------------------------------------------------------------------------------------------------------
 
     @cached_property
-    def _known(self) -> dict[BalanceMeasure, tuple[float, Array, Array]]:
+    def _cached_rows(self) -> dict[BalanceMeasure, tuple[float, Array, Array]]:
         return {}
 
     def _rows(self, measure: BalanceMeasure) -> tuple[float, Array, Array]:
         """Return the original value of a measure, its scaled rows (positions, parts, n) or (k, n), and its offsets."""
-        if measure not in self._known:
+        if measure not in self._cached_rows:
             affine = self.effects.affine(measure)
             before = measure.value(affine.offset)
             if measure.of == "rms":
@@ -269,8 +269,8 @@ class BalancingProgramme:
             else:
                 rows, offset = affine.matrix, affine.offset
             scale = before or float(np.max(np.abs(rows @ self.scales), initial=0.0)) or 1.0
-            self._known[measure] = before, rows * self.scales / scale, offset / scale
-        return self._known[measure]
+            self._cached_rows[measure] = before, rows * self.scales / scale, offset / scale
+        return self._cached_rows[measure]
 
     def before(self, measure: BalanceMeasure) -> float:
         """Return the value of a measure in the original machine [SI]."""
@@ -311,33 +311,33 @@ class BalancingProgramme:
 
     def realised(self, x: Array) -> Array:
         """Return scaled parameters that can be built: discs have the moments of inertia of their masses and positions."""
-        found = x.copy()
+        result = x.copy()
         for k, weight in enumerate(self.counterweights):
             place = slice(4 * k, 4 * k + 4)
-            if found[4 * k] <= NOTHING:
-                found[place] = 0.0
+            if result[4 * k] <= NOTHING:
+                result[place] = 0.0
                 continue
-            found[place] = np.array(weight.realised(Parameters(*(x[place] * self.scales[place])))) / self.scales[place]
+            result[place] = np.array(weight.realised(Parameters(*(x[place] * self.scales[place])))) / self.scales[place]
         begin = 4 * len(self.counterweights)
         for k, spring in enumerate(self.springs):
             i = begin + 2 * k
             stiffness = float(x[i]) if x[i] > NOTHING else 0.0
             low, high = (end / self.length * stiffness for end in spring.free)
             rest = min(max(x[i + 1], low), high)
-            found[i : i + 2] = stiffness, 0.0 if rest * self.length < stiffness * SHORTEST else rest
-        return found
+            result[i : i + 2] = stiffness, 0.0 if rest * self.length < stiffness * SHORTEST else rest
+        return result
 
     def with_mass(self, x: Array) -> Array:
         """Return scaled parameters in which discs without mass have the mass of a disc with their moment of inertia."""
-        found = x.copy()
+        result = x.copy()
         for k, weight in enumerate(self.counterweights):
             place = slice(4 * k, 4 * k + 4)
             moment = float(x[4 * k + 3] * self.scales[4 * k + 3])
             if weight.kind == "disc" and x[4 * k] <= NOTHING < x[4 * k + 3]:
                 mass = math.sqrt(moment / weight.spread) if weight.radius is None else 2.0 * moment / weight.radius**2
                 along, across = weight.at or weight.origin
-                found[place] = np.array([mass, mass * along, mass * across, moment]) / self.scales[place]
-        return found
+                result[place] = np.array([mass, mass * along, mass * across, moment]) / self.scales[place]
+        return result
 
     def put(self, x: Array) -> None:
         """Assign scaled parameters to the variables of the expressions."""
@@ -365,7 +365,7 @@ class BalancingProgramme:
             Checked beside the cones.
         """
         self.put(x)
-        return all(float(np.max(row.violation())) <= FITS for row in [*self.cones, *rows])
+        return all(float(np.max(row.violation())) <= CONSTRAINT_TOLERANCE for row in [*self.cones, *rows])
 
     def tangent(self, x: Array, k: int) -> tuple[Array, float]:
         """Linearise the moment of inertia of a disc: J is about slope . x + level, scaled.

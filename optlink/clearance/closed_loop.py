@@ -135,8 +135,10 @@ class ClosedLoop:
         """Integrate by the compiled engine from now on; the first use compiles it, which takes some seconds."""
         from optlink.clearance.compiled.integration import CompiledIntegration
 
-        course = self.integration
-        self.integration = CompiledIntegration(course.equations, course.state, course.step, course.tolerance, course.slow)
+        integration = self.integration
+        self.integration = CompiledIntegration(
+            integration.equations, integration.state, integration.step, integration.tolerance, integration.slow
+        )
 
     @property
     def time(self) -> float:
@@ -149,9 +151,9 @@ class ClosedLoop:
 
     def now(self) -> Block:
         """Return the current state as one row."""
-        course = self.integration
-        row = (course.state, course.modes, course.entered, course.works)
-        return Block(np.array([course.time]), *(part[None, :].copy() for part in row))
+        integration = self.integration
+        row = (integration.state, integration.modes, integration.entered, integration.works)
+        return Block(np.array([integration.time]), *(part[None, :].copy() for part in row))
 
     def turn(self) -> Revolution:
         """Simulate one revolution of the nominal speed.
@@ -161,17 +163,17 @@ class ClosedLoop:
         Stalled
             The integration cannot continue.
         """
-        course, every = self.integration, self.rows // self.points
+        integration, every = self.integration, self.rows // self.points
         parts: list[tuple[Block, Array]] = []
-        course.restart()
+        integration.restart()
         try:
             self._samples(parts)
         finally:
             self.partial = self._rows(parts, every) if sum(len(block.time) for block, _ in parts) >= every else None
-        impacts, course.finished = tuple(course.finished), []
+        impacts, integration.finished = tuple(integration.finished), []
         whole, self.partial = self.partial, None
         assert whole is not None
-        peaks, k = course.take_peaks(), len(self.equations.gaps)
+        peaks, k = integration.take_peaks(), len(self.equations.gaps)
         return whole._replace(impacts=impacts, depths=peaks[:k], forces=peaks[k : 2 * k], torque=peaks[-1])
 
     def _rows(self, parts: list[tuple[Block, Array]], every: int) -> Revolution:
@@ -182,39 +184,39 @@ class ClosedLoop:
 
     def _samples(self, parts: list[tuple[Block, Array]]) -> None:
         """Simulate one revolution, sample by sample of the controller."""
-        course = self.integration
+        integration = self.integration
         stride = self.rows // self.samples if self.controller else self.rows
         for sample in range(self.rows // stride):
             if self.controller:
-                course.further = self.controller(sample, self.measured())
-            for block in course.advance(stride):
-                parts.append((block, np.full(len(block.time), course.further)))
-                self.advanced(course.row / self.rows)
+                integration.further = self.controller(sample, self.measured())
+            for block in integration.advance(stride):
+                parts.append((block, np.full(len(block.time), integration.further)))
+                self.advanced(integration.row / self.rows)
 
     def save(self) -> dict[str, Any]:
         """Return the state at the end of a revolution as plain numbers; `restore` continues from it bit-identically."""
-        course, pid = self.integration, self.controller.pid if self.controller else None
+        integration, pid = self.integration, self.controller.pid if self.controller else None
         return {
-            "row": course.row,
-            "state": course.state.tolist(),
-            "modes": course.modes.tolist(),
-            "entered": course.entered.tolist(),
-            "works": course.works.tolist(),
-            "open": [list(impact) for impact in course.open.values()],
-            "switches": course.switches,
-            "further": course.further,
+            "row": integration.row,
+            "state": integration.state.tolist(),
+            "modes": integration.modes.tolist(),
+            "entered": integration.entered.tolist(),
+            "works": integration.works.tolist(),
+            "open": [list(impact) for impact in integration.open.values()],
+            "switches": integration.switches,
+            "further": integration.further,
             "pid": None if pid is None else [pid.integral, pid.before],
         }
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Continue from a saved state."""
-        course = self.integration
-        course.row, course.ahead, course.switches = saved["row"], 0.0, saved["switches"]
-        course.state, course.modes, course.entered, course.works = (
+        integration = self.integration
+        integration.row, integration.ahead, integration.switches = saved["row"], 0.0, saved["switches"]
+        integration.state, integration.modes, integration.entered, integration.works = (
             np.array(saved[name], dtype=float) for name in ("state", "modes", "entered", "works")
         )
-        course.open = {int(row[0]): Impact(int(row[0]), *row[1:]) for row in saved["open"]}
-        course.further = saved["further"]
+        integration.open = {int(row[0]): Impact(int(row[0]), *row[1:]) for row in saved["open"]}
+        integration.further = saved["further"]
         if self.controller and saved["pid"]:
             self.controller.pid.integral, self.controller.pid.before = saved["pid"]
 
@@ -246,8 +248,8 @@ def vibration(machine: Machine, gaps: Sequence[Gap], speed: float) -> float:
     total = sum(_number(inertia.mass) for inertia in machine.inertias.values())
     periods = []
     for gap in gaps:
-        own = [_number(machine.inertias[body].mass) for body in (gap.journal, gap.bearing) if body in machine.inertias]
-        mass = 1.0 / sum(1.0 / m for m in own if m > 0.0) if any(m > 0.0 for m in own) else total
+        masses = [_number(machine.inertias[body].mass) for body in (gap.journal, gap.bearing) if body in machine.inertias]
+        mass = 1.0 / sum(1.0 / m for m in masses if m > 0.0) if any(m > 0.0 for m in masses) else total
         depth = (mass * pull / gap.stiffness) ** (1.0 / EXPONENT)
         periods.append(TURN * math.sqrt(mass / (EXPONENT * gap.stiffness * math.sqrt(depth))) if mass > 0.0 else math.inf)
     return min(periods)

@@ -33,9 +33,9 @@ class ClearanceColumns:
     def __init__(self, equations: Equations, block: Block, further: Array) -> None:
         self.equations, self.block = equations, block
         n, count = equations.size, len(block.time)
-        given = np.column_stack([np.zeros(count), block.time, further, block.entered, block.modes])
-        found = equations.dynamics(count)(block.states.ravel(), given.ravel(), np.zeros(count))
-        accelerations, self.torque, self.pull = found[0].reshape(count, n), found[1], found[2].reshape(count, -1)
+        parameters = np.column_stack([np.zeros(count), block.time, further, block.entered, block.modes])
+        values = equations.dynamics(count)(block.states.ravel(), parameters.ravel(), np.zeros(count))
+        accelerations, self.torque, self.pull = values[0].reshape(count, n), values[1], values[2].reshape(count, -1)
         self.motion: ClearanceState = equations.state(block.states[:, :n].T, block.states[:, n:].T, accelerations.T)
         self.touches: list[Touch] = equations.touches(self.motion, block.entered.T, block.modes.T)
         self.pins: dict[str, dict[str, Vector]] = {}
@@ -59,13 +59,13 @@ class ClearanceColumns:
                 self._need(needed, one.body, one.wrench(moving.state(one.body)))
         for i, joint in enumerate(cut.closing):
             a, b = -self.pull[:, 2 * i], -self.pull[:, 2 * i + 1]
-            self._hold(needed, joint, self._closing_force(joint, a, b), b if isinstance(joint, Guide) else 0.0)
+            self._apply_joint_force(needed, joint, self._closing_force(joint, a, b), b if isinstance(joint, Guide) else 0.0)
         for body, _, branch_joint in reversed(cut.branches):
             if branch_joint is not None:
                 total, at = needed[body], self._joint(branch_joint)
                 force, moment = total.force, total.about(moving.state(body).start, at)
                 sign = 1.0 if body == branch_joint.bodies[0] else -1.0
-                self._hold(needed, branch_joint, (sign * force[0], sign * force[1]), sign * moment, skip=body)
+                self._apply_joint_force(needed, branch_joint, (sign * force[0], sign * force[1]), sign * moment, skip=body)
 
     def _closing_force(self, joint: Pin | Guide, a: Value, b: Value) -> Vector:
         if isinstance(joint, Guide):
@@ -81,20 +81,24 @@ class ClearanceColumns:
             return plus(state.start, turn(at, state.axis))
         return self.motion.position(joint.point, joint.first)
 
-    def _hold(self, needed: dict[str, Wrench], joint: Pin | Guide, force: Vector, moment: Value, skip: str = "") -> None:
+    def _apply_joint_force(
+        self, needed: dict[str, Wrench], joint: Pin | Guide, force: Vector, moment: Value, skip: str = ""
+    ) -> None:
         """Apply the force and moment of a joint to its first body, and the opposite to its second."""
         at = self._joint(joint)
         for body, sign in zip(joint.bodies, (1.0, -1.0), strict=True):
-            own = (sign * force[0], sign * force[1])
+            force_on_body = (sign * force[0], sign * force[1])
             if isinstance(joint, Pin):
-                self._exert(joint.point, body, own)
+                self._exert(joint.point, body, force_on_body)
             elif sign > 0.0:
                 line = self.motion.line(joint.name)
-                self.guides[joint.name] = GuideForce(cross(line, own), dot(line, own), moment, at, own)
+                self.guides[joint.name] = GuideForce(
+                    cross(line, force_on_body), dot(line, force_on_body), moment, at, force_on_body
+                )
             if body not in (FRAME, skip):
                 lever = minus(at, self.motion.state(body).start)
                 turned = sign * moment if isinstance(joint, Guide) else 0.0
-                self._need(needed, body, Wrench(own, turned + cross(lever, own)))
+                self._need(needed, body, Wrench(force_on_body, turned + cross(lever, force_on_body)))
 
     def _need(self, needed: dict[str, Wrench], body: str, wrench: Wrench) -> None:
         (x, y), moment = wrench
@@ -127,8 +131,8 @@ class ClearanceColumns:
         moving, mechanism = self.motion, self.equations.tree.mechanism
         for body in mechanism.bodies:
             state = moving.state(body)
-            own = [i for i, coordinate in enumerate(self.equations.tree.coordinates) if coordinate == (body, "angle")]
-            angle = self.block.states[:, own[0]] if own else np.arctan2(state.axis[1], state.axis[0])
+            indices = [i for i, coordinate in enumerate(self.equations.tree.coordinates) if coordinate == (body, "angle")]
+            angle = self.block.states[:, indices[0]] if indices else np.arctan2(state.axis[1], state.axis[0])
             yield f"{body}.angle_rad", f"angle of {body}'s axis from +x", angle
             yield f"{body}.omega_rad_s", f"angular velocity of {body}", state.omega
             yield f"{body}.alpha_rad_s2", f"angular acceleration of {body}", state.alpha
@@ -136,8 +140,8 @@ class ClearanceColumns:
         for point, bodies in mechanism.owners.items():
             if FRAME in bodies and point not in gaps:
                 continue
-            shown = (gaps[point].journal, gaps[point].bearing) if point in gaps else bodies[:1]
-            for body in shown:
+            neighbours = (gaps[point].journal, gaps[point].bearing) if point in gaps else bodies[:1]
+            for body in neighbours:
                 if body != FRAME:
                     name = f"{point}.{body}" if point in gaps else point
                     for axis, value in zip("xy", moving.position(point, body), strict=True):

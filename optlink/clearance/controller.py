@@ -62,10 +62,10 @@ class PID:
         self.before = error
         integral = self.integral + gains.integral * self.sample * error
         demand = gains.proportional * error + integral + gains.derivative * slope
-        found = min(max(demand, -gains.limit), gains.limit)
-        if found == demand or (demand - found) * error < 0.0:
+        limited = min(max(demand, -gains.limit), gains.limit)
+        if limited == demand or (demand - limited) * error < 0.0:
             self.integral = integral
-        return found
+        return limited
 
 
 @dataclass

@@ -105,8 +105,8 @@ class Equations:
     @property
     def losses(self) -> tuple[str, ...]:
         """Names of the works that are integrated with the motion [J]: of the drive, of loads, dissipated at gaps."""
-        own = [f"{gap.point}.{kind}" for gap in self.gaps for kind in ("impact", "friction")]
-        return ("drive", *(load.name for load in self.machine.loads), *own)
+        names = [f"{gap.point}.{kind}" for gap in self.gaps for kind in ("impact", "friction")]
+        return ("drive", *(load.name for load in self.machine.loads), *names)
 
     def _trace(self) -> None:
         n, k = self.size, len(self.gaps)
@@ -119,15 +119,15 @@ class Equations:
         q, v = casadi.vertsplit(x)[:n], casadi.vertsplit(x)[n:]
         still = [casadi.SX(0.0)] * n
         moving = self.state(q, v, casadi.vertsplit(a))
-        known = self.state(q, v, still)  # loads must not depend on the symbols of unknown accelerations
-        touches = self.touches(known, casadi.vertsplit(self.entered), casadi.vertsplit(self.modes))
-        loads = known.acting()
+        unaccelerated = self.state(q, v, still)  # loads must not depend on the symbols of unknown accelerations
+        touches = self.touches(unaccelerated, casadi.vertsplit(self.entered), casadi.vertsplit(self.modes))
+        loads = unaccelerated.acting()
         forces = [one for several in loads.values() for one in several]
         for gap, contact in zip(self.gaps, touches, strict=True):
-            forces += acting(gap, known.play(gap), known.position(gap.point, gap.journal), contact)
+            forces += acting(gap, unaccelerated.play(gap), unaccelerated.position(gap.point, gap.journal), contact)
         residual = casadi.SX.zeros(n)
         for body, (force, moment) in moving.needed().items():
-            state = known.state(body)
+            state = unaccelerated.state(body)
             (fx, fy), total = force, moment
             for one in forces:
                 if one.body == body:
@@ -140,12 +140,12 @@ class Equations:
         bent = casadi.vertcat(*[twice for _, _, twice in opened]) if opened else casadi.SX(0, 1)
         grip = casadi.jacobian(closure, x[:n])
         crank = self.tree.driven
-        given, torque = self._driven(known)
-        free = [i for i in range(n) if given is None or i != crank]
+        prescribed, torque = self._driven(unaccelerated)
+        free = [i for i in range(n) if prescribed is None or i != crank]
         # linear in the accelerations: matrix and right-hand side by differentiation, at a = 0 (and the prescribed one)
         at = casadi.SX.zeros(n)
-        if given is not None:
-            at[crank] = given
+        if prescribed is not None:
+            at[crank] = prescribed
         rest, late = (casadi.substitute(part, a, at) for part in (residual, bent))
         if torque is not None:
             rest[crank] -= torque
@@ -161,12 +161,12 @@ class Equations:
         whole = casadi.SX.zeros(n)
         for place, i in enumerate(free):
             whole[i] = solved[place]
-        if given is not None:
-            whole[crank] = given
+        if prescribed is not None:
+            whole[crank] = prescribed
         pull = solved[len(free) :]  # minus the forces in the closing joints
         if torque is None:
             torque = rest[crank] + mass[crank, free] @ solved[: len(free)] + (grip[:, crank].T @ pull if m else 0.0)
-        powers = [torque * v[crank], *(known.power(several) for several in loads.values())]
+        powers = [torque * v[crank], *(unaccelerated.power(several) for several in loads.values())]
         powers += [power for contact in touches for power in (contact.loss, contact.rubbing)]
         ode = casadi.vertcat(x[n:], whole)
         depth = casadi.vertcat(*[contact.penetration for contact in touches])
@@ -174,7 +174,10 @@ class Equations:
         curve = casadi.jtimes(rate, x, ode)
         normal = casadi.vertcat(*[contact.normal for contact in touches])
         torque = casadi.SX(torque)
-        bare = [touch(gap, known.play(gap), v).normal for gap, v in zip(self.gaps, casadi.vertsplit(self.entered), strict=True)]
+        bare = [
+            touch(gap, unaccelerated.play(gap), v).normal
+            for gap, v in zip(self.gaps, casadi.vertsplit(self.entered), strict=True)
+        ]
         # the torque is linear in the modes, which scale the contact forces: derivative with respect to each contact force
         lever = casadi.jacobian(torque, self.modes).T / (casadi.vertcat(*bare) + LEAST_FORCE)
         ahead = casadi.vertcat(self.command[1:], 0.0)
@@ -182,17 +185,17 @@ class Equations:
         self.rates = [ode, casadi.vertcat(*powers)]
         self.watched = [depth, rate, curve, normal, over[0], lever, torque, over[1]]
         self._outcome = [whole, torque, pull]
-        self.free, self.symbolic = free, known
+        self.free, self.symbolic = free, unaccelerated
         self.masses = CompiledFunction([x], [mass[free, free], constraint_rows])
         self.closing, self.closed = m, [x[:n], closure, grip]
 
-    def _driven(self, known: ClearanceState) -> tuple[Any, Any]:
+    def _driven(self, state: ClearanceState) -> tuple[Any, Any]:
         """Acceleration of the crank (or None), and torque on it (or None where it follows from the motion)."""
         if self.drive.torque is not None:
-            return None, self.drive.torque(known.variables)
+            return None, self.drive.torque(state.variables)
         if self.drive.servo is None or self.drive.reference is None:
             return casadi.SX(0.0), None
-        servo, crank = self.drive.servo, known.crank
+        servo, crank = self.drive.servo, state.crank
         lag, slow = self.command[0] + self.further - crank.value, self.command[1] - crank.rate
         return servo.bandwidth * servo.bandwidth * lag + 2.0 * servo.damping * servo.bandwidth * slow, None
 
@@ -309,5 +312,5 @@ class Equations:
         grid = [(i + 1.0) / steps for i in range(steps)]
         inner = casadi.integrator("motion", "cvodes", problem, 0.0, grid, options)
         x, p = casadi.MX.sym("x", self.x.numel()), casadi.MX.sym("p", self.parameters.numel())
-        found = inner(x0=x, p=p)
-        return BufferedFunction(casadi.Function("steps", [x, p], [found["xf"], found["qf"]]))
+        result = inner(x0=x, p=p)
+        return BufferedFunction(casadi.Function("steps", [x, p], [result["xf"], result["qf"]]))

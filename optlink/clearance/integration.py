@@ -31,7 +31,7 @@ BUSY = 2000
 SHARP = 1e-6
 """Share of a row up to which two instants are told apart."""
 
-NEAR = 2e-3
+RUNGE_KUTTA_SHARE = 2e-3
 """Share of a row that one step of Runge and Kutta goes through without an error that counts."""
 
 DEEPEST = 0.2
@@ -167,19 +167,19 @@ class Integration:
             span = count * self.step - self.ahead
             states, works = self._integrate(self.state, span, count, self.time)
             row, suspects = self._suspects(states, span / count)
-            found = None
+            switch = None
             whole = count
             if suspects:
-                found = self._first_switch(states[row], row * span / count, span / count, suspects)
-                whole = row + (found is None)  # a false alarm: the row is accepted
-                there, into = (states[row + 1], span / count) if found is None else (found.state, found.into)
+                switch = self._first_switch(states[row], row * span / count, span / count, suspects)
+                whole = row + (switch is None)  # a false alarm: the row is accepted
+                there, into = (states[row + 1], span / count) if switch is None else (switch.state, switch.into)
                 last = np.vstack([states[row], there])
                 offset = row * span / count
                 self._note(last, self._watch(last, self.parameters(into, self.time + offset)), into, offset)
             if whole:
                 yield self._accept(states[1 : whole + 1], works[:whole])
-            if found is not None:
-                self._switch(found)
+            if switch is not None:
+                self._switch(switch)
             elif not suspects:
                 self._chunk = min(self._chunk + 1, len(CHUNKS) - 1 - (not self._stiff(self.modes)))
 
@@ -188,12 +188,12 @@ class Integration:
     def _integrate(self, state: Array, span: float, count: int, time: float) -> tuple[Array, Array]:
         return self._solve(state, self.parameters(span, time), count)
 
-    def _solve(self, state: Array, given: Array, count: int) -> tuple[Array, Array]:
+    def _solve(self, state: Array, parameters: Array, count: int) -> tuple[Array, Array]:
         """States at the start and after each of `count` equal steps of the span, and the works after each [J]."""
         try:
             with silent():
-                stiff = self._stiff(given[-len(self.equations.gaps) :])
-                states, works = self.equations.integrator(count, self.tolerance, stiff=stiff)(state, given)
+                stiff = self._stiff(parameters[-len(self.equations.gaps) :])
+                states, works = self.equations.integrator(count, self.tolerance, stiff=stiff)(state, parameters)
         except RuntimeError:
             if self.stop():  # a keyboard interrupt also aborts a call
                 raise KeyboardInterrupt from None
@@ -211,10 +211,10 @@ class Integration:
         """Watched quantities of gaps and torque at states that are `span` apart, the first one now."""
         return self._watch(states, self.parameters(span * (len(states) - 1), self.time))
 
-    def _watch(self, states: Array, given: Array) -> Watched:
+    def _watch(self, states: Array, parameters: Array) -> Watched:
         count = len(states)
-        found = self.equations.watch(count)(states.ravel(), np.tile(given, count), np.linspace(0.0, 1.0, count))
-        return Watched(*(part.reshape(count, -1) for part in found))
+        values = self.equations.watch(count)(states.ravel(), np.tile(parameters, count), np.linspace(0.0, 1.0, count))
+        return Watched(*(part.reshape(count, -1) for part in values))
 
     def _suspects(self, states: Array, span: float) -> tuple[int, dict[int, tuple[float, bool]]]:
         """Return the first row in which a gap may switch, and by gap the estimated time and whether the switch is certain.
@@ -229,39 +229,39 @@ class Integration:
         reach = np.maximum(y[:-1] + 0.5 * span * slope[:-1], y[1:] - 0.5 * span * slope[1:])
         rows = np.argwhere((y[1:] > 0.0) | (turns & (reach > 0.0)))
         row = len(states) - 1
-        found: dict[int, tuple[float, bool]] = {}
+        suspects: dict[int, tuple[float, bool]] = {}
         for i, j in rows:
-            if found and i > row:
+            if suspects and i > row:
                 break
             ends = [[float(side[j] * part[m, j]) for part in (depth, rate, curve)] for m in (i, i + 1)]
             sure = bool(y[i + 1, j] > 0.0)
             s = crossing(ends[0], ends[1], span) if sure else summit(ends[0], ends[1], span)
-            row, found[int(j)] = int(i), (s * span, sure)
+            row, suspects[int(j)] = int(i), (s * span, sure)
         self._note(states[: row + 1], Watched(*(part[: row + 1] for part in watched)), span, 0.0)
-        return row, found
+        return row, suspects
 
     def _first_switch(self, state: Array, offset: float, span: float, suspects: dict[int, tuple[float, bool]]) -> Crossing | None:
         """The first switch within a row that begins with this state, `offset` from now; None if no gap switches."""
-        found: Crossing | None = None
+        first: Crossing | None = None
         for gap, (guess, sure) in sorted(suspects.items(), key=lambda item: item[1][0]):
-            end = span if found is None else found.into
+            end = span if first is None else first.into
             if end <= 0.0:
                 break
             if guess < end or sure:
-                found = self._cross(state, offset, end, gap, min(guess, end), sure and found is None) or found
-        for _ in self.equations.gaps if found else ():
-            assert found is not None
-            before = self._beyond(found)
+                first = self._cross(state, offset, end, gap, min(guess, end), sure and first is None) or first
+        for _ in self.equations.gaps if first else ():
+            assert first is not None
+            before = self._beyond(first)
             if before is None:
                 break
-            found = self._cross(state, offset, found.into, before, 0.5 * found.into, True) or found
-        return found
+            first = self._cross(state, offset, first.into, before, 0.5 * first.into, True) or first
+        return first
 
-    def _beyond(self, found: Crossing) -> int | None:
+    def _beyond(self, switch: Crossing) -> int | None:
         """Return a gap that has already switched before another one does."""
-        depth, rate = (part[0] for part in self._observe(found.state[None, :], 0.0)[:2])
+        depth, rate = (part[0] for part in self._observe(switch.state[None, :], 0.0)[:2])
         late = (1.0 - 2.0 * self.modes) * depth / np.maximum(np.abs(rate), 1e-300) > SHARP * self.step
-        late[found.gap] = False
+        late[switch.gap] = False
         return int(np.argmax(late)) if np.any(late) else None
 
     def _cross(self, state: Array, offset: float, end: float, gap: int, guess: float, sure: bool) -> Crossing | None:
@@ -276,7 +276,7 @@ class Integration:
             states, more = self._integrate(state, s - low, 1, self.time + offset + low)
             y, slope, curve = (side * float(part[1, gap]) for part in self._observe(states, s - low)[:3])
             rest = -y / slope if slope > 0.0 else np.inf
-            if abs(rest) < NEAR * self.step:
+            if abs(rest) < RUNGE_KUTTA_SHARE * self.step:
                 there, last, into = self._land(states[1], self.time + offset + s, rest, gap, side)
                 return Crossing(gap, s + into, there, works + more[0] + last)
             if y > 0.0:
@@ -305,7 +305,7 @@ class Integration:
             into, works = into + rest, works + more
             depth, rate = (side * float(part[0, gap]) for part in self._observe(state[None, :], 0.0)[:2])
             rest = -depth / rate if rate > 0.0 else 0.0
-            if abs(rest) <= 1e-14 * (time + into) or abs(rest) > NEAR * self.step:
+            if abs(rest) <= 1e-14 * (time + into) or abs(rest) > RUNGE_KUTTA_SHARE * self.step:
                 break
         return state, works, into
 
@@ -313,10 +313,10 @@ class Integration:
         """Record consecutive rows, `span` apart; the first is `offset` from now."""
         self.peaks.note(states, watched, lambda i: self.parameters(span, self.time + offset + i * span), self.modes, self.entered)
 
-    def _again(self, state: Array, given: Array, steps: int) -> tuple[Array, Watched]:
+    def _again(self, state: Array, parameters: Array, steps: int) -> tuple[Array, Watched]:
         """Integrate an interval again, in small steps."""
-        states, _ = self._solve(state, given, steps)
-        return states, self._watch(states, given)
+        states, _ = self._solve(state, parameters, steps)
+        return states, self._watch(states, parameters)
 
     def _accept(self, states: Array, works: Array) -> Block:
         """Advance to the last of these rows."""
@@ -329,11 +329,11 @@ class Integration:
         self._check()
         return block
 
-    def _switch(self, found: Crossing) -> None:
+    def _switch(self, switch: Crossing) -> None:
         """Advance to the start or end of a contact, and change its mode."""
-        gap, self.state = found.gap, self._closed(found.state[None, :])[0]
-        self.works = self.works + found.works
-        self.ahead = min(max(self.ahead + found.into, self.ahead), self.step * (1.0 - 1e-12))
+        gap, self.state = switch.gap, self._closed(switch.state[None, :])[0]
+        self.works = self.works + switch.works
+        self.ahead = min(max(self.ahead + switch.into, self.ahead), self.step * (1.0 - 1e-12))
         rate = self._observe(self.state[None, :], 0.0)[1][0, gap]
         begins = self.modes[gap] == 0.0
         self.modes = self.modes.copy()
@@ -362,8 +362,8 @@ class Integration:
     @property
     def lasting(self) -> tuple[Impact, ...]:
         """The contacts that have not ended."""
-        known = self.peaks.contacts
-        return tuple(one._replace(penetration=max(one.penetration, known[gap].value)) for gap, one in self.open.items())
+        contacts = self.peaks.contacts
+        return tuple(one._replace(penetration=max(one.penetration, contacts[gap].value)) for gap, one in self.open.items())
 
     def _deepen(self, gap: int) -> None:
         """Update the largest penetration of a contact."""

@@ -49,10 +49,10 @@ def predicted(machine: Machine, gaps: Sequence[Gap], angles: Array, speed: float
     Quasi-static contact in the direction of the ideal joint's reaction.
     """
     moving = machine.moving(angles, speed)
-    found = reactions(moving)
+    joint_reactions = reactions(moving)
     columns = []
     for gap in gaps:
-        x, y = (np.broadcast_to(part, angles.shape) for part in found.pins[gap.point][gap.journal])
+        x, y = (np.broadcast_to(part, angles.shape) for part in joint_reactions.pins[gap.point][gap.journal])
         load = np.hypot(x, y)
         away = gap.clearance + (load / gap.stiffness) ** (2.0 / 3.0)
         # the journal is pushed by (-normal, friction): the reaction leans against the slip by the angle of friction
@@ -160,5 +160,5 @@ def leverage(machine: Machine, output: Output, angles: Array, regularisation: fl
         Output slope below which the result is reduced.
     """
     slope = np.broadcast_to(output.ideal(machine.moving(angles))[1], angles.shape)
-    found: Array = slope / (slope * slope + regularisation * regularisation)
-    return found
+    inverse: Array = slope / (slope * slope + regularisation * regularisation)
+    return inverse

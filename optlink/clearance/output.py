@@ -61,10 +61,10 @@ def outputs(machine: Machine) -> dict[str, Output]:
 
 def default_output(machine: Machine) -> Output:
     """Return the default output: the last slider on the frame, else the last body that is pinned to the frame."""
-    known = outputs(machine)
+    available = outputs(machine)
     names = slider_names(machine)
     rams = [names[guide.name] for guide in machine.mechanism.guides if FRAME in guide.bodies]
-    return known[rams[-1] if rams else _rocker(machine.mechanism)]
+    return available[rams[-1] if rams else _rocker(machine.mechanism)]
 
 
 def _rocker(mechanism: Mechanism) -> str:

@@ -26,7 +26,7 @@ REACH = 0.625
 STEADY, SHARE = 0.5, 0.2
 """Where a quantity is never below this share of its bound, a cubic errs by less than that share of how far the bound is off."""
 
-SAME = 1e-13
+PEAK_ACCURACY = 1e-13
 """Relative excess over the largest value that is not worth another look."""
 
 
@@ -82,20 +82,20 @@ class Peaks:
         self.contacts = [CurrentPeak() for _ in gaps]  # penetration of the current contact
         self.turn = [CurrentPeak() for _ in range(2 * count + 1)]  # since `take`: penetrations, forces, torque
 
-    def note(self, states: Array, watched: Watched, given: Callable[[int], Array], modes: Array, entered: Array) -> None:
+    def note(self, states: Array, watched: Watched, parameters: Callable[[int], Array], modes: Array, entered: Array) -> None:
         """Record consecutive rows.
 
         Parameters
         ----------
         states : array (m, 2n)
         watched : Watched
-        given : callable, row -> parameters of the integrator from that row to the next
+        parameters : callable, row -> parameters of the integrator from that row to the next
         modes, entered : array (gaps,)
             Modes of the gaps, and approach speeds [m/s] at the start of their contacts.
         """
         if len(states) < 2:
             return
-        span, k = float(given(0)[0]), len(self.gaps)
+        span, k = float(parameters(0)[0]), len(self.gaps)
         values, _ = _curves(watched)
         bounds = self._bounds(watched, span, entered)
         inside: dict[int, Interval] = {}
@@ -103,11 +103,11 @@ class Peaks:
         several += [(peak, j) for j, peak in enumerate(self.turn) if j == 2 * k or modes[j % k]]
         for peak, j in several:
             peak.value = max(peak.value, float(np.max(values[:, j])))
-            least = peak.value * (1.0 + SAME)
+            least = peak.value * (1.0 + PEAK_ACCURACY)
             peak.waiting = [one for one in peak.waiting if one[0] > least]
             for i in np.flatnonzero(bounds[:, j] > least).tolist():
                 if i not in inside:
-                    inside[i] = Interval(states[i].copy(), given(i))
+                    inside[i] = Interval(states[i].copy(), parameters(i))
                 peak.waiting.append((float(bounds[i, j]), inside[i]))
 
     def _bounds(self, watched: Watched, span: float, entered: Array) -> Array:
@@ -142,19 +142,19 @@ class Peaks:
 
     def deepest(self, gap: int) -> float:
         """Return the largest penetration of the current contact, or of the one just ended [m]."""
-        return self._settle(self.contacts[gap], gap)
+        return self._resolve(self.contacts[gap], gap)
 
     def take(self) -> tuple[float, ...]:
         """Return the maxima since the last call: penetrations [m] and normal forces [N] of all gaps, torque [N m]."""
-        found = tuple(self._settle(peak, j) for j, peak in enumerate(self.turn))
+        values = tuple(self._resolve(peak, j) for j, peak in enumerate(self.turn))
         self.turn = [CurrentPeak() for _ in self.turn]
-        return found
+        return values
 
-    def _settle(self, peak: CurrentPeak, j: int) -> float:
+    def _resolve(self, peak: CurrentPeak, j: int) -> float:
         """Check every interval that may exceed the maximum, in the order of decreasing bounds."""
         waiting, peak.waiting = sorted(peak.waiting, key=lambda one: -one[0]), []
         for bound, interval in waiting:
-            if bound <= peak.value * (1.0 + SAME):
+            if bound <= peak.value * (1.0 + PEAK_ACCURACY):
                 break
             peak.value = self._summit(interval, j, peak.value, deeper=True)
         return peak.value
@@ -172,7 +172,7 @@ class Peaks:
         entered = interval.parameters[3 : 3 + len(self.gaps)]
         bounds = self._bounds(watched, span, entered)[:, j]
         for i in np.argsort(-bounds).tolist():
-            if bounds[i] <= best * (1.0 + SAME):
+            if bounds[i] <= best * (1.0 + PEAK_ACCURACY):
                 break
             inner = interval.parameters.copy()
             inner[0], inner[1] = span, interval.parameters[1] + i * span

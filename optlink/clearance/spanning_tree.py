@@ -66,39 +66,39 @@ class SpanningTree:
     @cached_property
     def pins(self) -> tuple[Pin, ...]:
         """The ideal revolute joints, each between two bodies."""
-        found = []
+        pins = []
         for point, bodies in self.mechanism.pins.items():
             carriers = [body for body in bodies if body != self.gaps.get(point)]
-            found += [Pin(point, carriers[0], other) for other in carriers[1:]]
-        return tuple(found)
+            pins += [Pin(point, carriers[0], other) for other in carriers[1:]]
+        return tuple(pins)
 
     @cached_property
     def branches(self) -> tuple[Branch, ...]:
         """All bodies, each after its parent."""
-        found = self._grow(free_crank=False)
-        crank = next(branch for branch in found if branch.body == self.mechanism.crank.body)
+        tree = self._grow(free_crank=False)
+        crank = next(branch for branch in tree if branch.body == self.mechanism.crank.body)
         # the drive prescribes the crank angle, so it must be a coordinate: a crank connected by a guide becomes a root
-        return self._grow(free_crank=True) if isinstance(crank.joint, Guide) else found
+        return self._grow(free_crank=True) if isinstance(crank.joint, Guide) else tree
 
     def _grow(self, *, free_crank: bool) -> tuple[Branch, ...]:
         joints: list[Pin | Guide] = [*self.pins, *self.mechanism.guides]
-        found: dict[str, Branch] = {}
+        tree: dict[str, Branch] = {}
         if free_crank:
-            found[self.mechanism.crank.body] = Branch(self.mechanism.crank.body, FRAME, None)
-        waiting = [FRAME, *found]
+            tree[self.mechanism.crank.body] = Branch(self.mechanism.crank.body, FRAME, None)
+        waiting = [FRAME, *tree]
         for root in ["", *self.mechanism.bodies]:
-            if root and root not in found:
-                found[root] = Branch(root, FRAME, None)
+            if root and root not in tree:
+                tree[root] = Branch(root, FRAME, None)
                 waiting.append(root)
             while waiting:
                 at = waiting.pop(0)
                 for joint in joints:
                     if at in joint.bodies:
                         other = joint.bodies[0] if joint.bodies[1] == at else joint.bodies[1]
-                        if other != FRAME and other not in found:
-                            found[other] = Branch(other, at, joint)
+                        if other != FRAME and other not in tree:
+                            tree[other] = Branch(other, at, joint)
                             waiting.append(other)
-        return tuple(found.values())
+        return tuple(tree.values())
 
     @cached_property
     def closing(self) -> tuple[Pin | Guide, ...]:
@@ -110,13 +110,13 @@ class SpanningTree:
     @cached_property
     def coordinates(self) -> tuple[Coordinate, ...]:
         """The coordinates of the tree, in the order of the bodies."""
-        found = []
+        coordinates = []
         for body, _, joint in self.branches:
             if joint is None:
-                found += [Coordinate(body, "x"), Coordinate(body, "y"), Coordinate(body, "angle")]
+                coordinates += [Coordinate(body, "x"), Coordinate(body, "y"), Coordinate(body, "angle")]
             else:
-                found.append(Coordinate(body, "slide" if isinstance(joint, Guide) else "angle"))
-        return tuple(found)
+                coordinates.append(Coordinate(body, "slide" if isinstance(joint, Guide) else "angle"))
+        return tuple(coordinates)
 
     @cached_property
     def driven(self) -> int:
@@ -130,24 +130,24 @@ class SpanningTree:
 
     def place(self, values: Sequence[Value]) -> dict[str, BodyPlace]:
         """Return the position of every body from the coordinates (floats, arrays, symbols or jets), in their order."""
-        found = {FRAME: BodyPlace((0.0, 0.0), (1.0, 0.0))}
-        given = iter(values)
+        places = {FRAME: BodyPlace((0.0, 0.0), (1.0, 0.0))}
+        remaining = iter(values)
         for body, parent, joint in self.branches:
             if joint is None:
-                found[body] = BodyPlace((next(given), next(given)), unit(next(given)))
+                places[body] = BodyPlace((next(remaining), next(remaining)), unit(next(remaining)))
             elif isinstance(joint, Guide):
-                found[body] = self._slid(joint, body, found[parent], next(given))
+                places[body] = self._slid(joint, body, places[parent], next(remaining))
             else:
-                axis = unit(next(given))
-                at = self.at(joint.point, parent, found[parent])
-                found[body] = BodyPlace(minus(at, turn(self.local.local(body, joint.point), axis)), axis)
-        return found
+                axis = unit(next(remaining))
+                at = self.at(joint.point, parent, places[parent])
+                places[body] = BodyPlace(minus(at, turn(self.local.local(body, joint.point), axis)), axis)
+        return places
 
     def _slid(self, guide: Guide, body: str, parent: BodyPlace, slide: Value) -> BodyPlace:
         """Place a body in a guide of its parent; the body may be the slider, or carry the line."""
-        (at, own), (carriers, line) = self.local.local_line(guide, body), self.local.local_line(guide, guide.other(body))
+        (at, line_on_body), (carriers, line) = self.local.local_line(guide, body), self.local.local_line(guide, guide.other(body))
         way = turn(line, parent.axis)
-        begin, axis = plus(parent.start, turn(carriers, parent.axis)), turn_back(way, own)
+        begin, axis = plus(parent.start, turn(carriers, parent.axis)), turn_back(way, line_on_body)
         shift = slide if body == guide.slider else -slide
         return BodyPlace(minus((begin[0] + shift * way[0], begin[1] + shift * way[1]), turn(at, axis)), axis)
 
@@ -206,28 +206,28 @@ class SpanningTree:
 
     def open(self, places: Mapping[str, BodyPlace]) -> list[Value]:
         """Return the residuals of the closing joints [m, or the sine of an angle], two for each joint."""
-        found: list[Value] = []
+        gaps: list[Value] = []
         for joint in self.closing:
             first, second = joint.bodies
             if isinstance(joint, Guide):
-                at, own = self.line(joint, first, places[first])
+                at, direction = self.line(joint, first, places[first])
                 begin, way = self.line(joint, second, places[second])
-                found += [cross(way, minus(at, begin)), cross(way, own)]
+                gaps += [cross(way, minus(at, begin)), cross(way, direction)]
             else:
-                found += minus(self.at(joint.point, first, places[first]), self.at(joint.point, second, places[second]))
-        return found
+                gaps += minus(self.at(joint.point, first, places[first]), self.at(joint.point, second, places[second]))
+        return gaps
 
     def read(self, pose: Pose) -> list[Value]:
         """Return the coordinates in a pose of the mechanism without gaps (jets if the pose has jets)."""
-        found: list[Value] = []
+        values: list[Value] = []
         guides = {guide.name: guide for guide in self.mechanism.guides}
         for body, kind in self.coordinates:
             if kind == "angle":
-                found.append(angle(pose.direction(body)))
+                values.append(angle(pose.direction(body)))
             elif kind == "slide":
                 branch = next(branch for branch in self.branches if branch.body == body)
                 assert isinstance(branch.joint, Guide)
-                found.append(pose.slide(guides[branch.joint.name]))
+                values.append(pose.slide(guides[branch.joint.name]))
             else:
-                found.append(pose.points[self.mechanism.bodies[body].start][0 if kind == "x" else 1])
-        return found
+                values.append(pose.points[self.mechanism.bodies[body].start][0 if kind == "x" else 1])
+        return values

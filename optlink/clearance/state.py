@@ -87,8 +87,8 @@ class ClearanceState:
 
     def line(self, guide: str) -> Vector:
         """Return the unit vector of a guide's line."""
-        found = next(known for known in self.machine.mechanism.guides if known.name == guide)
-        return turn(self.tree.local.local_line(found, found.on)[1], self.state(found.on).axis)
+        joint = next(candidate for candidate in self.machine.mechanism.guides if candidate.name == guide)
+        return turn(self.tree.local.local_line(joint, joint.on)[1], self.state(joint.on).axis)
 
     @cached_property
     def slides(self) -> dict[str, tuple[Value, Value, Value]]:

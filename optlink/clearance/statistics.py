@@ -15,13 +15,13 @@ from optlink.clearance.columns import ClearanceColumns
 from optlink.clearance.integration import Impact, Stalled
 from optlink.linkage.vector2d import Array
 
-KEPT = 30
+RETAINED_REVOLUTIONS = 30
 """Revolutions whose rows stay in memory; all rows are streamed to whoever takes them."""
 
-LISTED = 10_000
+MAX_SUMMARIES = 10_000
 """Revolutions whose summary stays in memory, and contacts; all of them are counted."""
 
-APART = 0.1
+DIVERGED_SHARE = 0.1
 """Share of the smallest clearance (for an angle: per size of the machine) by which outputs of twins differ that have parted."""
 
 WATCHED = 25
@@ -36,12 +36,12 @@ _PLAIN = (
 class Statistics:
     """Accumulated statistics of a simulation."""
 
-    def __init__(self, plant: ClosedLoop) -> None:
-        self.closed_loop = plant
-        self.rows: deque[dict[str, Array]] = deque(maxlen=KEPT)
-        self.per_revolution: deque[dict[str, float]] = deque(maxlen=LISTED)
-        self.poincare_map: deque[dict[str, float]] = deque(maxlen=LISTED)
-        self.impacts: deque[Impact] = deque(maxlen=LISTED)
+    def __init__(self, closed_loop: ClosedLoop) -> None:
+        self.closed_loop = closed_loop
+        self.rows: deque[dict[str, Array]] = deque(maxlen=RETAINED_REVOLUTIONS)
+        self.per_revolution: deque[dict[str, float]] = deque(maxlen=MAX_SUMMARIES)
+        self.poincare_map: deque[dict[str, float]] = deque(maxlen=MAX_SUMMARIES)
+        self.impacts: deque[Impact] = deque(maxlen=MAX_SUMMARIES)
         self.meanings: dict[str, str] = {}
         self.count = 0
         self.largest = self.imbalance = 0.0
@@ -49,12 +49,12 @@ class Statistics:
         self.sums: dict[str, float] = dict.fromkeys(("square", "rows", "effort", "torque"), 0.0)
         self.every: dict[str, float] = dict.fromkeys(("square", "rows"), 0.0)
         self.peak = self.torque = self.correction = 0.0
-        self.depths = [0.0] * len(plant.equations.gaps)  # largest at every gap [m]
-        self.forces = [0.0] * len(plant.equations.gaps)  # [N]
-        self.contacts = [0] * len(plant.equations.gaps)  # ended
+        self.depths = [0.0] * len(closed_loop.equations.gaps)  # largest at every gap [m]
+        self.forces = [0.0] * len(closed_loop.equations.gaps)  # [N]
+        self.contacts = [0] * len(closed_loop.equations.gaps)  # ended
         self.settled = 0
 
-    def add(self, settled: bool) -> dict[str, Array]:
+    def add(self, steady: bool) -> dict[str, Array]:
         """Simulate and add one revolution; return its rows.
 
         Raises
@@ -63,14 +63,14 @@ class Statistics:
             The integration cannot continue.
         """
         if self.first is None:
-            plant = self.closed_loop
-            self.first = float(plant.record(Revolution(plant.now(), np.zeros(1), ())).energy[0])
+            closed_loop = self.closed_loop
+            self.first = float(closed_loop.record(Revolution(closed_loop.now(), np.zeros(1), ())).energy[0])
             self.largest = abs(self.first)
         turn = self.closed_loop.turn()
         record = self.closed_loop.record(turn)
         rows = self._rows(turn, record)
         error = rows[f"{self.closed_loop.output.name}.error_{self.closed_loop.output.unit}"]
-        self._sum(rows, error, turn, settled)
+        self._sum(rows, error, turn, steady)
         self._energy(record)
         self.rows.append(rows)
         return rows
@@ -78,14 +78,14 @@ class Statistics:
     def _rows(self, turn: Revolution, record: ClearanceColumns) -> dict[str, Array]:
         """The columns, with the ideal output, the error and the correction."""
         output, columns = self.closed_loop.output, record.columns
-        ideal = self._wanted(record)
+        ideal = self._ideal_output(record)
         error = output.difference(np.asarray(output.of(record.motion)), ideal)
-        unit, own = output.unit, output.name
+        unit, output_name = output.unit, output.name
         rows = {name: column.values for name, column in columns.items()}
-        rows[f"{own}.ideal_{unit}"], rows[f"{own}.error_{unit}"] = ideal, error
+        rows[f"{output_name}.ideal_{unit}"], rows[f"{output_name}.error_{unit}"] = ideal, error
         self.meanings = {name: column.meaning for name, column in columns.items()}
-        self.meanings[f"{own}.ideal_{unit}"] = f"{own} of the machine without clearance"
-        self.meanings[f"{own}.error_{unit}"] = f"deviation of {own} from the machine without clearance"
+        self.meanings[f"{output_name}.ideal_{unit}"] = f"{output_name} of the machine without clearance"
+        self.meanings[f"{output_name}.error_{unit}"] = f"deviation of {output_name} from the machine without clearance"
         command = self.closed_loop.equations.drive.reference
         if command is not None:
             rows["command.correction_rad"] = command.correction(turn.block.time) + turn.further
@@ -114,18 +114,18 @@ class Statistics:
         self.poincare_map.extend(saved["poincare_map"])
         self.impacts.extend(Impact(int(row[0]), *row[1:]) for row in saved["impacts"])
 
-    def _wanted(self, record: ClearanceColumns) -> Array:
+    def _ideal_output(self, record: ClearanceColumns) -> Array:
         """The output of the machine without clearance at the nominal crank angle; with a driving torque at the actual one."""
-        plant, time = self.closed_loop, record.block.time
-        free = plant.equations.drive.torque is not None
-        angle = np.asarray(record.motion.crank.value) if free else plant.start + plant.nominal * time
-        moving = plant.equations.machine.moving(angle)
-        return np.broadcast_to(np.asarray(plant.output.ideal(moving)[0]), time.shape)
+        closed_loop, time = self.closed_loop, record.block.time
+        free = closed_loop.equations.drive.torque is not None
+        angle = np.asarray(record.motion.crank.value) if free else closed_loop.start + closed_loop.nominal * time
+        moving = closed_loop.equations.machine.moving(angle)
+        return np.broadcast_to(np.asarray(closed_loop.output.ideal(moving)[0]), time.shape)
 
-    def _sum(self, rows: Mapping[str, Array], error: Array, turn: Revolution, settled: bool) -> None:
+    def _sum(self, rows: Mapping[str, Array], error: Array, turn: Revolution, steady: bool) -> None:
         impacts = turn.impacts
         self.count += 1
-        unit, own = self.closed_loop.output.unit, self.closed_loop.output.name
+        unit, output_name = self.closed_loop.output.unit, self.closed_loop.output.name
         square, torque = float(np.sum(error * error)), rows["input.torque_Nm"]
         correction = rows.get("command.correction_rad", np.zeros(1))
         self.depths = [max(both) for both in zip(self.depths, turn.depths, strict=True)]
@@ -148,7 +148,7 @@ class Statistics:
             figures[f"{gap.point}.normal_max_N"] = force
             figures[f"{gap.point}.penetration_max_m"] = depth
         self.per_revolution.append(figures)
-        point = {"revolution": float(self.count), f"{own}.error_{unit}": float(error[-1])}
+        point = {"revolution": float(self.count), f"{output_name}.error_{unit}": float(error[-1])}
         for gap in self.closed_loop.equations.gaps:
             for axis in "xy":
                 point[f"{gap.point}.e{axis}_m"] = float(rows[f"{gap.point}.e{axis}_m"][-1])
@@ -156,10 +156,10 @@ class Statistics:
         self.poincare_map.append(point)
         self.every["square"] += square
         self.every["rows"] += len(error)
-        if settled and not self.settled:  # what was summed until now is that of a run that ends before it settles
+        if steady and not self.settled:  # what was summed until now is that of a run that ends before it settles
             self.sums = dict.fromkeys(self.sums, 0.0)
             self.peak = self.correction = 0.0
-        self.settled += settled
+        self.settled += steady
         self.sums["square"] += square
         self.sums["rows"] += len(error)
         self.sums["effort"] += float(np.mean(correction * correction))
@@ -226,10 +226,10 @@ class Prediction:
 class PredictabilityCheck:
     """The same motion with another tolerance, simulated until it diverges."""
 
-    def __init__(self, plant: ClosedLoop) -> None:
-        self.closed_loop, self.output = plant, plant.output
-        least = min(gap.clearance for gap in plant.equations.gaps)
-        self.apart = APART * (least if self.output.guide else least / float(np.max(plant.equations.machine.size)))
+    def __init__(self, closed_loop: ClosedLoop) -> None:
+        self.closed_loop, self.output = closed_loop, closed_loop.output
+        least = min(gap.clearance for gap in closed_loop.equations.gaps)
+        self.apart = DIVERGED_SHARE * (least if self.output.guide else least / float(np.max(closed_loop.equations.machine.size)))
         self.parted: float | None = None
         self.watched, self.largest, self.lost = 0, 0.0, False
 
@@ -242,8 +242,8 @@ class PredictabilityCheck:
         except Stalled:
             self.lost = True
             return
-        own = np.asarray(self.output.of(self.closed_loop.record(turn).motion))
-        away = np.abs(self.output.difference(own, output))
+        values = np.asarray(self.output.of(self.closed_loop.record(turn).motion))
+        away = np.abs(self.output.difference(values, output))
         self.largest = float(np.max(away))
         far = np.flatnonzero(away > self.apart)
         if far.size:
@@ -252,8 +252,8 @@ class PredictabilityCheck:
 
     def save(self) -> dict[str, Any]:
         """Return the state as plain numbers."""
-        found = {"parted": self.parted, "watched": self.watched, "largest": self.largest, "lost": self.lost}
-        return {**found, "plant": self.closed_loop.save()}
+        document = {"parted": self.parted, "watched": self.watched, "largest": self.largest, "lost": self.lost}
+        return {**document, "plant": self.closed_loop.save()}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Continue from a saved state."""

@@ -77,9 +77,9 @@ class Command(TyperCommand):
         typer.BadParameter
             If the value of an option is empty.
         """
-        known = {name for param in self.params for name in param.opts}
+        options = {name for param in self.params for name in param.opts}
         end = args.index("--") if "--" in args else len(args)
-        words = [*(_present(word, known) for word in args[:end]), *args[end:]]
+        words = [*(_present(word, options) for word in args[:end]), *args[end:]]
         try:
             rest = super().parse_args(ctx, words.copy())
         except UsageError as error:
@@ -108,13 +108,13 @@ class Command(TyperCommand):
             return super().invoke(ctx)
 
 
-def _present(word: str, known: set[str]) -> str:
+def _present(word: str, options: set[str]) -> str:
     """Return an option under its present name."""
     name, equals, value = word.partition("=")
-    if name in known:
+    if name in options:
         return word
     for one in (*RENAMED.get(name, ()), *SPELLED.get(name, ())):
-        if one in known:
+        if one in options:
             if name in RENAMED:
                 print(f"Note: {name} is now called {one}", file=sys.stderr)
             return f"{one}{equals}{value}"

@@ -59,11 +59,11 @@ def reported(as_json: bool, options: Mapping[str, tuple[str, str]] | None = None
         for line in lines:
             print(f"Error: {line}", file=sys.stderr)
         if as_json:
-            listed = [
+            entries = [
                 {key: item if item is None or isinstance(item, str) else shown(item) for key, item in vars(fault).items()}
                 for fault in faults
             ]
-            print_failure("\n".join(lines), listed)
+            print_failure("\n".join(lines), entries)
         raise typer.Exit(error.exit_code) from None
     except (Exception, KeyboardInterrupt) as error:
         if not (interrupts.interrupted() or isinstance(error, KeyboardInterrupt)):
@@ -151,11 +151,11 @@ def deliver(result: Any, kind: str, as_json: bool, out: Path | None, csv: Path |
         raise typer.Exit(code)
 
 
-def show(shown: Summary | TableSpec) -> None:
+def show(content: Summary | TableSpec) -> None:
     """Print a summary or a table on standard output; of a quiet command only its verdict."""
     from optlink.report import terminal
 
-    terminal.show(shown.verdict if quiet else shown)
+    terminal.show(content.verdict if quiet else content)
 
 
 # --- progress ----------------------------------------------------------------------------------------------------------------
@@ -181,12 +181,12 @@ def share(what: str) -> Iterator[Callable[..., None] | None]:
         yield None
         return
     with contextlib.ExitStack() as stack:
-        shown: list[Callable[[float, str], None]] = []
+        updates: list[Callable[[float, str], None]] = []
 
         def advance(done: float, text: str = "") -> None:
-            if not shown and done < 1.0:
-                shown.append(stack.enter_context(_bar(what)))
-            for update in shown:
+            if not updates and done < 1.0:
+                updates.append(stack.enter_context(_bar(what)))
+            for update in updates:
                 update(done, text)
 
         yield advance
@@ -218,8 +218,8 @@ def progress_bar(*columns: ProgressColumn, what: str, **options: Any) -> Iterato
     from optlink.report import terminal
 
     drawn = terminal.console(stderr=True)
-    shown = (TextColumn("{task.description}"), BarColumn(), *columns, TimeRemainingColumn())
-    with Progress(*shown, console=drawn, transient=True, disable=quiet or not drawn.is_terminal) as bar:
+    layout = (TextColumn("{task.description}"), BarColumn(), *columns, TimeRemainingColumn())
+    with Progress(*layout, console=drawn, transient=True, disable=quiet or not drawn.is_terminal) as bar:
         yield bar, bar.add_task(what, **options)
 
 

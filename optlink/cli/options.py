@@ -33,10 +33,10 @@ def back_end(text: str) -> str:
     return _one_of(text, (*selectable(), "both"))
 
 
-def _one_of(text: str, known: tuple[str, ...]) -> str:
-    if text in known:
+def _one_of(text: str, choices: tuple[str, ...]) -> str:
+    if text in choices:
         return text
-    raise typer.BadParameter(f"{text[:40]!r} is not one of {', '.join(map(repr, known))}.")
+    raise typer.BadParameter(f"{text[:40]!r} is not one of {', '.join(map(repr, choices))}.")
 
 
 def whole_number(text: object) -> int:

@@ -100,9 +100,9 @@ def new(
 
     if listed or not name:
         console.refuse({"--out": out, "--force": force}, "--list writes no file", "Name a template: new law")
-        found = [template(one) for one in templates()]
+        choices = [template(one) for one in templates()]
         if as_json:
-            rows = [{"name": one.name, "summary": one.summary, "commands": one.commands} for one in found]
+            rows = [{"name": one.name, "summary": one.summary, "commands": one.commands} for one in choices]
             console.print_json({"schema": "optlink/templates/1", "templates": rows})
             return
         if console.quiet:
@@ -111,26 +111,26 @@ def new(
         from optlink.report.table_spec import table
 
         note = "Write one: optlink new NAME --out NAME.toml"
-        rows_shown = ((one.name, one.summary, one.commands[0]) for one in found)
+        rows_shown = ((one.name, one.summary, one.commands[0]) for one in choices)
         console.show(table("Templates", ["name", "description", "next command"], rows_shown, notes=[note]))
         return
     if out is not None:
         _check(out, force)
-    made = template(name, out)
+    text = template(name, out)
     if out is not None:
         from optlink.io import whole
 
         with whole(out) as temporary:
-            temporary.write_text(made.text, encoding="utf-8")
+            temporary.write_text(text.text, encoding="utf-8")
     if as_json:
-        document = {"schema": "optlink/template/1", "name": name, "summary": made.summary, "commands": made.commands}
-        console.print_json(document | {"file": None if out is None else str(out), "text": made.text})
+        document = {"schema": "optlink/template/1", "name": name, "summary": text.summary, "commands": text.commands}
+        console.print_json(document | {"file": None if out is None else str(out), "text": text.text})
     elif out is None:
-        print(made.text, end="")
+        print(text.text, end="")
         if not console.quiet:
             print(f"Next: optlink new {name} --out {name}.toml", file=sys.stderr)
     else:
-        print(f"Written: {out}" if console.quiet else f"Written: {out}. Next: {made.commands[0]}")
+        print(f"Written: {out}" if console.quiet else f"Written: {out}. Next: {text.commands[0]}")
 
 
 def _check(out: Path, force: bool) -> None:

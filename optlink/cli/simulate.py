@@ -83,7 +83,7 @@ def simulate(
     file = console.load(problem, changes)
     if torque is not None:
         file = file.override({"drive.torque": torque, "drive.servo": None})
-    given = console.read_design_option(file, design)
+    values = console.read_design_option(file, design)
     with_clearance = file.model.has_clearance and not ideal
     if not with_clearance:
         of_gaps: dict[str, Any] = {"--revolutions": revolutions, "--control": control, "--tolerance": tolerance}
@@ -107,7 +107,7 @@ def simulate(
         remedy = "Leave it out, or simulate one kind: --control inverse+pid"
         console.refuse({"--csv": csv, "--flywheel": flywheel}, message, remedy, file.file)
     console.places(out, "simulate", problem, csv)
-    common: dict[str, Any] = {"speed": console.quantity(speed, "angular velocity", "--speed"), "design": given}
+    common: dict[str, Any] = {"speed": console.quantity(speed, "angular velocity", "--speed"), "design": values}
     time = console.quantity(duration, "time", "--duration")
     inertia = console.quantity(flywheel, "moment of inertia", "--flywheel") or 0.0
     if not with_clearance:
@@ -128,15 +128,15 @@ def simulate(
     if comparing:
         from optlink.tasks.control_comparison import compare
 
-        with _kept(out, resume, "runs", "comparing") as kept:
-            compared = compare(file, turns, **common, **many, **kept)
+        with _kept(out, resume, "runs", "comparing") as store:
+            compared = compare(file, turns, **common, **many, **store)
         _deliver(compared, "control comparison", compared.status, as_json, out)
     elif tune:
         from optlink.tasks.control_comparison import tune as search
 
-        with _kept(out, resume, "evaluations", "tuning") as kept:
+        with _kept(out, resume, "evaluations", "tuning") as store:
             common |= console.given(revolutions=None if revolutions is None and time is None else turns, evaluations=evaluations)
-            tuned = search(file, control or "inverse+pid", tuple(tune), **common, **many, **kept)
+            tuned = search(file, control or "inverse+pid", tuple(tune), **common, **many, **store)
         _deliver(tuned, "tuning", tuned.status, as_json, out)
     else:
         from optlink.io import write_json
@@ -148,8 +148,8 @@ def simulate(
         keep = None if out is None else functools.partial(write_json, out / "checkpoint.json")
         common |= {"control": control or "none", "flywheel": inertia, "checkpoint": keep, "resume": begun}
         with _streamed(csv, done) as stream, console.share("simulating") as progress:
-            found = simulate_clearance(file, turns, progress=progress, stream=stream, **common)
-        _deliver(found, "clearance", found.ending.value, as_json, out)
+            result = simulate_clearance(file, turns, progress=progress, stream=stream, **common)
+        _deliver(result, "clearance", result.ending.value, as_json, out)
 
 
 def _deliver(result: Any, kind: str, ending: str, as_json: bool, out: Path | None, csv: Path | None = None) -> None:

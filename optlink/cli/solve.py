@@ -98,11 +98,11 @@ def solve(
         )
     seconds = console.quantity(time_limit, "time", "--time-limit")
     with console.share("searching") as progress, console.share("proving") as proving:
-        stated: dict[str, Any] = {"certify": certify, "gap": STRICT if gap is None else gap, "resume": resume}
-        stated |= {"time_limit": math.inf if seconds is None else seconds, "folder": out if certify else None}
-        stated |= console.given(engine=engine, workers=workers, scheduler=scheduler)
-        stated["proving"] = proving and (lambda share, gap: proving(share, f", gap {share_text(gap)}"))
-        result = search(file, backend, starts, seed, progress, designs=designs, track=out is not None, **stated)
+        certificate_options: dict[str, Any] = {"certify": certify, "gap": STRICT if gap is None else gap, "resume": resume}
+        certificate_options |= {"time_limit": math.inf if seconds is None else seconds, "folder": out if certify else None}
+        certificate_options |= console.given(engine=engine, workers=workers, scheduler=scheduler)
+        certificate_options["proving"] = proving and (lambda share, gap: proving(share, f", gap {share_text(gap)}"))
+        result = search(file, backend, starts, seed, progress, designs=designs, track=out is not None, **certificate_options)
     if result.interrupted:
         print(f"Interrupted: {_interrupted(result)}.", file=sys.stderr)
     _show(result, as_json, out)
@@ -142,9 +142,9 @@ def _validate(problem: str, design: list[str], changes: list[str] | None, as_jso
     from optlink.tasks.run import validate as check
 
     file = console.load(problem, changes)
-    found = check(file, read_design(file, design))
-    failed = _contradictions(design, file, found)
-    _show(found.with_checks(failed) if failed else found, as_json, out)
+    result = check(file, read_design(file, design))
+    failed = _contradictions(design, file, result)
+    _show(result.with_checks(failed) if failed else result, as_json, out)
 
 
 def _validate_certificate(
@@ -157,16 +157,16 @@ def _validate_certificate(
     from optlink.validation.certificate import check_certificate
 
     with console.share("checking the boxes") as progress:
-        found = check_certificate(console.load(problem, changes), path, progress)
+        verdict = check_certificate(console.load(problem, changes), path, progress)
     if as_json:
-        console.print_json(found.to_dict())
+        console.print_json(verdict.to_dict())
     else:
-        console.show(certificate_check(found))
-    if not found.valid:
+        console.show(certificate_check(verdict))
+    if not verdict.valid:
         raise typer.Exit(1)
 
 
-def _contradictions(design: list[str], file: ProblemFile, found: FunctionResult | PathResult | CycleResult) -> tuple[Check, ...]:
+def _contradictions(design: list[str], file: ProblemFile, result: FunctionResult | PathResult | CycleResult) -> tuple[Check, ...]:
     """Check a result file used as the design against the recomputed result; report a file of another problem."""
     from optlink.validation.consistency import contradictions
 
@@ -177,7 +177,7 @@ def _contradictions(design: list[str], file: ProblemFile, found: FunctionResult 
             message = f"{text}: this is the result of another problem, or of this one before it was changed"
             print(f"Warning: {message} (problem_hash {document['problem_hash']}, here {file.hash})", file=sys.stderr)
         elif len(design) == 1:
-            failed += contradictions(document, found.to_dict())
+            failed += contradictions(document, result.to_dict())
     return tuple(failed)
 
 
@@ -217,10 +217,10 @@ def analyze(
     if step is not None:
         console.refuse({"--points": points}, "--step sets the rows of the table", "Give one of the two")
     file = console.load(problem, changes)
-    given = console.read_design_option(file, design)
+    values = console.read_design_option(file, design)
     console.places(out, "analyze", problem, csv)
     turn, rate = console.quantity(step, "angle", "--step"), console.quantity(speed, "angular velocity", "--speed")
-    result = run(file, step=turn, speed=rate, design=given, **console.given(points=points))
+    result = run(file, step=turn, speed=rate, design=values, **console.given(points=points))
     console.deliver(result, "analysis", as_json, out, csv, code=0 if result.sound else 1)
 
 
@@ -244,8 +244,8 @@ def balance(
     from optlink.tasks.balance import balance as run
 
     file = console.load(problem, changes)
-    given = console.read_design_option(file, design)
+    values = console.read_design_option(file, design)
     console.places(out, "balance", problem, csv)
     with console.share("balancing") as progress:
-        result = run(file, minimise, trade, points, progress, given)
+        result = run(file, minimise, trade, points, progress, values)
     console.deliver(result, "balance", as_json, out, csv, code=0 if result.valid else 3 if result.status == "stalled" else 1)

@@ -13,13 +13,15 @@ from optlink.cli.completion import problem_names
 from optlink.cli.options import Quiet, flag, option
 from optlink.errors import InputError
 
-NAMED_HELP = "Name of a shipped problem, or path of a .toml file. Default: choose on the page."
-Named = Annotated[str, typer.Argument(metavar="PROBLEM", autocompletion=problem_names, help=NAMED_HELP, show_default=False)]
+PROBLEM_HELP = "Name of a shipped problem, or path of a .toml file. Default: choose on the page."
+ProblemName = Annotated[
+    str, typer.Argument(metavar="PROBLEM", autocompletion=problem_names, help=PROBLEM_HELP, show_default=False)
+]
 NEEDED = ("starlette", "uvicorn", "websockets")
 
 
 def studio(
-    problem: Named = "",
+    problem: ProblemName = "",
     port: Annotated[int, option("N", "Port. Default: any free one.", "--port", min=0, max=65535, show_default=False)] = 0,
     browser: Annotated[bool, flag("Open the page in the browser.", "--browser/--no-browser")] = True,
     quiet: Quiet = False,

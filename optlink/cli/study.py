@@ -25,14 +25,16 @@ AROUND = "0..330 deg:12"  # default crank angles of an output
 
 Backend = Annotated[str, option("NAME", f"One of: {', '.join(selectable())}.", "--backend")]
 Workers = Annotated[int | None, number("Number of processes. Default: all cores.", "--workers")]
-KEPT = "Folder for completed chunks, and for table, result.json and picture at the end."
-Kept = Annotated[Path | None, option("DIR", KEPT, "-o", "--out")]
+OUT_HELP = "Folder for completed chunks, and for table, result.json and picture at the end."
+StudyFolder = Annotated[Path | None, option("DIR", OUT_HELP, "-o", "--out")]
 Resume = Annotated[bool, flag("Resume the interrupted run in --out DIR.", "--resume")]
 DEVIATIONS = 'coupler="0.1 mm", D.x="0.05 mm uniform", rocker=parts.csv. Default: as in the file. Repeatable.'
 SHAPE = "Default distribution: normal (the tolerance is 3 sigma), uniform, triangular."
 ROBUST = "Optimise the design for the error plus K sigma, the worst case, the most sigma, or the largest yield."
 VARIED = 'Key to vary and its range or list of values: mechanism.frame="450..550 mm:101". Repeatable.'
-TRADED = 'Of a machine: "peak torque, guide force in F=1300..1600 N"; of a motion law: "error, limits.transmission_angle.max".'
+OBJECTIVES_HELP = (
+    'Of a machine: "peak torque, guide force in F=1300..1600 N"; of a motion law: "error, limits.transmission_angle.max".'
+)
 POINTS = "Number of points; with three objectives along each of two axes. Default: 15; with three objectives 7."
 
 study = App(no_args_is_help=True, help="Parametric studies: sensitivity, sweep, tolerance analysis, Pareto front.")
@@ -115,26 +117,26 @@ def _output(file: ProblemFile, output: str, angles: str, design: list[str] | Non
         sizes |= {key: value for key, value in read_design(file, design).items() if key in sizes}
     elif file.model.free and file.task != "path" and file.task != "cycle":
         sizes |= {key: value for key, value in completed(solve(file)).design.items() if key in sizes}
-    known = output_names(file.model.linkage)
-    check_choice("--quantity", output, known, "unknown output", file.file)
-    found = output_sensitivity(file.model.linkage, sizes, crank, output)
+    names = output_names(file.model.linkage)
+    check_choice("--quantity", output, names, "unknown output", file.file)
+    result = output_sensitivity(file.model.linkage, sizes, crank, output)
     about: dict[str, Any] = {"problem": file.name, "title": file.model.title, "problem_hash": file.hash, "status": "done"}
     about |= {"overrides": file.overrides, "sizes_SI": sizes, "crank_angles_deg": np.degrees(crank)}
-    document = OutputSensitivityRecord.of(found, **about).document()
+    document = OutputSensitivityRecord.of(result, **about).document()
     if out is not None:
         from optlink.io import write_json
         from optlink.report.files import write_csv
 
         write_json(out / "result.json", document)
-        columns = {f"per_{name}_SI": column for name, column in found.by.items()}
-        value = f"{found.name}_{found.unit}"
-        write_csv(out / "sensitivity.csv", {"crank_angle_deg": np.degrees(crank), value: found.value} | columns)
+        columns = {f"per_{name}_SI": column for name, column in result.by.items()}
+        value = f"{result.name}_{result.unit}"
+        write_csv(out / "sensitivity.csv", {"crank_angle_deg": np.degrees(crank), value: result.value} | columns)
     if as_json:
         console.print_json(document)
         return
     from optlink.report.views import study_tables
 
-    console.show(study_tables.outputs(found))
+    console.show(study_tables.outputs(result))
 
 
 @study.command()
@@ -165,14 +167,14 @@ def sweep(
     as_json: Json = False,
     quiet: Quiet = False,
     picture: Format = "png",
-    out: Kept = None,
+    out: StudyFolder = None,
 ) -> None:
     """Solve, analyse or simulate a problem at every point of a grid, on one machine or a cluster; resumable."""
     from optlink.studies.sweep import sweep as run
 
     file = console.load(problem, changes)
     varied = {text.partition("=")[0].strip().removeprefix("mechanism.") for text in vary or []}
-    given = console.read_design_option(file, design, varied)
+    values = console.read_design_option(file, design, varied)
     if column and not analyze:
         raise InputError("the option applies to an analysis", "Add --analyze", key="--column", value=column[0])
     if analyze and simulate:
@@ -181,7 +183,7 @@ def sweep(
     if not analyze and not simulate:
         remedy = "Add --analyze; the number of swept values is part of --vary KEY=LOW..HIGH UNIT:N"
         console.refuse({"--points": points}, "the option applies to an analysis or a simulation", remedy, file.file)
-    mode: dict[str, Any] = {"analyze": analyze, "columns": column or ("input.torque_Nm",), "design": given}
+    mode: dict[str, Any] = {"analyze": analyze, "columns": column or ("input.torque_Nm",), "design": values}
     mode["simulate"] = console.given(revolutions=revolutions, control=control, points=points) if simulate else None
     many: dict[str, Any] = {"backend": backend, "engine": engine, "workers": workers, "scheduler": scheduler}
     with _resuming(out, "sweep", problem, "sweeping", resume=resume, **many) as options:
@@ -224,25 +226,25 @@ def tolerance(
     from optlink.studies.tolerance.sampling import read_costs, read_sigmas, read_yield
 
     file = console.load(problem, changes)
-    given = console.read_design_option(file, design)
+    values = console.read_design_option(file, design)
     if cost and allocate is None:
         raise InputError("the option applies to --allocate only", 'Add for example --allocate "99 %"', key="--cost")
     crank = None if angles is None else _crank_angles(angles)
-    drawn: dict[str, Any] = {"samples": samples, "seed": seed, "shape": distribution, "design": given}
+    drawn: dict[str, Any] = {"samples": samples, "seed": seed, "shape": distribution, "design": values}
     goals: dict[str, Any] = {"target_yield": None if allocate is None else read_yield(allocate), "costs": read_costs(cost or [])}
     goals["robust"] = None if robust is None else read_sigmas(robust)
     many = console.given(engine=engine, workers=workers, scheduler=scheduler)
     with console.share("building") as progress:
         result = run(file, tolerances or [], output, crank, limit, progress=progress, **drawn, **goals, **many)
-    missed = result.allocation is not None and not result.allocation.achieved
+    not_achieved = result.allocation is not None and not result.allocation.achieved
     failed = result.robust is not None and not result.robust.valid
-    console.deliver(result, "tolerance", as_json, out, code=1 if missed or failed else 0)
+    console.deliver(result, "tolerance", as_json, out, code=1 if not_achieved or failed else 0)
 
 
 @study.command()
 def pareto(
     problem: Problem,
-    objectives: Annotated[str, option("A,B[,C]", TRADED, "--objectives")] = "",
+    objectives: Annotated[str, option("A,B[,C]", OBJECTIVES_HELP, "--objectives")] = "",
     points: Annotated[int | None, number(POINTS)] = None,
     backend: Backend = "ipopt",
     engine: Engine = None,
@@ -253,7 +255,7 @@ def pareto(
     as_json: Json = False,
     quiet: Quiet = False,
     picture: Format = "png",
-    out: Kept = None,
+    out: StudyFolder = None,
 ) -> None:
     """Pareto front of two or three objectives, with its ends and knee; every point is validated."""
     from optlink.studies.pareto.epsilon_constraint import pareto as run
@@ -279,8 +281,8 @@ def _resuming(
             yield console.given(**options) | {"resume": resume, "progress": progress}
     except KeyboardInterrupt:
         interrupts.handled()
-        kept = "no results were kept: --out is not given" if out is None else "completed points are kept; "
-        typer.echo(f"Interrupted: {kept}{'' if out is None else f'resume with --resume --out {out}'}.", err=True)
+        message = "no results were kept: --out is not given" if out is None else "completed points are kept; "
+        typer.echo(f"Interrupted: {message}{'' if out is None else f'resume with --resume --out {out}'}.", err=True)
         raise typer.Exit(130) from None
 
 

@@ -55,7 +55,7 @@ def unbounded_reactions(machine: Machine, positions: Sequence[AlignedPosition], 
 def _amounts(machine: Machine, at: Array, distance: float, speed: float) -> tuple[list[str], Array]:
     """Names and largest magnitudes of all reactions at a distance before and after crank angles."""
     record = MotionColumns(machine.moving(np.concatenate([at - distance, at + distance]), speed))
-    found = {name: record[name] for name in record.columns if name in record.reaction_names}
+    columns = {name: record[name] for name in record.columns if name in record.reaction_names}
     for name, point, body in pin_columns(machine):
-        found[name] = np.hypot(*(record.full(part) for part in record.reactions.pins[point][body]))
-    return list(found), np.array([np.max(np.abs(values)) for values in found.values()])
+        columns[name] = np.hypot(*(record.full(part) for part in record.reactions.pins[point][body]))
+    return list(columns), np.array([np.max(np.abs(values)) for values in columns.values()])

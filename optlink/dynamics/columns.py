@@ -32,7 +32,7 @@ Named = Iterator[tuple[str, str, Callable[[], Value]]]
 Sources = dict[str, tuple[str, Callable[[], Value]]]
 
 
-def _given(value: Value) -> Callable[[], Value]:
+def _constant(value: Value) -> Callable[[], Value]:
     return lambda: value
 
 
@@ -135,7 +135,7 @@ class MotionColumns:
 
     def _joint_forces(self) -> Named:
         for name, meaning, value in joint_forces(self.machine, self.reactions.pins, self.reactions.guides):
-            yield name, meaning, _given(value)
+            yield name, meaning, _constant(value)
 
     def _load_forces(self) -> Named:
         for load in self.machine.loads:
@@ -143,15 +143,15 @@ class MotionColumns:
                 name = f"{load.name}.{acting.body}" if k else load.name
                 if not _nothing(acting.force):
                     for axis, value in zip("xy", acting.force, strict=True):
-                        yield f"{name}.f{axis}_N", f"force of the load {load.name} on {acting.body} in {axis}", _given(value)
+                        yield f"{name}.f{axis}_N", f"force of the load {load.name} on {acting.body} in {axis}", _constant(value)
                 if not _nothing((acting.torque, 0.0)):
-                    yield f"{name}.torque_Nm", f"torque of the load {load.name} on {acting.body}", _given(acting.torque)
+                    yield f"{name}.torque_Nm", f"torque of the load {load.name} on {acting.body}", _constant(acting.torque)
 
     def _drives(self) -> Named:  # no function refers to the record, which would then outlive its use
-        moving, found, torque = self.moving, self.reactions, self.reactions.torque
-        parts, shaken = cache(lambda: torque_parts(moving, found)), cache(lambda: shaking(moving))
+        moving, joint_reactions, torque = self.moving, self.reactions, self.reactions.torque
+        parts, shaken = cache(lambda: torque_parts(moving, joint_reactions)), cache(lambda: shaking(moving))
         mechanism = self.machine.mechanism
-        yield "input.torque_Nm", f"torque of the drive on {mechanism.crank.body}", _given(torque)
+        yield "input.torque_Nm", f"torque of the drive on {mechanism.crank.body}", _constant(torque)
         for part in ("inertia", "gravity", "load"):
             yield f"input.torque_{part}_Nm", f"what of the driving torque goes into {part}", _part(parts, part)
         yield "input.power_W", "power of the drive", lambda: torque * moving.motion.speed

@@ -73,7 +73,7 @@ class BalanceMeasure:
 def quantity_over_cycle(
     quantity: BalanceMeasure,
     machine: Machine,
-    found: Reactions,
+    joint_reactions: Reactions,
     shaken: Wrench,
     shape: tuple[int, ...],
     pivot: Vector,
@@ -85,7 +85,7 @@ def quantity_over_cycle(
     ----------
     quantity : BalanceMeasure
     machine : Machine
-    found : Reactions
+    joint_reactions : Reactions
     shaken : Wrench
         Shaking force [N] and shaking moment about `pivot` [N m].
     shape : tuple of int
@@ -101,11 +101,11 @@ def quantity_over_cycle(
     elif quantity.kind == "shaking moment":
         parts = (shaken.about(pivot, about),)
     elif quantity.kind == "driving torque":
-        parts = (found.torque,)
-    elif quantity.joint in found.guides:
-        parts = (found.guides[quantity.joint].normal,)
+        parts = (joint_reactions.torque,)
+    elif quantity.joint in joint_reactions.guides:
+        parts = (joint_reactions.guides[quantity.joint].normal,)
     else:
-        parts = found.pins[quantity.joint][quantity.on or reported_on(machine)[quantity.joint]]
+        parts = joint_reactions.pins[quantity.joint][quantity.on or reported_on(machine)[quantity.joint]]
     return np.stack([np.broadcast_to(np.asarray(part, dtype=float), shape) for part in parts], axis=-1)
 
 
@@ -120,20 +120,20 @@ def quantities_of(moving: Moving, quantities: Sequence[BalanceMeasure], about: V
         Reference point of the shaking moment.
     """
     shape, machine = np.shape(moving.motion.assembled), moving.machine
-    found, shaken = reactions(moving), shaking(moving)
+    joint_reactions, shaken = reactions(moving), shaking(moving)
     pivot = moving.position(machine.mechanism.crank.start)
-    return [quantity_over_cycle(quantity, machine, found, shaken, shape, pivot, about) for quantity in quantities]
+    return [quantity_over_cycle(quantity, machine, joint_reactions, shaken, shape, pivot, about) for quantity in quantities]
 
 
 def quantities(machine: Machine) -> list[BalanceMeasure]:
     """Return all measurable quantities of a machine (shaking, torque, every reaction), each as root mean square."""
-    found = [BalanceMeasure("shaking force"), BalanceMeasure("shaking moment"), BalanceMeasure("driving torque")]
+    measures = [BalanceMeasure("shaking force"), BalanceMeasure("shaking moment"), BalanceMeasure("driving torque")]
     for point, bodies in machine.mechanism.pins.items():
-        found += [
+        measures += [
             BalanceMeasure("reaction", "rms", point, body if len(bodies) > 2 else "")
             for body in (bodies if len(bodies) > 2 else "-")
         ]
-    return found + [BalanceMeasure("reaction", "rms", guide.name) for guide in machine.mechanism.guides]
+    return measures + [BalanceMeasure("reaction", "rms", guide.name) for guide in machine.mechanism.guides]
 
 
 # --- counterweights and springs ------------------------------------------------------------------------------------------
@@ -214,19 +214,19 @@ class FreeSpring:
         return Spring(self.name, self.ends, stiffness, free, 0.0)
 
 
-def with_counterweight(own: Inertia, added: Parameters) -> Inertia:
+def with_counterweight(inertia: Inertia, added: Parameters) -> Inertia:
     """Return the mass properties of a body with a counterweight.
 
     Parameters
     ----------
-    own : Inertia
+    inertia : Inertia
         Mass properties of the body alone.
     added : Parameters
         Inertial parameters of the counterweight, about the start of the body.
     """
-    mass, along, across, moment = (a + b for a, b in zip(own.parameters, added, strict=True))
+    mass, along, across, moment = (a + b for a, b in zip(inertia.parameters, added, strict=True))
     if mass <= 0.0:
-        return own
+        return inertia
     x, y = along / mass, across / mass
     return Inertia(mass, x, y, max(moment - mass * (x * x + y * y), 0.0))
 
@@ -277,29 +277,29 @@ class Effects:
         self.count = 4 * len(self.bodies) + 2 * len(self.springs)
 
     @cached_property
-    def _given(self) -> tuple[Reactions, Wrench]:
+    def _original(self) -> tuple[Reactions, Wrench]:
         return reactions(self.moving), shaking(self.moving)
 
     @cached_property
     def _columns(self) -> list[tuple[Reactions, Wrench]]:
         """Reactions and shaking (its moment about `about`) per unit of each parameter."""
-        found: list[tuple[Reactions, Wrench]] = []
+        effects: list[tuple[Reactions, Wrench]] = []
         per_unit = regressor(self.moving) if self.bodies else {}
         for body in self.bodies:
             state = self.moving.state(body)
             for unit, reaction in zip(UNITS, per_unit[body], strict=True):
-                own = wrench(unit, state, (0.0, 0.0))
-                (x, y), moment = own.force, own.about(state.start, self.about)
-                found.append((reaction, Wrench((-x, -y), -moment)))
+                body_wrench = wrench(unit, state, (0.0, 0.0))
+                (x, y), moment = body_wrench.force, body_wrench.about(state.start, self.about)
+                effects.append((reaction, Wrench((-x, -y), -moment)))
         for spring in self.springs:
             slack, tight = (self._of_spring(spring.spring(1.0, free)) for free in (0.0, 1.0))
             still = Wrench((0.0, 0.0), 0.0)
-            found += [(slack, still), (_difference(tight, slack), still)]
-        return found
+            effects += [(slack, still), (_difference(tight, slack), still)]
+        return effects
 
     def _of_spring(self, spring: Spring) -> Reactions:
-        alone = self.moving.machine.with_(inertias={}, loads=(spring,), friction={})
-        return reactions(Moving(alone, self.moving.motion))
+        machine = self.moving.machine.with_(inertias={}, loads=(spring,), friction={})
+        return reactions(Moving(machine, self.moving.motion))
 
     def lengths(self, spring: FreeSpring) -> Array:
         """Return the length of a spring over the positions [m]."""
@@ -311,7 +311,7 @@ class Effects:
         """Return a quantity as an affine function, over the positions that its measure includes."""
         machine, rows = self.moving.machine, quantity.rows(np.asarray(self.moving.motion.crank_angle, dtype=float))
         pivot = self.moving.position(machine.mechanism.crank.start)
-        offset = quantity_over_cycle(quantity, machine, *self._given, self.shape, pivot, self.about)
+        offset = quantity_over_cycle(quantity, machine, *self._original, self.shape, pivot, self.about)
         matrix = np.empty((*offset.shape, self.count))
         for k, (reaction, shaken) in enumerate(self._columns):
             matrix[..., k] = quantity_over_cycle(quantity, machine, reaction, shaken, self.shape, self.about, self.about)

@@ -30,8 +30,8 @@ def required_torque(moving: Moving, geared: Moving) -> tuple[Value, Reactions | 
         The same positions at a crank speed of 1 rad/s.
     """
     if moving.machine.friction:
-        found = reactions(moving)
-        return found.torque, found
+        joint_reactions = reactions(moving)
+        return joint_reactions.torque, joint_reactions
     return virtual_torque(required_wrench(moving), geared), None
 
 
@@ -80,11 +80,16 @@ def accelerations_with_friction(
         normals = dict(zip(names, trial, strict=True))
         still, moved = (reactions(moving, needed, normals) for moving, needed in zip(ends, wrenches, strict=True))
         share = (torque - still.torque) / (moved.torque - still.torque)
-        loaded = (np.hypot(*force) for found in (still, moved) for on in found.pins.values() for force in on.values())
+        loaded = (
+            np.hypot(*force)
+            for joint_reactions in (still, moved)
+            for on in joint_reactions.pins.values()
+            for force in on.values()
+        )
         least = -ROUNDING * (1.0 + np.abs(share)) * sum(loaded)
         fits: Value = np.isfinite(share)
         for name, sign in normals.items():
-            low, high = (found.guides[name].normal for found in (still, moved))
+            low, high = (joint_reactions.guides[name].normal for joint_reactions in (still, moved))
             fits = np.logical_and(fits, sign * (low + share * (high - low)) >= least)
         yield share * step, fits, normals
 
@@ -134,9 +139,9 @@ def can_rest(geared: Moving, torque: float) -> bool:
         still = geared.scaled(0.0, 0.0, direction)
         needed = required_wrench(still)
         for trial in itertools.product((1.0, -1.0), repeat=len(geared.machine.friction)):
-            found = reactions(still, needed, dict(zip(geared.machine.friction, trial, strict=True)))
-            least = float(np.asarray(found.torque).ravel()[0])
-            determinant = math.prod(float(np.asarray(sine).ravel()[0]) for sine in found.singularity.values())
+            joint_reactions = reactions(still, needed, dict(zip(geared.machine.friction, trial, strict=True)))
+            least = float(np.asarray(joint_reactions.torque).ravel()[0])
+            determinant = math.prod(float(np.asarray(sine).ravel()[0]) for sine in joint_reactions.singularity.values())
             lacks = abs(torque - least) > STEADY * (abs(torque) + abs(least))
             signs.add(np.sign(determinant * (torque - least)) if lacks else 0.0)
     return 0.0 in signs or {1.0, -1.0} <= signs

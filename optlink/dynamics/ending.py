@@ -10,7 +10,7 @@ from optlink.dynamics.runge_kutta import Step
 from optlink.linkage.vector2d import Array
 
 EDGE = 1e-6  # share of a limited range excluded at each end: speeds are infinite at a dead position
-NEAR = 1e-9  # rad: a jump of a load nearer than this counts as passed
+PASSED_JUMP = 1e-9  # rad: a jump of a load nearer than this counts as passed
 
 
 class Ending(enum.Enum):
@@ -73,11 +73,11 @@ def marks_ahead(angle: float, switches: Array, cycle: float, limits: tuple[float
     limits : pair of float [rad], optional
         Reachable range.
     """
-    found = [("switch", at) for at in nearest(angle, switches, cycle, NEAR)]
+    marks = [("switch", at) for at in nearest(angle, switches, cycle, PASSED_JUMP)]
     if limits is not None:
         edge = EDGE * (limits[1] - limits[0])
-        found += [("limit", limits[0] + edge), ("limit", limits[1] - edge)]
-    return found
+        marks += [("limit", limits[0] + edge), ("limit", limits[1] - edge)]
+    return marks
 
 
 def first_event(step: Step, direction: float, marks: list[tuple[str, float]]) -> tuple[float, str | None]:
@@ -92,14 +92,14 @@ def first_event(step: Step, direction: float, marks: list[tuple[str, float]]) ->
     marks : list of (kind, crank angle [rad])
     """
     (angle, speed), (later, slower) = step.before[:2].tolist(), step.after[:2].tolist()
-    found = [(kind, 0, at) for kind, at in marks if (angle - at) * (later - at) < 0.0]
+    events = [(kind, 0, at) for kind, at in marks if (angle - at) * (later - at) < 0.0]
     if speed * direction > 0.0 > slower * direction:
-        found.append(("rest", 1, 0.0))
-    if not found:
+        events.append(("rest", 1, 0.0))
+    if not events:
         return step.end, None
     from scipy.optimize import brentq
 
     return min(
         (float(brentq(lambda t, part=part, at=at: step.at(t, part) - at, step.time, step.end, xtol=1e-16, rtol=1e-15)), kind)
-        for kind, part, at in found
+        for kind, part, at in events
     )

@@ -70,8 +70,8 @@ class Fluctuation:
         moving = machine.moving(self.angles, speed)
         self.inertia = np.broadcast_to(2.0 * moving.kinetic / speed**2, self.angles.shape)  # reduced to the crank [kg m^2]
         kinetic = np.broadcast_to(moving.kinetic, self.angles.shape)
-        taken = work(self.angles) - kinetic  # work of loads and gravity: the drive's work minus the kinetic energy
-        self.gain = self.mean_torque * (self.angles - start) - taken
+        load_work = work(self.angles) - kinetic  # work of loads and gravity: the drive's work minus the kinetic energy
+        self.gain = self.mean_torque * (self.angles - start) - load_work
 
     def curve(self, flywheel: float = 0.0) -> SpeedCurve:
         """Return the speed over the revolution with a flywheel [kg m^2] at the crank; its mean is the machine's mean speed.
@@ -116,13 +116,13 @@ def flywheel(machine: Machine, speed: float, allowed: float, start: float = 0.0)
         return None
 
     def much(inertia: float) -> bool:
-        found = abs(balance.curve(inertia).fluctuation)
-        return not found <= allowed  # also where it would come to rest
+        fluctuation = abs(balance.curve(inertia).fluctuation)
+        return not fluctuation <= allowed  # also where it would come to rest
 
-    alone = abs(balance.curve().fluctuation) if np.min(balance.inertia) > 0.0 else np.nan
+    without_flywheel = abs(balance.curve().fluctuation) if np.min(balance.inertia) > 0.0 else np.nan
     low, high = 0.0, max(float(np.ptp(balance.gain)) / (allowed * speed**2), 1e-12)
-    if alone <= allowed:
-        return Flywheel(speed, balance.mean_torque, alone, allowed, 0.0)
+    if without_flywheel <= allowed:
+        return Flywheel(speed, balance.mean_torque, without_flywheel, allowed, 0.0)
     while much(high):
         high *= 2.0
     for _ in range(100):
@@ -130,7 +130,7 @@ def flywheel(machine: Machine, speed: float, allowed: float, start: float = 0.0)
         low, high = (middle, high) if much(middle) else (low, middle)
         if high - low <= 1e-12 * high:
             break
-    return Flywheel(speed, balance.mean_torque, alone, allowed, high)
+    return Flywheel(speed, balance.mean_torque, without_flywheel, allowed, high)
 
 
 class LastTurn:

@@ -77,7 +77,7 @@ class Run:
         return max(float(np.max(np.abs(values), initial=0.0)) for values in every)
 
 
-class _Plant:
+class _EquationsOfMotion:
     """Right-hand side of the equations; state = crank angle, speed, works, then position and velocity of every body."""
 
     def __init__(self, machine: Machine, torque: Magnitude | None) -> None:
@@ -117,8 +117,8 @@ class _Plant:
         geared = self.geared(angle)
         if self.drive is None:
             moving = geared.scaled(speed, 0.0, self.direction)
-            torque, found = required_torque(moving, geared)
-            return 0.0, torque, moving, found
+            torque, joint_reactions = required_torque(moving, geared)
+            return 0.0, torque, moving, joint_reactions
         torque = self.torque(angle, speed)
         if not self.machine.friction:
             alpha = crank_acceleration(geared, speed, torque, self.direction)
@@ -129,12 +129,12 @@ class _Plant:
 
     def rates(self, angle: Value, speed: Value) -> list[Value]:
         """Acceleration of the crank; powers of drive, loads and friction; accelerations of the bodies. Numbers or symbols."""
-        alpha, torque, moving, found = self.now(angle, speed)
+        alpha, torque, moving, joint_reactions = self.now(angle, speed)
         powers = [torque * speed]
         for load in self.machine.loads:
             powers.append(sum((act.power(moving.state(act.body)) for act in load.act(moving)), 0.0))
-        if found is not None:
-            powers.append(sum(np.sum(force.friction * moving.slides[name][1]) for name, force in found.guides.items()))
+        if joint_reactions is not None:
+            powers.append(sum(np.sum(force.friction * moving.slides[name][1]) for name, force in joint_reactions.guides.items()))
         return [alpha, *powers, *self.accelerations(moving)]
 
     def functions(self) -> tuple[Callable[..., list[Array]], Callable[..., list[Array]]]:
@@ -142,10 +142,10 @@ class _Plant:
         if self.direction not in self.buffered:
             from optlink.symbolic import BufferedFunction
 
-            drive, known = self.machine.compiled.get("motion", (None, {}))
-            known = known if drive is self.drive else {}
-            self.machine.compiled["motion"] = self.drive, known
-            rates, step = known[self.direction] = known.get(self.direction) or self.compiled()
+            drive, compiled_functions = self.machine.compiled.get("motion", (None, {}))
+            compiled_functions = compiled_functions if drive is self.drive else {}
+            self.machine.compiled["motion"] = self.drive, compiled_functions
+            rates, step = compiled_functions[self.direction] = compiled_functions.get(self.direction) or self.compiled()
             self.buffered[self.direction] = BufferedFunction(rates), BufferedFunction(step)  # buffers of this simulation alone
         return self.buffered[self.direction]
 
@@ -161,8 +161,8 @@ class _Plant:
         with symbols_in_numpy():
             rates = dense_function([crank], [casadi.cse(casadi.vertcat(*self.rates(crank[0], crank[1])))])  # for all 16 stages
             whole = lambda y: casadi.vertcat(*self.placed(rates(y[:2]), y))  # noqa: E731
-            made = attempt(whole, lambda parts: casadi.horzcat(*parts), state, first, size)
-        outputs = [made.state, casadi.horzcat(*made.rates), casadi.vertcat(made.fifth, made.third)]
+            trial = attempt(whole, lambda parts: casadi.horzcat(*parts), state, first, size)
+        outputs = [trial.state, casadi.horzcat(*trial.rates), casadi.vertcat(trial.fifth, trial.third)]
         return rates, dense_function([state, first, size], outputs)
 
     def traced(self, crank: Array) -> Array:
@@ -189,8 +189,8 @@ class _Plant:
     def attempt(self, state: Array, first: Array, size: float) -> Attempt:
         """Take one step of the integrator."""
         if self.by_numbers:
-            made = attempt(self, np.column_stack, state, first, size)
-            return made._replace(rates=np.array(made.rates))
+            trial = attempt(self, np.column_stack, state, first, size)
+            return trial._replace(rates=np.array(trial.rates))
         self.evaluations += ALL - 1
         new, rates, (fifth, third) = self.functions()[1](state, first, size)
         return Attempt(new, rates.reshape(ALL, len(state)), float(fifth), float(third))
@@ -234,32 +234,38 @@ def run(
     -------
     Run; shorter than requested where the machine stops (`ending`)
     """
-    journey = _Journey(_Plant(machine, torque), times, angle, speed, limits, np.array(singular))
+    integration = _Integration(_EquationsOfMotion(machine, torque), times, angle, speed, limits, np.array(singular))
     with np.errstate(all="ignore"):
-        journey.travel(progress, interrupted)
-        return journey.result()
+        integration.travel(progress, interrupted)
+        return integration.result()
 
 
-class _Journey:
+class _Integration:
     """A simulation in progress, integrated from event to event."""
 
     def __init__(
-        self, plant: _Plant, times: Array, angle: float, speed: float, limits: tuple[float, float] | None, singular: Array
+        self,
+        equations: _EquationsOfMotion,
+        times: Array,
+        angle: float,
+        speed: float,
+        limits: tuple[float, float] | None,
+        singular: Array,
     ) -> None:
-        self.plant, self.times, self.limits, self.singular = plant, times, limits, singular
-        plant.direction = float(np.sign(speed)) or 1.0
-        self.switches = jumps(plant.machine, 0.0, plant.cycle) if plant.machine.switching else np.empty(0)
-        self.may_rest = plant.drive is not None and plant.machine.switching
-        self.time, self.state = 0.0, plant.start(angle, speed)
-        self.blocks, self.ways, self.recent = [self.state[None]], [plant.direction], list[Step]()
+        self.equations, self.times, self.limits, self.singular = equations, times, limits, singular
+        equations.direction = float(np.sign(speed)) or 1.0
+        self.switches = jumps(equations.machine, 0.0, equations.cycle) if equations.machine.switching else np.empty(0)
+        self.may_rest = equations.drive is not None and equations.machine.switching
+        self.time, self.state = 0.0, equations.start(angle, speed)
+        self.blocks, self.ways, self.recent = [self.state[None]], [equations.direction], list[Step]()
         self.last_turn = LastTurn(angle, speed)
         self.steps, self.mark, self.ending = 0, 0.0, Ending.FINISHED
 
     def travel(self, progress: Callable[[float], None] | None, interrupted: Callable[[], None] | None) -> None:
         """Integrate until the end of the duration, or until the machine stops."""
-        if self.state[1] == 0.0 and self.plant.drive is not None:
-            self.ending = _set_off(self.plant, float(self.state[0]))
-            self.ways = [self.plant.direction]
+        if self.state[1] == 0.0 and self.equations.drive is not None:
+            self.ending = _set_off(self.equations, float(self.state[0]))
+            self.ways = [self.equations.direction]
         if any(abs(at - float(self.state[0])) <= 2.0 * STOP for _, at in self.stops()):
             self.ending = Ending.SINGULAR
         try:
@@ -278,25 +284,25 @@ class _Journey:
         angle = float(self.state[0])
         return [
             ("singular", at + way * STOP)
-            for way, at in zip((1.0, -1.0), nearest(angle, self.singular, self.plant.cycle), strict=False)
+            for way, at in zip((1.0, -1.0), nearest(angle, self.singular, self.equations.cycle), strict=False)
         ]
 
     def leg(self, progress: Callable[[float], None] | None) -> None:
         """Integrate to the next event."""
-        end, first = float(self.times[-1]), self.plant(self.state)
+        end, first = float(self.times[-1]), self.equations(self.state)
         if not np.all(np.isfinite(first)):  # no step size would do
-            self.ending = _stopped(self.plant, self.state)
+            self.ending = _stopped(self.equations, self.state)
             return
-        stepper = Stepper(self.plant, self.plant.attempt, self.time, end, self.state, first)
-        ahead = [*marks_ahead(float(self.state[0]), self.switches, self.plant.cycle, self.limits), *self.stops()]
+        stepper = Stepper(self.equations, self.equations.attempt, self.time, end, self.state, first)
+        ahead = [*marks_ahead(float(self.state[0]), self.switches, self.equations.cycle, self.limits), *self.stops()]
         event = None
         while event is None and self.time < end:
             step = stepper.step()
             self.steps += 1
             if step is None or not math.isfinite(step.after.sum()) or self.crawls(stepper.time):
-                self.ending = _stopped(self.plant, self.state)
+                self.ending = _stopped(self.equations, self.state)
                 return
-            upto, event = first_event(step, self.plant.direction if self.may_rest else 0.0, ahead)
+            upto, event = first_event(step, self.equations.direction if self.may_rest else 0.0, ahead)
             self.recent.append(step)
             self.time, self.state = upto, step.after
             if event is not None:
@@ -312,14 +318,14 @@ class _Journey:
             self.ending = Ending.SINGULAR
         elif event == "rest":
             self.state[1] = 0.0
-            self.ending = _set_off(self.plant, float(self.state[0]))
+            self.ending = _set_off(self.equations, float(self.state[0]))
 
     def keep(self) -> None:
         """Interpolate the rows that the recent steps have reached."""
         count = int(np.searchsorted(self.times, self.time, side="right")) - len(self.ways)
         if count > 0 and self.recent:
             self.blocks.append(states_at(self.times[len(self.ways) : len(self.ways) + count], self.recent))
-            self.ways += [self.plant.direction] * count
+            self.ways += [self.equations.direction] * count
         if self.recent:
             self.last_turn.add(self.recent, self.time)
         self.recent = []
@@ -336,80 +342,82 @@ class _Journey:
         """Return the result so far."""
         states = np.concatenate(self.blocks)
         times, ways = self.times[: len(states)], np.array(self.ways)
-        found = _result(self.plant, times, states, ways, self.steps, self.ending, self.time)
-        return replace(found, last_turn=self.last_turn.speed)
+        simulated = _result(self.equations, times, states, ways, self.steps, self.ending, self.time)
+        return replace(simulated, last_turn=self.last_turn.speed)
 
 
-def _set_off(plant: _Plant, angle: float) -> Ending:
+def _set_off(equations: _EquationsOfMotion, angle: float) -> Ending:
     """Set the sense in which a resting machine starts to turn; return why it ends there, `FINISHED` if it starts."""
-    torque, geared = float(np.asarray(plant.torque(angle, 0.0)).ravel()[0]), plant.geared(angle)
+    torque, geared = float(np.asarray(equations.torque(angle, 0.0)).ravel()[0]), equations.geared(angle)
     starts: list[tuple[float, float]] = []
-    known, rough = True, plant.machine.friction
-    for direction in (plant.direction, -plant.direction):
+    determined, rough = True, equations.machine.friction
+    for direction in (equations.direction, -equations.direction):
         if rough:
-            found = [alpha for alpha, fits, _ in accelerations_with_friction(geared, 0.0, torque, direction) if np.all(fits)]
+            solutions = [alpha for alpha, fits, _ in accelerations_with_friction(geared, 0.0, torque, direction) if np.all(fits)]
         else:
-            found = [crank_acceleration(geared, 0.0, torque, direction)]
-        for pull in (float(np.asarray(2.0 * geared.kinetic * alpha).ravel()[0]) for alpha in found):
-            known = known and math.isfinite(pull)
+            solutions = [crank_acceleration(geared, 0.0, torque, direction)]
+        for pull in (float(np.asarray(2.0 * geared.kinetic * alpha).ravel()[0]) for alpha in solutions):
+            determined = determined and math.isfinite(pull)
             if direction * pull > STEADY * (abs(torque) + abs(torque - pull)):
                 starts.append((direction, pull))
     rest = can_rest(geared, torque) if rough else not starts
     if rough and starts and (rest or max(starts)[1] - min(starts)[1] > 1e-6 * abs(starts[0][1])):
         return Ending.UNDETERMINED
     if starts:
-        plant.direction = starts[0][0]
+        equations.direction = starts[0][0]
         return Ending.FINISHED
-    if not known:
+    if not determined:
         return Ending.STALLED
-    return Ending.AT_REST if rest else _stopped(plant, np.array([angle, 0.0]))
+    return Ending.AT_REST if rest else _stopped(equations, np.array([angle, 0.0]))
 
 
-def _stopped(plant: _Plant, state: Array) -> Ending:
+def _stopped(equations: _EquationsOfMotion, state: Array) -> Ending:
     """Return why the integration cannot continue from a state."""
-    if not plant.machine.friction:
+    if not equations.machine.friction:
         return Ending.STALLED
-    angles = np.array([state[0], state[0] + plant.direction * STOP])
-    geared = plant.machine.moving(angles, 1.0, direction=plant.direction)
-    if plant.drive is None:
-        held = reactions(geared.scaled(state[1], 0.0, plant.direction))
-        jammed, several = held.jammed, held.several
+    angles = np.array([state[0], state[0] + equations.direction * STOP])
+    geared = equations.machine.moving(angles, 1.0, direction=equations.direction)
+    if equations.drive is None:
+        joint_reactions = reactions(geared.scaled(state[1], 0.0, equations.direction))
+        jammed, several = joint_reactions.jammed, joint_reactions.several
     else:
-        alpha, _, several = acceleration_with_friction(geared, state[1], plant.torque(angles, state[1]), plant.direction)
+        alpha, _, several = acceleration_with_friction(geared, state[1], equations.torque(angles, state[1]), equations.direction)
         jammed = np.isnan(alpha) & np.isfinite(geared.kinetic)
     if np.any(several):
         return Ending.UNDETERMINED
     return Ending.JAMMED if np.any(jammed) else Ending.STALLED
 
 
-def _result(plant: _Plant, times: Array, states: Array, ways: Array, steps: int, ending: Ending, stopped: float) -> Run:
-    machine, count = plant.machine, len(plant.names)
+def _result(
+    equations: _EquationsOfMotion, times: Array, states: Array, ways: Array, steps: int, ending: Ending, stopped: float
+) -> Run:
+    machine, count = equations.machine, len(equations.names)
     angles, speeds = states[:, 0], states[:, 1]
     with np.errstate(all="ignore"):
         geared = machine.moving(angles, 1.0)
-        if plant.drive is None:
+        if equations.drive is None:
             accelerations = np.zeros(len(times))
             torque, _ = required_torque(geared.scaled(speeds, 0.0, ways), geared)
             torques = np.broadcast_to(np.asarray(torque, dtype=float), angles.shape)
         else:
-            torques = np.broadcast_to(np.asarray(plant.drive({"phi": angles, "omega": speeds}), dtype=float), angles.shape)
+            torques = np.broadcast_to(np.asarray(equations.drive({"phi": angles, "omega": speeds}), dtype=float), angles.shape)
             accelerations = np.broadcast_to(np.asarray(crank_acceleration(geared, speeds, torques, ways)), angles.shape)
         if ending is Ending.AT_REST and speeds[-1] == 0.0:
             accelerations = np.where(np.arange(len(times)) == len(times) - 1, 0.0, accelerations)
         moving = geared.scaled(speeds, accelerations, ways)
-        states_of = {body: moving.state(body) for body in plant.bodies}
+        states_of = {body: moving.state(body) for body in equations.bodies}
         energy = np.zeros(len(times)) + sum(
             kinetic(mass.parameters, states_of[body]) + potential(mass.parameters, states_of[body], machine.gravity)
             for body, mass in machine.inertias.items()
         )
-    works = {name: states[:, 2 + k] for k, name in enumerate(plant.names)}
+    works = {name: states[:, 2 + k] for k, name in enumerate(equations.names)}
     imbalance = energy - energy[0] - sum(works.values())
     drift = twist = 0.0
     for k, state in enumerate(states_of.values()):
         x, y, angle = states[:, 2 + count + 3 * k : 5 + count + 3 * k].T
         drift = max(drift, float(np.max(np.hypot(x - state.start[0], y - state.start[1]))))
-        own = np.arctan2(state.axis[1], state.axis[0])
-        twist = max(twist, float(np.max(np.abs(np.remainder(angle - own + np.pi, TURN) - np.pi))))
+        body_angle = np.arctan2(state.axis[1], state.axis[0])
+        twist = max(twist, float(np.max(np.abs(np.remainder(angle - body_angle + np.pi, TURN) - np.pi))))
     return Run(
         times,
         angles,
@@ -423,7 +431,7 @@ def _result(plant: _Plant, times: Array, states: Array, ways: Array, steps: int,
         twist,
         float(np.max(np.abs(imbalance))),
         steps,
-        plant.evaluations,
+        equations.evaluations,
         ending,
         stopped,
     )

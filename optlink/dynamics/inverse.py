@@ -26,7 +26,7 @@ from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, minus, pl
 ROUNDING = 1e-9
 """Share of the forces of a group below which a normal force is zero."""
 
-NOTHING = Wrench((0.0, 0.0), 0.0)
+ZERO_WRENCH = Wrench((0.0, 0.0), 0.0)
 
 
 @dataclass(frozen=True)
@@ -87,22 +87,22 @@ def reported_on(machine: Machine) -> dict[str, str]:
     first of its two bodies; `machine.reported` overrides this.
     """
     mechanism = machine.mechanism
-    found = {mechanism.crank.start: mechanism.crank.body}
+    bodies = {mechanism.crank.start: mechanism.crank.body}
     for group in mechanism.groups:
         for body, pin in group.outer_pins:
-            found.setdefault(pin, body)
+            bodies.setdefault(pin, body)
         if group.joint in mechanism.pins:
-            found[group.joint] = group.links[0].body
-    return {**found, **machine.reported}
+            bodies[group.joint] = group.links[0].body
+    return {**bodies, **machine.reported}
 
 
 def acting_on(machine: Machine) -> dict[str, tuple[str, str]]:
     """Return the (acting, loaded) bodies of the reported reaction of each pin; "pin" acts where three or more bodies meet."""
-    on, found = reported_on(machine), {}
+    on, acting = reported_on(machine), {}
     for point, bodies in machine.mechanism.pins.items():
         others = [body for body in bodies if body != on[point]]
-        found[point] = (others[0] if len(others) == 1 else "pin", on[point])
-    return found
+        acting[point] = (others[0] if len(others) == 1 else "pin", on[point])
+    return acting
 
 
 def required_wrench(moving: Moving, *, inertia: bool = True, gravity: bool = True, loads: bool = True) -> dict[str, Wrench]:
@@ -119,19 +119,21 @@ def required_wrench(moving: Moving, *, inertia: bool = True, gravity: bool = Tru
     mapping of body to Wrench
     """
     machine = moving.machine
-    found = dict.fromkeys(machine.mechanism.bodies, NOTHING)
+    wrenches = dict.fromkeys(machine.mechanism.bodies, ZERO_WRENCH)
     for body, mass in machine.inertias.items():
         state = moving.state(body)
         if inertia:
-            found[body] = wrench(mass.parameters, state, machine.gravity if gravity else (0.0, 0.0))
+            wrenches[body] = wrench(mass.parameters, state, machine.gravity if gravity else (0.0, 0.0))
         elif gravity:
-            found[body] = wrench(mass.parameters, state._replace(acceleration=(0.0, 0.0), omega=0.0, alpha=0.0), machine.gravity)
+            wrenches[body] = wrench(
+                mass.parameters, state._replace(acceleration=(0.0, 0.0), omega=0.0, alpha=0.0), machine.gravity
+            )
     for load in machine.loads if loads else ():
         for acting in load.act(moving):
             if acting.body != FRAME:
                 force, moment = acting.wrench(moving.state(acting.body))
-                found[acting.body] = found[acting.body] + Wrench((-force[0], -force[1]), -moment)
-    return found
+                wrenches[acting.body] = wrenches[acting.body] + Wrench((-force[0], -force[1]), -moment)
+    return wrenches
 
 
 def reactions(
@@ -154,10 +156,10 @@ def reactions(
     """
     wrenches = required_wrench(moving) if needed is None else needed
     with np.errstate(all="ignore"):
-        found = ForceBalance(moving, wrenches, normals).solve()
+        solved = ForceBalance(moving, wrenches, normals).solve()
         if moving.machine.mechanism.followed and not moving.machine.friction:  # finite where reactions are not
-            found.torque = virtual_torque(wrenches, moving)
-        return found
+            solved.torque = virtual_torque(wrenches, moving)
+        return solved
 
 
 def virtual_torque(wrenches: Mapping[str, Wrench], moving: Moving) -> Value:
@@ -209,7 +211,7 @@ class ForceBalance(RemainingWrenches):
         senses = {guide.name: self._slip(guide) for guide in rough}
         if self.normals is not None:
             return solver(self, group, {name: self.normals[name] * sense for name, sense in senses.items()})
-        found = []
+        balances = []
         for signs in itertools.product((1.0, -1.0), repeat=len(rough)):
             tilts = {guide.name: sign * senses[guide.name] for guide, sign in zip(rough, signs, strict=True)}
             trial = solver(self, group, tilts)
@@ -217,12 +219,12 @@ class ForceBalance(RemainingWrenches):
             fits: Value = True
             for guide, sign in zip(rough, signs, strict=True):
                 fits = np.logical_and(fits, sign * self._normal(trial, guide) >= least)
-            found.append((fits, trial))
+            balances.append((fits, trial))
         # no consistent signs: friction locks the guide; several that differ: the solution is not unique (Painleve paradox)
-        chosen = found[0][1].each(lambda x: np.nan * x)
+        chosen = balances[0][1].each(lambda x: np.nan * x)
         decided: Value = False
         torn: Value = False
-        for fits, trial in found:
+        for fits, trial in balances:
             if not np.any(decided) and np.all(fits):
                 chosen = trial
             else:
@@ -266,9 +268,9 @@ class ForceBalance(RemainingWrenches):
             self.guides[guide.name] = GuideForce(cross(line, on), dot(line, on), sign * moment, at, on)
         self.rows[group.joint] = solved.rows
 
-    def _carrier(self, point: str, own: tuple[str, str]) -> str:
+    def _carrier(self, point: str, force: tuple[str, str]) -> str:
         """Return the body placed before a group that holds one of its outer joints."""
-        first = min(self.order[body] for body in own)
+        first = min(self.order[body] for body in force)
         return next(body for body in self.mechanism.pins[point] if self.order[body] < first)
 
     def _exert(self, point: str, body: str, force: Vector, by: str) -> None:
@@ -316,9 +318,9 @@ def shaking(moving: Moving) -> Wrench:
     pivot = moving.position(moving.machine.mechanism.crank.start)
     force: Vector = (0.0, 0.0)
     moment: Value = 0.0
-    for body, own in needed.items():
-        force = plus(force, own.force)
-        moment = moment + own.about(moving.state(body).start, pivot)
+    for body, body_wrench in needed.items():
+        force = plus(force, body_wrench.force)
+        moment = moment + body_wrench.about(moving.state(body).start, pivot)
     return Wrench((-force[0], -force[1]), -moment)
 
 
@@ -328,7 +330,7 @@ def regressor(moving: Moving) -> dict[str, tuple[Reactions, ...]]:
     Multiplied by `Inertia.parameters` of all bodies they sum to the part of every reaction due to inertia and gravity.
     """
     smooth = Moving(moving.machine.with_(friction={}), moving.motion, moving.side, moving.direction)
-    nothing = dict.fromkeys(moving.machine.mechanism.bodies, NOTHING)
+    nothing = dict.fromkeys(moving.machine.mechanism.bodies, ZERO_WRENCH)
     gravity = moving.machine.gravity
     return {
         body: tuple(reactions(smooth, {**nothing, body: wrench(unit, moving.state(body), gravity)}) for unit in UNITS)

@@ -82,8 +82,8 @@ class Force(_Process):
             unit(self.direction),
             moving.state(self.against).at(moving.position(self.point, self.body)),
         )
-        own, turning = moving.velocity(self.point, self.body), moving.acceleration(self.point, self.body)
-        return dot(way, minus(own, velocity)), dot(way, minus(turning, acceleration))
+        point_velocity, turning = moving.velocity(self.point, self.body), moving.acceleration(self.point, self.body)
+        return dot(way, minus(point_velocity, velocity)), dot(way, minus(turning, acceleration))
 
     def known(self, moving: Moving) -> dict[str, Value]:
         """Return the variables of the magnitude: crank angle and speed; of a slider its slide and velocity [SI]."""

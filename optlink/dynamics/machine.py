@@ -121,10 +121,10 @@ class Machine:
     def size(self) -> Value:
         """Sum of the link lengths [m], the reference length of the motion."""
         lengths = [link.length for link in self.mechanism.links if link.end]
-        found: Value = 0.0
+        total: Value = 0.0
         for length in lengths:
-            found = found + jet_parts(self.sizes[length] if isinstance(length, str) else length)[0]
-        return found if lengths else 1.0
+            total = total + jet_parts(self.sizes[length] if isinstance(length, str) else length)[0]
+        return total if lengths else 1.0
 
     @cached_property
     def ranges(self) -> Ranges:
@@ -219,11 +219,11 @@ class Moving:
 
     @cached_property
     def _lines(self) -> dict[str, Vector]:
-        found = {}
+        lines = {}
         for guide in self.machine.mechanism.guides:
             x, y = self.pose.line(guide, guide.on)[1]
-            found[guide.name] = jet_parts(x)[0], jet_parts(y)[0]
-        return found
+            lines[guide.name] = jet_parts(x)[0], jet_parts(y)[0]
+        return lines
 
     @cached_property
     def slides(self) -> dict[str, tuple[Value, Value, Value]]:

@@ -47,21 +47,21 @@ def attempt(rates: Callable[[Any], Any], stack: Callable[[list[Any]], Any], stat
     size : float or symbol [s]
         Step size.
     """
-    known = COEFFICIENTS
-    found, new = [first], state
+    coefficients = COEFFICIENTS
+    stages, new = [first], state
 
     def combined(row: Array) -> Any:
         used = np.flatnonzero(row)
-        return stack([found[k] for k in used]) @ row[used]
+        return stack([stages[k] for k in used]) @ row[used]
 
     for stage in range(1, ALL):
-        at = state + size * combined(known.stages[stage])
-        found.append(rates(at))
+        at = state + size * combined(coefficients.stages[stage])
+        stages.append(rates(at))
         if stage == STAGES:
             new = at
     scale = ABSOLUTE + RELATIVE * np.maximum(np.abs(state), np.abs(new))
-    fifth, third = (combined(row) / scale for row in (known.fifth, known.third))
-    return Attempt(new, found, fifth.T @ fifth, third.T @ third)
+    fifth, third = (combined(row) / scale for row in (coefficients.fifth, coefficients.third))
+    return Attempt(new, stages, fifth.T @ fifth, third.T @ third)
 
 
 class Step(NamedTuple):
@@ -139,8 +139,8 @@ def between(steps: Sequence[Step], until: float, parts: int, count: int = 16) ->
         Places in each step; the last one is its end.
     """
     starts, sizes = (np.array([step[k] for step in steps]) for k in (0, 2))
-    reached = np.array([min(step.end, until) for step in steps]) - starts
-    shares = ((reached / sizes)[:, None] * np.arange(1.0, count + 1.0) / count).ravel()
+    durations = np.array([min(step.end, until) for step in steps]) - starts
+    shares = ((durations / sizes)[:, None] * np.arange(1.0, count + 1.0) / count).ravel()
     states = [(step.before[:parts], step.after[:parts], step.rates[:, :parts]) for step in steps]
     before, after, rates = (np.array(column).repeat(count, axis=0) for column in zip(*states, strict=True))
     sizes = sizes.repeat(count)

@@ -17,7 +17,7 @@ from optlink.linkage.zeros import zeros
 
 GRID = 720  # crank angles among which reversals are bracketed
 AHEAD = 1e-6  # rad beyond a reversal at which the direction of motion is read
-SAME = 1e-6  # rad; crank angles that near to one another are one
+SAME_ANGLE = 1e-6  # rad; crank angles that near to one another are one
 
 
 def load_strokes(machine: Machine, load: Load) -> dict[Direction, list[tuple[float, float]]]:
@@ -34,8 +34,8 @@ def load_strokes(machine: Machine, load: Load) -> dict[Direction, list[tuple[flo
     """
 
     def rates(angles: Array) -> Array:
-        found = load.reversing(machine.moving(angles))
-        return np.broadcast_to(np.asarray(0.0 if found is None else found[0], dtype=float), angles.shape)[None, :]
+        velocities = load.reversing(machine.moving(angles))
+        return np.broadcast_to(np.asarray(0.0 if velocities is None else velocities[0], dtype=float), angles.shape)[None, :]
 
     cycle = machine.mechanism.cycle
     count = GRID * round(cycle / TURN)
@@ -105,8 +105,8 @@ def _acting(machine: Machine, speed: float) -> Iterator[StrokeLoad]:
             continue
         ranges = load_strokes(machine, load)
         other = OTHER[load.stroke] if speed < 0.0 else load.stroke
-        own, counter = (other, load.stroke) if load.turning else (load.stroke, other)
-        yield StrokeLoad(load.name, load.body, own, tuple(ranges[counter]), pace_of(counter, _slow(ranges)))
+        direct, counter = (other, load.stroke) if load.turning else (load.stroke, other)
+        yield StrokeLoad(load.name, load.body, direct, tuple(ranges[counter]), pace_of(counter, _slow(ranges)))
 
 
 def working_stroke(travel: Travel, speed: float, acting: tuple[StrokeLoad, ...]) -> tuple[Direction | None, tuple[str, ...]]:
@@ -122,20 +122,20 @@ def working_stroke(travel: Travel, speed: float, acting: tuple[StrokeLoad, ...])
         Speed of the crank; only its sign is used.
     acting : tuple of StrokeLoad
     """
-    found: dict[Direction, list[str]] = {}
+    loads_by_stroke: dict[Direction, list[str]] = {}
     for stroke in travel.strokes(speed):
         begin, end = sorted((stroke.begin, stroke.end))
         for item in acting:
             if len(item.ranges) == 1 and _same(item.ranges[0], (begin, end)):
-                found.setdefault(stroke.name, []).append(item.load)
-    if len(found) == 1:
-        ((name, loads),) = found.items()
+                loads_by_stroke.setdefault(stroke.name, []).append(item.load)
+    if len(loads_by_stroke) == 1:
+        ((name, loads),) = loads_by_stroke.items()
         return name, tuple(loads)
     return None, ()
 
 
 def _same(one: tuple[float, float], other: tuple[float, float]) -> bool:
-    return all(abs(math.remainder(a - b, TURN)) < SAME for a, b in zip(one, other, strict=True))
+    return all(abs(math.remainder(a - b, TURN)) < SAME_ANGLE for a, b in zip(one, other, strict=True))
 
 
 def travels_by_use(
@@ -152,13 +152,13 @@ def travels_by_use(
     swings : mapping of body to Travel
     strokes : mapping of slider (a body) to Travel
     """
-    found = {f"{name} slides": travel for name, travel in strokes.items()}
-    found |= {f"{name} swings": travel for name, travel in swings.items()}
+    named = {f"{name} slides": travel for name, travel in strokes.items()}
+    named |= {f"{name} swings": travel for name, travel in swings.items()}
     loaded = dict.fromkeys(load.body for load in machine.loads if isinstance(load, Force | Torque))
     outputs = [f"{body} {'slides' if body in strokes else 'swings'}" for body in loaded if body in strokes or body in swings]
     last, slides = last_output(machine, swings, strokes)
     outputs = outputs or [f"{last} {'slides' if slides else 'swings'}"]
-    return {name: found[name] for name in outputs if name in found}, {n: t for n, t in found.items() if n not in outputs}
+    return {name: named[name] for name in outputs if name in named}, {n: t for n, t in named.items() if n not in outputs}
 
 
 def named_travels(machine: Machine) -> tuple[dict[str, Travel], dict[str, Travel]]:

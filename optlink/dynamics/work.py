@@ -36,7 +36,7 @@ def jumps(machine: Machine, low: float, high: float) -> Array:
     machine : Machine
     low, high : float [rad]
     """
-    found: list[Array] = []
+    jump_angles: list[Array] = []
     switching = [load for load in machine.loads if load.switching]
     if switching or machine.friction:
 
@@ -47,8 +47,8 @@ def jumps(machine: Machine, low: float, high: float) -> Array:
             return np.array([np.broadcast_to(value, angles.shape) for value in values])
 
         with np.errstate(all="ignore"):
-            found += zeros(rates, _grid(low, high), still=True)
-    return _rising(found, low, high)
+            jump_angles += zeros(rates, _grid(low, high), still=True)
+    return _rising(jump_angles, low, high)
 
 
 def corners(machine: Machine, low: float, high: float, speed: float) -> Array:
@@ -61,7 +61,7 @@ def corners(machine: Machine, low: float, high: float, speed: float) -> Array:
     speed : float [rad/s]
         Crank speed, which affects the normal forces.
     """
-    found: list[Array] = []
+    corner_angles: list[Array] = []
     turns = np.arange(np.floor(low / (2.0 * np.pi)) - 1.0, np.ceil(high / (2.0 * np.pi)) + 1.0) * 2.0 * np.pi
     rows: list[tuple[str, float]] = []
     for load in machine.loads:
@@ -69,7 +69,7 @@ def corners(machine: Machine, low: float, high: float, speed: float) -> Array:
         at = np.asarray(getattr(table, "at", ()), dtype=float)
         over, guide = getattr(table, "over", ""), getattr(load, "direction", None)
         if over == "phi":
-            found.append((at[:, None] + turns).ravel())
+            corner_angles.append((at[:, None] + turns).ravel())
         elif over == "s" and isinstance(guide, str):
             rows += [(guide, float(value)) for value in at]
     if rows:
@@ -78,15 +78,15 @@ def corners(machine: Machine, low: float, high: float, speed: float) -> Array:
             slides = machine.moving(angles).slides
             return np.array([np.broadcast_to(slides[guide][0] - value, angles.shape) for guide, value in rows])
 
-        found += zeros(distances, _grid(low, high))
+        corner_angles += zeros(distances, _grid(low, high))
     if machine.friction:
 
         def normals(angles: Array) -> Array:
             guides = reactions(machine.moving(angles, speed)).guides
             return np.array([np.broadcast_to(guides[name].normal, angles.shape) for name in machine.friction])
 
-        found += zeros(normals, _grid(low, high))
-    return _rising(found, low, high)
+        corner_angles += zeros(normals, _grid(low, high))
+    return _rising(corner_angles, low, high)
 
 
 def _grid(low: float, high: float) -> Array:
@@ -97,8 +97,8 @@ def _panels(low: float, high: float) -> int:
     return PANELS * max(1, round((high - low) / (2.0 * np.pi)))
 
 
-def _rising(found: list[Array], low: float, high: float) -> Array:
-    angles = distinct(np.concatenate([*found, np.empty(0)]))
+def _rising(lists: list[Array], low: float, high: float) -> Array:
+    angles = distinct(np.concatenate([*lists, np.empty(0)]))
     inside = angles[(angles > low) & (angles < high)]
     keep = np.concatenate([np.ones(min(1, len(inside)), dtype=bool), np.diff(inside) > 1e-12])
     return np.asarray(inside[keep])

@@ -71,11 +71,11 @@ def cluster(workers: int, scheduler: str | None, patience: float = PATIENCE) -> 
             where = stack.enter_context(_local_cluster(distributed, workers))
         with _answering(scheduler):
             client = stack.enter_context(_client(distributed, where, scheduler, patience))
-        own = None if scheduler else stack.enter_context(_own_processes(workers))
+        processes = None if scheduler else stack.enter_context(_own_processes(workers))
 
         def answers(task: ChunkTask, todo: Iterable[int]) -> Iterator[tuple[int, ChunkResult]]:
             with _answering(scheduler):
-                yield from _gathered(distributed, client, task, iter(todo), own)
+                yield from _gathered(distributed, client, task, iter(todo), processes)
 
         yield answers
 
@@ -87,8 +87,8 @@ def _answering(scheduler: str | None) -> Iterator[None]:
         yield
     except (OSError, TimeoutError, CancelledError):
         raise SolverError(
-            f"the Dask scheduler {scheduler or LOCAL} stopped answering before all chunks were done. Start it again and "
-            "repeat the command with --resume and the same --out DIR: the chunks done so far are kept there"
+            f"the Dask scheduler {scheduler or LOCAL} did not answer before all chunks were complete. Restart it and "
+            "repeat the command with --resume and the same --out DIR: completed chunks are kept there"
         ) from None
 
 
@@ -120,15 +120,15 @@ class _Processes:
         self.task = b""
 
 
-_OWN: dict[int, _Processes] = {}
+_LOCAL_CLUSTERS: dict[int, _Processes] = {}
 """By number: a message of Dask contains the number, as it cannot contain the processes."""
 
 
 @contextlib.contextmanager
 def _own_processes(count: int) -> Iterator[int]:
-    """Provide processes, by their number in `_OWN`."""
+    """Provide processes, by their number in `_LOCAL_CLUSTERS`."""
     one = _Processes(count)
-    _OWN[id(one)] = one
+    _LOCAL_CLUSTERS[id(one)] = one
     try:
         yield id(one)
     finally:
@@ -137,12 +137,12 @@ def _own_processes(count: int) -> Iterator[int]:
             process.kill()
         for process in one.all:
             process.end()
-        del _OWN[id(one)]
+        del _LOCAL_CLUSTERS[id(one)]
 
 
-def _pass_on(own: int, index: int) -> ChunkResult:
+def _pass_on(cluster_number: int, index: int) -> ChunkResult:
     """Run a chunk of the present task in a process of this machine."""
-    processes = _OWN[own]
+    processes = _LOCAL_CLUSTERS[cluster_number]
     process = processes.idle.get()
     try:
         return process.result(processes.task, index, processes.stopped)
@@ -168,15 +168,15 @@ def _client(distributed: Any, where: Any, scheduler: str | None, patience: float
 
 
 def _gathered(
-    distributed: Any, client: Any, task: ChunkTask, todo: Iterator[int], own: int | None
+    distributed: Any, client: Any, task: ChunkTask, todo: Iterator[int], cluster_number: int | None
 ) -> Iterator[tuple[int, ChunkResult]]:
     numbers: dict[Any, int] = {}
-    if own is not None:
-        _OWN[own].task = packed(task)
+    if cluster_number is not None:
+        _LOCAL_CLUSTERS[cluster_number].task = packed(task)
 
     def ask(index: int) -> Any:
-        work = (run_chunk, task) if own is None else (_pass_on, own)
-        future = client.submit(*work, index, pure=False, retries=2 if own is None else 0)
+        work = (run_chunk, task) if cluster_number is None else (_pass_on, cluster_number)
+        future = client.submit(*work, index, pure=False, retries=2 if cluster_number is None else 0)
         numbers[future.key] = index
         return future
 

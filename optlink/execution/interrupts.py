@@ -115,17 +115,17 @@ def _press(number: int, frame: FrameType | None) -> None:
 def _watch(signals: int) -> None:
     """Raise an interrupt in the main thread again until it is handled; end the process if it is not, or at a second Ctrl-C."""
     global _repeated
-    end, own = math.inf, 0
+    end, count = math.inf, 0
     while True:
         ready, _, _ = select.select([signals], [], [], AGAIN if end < math.inf and not _handled else None)
         if not ready and not _handled:
             if time.monotonic() > end:
                 _kill("interrupted while compiled code was running: no result was written")
-            _repeated, own = True, own + 1
+            _repeated, count = True, count + 1
             signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
         elif ready and os.read(signals, 1) == bytes([signal.SIGINT]):
-            if own:
-                own -= 1
+            if count:
+                count -= 1
             elif end < math.inf:
                 _kill("killed: what was not written yet is lost")
             else:

@@ -129,15 +129,15 @@ def ordered(task: ChunkTask, count: int, runs: Runs | None = None, done: Callabl
         From `pool`. Default: the present process.
     done : function of the number of a completed chunk, optional
     """
-    found: dict[int, Any] = {}
+    results: dict[int, Any] = {}
     following = 0
     answers = ((index, answer.value) for index, answer in runs(task, range(count))) if runs else _here(task, count)
     for index, value in answers:
-        found[index] = value
+        results[index] = value
         if done is not None:
             done(index)
-        while following in found:
-            yield found.pop(following)
+        while following in results:
+            yield results.pop(following)
             following += 1
 
 
@@ -164,7 +164,7 @@ class _Processes:
     def __init__(self, workers: int, ends: contextlib.ExitStack) -> None:
         self.workers = workers
         self.idle: list[Process] = []
-        self.hands: list[_Hand] = []  # of the latest task
+        self.feeders: list[_Feeder] = []  # of the latest task
         ends.callback(self.end)
 
     def __call__(self, task: ChunkTask, todo: Iterable[int]) -> Iterator[tuple[int, ChunkResult]]:
@@ -175,48 +175,48 @@ class _Processes:
         if self.workers <= 1 or (count <= 1 and not self.idle):
             before = interrupts.interrupted()  # and handled by the caller, who goes on
             for index in waiting:
-                found = run_chunk(task, index).checked(index)
+                result = run_chunk(task, index).checked(index)
                 if not before:
                     interrupts.check()
-                yield index, found
+                yield index, result
             return
         jobs: queue.SimpleQueue[int] = queue.SimpleQueue()
         for index in waiting:
             jobs.put(index)
         answers: queue.Queue[Answer] = queue.Queue(2 * count)
-        stated = packed(task)
-        hands = [_Hand(stated, jobs, answers, self.idle.pop() if self.idle else Process()) for _ in range(count)]
-        self.hands = hands
+        packed_task = packed(task)
+        feeders = [_Feeder(packed_task, jobs, answers, self.idle.pop() if self.idle else Process()) for _ in range(count)]
+        self.feeders = feeders
         try:
-            for hand in hands:
-                hand.start()
+            for feeder in feeders:
+                feeder.start()
             for _ in waiting:
                 index, answer = _first(answers)
                 if isinstance(answer, BaseException):
                     raise answer
                 yield index, answer.checked(index)
         except GeneratorExit:  # the caller needs no further result: the processes end their present chunks meanwhile
-            for hand in hands:
-                hand.stopped.set()
+            for feeder in feeders:
+                feeder.stopped.set()
             raise
         except BaseException:
             interrupts.handled()
-            for hand in hands:
-                hand.stop()
+            for feeder in feeders:
+                feeder.stop()
             raise
 
     def _join(self) -> None:
         """Wait for the threads of the latest task."""
-        for hand in self.hands:
-            hand.join()
-        self.idle += [hand.process for hand in self.hands]
-        self.hands = []
+        for feeder in self.feeders:
+            feeder.join()
+        self.idle += [feeder.process for feeder in self.feeders]
+        self.feeders = []
 
     def end(self) -> None:
         """End all processes."""
-        for hand in self.hands:
-            if hand.is_alive():
-                hand.stop()
+        for feeder in self.feeders:
+            if feeder.is_alive():
+                feeder.stop()
         self._join()
         while self.idle:
             self.idle.pop().end()
@@ -229,7 +229,7 @@ def _first(answers: queue.Queue[Answer]) -> Answer:
             return answers.get(timeout=WAIT)
 
 
-class _Hand(threading.Thread):
+class _Feeder(threading.Thread):
     """Thread that passes chunks to one process."""
 
     def __init__(

@@ -52,17 +52,17 @@ class Store:
         about = dict(json.loads(json.dumps(about)))
         if resume and not os.path.isdir(path):
             raise _nothing(path)
-        self._made = not os.path.exists(path)
+        self._is_new = not os.path.exists(path)
         self.path, self.chunks = folder(path), path / CHUNKS
         self.count, self.about = 0, about
         self.sizes: Callable[[int], int] = int
         try:
-            with contextlib.ExitStack() as taken:
-                taken.enter_context(locked(path))
+            with contextlib.ExitStack() as stack:
+                stack.enter_context(locked(path))
                 self._begin(about, resume)
-                self._lock = taken.pop_all()
+                self._lock = stack.pop_all()
         except InputError:
-            if self._made:
+            if self._is_new:
                 with contextlib.suppress(OSError):
                     path.rmdir()
             raise
@@ -79,19 +79,19 @@ class Store:
 
     def _begin(self, about: dict[str, Any], resume: bool) -> None:
         """Check that the folder holds this study or none; write the definition."""
-        path, known = self.path, self._known()
-        self._sum = None if known is None else known.pop(TABLE_SUM, None)
-        if known is None and resume and all(one.name == LOCK for one in path.iterdir()):
+        path, stored = self.path, self._stored_definition()
+        self._sum = None if stored is None else stored.pop(TABLE_SUM, None)
+        if stored is None and resume and all(one.name == LOCK for one in path.iterdir()):
             raise _nothing(path)
-        if known is None and self.table.exists():
+        if stored is None and self.table.exists():
             raise InputError("the folder contains a table of another study", "Choose another folder", str(path), "--out")
-        if known is not None:
-            self._compare(known, about)
+        if stored is not None:
+            self._compare(stored, about)
             if not resume:
                 remedy = "Add --resume to continue it (completed points are kept), or choose another folder"
                 raise InputError("the folder already contains this study", remedy, str(path), "--out")
         self._mine: list[Path] = []  # files written by this run; the first is the definition if it began the study
-        self._begun = known is None
+        self._begun = stored is None
         if self._begun:
             try:
                 self.keep(ABOUT, about)
@@ -123,24 +123,24 @@ class Store:
         """Whether the table is written."""
         return self.table.exists()
 
-    def _known(self) -> dict[str, Any] | None:
+    def _stored_definition(self) -> dict[str, Any] | None:
         path = self.path / ABOUT
         if not path.exists():
             return None
-        found = read_object(path)
-        if found is None:
+        definition = read_object(path)
+        if definition is None:
             raise InputError(
                 "the description of the study in the folder cannot be read", "Choose another folder", str(path), "--out"
             )
-        return found
+        return definition
 
-    def _compare(self, known: dict[str, Any], about: dict[str, Any]) -> None:
-        for key in dict.fromkeys([*about, *known]):
-            there, here = known.get(key), about.get(key)
+    def _compare(self, stored: dict[str, Any], about: dict[str, Any]) -> None:
+        for key in dict.fromkeys([*about, *stored]):
+            there, here = stored.get(key), about.get(key)
             if there != here:
                 what = key.replace("_", " ")
-                shown = "" if isinstance(here, list | dict) else f", there {there}, here {here}"
-                message = f"the folder contains another study: the {what} differs{shown}"
+                difference = "" if isinstance(here, list | dict) else f", there {there}, here {here}"
+                message = f"the folder contains another study: the {what} differs{difference}"
                 remedy = "Choose another folder; nothing was overwritten"
                 raise InputError(message, remedy, str(self.path), "--out")
 
@@ -168,7 +168,7 @@ class Store:
         if self._begun:
             self._withdraw()
         self.close()
-        if self._begun and self._made:
+        if self._begun and self._is_new:
             with contextlib.suppress(OSError):  # other files remain in the folder
                 self.path.rmdir()
 
@@ -199,8 +199,8 @@ class Store:
             text = self._file(index).read_text(encoding="utf-8")
         except (OSError, ValueError):
             return None
-        lines, mark, found = text.rpartition(SUM)
-        whole = mark and found == f"{check_sum(lines.encode())}\n" and lines.count("\n") == self.sizes(index)
+        lines, mark, checksum = text.rpartition(SUM)
+        whole = mark and checksum == f"{check_sum(lines.encode())}\n" and lines.count("\n") == self.sizes(index)
         return lines if whole else None
 
     def write(self, index: int, text: str) -> None:
@@ -317,11 +317,11 @@ class Store:
 
 def _sum_of(path: Path) -> str:
     """Return the check sum of a file."""
-    found = "0"
+    checksum = "0"
     with path.open("rb") as file:
         while part := file.read(1 << 20):
-            found = check_sum(part, int(found, 16))
-    return found
+            checksum = check_sum(part, int(checksum, 16))
+    return checksum
 
 
 def _nothing(path: Path) -> InputError:

@@ -28,7 +28,7 @@ class ChunkTask(Protocol):
         ...
 
 
-_ALONE = threading.Lock()
+_CHUNK_LOCK = threading.Lock()
 _BUILT: dict[tuple[Any, bytes], Any] = {}
 MOST_BUILT = 4
 
@@ -69,7 +69,7 @@ def run_chunk(task: ChunkTask, index: int) -> ChunkResult:
     index : int
         Number of the chunk.
     """
-    with _ALONE:
+    with _CHUNK_LOCK:
         begin = time.process_time()
         try:
             return ChunkResult(task(index), time.process_time() - begin)
@@ -81,25 +81,25 @@ def run_chunk(task: ChunkTask, index: int) -> ChunkResult:
             return ChunkResult(broken=traceback.format_exc())
 
 
-def built(build: Callable[..., T], stated: bytes) -> T:
+def built(build: Callable[..., T], packed_task: bytes) -> T:
     """Return the data shared by consecutive tasks of this process; it is built once.
 
     Parameters
     ----------
     build : function
         It must be importable.
-    stated : bytes
+    packed_task : bytes
         Its arguments, a tuple, from `packed`.
     """
     from multiprocessing.reduction import ForkingPickler
 
-    key = build, stated
+    key = build, packed_task
     if key not in _BUILT:
         while len(_BUILT) >= MOST_BUILT:
             del _BUILT[next(iter(_BUILT))]
-        _BUILT[key] = build(*ForkingPickler.loads(stated))
-    found: T = _BUILT[key]
-    return found
+        _BUILT[key] = build(*ForkingPickler.loads(packed_task))
+    task: T = _BUILT[key]
+    return task
 
 
 def packed(item: Any) -> bytes:

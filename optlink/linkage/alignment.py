@@ -60,8 +60,8 @@ def squared_sines(pose: Pose) -> Array:
     """Return the alignment [-] of every group, array (groups, n); NaN for the groups that follow one that cannot be assembled."""
     shape = np.shape(as_jet(pose.directions[pose.mechanism.crank.body][0]).value)
     with np.errstate(all="ignore"):
-        found = [np.broadcast_to(as_jet(group.alignment(pose)).value, shape) for group in pose.mechanism.groups]
-    return np.array(found, dtype=float).reshape(-1, *shape)
+        alignments = [np.broadcast_to(as_jet(group.alignment(pose)).value, shape) for group in pose.mechanism.groups]
+    return np.array(alignments, dtype=float).reshape(-1, *shape)
 
 
 def alignment_margin(pose: Pose) -> Array:
@@ -110,8 +110,8 @@ def least_alignments(mechanism: Mechanism, sizes: Mapping[str, Value]) -> list[A
     def rates(angles: Array) -> Array:
         pose = moving(angles)
         with np.errstate(all="ignore"):
-            found = [as_jet(group.alignment(pose)).rate for group in mechanism.groups]
-        return np.array([np.broadcast_to(rate, angles.shape) for rate in found])
+            derivatives = [as_jet(group.alignment(pose)).rate for group in mechanism.groups]
+        return np.array([np.broadcast_to(rate, angles.shape) for rate in derivatives])
 
     samples = in_portions(rates, grid)
     still = np.max(np.nan_to_num(np.abs(samples), posinf=0.0), axis=1, initial=0.0) <= _STILL
@@ -120,11 +120,11 @@ def least_alignments(mechanism: Mechanism, sizes: Mapping[str, Value]) -> list[A
         with np.errstate(all="ignore"):
             return squared_sines(mechanism.at(sizes, angles))
 
-    own = zeros(rates, grid, still=True, samples=samples)
-    which = np.repeat(np.arange(len(own)), [len(angles) for angles in own])
-    at = np.concatenate(own)
-    kept = (at >= -1e-9) & (at < mechanism.cycle - 1e-9) & ~still[which]
-    at, which = at[kept], which[kept]
+    angles_by_group = zeros(rates, grid, still=True, samples=samples)
+    which = np.repeat(np.arange(len(angles_by_group)), [len(angles) for angles in angles_by_group])
+    at = np.concatenate(angles_by_group)
+    valid = (at >= -1e-9) & (at < mechanism.cycle - 1e-9) & ~still[which]
+    at, which = at[valid], which[valid]
     if not at.size:
         return []
     before, least, after = (in_portions(sines, at + aside, which) for aside in (-_ASIDE, 0.0, _ASIDE))
@@ -151,7 +151,7 @@ def near_singular(pose: Pose, crank_angle: Array) -> NDArray[np.bool_]:
     """
     step, count = crank_angle[1] - crank_angle[0], len(crank_angle)
     shape = np.broadcast_shapes(*(np.shape(as_jet(margin).value) for margin in pose.margins.values()), (1, count))
-    found = np.zeros(shape[0], dtype=bool)
+    near = np.zeros(shape[0], dtype=bool)
     with np.errstate(all="ignore"):
         for group in pose.mechanism.groups:
             alignment = as_jet(group.alignment(pose))
@@ -159,5 +159,5 @@ def near_singular(pose: Pose, crank_angle: Array) -> NDArray[np.bool_]:
             after, rates_after = np.roll(sines, -1, axis=1), np.roll(rates, -1, axis=1)
             along = np.clip((after - sines - rates_after * step) / (rates - rates_after), min(0.0, step), max(0.0, step))
             least = np.where(rates * step < 0.0, np.where(rates_after * step > 0.0, sines + rates * along, sines), sines)
-            found |= np.any((least <= TOUCHING) & (sines >= -TOUCHING) & (after >= -TOUCHING), axis=1)
-    return found
+            near |= np.any((least <= TOUCHING) & (sines >= -TOUCHING) & (after >= -TOUCHING), axis=1)
+    return near

@@ -98,8 +98,8 @@ class Assembly:
         for point in ground:
             self.members[point] = [FRAME]
         for link in links:
-            own = [p.name for p in points if p.body == link.body]
-            for point in (link.start, link.end, *own):
+            names = [p.name for p in points if p.body == link.body]
+            for point in (link.start, link.end, *names):
                 if point:
                     self.members.setdefault(point, []).append(link.body)
         self.placed = {FRAME, driver}
@@ -114,11 +114,11 @@ class Assembly:
 
     @cached_property
     def _pins(self) -> dict[str, list[str]]:
-        found: dict[str, list[str]] = {}
+        pins: dict[str, list[str]] = {}
         for point, bodies in self.members.items():
             for body in bodies if len(bodies) > 1 else ():
-                found.setdefault(body, []).append(point)
-        return found
+                pins.setdefault(body, []).append(point)
+        return pins
 
     def rails(self, body: str) -> list[Guide]:
         """Return the guides in which a body slides, or which it carries."""
@@ -126,11 +126,11 @@ class Assembly:
 
     @cached_property
     def _rails(self) -> dict[str, list[Guide]]:
-        found: dict[str, list[Guide]] = {}
+        rails: dict[str, list[Guide]] = {}
         for guide in self.guides:
             for body in guide.bodies:
-                found.setdefault(body, []).append(guide)
-        return found
+                rails.setdefault(body, []).append(guide)
+        return rails
 
     def neighbours(self, body: str) -> list[str]:
         """Return the bodies, not yet placed, that share a joint with a body, in the order of the file."""
@@ -159,30 +159,30 @@ class Assembly:
             If the bodies do not form dyads, or an assembly mode is that of no group.
         """
         self.check_joints()
-        reached = {body for one in (FRAME, self.driver) for body in self.neighbours(one)}
+        connected = {body for one in (FRAME, self.driver) for body in self.neighbours(one)}
         while len(self.placed) <= len(self.links):
-            group = self.next_group(sorted(reached, key=self.rank.__getitem__))
+            group = self.next_group(sorted(connected, key=self.rank.__getitem__))
             if group is None:
                 raise self.refusal([body for body in self.links if body not in self.placed])
             self.groups.append(group)
             self.placed.update(link.body for link in group.links)
-            reached.update(body for link in group.links for body in self.neighbours(link.body))
-            reached -= self.placed
+            connected.update(body for link in group.links for body in self.neighbours(link.body))
+            connected -= self.placed
         for joint in self.modes:
             if joint not in self.used:
-                known = [group.joint for group in self.groups if group.modes]
-                remedy = f"Joints with an assembly mode: {', '.join(known) or 'none'}"
+                joints = [group.joint for group in self.groups if group.modes]
+                remedy = f"Joints with an assembly mode: {', '.join(joints) or 'none'}"
                 raise StructureError(
                     "no dyad has its inner joint there, or the dyad has only one assembly mode", remedy, f"assembly.{joint}"
                 )
         return Mechanism(name, self.ground, self.links[self.driver], tuple(self.groups), self.points, self.guides)
 
-    def next_group(self, reached: list[str]) -> Dyad | None:
+    def next_group(self, connected: list[str]) -> Dyad | None:
         """Return the first dyad, in the order of the file, among bodies joined to placed ones."""
-        for first in reached:
+        for first in connected:
             for second in self.neighbours(first):
-                if self.rank[first] < self.rank[second] and (found := self._group(first, second)):
-                    return found
+                if self.rank[first] < self.rank[second] and (group := self._group(first, second)):
+                    return group
         return None
 
     def check_joints(self) -> None:
@@ -205,9 +205,9 @@ class Assembly:
             )
         for body in self.links:
             if not self.pins(body) and not self.rails(body):
-                own = [point for point, bodies in self.members.items() if body in bodies]
+                points = [point for point, bodies in self.members.items() if body in bodies]
                 raise StructureError(
-                    f"the body has no joint: no other body has its {'points' if len(own) > 1 else 'point'} {_list(own)}, "
+                    f"the body has no joint: no other body has its {'points' if len(points) > 1 else 'point'} {_list(points)}, "
                     "and no guide carries it",
                     "Give one of its joints the name of a joint of another body or of the ground, or remove it",
                     f"links.{body}",
@@ -329,10 +329,10 @@ class Assembly:
     def refusal(self, left: list[str]) -> StructureError:
         """Return the error that explains why no further group can be formed."""
         for body in left:
-            known = [joint if isinstance(joint, str) else joint.name for joint in self.placed_joints(body)]
-            if len(known) > 1:
+            joints = [joint if isinstance(joint, str) else joint.name for joint in self.placed_joints(body)]
+            if len(joints) > 1:
                 return StructureError(
-                    f"{body} cannot move on its own: {_list(known)} hold it already, which leaves it no freedom",
+                    f"{body} cannot move on its own: {_list(joints)} hold it already, which leaves it no freedom",
                     "Remove one of these joints, or add a body between",
                     f"links.{body}",
                 )

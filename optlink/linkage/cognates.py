@@ -257,15 +257,15 @@ class Cognate:
         The links are set parallel to those of the original; no loop is solved, so the pose is exact at dead centres too.
         """
         pose, signs = self.original.pose(phi), self._drive.signs
-        found = [pose.link(name) for name in self.follows]
-        own = [(sign * signs[3] * x, sign * signs[3] * y) for sign, (x, y) in zip(signs[:3], found, strict=True)]
+        links = [pose.link(name) for name in self.follows]
+        directions = [(sign * signs[3] * x, sign * signs[3] * y) for sign, (x, y) in zip(signs[:3], links, strict=True)]
         size = self.linkage
         with np.errstate(all="ignore"):
-            area = size.coupler * size.rocker * cross(own[1], own[2])
-            diagonal = (size.frame - size.crank * own[0][0], -(size.crank * own[0][1]))
+            area = size.coupler * size.rocker * cross(directions[1], directions[2])
+            diagonal = (size.frame - size.crank * directions[0][0], -(size.crank * directions[0][1]))
             square = dot(diagonal, diagonal)
             height = area / square
-        return size._placed(own[0], own[1], own[2], height * height)
+        return size._placed(directions[0], directions[1], directions[2], height * height)
 
     @cached_property
     def driven_from_rocker(self) -> Cognate:
@@ -400,11 +400,11 @@ def _turning_back(original: CouplerLinkage, drive: _Drive) -> list[float]:
         return []
     with_rocker = "rocker" in pair
     third = original.coupler if with_rocker else original.rocker
-    found = []
+    angles = []
     for sense in (1, -1):  # in the same direction as the crank, or against it
         w = original.crank - sense * original.rocker if with_rocker else original.crank + sense * original.coupler
         if w != 0.0:
             cosine = (w * w + original.frame**2 - third**2) / (2.0 * w * original.frame)
             if abs(cosine) < 1.0:
-                found.append(original.side * sense * math.acos(cosine))
-    return found
+                angles.append(original.side * sense * math.acos(cosine))
+    return angles

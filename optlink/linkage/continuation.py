@@ -34,7 +34,7 @@ LARGEST, LEAST = 0.3, 1e-3
 CONVERGED, ROUNDED = 1e-10, 1e-8
 """Shares of the motion on the circle that the last terms and those of negative powers may have."""
 
-SAME = 1e-6
+SAME_ANGLE = 1e-6
 """Crank rotation [rad] within which a start counts as the singular position itself."""
 
 MOST_TURNS = 8
@@ -73,10 +73,10 @@ def continue_through_singularities(
             bodies = {link.body for g in mechanism.groups[: k + 1] for link in g.links} | {mechanism.crank.body}
             points = tuple(point for point in mechanism.points if point.body in bodies)
             part = replace(mechanism, groups=mechanism.groups[: k + 1], points=points)
-            course = _course(part, sizes, group, start if group.holds_at is None else group.holds_at)
-            if course is not None:
-                groups = (*mechanism.groups[:k], replace(group, passages=course), *mechanism.groups[k + 1 :])
-                mechanism = replace(mechanism, groups=groups, cycle=max(mechanism.cycle, course.cycle))
+            passages = _course(part, sizes, group, start if group.holds_at is None else group.holds_at)
+            if passages is not None:
+                groups = (*mechanism.groups[:k], replace(group, passages=passages), *mechanism.groups[k + 1 :])
+                mechanism = replace(mechanism, groups=groups, cycle=max(mechanism.cycle, passages.cycle))
     return mechanism
 
 
@@ -88,12 +88,12 @@ def _course(part: Mechanism, sizes: Mapping[str, Value], group: RRR | RRP | RPR,
     if not aligned or holding is None:
         return None
     crossings = [_crossing(part, sizes, group, p) for p in aligned]
-    known = [(p.crank_angle, crossing) for p, crossing in zip(aligned, crossings, strict=True) if crossing is not None]
-    if len(known) < len(aligned):
+    known_crossings = [(p.crank_angle, crossing) for p, crossing in zip(aligned, crossings, strict=True) if crossing is not None]
+    if len(known_crossings) < len(aligned):
         return None
     origin = start if ranges.full else 0.5 * (holding[0] + holding[1]) - 0.5 * cycle
     ahead = sorted(
-        ((_ahead(at, origin, cycle, closed=ranges.full), crossing) for at, crossing in known), key=lambda pair: pair[0]
+        ((_ahead(at, origin, cycle, closed=ranges.full), crossing) for at, crossing in known_crossings), key=lambda pair: pair[0]
     )
     turns = 2 if ranges.full and sum(crossing.flips for _, crossing in ahead) % 2 else 1
     if turns * cycle > MOST_TURNS * TURN:
@@ -101,7 +101,7 @@ def _course(part: Mechanism, sizes: Mapping[str, Value], group: RRR | RRP | RPR,
     ahead = [(at + turn * cycle, crossing) for turn in range(turns) for at, crossing in ahead]
     breaks = np.array([origin + at for at, _ in ahead])
     flips = np.cumprod([1, *(-1 if crossing.flips else 1 for _, crossing in ahead)])
-    sides = flips * (group.side * flips[np.searchsorted(breaks, start + SAME, side="right") if not ranges.full else 0])
+    sides = flips * (group.side * flips[np.searchsorted(breaks, start + SAME_ANGLE, side="right") if not ranges.full else 0])
     passages = tuple(
         replace(crossing.series[int(side)], crank_angle=float(at))
         for at, (_, crossing), side in zip(breaks, ahead, sides[:-1], strict=True)
@@ -111,8 +111,8 @@ def _course(part: Mechanism, sizes: Mapping[str, Value], group: RRR | RRP | RPR,
 
 def _ahead(at: float, origin: float, cycle: float, *, closed: bool) -> float:
     """Return the distance [rad] of a crank angle ahead of the origin; one cycle, not zero, at the origin of a closed motion."""
-    found = (at - origin) % cycle
-    return cycle if closed and (found < SAME or found > cycle - SAME) else found
+    distance = (at - origin) % cycle
+    return cycle if closed and (distance < SAME_ANGLE or distance > cycle - SAME_ANGLE) else distance
 
 
 def _crossing(part: Mechanism, sizes: Mapping[str, Value], group: RRR | RRP | RPR, at: AlignedPosition) -> _Crossing | None:
@@ -148,7 +148,7 @@ def _places(
     with np.errstate(all="ignore"):
         pose = replace(part, groups=(*part.groups[:-1], group)).at(sizes, angles)
         if isinstance(group, RPR):
-            found = turn(pose.direction(group.first.body), pose.local_line(group.guide, group.first.body)[1])
+            coordinates = turn(pose.direction(group.first.body), pose.local_line(group.guide, group.first.body)[1])
         else:
-            found = pose.point(group.joint)
-    return np.array([np.broadcast_to(x, angles.shape) for x in found], dtype=complex)
+            coordinates = pose.point(group.joint)
+    return np.array([np.broadcast_to(x, angles.shape) for x in coordinates], dtype=complex)

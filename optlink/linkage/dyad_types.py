@@ -276,10 +276,10 @@ class RPP(LineDyad):
         """Add both bodies; return the squared sine of the angle between the two lines."""
         yoke = self.second.body
         begin, line = pose.line(self.rail, self.rail.other(yoke))
-        (own, own_line), (inner, inner_line) = (pose.local_line(guide, yoke) for guide in (self.rail, self.guide))
+        (on_yoke, own_line), (inner, inner_line) = (pose.local_line(guide, yoke) for guide in (self.rail, self.guide))
         axis = turn_back(line, own_line)
         slot = turn(inner_line, axis)
-        zero = minus(begin, turn(own, axis))  # origin of the yoke's axes at zero displacement
+        zero = minus(begin, turn(on_yoke, axis))  # origin of the yoke's axes at zero displacement
         offset = pose.offset(self.guide, self.first, self.outer)
         shift, margin = rpp(pose.point(self.outer), plus(zero, turn(inner, axis)), line, slot, offset)
         pose.points[self.second.start] = plus(zero, (shift * line[0], shift * line[1]))

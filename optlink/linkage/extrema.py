@@ -34,8 +34,8 @@ def distinct(values: ArrayLike) -> NDArray[Any]:
     """Return the distinct values, rising, as np.unique does without the masked arrays that it loads."""
     rising: NDArray[Any] = np.sort(np.asarray(values), axis=None)
     new = np.concatenate([np.ones(min(1, rising.size), dtype=bool), rising[1:] != rising[:-1]])
-    found: NDArray[Any] = rising[new]
-    return found
+    result: NDArray[Any] = rising[new]
+    return result
 
 
 def extremes(
@@ -143,24 +143,25 @@ def _extremes(
     grid: Array,
     breaks: Array,
     zero: NDArray[np.bool_],
-    own: Callable[[Array, Index], Array],
+    values_at: Callable[[Array, Index], Array],
     beyond: int,
     signs: tuple[float, ...] = (1.0, -1.0),
 ) -> tuple[Array, Array]:
     """Angles and values (functions, signs) of the least of the values (functions, n) on a grid times each sign, refined.
 
-    `own` returns the values (m, k) at crank angles (m, k) for the extrema number (m,): those of the first function come first,
-    in the order of the signs. The first and the last `beyond` points of the grid only continue it: no extremum is sought there.
+    `values_at` returns the values (m, k) at crank angles (m, k) for the extrema number (m,): those of the first function come
+    first, in the order of the signs. The first and the last `beyond` points of the grid only continue it: no extremum is
+    sought there.
     """
-    known = np.isfinite(values)
-    known[:, [*range(beyond), *range(len(grid) - beyond, len(grid))]] = False
-    best = np.stack([np.argmin(np.where(known, one * values, np.inf), axis=-1) for one in signs], axis=-1).ravel()
+    finite = np.isfinite(values)
+    finite[:, [*range(beyond), *range(len(grid) - beyond, len(grid))]] = False
+    best = np.stack([np.argmin(np.where(finite, one * values, np.inf), axis=-1) for one in signs], axis=-1).ravel()
     rows, sign = np.arange(len(values)).repeat(len(signs)), np.tile(signs, len(values))
     angle, value = grid[best], sign * values[rows, best]
     some = np.flatnonzero(np.isfinite(value) & ~zero[rows])  # extrema still to be refined
     part = np.searchsorted(breaks, grid, side="right")
-    others = _rivals(np.where(known, values, np.nan), signs, grid, part)
-    room = EXACT * (np.where(known, values, -np.inf).max(axis=-1) - np.where(known, values, np.inf).min(axis=-1))[rows]
+    others = _rivals(np.where(finite, values, np.nan), signs, grid, part)
+    room = EXACT * (np.where(finite, values, -np.inf).max(axis=-1) - np.where(finite, values, np.inf).min(axis=-1))[rows]
     for _ in range(RIVALS):
         at = grid[best]
         low, high = grid[np.maximum(best - 1, 0)], grid[np.minimum(best + 1, len(grid) - 1)]
@@ -171,7 +172,7 @@ def _extremes(
             )
         nodes, samples = _beside(values, rows[some], grid, best[some], breaks)
         refined = refined_minima(
-            lambda points, which: sign[which, None] * own(points, which),
+            lambda points, which: sign[which, None] * values_at(points, which),
             (at, sign * values[rows, best], low, high),
             some,
             nodes,
@@ -215,13 +216,13 @@ def _rivals(values: Array, signs: tuple[float, ...], grid: Array, part: Index) -
 
 
 def refined_minima(
-    own: Callable[[Array, Index], Array], best: tuple[Array, Array, Array, Array], some: Index, nodes: Array, samples: Array
+    values_at: Callable[[Array, Index], Array], best: tuple[Array, Array, Array, Array], some: Index, nodes: Array, samples: Array
 ) -> tuple[Array, Array]:
     """Refine minima that are bracketed by samples, each on an interpolant of its samples, or on more samples.
 
     Parameters
     ----------
-    own : callable, crank angles (m, k) [rad] and numbers of minima (m,) -> values (m, k)
+    values_at : callable, crank angles (m, k) [rad] and numbers of minima (m,) -> values (m, k)
     best : (angle, value, low, high), arrays (n,)
         Lowest sample of each minimum, and its bracket [rad].
     some : array (m,) of int
@@ -237,13 +238,13 @@ def refined_minima(
     for left in range(ROUNDS, -1, -1):
         polynomials, tolerance = _interpolants(nodes, samples)
         at, expected = _refined(polynomials, low[some], high[some], angle[some], value[some])
-        exact = own(at[:, None], some)[:, 0]
+        exact = values_at(at[:, None], some)[:, 0]
         angle[some], value[some] = _lower(angle[some], value[some], at, exact)
         some = some[~(np.abs(exact - expected) <= tolerance)]
         if not left or not some.size:
             break
         nodes = _points(low[some], high[some])
-        samples = own(nodes, some)
+        samples = values_at(nodes, some)
         at, lowest, low[some], high[some] = _lowest(nodes, samples)
         angle[some], value[some] = _lower(angle[some], value[some], at, lowest)
     return angle, value
@@ -255,8 +256,8 @@ def _zero(values: Array, kinds: Sequence[Hashable] | None) -> NDArray[np.bool_]:
         return np.zeros(len(values), dtype=bool)
     size = np.max(np.where(np.isfinite(values), np.abs(values), 0.0), axis=-1, initial=0.0)
     largest = dict.fromkeys(kinds, 0.0)
-    for kind, own in zip(kinds, size, strict=True):
-        largest[kind] = max(largest[kind], float(own))
+    for kind, magnitude in zip(kinds, size, strict=True):
+        largest[kind] = max(largest[kind], float(magnitude))
     zero: NDArray[np.bool_] = size <= ZERO * np.array([largest[kind] for kind in kinds])
     return zero
 
@@ -315,11 +316,11 @@ def _interpolants(nodes: Array, samples: Array) -> tuple[Function, Array]:
         smooth = np.abs(differences[:, -1]) * HALFWAY <= SMOOTH * spread + rounding
 
     def curves(points: Array) -> Array:
-        found = np.broadcast_to(differences[:, -1:], points.shape)
+        values = np.broadcast_to(differences[:, -1:], points.shape)
         with np.errstate(all="ignore"):
             for k in range(POINTS - 2, -1, -1):
-                found = differences[:, k, None] + (points - nodes[:, k, None]) / scale * found
-        return found
+                values = differences[:, k, None] + (points - nodes[:, k, None]) / scale * values
+        return values
 
     return curves, np.where(smooth, EXACT * spread + rounding, np.nan)
 
@@ -338,10 +339,10 @@ def in_portions(function: Function, angles: Array, rows: Index | None = None) ->
     -------
     array (functions, n), or (n,) with `rows`
     """
-    found: list[Array] = []
+    parts: list[Array] = []
     done, size = 0, PORTION
-    while done < len(angles) or not found:
+    while done < len(angles) or not parts:
         values = function(angles[done : done + size])
-        found.append(values if rows is None else values[rows[done : done + size], np.arange(values.shape[1])])
+        parts.append(values if rows is None else values[rows[done : done + size], np.arange(values.shape[1])])
         done, size = done + size, max(PORTION, VALUES // max(1, len(values)))
-    return np.concatenate(found, axis=-1)
+    return np.concatenate(parts, axis=-1)

@@ -44,5 +44,5 @@ SMALLEST_ALIGNMENT = math.radians(0.1)
 SMALLEST_LENGTH_MARGIN = 1e-5
 """Least value that a problem may set for the length margin."""
 
-MISSED = 1e-9
+FIXED_LIMIT_TOLERANCE = 1e-9
 """Amount [m, rad or 1] by which a limit that no design variable changes is missed, far above the rounding of its terms."""

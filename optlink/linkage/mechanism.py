@@ -181,8 +181,8 @@ class Pose:
             return 0.0, 0.0
         if point == link.end:
             return self.size(link.length), 0.0
-        own = self.mechanism.marks[body, point]
-        return self.size(own.along), self.size(own.across)
+        mark = self.mechanism.marks[body, point]
+        return self.size(mark.along), self.size(mark.across)
 
     def fixed(self, place: Ground) -> Vector:
         """Return the coordinates of a point of the frame [m]."""
@@ -280,7 +280,7 @@ class Pose:
             x, y = turn_back(minus(self.points[q], self.points[p]), lever)
             self.place(link, (x / square, y / square), p)
 
-    def place(self, link: Link, direction: Vector, known: str) -> None:
+    def place(self, link: Link, direction: Vector, point: str) -> None:
         """Place a body by its direction and one of its points whose position is known.
 
         Parameters
@@ -288,12 +288,12 @@ class Pose:
         link : Link
         direction : pair of Value [-]
             Unit vector of the body's x axis.
-        known : str
+        point : str
             Name of the point.
         """
         self.directions[link.body] = direction
         if link.start not in self.points:
-            self.points[link.start] = minus(self.points[known], turn(self.local(link.body, known), direction))
+            self.points[link.start] = minus(self.points[point], turn(self.local(link.body, point), direction))
         if link.end and link.end not in self.points:
             self.point(link.end)
 
@@ -358,13 +358,13 @@ class Mechanism:
     @cached_property
     def owners(self) -> dict[str, tuple[str, ...]]:
         """Every named point with the bodies that share it, the frame first; a point of more than one body is a pin."""
-        found: dict[str, list[str]] = {name: [FRAME] for name in self.ground}
+        owners: dict[str, list[str]] = {name: [FRAME] for name in self.ground}
         for link in self.links:
             marks = [name for body, name in self.marks if body == link.body]
             for name in (link.start, link.end, *marks):
                 if name:
-                    found.setdefault(name, []).append(link.body)
-        return {name: tuple(bodies) for name, bodies in found.items()}
+                    owners.setdefault(name, []).append(link.body)
+        return {name: tuple(bodies) for name, bodies in owners.items()}
 
     @cached_property
     def pins(self) -> dict[str, tuple[str, ...]]:

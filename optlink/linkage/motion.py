@@ -69,9 +69,9 @@ class Motion:
 
     def slide(self, guide: str) -> Jet:
         """Return the slide in a guide [m], its velocity and acceleration [m/s, m/s^2]."""
-        found = next(known for known in self.mechanism.guides if known.name == guide)
+        joint = next(candidate for candidate in self.mechanism.guides if candidate.name == guide)
         with np.errstate(all="ignore"):
-            jet = as_jet(self.pose.slide(found))
+            jet = as_jet(self.pose.slide(joint))
         return Jet(self._full(jet.value), self._full(jet.rate), self._full(jet.acceleration))
 
     @property
@@ -120,8 +120,8 @@ def continuous(angles: Array) -> Array:
         return np.unwrap(angles)
     result = np.array(angles)
     for row in result.reshape(-1, result.shape[-1]):
-        known = np.isfinite(row)
-        row[known] = np.unwrap(row[known])
+        finite = np.isfinite(row)
+        row[finite] = np.unwrap(row[finite])
     return result
 
 

@@ -41,8 +41,8 @@ def within_cycle(crank_angle: float, cycle: float = TURN) -> float:
     cycle : float [rad]
         Crank rotation after which the motion repeats.
     """
-    found = float(crank_angle) % cycle
-    return 0.0 if cycle - found < SEAM else found
+    angle = float(crank_angle) % cycle
+    return 0.0 if cycle - angle < SEAM else angle
 
 
 @dataclass(frozen=True)
@@ -112,8 +112,8 @@ class Ranges:
         return ", ".join(f"{math.degrees(a):.6g} ... {math.degrees(b):.6g} deg" for a, b in self.ranges)
 
     def _meeting(self, *, followed: bool) -> tuple[AlignedPosition, ...]:
-        found = [position for position in self.aligned if position.singular and position.followed == followed]
-        return tuple(sorted(found, key=lambda position: position.crank_angle))
+        positions = [position for position in self.aligned if position.singular and position.followed == followed]
+        return tuple(sorted(positions, key=lambda position: position.crank_angle))
 
     def holding(self, crank_angle: float) -> tuple[float, float] | None:
         """Return the range that contains a crank angle, shifted to it by whole revolutions; None if there is none."""
@@ -170,22 +170,22 @@ def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
     ]
     if not sines:
         ranges = _joined(ranges, closed)
-    found = Ranges(tuple(ranges), False)
-    return Ranges(found.ranges, False, tuple(p for p in aligned if _within(found, p.crank_angle)))
+    result = Ranges(tuple(ranges), False)
+    return Ranges(result.ranges, False, tuple(p for p in aligned if _within(result, p.crank_angle)))
 
 
 def _joined(ranges: list[tuple[float, float]], closed: Callable[[Array], bool]) -> list[tuple[float, float]]:
     """Merge ranges that are separated only by rounding at a singular position."""
-    found: list[tuple[float, float]] = []
+    joined: list[tuple[float, float]] = []
     for low, high in ranges:
-        if found and closed(np.linspace(found[-1][1], low, 9)):
-            found[-1] = found[-1][0], high
+        if joined and closed(np.linspace(joined[-1][1], low, 9)):
+            joined[-1] = joined[-1][0], high
         else:
-            found.append((low, high))
-    if len(found) > 1 and closed(np.linspace(found[-1][1], found[0][0] + TURN, 9)):
-        (_, high), (low, _) = found.pop(0), found.pop()
-        found.append((low, high + TURN))
-    return found
+            joined.append((low, high))
+    if len(joined) > 1 and closed(np.linspace(joined[-1][1], joined[0][0] + TURN, 9)):
+        (_, high), (low, _) = joined.pop(0), joined.pop()
+        joined.append((low, high + TURN))
+    return joined
 
 
 def _within(ranges: Ranges, crank_angle: float) -> bool:
@@ -290,12 +290,12 @@ class Travel:
         sense = math.copysign(1.0, speed)
         forward = (sense * (self.high_at - self.low_at)) % TURN
         slow = slow_stroke(forward, TURN - forward)
-        found = []
+        strokes = []
         name: Direction
         for name, at, rotation in (("forward", self.low_at, forward), ("backward", self.high_at, TURN - forward)):
             begin = at % TURN
-            found.append(StrokeRange(name, begin, begin + sense * rotation, pace_of(name, slow)))
-        return tuple(found)
+            strokes.append(StrokeRange(name, begin, begin + sense * rotation, pace_of(name, slow)))
+        return tuple(strokes)
 
 
 def pace_of(stroke: Direction, slow: Direction | None) -> Pace:
@@ -346,8 +346,8 @@ def travels(
 
     def rates(angles: Array) -> Array:
         at = sweep(mechanism, sizes, angles)
-        found = [at.body_rate(outputs[k]) if is_body[k] else at.slide(outputs[k]).rate for k in moving]
-        return np.array(found).reshape(-1, len(angles))
+        velocities = [at.body_rate(outputs[k]) if is_body[k] else at.slide(outputs[k]).rate for k in moving]
+        return np.array(velocities).reshape(-1, len(angles))
 
     reversals: dict[int, Array] = {}
     for k, centres in zip(moving, zeros(rates, grid, still=True), strict=True):
@@ -360,15 +360,15 @@ def travels(
     strokes: dict[str, Travel] = {}
     done = 1
     for k, ends in ends_of.items():
-        own, done = slice(done, done + len(ends)), done + len(ends)
+        part, done = slice(done, done + len(ends)), done + len(ends)
         centres = reversals[k]
         if is_body[k]:
             values = np.interp(ends, grid, np.asarray(jets[k].value))
-            exact = np.asarray(there.body_angle(outputs[k]).value)[own]
+            exact = np.asarray(there.body_angle(outputs[k]).value)[part]
             values = exact + TURN * np.round((values - exact) / TURN)
             values = values - TURN * np.round(0.5 * (np.min(values) + np.max(values)) / TURN)
         else:
-            values = np.asarray(there.slide(outputs[k]).value)[own]
+            values = np.asarray(there.slide(outputs[k]).value)[part]
         ratio = math.nan
         if full and len(centres) == 2 and mechanism.cycle == TURN:
             one = float(centres[1] - centres[0])

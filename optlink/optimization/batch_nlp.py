@@ -50,12 +50,12 @@ class BatchNLP:
         self.minimax = nlp.variables[-1].name == EPIGRAPH
         self.limits = sum(row.limit != EPIGRAPH for row in nlp.rows)
         self.pairs = [(i, j) for i in range(self.size) for j in range(i, self.size)]
-        x, p, own = nlp.x_symbol, nlp.p_symbol, nlp.position_expression
-        self.width = own.numel()
+        x, p, position = nlp.x_symbol, nlp.p_symbol, nlp.position_expression
+        self.width = position.numel()
         parts: list[Any] = []
         for k in range(self.width):
-            hessian, gradient = casadi.hessian(own[k], x)
-            parts += [own[k], gradient, *(hessian[i, j] for i, j in self.pairs)]
+            hessian, gradient = casadi.hessian(position[k], x)
+            parts += [position[k], gradient, *(hessian[i, j] for i, j in self.pairs)]
         self._residuals = NumpyEvaluator([x, p, nlp.position_symbol], parts)
         multipliers, rows = casadi.SX.sym("multipliers", self.limits), nlp.g_expression[: self.limits]
         hessian = casadi.hessian(casadi.dot(multipliers, rows), x)[0]

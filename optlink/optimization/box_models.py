@@ -14,7 +14,7 @@ import numpy as np
 
 from optlink.errors import Fault, InputError
 from optlink.linkage.fourbar import lengths_of, transmission_cosine
-from optlink.linkage.margins import MISSED
+from optlink.linkage.margins import FIXED_LIMIT_TOLERANCE
 from optlink.linkage.vector2d import TURN, Array, unit
 from optlink.optimization.constraints import FOUR_BAR, GENERAL, ConstraintRow, position_rows
 from optlink.optimization.objectives import output_error
@@ -104,7 +104,7 @@ class DesignBoxes:
                 slack = sign * (row.value - bound) if np.isfinite(bound) else np.inf
                 if not isinstance(slack, TaylorModel) or slack.remainder.ndim < 2:  # no design changes it
                     least = np.min(slack.high if isinstance(slack, TaylorModel) else slack)
-                    slack = TaylorModel.constant(least, count) if least < -MISSED else None
+                    slack = TaylorModel.constant(least, count) if least < -FIXED_LIMIT_TOLERANCE else None
                 if slack is not None:
                     sides.append(slack)
                     limits.append(row.limit)
@@ -172,7 +172,7 @@ def _has_period(problem: DesignProblem) -> bool:
         shifts = [law.target(law.offsets, law.tabulated, phi0 + a, psi0 + b) for a, b in ((0.0, 0.0), (TURN, 0.0), (0.0, TURN))]
         gaps = [np.abs(np.exp(1j * shifted) - np.exp(1j * shifts[0])) for shifted in shifts[1:]]
     free = "phi0" in problem.quantities, "psi0" in problem.quantities
-    return all(known or bool(np.nanmax(gap, initial=0.0) < 1e-9) for known, gap in zip(free, gaps, strict=True))
+    return all(is_free or bool(np.nanmax(gap, initial=0.0) < 1e-9) for is_free, gap in zip(free, gaps, strict=True))
 
 
 def _where_principal(residuals: TaylorModel, start: StartPosition) -> TaylorModel:
@@ -199,13 +199,13 @@ def _timed(problem: PathProblem, values: dict[str, Any], count: int) -> Evaluate
     start = values[START] if problem.timing == "from start" else TaylorModel.constant(0.0, count)
     pose = problem.linkage.pose(values, unit(start + TaylorModel.constant(data.offsets, count)))
     if problem.requirement.kind == "transmission":  # rational in the lengths, so known where the linkage cannot be assembled too
-        found = [transmission_cosine(*lengths_of(values), TaylorModel.constant(np.cos(data.offsets), count))]
+        cosines = [transmission_cosine(*lengths_of(values), TaylorModel.constant(np.cos(data.offsets), count))]
     else:
-        found = problem.deviation(pose, values, tuple(TaylorModel.constant(column, count) for column in data.columns.T))
+        cosines = problem.deviation(pose, values, tuple(TaylorModel.constant(column, count) for column in data.columns.T))
         if problem.requirement.kind == "motion":  # the models of angles are continuous, and may pass half a turn
-            found[2] = _known_within(found[2], problem.radian * np.pi)
+            cosines[2] = _known_within(cosines[2], problem.radian * np.pi)
     shape = next(iter(values[name] for name in problem.free)).remainder.shape[0], len(data.offsets)
-    residuals = _joined(found, shape, count) * data.roots[:, None]
+    residuals = _joined(cosines, shape, count) * data.roots[:, None]
     span, sense = float(data.offsets[-1] - data.offsets[0]), 1 if data.offsets[-1] >= data.offsets[0] else -1
     rows = _limits(problem, values, Reach(start + float(data.offsets[0]), span, sense))
     if not _four_bar(problem):
@@ -215,7 +215,7 @@ def _timed(problem: PathProblem, values: dict[str, Any], count: int) -> Evaluate
         if turns:
             angles = TaylorModel.constant(np.linspace(0.0, TURN, GRID, endpoint=False), count)
             whole = position_rows(problem, problem.linkage.pose(values, unit(angles)))
-        rows += [own if own.over_span else row for row, own in zip(whole, over_span, strict=True)]
+        rows += [span_row if span_row.over_span else row for row, span_row in zip(whole, over_span, strict=True)]
     if np.any(np.isfinite(data.tolerances)):
         distance = (residuals[..., :2] * residuals[..., :2]).sum()
         limited = np.isfinite(data.tolerances)
@@ -229,10 +229,10 @@ def _limits(problem: DesignProblem | PathProblem, values: dict[str, Any], reach:
     """Return the limits that can be evaluated with Taylor models."""
     rows: list[ConstraintRow] = []
     for term in (*FOUR_BAR, *GENERAL) if isinstance(problem.mechanism, FourBarSection) else GENERAL:
-        found: Iterator[ConstraintRow] = iter(term(problem, values, reach, 1.0))
+        limit_rows: Iterator[ConstraintRow] = iter(term(problem, values, reach, 1.0))
         while True:
             try:
-                row = next(found, None)
+                row = next(limit_rows, None)
             except TypeError:  # an operation without a rule: the remaining limits of this term are left out
                 break
             if row is None:

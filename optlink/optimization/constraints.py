@@ -119,7 +119,7 @@ Term = Callable[[AnyProblem, Mapping[str, Value], Reach, float], Iterator[Constr
 """(problem, values, requested crank angles, reference length [m]) -> rows"""
 
 
-SAME = 1e-12  # cosines that differ by rounding alone
+COSINE_ROUNDING = 1e-12  # cosines that differ by rounding alone
 ALIGNED = "coupler and rocker not in line"
 
 
@@ -233,16 +233,16 @@ def transmission_sides(problem: AnyProblem, joint: str = COUPLER_JOINT) -> Itera
     """
     limits, required = problem.limits, "span" if problem.limits.crank == "span" else "revolution"
     most = _cosine(limits.alignment.value)
-    low, high, stated = -math.inf, math.inf, limits.transmission_at(joint)
-    if stated is not None:
-        low = -math.inf if stated.high is None else _cosine(stated.high)
-        high = math.inf if stated.low is None else _cosine(stated.low)
-    own = _chosen(low >= -most - SAME, low, -math.inf), _chosen(high <= most + SAME, high, math.inf)
-    if stated is not None and np.any((own[0] > -math.inf) | (own[1] < math.inf)):
-        yield CosineLimit(stated.key, *own, problem.limits.transmission_range)
+    low, high, prescribed = -math.inf, math.inf, limits.transmission_at(joint)
+    if prescribed is not None:
+        low = -math.inf if prescribed.high is None else _cosine(prescribed.high)
+        high = math.inf if prescribed.low is None else _cosine(prescribed.low)
+    sides = _chosen(low >= -most - COSINE_ROUNDING, low, -math.inf), _chosen(high <= most + COSINE_ROUNDING, high, math.inf)
+    if prescribed is not None and np.any((sides[0] > -math.inf) | (sides[1] < math.inf)):
+        yield CosineLimit(prescribed.key, *sides, problem.limits.transmission_range)
     same = problem.limits.transmission_range == required
-    floor = _chosen(same & (abs(own[0] + most) <= SAME), -math.inf, -most)
-    ceiling = _chosen(same & (abs(own[1] - most) <= SAME), math.inf, most)
+    floor = _chosen(same & (abs(sides[0] + most) <= COSINE_ROUNDING), -math.inf, -most)
+    ceiling = _chosen(same & (abs(sides[1] - most) <= COSINE_ROUNDING), math.inf, most)
     if np.any((floor > -math.inf) | (ceiling < math.inf)):
         yield CosineLimit("limits.alignment", floor, ceiling, required)
 
@@ -362,7 +362,7 @@ def position_rows(problem: PathProblem, pose: Pose) -> list[ConstraintRow]:
         The mechanism at the crank angle.
     """
     required = "span" if problem.limits.crank == "span" else "revolution"
-    found = []
+    result = []
     for group in problem.linkage.groups:
         aligned = not isinstance(group, RRR)
         for limit in transmission_sides(problem, group.joint) if isinstance(group, Transmitting) else ():
@@ -370,10 +370,10 @@ def position_rows(problem: PathProblem, pose: Pose) -> list[ConstraintRow]:
                 aligned = True
             elif isinstance(group, Transmitting):
                 row = limit.row(f" at {group.joint}", group.cosine(pose))
-                found.append(replace(row, over_span=limit.over != required))
+                result.append(replace(row, over_span=limit.over != required))
         if aligned:
-            found.append(alignment_row(problem.limits, group, group.alignment(pose)))
-    return found
+            result.append(alignment_row(problem.limits, group, group.alignment(pose)))
+    return result
 
 
 def alignment_row(limits: Alignment, group: Dyad, value: Value) -> ConstraintRow:

@@ -28,7 +28,7 @@ EVENT = "end of a stroke"
 """Name of the rows that define the crank angles at which motions reverse."""
 FEWEST = 4  # positions per stroke
 ROOM = 1.01  # factor on the least difference of slow and quick stroke that an NLP enforces
-APART = 1e-3  # rad, least crank rotation between two events
+EVENT_SEPARATION = 1e-3  # rad, least crank rotation between two events
 
 
 @dataclass(frozen=True)
@@ -50,17 +50,17 @@ class WatchedTerm:
 
     def score(self, signals: Array) -> Array:
         """Return the value to maximise at each position, in units of `size`."""
-        own = signals[self.first : self.first + self.width]
+        components = signals[self.first : self.first + self.width]
         if self.width > 1:
-            return np.asarray((np.max(np.abs(own), axis=0) if self.worst else np.hypot(*own)) / self.size)
-        return np.asarray(np.abs(own[0]) / self.size if self.peak else self.sign * own[0] / self.size)
+            return np.asarray((np.max(np.abs(components), axis=0) if self.worst else np.hypot(*components)) / self.size)
+        return np.asarray(np.abs(components[0]) / self.size if self.peak else self.sign * components[0] / self.size)
 
     def height(self, signals: Any) -> Any:
         """Return a smooth expression with the same maxima as the score: its square where the score is not differentiable."""
-        own = [signals[self.first + k] / self.size for k in range(self.width)]
+        components = [signals[self.first + k] / self.size for k in range(self.width)]
         if self.worst:
-            return functools.reduce(casadi.fmax, [part * part for part in own])
-        return casadi.sumsqr(casadi.vertcat(*own)) if self.width > 1 or self.peak else self.sign * own[0]
+            return functools.reduce(casadi.fmax, [part * part for part in components])
+        return casadi.sumsqr(casadi.vertcat(*components)) if self.width > 1 or self.peak else self.sign * components[0]
 
 
 def scaled_variable(problem: CycleProblem, name: str, size: float) -> Variable:
@@ -199,8 +199,8 @@ class CycleTerms:
             self.rows.append(ConstraintRow(EVENT, f"{EVENT} {k + 1}: {' '.join(key)}", there[which] / size, 0.0, 0.0, PLAIN))
         angles = [*self.structure.angles[: self.cuts], self.structure.angles[0] + TURN] if self.cuts > 1 else []
         for k, (span, (begin, end)) in enumerate(zip(self.spans, itertools.pairwise(angles), strict=False)):
-            if end - begin > APART:  # otherwise both always coincide in this machine
-                self.rows.append(ConstraintRow(EVENT, f"order of {EVENT} {k + 1}", span, APART, math.inf, DEGREES))
+            if end - begin > EVENT_SEPARATION:  # otherwise both always coincide in this machine
+                self.rows.append(ConstraintRow(EVENT, f"order of {EVENT} {k + 1}", span, EVENT_SEPARATION, math.inf, DEGREES))
         self._slow()
 
     def _slow(self) -> None:
@@ -226,14 +226,14 @@ class CycleTerms:
 
     def forward(self, which: int) -> list[bool]:
         """Return for every stroke whether an output, whose reversals separate strokes, moves forward."""
-        own = [k for k in range(self.cuts) if self.structure.which[k] == which]
-        if not own:
+        indices = [k for k in range(self.cuts) if self.structure.which[k] == which]
+        if not indices:
             return [True] * self.strokes
-        state, found = not self.structure.rising[own[0]], []
+        state, intervals = not self.structure.rising[indices[0]], []
         for k in range(self.cuts):
-            state = self.structure.rising[k] if k in own else state
-            found.append(state)
-        return found
+            state = self.structure.rising[k] if k in indices else state
+            intervals.append(state)
+        return intervals
 
     def duration(self, which: int, forward: bool) -> Any:
         """Return the crank rotation [rad] during which an output moves forward or backward.
@@ -244,9 +244,9 @@ class CycleTerms:
             Index of the event at which the output reverses.
         forward : bool
         """
-        own = [k for k, event in enumerate(self.structure.which) if event == which]
-        total, angles = casadi.SX(0.0), [*(self.events[k] for k in own), self.events[own[0]] + TURN]
-        for k, (begin, end) in zip(own, itertools.pairwise(angles), strict=True):
+        indices = [k for k, event in enumerate(self.structure.which) if event == which]
+        total, angles = casadi.SX(0.0), [*(self.events[k] for k in indices), self.events[indices[0]] + TURN]
+        for k, (begin, end) in zip(indices, itertools.pairwise(angles), strict=True):
             if self.structure.rising[k] is forward:
                 total += end - begin
         return total
@@ -255,7 +255,7 @@ class CycleTerms:
 
     def place(self, term: Term) -> tuple[int, int]:
         """Return the index of the first component of a cyclic term among the signals, and the number of components."""
-        index = next(k for k, known in enumerate(self.trace.cyclic) if known is term)
+        index = next(k for k, other in enumerate(self.trace.cyclic) if other is term)
         return sum(self.trace.widths[:index]), self.trace.widths[index]
 
     def components(self, term: Term) -> Iterator[tuple[Any, list[Any]]]:
@@ -313,9 +313,9 @@ class CycleTerms:
         The dead centres are selected at the start.
         """
         place = len(self.trace.events)
-        for known in self.trace.ended:
-            width = 2 if self.problem.kind(known) == "angle" else 1
-            if known is term:
+        for other in self.trace.ended:
+            width = 2 if self.problem.kind(other) == "angle" else 1
+            if other is term:
                 break
             place += width
         ends = self._ends(term)
@@ -335,8 +335,8 @@ class CycleTerms:
     def _ratio(self, term: Term) -> Any:
         """Return the ratio of the durations of two strokes; which one is slow is fixed in an NLP."""
         which = self.trace.event_of(term)
-        own = self._forward_slow(which) is (term.stroke != "quick") if term.by_pace else term.stroke == "forward"
-        return self.duration(which, own) / self.duration(which, not own)
+        forward = self._forward_slow(which) is (term.stroke != "quick") if term.by_pace else term.stroke == "forward"
+        return self.duration(which, forward) / self.duration(which, not forward)
 
     # --- rows ------------------------------------------------------------------------------------------------------------
 
@@ -409,14 +409,14 @@ class CycleTerms:
         size : float [SI]
             Scale of the term.
         """
-        found = []
+        heights = []
         for _, parts in self.components(goal):
             if goal.nature.general:
-                found += [casadi.fabs(part) / size for part in parts]
+                heights += [casadi.fabs(part) / size for part in parts]
             elif len(parts) > 1:
-                found.append(casadi.sqrt(sum(part * part for part in parts)) / size)
+                heights.append(casadi.sqrt(sum(part * part for part in parts)) / size)
             elif goal.how == "peak":
-                found.append(casadi.fabs(parts[0]) / size)
+                heights.append(casadi.fabs(parts[0]) / size)
             else:
-                found.append((-1.0 if goal.how == "least" else 1.0) * parts[0] / size)
-        return casadi.vertcat(*found)
+                heights.append((-1.0 if goal.how == "least" else 1.0) * parts[0] / size)
+        return casadi.vertcat(*heights)

@@ -98,9 +98,9 @@ class CycleNLP(NLP):
         count, events = len(self.free), len(self.structure.which)
         x = x.copy()
         if events:
-            found = self.traced.structure(self.design(x))
-            if found is not None and found.like(self.structure):
-                x[count : count + events] = found.angles
+            structure = self.traced.structure(self.design(x))
+            if structure is not None and structure.like(self.structure):
+                x[count : count + events] = structure.angles
         if self.level_symbols:
             for k, values in enumerate(self._levels(x, self.p)):
                 largest = float(np.max(values))
@@ -160,10 +160,10 @@ def build_cycle(
         p_start = np.concatenate([[1.0], parts.x_fixed, shares])
         courses = parts.mapped(casadi.SX(0.0)).expanded([*tops, *(parts.natural(goal) for goal in parts.goals)])
         largest = [float(np.max(value)) for value in CompiledFunction([x, p], courses)(at, p_start)]
-        found, naturals = largest[: len(tops)], largest[len(tops) :]
+        maxima, naturals = largest[: len(tops)], largest[len(tops) :]
         sizes = list(scales[1]) or [
             scale or (abs(value) if abs(value) > ROUNDING * natural else natural) or 1.0
-            for scale, value, natural in zip(problem.scales, found, naturals, strict=True)
+            for scale, value, natural in zip(problem.scales, maxima, naturals, strict=True)
         ]
         watched: list[WatchedTerm | None] = []
         f, k = casadi.SX(0.0), 0
@@ -180,7 +180,7 @@ def build_cycle(
         mapped = parts.mapped(f / p[0])
         scaled, residual, g, *others = mapped.expanded([mapped.f, f, mapped.g, *heights, *parts.exchanged])
     worth = sizes[0] if problem.single else 1.0
-    at[count + events :] = [value / size for goal, value, size in zip(parts.goals, found, sizes, strict=True) if goal.extreme]
+    at[count + events :] = [value / size for goal, value, size in zip(parts.goals, maxima, sizes, strict=True) if goal.extreme]
     box = [boxed(problem.quantities[v.name], v)[:2] for v in parts.variables[:count]]
     box += [(-2.0 * TURN, 2.0 * TURN)] * events
     box += [(0.0 if goal.how == "peak" else -math.inf, math.inf) for goal in parts.epigraphs]

@@ -34,7 +34,7 @@ GRID = 240  # crank angles among which events are bracketed
 AHEAD = 1e-6  # rad beyond an event at which its sense (rising or falling) is determined
 
 
-class _Sensed(Moving):
+class _MovingWithSenses(Moving):
     """A machine in motion with symbols for the senses of motion in place of the signs of velocities.
 
     `requested` collects pairs of a velocity function and its symbol.
@@ -146,9 +146,9 @@ class TracedCycle:
             moving = self._moving(inputs)
             margins = [jet_parts(group.alignment(moving.pose))[0] - group.least for group in self.mechanism.groups]
             ends = [part for term in self.ended for part in self._output(term, moving)]
-            found = [event.value(moving) for event in self.events]
-        self.at_event = casadi.Function("event", [inputs], [casadi.vertcat(*found, *ends)])
-        self._inputs, self._machine, self._found, self._margins = inputs, moving, found, margins
+            event_values = [event.value(moving) for event in self.events]
+        self.at_event = casadi.Function("event", [inputs], [casadi.vertcat(*event_values, *ends)])
+        self._inputs, self._machine, self._found, self._margins = inputs, moving, event_values, margins
 
     def _relevant(self, machine: Machine) -> Machine:
         """Return the machine, without its loads if no term depends on forces: their switches would only divide the search."""
@@ -160,13 +160,13 @@ class TracedCycle:
 
     # --- the machine in symbols ------------------------------------------------------------------------------------------
 
-    def _moving(self, inputs: Any) -> _Sensed:
+    def _moving(self, inputs: Any) -> _MovingWithSenses:
         sizes = {name: inputs[i] for i, name in enumerate(self.names)}
         machine = self.base.with_(sizes=sizes, inertias=self.problem.inertias(sizes))
         phi = inputs[len(self.names)]
         still = {name: Jet(size) for name, size in sizes.items()}  # casadi operators reject jets: use jets throughout
         pose = self.mechanism.pose(still, unit(Jet(phi, self.speed, 0.0)))
-        return _Sensed(machine, Motion(self.mechanism, sizes, phi, self.speed, pose, 0.0), self.direction)
+        return _MovingWithSenses(machine, Motion(self.mechanism, sizes, phi, self.speed, pose, 0.0), self.direction)
 
     @cached_property
     def ended(self) -> list[Term]:
@@ -180,8 +180,8 @@ class TracedCycle:
         # friction, with which reactions cannot be traced, does not affect the motion
         whole = reactions(moving) if forced or self.works else Reactions(0.0, {}, {}, {})
         still = reactions(moving, required_wrench(moving, inertia=False)) if any(t.static for t in forced) else whole
-        found = [signal(moving, still if t.static else whole, t) for t in self.cyclic if (signal := signals[t.quantity])]
-        return [*found, (whole.torque,)] if self.works else found
+        values = [signal(moving, still if t.static else whole, t) for t in self.cyclic if (signal := signals[t.quantity])]
+        return [*values, (whole.torque,)] if self.works else values
 
     def _output(self, term: Term, moving: Moving) -> tuple[Value, ...]:
         """Return the position of an output: slide, coordinate of a point, or direction of a body."""
@@ -267,11 +267,11 @@ class TracedCycle:
         return (kind, name, repr(term.direction.value)) if term.direction is not None else (kind, name)
 
     def _events(self) -> list[StrokeEnd]:
-        found: dict[tuple[str, ...], StrokeEnd] = {}
+        events: dict[tuple[str, ...], StrokeEnd] = {}
 
         def add(key: tuple[str, ...], value: Callable[[Moving], Value], *, cuts: bool = True) -> None:
-            cuts = cuts or (key in found and found[key].cuts)
-            found[key] = StrokeEnd(key, value, cuts)
+            cuts = cuts or (key in events and events[key].cuts)
+            events[key] = StrokeEnd(key, value, cuts)
 
         for load in self.base.loads:
             slides = isinstance(load, Force) and isinstance(load.direction, str)
@@ -284,7 +284,7 @@ class TracedCycle:
         for term in self.terms:
             if term.ended:
                 add(self._key(term), self._rate(self._key(term), term), cuts=term.quantity == "work")
-        return list(found.values())
+        return list(events.values())
 
     def _rate(self, key: tuple[str, ...], term: Term) -> Callable[[Moving], Value]:
         kind, name = key[:2]
@@ -326,14 +326,14 @@ class TracedCycle:
         They also differ where the middle of a swing has moved by more than a quarter of a turn, beyond which a search could come
         upon the angle that is opposite to the middle in the trace.
         """
-        own = self._relevant(self.problem.machine(values, self.slow))
-        middles = np.array([[getattr(load, "middle", 0.0) for load in machine.loads] for machine in (self.base, own)])
+        relevant = self._relevant(self.problem.machine(values, self.slow))
+        middles = np.array([[getattr(load, "middle", 0.0) for load in machine.loads] for machine in (self.base, relevant)])
         moved = middles[0] - middles[1]
-        moving = own.moving(np.linspace(0.0, TURN, GRID, endpoint=False), self.speed)
+        moving = relevant.moving(np.linspace(0.0, TURN, GRID, endpoint=False), self.speed)
         return all(
             abs(moved[k]) <= 0.25 * TURN and np.allclose(one.torque, other.torque, rtol=1e-9)
             for k in np.flatnonzero(moved)
-            for one, other in zip(self.base.loads[k].act(moving), own.loads[k].act(moving), strict=True)
+            for one, other in zip(self.base.loads[k].act(moving), relevant.loads[k].act(moving), strict=True)
         )
 
     def structure(self, values: Mapping[str, float]) -> EventOrder | None:
@@ -359,27 +359,27 @@ class TracedCycle:
 
     def samples(self, designs: Sequence[Mapping[str, float]]) -> Iterator[Sample]:
         """Yield each design with what is needed to compute its events."""
-        known = np.array([self.inputs(values) for values in designs])
+        inputs = np.array([self.inputs(values) for values in designs])
         grid = np.linspace(0.0, TURN, GRID + 1) + 0.37 * TURN / GRID
-        there = self._watch(*known.T[..., None], grid)
+        there = self._watch(*inputs.T[..., None], grid)
         groups = len(self.mechanism.groups)
         rotates = np.all(np.isfinite(there), axis=(0, 2)) & np.all(there[:groups] >= 0.0, axis=(0, 2))
         counts = np.count_nonzero(sign_changes(there[groups : groups + len(self.events)], still=True)[0], axis=-1).T
         for k, values in enumerate(designs):
-            found = functools.partial(self._structure, known[k], grid, there[:, k]) if rotates[k] else None
-            yield Sample(values, tuple(counts[k].tolist()), found)
+            structure = functools.partial(self._structure, inputs[k], grid, there[:, k]) if rotates[k] else None
+            yield Sample(values, tuple(counts[k].tolist()), structure)
 
-    def _structure(self, known: Array, grid: Array, there: Array) -> EventOrder:
+    def _structure(self, inputs: Array, grid: Array, there: Array) -> EventOrder:
         """Return the events of a design from its margins and event functions on a grid of crank angles."""
         groups = len(self.mechanism.groups)
         if not self.events:
             return EventOrder((), (), ())
 
         def values_at(angles: Array) -> Array:
-            return self._watch(*known, angles)[groups:]
+            return self._watch(*inputs, angles)[groups:]
 
         def slope(k: int, angle: float) -> tuple[float, float]:
-            value, rate = self._event_rates(np.append(known, angle))
+            value, rate = self._event_rates(np.append(inputs, angle))
             return float(value[k]), float(rate[k])
 
         cutting: list[tuple[float, int, bool]] = []
@@ -387,32 +387,32 @@ class TracedCycle:
         separate: list[tuple[float, int, bool]] = []
         for k, places in enumerate(zeros(values_at, grid, still=True, slope=slope, samples=there[groups:])):
             rises = [slope(k, at + AHEAD)[0] > 0.0 for at in places.tolist()]
-            own = [(float(at) % TURN, k, bool(up)) for at, up in zip(places, rises, strict=True)]
-            every[k] = own
+            events = [(float(at) % TURN, k, bool(up)) for at, up in zip(places, rises, strict=True)]
+            every[k] = events
             if self.events[k].cuts:
-                cutting += own
+                cutting += events
             else:
-                separate += _from_rise(own)
+                separate += _from_rise(events)
         ordered = [*_from_rise(cutting), *separate]
         slow = tuple(_forward_slow(every[k]) for k in self.paced)
         return EventOrder(tuple(k for _, k, _ in ordered), tuple(up for *_, up in ordered), tuple(at for at, *_ in ordered), slow)
 
 
-def _forward_slow(found: list[tuple[float, int, bool]]) -> bool | None:
+def _forward_slow(events: list[tuple[float, int, bool]]) -> bool | None:
     """Return whether the forward stroke between reversals (angle, which, rising) is slow; None if undetermined."""
-    if len(found) < 2:
+    if len(events) < 2:
         return None
-    found = sorted(found)
-    ends = [*(at for at, *_ in found[1:]), found[0][0] + TURN]
-    forward = sum(end - at for (at, _, up), end in zip(found, ends, strict=True) if up)
+    events = sorted(events)
+    ends = [*(at for at, *_ in events[1:]), events[0][0] + TURN]
+    forward = sum(end - at for (at, _, up), end in zip(events, ends, strict=True) if up)
     slow = slow_stroke(forward, TURN - forward)
     return None if slow is None else slow == "forward"
 
 
-def _from_rise(found: list[tuple[float, int, bool]]) -> list[tuple[float, int, bool]]:
+def _from_rise(events: list[tuple[float, int, bool]]) -> list[tuple[float, int, bool]]:
     """Sort events (angle, which, rising) within a revolution, starting at the first rise of the first of them."""
-    if not found:
+    if not events:
         return []
-    found = sorted(found)
-    first = min(range(len(found)), key=lambda i: (found[i][1], not found[i][2], found[i][0]))
-    return [*found[first:], *((at + TURN, k, up) for at, k, up in found[:first])]
+    events = sorted(events)
+    first = min(range(len(events)), key=lambda i: (events[i][1], not events[i][2], events[i][0]))
+    return [*events[first:], *((at + TURN, k, up) for at, k, up in events[:first])]

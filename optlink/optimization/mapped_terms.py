@@ -77,11 +77,11 @@ class MappedTerms:
             Further rows, as a function of `x`, p and z.
         """
         count = len(self.at)
-        found = casadi.substitute([self.known, self.f, self.g, *self.angles, *self.senses], *moved)
-        (known, f, g), angles, senses = found[:3], tuple(found[3 : 3 + count]), tuple(found[3 + count :])
-        made = replace(self, x=x, known=known, angles=angles, senses=senses, f=f, g=casadi.vertcat(g, rows))
-        vars(made)["_everywhere"] = self._everywhere
-        return made
+        expressions = casadi.substitute([self.known, self.f, self.g, *self.angles, *self.senses], *moved)
+        (known, f, g), angles, senses = expressions[:3], tuple(expressions[3 : 3 + count]), tuple(expressions[3 + count :])
+        terms = replace(self, x=x, known=known, angles=angles, senses=senses, f=f, g=casadi.vertcat(g, rows))
+        vars(terms)["_mapped_functions"] = self._mapped_functions
+        return terms
 
     def of_rows(self, rows: Sequence[int]) -> MappedTerms:
         """Return the terms with some of the rows, without positions on which they do not depend.
@@ -114,11 +114,11 @@ class MappedTerms:
         for function, angles, z in zip(self.at, self.angles, self.z, strict=True):
             if any(casadi.which_depends(angles, casadi.vertcat(*places), 1, True)):
                 inputs, senses = function.sx_in()
-                found, rates = function(inputs, senses), casadi.SX.sym("rates", *z.shape)
+                outputs, rates = function(inputs, senses), casadi.SX.sym("rates", *z.shape)
                 for k, (height, place) in enumerate(zip(heights, places, strict=True)):
                     moved = rates * casadi.repmat(casadi.jacobian(angles, place).T, rates.shape[0], 1)
                     slopes[k] += casadi.mtimes(casadi.jacobian(height, casadi.vec(z)), casadi.vec(moved))
-                more = casadi.vertcat(found, casadi.jacobian(found, inputs[-1]))
+                more = casadi.vertcat(outputs, casadi.jacobian(outputs, inputs[-1]))
                 function, z = casadi.Function("rates", [inputs, senses], [more]), casadi.vertcat(z, rates)
             at.append(function)
             values.append(z)
@@ -127,15 +127,19 @@ class MappedTerms:
     # --- one position ----------------------------------------------------------------------------------------------------
 
     @cached_property
-    def _everywhere(self) -> tuple[_Everywhere, ...]:
+    def _mapped_functions(self) -> tuple[_MappedFunction, ...]:
         """Each function of one position at all of its positions; `substituted` terms use the same."""
-        made = []
+        functions = []
         for at, angles, senses in zip(self.at, self.angles, self.senses, strict=True):
-            own, angle, sense = casadi.SX.sym("own", self.local), casadi.SX.sym("angle"), casadi.SX.sym("senses", senses.shape[0])
-            known = casadi.substitute(self.known, self.x[: self.local], own)
-            values = casadi.densify(at(casadi.vertcat(known, angle), sense))
-            made.append(_Everywhere([own, self.p, angle, sense], values, own, angle, angles.shape[1]))
-        return tuple(made)
+            local_x, angle, sense = (
+                casadi.SX.sym("own", self.local),
+                casadi.SX.sym("angle"),
+                casadi.SX.sym("senses", senses.shape[0]),
+            )
+            quantities = casadi.substitute(self.known, self.x[: self.local], local_x)
+            values = casadi.densify(at(casadi.vertcat(quantities, angle), sense))
+            functions.append(_MappedFunction([local_x, self.p, angle, sense], values, local_x, angle, angles.shape[1]))
+        return tuple(functions)
 
     # --- the whole programme ---------------------------------------------------------------------------------------------
 
@@ -145,7 +149,7 @@ class MappedTerms:
         return casadi.MX.sym("x", self.x.shape[0]), casadi.MX.sym("p", self.p.shape[0])
 
     @cached_property
-    def _given(self) -> list[list[Any]]:
+    def _inputs_at_positions(self) -> list[list[Any]]:
         """For each function its inputs at all positions."""
         x, p = self._symbols
         places = casadi.Function("places", [self.x, self.p], [part.T for part in (*self.angles, *self.senses)]).call([x, p])
@@ -155,7 +159,10 @@ class MappedTerms:
     @cached_property
     def programme(self) -> dict[str, Any]:
         """The programme for casadi.nlpsol."""
-        z = [each.values.call(given, True, False)[0].T for each, given in zip(self._everywhere, self._given, strict=True)]
+        z = [
+            each.values.call(inputs, True, False)[0].T
+            for each, inputs in zip(self._mapped_functions, self._inputs_at_positions, strict=True)
+        ]
         f, g = (self._evaluated([part], z)[0] for part in (self.f, self.g))
         x, p = self._symbols
         return {"x": x, "p": p, "f": f, "g": g}
@@ -164,8 +171,8 @@ class MappedTerms:
         """Evaluate expressions at values of z; only the functions on which they depend are evaluated."""
         whole, pairs = casadi.veccat(*expressions), zip(self.z, z, strict=True)
         used = [pair for pair in pairs if any(casadi.which_depends(whole, casadi.vec(pair[0]), 1, False))]
-        symbols, given = [self.x, self.p, *(own for own, _ in used)], [*self._symbols, *(value for _, value in used)]
-        return list(casadi.Function("terms", symbols, expressions).call(given))
+        symbols, values = [self.x, self.p, *(symbol for symbol, _ in used)], [*self._symbols, *(value for _, value in used)]
+        return list(casadi.Function("terms", symbols, expressions).call(values))
 
     @cached_property
     def _rates(self) -> list[Any]:
@@ -178,10 +185,10 @@ class MappedTerms:
         """Values of each function at all positions; derivatives of all by x; objective, gradient, rows, Jacobian."""
         x, p = self._symbols
         z, slopes = [], []
-        for each, given, rates in zip(self._everywhere, self._given, self._rates, strict=True):
-            values, by_own, by_angle = each.slopes(*given)
+        for each, inputs, rates in zip(self._mapped_functions, self._inputs_at_positions, self._rates, strict=True):
+            values, local_derivatives, by_angle = each.slopes(*inputs)
             z.append(values.T)
-            slopes.append(casadi.horzcat(each.by_own(by_own), each.by_others(by_angle, rates)))
+            slopes.append(casadi.horzcat(each.local_derivatives(local_derivatives), each.other_derivatives(by_angle, rates)))
         (f, by_f), (g, by_g) = (self._sloped(expression, z, slopes) for expression in (self.f, self.g))
         depends = casadi.Function("rows", [x, p], [self.programme["g"]]).jac_sparsity(0, 0)
         return z, casadi.vertcat(*slopes), f, casadi.densify(by_f).T, casadi.densify(g), casadi.project(by_g, depends)
@@ -189,10 +196,10 @@ class MappedTerms:
     def _sloped(self, expression: Any, z: list[Any], slopes: list[Any]) -> tuple[Any, Any]:
         """Return an expression and its derivatives by x; `slopes` are those of the values of each function."""
         parts = [casadi.jacobian(expression, by) for by in (self.x, *map(casadi.vec, self.z))]
-        found, total, *by_z = self._evaluated([expression, *parts], z)
+        value, total, *by_z = self._evaluated([expression, *parts], z)
         for part, slope in zip(by_z, slopes, strict=True):
             total = total + casadi.mtimes(part, slope) if part.nnz() else total
-        return found, total
+        return value, total
 
     @cached_property
     def values(self) -> CompiledFunction:
@@ -215,13 +222,13 @@ class MappedTerms:
         bend, *prices = outer(x, p, *z, *symbols)
         chained = casadi.vertcat(casadi.MX.eye(count), by_x)
         total = casadi.mtimes([chained.T, bend, chained])
-        for each, given, rates, price, angles in zip(
-            self._everywhere, self._given, self._rates, prices, self.angles, strict=True
+        for each, inputs, rates, price, angles in zip(
+            self._mapped_functions, self._inputs_at_positions, self._rates, prices, self.angles, strict=True
         ):
-            found, by_angle = each.bent(given, price.T, rates)
+            curvatures, by_angle = each.bent(inputs, price.T, rates)
             weights = casadi.SX.sym("weights", *angles.shape)
             turned = casadi.hessian(casadi.dot(weights, angles), self.x)[0]
-            total += found + casadi.Function("angles", [self.x, self.p, weights], [turned])(x, p, by_angle.T)
+            total += curvatures + casadi.Function("angles", [self.x, self.p, weights], [turned])(x, p, by_angle.T)
         return casadi.Function("hessian", [x, p, *symbols], [casadi.triu(casadi.densify(total))])
 
     @property
@@ -237,7 +244,7 @@ class MappedTerms:
 
 
 @dataclass(frozen=True)
-class _Everywhere:
+class _MappedFunction:
     """A function of one position and its derivatives, evaluated at all positions; the results have a row for each."""
 
     inputs: list[Any]
@@ -246,32 +253,32 @@ class _Everywhere:
     angle: Any
     positions: int
 
-    def _made(self, inputs: list[Any], outputs: list[Any]) -> Any:
+    def _compiled(self, inputs: list[Any], outputs: list[Any]) -> Any:
         return elementwise(casadi.Function("one", inputs, outputs), 2, self.positions)
 
     @cached_property
     def values(self) -> Any:
-        return self._made(self.inputs, [self.outputs])
+        return self._compiled(self.inputs, [self.outputs])
 
     @cached_property
-    def _by_own(self) -> Any:
+    def _local_jacobian(self) -> Any:
         return casadi.jacobian(self.outputs, self.own)
 
     @cached_property
     def slopes(self) -> Any:
         """Values, their derivatives by the own components of x (those that do not vanish) and by the angle."""
         by_angle = casadi.densify(casadi.jacobian(self.outputs, self.angle))
-        return self._made(self.inputs, [self.outputs, casadi.vertcat(*self._by_own.nonzeros()), by_angle])
+        return self._compiled(self.inputs, [self.outputs, casadi.vertcat(*self._local_jacobian.nonzeros()), by_angle])
 
-    def by_own(self, slopes: Any) -> Any:
+    def local_derivatives(self, slopes: Any) -> Any:
         """Return the derivatives (values * positions, local) of the values by the own components of x."""
-        one = self._by_own.sparsity()
+        one = self._local_jacobian.sparsity()
         ends = one.colind()
         every = casadi.repmat(one, self.positions, 1)
-        found = [casadi.vec(part.T) for part in casadi.horzsplit(slopes, ends)] if one.nnz() else []
-        return casadi.MX(every, casadi.vertcat(*found)) if one.nnz() else casadi.MX(*every.shape)
+        parts = [casadi.vec(part.T) for part in casadi.horzsplit(slopes, ends)] if one.nnz() else []
+        return casadi.MX(every, casadi.vertcat(*parts)) if one.nnz() else casadi.MX(*every.shape)
 
-    def by_others(self, slopes: Any, rates: Any) -> Any:
+    def other_derivatives(self, slopes: Any, rates: Any) -> Any:
         """Return the derivatives (values * positions, others) of the values by the other components of x.
 
         Parameters
@@ -294,24 +301,24 @@ class _Everywhere:
         one and the angle, by the angle; derivative by the angle. With them the pattern of the first."""
         price, count = casadi.SX.sym("price", self.outputs.shape[0]), self.own.shape[0]
         bent, slope = casadi.hessian(casadi.dot(price, self.outputs), casadi.vertcat(self.own, self.angle))
-        own: Any = casadi.triu(bent[:count, :count])
+        by_local: Any = casadi.triu(bent[:count, :count])
         parts = [casadi.densify(part) for part in (bent[:count, count], bent[count, count], slope[count])]
-        return self._made([*self.inputs, price], [casadi.vertcat(*own.nonzeros()), *parts]), own.sparsity()
+        return self._compiled([*self.inputs, price], [casadi.vertcat(*by_local.nonzeros()), *parts]), by_local.sparsity()
 
-    def bent(self, given: list[Any], prices: Any, rates: Any) -> tuple[Any, Any]:
+    def bent(self, inputs: list[Any], prices: Any, rates: Any) -> tuple[Any, Any]:
         """Return the second derivatives by x of all values times their prices, and the derivatives of these by the angles.
 
         Parameters
         ----------
-        given : list of casadi expressions
+        inputs : list of casadi expressions
             Inputs of the function.
         prices : casadi expression (positions, values)
         rates : casadi expression (positions, others)
             Of the angles, by the other components of x.
         """
         function, pattern = self._curvatures
-        by_own, by_both, by_angles, by_angle = function(*given, prices)
+        local_derivatives, by_both, by_angles, by_angle = function(*inputs, prices)
         mixed = casadi.mtimes(by_both.T, rates)
-        own = casadi.triu2symm(casadi.MX(pattern, casadi.sum1(by_own).T))
+        by_local = casadi.triu2symm(casadi.MX(pattern, casadi.sum1(local_derivatives).T))
         others = casadi.mtimes([rates.T, casadi.diag(by_angles), rates])
-        return casadi.vertcat(casadi.horzcat(own, mixed), casadi.horzcat(mixed.T, others)), by_angle
+        return casadi.vertcat(casadi.horzcat(by_local, mixed), casadi.horzcat(mixed.T, others)), by_angle

@@ -23,8 +23,8 @@ class ErrorMeasure:
     def sizes(self, residuals: ArrayLike) -> NDArray[np.float64]:
         """Return the size of the residual at each position."""
         r = np.asarray(residuals, dtype=float)
-        found = np.abs(r) if self.width == 1 else np.sqrt(np.sum(np.square(r.reshape(-1, self.width)), axis=1))
-        return np.asarray(found, dtype=float)
+        sizes = np.abs(r) if self.width == 1 else np.sqrt(np.sum(np.square(r.reshape(-1, self.width)), axis=1))
+        return np.asarray(sizes, dtype=float)
 
     def of(self, residuals: ArrayLike) -> float:
         """Return the value of the measure."""
@@ -50,7 +50,7 @@ def error_measures(unit: str, width: int = 1) -> dict[str, ErrorMeasure]:
         Number of components per position.
     """
     units = {"sum of squares": f"{unit}^2", "rms": unit, "max": unit}
-    return {name: ErrorMeasure(name, own, width) for name, own in units.items()}
+    return {name: ErrorMeasure(name, display_unit, width) for name, display_unit in units.items()}
 
 
 MEASURES = error_measures("rad")

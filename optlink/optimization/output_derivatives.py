@@ -74,9 +74,9 @@ class ErrorDerivatives:
         crank : pair of symbols
             Direction of the crank.
         """
-        made = casadi.Function("slopes", [casadi.vertcat(*self._inputs)], [casadi.vertcat(*self._outputs)])
-        found = made(casadi.vertcat(*self._arguments(values, crank)))
-        return [found[i] for i in self._place]
+        function = casadi.Function("slopes", [casadi.vertcat(*self._inputs)], [casadi.vertcat(*self._outputs)])
+        outputs = function(casadi.vertcat(*self._arguments(values, crank)))
+        return [outputs[i] for i in self._place]
 
     def numeric(self, values: Mapping[str, Value], crank: Vector) -> list[Array]:
         """Return the derivatives as arrays, one for each deviation [SI].
@@ -90,8 +90,8 @@ class ErrorDerivatives:
         """
         if "tape" not in vars(self):
             self.tape = NumpyEvaluator(self._inputs, self._outputs)
-        found = self.tape(*self._arguments(values, crank))
-        return [found[i] for i in self._place]
+        outputs = self.tape(*self._arguments(values, crank))
+        return [outputs[i] for i in self._place]
 
 
 class ErrorResiduals:

@@ -7,14 +7,14 @@ from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
 
-SAME = 1e-6  # share of a front's extent (or magnitude): closer designs count as one
+DUPLICATE = 1e-6  # share of a front's extent (or magnitude): closer designs count as one
 STRAIGHT = 1e-3  # share of a front's extent: least bulge of a front with a knee
 
 
 def extent(costs: Array) -> Array:
     """Return the extent of a set along every axis (k,), its magnitude where the extent vanishes; `costs` (n, k)."""
     width, size = np.ptp(costs, axis=0), np.max(np.abs(costs), axis=0)
-    return np.where(width > SAME * size, width, np.where(size > 0.0, size, 1.0))
+    return np.where(width > DUPLICATE * size, width, np.where(size > 0.0, size, 1.0))
 
 
 def undominated(costs: Array) -> NDArray[np.bool_]:
@@ -30,21 +30,21 @@ def undominated(costs: Array) -> NDArray[np.bool_]:
     share = costs / extent(costs)
     kept = np.ones(len(costs), dtype=bool)
     for i, point in enumerate(share):
-        no_worse = np.all(share <= point + SAME, axis=1)
-        better = np.any(share < point - SAME, axis=1)
-        twin = no_worse & np.all(share >= point - SAME, axis=1) & kept & (np.arange(len(share)) < i)
-        kept[i] = not np.any((no_worse & better) | twin)
+        no_worse = np.all(share <= point + DUPLICATE, axis=1)
+        better = np.any(share < point - DUPLICATE, axis=1)
+        duplicate = no_worse & np.all(share >= point - DUPLICATE, axis=1) & kept & (np.arange(len(share)) < i)
+        kept[i] = not np.any((no_worse & better) | duplicate)
     return kept
 
 
 def ends(costs: Array) -> tuple[int, ...]:
     """Return the indices of the least of every column; of several equal ones, that with the least sum of all columns."""
     share = costs / extent(costs)
-    found = []
+    indices = []
     for column in range(costs.shape[1]):
-        near = np.flatnonzero(share[:, column] <= np.min(share[:, column]) + SAME)
-        found.append(int(near[np.argmin(np.sum(share[near], axis=1))]))
-    return tuple(found)
+        near = np.flatnonzero(share[:, column] <= np.min(share[:, column]) + DUPLICATE)
+        indices.append(int(near[np.argmin(np.sum(share[near], axis=1))]))
+    return tuple(indices)
 
 
 def knee(costs: Array) -> tuple[int, float] | None:

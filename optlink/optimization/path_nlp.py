@@ -82,11 +82,11 @@ def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = 
     """
     size, share, free, data = problem.size, problem.whole, problem.free, problem.data
     fixed = tuple(name for name in problem.quantities if name not in free)
-    own = data.offsets is None
+    free_timing = data.offsets is None
     count, measure = len(data.columns), error_measures(problem.unit, problem.width)[problem.measure]
     minimax = measure.name == "max"
     variables = [scaled_variable(problem, name) for name in free]
-    if own:
+    if free_timing:
         variables += [Variable(angle_name(i), 1.0, DEGREES) for i in range(count)]
     if minimax:
         variables.append(Variable(EPIGRAPH, share, Scale("", share)))
@@ -106,20 +106,22 @@ def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = 
         width = data.columns.shape[1]
         columns = [parts[width * k : width * (k + 1)] for k in range(count)]
         stretch = casadi.vertcat(1.0, 1.0, parts[-1] / problem.radian) if problem.requirement.kind == "motion" else 1.0
-    origin = 0.0 if own or problem.timing != "from start" else 1.0  # factor of the start angle in the crank angles of the points
-    if own:
+    origin = (
+        0.0 if free_timing or problem.timing != "from start" else 1.0
+    )  # factor of the start angle in the crank angles of the points
+    if free_timing:
         angles: list[Any] = [x[len(free) + i] for i in range(count)]
     else:
         assert data.offsets is not None
         angles = data.offsets.tolist()
         direction = 1 if angles[-1] >= angles[0] else -1
     with symbols_in_numpy():
-        known = casadi.vertcat(*(values[name] for name in problem.quantities))
+        quantities = casadi.vertcat(*(values[name] for name in problem.quantities))
         residual, (limit, placed) = _traced(problem)
         watched = _Positions(residual)
         errors = [watched.at(angle, origin, *row) for angle, row in zip(angles, columns, strict=True)]
         errors = [error * root * stretch for error, root in zip(errors, data.roots, strict=True)]
-        span = direction * TURN if problem.closed and own else angles[-1] - angles[0]
+        span = direction * TURN if problem.closed and free_timing else angles[-1] - angles[0]
         begin = angles[0] + values[START] if origin else angles[0]
         rows = limit_rows(problem, values, Reach(begin, span, direction), size)
         limited = _Positions(limit)
@@ -127,8 +129,8 @@ def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = 
 
         def limits_at(angle: Any, over_span: bool) -> dict[int, ConstraintRow]:
             along = along_points(problem, over_span=over_span)
-            found, own = limited.at(angle, origin if along else 0.0), {"place": angle, "periodic": not along}
-            return {k: replace(row, value=found[k], **own) for k, row in enumerate(placed) if row.over_span == over_span}
+            rows, options = limited.at(angle, origin if along else 0.0), {"place": angle, "periodic": not along}
+            return {k: replace(row, value=rows[k], **options) for k, row in enumerate(placed) if row.over_span == over_span}
 
         for over_span in kinds:
             for angle in _fixed_positions(problem, angles, over_span):
@@ -144,7 +146,7 @@ def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = 
                 further.append(watched.at(TURN * p[exchanged_from + k], 0.0, 0.0))
                 largest = (x[-1] * x[-1] - casadi.sumsqr(further[-1])) / (p[0] * p[0])
                 rows.append(ConstraintRow(EPIGRAPH, "transmission angle at another crank angle", largest, 0.0, math.inf, PLAIN))
-        if own:
+        if free_timing:
             steps = [(b - a) * direction for a, b in itertools.pairwise(angles)]
             rows += [
                 ConstraintRow("requirement.points", f"order of points {i + 1} and {i + 2}", step, STEP, math.inf, DEGREES)
@@ -165,17 +167,17 @@ def build_path_nlp(problem: PathProblem, direction: int = 1, *, movable: bool = 
         f = x[-1] if minimax else casadi.sumsqr(vector) / (share**2 * (count if measure.name == "rms" else 1))
         g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
         at, places, senses, z = zip(*(each.terms for each in (watched, limited) if each.places), strict=True)
-        mapped = MappedTerms(x, p, at, known, len(free), places, senses, z, f / p[0], g)
+        mapped = MappedTerms(x, p, at, quantities, len(free), places, senses, z, f / p[0], g)
         f, g, vector = mapped.expanded([mapped.f, g, vector])
 
     between = (np.arange(EXCHANGE_POINTS) + 0.5) / EXCHANGE_POINTS  # initially half-way between two positions of the grid
     box = [boxed(problem.quantities[v.name], v) for v in variables[: len(free)]]
-    if own:
+    if free_timing:
         box += [(-4.0 * math.pi, 4.0 * math.pi, direction * TURN / count * i) for i in range(count)]
     if minimax:
         box.append((0.0, math.inf, 1.0))
     x_low, x_high, x_start = np.array(box).reshape(-1, 3).T.copy()
-    helpers = {EPIGRAPH, *(angle_name(i) for i in range(count if own else 0))}
+    helpers = {EPIGRAPH, *(angle_name(i) for i in range(count if free_timing else 0))}
     return NLP(
         variables=tuple(variables),
         fixed=fixed,
@@ -207,13 +209,17 @@ TARGET = "target "
 def target_constants(problem: PathProblem) -> list[Variable]:
     """Return the components of the targets as parameters: each row of `data.columns`, and the length of a radian of poses."""
     size = problem.size
-    made = []
+    constants = []
     for k in range(len(problem.data.columns)):
         for axis, origin in zip("xy", problem.centre, strict=True):
-            made.append(Variable(f"{TARGET}{k}.{axis}", size, Scale("mm", 1e3 * size, offset=1e3 * origin), origin))
+            constants.append(Variable(f"{TARGET}{k}.{axis}", size, Scale("mm", 1e3 * size, offset=1e3 * origin), origin))
         if problem.requirement.kind == "motion":
-            made += [Variable(f"{TARGET}{k}.{part}", 1.0, PLAIN) for part in ("cosine", "sine")]
-    return [*made, Variable(f"{TARGET}radian", size, Scale("mm", 1e3 * size))] if problem.requirement.kind == "motion" else made
+            constants += [Variable(f"{TARGET}{k}.{part}", 1.0, PLAIN) for part in ("cosine", "sine")]
+    return (
+        [*constants, Variable(f"{TARGET}radian", size, Scale("mm", 1e3 * size))]
+        if problem.requirement.kind == "motion"
+        else constants
+    )
 
 
 def constant_values(problem: PathProblem, constants: Sequence[Variable]) -> list[float]:
@@ -225,10 +231,10 @@ def constant_values(problem: PathProblem, constants: Sequence[Variable]) -> list
     constants : sequence of Variable
         See `NLP.constants`.
     """
-    quantities, listed = problem.quantities, [*problem.data.columns.ravel().tolist(), problem.radian]
+    quantities, numbers = problem.quantities, [*problem.data.columns.ravel().tolist(), problem.radian]
     first = next((i for i, v in enumerate(constants) if v.name.startswith(TARGET)), len(constants))
-    found = [v.scaled(quantities[v.name].value) for v in constants[:first]]
-    return [*found, *(v.scaled(value) for v, value in zip(constants[first:], listed, strict=False))]
+    values = [v.scaled(quantities[v.name].value) for v in constants[:first]]
+    return [*values, *(v.scaled(value) for v, value in zip(constants[first:], numbers, strict=False))]
 
 
 def solved_values(task: PathProblem, design: Mapping[str, float], x: Array) -> tuple[dict[str, float], Array]:
@@ -245,8 +251,8 @@ def solved_values(task: PathProblem, design: Mapping[str, float], x: Array) -> t
     values = {name: quantity.value for name, quantity in task.quantities.items()}
     values |= {name: design[name] for name in task.free}
     free = len(task.free)
-    own = x[free : free + len(task.data.columns)] if task.data.offsets is None else None
-    return values, task.crank_angles(values, own)
+    free_angles = x[free : free + len(task.data.columns)] if task.data.offsets is None else None
+    return values, task.crank_angles(values, free_angles)
 
 
 def required_motion(problem: PathProblem, angles: Any, *, over_span: bool = False) -> tuple[Any, Any]:
@@ -309,10 +315,10 @@ def limit_excesses(problem: PathProblem, values: Mapping[str, Value], angles: An
     with np.errstate(all="ignore"):
         rows = rows_over(False)
         if any(row.over_span for row in rows):
-            rows = [own if row.over_span else row for row, own in zip(rows, rows_over(True), strict=True)]
+            rows = [span_row if row.over_span else row for row, span_row in zip(rows, rows_over(True), strict=True)]
         over = [np.maximum(row.low - row.value, row.value - row.high) for row in rows]
-        found = np.array(np.broadcast_arrays(*over, angles[0] + shares)[:-1])
-    return np.where(np.isfinite(found), found, -np.inf)
+        excesses = np.array(np.broadcast_arrays(*over, angles[0] + shares)[:-1])
+    return np.where(np.isfinite(excesses), excesses, -np.inf)
 
 
 def _traced(problem: PathProblem) -> tuple[Any, tuple[Any, list[ConstraintRow]]]:
@@ -323,11 +329,11 @@ def _traced(problem: PathProblem) -> tuple[Any, tuple[Any, list[ConstraintRow]]]
     """
     names, width = list(problem.quantities), problem.data.columns.shape[1]
     inputs, senses = casadi.SX.sym("inputs", len(names) + 1), casadi.SX.sym("senses", 1 + width)
-    own = {name: inputs[i] for i, name in enumerate(names)}
-    angle = inputs[len(names)] + (senses[0] * own[START] if START in own else 0.0)
-    pose = problem.linkage.pose(own, unit(angle))
+    quantities = {name: inputs[i] for i, name in enumerate(names)}
+    angle = inputs[len(names)] + (senses[0] * quantities[START] if START in quantities else 0.0)
+    pose = problem.linkage.pose(quantities, unit(angle))
     target = tuple(senses[1 + k] for k in range(width))
-    residual = casadi.Function("residual", [inputs, senses], [casadi.vertcat(*problem.deviation(pose, own, target))])
+    residual = casadi.Function("residual", [inputs, senses], [casadi.vertcat(*problem.deviation(pose, quantities, target))])
     rows = position_rows(problem, pose) if has_position_limits(problem) else []
     limits = casadi.Function("limits", [inputs, senses[0]], [casadi.vertcat(*[row.value for row in rows])])
     return residual, (limits, rows)

@@ -90,14 +90,14 @@ class TaylorModel(NDArrayOperatorsMixin):
             Corners of the boxes.
         """
         boxes, count = low.shape
-        found = []
+        models = []
         for k in range(count):
             coefficients = np.zeros((1 + count + len(pairs(count)), boxes, 1))
             coefficients[0, :, 0] = 0.5 * (low[:, k] + high[:, k])
             coefficients[1 + k, :, 0] = 0.5 * (high[:, k] - low[:, k])
             slack = 4.0 * UNIT * (np.abs(low[:, k]) + np.abs(high[:, k])) + TINY
-            found.append(TaylorModel(coefficients, slack[:, None], count))
-        return found
+            models.append(TaylorModel(coefficients, slack[:, None], count))
+        return models
 
     # --- bounds ----------------------------------------------------------------------------------------------------
 
@@ -193,9 +193,9 @@ class TaylorModel(NDArrayOperatorsMixin):
 
 def _bound(value: Array, radius: Array, side: float) -> Array:
     with np.errstate(invalid="ignore"):
-        found = value + side * radius
-    found = found + side * 4.0 * UNIT * np.abs(found)
-    return np.where(np.isnan(found), side * np.inf, found)
+        bound = value + side * radius
+    bound = bound + side * 4.0 * UNIT * np.abs(bound)
+    return np.where(np.isnan(bound), side * np.inf, bound)
 
 
 def _model(x: Any, like: TaylorModel) -> TaylorModel:
@@ -322,10 +322,10 @@ def _power(base: Any, exponent: Any) -> TaylorModel:
     n = float(exponent)
     if n != int(n) or abs(n) > INTEGER_POWERS:
         return _compose(base, power(n))
-    found = base if n else TaylorModel.constant(1.0, base.count)
+    result = base if n else TaylorModel.constant(1.0, base.count)
     for _ in range(abs(int(n)) - 1):
-        found = found * base
-    return 1.0 / found if n < 0 else found
+        result = result * base
+    return 1.0 / result if n < 0 else result
 
 
 def _arctan2(y: Any, x: Any) -> TaylorModel:
@@ -336,9 +336,9 @@ def _arctan2(y: Any, x: Any) -> TaylorModel:
     along, across = x * c + y * s, y * c - x * s
     slope = across * _compose(along, DERIVATIVES[np.reciprocal])
     valid = along.low > 0.0
-    found = _compose(slope, DERIVATIVES[np.arctan], LIBRARY)
-    remainder = np.where(valid, found.remainder + 4.0 * LIBRARY, np.inf)
-    out = found.coefficients.copy()
+    angle = _compose(slope, DERIVATIVES[np.arctan], LIBRARY)
+    remainder = np.where(valid, angle.remainder + 4.0 * LIBRARY, np.inf)
+    out = angle.coefficients.copy()
     out[0] += centre
     return TaylorModel(out, remainder, x.count)
 
@@ -385,12 +385,12 @@ def _minimum(a: Any, b: Any) -> TaylorModel:
 
 def _root(x: TaylorModel) -> TaylorModel:
     """Square root; where x is negative in a part of the box, the range of the root in the other part."""
-    found, low, high = _compose(x, DERIVATIVES[np.sqrt]), x.low, x.high
+    root, low, high = _compose(x, DERIVATIVES[np.sqrt]), x.low, x.high
     partly = (low <= 0.0) & (high > 0.0) & np.isfinite(high)
     if not np.any(partly):
-        return found
+        return root
     whole = _hull(x, np.zeros_like(high), np.sqrt(np.maximum(high, 0.0)))
-    return _select(whole, found, partly, found, ~partly)
+    return _select(whole, root, partly, root, ~partly)
 
 
 _RULES: dict[np.ufunc, Callable[..., TaylorModel]] = {

@@ -58,9 +58,9 @@ def typed(function: Callable[P, R]) -> Callable[P, R]:
         except TypeError:
             raise InputError(_faults_of_call(function.__name__, signature, args, kwargs)) from None
         bound.apply_defaults()
-        given = {name: value.item() if isinstance(value, np.generic) else value for name, value in bound.arguments.items()}
+        arguments = {name: value.item() if isinstance(value, np.generic) else value for name, value in bound.arguments.items()}
         try:
-            checked = model().model_validate(given)
+            checked = model().model_validate(arguments)
         except pydantic.ValidationError as error:
             raise InputError(list({item["loc"][0]: _fault(item) for item in reversed(error.errors())}.values())[::-1]) from None
         bound.arguments.update(dict(checked))

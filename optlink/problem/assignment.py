@@ -35,12 +35,12 @@ def parse_assignments(texts: Sequence[str], option: str = "--set") -> dict[str, 
     InputError
         If one cannot be read, or two have the same key.
     """
-    found: dict[str, object] = {}
+    values: dict[str, object] = {}
     for key, value in (parse_assignment(text, option) for text in texts):
-        if key in found:
+        if key in values:
             raise InputError("the key is given twice", "Give every key once", key=f"{option} {key}", value=value)
-        found[key] = value
-    return found
+        values[key] = value
+    return values
 
 
 def parse_assignment(text: str, option: str = "--set") -> tuple[str, object]:
@@ -87,8 +87,8 @@ MOST_BARE = 1000
 def _quoted(bare: re.Match[str]) -> str:
     """Put the quotes back around a name, a quantity or a range; numbers and logical values have none."""
     text = bare[2]
-    known = split(text)
-    if text in ("true", "false") or (known is not None and not known[1]):
+    parts = split(text)
+    if text in ("true", "false") or (parts is not None and not parts[1]):
         return bare[0]
-    named = re.fullmatch(r"[A-Za-z][\w -]*", text) is not None
-    return f'{bare[1]}"{text}"' if named or known is not None or split_range(text) is not None else bare[0]
+    is_name = re.fullmatch(r"[A-Za-z][\w -]*", text) is not None
+    return f'{bare[1]}"{text}"' if is_name or parts is not None or split_range(text) is not None else bare[0]

@@ -92,13 +92,13 @@ def with_spellings(raw: Mapping[str, Any]) -> dict[str, Any]:
             return [one(item) for item in table]
         if not isinstance(table, Mapping):
             return table
-        known = {key: SPELLINGS.get(key, key) for key in table}
-        named = {key: key if known[key] != key and known[key] in table else known[key] for key in table}
+        standard = {key: SPELLINGS.get(key, key) for key in table}
+        renamed = {key: key if standard[key] != key and standard[key] in table else standard[key] for key in table}
         values = {
             key: SPELLINGS.get(item, item) if key in ("sense", "from") and isinstance(item, str) else item
             for key, item in table.items()
         }
-        return {named[key]: one(item) if key == "terms" else item for key, item in values.items()}
+        return {renamed[key]: one(item) if key == "terms" else item for key, item in values.items()}
 
     return {name: one(table) if name in SPELLED else table for name, table in raw.items()}
 
@@ -347,14 +347,14 @@ def read_document(path: Path) -> dict[str, Any]:
         If the file cannot be read or is not a JSON object.
     """
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         reason = getattr(error, "strerror", None) or "it is not a JSON document"
         remedy = "Give a result.json that --out wrote, the folder it is in, or a problem"
         raise InputError(f"cannot read a result: {reason}", remedy, str(path)) from None
-    if not isinstance(found, dict):
+    if not isinstance(document, dict):
         raise InputError("not a result of optlink", "Give a result.json that --out wrote", str(path))
-    return found
+    return document
 
 
 def read_record(kind: type[R], document: Mapping[str, Any], path: Path) -> R:
@@ -431,8 +431,8 @@ def damaged(error: ValidationError | Contradiction, path: Path) -> InputError:
 
 
 def _fault(message: str, key: str, value: object, path: Path) -> InputError:
-    shown = None if isinstance(value, dict | list) else value
-    return InputError(f"the result is damaged: {message}", AGAIN, str(path), key or None, shown)
+    displayed = None if isinstance(value, dict | list) else value
+    return InputError(f"the result is damaged: {message}", AGAIN, str(path), key or None, displayed)
 
 
 def _key(place: Sequence[str | int]) -> str:

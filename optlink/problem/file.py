@@ -95,8 +95,8 @@ class ProblemFile:
         tabled = "csv" in json.dumps([self.raw.get("loads"), self.raw.get("drive")], default=str)
         read = [repr(part) for part in (self.model.loads, self.model.drive)] if tabled else []  # from CSV files
         read += [repr(deviation.values) for deviation in self.model.deviations if deviation.values]
-        stated = _without_defaults({key: value for key, value in self.raw.items() if key not in WORDS})
-        text = json.dumps([stated, repr(law), *read], sort_keys=True, default=str)
+        content = _without_defaults({key: value for key, value in self.raw.items() if key not in WORDS})
+        text = json.dumps([content, repr(law), *read], sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def variants(self) -> list[ProblemFile]:
@@ -135,8 +135,8 @@ def _without_defaults(raw: dict[str, Any]) -> dict[str, Any]:
     limits = raw.get("limits")
     if not isinstance(limits, dict) or not any(limits.get(key) == value for key, value in MARGINS.items()):
         return raw
-    own = {key: value for key, value in limits.items() if key not in MARGINS or value != MARGINS[key]}
-    return {key: value for key, value in {**raw, "limits": own}.items() if key != "limits" or value}
+    changed = {key: value for key, value in limits.items() if key not in MARGINS or value != MARGINS[key]}
+    return {key: value for key, value in {**raw, "limits": changed}.items() if key != "limits" or value}
 
 
 def _similar(text: str, names: Iterable[str]) -> str:
@@ -230,8 +230,8 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
         with input_of(file):
             problem.check()
     except (pydantic.ValidationError, InputError) as error:
-        found = error.faults if isinstance(error, InputError) else faults(error, model, raw, file)
-        raise InputError([as_written(fault, raw) for fault in found]) from None
+        errors = error.faults if isinstance(error, InputError) else faults(error, model, raw, file)
+        raise InputError([as_written(fault, raw) for fault in errors]) from None
     return ProblemFile(name, file, where, raw, problem)
 
 
@@ -305,8 +305,8 @@ def complete(problem: ProblemFile) -> dict[str, Any]:
 
         four_bar = not of_dyads(problem.raw)
         applicable = {key for key in MARGINS if key in type(limits).model_fields and (four_bar or key not in four_bar_limits())}
-        own = {key: value for key, value in MARGINS.items() if key in applicable}
-        raw["limits"] = {**own, **raw.get("limits", {})}
+        margins = {key: value for key, value in MARGINS.items() if key in applicable}
+        raw["limits"] = {**margins, **raw.get("limits", {})}
     return raw
 
 
@@ -371,9 +371,9 @@ def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
         path = tuple(steps[:depth])
         place = _coordinate(path, table, step)
         if place is None and step not in table:
-            known = known_keys(path) if _fixed(path) else list(table)
-            if step not in known:
-                remedy = nearest(step, known, [] if path else keys_ending(raw, key))
+            keys = known_keys(path) if _fixed(path) else list(table)
+            if step not in keys:
+                remedy = nearest(step, keys, [] if path else keys_ending(raw, key))
                 if not _fixed(path):
                     remedy += f". Give a new table as a whole:  {'.'.join(steps[: depth + 1])}={{ ... }}"
                 raise InputError("unknown key", remedy, file, key)
@@ -404,27 +404,27 @@ def _coordinate(path: tuple[str, ...], table: Any, step: str) -> int | None:
 def _whole(raw: Mapping[str, Any], key: str, value: object, file: str) -> tuple[str, object]:
     """Return key and value of a whole range for one side of it: `limits.transmission_angle.max`, `mechanism.coupler.min`."""
     above, _, side = key.rpartition(".")
-    known: Any = raw
+    content: Any = raw
     steps = above.split(".")
     for depth, step in enumerate(steps):
-        place = _coordinate(tuple(steps[:depth]), known, step)
-        known = known[place] if place is not None else known.get(step) if isinstance(known, Mapping) else None
-    if side not in SIDES or value is None or known is None:
+        place = _coordinate(tuple(steps[:depth]), content, step)
+        content = content[place] if place is not None else content.get(step) if isinstance(content, Mapping) else None
+    if side not in SIDES or value is None or content is None:
         return key, value
-    if isinstance(known, Mapping):
-        bounds = known.get("bounds")
-        if "exactly" in known:  # an equality becomes a range
-            both = dict.fromkeys(SIDES, known["exactly"]) | {side: value}
-            return above, {**{name: item for name, item in known.items() if name != "exactly"}, **both}
-        return (above, {**known, "bounds": _side(bounds, side, value)}) if isinstance(bounds, list) else (key, value)
-    if not isinstance(known, list):
+    if isinstance(content, Mapping):
+        bounds = content.get("bounds")
+        if "exactly" in content:  # an equality becomes a range
+            both = dict.fromkeys(SIDES, content["exactly"]) | {side: value}
+            return above, {**{name: item for name, item in content.items() if name != "exactly"}, **both}
+        return (above, {**content, "bounds": _side(bounds, side, value)}) if isinstance(bounds, list) else (key, value)
+    if not isinstance(content, list):
         if above.startswith("mechanism."):
-            message = f"{above.removeprefix('mechanism.')} is fixed at {known}, it has no bounds"
+            message = f"{above.removeprefix('mechanism.')} is fixed at {content}, it has no bounds"
             raise InputError(message, f"Name {above} itself, or free it", file, key, value)
         if above.startswith("limits.pressure_angle") and side == "max":
             return above, value
-        known = [known, known]  # an equality becomes a range
-    return above, _side(known, side, value)
+        content = [content, content]  # an equality becomes a range
+    return above, _side(content, side, value)
 
 
 def _side(pair: list[Any], side: str, value: object) -> list[Any]:

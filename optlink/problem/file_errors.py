@@ -93,8 +93,8 @@ def keys_ending(raw: Mapping[str, Any], end: str, above: str = "") -> list[str]:
     above : str
         Steps that lead to `raw`, each followed by a dot.
     """
-    found = [f"{above}{name}" for name in raw if above and f".{above}{name}".endswith(f".{end}")]
-    return found + [
+    keys = [f"{above}{name}" for name in raw if above and f".{above}{name}".endswith(f".{end}")]
+    return keys + [
         key for name, item in raw.items() if isinstance(item, Mapping) for key in keys_ending(item, end, f"{above}{name}.")
     ]
 
@@ -117,15 +117,15 @@ def _fitting(path: tuple[str | int, ...], model: type[Problem], raw: Mapping[str
     from optlink.problem.path import PathProblem
     from optlink.problem.path_checks import inapplicable_keys
 
-    known = known_keys(path, model)
+    keys = known_keys(path, model)
     if path == ("mechanism",):
         other = FourBarSection if of_dyads(raw) else DyadsSection
         own = DyadsSection if of_dyads(raw) else FourBarSection
-        known = [key for key in known if key in own.model_fields or key not in other.model_fields]
+        keys = [key for key in keys if key in own.model_fields or key not in other.model_fields]
     if model is PathProblem and len(path) == 1:
         others = inapplicable_keys(str(path[0]), raw["requirement"].get("kind", "function"), four_bar=not of_dyads(raw))
-        known = [key for key in known if key not in others]
-    return known
+        keys = [key for key in keys if key not in others]
+    return keys
 
 
 def _elsewhere(section: str, key: str, model: type[Problem]) -> list[str]:
@@ -147,14 +147,14 @@ def faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[s
     file : str
         Name of the file.
     """
-    found = list(_faults(error, model, raw, file))
+    result = list(_faults(error, model, raw, file))
     misspelt = {
         (str(fault.key).rpartition(".")[0], guess)
-        for fault in found
+        for fault in result
         if fault.message == UNKNOWN
         for guess in re.findall('"(\\w+)"', fault.remedy.partition("?")[0])
     }
-    for fault in found:
+    for fault in result:
         section, _, key = str(fault.key).rpartition(".")
         # kind and type decide which keys their section needs
         if fault.message != MISSING or not misspelt & {(section, key), (section, "kind"), (section, "type")}:
@@ -178,8 +178,14 @@ def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[
             deeper = _elsewhere(str(path[0]), str(path[-1]), model) if path[1:] else keys_ending(raw, key)
             yield Fault(UNKNOWN, nearest(str(path[-1]), fitting, deeper if len(path) < 3 else []), file, key)
         elif kind == "union_tag_invalid":
-            given = raw["mechanism"].get("type")
-            yield Fault("not a type of linkage", nearest(str(given), ("four-bar", "dyads")), file, f"{key}.type", _plain(given))
+            linkage_type = raw["mechanism"].get("type")
+            yield Fault(
+                "not a type of linkage",
+                nearest(str(linkage_type), ("four-bar", "dyads")),
+                file,
+                f"{key}.type",
+                _plain(linkage_type),
+            )
         elif kind == "missing":
             yield Fault(MISSING, _example(key), file, key)
         elif kind == "literal_error":
@@ -199,12 +205,16 @@ def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[
             yield Fault("this is not a text", remedy, file, key, _plain(value))
         else:
             message = item["msg"][0].lower() + item["msg"][1:]
-            yield Fault(_WRONG.get(kind, message), _example(key), file, key, _plain(value))
+            words = _WRONG[kind].format(**item.get("ctx", {})) if kind in _WRONG else message
+            yield Fault(words, _example(key), file, key, _plain(value))
 
 
 _WRONG = {
     **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "this is not a whole number"),
-    **dict.fromkeys(("greater_than", "greater_than_equal", "less_than", "less_than_equal"), "out of range"),
+    "greater_than": "out of range, not greater than {gt}",
+    "greater_than_equal": "out of range, less than {ge}",
+    "less_than": "out of range, not less than {lt}",
+    "less_than_equal": "out of range, greater than {le}",
 }
 """What is wrong with a value, by the type of pydantic's error."""
 
@@ -318,12 +328,12 @@ def toml_fault(message: str, file: str, text: str = "") -> Fault:
         return Fault("not UTF-8 text: it contains NUL characters", "Save the file as UTF-8", file)
     if "\r" in text and "\n" not in text:
         return Fault("the lines end with carriage returns alone", "Save the file with the line ends LF or CRLF", file)
-    line, column = map(int, found.groups()) if (found := re.search(r"\(at line (\d+), column (\d+)\)", message)) else (0, 0)
+    line, column = map(int, match.groups()) if (match := re.search(r"\(at line (\d+), column (\d+)\)", message)) else (0, 0)
     stopped = text.replace("\r\n", "\n").split("\n")[line - 1] if line else ""
     for pattern, follows, words, remedy in TOML_FAULTS:
-        found, rest = re.match(pattern, message), re.match(follows, stopped[column - 1 :] if line else "")
-        if found is not None and rest is not None:
-            names = [group.replace("'", "").replace(", ", ".") for group in (*found.groups(), *rest.groups())]
+        match, rest = re.match(pattern, message), re.match(follows, stopped[column - 1 :] if line else "")
+        if match is not None and rest is not None:
+            names = [group.replace("'", "").replace(", ", ".") for group in (*match.groups(), *rest.groups())]
             place = f" {message[message.rindex('(at') :]}" if "(at" in message else ""
             key = re.match(r"\s*([\w.-]+)\s*=", stopped) if "twice in its section" in words else None
             words = words.replace("a key", f"the key {key[1]}") if key else words
@@ -363,5 +373,5 @@ def _example(key: str) -> str:
         return "See `optlink show six-bar --toml` for an example"
     if key.startswith("mechanism."):
         return f'Add {key.split(".")[1]} = "100 mm", or {{ start = "400 mm", bounds = ["100 mm", "900 mm"] }}'
-    shown = {"balance": "balance-four-bar", "objective": "shaper-design", "control": "slider-crank-three-gaps"}
-    return _EXAMPLES.get(key, f"See `optlink show {shown.get(section, 'crank-rocker')} --toml` for an example")
+    examples = {"balance": "balance-four-bar", "objective": "shaper-design", "control": "slider-crank-three-gaps"}
+    return _EXAMPLES.get(key, f"See `optlink show {examples.get(section, 'crank-rocker')} --toml` for an example")

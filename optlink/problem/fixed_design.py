@@ -63,10 +63,10 @@ def with_files_beside(file: ProblemFile) -> tuple[ProblemFile, dict[str, bytes]]
     raw: dict[str, Any] = copy.deepcopy(dict(file.raw))
     files: dict[str, bytes] = {}
     for table, key, suffix in [*references(raw)]:
-        named = read_tolerance(table[key], file.folder).text if suffix == "" else table[key]
+        path = read_tolerance(table[key], file.folder).text if suffix == "" else table[key]
         suffix = suffix or "csv"
-        data = read_file({suffix: named}, suffix, file.folder)[1]
-        stem = f"design-{Path(named).stem[:60].lower()}"
+        data = read_file({suffix: path}, suffix, file.folder)[1]
+        stem = f"design-{Path(path).stem[:60].lower()}"
         name, number = f"{stem}.{suffix}", 1
         while files.get(name, data) != data:
             number += 1

@@ -95,19 +95,19 @@ class DesignProblem(Problem):
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
         """Fixed quantities and design variables by name: the four lengths, phi0 and psi0 where they are defined."""
-        found = dict(self.mechanism.quantities)
+        quantities = dict(self.mechanism.quantities)
         anywhere = Quantity(0.0, "angle", "deg", -TURN, TURN)
         if isinstance(self.requirement.start, Quantity):
-            found["phi0"] = self.requirement.start
+            quantities["phi0"] = self.requirement.start
         elif isinstance(self.requirement.law, Function):
-            found["phi0"] = anywhere
+            quantities["phi0"] = anywhere
         elif isinstance(self.requirement.law, Table) and not self.requirement.law.from_start:
-            found["phi0"] = Quantity(self.requirement.law.phi[0], "angle", "deg")
+            quantities["phi0"] = Quantity(self.requirement.law.phi[0], "angle", "deg")
         if self.requirement.psi0 is not None:
-            found["psi0"] = self.requirement.psi0
+            quantities["psi0"] = self.requirement.psi0
         elif isinstance(self.requirement.law, Function):
-            found["psi0"] = anywhere
-        return found
+            quantities["psi0"] = anywhere
+        return quantities
 
     @property
     def side(self) -> int:
@@ -239,9 +239,9 @@ class DesignProblem(Problem):
         if self.mechanism.assembly == EITHER and function is None:
             remedy = 'Write "left" or "right"'
             raise Unusable("a motion law is designed for one assembly mode", remedy, "mechanism.assembly", EITHER)
-        stated = requirement.start if "start" in requirement.model_fields_set else None
-        check_rotation(requirement.law, requirement.span, "from", stated)
-        if function is not None and stated is not None and not isinstance(stated, Quantity):
+        start = requirement.start if "start" in requirement.model_fields_set else None
+        check_rotation(requirement.law, requirement.span, "from", start)
+        if function is not None and start is not None and not isinstance(start, Quantity):
             raise Unusable(
                 "a function starts at a crank angle, fixed or free",
                 'Write from = { start = "50 deg", bounds = ["0 deg", "180 deg"] }, or leave it out: then it is a design variable',
@@ -278,8 +278,8 @@ def _check_law(problem: DesignProblem) -> None:
     if not isinstance(law, Expression | Function):
         return
     nominal = problem.design({})
-    known = (nominal["phi0"], nominal["psi0"])
-    starts = [known] if np.all(np.isfinite(known)) else [(0.3, 0.5), (0.9, 1.2), (1.7, 2.1)]
+    start = (nominal["phi0"], nominal["psi0"])
+    starts = [start] if np.all(np.isfinite(start)) else [(0.3, 0.5), (0.9, 1.2), (1.7, 2.1)]
     worries = [_worry(law, problem.span, phi0, psi0) for phi0, psi0 in starts]
     if all(worries):
         span, begin = (f"{np.degrees(angle):.6g} deg" for angle in (problem.span, starts[0][0]))

@@ -106,8 +106,8 @@ def _read_interval(raw: object, kind: str | None) -> Interval:
         return read_scalar(text, kind, key) if kind else (read_number(text, key), "")
 
     example = range_example(kind)
-    if isinstance(raw, str) and (meant := mistyped_range(raw)) is not None:
-        raise Unusable("this is not a range", f'Write it with two dots: "{meant}"', "", raw)
+    if isinstance(raw, str) and (suggestion := mistyped_range(raw)) is not None:
+        raise Unusable("this is not a range", f'Write it with two dots: "{suggestion}"', "", raw)
     if isinstance(raw, dict):
         check_keys(raw, SIDES)
         if not raw:
@@ -138,12 +138,12 @@ def _read_stroke_ratio(raw: object, kind: None) -> StrokeRatio:
             raise Unusable("unknown stroke", nearest(str(stroke), STROKES), "stroke", stroke)
         if stroke is not None and not sides:
             raise Unusable("the time ratio has no limit", "Add min, max or exactly", "", raw)
-    found = _read_interval(sides, kind)
-    for key, value in (("min", found.low), ("max", found.high)):
+    interval = _read_interval(sides, kind)
+    for key, value in (("min", interval.low), ("max", interval.high)):
         if value is not None:
             written = "exactly" if isinstance(sides, dict) and "exactly" in sides else key
-            check_time_ratio(stroke, value, written if isinstance(sides, dict) else "", found.low, found.high)
-    return StrokeRatio(found.low, found.high, found.kind, found.unit, stroke)
+            check_time_ratio(stroke, value, written if isinstance(sides, dict) else "", interval.low, interval.high)
+    return StrokeRatio(interval.low, interval.high, interval.kind, interval.unit, stroke)
 
 
 def _read_joint_ranges(raw: object, kind: str) -> JointRanges:
@@ -167,14 +167,14 @@ def _read_joint_maxima(raw: object, kind: str) -> JointRanges:
 
 
 def _joint_ranges(raw: object, kind: str, read: Callable[[object], Interval]) -> JointRanges:
-    named = {key: value for key, value in raw.items() if key not in SIDES} if isinstance(raw, dict) else {}
+    by_joint = {key: value for key, value in raw.items() if key not in SIDES} if isinstance(raw, dict) else {}
     sides = {key: raw[key] for key in raw if key in SIDES} if isinstance(raw, dict) else raw
-    own = []
-    for joint, value in named.items():
+    entries = []
+    for joint, value in by_joint.items():
         with below(str(joint)):
-            own.append((str(joint), read(value)))
-    plain = read(sides) if sides or not named else Interval(None, None, kind, own[0][1].unit)
-    return JointRanges(plain.low, plain.high, kind, plain.unit, tuple(own))
+            entries.append((str(joint), read(value)))
+    plain = read(sides) if sides or not by_joint else Interval(None, None, kind, entries[0][1].unit)
+    return JointRanges(plain.low, plain.high, kind, plain.unit, tuple(entries))
 
 
 CoordinateInterval = Annotated[Interval, reader(_read_interval, "coordinate")]

@@ -145,22 +145,22 @@ def transmission_limit(
     Unusable
         with the key, if there are two.
     """
-    named: list[TransmissionLimit] = []
+    result: list[TransmissionLimit] = []
     general: list[TransmissionLimit] = []
     if angle is not None:
         key = "limits.transmission_angle"
         general += [TransmissionLimit(key, angle.low, angle.high)] if angle.plain else []
-        named += [TransmissionLimit(f"{key}.{name}", one.low, one.high) for name, one in angle.own if name == joint]
+        result += [TransmissionLimit(f"{key}.{name}", one.low, one.high) for name, one in angle.own if name == joint]
     general += further
     if pressure is not None:
         key, right = "limits.pressure_angle", 0.5 * math.pi
         general += [TransmissionLimit(key, right - pressure.bounds[1], right + pressure.bounds[1])] if pressure.plain else []
-        found = ((name, one.bounds[1]) for name, one in pressure.own if name == joint)
-        named += [TransmissionLimit(f"{key}.{name}", right - most, right + most) for name, most in found]
-    limits = named or general
+        bounds = ((name, one.bounds[1]) for name, one in pressure.own if name == joint)
+        result += [TransmissionLimit(f"{key}.{name}", right - most, right + most) for name, most in bounds]
+    limits = result or general
     if len(limits) > 1:
         keys = [limit.key.removeprefix("limits.") for limit in limits]
-        at = f" at {joint}" if named else ""
+        at = f" at {joint}" if result else ""
         raise Unusable(f"the transmission angle{at} is limited twice", f"Keep {' or '.join(keys)}", limits[-1].key)
     return limits[0] if limits else None
 
@@ -173,8 +173,8 @@ TRANSMISSION_RANGES = (
 
 
 def _check_range(name: str, whole: Interval | None, possible: tuple[float, float], remedy: str) -> None:
-    named = [(f"{name}.{joint}", interval) for joint, interval in getattr(whole, "own", ())]
-    for key, interval in () if whole is None else ((name, whole), *named):
+    intervals = [(f"{name}.{joint}", interval) for joint, interval in getattr(whole, "own", ())]
+    for key, interval in () if whole is None else ((name, whole), *intervals):
         for bound in (interval.low, interval.high):
             if bound is not None and not possible[0] <= bound <= possible[1]:
                 low, high = map(interval.to_display, possible)

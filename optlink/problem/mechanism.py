@@ -19,13 +19,13 @@ from optlink.problem.quantity import Angle, Coordinate, Friction, Length, Quanti
 def _read_place(raw: object) -> tuple[Quantity, Quantity]:
     if not isinstance(raw, list | tuple) or len(raw) != 2:
         raise Unusable("a place is a list of two coordinates", 'Write ["100 mm", "0 mm"]', "", raw)
-    found = []
+    coordinates = []
     for axis, coordinate in zip(("x", "y"), raw, strict=True):
         try:
-            found.append(read_quantity(coordinate, "coordinate"))
+            coordinates.append(read_quantity(coordinate, "coordinate"))
         except Unusable as error:
             raise Unusable(error.message, error.remedy, axis, coordinate) from None
-    return found[0], found[1]
+    return coordinates[0], coordinates[1]
 
 
 Place = Annotated[Any, BeforeValidator(_read_place)]
@@ -106,14 +106,14 @@ class FourBarSection(Section):
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
         """The four lengths; P.along and P.across of each point; A.x, A.y and direction if the pose of the frame is defined."""
-        found = {name: getattr(self, name) for name in LENGTHS}
+        quantities = {name: getattr(self, name) for name in LENGTHS}
         for point, (along, across) in self.points.items():
-            found[f"{point}.along"], found[f"{point}.across"] = along, across
+            quantities[f"{point}.along"], quantities[f"{point}.across"] = along, across
         if self.placed:
             nowhere = Quantity(0.0, "coordinate", "mm")
-            found["A.x"], found["A.y"] = self.pivot or (nowhere, nowhere)
-            found["direction"] = self.direction or Quantity(0.0, "angle", "deg")
-        return found
+            quantities["A.x"], quantities["A.y"] = self.pivot or (nowhere, nowhere)
+            quantities["direction"] = self.direction or Quantity(0.0, "angle", "deg")
+        return quantities
 
     def linkage(self, name: str, driver: str | None) -> Mechanism:
         """Return the kinematic model; an undetermined assembly mode counts as left.
@@ -224,21 +224,21 @@ class DyadsSection(Section):
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
         """Every dimension of the file by name: D.x, crank.length, link2.P.along, F.offset, F.direction."""
-        found = {}
+        quantities = {}
         for point, (x, y) in self.ground.items():
-            found[f"{point}.x"], found[f"{point}.y"] = x, y
+            quantities[f"{point}.x"], quantities[f"{point}.y"] = x, y
         for name, link in self.links.items():
             if link.length is not None:
-                found[f"{name}.length"] = link.length
+                quantities[f"{name}.length"] = link.length
             for point, (along, across) in link.points.items():
-                found[f"{name}.{point}.along"], found[f"{name}.{point}.across"] = along, across
+                quantities[f"{name}.{point}.along"], quantities[f"{name}.{point}.across"] = along, across
         for name, guide in self.guides.items():
             if isinstance(guide.through, tuple):
-                found[f"{name}.x"], found[f"{name}.y"] = guide.through
+                quantities[f"{name}.x"], quantities[f"{name}.y"] = guide.through
             for key in ("direction", "offset", "tilt"):
                 if getattr(guide, key) is not None:
-                    found[f"{name}.{key}"] = getattr(guide, key)
-        return found
+                    quantities[f"{name}.{key}"] = getattr(guide, key)
+        return quantities
 
     @property
     def friction(self) -> dict[str, float]:
@@ -247,11 +247,13 @@ class DyadsSection(Section):
 
     def variants(self, mechanism: Mechanism) -> list[dict[str, str]]:
         """Return changes of the file that determine the assembly modes left open, one per combination."""
-        found: list[dict[str, str]] = [{}]
+        variants: list[dict[str, str]] = [{}]
         for group in mechanism.groups:
             if self.assembly.get(group.joint) == EITHER:
-                found = [{**known, f"mechanism.assembly.{group.joint}": mode} for known in found for mode in group.modes]
-        return found
+                variants = [
+                    {**variant, f"mechanism.assembly.{group.joint}": mode} for variant in variants for mode in group.modes
+                ]
+        return variants
 
     def linkage(self, name: str, driver: str | None) -> Mechanism:
         """Return the kinematic model; undetermined assembly modes count as left or forward.
@@ -274,7 +276,7 @@ class DyadsSection(Section):
         if body is None:
             raise Unusable("no body is driven", f"Add [drive] body, one of: {', '.join(self.links)}", "drive.body")
         check_name(body, self.links, "no such body", "drive.body")
-        points = [point for _, own in self._links() for point in own]
+        points = [point for _, marks in self._links() for point in marks]
         guides = list(self._guides())
         with below("mechanism"):
             return assemble(name, self._ground(), links, points, guides, body, self.assembly)
@@ -290,9 +292,9 @@ class DyadsSection(Section):
                 raise Unusable("a link with two joints has a length", 'Add length = "100 mm"', f"{key}.length")
             if not end and link.length is not None:
                 raise Unusable("a body with one joint has no length", 'Add its other joint: joints = ["B", "C"]', f"{key}.joints")
-            own = [start, *([end] if end else []), *link.points]
-            for point in own:
-                if own.count(point) > 1:
+            names = [start, *([end] if end else []), *link.points]
+            for point in names:
+                if names.count(point) > 1:
                     raise Unusable("the point is given twice", "Remove one of the two, or rename it", key, point)
             points = [BodyPoint(p, name, f"{name}.{p}.along", f"{name}.{p}.across") for p in link.points]
             yield Link(name, start, end, f"{name}.length" if end else 0.0), points
@@ -301,8 +303,8 @@ class DyadsSection(Section):
         for name, guide in self.guides.items():
             key = f"mechanism.guides.{name}"
             for what in ("slider", "on"):
-                known = [*self.links, FRAME] if what == "on" else list(self.links)
-                check_name(getattr(guide, what), known, "no such body", f"{key}.{what}")
+                names = [*self.links, FRAME] if what == "on" else list(self.links)
+                check_name(getattr(guide, what), names, "no such body", f"{key}.{what}")
             if guide.slider == guide.on:
                 raise Unusable("a body cannot slide on itself", "Name the body that carries the line", f"{key}.on", guide.on)
             through: str | tuple[Size, Size]
@@ -320,8 +322,8 @@ class DyadsSection(Section):
             yield Guide(name, guide.slider, guide.on, through, at=at, **sizes)
 
     def _point(self, point: str, body: str, key: str) -> str:
-        known = [*self.ground] if body == FRAME else [*self.links[body].joints, *self.links[body].points]
-        check_name(point, known, f"{body} has no such point", key)
+        names = [*self.ground] if body == FRAME else [*self.links[body].joints, *self.links[body].points]
+        check_name(point, names, f"{body} has no such point", key)
         return point
 
     def _check_names(self) -> None:

@@ -160,20 +160,20 @@ class PathProblem(Problem):
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
         """Fixed quantities and design variables by name: those of the mechanism and those of the task."""
-        found, task = dict(self.mechanism.quantities), self.requirement
+        quantities, task = dict(self.mechanism.quantities), self.requirement
         anywhere = Quantity(0.0, "angle", "deg", -math.pi, math.pi)
         if task.kind == "function" and isinstance(task.law, Table) and not task.law.from_start:
-            found[START] = Quantity(task.law.phi[0], "angle", "deg")
+            quantities[START] = Quantity(task.law.phi[0], "angle", "deg")
         elif self.timing == "from start":
-            found[START] = task.start or anywhere
+            quantities[START] = task.start or anywhere
         if task.kind == "motion":
-            found[MARK] = task.mark or anywhere
+            quantities[MARK] = task.mark or anywhere
         if task.kind == "function" and self.based and self.slides:
-            far = 10.0 * max([self.travel, *(q.value for q in found.values() if q.kind == "length")])
-            found[ZERO] = task.zero or Quantity(0.0, "coordinate", "mm", -far, far)
+            far = 10.0 * max([self.travel, *(q.value for q in quantities.values() if q.kind == "length")])
+            quantities[ZERO] = task.zero or Quantity(0.0, "coordinate", "mm", -far, far)
         elif task.kind == "function" and self.based:
-            found[ZERO] = task.psi0 or anywhere
-        return found
+            quantities[ZERO] = task.psi0 or anywhere
+        return quantities
 
     def is_periodic(self, name: str) -> bool:
         """Return whether values of an angle that are a revolution apart are one design; not those that a law contains as such.
@@ -359,8 +359,8 @@ class PathProblem(Problem):
     @cached_property
     def radian(self) -> float:
         """Length [m] equivalent to one radian of a pose."""
-        given = self.requirement.angle_length
-        return self.size if given is None else given.value
+        length = self.requirement.angle_length
+        return self.size if length is None else length.value
 
     @property
     def body(self) -> str:
@@ -392,11 +392,11 @@ class PathProblem(Problem):
                 return [pose.slide(guide) - self.prescribed(values, *target)]
             return [angle_from(unit(self.prescribed(values, *target)), pose.direction(str(self.requirement.output)))]
         x, y = pose.point(self.requirement.point)
-        found = [x - target[0], y - target[1]]
+        components = [x - target[0], y - target[1]]
         if kind == "motion":
             turned = turn(pose.direction(self.body), unit(values[MARK]))
-            found.append(self.radian * angle_from((target[2], target[3]), turned))
-        return found
+            components.append(self.radian * angle_from((target[2], target[3]), turned))
+        return components
 
     def crank_angles(self, values: Mapping[str, float], angles: Array | None) -> Array:
         """Return the crank angle [rad] at each point.

@@ -93,10 +93,10 @@ def _check_output(problem: PathProblem, mechanism: Mechanism) -> None:
         remedy = f'Write law = "psi0 + 0.5*(phi - phi0)", {SLIDE} or {SLIDES}'
         raise Unusable("the law of the output is missing", remedy, "requirement.law")
     guides, bodies = [guide.name for guide in mechanism.guides], [link.body for link in mechanism.links[1:]]
-    known = guides if problem.slides else bodies
+    outputs = guides if problem.slides else bodies
     what = "guide" if problem.slides else "body that turns"
-    if task.output not in known:
-        remedy = f"Write output = one of: {', '.join(known)}" if task.output is None else nearest(task.output, known)
+    if task.output not in outputs:
+        remedy = f"Write output = one of: {', '.join(outputs)}" if task.output is None else nearest(task.output, outputs)
         raise Unusable(f"the output is the name of a {what}", remedy, "requirement.output", task.output)
     if task.zero is not None and not problem.slides:
         raise Unusable("only a slider has it", "Write psi0 for the angle of a body", "requirement.zero", str(task.zero))
@@ -117,19 +117,19 @@ def _check_values(problem: PathProblem) -> None:
         return
     starts = [0.3, 0.9, 1.7] if task.start is None else [task.start.value, *task.start.bounds]
     offsets = problem.rotation_of_law * np.linspace(0.0, 1.0, FINE)
-    found = [task.law.hazards({"phi": begin + offsets, "phi0": begin, "psi0": 0.0}) for begin in starts]
-    if all(found):
+    hazards = [task.law.hazards({"phi": begin + offsets, "phi0": begin, "psi0": 0.0}) for begin in starts]
+    if all(hazards):
         remedy = "Change the law, the span or the start"
-        raise Unusable(f"the law {found[0]} on the span", remedy, "requirement.law", task.law.text)
+        raise Unusable(f"the law {hazards[0]} on the span", remedy, "requirement.law", task.law.text)
     if not problem.travel > 1e-9:
         raise Unusable("the law does not move the output", "Change the law", "requirement.law", task.law.text)
 
 
 def _check_points(problem: PathProblem, mechanism: Mechanism) -> None:
     task, points = problem.requirement, problem.target_points
-    named = [name for name, bodies in mechanism.owners.items() if FRAME not in bodies]
-    if task.point not in named:
-        remedy = nearest(task.point, named)
+    moving_points = [name for name, bodies in mechanism.owners.items() if FRAME not in bodies]
+    if task.point not in moving_points:
+        remedy = nearest(task.point, moving_points)
         if isinstance(problem.mechanism, FourBarSection) and not problem.mechanism.points:
             remedy = f'Give the coupler a point: mechanism.points = {{ {task.point} = ["60 mm", "20 mm"] }}. {remedy}'
         raise Unusable("no moving body has such a point", remedy, "requirement.point", task.point)

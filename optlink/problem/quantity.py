@@ -93,22 +93,22 @@ OTHER_WORDS = {
 """Names that other programs and books use, with those of problem files."""
 
 
-def nearest(key: str, known: Iterable[str], deeper: Sequence[str] = ()) -> str:
+def nearest(key: str, choices: Iterable[str], deeper: Sequence[str] = ()) -> str:
     """Return a remedy for an unknown name: the shortest that contain it, or else the closest one, and all known ones.
 
     Parameters
     ----------
     key : str
         The unknown name.
-    known : iterable of str
+    choices : iterable of str
     deeper : sequence of str
         Full names that end with it, which are meant rather than others.
     """
-    names, quoted = list(known), '"{}"'.format
+    names, quoted = list(choices), '"{}"'.format
     same = [name for name in names if name.lower() == key.lower()]
-    meant = same or [*deeper, *(name for name in OTHER_WORDS.get(key.lower(), ()) if name in names)]
+    suggestions = same or [*deeper, *(name for name in OTHER_WORDS.get(key.lower(), ()) if name in names)]
     inside = sorted((name for name in names if len(key) > 2 and key in name), key=len)
-    close = meant or inside or (key not in OTHER_WORDS and difflib.get_close_matches(key, names, n=1, cutoff=0.55)) or []
+    close = suggestions or inside or (key not in OTHER_WORDS and difflib.get_close_matches(key, names, n=1, cutoff=0.55)) or []
     guess = f"Did you mean {' or '.join(map(quoted, close[:3]))}? " if close else ""
     return f"{guess}Known: {', '.join(quoted(name) if ',' in name else name for name in names)}"
 
@@ -151,13 +151,13 @@ class Quantity:
         return f"free, {low} ... {high}, start {show(self.value, self.kind, self.unit)}"
 
 
-def check_keys(raw: Iterable[object], known: Sequence[str]) -> None:
+def check_keys(raw: Iterable[object], allowed: Sequence[str]) -> None:
     """Refuse a table with an unknown key.
 
     Parameters
     ----------
     raw : mapping, or iterable of its keys
-    known : sequence of str
+    allowed : sequence of str
         Permitted keys.
 
     Raises
@@ -166,17 +166,17 @@ def check_keys(raw: Iterable[object], known: Sequence[str]) -> None:
         with the first unknown key.
     """
     for key in raw:
-        if key not in known:
-            raise Unusable("unknown key", nearest(str(key), known), str(key))
+        if key not in allowed:
+            raise Unusable("unknown key", nearest(str(key), allowed), str(key))
 
 
-def check_name(name: object, known: Iterable[str], message: str, key: str = "", value: object = None) -> None:
+def check_name(name: object, allowed: Iterable[str], message: str, key: str = "", value: object = None) -> None:
     """Check that a name is one of the known ones.
 
     Parameters
     ----------
     name : object
-    known : iterable of str
+    allowed : iterable of str
     message : str
         What is wrong with any other name.
     key : str
@@ -189,12 +189,12 @@ def check_name(name: object, known: Iterable[str], message: str, key: str = "", 
     Unusable
         If it is none of them; the remedy contains the nearest.
     """
-    names = list(known)
+    names = list(allowed)
     if name not in names:
         raise Unusable(message, nearest(str(name), names), key, name if value is None else value)
 
 
-def check_choice(key: str, name: str, known: Iterable[str], message: str, file: str | None = None) -> None:
+def check_choice(key: str, name: str, choices: Iterable[str], message: str, file: str | None = None) -> None:
     """Check that the value of an option or argument is one of the known ones.
 
     Parameters
@@ -203,7 +203,7 @@ def check_choice(key: str, name: str, known: Iterable[str], message: str, file: 
         Option or argument.
     name : str
         Its value.
-    known : iterable of str
+    choices : iterable of str
     message : str
         What is wrong with any other value.
     file : str, optional
@@ -215,7 +215,7 @@ def check_choice(key: str, name: str, known: Iterable[str], message: str, file: 
         If it is none of them.
     """
     with input_of(file, key, name):
-        check_name(name, known, message)
+        check_name(name, choices, message)
 
 
 def check_range(key: str, value: float, low: float, high: float) -> None:

@@ -18,7 +18,7 @@ from optlink.linkage.vector2d import Value
 from optlink.problem.quantity import Unusable
 from optlink.problem.tolerances import Deviation
 
-MOST = 100.0  # standard deviations
+MAX_SIGMAS = 100.0  # standard deviations
 WORST, EXPECTED = "worst case", "expected value"
 SQUARES, LARGEST = ("sum of squares", "rms"), ("max",)  # measures for the expected value, and for the others
 SMOOTHED = 1e-8  # rad; a programme has sqrt(s^2 + SMOOTHED^2) for |s|, which has a derivative where the scatter s vanishes
@@ -70,8 +70,8 @@ def read_robust(raw: object) -> Robust | None:
     if match is None:
         raise Unusable("this does not state how tolerances are taken into account", _REMEDY, "", raw)
     sigmas = float(match[1])
-    if not 0.0 <= sigmas <= MOST:
-        raise Unusable("out of range", f'Give 0 to {MOST:g} standard deviations, such as "3 sigma"', "", raw)
+    if not 0.0 <= sigmas <= MAX_SIGMAS:
+        raise Unusable("out of range", f'Give 0 to {MAX_SIGMAS:g} standard deviations, such as "3 sigma"', "", raw)
     return Robust(f"{sigmas:g} sigma", sigmas)
 
 
@@ -119,7 +119,7 @@ def residuals(
     return [mean + spread, mean - spread]
 
 
-def check_robust(robust: Robust | None, measure: str, stated: int) -> None:
+def check_robust(robust: Robust | None, measure: str, tolerance_count: int) -> None:
     """Check that the robustness measure is compatible with the measure and that tolerances are defined.
 
     Parameters
@@ -127,7 +127,7 @@ def check_robust(robust: Robust | None, measure: str, stated: int) -> None:
     robust : Robust or None
     measure : str
         Measure of the requirement.
-    stated : int
+    tolerance_count : int
         Number of tolerances of the file.
 
     Raises
@@ -137,7 +137,7 @@ def check_robust(robust: Robust | None, measure: str, stated: int) -> None:
     """
     if robust is None:
         return
-    if not stated:
+    if not tolerance_count:
         raise Unusable(
             "a robust design needs tolerances",
             'Add the section [tolerances], for example coupler = "0.1 mm"',

@@ -48,13 +48,13 @@ def template(name: str, file: str | Path | None = None) -> Template:
     """
     from optlink.problem.quantity import check_choice
 
-    known = templates()
-    check_choice("TEMPLATE", name, known, "no such template")
+    available = templates()
+    check_choice("TEMPLATE", name, available, "no such template")
     path = Path(file or f"{name}.toml")
-    named = {"FILE": shlex.quote(str(path)), "STEM": shlex.quote(str(path.with_suffix("")))}
-    lines = known[name].read_text(encoding="utf-8").splitlines()
-    for word, meant in named.items():
-        lines = [line.replace(word, meant) if line.startswith(NEXT) else line for line in lines]
+    replacements = {"FILE": shlex.quote(str(path)), "STEM": shlex.quote(str(path.with_suffix("")))}
+    lines = available[name].read_text(encoding="utf-8").splitlines()
+    for word, value in replacements.items():
+        lines = [line.replace(word, value) if line.startswith(NEXT) else line for line in lines]
     commands = tuple(line.removeprefix(NEXT) for line in lines if line.startswith(NEXT))
     return Template(name, lines[0].removeprefix("# "), commands, "\n".join(lines) + "\n")
 

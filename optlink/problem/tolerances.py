@@ -128,8 +128,8 @@ class ToleranceEntry:
     @property
     def raw(self) -> dict[str, Any]:
         """Table for a problem file in any folder."""
-        found: dict[str, Any] = {"tolerance": str((self.folder / self.text).resolve()) if self.measured else self.text}
-        return found | ({"distribution": self.shape} if self.shape else {}) | ({"cost": self.cost} if self.cost != 1.0 else {})
+        raw: dict[str, Any] = {"tolerance": str((self.folder / self.text).resolve()) if self.measured else self.text}
+        return raw | ({"distribution": self.shape} if self.shape else {}) | ({"cost": self.cost} if self.cost != 1.0 else {})
 
 
 def read_tolerance(raw: object, folder: Path) -> ToleranceEntry:
@@ -151,16 +151,16 @@ def read_tolerance(raw: object, folder: Path) -> ToleranceEntry:
         check_keys(raw, KEYS)
         if "tolerance" not in raw:
             raise Unusable("this key is missing", 'Add tolerance = "0.1 mm"', "tolerance")
-        found = read_tolerance(raw["tolerance"], folder) if isinstance(raw["tolerance"], str) else None
-        if found is None:
+        entry = read_tolerance(raw["tolerance"], folder) if isinstance(raw["tolerance"], str) else None
+        if entry is None:
             raise Unusable("expected a tolerance with its unit", 'Write tolerance = "0.1 mm"', "tolerance", raw["tolerance"])
-        shape, cost = raw.get("distribution", found.shape), raw.get("cost", 1.0)
-        if shape is not None and (shape not in CHOICES or found.measured):
-            message = "measured deviations are a distribution themselves" if found.measured else "unknown distribution"
-            raise Unusable(message, "Leave it out" if found.measured else nearest(str(shape), CHOICES), "distribution", shape)
+        shape, cost = raw.get("distribution", entry.shape), raw.get("cost", 1.0)
+        if shape is not None and (shape not in CHOICES or entry.measured):
+            message = "measured deviations are a distribution themselves" if entry.measured else "unknown distribution"
+            raise Unusable(message, "Leave it out" if entry.measured else nearest(str(shape), CHOICES), "distribution", shape)
         if isinstance(cost, bool) or not isinstance(cost, int | float) or not 0.0 < cost < math.inf:
             raise Unusable("a cost coefficient is a number above zero", "Write cost = 2", "cost", cost)
-        return replace(found, shape=shape, cost=float(cost))
+        return replace(entry, shape=shape, cost=float(cost))
     if not isinstance(raw, str):
         remedy = f'Write "0.1 mm", "0.1 mm uniform", "parts.csv" or {{ {", ".join(f"{key} = ..." for key in KEYS)} }}'
         raise Unusable("expected a tolerance with its unit", remedy, "", raw)
@@ -172,8 +172,8 @@ def read_tolerance(raw: object, folder: Path) -> ToleranceEntry:
     ):  # two words after the number: a unit and a distribution
         check_name(word, CHOICES, "unknown distribution")
         return ToleranceEntry(quantity.strip(), word)
-    found = ToleranceEntry(text)
-    return replace(found, folder=folder) if found.measured else found
+    entry = ToleranceEntry(text)
+    return replace(entry, folder=folder) if entry.measured else entry
 
 
 def _flat(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
@@ -188,13 +188,13 @@ def _flat(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]
 def _read_table(raw: object, folder: Path) -> dict[str, ToleranceEntry]:
     if not isinstance(raw, dict):
         raise Unusable("expected a table", "Begin it with [tolerances]", "", raw)
-    found: dict[str, ToleranceEntry] = {}
+    entries: dict[str, ToleranceEntry] = {}
     for name, entry in _flat(raw):
-        if name in found:
+        if name in entries:
             raise Unusable("a tolerance is given twice", "Give each once", name)
         with below(name, entry):
-            found[name] = read_tolerance(entry, folder)
-    return found
+            entries[name] = read_tolerance(entry, folder)
+    return entries
 
 
 Tolerances = Annotated[dict[str, Any], in_folder(_read_table)]
@@ -214,10 +214,10 @@ def with_tolerance(table: dict[str, Any], name: str, value: object) -> None:
         New tolerance; None removes it.
     """
     before: Any = None
-    for known, entry in list(_flat(table)):
-        if known == name:
+    for other, entry in list(_flat(table)):
+        if other == name:
             before = entry
-            _taken(table, name)
+            _remove(table, name)
     if value is None:
         return
     if before is not None and isinstance(value, str):
@@ -227,19 +227,19 @@ def with_tolerance(table: dict[str, Any], name: str, value: object) -> None:
             table[name] = value
             return
         shape = new.shape or (None if new.measured else old.shape)
-        kept = ({"distribution": shape} if shape else {}) | ({"cost": old.cost} if old.cost != 1.0 else {})
-        value = {"tolerance": new.text, **kept} if kept else new.text
+        inherited = ({"distribution": shape} if shape else {}) | ({"cost": old.cost} if old.cost != 1.0 else {})
+        value = {"tolerance": new.text, **inherited} if inherited else new.text
     table[name] = value
 
 
-def _taken(table: dict[str, Any], name: str) -> None:
+def _remove(table: dict[str, Any], name: str) -> None:
     """Remove an entry, whatever the nesting of its name."""
     if name in table:
         del table[name]
         return
     for cut, letter in enumerate(name):
         if letter == "." and isinstance(table.get(name[:cut]), dict):
-            _taken(table[name[:cut]], name[cut + 1 :])
+            _remove(table[name[:cut]], name[cut + 1 :])
             if not table[name[:cut]]:
                 del table[name[:cut]]
 
@@ -264,7 +264,7 @@ def with_deviating_pivots(section: FourBarSection | DyadsSection, mechanism: Mec
 
 
 def deviations(
-    stated: Mapping[str, ToleranceEntry],
+    entries: Mapping[str, ToleranceEntry],
     mechanism: Mechanism,
     quantities: Mapping[str, Quantity],
     sizes: Mapping[str, float],
@@ -275,7 +275,7 @@ def deviations(
 
     Parameters
     ----------
-    stated : mapping of str to ToleranceEntry
+    entries : mapping of str to ToleranceEntry
         Tolerances by name.
     mechanism : Mechanism
         Returned by `loosened`.
@@ -294,22 +294,22 @@ def deviations(
         whose key is the name of the dimension.
     """
     pins = {f"{pin}{CLEARANCE}": pin for pin in mechanism.pins}
-    found: list[Deviation] = []
-    for name, entry in stated.items():
+    result: list[Deviation] = []
+    for name, entry in entries.items():
         size = "frame" if name == "D.x" and "D.y" in sizes and "D.x" not in sizes else name
         if name in pins:
             size = _stretched(mechanism, name, pins[name], output)
         elif size not in sizes:
             raise Unusable("unknown dimension", nearest(name, [*sizes, *pins]), name)
-        if any(name == other.name or (size == other.size and name not in pins and other.name not in pins) for other in found):
+        if any(name == other.name or (size == other.size and name not in pins and other.name not in pins) for other in result):
             raise Unusable("a tolerance is given twice", "Give each once", name)
         quantity = quantities.get(size)
         kind = "angle" if quantity is not None and quantity.kind == "angle" else "length"
-        found.append(_deviation(entry, name, size, kind, CONTACT if name in pins else shape))
-        low, _ = found[-1].ends
+        result.append(_deviation(entry, name, size, kind, CONTACT if name in pins else shape))
+        low, _ = result[-1].ends
         if quantity is not None and quantity.kind == "length" and -low > LARGEST * sizes[size]:
             raise Unusable("more than half of the dimension itself", "Check its unit", name, entry.text)
-    return tuple(found)
+    return tuple(result)
 
 
 def _deviation(entry: ToleranceEntry, name: str, size: str, kind: str, shape: str) -> Deviation:
@@ -350,8 +350,8 @@ def _stretched(mechanism: Mechanism, name: str, pin: str, output: str) -> str:
             elif not loaded:
                 yield from lengths(next(p for p in joined[body] if p != at), body)
 
-    found = next(lengths(pin), None)
-    if found is None:
+    length = next(lengths(pin), None)
+    if length is None:
         message = f"the effect of this clearance{f' on {output}' if output else ''} is not that of the length of one link"
         raise Unusable(message, "Leave it out; `optlink simulate` moves machines with joint clearance", name)
-    return found
+    return length

@@ -53,7 +53,7 @@ def continuum(nlp: CycleNLP, solution: Solution, name: str) -> Continuum | None:
             continue
         other = _shifted(nlp, solution, lead, name)
         if other is not None:
-            return _named(nlp, solution, other, lead)
+            return _continuum(nlp, solution, other, lead)
     return None
 
 
@@ -97,7 +97,7 @@ def _shifted(nlp: CycleNLP, solution: Solution, lead: int, name: str) -> Solutio
     return other if other.usable and same else None
 
 
-def _named(nlp: CycleNLP, solution: Solution, other: Solution, lead: int) -> Continuum:
+def _continuum(nlp: CycleNLP, solution: Solution, other: Solution, lead: int) -> Continuum:
     count = len(nlp.free)
     moved = other.x[:count] - solution.x[:count]
     changed = {
@@ -111,6 +111,6 @@ def _named(nlp: CycleNLP, solution: Solution, other: Solution, lead: int) -> Con
     lengths = [name for name in nlp.free if quantities[name].kind in ("length", "coordinate")]
     sized = {name for name, quantity in quantities.items() if quantity.kind in ("length", "coordinate") and quantity.value != 0.0}
     whole = sized <= set(lengths)  # a length fixed at zero scales too
-    own = [ratios.get(name, 1.0) for name in lengths if abs(solution.design[name]) > 1e-6 * nlp.scales[0]]
-    scale = whole and set(changed) <= set(lengths) and bool(np.ptp(own) <= 1e-3 * abs(np.mean(own) - 1.0))
+    factors = [ratios.get(name, 1.0) for name in lengths if abs(solution.design[name]) > 1e-6 * nlp.scales[0]]
+    scale = whole and set(changed) <= set(lengths) and bool(np.ptp(factors) <= 1e-3 * abs(np.mean(factors) - 1.0))
     return Continuum(nlp.free[lead], changed, scale)

@@ -64,13 +64,13 @@ def neighbours(nlp: CycleNLP, solution: Solution) -> list[StartGroup]:
     for step, (name, way) in itertools.product(STEPS, itertools.product(trace.problem.free, (-1.0, 1.0))):
         low, high = trace.problem.quantities[name].bounds
         designs.append({**here, name: min(max(here[name] + way * step * (high - low), low), high)})
-    found: dict[tuple[object, ...], StartGroup] = {}
+    groups: dict[tuple[object, ...], StartGroup] = {}
     for sample in trace.samples(designs):
         structure = sample.structure
         if structure is not None and not structure.like(nlp.structure):
             structure = replace(structure, slow=nlp.structure.slow)
-            found.setdefault((structure.which, structure.rising), StartGroup(structure, (sample.values,)))
-    return list(found.values())[:NEIGHBOURS]
+            groups.setdefault((structure.which, structure.rising), StartGroup(structure, (sample.values,)))
+    return list(groups.values())[:NEIGHBOURS]
 
 
 def build_programme(trace: TracedCycle, begin: StartGroup) -> CycleNLP:
@@ -128,38 +128,38 @@ class OrderSearch:
         ends : sequence of Solution, optional
             The local searches from there, if they are done already; see `local`.
         """
-        for name, found in zip(self.names, self.local(k) if ends is None else ends, strict=True):
+        for name, solution in zip(self.names, self.local(k) if ends is None else ends, strict=True):
             self.nlp.set_exchange_points(self._places)
             best = self.best(name)
-            worse = best is not None and found.status is not Status.OPTIMAL and rank(best) < rank(found)
-            self.runs[name].append(self._kept(self._exchanged(found, name) if found.usable and not worse else found))
+            worse = best is not None and solution.status is not Status.OPTIMAL and rank(best) < rank(solution)
+            self.runs[name].append(self._kept(self._exchanged(solution, name) if solution.usable and not worse else solution))
 
-    def _kept(self, found: Solution) -> Solution:
+    def _kept(self, solution: Solution) -> Solution:
         """Return the end of a search, infeasible where the NLP does not describe its design.
 
         The NLP knows the dead centres of its own order of events only: a design may have further ones, so that an output does not
         reciprocate as its stroke or time ratio requires. The angle of a load may count from another turn than in the trace.
         """
         trace = self.nlp.traced
-        structure = trace.structure(found.design) if found.usable else None
+        structure = trace.structure(solution.design) if solution.usable else None
         if structure is None:
-            return found
+            return solution
         if trace.strokeless(structure) is not None:
-            return replace(found, status=Status.INFEASIBLE, message="an output has further dead centres")
-        if trace.serves(found.design):
-            return found
-        self.strayed.append(found)
-        return replace(found, status=Status.INFEASIBLE, message="the angle of a load counts from another turn")
+            return replace(solution, status=Status.INFEASIBLE, message="an output has further dead centres")
+        if trace.serves(solution.design):
+            return solution
+        self.strayed.append(solution)
+        return replace(solution, status=Status.INFEASIBLE, message="the angle of a load counts from another turn")
 
-    def _exchanged(self, found: Solution, name: str) -> Solution:
+    def _exchanged(self, solution: Solution, name: str) -> Solution:
         """Return the end of a search refined by the exchange method; an optimum that is known is not refined again."""
         free = len(self.nlp.free)
-        for x, known in self._refined[name]:
-            if found.status is Status.OPTIMAL and np.max(np.abs(x - found.x)[:free]) <= multistart.SAME_DESIGN:
-                return known
-        refined = exchange(self.nlp, found)
-        if found.status is Status.OPTIMAL:
-            self._refined[name].append((found.x, refined))
+        for x, previous in self._refined[name]:
+            if solution.status is Status.OPTIMAL and np.max(np.abs(x - solution.x)[:free]) <= multistart.SAME_DESIGN:
+                return previous
+        refined = exchange(self.nlp, solution)
+        if solution.status is Status.OPTIMAL:
+            self._refined[name].append((solution.x, refined))
         return refined
 
     def _from(self, x: Array, name: str, *, insist: bool) -> Solution:
@@ -174,8 +174,8 @@ class OrderSearch:
                 return end
             start = repair(nlp, x, nlp.p, inside=0.0)
         if start is None:
-            missed = multistart.solution_at(nlp, x, "no feasible point was found beside the start")
-            return replace(missed, status=Status.INFEASIBLE) if missed.status is Status.NON_FINITE else missed
+            infeasible = multistart.solution_at(nlp, x, "no feasible point was found beside the start")
+            return replace(infeasible, status=Status.INFEASIBLE) if infeasible.status is Status.NON_FINITE else infeasible
         return multistart.solve_from(nlp, start, name)
 
     def best(self, name: str) -> Solution | None:
@@ -267,8 +267,8 @@ def search_all(
     runs : function, optional
         From `optlink.execution.runner.pool`, for the local searches of the first orders. Default: the present process.
     """
-    own = tuple(names)
-    orders = [OrderSearch(build_programme(trace, begin), begin, own, explored=True) for begin in firsts]
+    backends = tuple(names)
+    orders = [OrderSearch(build_programme(trace, begin), begin, backends, explored=True) for begin in firsts]
     more: list[OrderSearch] | None = None
     beside: list[OrderSearch] = []
     count, interrupted = 0, False
@@ -279,11 +279,13 @@ def search_all(
             _round(orders, k, ahead)
             if not any(order.usable for order in orders):
                 if more is None:
-                    more = [OrderSearch(build_programme(trace, begin), begin, own, False, explored=True) for begin in further()]
+                    more = [
+                        OrderSearch(build_programme(trace, begin), begin, backends, False, explored=True) for begin in further()
+                    ]
                 _round(more, k)
-            _cross([*orders, *(more or ())], beside, own)
-            _return([*orders, *(more or ())], beside, own)
-            _explore([*orders, *(more or ())], beside, own, alike)
+            _cross([*orders, *(more or ())], beside, backends)
+            _return([*orders, *(more or ())], beside, backends)
+            _explore([*orders, *(more or ())], beside, backends, alike)
             count = k + 1
             done()
     except KeyboardInterrupt:
@@ -293,10 +295,10 @@ def search_all(
         interrupted = True
     every = [order for order in (*orders, *(more or ()), *beside) if all(order.runs.values())]
     winner = min(every, key=OrderSearch.rank)
-    found = {name: best for name in own if (best := winner.best(name)) is not None}
+    best_by_backend = {name: best for name in backends if (best := winner.best(name)) is not None}
     if winner.usable:
-        found = reconcile_backends(winner.nlp, found)
-    return CycleSearchResult(winner.nlp, found, tuple(every), count, interrupted=interrupted)
+        best_by_backend = reconcile_backends(winner.nlp, best_by_backend)
+    return CycleSearchResult(winner.nlp, best_by_backend, tuple(every), count, interrupted=interrupted)
 
 
 def _round(orders: Sequence[OrderSearch], k: int, ahead: Iterator[list[dict[str, Any]]] | None = None) -> None:
@@ -319,7 +321,7 @@ def _cross(orders: Sequence[OrderSearch], beside: list[OrderSearch], names: tupl
     """
     while len(beside) < CROSSINGS * NEIGHBOURS:
         winner = min((*orders, *beside), key=OrderSearch.rank)
-        best = min((found for name in names if (found := winner.best(name)) is not None), key=rank, default=None)
+        best = min((solution for name in names if (solution := winner.best(name)) is not None), key=rank, default=None)
         if best is None or best in winner.left or not at_edge(best):
             return
         winner.left.append(best)
@@ -362,9 +364,9 @@ def _return(orders: Sequence[OrderSearch], beside: list[OrderSearch], names: tup
         if order is None:
             return
         design, trace = order.strayed.pop().design, order.nlp.traced
-        own = TracedCycle(trace.problem, design, trace.slow)
-        structure = own.structure(design)
+        traced = TracedCycle(trace.problem, design, trace.slow)
+        structure = traced.structure(design)
         if structure is not None:
             begin = StartGroup(replace(structure, slow=order.nlp.structure.slow), (design,))
-            beside.append(OrderSearch(build_programme(own, begin), begin, names, insists=False))
+            beside.append(OrderSearch(build_programme(traced, begin), begin, names, insists=False))
             beside[-1].advance(0)

@@ -16,7 +16,7 @@ from optlink.optimization.nlp import NLP, Variable
 from optlink.problem.function import EPIGRAPH
 from optlink.solvers.solution import Relaxation
 
-MET = 1e-6  # total slack, in scaled units, below which a set of limits counts as feasible
+FEASIBLE_SLACK = 1e-6  # total slack, in scaled units, below which a set of limits counts as feasible
 FREE = 1e3  # upper bound of a slack, in scaled units
 
 
@@ -88,12 +88,14 @@ class Limit:
         approximate : bool
             Whether the limit may be exceeded between the positions of the NLP.
         """
-        found = list(zip(self.sides, slacks.tolist(), strict=True))
-        if len(found) > 1 and np.all(np.isfinite(slacks)):
+        slacks_by_side = list(zip(self.sides, slacks.tolist(), strict=True))
+        if len(slacks_by_side) > 1 and np.all(np.isfinite(slacks)):
             g = nlp.values(x, p)[1]
             over = [max((g[j] - side.bound) * (1.0 if side.upper else -1.0) for j in side.rows) for side in self.sides]
-            found = [pair for pair, excess in zip(found, over, strict=True) if excess > MET] or found
-        return [side.relaxation(slack, approximate, len(found) > 1) for side, slack in found]
+            slacks_by_side = [
+                pair for pair, excess in zip(slacks_by_side, over, strict=True) if excess > FEASIBLE_SLACK
+            ] or slacks_by_side
+        return [side.relaxation(slack, approximate, len(slacks_by_side) > 1) for side, slack in slacks_by_side]
 
 
 def limit_sides(nlp: NLP) -> list[LimitSide]:
@@ -101,20 +103,20 @@ def limit_sides(nlp: NLP) -> list[LimitSide]:
 
     Bounds of variables without influence on any limit are left out, as are bounds of an angle over a full revolution.
     """
-    found: dict[tuple[str, str, bool], list[int]] = {}
+    sides: dict[tuple[str, str, bool], list[int]] = {}
     for j, row in enumerate(nlp.rows):
         if row.limit == EPIGRAPH or row.limit in nlp.states:
             continue
         for upper, bound in ((False, row.low), (True, row.high)):
             if math.isfinite(bound):
-                found.setdefault((row.limit, row.label, upper), []).append(j)
+                sides.setdefault((row.limit, row.label, upper), []).append(j)
     result = []
-    for (key, name, upper), rows in found.items():
+    for (key, name, upper), rows in sides.items():
         row = nlp.rows[rows[0]]
         bound, equation = row.high if upper else row.low, row.low == row.high
         result.append(LimitSide(key, name, upper, tuple(rows), (), bound, row.scale, equation))
-    asked = [j for j, row in enumerate(nlp.rows) if row.limit != EPIGRAPH]
-    used = casadi.which_depends(nlp.g_expression[asked], nlp.x_symbol, 1, False) if asked else [False] * len(nlp.variables)
+    indices = [j for j, row in enumerate(nlp.rows) if row.limit != EPIGRAPH]
+    used = casadi.which_depends(nlp.g_expression[indices], nlp.x_symbol, 1, False) if indices else [False] * len(nlp.variables)
     for i, variable in enumerate(nlp.variables):
         around = variable.scale is DEGREES and nlp.x_high[i] - nlp.x_low[i] >= 2.0 * math.pi
         if variable.name in nlp.helpers or variable.name in nlp.states or around or not used[i]:
@@ -137,20 +139,20 @@ def limits_of(sides: Sequence[LimitSide]) -> list[Limit]:
     result: list[Limit] = []
     paired: set[int] = set()
     for i, side in enumerate(sides):
-        own = [k for k, other in enumerate(sides) if other.key == side.key and other.rows]
-        own = [k for k in own if sides[k].name == side.name] if len(own) > 2 else own
+        same_key = [k for k, other in enumerate(sides) if other.key == side.key and other.rows]
+        same_key = [k for k in same_key if sides[k].name == side.name] if len(same_key) > 2 else same_key
         if i in paired:
             continue
-        values = {row for k in own for row in sides[k].rows}
+        values = {row for k in same_key for row in sides[k].rows}
         if (
             side.rows
             and not side.equation
             and len(values) > 1
-            and [sides[k].upper for k in own] in ([False, True], [True, False])
+            and [sides[k].upper for k in same_key] in ([False, True], [True, False])
         ):
-            paired.update(own)
+            paired.update(same_key)
             # in display units the lower side comes first
-            result.append(Limit(tuple(sorted((sides[k] for k in own), key=lambda one: one.upper != one.scale.cosine))))
+            result.append(Limit(tuple(sorted((sides[k] for k in same_key), key=lambda one: one.upper != one.scale.cosine))))
         else:
             result.append(Limit((side,)))
     return result

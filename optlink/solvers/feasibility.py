@@ -38,14 +38,14 @@ def repair(nlp: NLP, x: Array, p: Array, inside: float = INSIDE) -> Array | None
     inset = np.minimum(inside, 0.25 * (high - low))
     low_inside, high_inside = low + inset, high - inset
     x = np.clip(x, nlp.x_low, nlp.x_high)
-    own = np.array([row.limit != EPIGRAPH for row in nlp.rows], dtype=bool)  # the others follow from lifting x
+    limited = np.array([row.limit != EPIGRAPH for row in nlp.rows], dtype=bool)  # the others follow from lifting x
     for _ in range(MAX_STEPS):
         x = nlp.lifted(x)
         point = nlp.at(x, p)
         if math.isfinite(point.f) and violation(nlp, x, point.g) <= FEASIBLE:
             return x
         miss = np.maximum(low_inside - point.g, 0.0) + np.minimum(high_inside - point.g, 0.0)
-        rows = np.flatnonzero(own & np.isfinite(miss) & (miss != 0.0) & np.isfinite(point.jacobian).all(axis=1))
+        rows = np.flatnonzero(limited & np.isfinite(miss) & (miss != 0.0) & np.isfinite(point.jacobian).all(axis=1))
         if rows.size == 0:
             return None
         rows = _worst(nlp, rows, miss)
@@ -63,8 +63,8 @@ def _worst(nlp: NLP, rows: NDArray[np.intp], miss: Array) -> NDArray[np.intp]:
     The rows of one limit at neighbouring positions are nearly dependent: a step that meets all of them exactly leads far away.
     """
     order = rows[np.argsort(-np.abs(miss[rows]), kind="stable")]
-    kept = {(nlp.rows[j].limit, nlp.rows[j].label, bool(miss[j] > 0.0)): j for j in reversed(order.tolist())}
-    return np.array(sorted(kept.values()), dtype=np.intp)
+    worst = {(nlp.rows[j].limit, nlp.rows[j].label, bool(miss[j] > 0.0)): j for j in reversed(order.tolist())}
+    return np.array(sorted(worst.values()), dtype=np.intp)
 
 
 def _shortest(jacobian: Array, miss: Array, low: Array, high: Array) -> Array:

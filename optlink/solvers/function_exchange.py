@@ -19,7 +19,7 @@ from optlink.solvers.solution import Solution
 
 ALONG = 2001  # positions along the span at which the error is sampled
 EXCHANGES, LEVELLED = 12, 1e-8  # rounds, and the share by which an error may exceed those at the positions of the NLP
-APART = 1e-4  # rad; closer positions count as one
+POSITION_SEPARATION = 1e-4  # rad; closer positions count as one
 
 
 def error_at(problem: DesignProblem, design: Mapping[str, float], offsets: Array) -> Array:
@@ -70,7 +70,7 @@ def add_peak_errors(problem: DesignProblem, nlp: NLP, solution: Solution, backen
         Back end used if the minimax method does not end at an optimum.
     """
     grid, error = np.sort(np.linspace(0.0, problem.span, ALONG)), error_function(problem)
-    known: list[float] = []
+    offsets: list[float] = []
     ends = [0.0, problem.span]  # already positions of the NLP
     for _ in range(EXCHANGES):
         if not solution.usable:
@@ -82,11 +82,11 @@ def add_peak_errors(problem: DesignProblem, nlp: NLP, solution: Solution, backen
         new = [at for at, _ in peaks if _apart(at, ends)]
         if not new:
             break
-        known = [at for at in sorted(known, key=lambda at: -(error(design, np.array([at]))[0] ** 2)) if _apart(at, new)]
-        known = (new + known)[: nlp.exchange_count]
-        nlp.set_exchange_points(np.array(known))
-        found = multistart.solve_from(nlp, solution.x, MINIMAX)
-        solution = found if found.status is Status.OPTIMAL else multistart.solve_from(nlp, solution.x, backend)
+        offsets = [at for at in sorted(offsets, key=lambda at: -(error(design, np.array([at]))[0] ** 2)) if _apart(at, new)]
+        offsets = (new + offsets)[: nlp.exchange_count]
+        nlp.set_exchange_points(np.array(offsets))
+        solved = multistart.solve_from(nlp, solution.x, MINIMAX)
+        solution = solved if solved.status is Status.OPTIMAL else multistart.solve_from(nlp, solution.x, backend)
     return solution
 
 
@@ -94,14 +94,14 @@ def _peaks(size: Callable[[Array], Array], grid: Array, most: int) -> list[tuple
     """Return positions and heights of the largest local maxima of a function of the crank rotation [rad]."""
     heights = size(grid)
     tops = np.flatnonzero((heights >= np.append(heights[1:], 0.0)) & (heights >= np.insert(heights[:-1], 0, 0.0)))
-    found = []
+    peaks = []
     for k in tops[np.argsort(-heights[tops])][:most]:
         bracket = np.linspace(grid[max(int(k) - 1, 0)], grid[min(int(k) + 1, len(grid) - 1)], 9)
         at, height = maxima(lambda angles: size(angles)[None, :], bracket)
-        found.append((float(at[0]), float(height[0])))
-    return found
+        peaks.append((float(at[0]), float(height[0])))
+    return peaks
 
 
 def _apart(at: float, others: list[float]) -> bool:
     """Return whether a position [rad] differs from all others."""
-    return min((abs(at - other) for other in others), default=math.inf) > APART
+    return min((abs(at - other) for other in others), default=math.inf) > POSITION_SEPARATION

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP
 from optlink.solvers.contract import BACKENDS, backend
-from optlink.solvers.elastic_programme import FREE, MET, Limit, elastic_programme, limit_sides, limits_of
+from optlink.solvers.elastic_programme import FEASIBLE_SLACK, FREE, Limit, elastic_programme, limit_sides, limits_of
 from optlink.solvers.multistart import starts
 from optlink.solvers.solution import Relaxation
 
@@ -32,7 +32,7 @@ FIRST_ORDER, EVEN, ROUNDS = 1e-4, 1e-4, 4
 rounds in which the shares of the sides are corrected."""
 ENOUGH = 3  # number of searches that end at the same least slack before it is accepted
 AGREEING = 2  # the same for the relaxation of one limit of a large NLP
-SAME = 1e-4  # relative difference of slacks that count as equal
+EQUAL_SLACKS = 1e-4  # relative difference of slacks that count as equal
 EXCHANGES, FOLLOWED = 5, 1e-4  # rounds of the exchange method, and the violation (scaled) at the peaks that ends them
 
 Follow = Callable[[Array], Array]
@@ -81,17 +81,17 @@ class _Search:
         the solution needs no slack, else if the `amount` is required. `exchange_converged` says whether the exchange converged.
         """
         self.programme.x_high[self.n :] = most_slack  # in place: the compiled functions of the NLP are kept
-        total, found = self._searched(weights, most_slack, self.enough)
+        total, x = self._searched(weights, most_slack, self.enough)
         self.exchange_converged = self.follow is None
         for _ in range(EXCHANGES):
-            if self.follow is None or not math.isfinite(total) or (total > MET and not self.amount):
+            if self.follow is None or not math.isfinite(total) or (total > FEASIBLE_SLACK and not self.amount):
                 break
-            self.p = self.follow(found[: self.n]).copy()
-            self.exchange_converged = self._missed(found, weights) <= FOLLOWED
+            self.p = self.follow(x[: self.n]).copy()
+            self.exchange_converged = self._violation(x, weights) <= FOLLOWED
             if self.exchange_converged:
                 break
-            total, found = self._searched(weights, most_slack, 1)
-        return total, found
+            total, x = self._searched(weights, most_slack, 1)
+        return total, x
 
     def alone(self, i: int) -> tuple[Array, Array]:
         """Return the least slack of each side of a limit that is relaxed alone, and x with the slacks.
@@ -104,8 +104,8 @@ class _Search:
             slack, x = self.least(weights, FREE * weights)
             return np.array([slack]), x
         ends = []
-        for own in np.eye(count):
-            self.shares[i] = own
+        for unit_weights in np.eye(count):
+            self.shares[i] = unit_weights
             ends.append(self.least(weights, FREE * weights))
         amounts = [side.relaxation(slack).amount for side, (slack, _) in zip(limit.sides, ends, strict=True)]
         best = int(np.argmin(np.nan_to_num(amounts, nan=np.inf)))
@@ -116,7 +116,9 @@ class _Search:
             self.shares[i] = limit.shares(amount)
             slack, x = self.least(weights, FREE * weights)
             slacks = slack * self.shares[i]
-            amounts = [side.relaxation(own).amount for side, own in zip(limit.sides, slacks.tolist(), strict=True)]
+            amounts = [
+                side.relaxation(unit_weights).amount for side, unit_weights in zip(limit.sides, slacks.tolist(), strict=True)
+            ]
             if not np.all(np.isfinite(amounts)) or np.ptp(amounts) <= EVEN * max(amounts):
                 break
             amount = float(np.mean(amounts))
@@ -125,7 +127,7 @@ class _Search:
     def _parameters(self, weights: Array) -> Array:
         return np.concatenate([weights, *self.shares, self.p])
 
-    def _missed(self, x: Array, weights: Array) -> float:
+    def _violation(self, x: Array, weights: Array) -> float:
         """Return the violation of the relaxed limits at a point (scaled)."""
         nlp = self.programme
         g = nlp.at(x, self._parameters(weights)).g
@@ -134,7 +136,7 @@ class _Search:
     def _searched(self, weights: Array, most_slack: Array, enough: int) -> tuple[float, Array]:
         """Return the least weighted slack for fixed exchange points; the search ends when `enough` runs agree."""
         nlp, p = self.programme, self._parameters(weights)
-        best, found = math.inf, np.full(self.n + self.k, math.inf)
+        best, best_x = math.inf, np.full(self.n + self.k, math.inf)
         ends: list[float] = []
         points = [*self.last, *self.points]
         most = len(points)  # after this many searches without a feasible end there is none
@@ -143,16 +145,16 @@ class _Search:
             x = self._slackened(point, weights, most_slack)
             for run in (None, solver):  # the point itself may be feasible
                 end = x if run is None else run(nlp, x, p).x
-                total = float(weights @ end[self.n :]) if self._missed(end, weights) <= MET else math.inf
+                total = float(weights @ end[self.n :]) if self._violation(end, weights) <= FEASIBLE_SLACK else math.inf
                 if total < best:
-                    best, found, self.last = total, end, [end[: self.n]]
+                    best, best_x, self.last = total, end, [end[: self.n]]
                 if best <= 1e-9:
-                    return best, found
+                    return best, best_x
             ends.append(total)
-            repeated = sum(total <= best * (1.0 + SAME) for total in ends) >= enough
+            repeated = sum(total <= best * (1.0 + EQUAL_SLACKS) for total in ends) >= enough
             if repeated if math.isfinite(best) else len(ends) >= most:
                 break
-        return best, found
+        return best, best_x
 
     def _slackened(self, point: Array, weights: Array, most_slack: Array) -> Array:
         """Return a point with the slacks that it needs, up to their bounds."""
@@ -161,8 +163,8 @@ class _Search:
         here = nlp.at(x, self._parameters(weights))
         need = np.nan_to_num(np.maximum(0.0, nlp.low - here.g) - np.maximum(0.0, here.g - nlp.high))
         slopes = here.jacobian[:, self.n :]
-        own = np.divide(need[:, None], slopes, out=np.zeros_like(slopes), where=slopes != 0.0)
-        x[self.n :] = np.minimum(np.max(own, axis=0, initial=0.0), most_slack)
+        needed = np.divide(need[:, None], slopes, out=np.zeros_like(slopes), where=slopes != 0.0)
+        x[self.n :] = np.minimum(np.max(needed, axis=0, initial=0.0), most_slack)
         return x
 
 
@@ -198,19 +200,19 @@ def explain(
     search.enough = AGREEING if quick else ENOUGH
     total, x = search.least(np.ones(k), free)
     search.enough = 1 if quick else ENOUGH
-    if total <= MET:
+    if total <= FEASIBLE_SLACK:
         return np.clip(x[: search.n], nlp.x_low, nlp.x_high)
     if not math.isfinite(total):
         return Explanation(search.points[0], (), ())
     search.points, slacks = [x[: search.n], *search.points], x[search.n :]
     together: list[Relaxation] = []
     for limit, slack in zip(limits, slacks, strict=True):
-        if slack > MET:
+        if slack > FEASIBLE_SLACK:
             together += limit.relaxations(slack * limit.shares(FIRST_ORDER), nlp, x[: search.n], search.p, follow is not None)
     conflict: list[Relaxation] = []
-    named = _irreducible(search, free, slacks > MET)
+    conflicting = _irreducible(search, free, slacks > FEASIBLE_SLACK)
     search.enough, search.amount = AGREEING if quick else ENOUGH, True
-    for i in named:
+    for i in conflicting:
         least, end = search.alone(i)
         conflict += limits[i].relaxations(least, nlp, end[: search.n], search.p, not search.exchange_converged)
     return Explanation(x[: search.n], tuple(conflict), tuple(together))
@@ -229,7 +231,7 @@ def feasible_point(nlp: NLP, seed: int = 0) -> Array | None:
     search = _Search(nlp, limits, _begin(nlp, seed), ("ipopt",))
     search.enough = AGREEING
     total, x = search.least(np.ones(len(limits)), np.full(len(limits), FREE))
-    return np.clip(x[: search.n], nlp.x_low, nlp.x_high) if total <= MET else None
+    return np.clip(x[: search.n], nlp.x_low, nlp.x_high) if total <= FEASIBLE_SLACK else None
 
 
 def tightest(nlp: NLP, key: str, sense: str, point: Array) -> float:
@@ -247,9 +249,12 @@ def tightest(nlp: NLP, key: str, sense: str, point: Array) -> float:
         A design that meets all other limits.
     """
     sides = limit_sides(nlp)
-    own = [side for side in sides if (side.key, side.sense) == (key, sense)]
-    rows, variables = (tuple(i for side in own for i in getattr(side, name)) for name in ("rows", "variables"))
-    limits = [Limit((side,)) for side in (replace(own[0], rows=rows, variables=variables), *(s for s in sides if s not in own))]
+    matching = [side for side in sides if (side.key, side.sense) == (key, sense)]
+    rows, variables = (tuple(i for side in matching for i in getattr(side, name)) for name in ("rows", "variables"))
+    limits = [
+        Limit((side,))
+        for side in (replace(matching[0], rows=rows, variables=variables), *(s for s in sides if s not in matching))
+    ]
     search = _Search(nlp, limits, [point, *_begin(nlp, 0)])
     _, x = search.least(np.ones(len(limits)), np.full(len(limits), FREE))
     search.points += [x[: search.n]] if np.all(np.isfinite(x)) else []
@@ -266,22 +271,22 @@ def _irreducible(search: _Search, free: Array, giving: NDArray[np.bool_]) -> lis
     """Return indices of an irreducible infeasible set of limits; `giving` (k,): limits with positive slack at first."""
     k = len(free)
     for i in np.argsort(~giving, kind="stable").tolist():  # a limit that is infeasible on its own is the simplest conflict
-        if MET < search.least(np.eye(k)[i], free)[0] < math.inf:
+        if FEASIBLE_SLACK < search.least(np.eye(k)[i], free)[0] < math.inf:
             return [i]
-    kept = _conflicting(search, free, giving)
-    for i in map(int, np.flatnonzero(kept)):
-        kept[i] = 0.0
-        if not MET < search.least(kept, free)[0] < math.inf:
-            kept[i] = 1.0
-    return [int(i) for i in np.flatnonzero(kept)]
+    conflict = _conflicting(search, free, giving)
+    for i in map(int, np.flatnonzero(conflict)):
+        conflict[i] = 0.0
+        if not FEASIBLE_SLACK < search.least(conflict, free)[0] < math.inf:
+            conflict[i] = 1.0
+    return [int(i) for i in np.flatnonzero(conflict)]
 
 
 def _conflicting(search: _Search, free: Array, giving: NDArray[np.bool_]) -> Array:
     """Return 1 for limits of an infeasible set, 0 for the others (elastic filter); 1 for all if a search fails."""
     conflicting = np.where(giving, 1.0, 0.0)
-    while search.least(conflicting, free)[0] <= MET:
+    while search.least(conflicting, free)[0] <= FEASIBLE_SLACK:
         _, x = search.least(1.0 - conflicting, np.where(conflicting > 0.0, 0.0, free))
-        giving = (x[search.n :] > MET) & (conflicting == 0.0)
+        giving = (x[search.n :] > FEASIBLE_SLACK) & (conflicting == 0.0)
         if not np.all(np.isfinite(x)) or not np.any(giving):
             return np.ones(len(free))
         conflicting[giving] = 1.0

@@ -43,7 +43,7 @@ TIGHT = {f"ipopt.{name}": 1e-11 for name in ("tol", "constr_viol_tol", "compl_in
 CYCLE = {"ipopt.adaptive_mu_globalization": "kkt-error"}
 """Programmes of machine cycles: half the iterations, as the barrier parameter seldom falls back to a monotone decrease."""
 
-NEAR = {"ipopt.mu_strategy": "monotone", "ipopt.mu_init": 1e-4}
+CLOSE_START = {"ipopt.mu_strategy": "monotone", "ipopt.mu_init": 1e-4}
 
 
 class _Recorder(casadi.Callback):
@@ -68,8 +68,8 @@ class _Recorder(casadi.Callback):
 
 
 def _solver(nlp: NLP, extra: dict[str, Any]) -> Any:
-    own = (CYCLE if nlp.cycle else {}) | ({} if nlp.derivatives is None else nlp.derivatives.options)
-    return casadi.nlpsol("ipopt", "ipopt", nlp.programme, {**OPTIONS, **own, **extra})
+    options = (CYCLE if nlp.cycle else {}) | ({} if nlp.derivatives is None else nlp.derivatives.options)
+    return casadi.nlpsol("ipopt", "ipopt", nlp.programme, {**OPTIONS, **options, **extra})
 
 
 def compiled(nlp: NLP, tight: bool = False, close: bool = False) -> Any:
@@ -85,7 +85,7 @@ def compiled(nlp: NLP, tight: bool = False, close: bool = False) -> Any:
     """
     key = f"ipopt, {tight}, {close}"
     if key not in nlp.cache:
-        nlp.cache[key] = _solver(nlp, (TIGHT if tight else {}) | (NEAR if close else {}))
+        nlp.cache[key] = _solver(nlp, (TIGHT if tight else {}) | (CLOSE_START if close else {}))
         nlp.take_hessian(nlp.cache[key].get_function("nlp_hess_l"))
     return nlp.cache[key]
 
@@ -108,8 +108,8 @@ def ipopt(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = Fa
         Start with a small barrier parameter, for a start near an optimum.
     """
     recorder = _Recorder(nlp) if track else None
-    own = {"iteration_callback": recorder} | (TIGHT if tight else {}) | (NEAR if close else {})
-    solver = compiled(nlp, tight, close) if recorder is None else _solver(nlp, own)
+    options = {"iteration_callback": recorder} | (TIGHT if tight else {}) | (CLOSE_START if close else {})
+    solver = compiled(nlp, tight, close) if recorder is None else _solver(nlp, options)
     before = interrupted()
     with silent():
         result = solver(x0=x, p=p, lbx=nlp.x_low, ubx=nlp.x_high, lbg=nlp.low, ubg=nlp.high)

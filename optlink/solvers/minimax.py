@@ -29,16 +29,16 @@ from optlink.symbolic import CompiledFunction
 MOST_STEPS = 100
 FIRST_REACH, LEAST_REACH, MOST_REACH = 0.1, 1e-9, 1.0  # trust-region radius, in scaled units
 GOOD, POOR = 0.75, 0.25  # share of the predicted decrease above which the radius may grow, and below which it shrinks
-TAKEN = 1e-3  # share of the predicted decrease above which a step is accepted
+ACCEPTED_DECREASE = 1e-3  # share of the predicted decrease above which a step is accepted
 PRICE, DEAREST = 10.0, 1e6  # penalty of a violated limit (scaled) relative to the largest deviation, which is 1 at the start
 SPARE = 4.0  # times the multipliers: a sufficient penalty
 TOLERANCE = 1e-11  # tolerance of the cone programme
-MET = 1e-8  # scaled units: violation up to which a limit counts as satisfied
+FEASIBILITY_TOLERANCE = 1e-8  # scaled units: violation up to which a limit counts as satisfied
 CONVERGED = 1e-10  # predicted decrease, as a share of the deviation, that ends the search
 
 
 @dataclass(frozen=True)
-class _Here:
+class _Linearisation:
     """Deviations e (points, k), divided by the first largest one, and limits g (m,) at an x, with their derivatives.
 
     Derivatives are with respect to all variables but the last.
@@ -88,13 +88,13 @@ class _View:
         self.first, self.second = nlp.cache["minimax"]
         self.size = 1.0
 
-    def at(self, y: Array) -> _Here:
+    def at(self, y: Array) -> _Linearisation:
         """Evaluate deviations, limits and derivatives at y, which is x without its last component."""
         e, by_e, g, by_g = self.first(np.append(y, 0.0), self.p)
         by_e, by_g = (slopes.reshape(len(y), -1).T for slopes in (by_e, by_g))
         finite = all(np.all(np.isfinite(a)) for a in (e, by_e, g, by_g))
         points = e.reshape(-1, self.width) / self.size
-        return _Here(points, by_e / self.size, g, by_g, self.missed(g) if finite else math.inf)
+        return _Linearisation(points, by_e / self.size, g, by_g, self.missed(g) if finite else math.inf)
 
     def missed(self, g: Array) -> float:
         """Return the largest violation of a limit."""
@@ -103,10 +103,10 @@ class _View:
     def bend(self, y: Array, step: _Step) -> Array:
         """Return the positive semidefinite part (n, n) of the Hessian of deviations and limits, weighted with multipliers."""
         n = len(y)
-        found = self.second(np.append(y, 0.0), self.p, step.by_e / self.size, step.by_g)[0].reshape(n, n)
-        if not np.all(np.isfinite(found)):
+        hessian = self.second(np.append(y, 0.0), self.p, step.by_e / self.size, step.by_g)[0].reshape(n, n)
+        if not np.all(np.isfinite(hessian)):
             return np.zeros((n, n))
-        values, vectors = np.linalg.eigh(0.5 * (found + found.T))
+        values, vectors = np.linalg.eigh(0.5 * (hessian + hessian.T))
         return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
@@ -158,7 +158,7 @@ def minimax(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = 
                 if _gained(here, other, price, decrease) > gained:
                     there, step, gained = other, corrected, _gained(here, other, price, decrease)
         length = float(np.max(np.abs(step.d)))
-        if gained > TAKEN:
+        if gained > ACCEPTED_DECREASE:
             y, here = np.clip(y + step.d, low, high), there
             bend = view.bend(y, step)
             path += [nlp.lifted(np.append(y, 0.0))] if track else []
@@ -172,9 +172,11 @@ def minimax(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = 
     return Attempt(nlp.lifted(np.append(y, 0.0)), count, message, np.array(path) if track else None)
 
 
-def _priced(view: _View, here: _Here, bend: Array, box: tuple[Array, Array], price: float, step: _Step) -> tuple[float, _Step]:
+def _priced(
+    view: _View, here: _Linearisation, bend: Array, box: tuple[Array, Array], price: float, step: _Step
+) -> tuple[float, _Step]:
     """Return a penalty weight that halves the reducible violation or is large enough, and the step for it."""
-    if here.missed <= MET:
+    if here.missed <= FEASIBILITY_TOLERANCE:
         return min(price, max(PRICE, SPARE * float(np.sum(np.abs(step.by_g))))), step
     if step.missed > 0.5 * here.missed:
         most = _step(view, here, bend, box, DEAREST)
@@ -185,7 +187,7 @@ def _priced(view: _View, here: _Here, bend: Array, box: tuple[Array, Array], pri
     return price, step
 
 
-def _gained(here: _Here, there: _Here, price: float, promised: float) -> float:
+def _gained(here: _Linearisation, there: _Linearisation, price: float, promised: float) -> float:
     """Return the actual decrease of the merit as a share of the predicted one."""
     return (here.merit(price) - there.merit(price)) / promised if math.isfinite(there.missed) else -1.0
 
@@ -199,7 +201,7 @@ def _sparse(dense: Array) -> Any:
     return csc_matrix((dense[rows, columns], rows, ends), dense.shape)
 
 
-def _step(view: _View, here: _Here, bend: Array, box: tuple[Array, Array], price: float) -> _Step | None:
+def _step(view: _View, here: _Linearisation, bend: Array, box: tuple[Array, Array], price: float) -> _Step | None:
     """Return the best step within a box; None if the solver finds none."""
     import clarabel
 
@@ -221,17 +223,17 @@ def _step(view: _View, here: _Here, bend: Array, box: tuple[Array, Array], price
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = TOLERANCE
-    found = clarabel.DefaultSolver(_sparse(np.triu(square)), cost, matrix, right, kinds, settings).solve()
-    z, dual = np.asarray(found.x, dtype=float), np.asarray(found.z, dtype=float)
+    solution = clarabel.DefaultSolver(_sparse(np.triu(square)), cost, matrix, right, kinds, settings).solve()
+    z, dual = np.asarray(solution.x, dtype=float), np.asarray(solution.z, dtype=float)
     if not (np.all(np.isfinite(z)) and np.all(np.isfinite(dual))):
         return None
     d = np.clip(z[:n], *box)
     e, g = here.e + (here.by_e @ d).reshape(points, width), here.g + here.by_g @ d
-    missed = view.missed(g)
-    merit = float(np.max(np.linalg.norm(e, axis=1))) + price * missed + 0.5 * float(d @ bend @ d)
+    violated = view.missed(g)
+    merit = float(np.max(np.linalg.norm(e, axis=1))) + price * violated + 0.5 * float(d @ bend @ d)
     tips = -dual[: points * (width + 1)].reshape(points, width + 1)[:, 1:].ravel()
     box_duals = dual[points * (width + 1) :]
     by_g = np.zeros(len(view.low))
     by_g[above] += box_duals[: above.sum()]
     by_g[below] -= box_duals[above.sum() : above.sum() + below.sum()]
-    return _Step(d, merit, missed, tips, by_g)
+    return _Step(d, merit, violated, tips, by_g)

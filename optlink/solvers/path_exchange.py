@@ -24,19 +24,19 @@ from optlink.solvers.newton import polish
 from optlink.solvers.semi_infinite import with_places
 from optlink.solvers.solution import Solution
 
-ALONG = 1441  # positions along the required motion at which limits are sampled
+POSITIONS = 1441  # positions along the required motion at which limits are sampled
 EXCEEDED = 2e-9  # permitted excess over a limit, in the unit of its row: less than the validator's tolerance
 EXCHANGES = 16  # rounds
 RADIUS, SMALLEST, LARGEST = 0.3, 1e-3, 10.0  # scaled units: trust-region radius of the first round, and its range
 GROWTH, ALL_BUT = 2.5, 0.9  # of the radius after a step of at least that share of it
-NEAR = 0.1  # in the unit of the row: a peak this far below its limit may exceed it in the next round
-CLOSE = 0.02  # the same for peaks whose positions are unknowns of the NLP
+TRACKED_PEAK = 0.1  # in the unit of the row: a peak this far below its limit may exceed it in the next round
+MOVING_PEAK = 0.02  # the same for peaks whose positions are unknowns of the NLP
 REACH, FARTHEST = 0.02, 0.1  # share of the motion by which such a position may move in a round of the first radius, and at most
 PER_ROW = 2  # such positions of a row that the programme has at least
 EDGE = 1e-3  # share of the motion: this close to its ends the derivative at a peak need not vanish
 ROUNDING = 1e-9  # scaled units: a shorter step is none
-APART = 1e-4  # share of the motion; closer positions count as one
-MISSED = 1e3  # penalty of exceeding a limit by one, in multiples of the objective
+PEAK_SEPARATION = 1e-4  # share of the motion; closer positions count as one
+VIOLATION_PENALTY = 1e3  # penalty of exceeding a limit by one, in multiples of the objective
 RESTORED = 0.5  # share of a violation: a step that leaves at most this much of it restores feasibility
 
 
@@ -70,52 +70,56 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
     if not nlp.exchange_count:
         return start if start.status is Status.OPTIMAL else local.solve_from(nlp, start.x, backend, resume_infeasible=False)
     nlp.set_exchange_points((np.arange(nlp.exchange_count) + 0.5) / nlp.exchange_count)
-    found = local.solution_at(nlp, start.x, start.message)
-    if not near and found.status is not Status.OPTIMAL:
-        found = local.solve_from(nlp, start.x, backend, resume_infeasible=False, continuations=0)
-    radius, tops, missed = RADIUS, _tops(task, found), list[RowPeak]()
+    solution = local.solution_at(nlp, start.x, start.message)
+    if not near and solution.status is not Status.OPTIMAL:
+        solution = local.solve_from(nlp, start.x, backend, resume_infeasible=False, continuations=0)
+    radius, tops, violated = RADIUS, _tops(task, solution), list[RowPeak]()
     worst, penalty = math.inf, 0.0
     for _ in range(EXCHANGES):
-        if not math.isfinite(found.objective):
+        if not math.isfinite(solution.objective):
             break
         nlp.set_exchange_points(_places(tops, nlp.exchange_count))
-        found = local.solution_at(nlp, found.x, found.message)
-        if (found.status is Status.OPTIMAL and tops[0].height <= 0.0) or radius < SMALLEST:
+        solution = local.solution_at(nlp, solution.x, solution.message)
+        if (solution.status is Status.OPTIMAL and tops[0].height <= 0.0) or radius < SMALLEST:
             break
-        begun = found.x
-        moved, limited = _followed(nlp, found, len(task.free), radius, backend, tops, missed)
+        begun = solution.x
+        moved, limited = _followed(nlp, solution, len(task.free), radius, backend, tops, violated)
         there = _tops(task, moved)
-        penalty = max(penalty, _needed_penalty(found, tops, moved, there))
-        if _merit(moved, there, penalty) < _merit(found, tops, penalty):
-            found, tops, missed, worst = moved, there, [], math.inf
+        penalty = max(penalty, _needed_penalty(solution, tops, moved, there))
+        if _merit(moved, there, penalty) < _merit(solution, tops, penalty):
+            solution, tops, violated, worst = moved, there, [], math.inf
             radius = min(GROWTH * radius, LARGEST) if limited else radius
         elif 0.0 < there[0].height < worst:
-            missed, worst = [*there, *missed], 0.5 * there[0].height  # the step is repeated with these positions
+            violated, worst = [*there, *violated], 0.5 * there[0].height  # the step is repeated with these positions
         else:
-            radius, missed, worst = 0.25 * radius, [], math.inf
+            radius, violated, worst = 0.25 * radius, [], math.inf
         if math.isfinite(moved.objective) and np.max(np.abs(moved.x - begun)) < ROUNDING:
             break  # it stays where it is: further rounds would repeat this one
-    converged = tops[0].height <= 0.0 or not found.usable
-    return found if converged else replace(found, status=Status.STALLED, message="limits are exceeded between the positions")
+    converged = tops[0].height <= 0.0 or not solution.usable
+    return (
+        solution if converged else replace(solution, status=Status.STALLED, message="limits are exceeded between the positions")
+    )
 
 
 def _followed(
-    nlp: NLP, start: Solution, count: int, radius: float, backend: str, tops: list[RowPeak], missed: list[RowPeak]
+    nlp: NLP, start: Solution, count: int, radius: float, backend: str, tops: list[RowPeak], violated: list[RowPeak]
 ) -> tuple[Solution, bool]:
     """Return the optimum with the first `count` variables within a radius, and whether the radius limits it.
 
-    `tops` are the peaks at the start, `missed` those of a rejected step. The positions of active peaks are unknowns; those that
+    `tops` are the peaks at the start, `violated` those of a rejected step. The positions of active peaks are unknowns; those that
     no peak needs are fixed, so that one programme serves many sets of peaks.
     """
     each = nlp.exchange_rows[1]
-    chosen = [top for top in tops if top.height > -CLOSE and EDGE < top.at < 1.0 - EDGE]
-    own = [[top.at for top in chosen if top.row == row] for row in range(each)]
+    chosen = [top for top in tops if top.height > -MOVING_PEAK and EDGE < top.at < 1.0 - EDGE]
+    positions = [[top.at for top in chosen if top.row == row] for row in range(each)]
     slots = PER_ROW
-    while slots < max(map(len, own)) and 2 * slots * each <= nlp.exchange_count:
+    while slots < max(map(len, positions)) and 2 * slots * each <= nlp.exchange_count:
         slots *= 2
     many = min(slots * each, nlp.exchange_count)
-    used = {i * each + row: at for row, places in enumerate(own) for i, at in enumerate(places[:slots]) if i * each + row < many}
-    others = iter(at for at in _places([*tops, *missed], nlp.exchange_count) if at not in used.values())
+    used = {
+        i * each + row: at for row, places in enumerate(positions) for i, at in enumerate(places[:slots]) if i * each + row < many
+    }
+    others = iter(at for at in _places([*tops, *violated], nlp.exchange_count) if at not in used.values())
     places = np.array([used[slot] if slot in used else next(others, 0.0) for slot in range(nlp.exchange_count)])
     nlp.set_exchange_points(places)
     key = f"following {many} peaks"
@@ -150,12 +154,12 @@ def _with_moving_peaks(nlp: NLP, many: int) -> NLP:
     """Return the NLP with the positions of peaks as unknowns, one row after the other, and without its fixed positions."""
     keep, (first, each) = _moving_rows(nlp), nlp.exchange_rows
     rows, slots = tuple(nlp.rows[j] for j in keep), [first + slot * each + slot % each for slot in range(many)]
-    kept = replace(nlp, rows=rows, g_expression=nlp.g_expression[keep], cache={})
+    reduced = replace(nlp, rows=rows, g_expression=nlp.g_expression[keep], cache={})
     heights = dict(enumerate(casadi.vertsplit(nlp.g_expression[slots])))
     assert nlp.mapped is not None
     places = casadi.vertsplit(nlp.p_symbol)[len(nlp.p) - nlp.exchange_count :]
     terms = nlp.mapped.of_rows(keep).with_slopes(casadi.vertsplit(nlp.mapped.g[slots]), places[:many])
-    return with_places(kept, nlp.exchange_count, heights, terms)
+    return with_places(reduced, nlp.exchange_count, heights, terms)
 
 
 def _moving_rows(nlp: NLP) -> list[int]:
@@ -170,10 +174,14 @@ def _missed(found: Solution, tops: list[RowPeak]) -> float:
     return max(found.violation, tops[0].height, 0.0)
 
 
-def _merit(found: Solution, tops: list[RowPeak], penalty: float) -> float:
-    """Return the objective plus the penalty of its violation, `MISSED` times the objective or more."""
-    missed = _missed(found, tops)
-    return found.objective + max(MISSED * abs(found.objective), penalty) * missed if math.isfinite(missed) else math.inf
+def _merit(solution: Solution, tops: list[RowPeak], penalty: float) -> float:
+    """Return the objective plus the penalty of its violation, `VIOLATION_PENALTY` times the objective or more."""
+    violation = _missed(solution, tops)
+    return (
+        solution.objective + max(VIOLATION_PENALTY * abs(solution.objective), penalty) * violation
+        if math.isfinite(violation)
+        else math.inf
+    )
 
 
 def _needed_penalty(found: Solution, tops: list[RowPeak], moved: Solution, there: list[RowPeak]) -> float:
@@ -184,35 +192,35 @@ def _needed_penalty(found: Solution, tops: list[RowPeak], moved: Solution, there
     return 2.0 * (moved.objective - found.objective) / (before - after)
 
 
-def _tops(task: PathProblem, found: Solution) -> list[RowPeak]:
+def _tops(task: PathProblem, solution: Solution) -> list[RowPeak]:
     """Return the peaks where limits are exceeded or nearly so, largest first."""
-    return peaks(excess_over(task, found), np.linspace(0.0, 1.0, ALONG), NEAR) or [RowPeak(0.0, -math.inf, 0)]
+    return peaks(excess_over(task, solution), np.linspace(0.0, 1.0, POSITIONS), TRACKED_PEAK) or [RowPeak(0.0, -math.inf, 0)]
 
 
 def _places(tops: list[RowPeak], count: int) -> Array:
     """Return the positions of the first peaks, and evenly spaced ones where there is room."""
     chosen: list[float] = []
-    for at in [*(top.at for top in tops if top.height > -NEAR), *((np.arange(count) + 0.5) / count).tolist()]:
-        if len(chosen) < count and all(abs(at - other) > APART for other in chosen):
+    for at in [*(top.at for top in tops if top.height > -TRACKED_PEAK), *((np.arange(count) + 0.5) / count).tolist()]:
+        if len(chosen) < count and all(abs(at - other) > PEAK_SEPARATION for other in chosen):
             chosen.append(at)
     return np.array(chosen + chosen[:1] * (count - len(chosen)))
 
 
-def excess_over(task: PathProblem, found: Solution) -> Function:
+def excess_over(task: PathProblem, solution: Solution) -> Function:
     """Return the excess over limits and sampled objective, minus the permitted one, as a function of shares (n,) of the motion.
 
     Parameters
     ----------
     task : PathProblem
-    found : Solution
+    solution : Solution
         The design.
     """
-    values, angles = solved_values(task, found.design, found.x)
+    values, angles = solved_values(task, solution.design, solution.x)
 
     def excess(shares: Array) -> Array:
         over = limit_excesses(task, values, angles, shares)
         if has_sampled_objective(task):
-            over = np.vstack([over, objective_excess(task, values, float(found.x[-1]), shares)])
+            over = np.vstack([over, objective_excess(task, values, float(solution.x[-1]), shares)])
         return over - EXCEEDED
 
     return excess
@@ -232,10 +240,10 @@ def peaks(heights: Function, grid: Array, near: float = 0.0) -> list[RowPeak]:
     values = heights(grid)
     padded = np.pad(values, ((0, 0), (1, 1)), constant_values=-np.inf)
     top = (values >= padded[:, :-2]) & (values > padded[:, 2:]) & (values > -2.0 * near)
-    found: list[RowPeak] = []
+    tops: list[RowPeak] = []
     for row, k in np.argwhere(top).tolist():
         bracket = np.linspace(grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)], 9)
         at, value = maxima(lambda u: heights(u)[row : row + 1], bracket)  # noqa: B023
-        found.append(RowPeak(float(at[0]), float(value[0]), row))
-    found.sort(key=lambda peak: -peak.height)
-    return [peak for k, peak in enumerate(found) if all(abs(peak.at - other.at) > APART for other in found[:k])]
+        tops.append(RowPeak(float(at[0]), float(value[0]), row))
+    tops.sort(key=lambda peak: -peak.height)
+    return [peak for k, peak in enumerate(tops) if all(abs(peak.at - other.at) > PEAK_SEPARATION for other in tops[:k])]

@@ -23,7 +23,7 @@ from optlink.solvers.contract import CLOSE, backend
 from optlink.solvers.newton import polish
 from optlink.solvers.solution import FEASIBLE, STATIONARY, Attempt, Solution, stationarity, verified_solution, violation
 
-ALONG = 241  # sampled positions per stroke
+POSITIONS_PER_STROKE = 241  # sampled positions per stroke
 EXCHANGES, LEVELLED = 40, 1e-10  # rounds, and the share by which a peak may exceed the values at the positions of the NLP
 CONVERGED = 1e-8  # the same after the last round
 PEAK = "place of a peak"
@@ -31,13 +31,13 @@ REACH = 0.25  # share of a stroke by which the position of a peak may move in on
 EDGE = 1e-6  # share of a stroke: a peak this close to its end is due to a jump of a force, not a vanishing derivative
 MOVABLE = 0.05  # share of its level by which a peak may be lower and its position still be an unknown
 RADIUS, SMALLEST = 0.1, 1e-7  # scaled units: trust-region radius of the first round, and the one that ends the rounds
-MISSED = 100.0  # penalty of a limit violated by its own size, in multiples of the objective
-SAME = 1e-9  # share of a stroke: closer peaks count as one
+VIOLATION_PENALTY = 100.0  # penalty of a limit violated by its own size, in multiples of the objective
+PEAK_SEPARATION = 1e-9  # share of a stroke: closer peaks count as one
 EXACTLY = 1e-9  # scaled units: distance at which a row counts as active in the optimality conditions
 SHARP = (1e-4, 1e-7, 1e-9)  # scaled units: active-set distances of the final Newton steps
 ALLOWED = 1e2 * FEASIBLE  # permitted violation of the NLP with moving peaks, whose equations are steep
 BESIDE = 0.02  # share of a stroke: distance of other positions from peaks, so that they do not count as active too
-NEAR = 0.3  # share of its level by which a local peak may be lower and still be tracked
+TRACKED_PEAK = 0.3  # share of its level by which a local peak may be lower and still be tracked
 
 
 @dataclass(frozen=True)
@@ -75,16 +75,16 @@ def exchange(nlp: CycleNLP, solution: Solution) -> Solution:
     """
     if not solution.usable:
         return solution
-    found, radius = peaks(nlp, solution.x), RADIUS
+    cycle_peaks, radius = peaks(nlp, solution.x), RADIUS
     for _ in range(EXCHANGES):
-        nlp.set_exchange_points(found.shares)
+        nlp.set_exchange_points(cycle_peaks.shares)
         solution = _examined(nlp, Attempt(nlp.lifted(solution.x), solution.iterations, solution.message))
-        if (found.excess <= LEVELLED and solution.status is Status.OPTIMAL) or radius < SMALLEST:
+        if (cycle_peaks.excess <= LEVELLED and solution.status is Status.OPTIMAL) or radius < SMALLEST:
             break
-        merit = _merit(nlp, solution.x, found)
+        merit = _merit(nlp, solution.x, cycle_peaks)
         for step in (_polished, _levelled, _followed):
-            nlp.set_exchange_points(found.shares)
-            near = step(nlp, nlp.lifted(solution.x), found, radius)
+            nlp.set_exchange_points(cycle_peaks.shares)
+            near = step(nlp, nlp.lifted(solution.x), cycle_peaks, radius)
             if near is None:
                 continue
             there = peaks(nlp, near.x)
@@ -92,11 +92,11 @@ def exchange(nlp: CycleNLP, solution: Solution) -> Solution:
             if _merit(nlp, near.x, there) < merit + (1e-9 if converged else -1e-12) * abs(merit):
                 moved = _distance(nlp, near.x, solution.x)
                 radius = max(radius, 2.0 * moved) if moved > 0.9 * radius else radius
-                solution, found = near, there
+                solution, cycle_peaks = near, there
                 break
         else:
             radius *= 0.25
-    converged = found.excess <= CONVERGED and solution.usable
+    converged = cycle_peaks.excess <= CONVERGED and solution.usable
     return solution if converged else replace(solution, status=Status.STALLED, message="the peaks did not converge")
 
 
@@ -111,13 +111,13 @@ def restart_from(nlp: CycleNLP, solution: Solution, name: str) -> Solution:
     name : str
         Back end.
     """
-    found = peaks(nlp, solution.x)
-    nlp.set_exchange_points(found.shares)
-    near = _followed(nlp, nlp.lifted(solution.x), found, RADIUS, name)
+    cycle_peaks = peaks(nlp, solution.x)
+    nlp.set_exchange_points(cycle_peaks.shares)
+    near = _followed(nlp, nlp.lifted(solution.x), cycle_peaks, RADIUS, name)
     return solution if near is None else exchange(nlp, near)
 
 
-def reconcile_backends(nlp: CycleNLP, found: dict[str, Solution]) -> dict[str, Solution]:
+def reconcile_backends(nlp: CycleNLP, solutions: dict[str, Solution]) -> dict[str, Solution]:
     """Restart the worse back end from the better one's design if they ended at different optima.
 
     At a true local optimum it stays there; otherwise the two still disagree and the validation reports it.
@@ -125,15 +125,15 @@ def reconcile_backends(nlp: CycleNLP, found: dict[str, Solution]) -> dict[str, S
     Parameters
     ----------
     nlp : CycleNLP
-    found : dict of str to Solution
+    solutions : dict of str to Solution
         Best solution for each back end.
     """
-    winner = min(found.values(), key=rank)
+    winner = min(solutions.values(), key=rank)
     return {
         name: solution
         if multistart.compare(solution, winner).same
         else min((solution, restart_from(nlp, winner, name)), key=rank)
-        for name, solution in found.items()
+        for name, solution in solutions.items()
     }
 
 
@@ -142,16 +142,16 @@ def rank(solution: Solution) -> tuple[bool, bool, float]:
     return not solution.usable, solution.status is not Status.OPTIMAL, solution.objective
 
 
-def _merit(nlp: CycleNLP, x: Array, found: Peaks) -> float:
+def _merit(nlp: CycleNLP, x: Array, cycle_peaks: Peaks) -> float:
     """Return the objective measured at the peaks plus a penalty on limits violated there."""
-    x, missed = x.copy(), 0.0
-    for watched, top in zip(nlp.watched, found.tops, strict=True):
+    x, excess = x.copy(), 0.0
+    for watched, top in zip(nlp.watched, cycle_peaks.tops, strict=True):
         if watched.level is None:
-            missed = max(missed, top - watched.bound)
+            excess = max(excess, top - watched.bound)
         elif math.isfinite(top):
             x[watched.level] = top
     objective = nlp.measure.of(nlp.residuals(x))
-    return objective + MISSED * missed * abs(objective)
+    return objective + VIOLATION_PENALTY * excess * abs(objective)
 
 
 def _distance(nlp: CycleNLP, x: Array, other: Array) -> float:
@@ -166,33 +166,33 @@ def _examined(nlp: CycleNLP, attempt: Attempt) -> Solution:
     A second position beside a peak is nearly active too; counting both would overstate the number of active constraints.
     """
     p = multistart.scaled_parameters(nlp, attempt.x)
-    found = verified_solution(nlp, attempt, p)
-    if not found.usable:
-        return found
-    kkt = stationarity(nlp, found.x, nlp.at(found.x, p), EXACTLY).kkt
-    return replace(found, kkt=kkt, status=Status.OPTIMAL if kkt <= STATIONARY else Status.STALLED)
+    solution = verified_solution(nlp, attempt, p)
+    if not solution.usable:
+        return solution
+    kkt = stationarity(nlp, solution.x, nlp.at(solution.x, p), EXACTLY).kkt
+    return replace(solution, kkt=kkt, status=Status.OPTIMAL if kkt <= STATIONARY else Status.STALLED)
 
 
-def _polished(nlp: CycleNLP, x: Array, found: Peaks, radius: float) -> Solution | None:
+def _polished(nlp: CycleNLP, x: Array, cycle_peaks: Peaks, radius: float) -> Solution | None:
     """Return the optimum for fixed positions by a few Newton steps; None if there is none nearby."""
     near = _examined(nlp, polish(nlp, Attempt(x, 0, "peaks followed"), multistart.scaled_parameters(nlp, x)))
     return near if near.status is Status.OPTIMAL and _distance(nlp, near.x, x) <= radius else None
 
 
-def _levelled(nlp: CycleNLP, x: Array, found: Peaks, radius: float) -> Solution | None:
+def _levelled(nlp: CycleNLP, x: Array, cycle_peaks: Peaks, radius: float) -> Solution | None:
     """Return the optimum by a few Newton steps, the positions of the peaks being unknowns; None if there is none nearby."""
-    near = _newton(nlp, Attempt(x, 0, "peaks followed"), found)
+    near = _newton(nlp, Attempt(x, 0, "peaks followed"), cycle_peaks)
     return near if near.status is Status.OPTIMAL and _distance(nlp, near.x, x) <= radius else None
 
 
-def _followed(nlp: CycleNLP, x: Array, found: Peaks, radius: float, name: str = "") -> Solution | None:
+def _followed(nlp: CycleNLP, x: Array, cycle_peaks: Peaks, radius: float, name: str = "") -> Solution | None:
     """Return the optimum within a radius, the positions of the peaks being unknowns; None if there is none.
 
     Without a name, IPOPT searches it; SLSQP if second derivatives would first have to be generated for the whole cycle.
     """
     name = name or (CLOSE if nlp.mapped is not None else "slsqp")
     n, count = len(nlp.variables), len(nlp.free)
-    moving, start = _moving(nlp, x, found)
+    moving, start = _moving(nlp, x, cycle_peaks)
     low, high = np.maximum(nlp.x_low, x - radius), np.minimum(nlp.x_high, x + radius)
     for i in range(len(start)):
         if i < count or i >= n:
@@ -202,8 +202,8 @@ def _followed(nlp: CycleNLP, x: Array, found: Peaks, radius: float, name: str = 
     for attempt in (polish(moving, end, p), end):
         if violation(moving, attempt.x, moving.values(attempt.x, p)[1]) > ALLOWED:
             continue
-        shares = found.shares.copy()
-        shares[[slot for slot, _ in found.inner]] = attempt.x[n:]
+        shares = cycle_peaks.shares.copy()
+        shares[[slot for slot, _ in cycle_peaks.inner]] = attempt.x[n:]
         nlp.set_exchange_points(shares)
         near = _examined(nlp, Attempt(nlp.lifted(attempt.x[:n]), attempt.iterations, attempt.message))
         if near.status is Status.OPTIMAL or attempt is end:
@@ -220,35 +220,35 @@ def refine_peaks(nlp: CycleNLP, solution: Solution) -> Solution:
     solution : Solution
         The optimum; it is returned unchanged if the refined point is not optimal.
     """
-    found = peaks(nlp, solution.x)
-    nlp.set_exchange_points(found.shares)
-    near = _newton(nlp, Attempt(nlp.lifted(solution.x), solution.iterations, solution.message), found)
+    cycle_peaks = peaks(nlp, solution.x)
+    nlp.set_exchange_points(cycle_peaks.shares)
+    near = _newton(nlp, Attempt(nlp.lifted(solution.x), solution.iterations, solution.message), cycle_peaks)
     return near if near.status is Status.OPTIMAL else solution
 
 
-def _newton(nlp: CycleNLP, attempt: Attempt, found: Peaks) -> Solution:
+def _newton(nlp: CycleNLP, attempt: Attempt, cycle_peaks: Peaks) -> Solution:
     """Return a point refined by Newton's method with the positions of the peaks as unknowns."""
     n = len(nlp.variables)
-    moving, start = _moving(nlp, attempt.x, found)
+    moving, start = _moving(nlp, attempt.x, cycle_peaks)
     begin, p = replace(attempt, x=start), multistart.scaled_parameters(moving, start)
     tries = (polish(moving, begin, p, near) for near in SHARP)
-    end = next((found for found in tries if found is not begin), begin)
-    shares = found.shares.copy()
-    shares[[slot for slot, _ in found.inner]] = end.x[n:]
+    end = next((cycle_peaks for cycle_peaks in tries if cycle_peaks is not begin), begin)
+    shares = cycle_peaks.shares.copy()
+    shares[[slot for slot, _ in cycle_peaks.inner]] = end.x[n:]
     nlp.set_exchange_points(shares)
     return _examined(nlp, replace(end, x=nlp.lifted(end.x[:n])))
 
 
-def _moving(nlp: CycleNLP, x: Array, found: Peaks) -> tuple[NLP, Array]:
+def _moving(nlp: CycleNLP, x: Array, cycle_peaks: Peaks) -> tuple[NLP, Array]:
     """Return the NLP with the positions of inner peaks as unknowns (cached), and its starting point."""
-    key = f"following {found.inner}"
+    key = f"following {cycle_peaks.inner}"
     if key not in nlp.cache:
-        nlp.cache[key] = with_following_peaks(nlp, found.inner)
+        nlp.cache[key] = with_following_peaks(nlp, cycle_peaks.inner)
     moving: NLP = nlp.cache[key]
-    count = len(found.inner)
+    count = len(cycle_peaks.inner)
     for i, (low, high) in enumerate(zip((*nlp.x_low, *[0.0] * count), (*nlp.x_high, *[1.0] * count), strict=True)):
         moving.limit(i, low, high)
-    return moving, np.concatenate([x, [found.shares[slot] for slot, _ in found.inner]])
+    return moving, np.concatenate([x, [cycle_peaks.shares[slot] for slot, _ in cycle_peaks.inner]])
 
 
 def with_following_peaks(nlp: CycleNLP, inner: tuple[tuple[int, int], ...]) -> NLP:
@@ -284,10 +284,10 @@ def with_places(nlp: NLP, slots: int, heights: Mapping[int, Any], terms: tuple[M
     for k, (slot, height) in enumerate(heights.items()):
         slopes.append(casadi.gradient(height, nlp.p_symbol[first + slot]))
         p[first + slot] = x[n + k]
-    given = [nlp.f_expression, nlp.g_expression, nlp.residual_expression, casadi.vertcat(*slopes)]
+    expressions = [nlp.f_expression, nlp.g_expression, nlp.residual_expression, casadi.vertcat(*slopes)]
     moved: tuple[list[Any], list[Any]] = ([nlp.x_symbol, nlp.p_symbol], [x[:n], casadi.vertcat(*p)])
-    mapped, rates = terms or (nlp.mapped, given[-1])
-    f, g, residual, slope, rates = casadi.substitute([*given, rates], *moved)
+    mapped, rates = terms or (nlp.mapped, expressions[-1])
+    f, g, residual, slope, rates = casadi.substitute([*expressions, rates], *moved)
     at = np.array([nlp.p[first + slot] for slot in heights])
     names = [f"{PEAK} {k + 1}" for k in range(count)]
     return NLP(
@@ -323,33 +323,33 @@ def peaks(nlp: CycleNLP, x: Array) -> Peaks:
         Scaled point.
     """
     trace, edges, slots = nlp.traced, nlp.edges(x), nlp.slots // nlp.strokes
-    known = trace.inputs(nlp.design(x))
-    grid = np.linspace(0.0, 1.0, ALONG)
+    inputs = trace.inputs(nlp.design(x))
+    grid = np.linspace(0.0, 1.0, POSITIONS_PER_STROKE)
     shares = nlp.p[len(nlp.p) - nlp.slots :].copy()  # earlier peaks are kept as far as there is room
     worst, tops, inner = -math.inf, [-math.inf] * len(nlp.watched), []
     for j in range(nlp.strokes):
         begin, span = edges[j], edges[j + 1] - edges[j]
-        senses = np.asarray(trace.sensed([*known, begin + 0.5 * span]), dtype=float).ravel()
+        senses = np.asarray(trace.sensed([*inputs, begin + 0.5 * span]), dtype=float).ravel()
 
         def signals(at: Array, begin: float = begin, span: float = span, senses: Array = senses) -> Array:
-            return trace.signals(*known, begin + span * at, *senses)
+            return trace.signals(*inputs, begin + span * at, *senses)
 
-        found: list[tuple[float, float, int]] = []
+        summits: list[tuple[float, float, int]] = []
         whole = signals(grid)
         for index, watched in enumerate(nlp.watched):
             top = x[watched.level] if watched.level is not None else watched.bound
             size = max(abs(top), 1e-9)
-            least = top - 1.1 * NEAR * size
-            own = list(_local(watched, least, whole, grid, signals))
-            found += [((height - top) / size, at, index) for height, at in own]
-            tops[index] = max([tops[index], *(height for height, _ in own)])
-        if found:
-            worst = max(worst, max(found)[0])
+            least = top - 1.1 * TRACKED_PEAK * size
+            term_maxima = list(_local(watched, least, whole, grid, signals))
+            summits += [((height - top) / size, at, index) for height, at in term_maxima]
+            tops[index] = max([tops[index], *(height for height, _ in term_maxima)])
+        if summits:
+            worst = max(worst, max(summits)[0])
         chosen: list[float] = []
-        for excess, at, index in sorted(found, reverse=True):
-            if excess < -NEAR or len(chosen) == slots:
+        for excess, at, index in sorted(summits, reverse=True):
+            if excess < -TRACKED_PEAK or len(chosen) == slots:
                 break
-            if all(abs(at - other) > SAME for other in chosen):
+            if all(abs(at - other) > PEAK_SEPARATION for other in chosen):
                 if excess > -MOVABLE and EDGE < at < 1.0 - EDGE:
                     inner.append((j * slots + len(chosen), index))
                 chosen.append(at)

@@ -149,8 +149,8 @@ class Solution(Summary):
         residuals = np.abs(self.nlp.residuals(self.x))
         met = bool(np.max(residuals, initial=0.0) <= self.nlp.exact)  # no improvement is possible
         multipliers = self.conditions.multipliers
-        kept = np.where(met | (np.abs(multipliers) <= self._least_multiplier), 0.0, multipliers)
-        return tuple(_limit_states(self.nlp, self.x, self.g, kept, self.price))
+        significant = np.where(met | (np.abs(multipliers) <= self._least_multiplier), 0.0, multipliers)
+        return tuple(_limit_states(self.nlp, self.x, self.g, significant, self.price))
 
     @property
     def usable(self) -> bool:
@@ -248,17 +248,17 @@ def stationarity(nlp: NLP, x: Array, point: NLPValues, within: float = ACTIVE) -
     sign[: len(x)][nlp.around] = 0.0
     equal = low == high
     active = np.flatnonzero((sign != 0.0) | equal).tolist()
-    found: Array = np.zeros(0)
+    estimate: Array = np.zeros(0)
     while active:
-        found = np.asarray(np.linalg.lstsq(jacobian[active].T, -point.gradient, rcond=None)[0], dtype=float)
-        wrong = [(-found[k] * sign[i], k) for k, i in enumerate(active) if not equal[i]]
+        estimate = np.asarray(np.linalg.lstsq(jacobian[active].T, -point.gradient, rcond=None)[0], dtype=float)
+        wrong = [(-estimate[k] * sign[i], k) for k, i in enumerate(active) if not equal[i]]
         worst, k = max(wrong, default=(0.0, 0))
         if worst <= 0.0:
             break
         del active[k]
     multipliers = np.zeros(len(values))
     if active:
-        multipliers[active] = found
+        multipliers[active] = estimate
     kkt = float(np.max(np.abs(point.gradient + jacobian.T @ multipliers), initial=0.0))
     return Stationarity(multipliers, active, kkt)
 
@@ -343,10 +343,10 @@ def _limit_states(nlp: NLP, x: Array, g: Array, multipliers: Array, price: float
                 continue
             state = _limit_state(key, name, float(value), float(bound), side, scale, float(multiplier), price)
             state = state if limits else replace(state, active=False)
-            known = states.get((key, name, side))
-            if known is not None:
-                tightest = min(known, state, key=lambda s: s.slack)
-                state = replace(tightest, multiplier=known.multiplier + state.multiplier)
+            other = states.get((key, name, side))
+            if other is not None:
+                tightest = min(other, state, key=lambda s: s.slack)
+                state = replace(tightest, multiplier=other.multiplier + state.multiplier)
             states[key, name, side] = state
     return list(states.values())
 
@@ -356,8 +356,8 @@ def _limit_state(
 ) -> LimitState:
     active = abs(value - bound) <= ACTIVE
     mine = side == "=" or (multiplier > 0.0) == (side == "<=")
-    shown = {"<=": ">=", ">=": "<=", "=": "="}[side] if scale.cosine else side
+    displayed_sense = {"<=": ">=", ">=": "<=", "=": "="}[side] if scale.cosine else side
     at, limit = scale.to_display(value), scale.to_display(bound)
-    slack = {"<=": limit - at, ">=": at - limit, "=": -abs(at - limit)}[shown]
+    slack = {"<=": limit - at, ">=": at - limit, "=": -abs(at - limit)}[displayed_sense]
     worth = float(-multiplier * price / scale.slope(bound)) if active and mine and multiplier else 0.0
-    return LimitState(key, name, at, limit, shown, scale.unit, active, worth, slack)
+    return LimitState(key, name, at, limit, displayed_sense, scale.unit, active, worth, slack)

@@ -75,15 +75,15 @@ class AnalysisTask(FiguresTask):
             For a name that the analysis does not have.
         """
         columns, single = available_figures(self.problem)
-        found: dict[str, None] = {}
+        names: dict[str, None] = {}
         for name in self.requested:
             if name in columns:
-                found |= dict.fromkeys(f"{name}.{kind}" for kind in FIGURES)
+                names |= dict.fromkeys(f"{name}.{kind}" for kind in FIGURES)
             elif name in single or (name.rpartition(".")[0] in columns and name.rpartition(".")[2] in FIGURES):
-                found[name] = None
+                names[name] = None
             else:
                 raise InputError("no such column", nearest(name, (*columns, *single)), self.source.file, "--column", name)
-        return tuple(found)
+        return tuple(names)
 
     def machines(self, points: range) -> Iterator[MachineFigures]:
         """Yield the figures of the designs at points of the grid."""
@@ -112,14 +112,14 @@ class AnalysisTask(FiguresTask):
         numbers = np.flatnonzero(clear)
         if not numbers.size:
             return {}
-        found = {f"{name}.{kind}": both[numbers, k] for name, both in extremes.items() for k, kind in enumerate(FIGURES[:2])}
+        values = {f"{name}.{kind}": both[numbers, k] for name, both in extremes.items() for k, kind in enumerate(FIGURES[:2])}
         for name in {name.removesuffix(".rms") for name in self.figures if name.endswith(".rms")}:
             parts = reaction_parts(name)
             sampled = analyze_batch(self.problem, {key: sizes[numbers] for key, sizes in designs.items()}, parts, self.points)
             with np.errstate(all="ignore"):
-                found[f"{name}.rms"] = np.sqrt(np.mean(sum(np.square(sampled[part]) for part in parts), axis=1))
+                values[f"{name}.rms"] = np.sqrt(np.mean(sum(np.square(sampled[part]) for part in parts), axis=1))
         return {
-            int(number): MachineFigures({name: float(column[i]) for name, column in found.items()}, ANALYSED)
+            int(number): MachineFigures({name: float(column[i]) for name, column in values.items()}, ANALYSED)
             for i, number in enumerate(numbers)
         }
 
@@ -131,22 +131,24 @@ class AnalysisTask(FiguresTask):
             return MachineFigures(
                 {}, "partial rotation" if ranges.ranges else "not assembled", _unreached(self.problem, machine, ranges)
             )
-        found = analyze(self.problem, self.points, design=design)
-        if not found.sound:
-            return MachineFigures({}, "singular position" if found.singular.size else "no finite reactions", _unsound(found))
-        return MachineFigures({**found.figures, **dict(self._sampled(found))}, ANALYSED)
+        analysis = analyze(self.problem, self.points, design=design)
+        if not analysis.sound:
+            return MachineFigures(
+                {}, "singular position" if analysis.singular.size else "no finite reactions", _unsound(analysis)
+            )
+        return MachineFigures({**analysis.figures, **dict(self._sampled(analysis))}, ANALYSED)
 
-    def _sampled(self, found: Analysis) -> Iterator[tuple[str, float]]:
+    def _sampled(self, analysis: Analysis) -> Iterator[tuple[str, float]]:
         """Yield figures missing in the summary of the analysis: rms values, and extremes of angles."""
         for name in {name.rpartition(".")[0] for name in self.figures}:
             parts = reaction_parts(name)
-            if not all(part in found.columns for part in parts):
+            if not all(part in analysis.columns for part in parts):
                 continue
-            yield f"{name}.rms", math.sqrt(sum(float(np.mean(np.square(found[part][:-1]))) for part in parts))
+            yield f"{name}.rms", math.sqrt(sum(float(np.mean(np.square(analysis[part][:-1]))) for part in parts))
             if name.endswith(ANGLE):
-                swing = found.swings.get(name.removesuffix(ANGLE))
-                yield f"{name}.min", float(np.min(found[name])) if swing is None else swing.low
-                yield f"{name}.max", float(np.max(found[name])) if swing is None else swing.high
+                swing = analysis.swings.get(name.removesuffix(ANGLE))
+                yield f"{name}.min", float(np.min(analysis[name])) if swing is None else swing.low
+                yield f"{name}.max", float(np.max(analysis[name])) if swing is None else swing.high
 
 
 def available_figures(problem: ProblemFile) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -170,15 +172,15 @@ def _unreached(problem: ProblemFile, machine: Machine, ranges: Ranges) -> str:
     return f"no crank angle can be reached{f': {failed}' if failed else ''}"
 
 
-def _unsound(found: Analysis) -> str:
+def _unsound(analysis: Analysis) -> str:
     """Return why an analysis is not sound, and where."""
-    if found.ranges.singular:
-        where = f"singular position at crank angle {positions_text(found.ranges.singular)}"
+    if analysis.ranges.singular:
+        where = f"singular position at crank angle {positions_text(analysis.ranges.singular)}"
         return f"{where}: the assembly modes meet, and the motion beyond it is not determined"
     for angles, what in (
-        (found.singular, "singular position, reactions are infinite,"),
-        (found.jammed, "friction locks a guide, or leaves several solutions,"),
-        (found.undefined, "a load has no finite value"),
+        (analysis.singular, "singular position, reactions are infinite,"),
+        (analysis.jammed, "friction locks a guide, or leaves several solutions,"),
+        (analysis.undefined, "a load has no finite value"),
     ):
         if angles.size:
             more = f" and {angles.size - 1} more positions" if angles.size > 1 else ""
@@ -199,12 +201,12 @@ def quantity_of(problem: ProblemFile, axis: Axis) -> str:
     InputError
         If the axis varies something other than a quantity of the mechanism.
     """
-    known = problem.model.mechanism.quantities
+    quantities = problem.model.mechanism.quantities
     name = axis.key.removeprefix("mechanism.")
     for start in ("links.", "ground.", "guides.", "points."):
         name = name.removeprefix(start)
     name = name.replace(".points.", ".").replace(".through.", ".")
-    if name not in known:
+    if name not in quantities:
         message = "only dimensions of the mechanism can be varied without a new optimisation"
-        raise InputError(message, nearest(name, known), problem.file, f"--vary {axis.key}")
+        raise InputError(message, nearest(name, quantities), problem.file, f"--vary {axis.key}")
     return name

@@ -36,7 +36,7 @@ from optlink.tasks.results.cycle import task_of
 from optlink.units import UnitProblem, factor
 
 SECTIONS = ("bodies", "loads")  # joint parameters do not affect an ideal machine
-ALONE = ("drive.speed", "gravity")
+SINGLE_KEYS = ("drive.speed", "gravity")
 STEP = 1e-4  # relative step of central differences: most parameters enter linearly, the speed by its square
 TURNED = 0.01  # step of an angle of 0, in its unit
 ELSEWHERE = 0.02  # of the longest dimension: beyond this and ten times the prediction, an optimum is a different one
@@ -68,8 +68,8 @@ class CycleParameters(OptimumParameters):
     @cached_property
     def parameters(self) -> list[Parameter]:
         """Dimensions and limits of the programme under their keys in the file, then the other parameters."""
-        known = [replace(parameter, key=self._key(parameter)) for parameter in parameters(self.nlp)]
-        return [*(parameter for parameter in known if parameter.key), *_figures(self.problem)]
+        programme_parameters = [replace(parameter, key=self._key(parameter)) for parameter in parameters(self.nlp)]
+        return [*(parameter for parameter in programme_parameters if parameter.key), *_figures(self.problem)]
 
     def push(self, parameter: Parameter) -> KKTPerturbation:
         """Return the change of the optimality system per unit of a parameter.
@@ -82,7 +82,7 @@ class CycleParameters(OptimumParameters):
         if parameter.constant >= 0 or parameter.entries:
             return self.system.push(parameter)
         step = STEP * abs(parameter.value) or TURNED
-        (low, below, under), (high, above, over) = (self._seen(parameter, parameter.value + way) for way in (-step, step))
+        (low, below, under), (high, above, over) = (self._perturbed(parameter, parameter.value + way) for way in (-step, step))
         still = np.zeros(len(self.system.values))
         entries = still.copy()
         entries[self.system.free :] = (over - under) / (2.0 * step)
@@ -106,18 +106,18 @@ class CycleParameters(OptimumParameters):
         """
         try:
             start = with_starting_values(with_parameter(self.problem, parameter, value), solution.design)
-            found = completed(solve_cycle(start, CLOSE, starts=1)).solution
+            optimum = completed(solve_cycle(start, CLOSE, starts=1)).solution
         except InputError:
             return None
-        if found is None or found.status is not Status.OPTIMAL:
+        if optimum is None or optimum.status is not Status.OPTIMAL:
             return None
-        away = max(abs(found.design[name] - own) for name, own in solution.design.items()) / self.nlp.scales[0]
+        away = max(abs(optimum.design[name] - start_value) for name, start_value in solution.design.items()) / self.nlp.scales[0]
         start_at = design_variables(self.nlp, self.nlp.x_start)
         predicted = max(abs(change[v.name] / v.scale.slope(x)) for v, x in start_at)
         if away > 10.0 * predicted and away > ELSEWHERE:
             return None
-        end = self.refined(found)
-        return end.objective, displayed(found.nlp, end.x)
+        end = self.refined(optimum)
+        return end.objective, displayed(optimum.nlp, end.x)
 
     def _key(self, parameter: Parameter) -> str:
         """Return the key in the problem file; empty for a row that the file does not state."""
@@ -127,15 +127,15 @@ class CycleParameters(OptimumParameters):
             limit = self.nlp.rows[entry - len(self.nlp.variables)].limit
             if not limit.startswith(("limits.", "requirement.")) or limit in MARGIN_KEYS:
                 return ""
-            stated = value_at(self.problem, limit)
-            exactly = isinstance(stated, Mapping) and "exactly" in stated
+            value = value_at(self.problem, limit)
+            exactly = isinstance(value, Mapping) and "exactly" in value
             return f"{limit}.exactly" if exactly else limit if parameter.equal else f"{limit}{side}"
         name = parameter.name if parameter.constant >= 0 else self.nlp.variables[entry].name
         if name not in self.problem.model.mechanism.quantities:
             return f"{parameter.key}{side}"
         return file_key(self.problem.raw["mechanism"], name) + side
 
-    def _seen(self, parameter: Parameter, value: float) -> tuple[float, Array, Array]:
+    def _perturbed(self, parameter: Parameter, value: float) -> tuple[float, Array, Array]:
         """Return the Lagrangian, its gradient by (x, p) and the rows at the optimum, with another value in the file."""
         system, nlp = self.system, self.nlp
         trace = TracedCycle(task_of(with_parameter(self.problem, parameter, value)), slow=self.nlp.traced.slow)
@@ -154,19 +154,19 @@ class CycleParameters(OptimumParameters):
 
 def _figures(problem: ProblemFile) -> list[Parameter]:
     """Return all numbers of bodies and loads in the file, guide friction, the speed and gravity as parameters."""
-    found = [*(leaf for key in ALONE for leaf in _leaves(key, value_at(problem, key)))]
+    keys = [*(leaf for key in SINGLE_KEYS for leaf in _leaves(key, value_at(problem, key)))]
     for section in SECTIONS:
-        found += _leaves(section, problem.raw.get(section, {}))
+        keys += _leaves(section, problem.raw.get(section, {}))
     guides = problem.raw["mechanism"].get("guides", {})
-    found += [(f"mechanism.guides.{name}.friction", guide.get("friction")) for name, guide in guides.items()]
-    made = []
-    for key, raw in found:
+    keys += [(f"mechanism.guides.{name}.friction", guide.get("friction")) for name, guide in guides.items()]
+    figures = []
+    for key, raw in keys:
         value, unit = (100.0, WHOLE) if isinstance(raw, list) else read_figure(raw)
         if value or _angular(unit):  # other zeros have no relative step
             name = key.removeprefix("mechanism.guides.").split(".", 1)
             short = name[-1] if name[0] in (*SECTIONS, "drive") else ".".join(name)
-            made.append(Parameter(key, short, value, unit, Scale(unit, 1.0)))
-    return made
+            figures.append(Parameter(key, short, value, unit, Scale(unit, 1.0)))
+    return figures
 
 
 def _leaves(key: str, raw: Any) -> Iterator[tuple[str, Any]]:
@@ -203,7 +203,9 @@ def with_parameter(problem: ProblemFile, parameter: Parameter, value: float) -> 
     """
     if parameter.unit == WHOLE:
         pairs = [read_figure(each) for each in value_at(problem, parameter.key)]
-        return problem.override({parameter.key: [exact_text(own * value / parameter.value, unit) for own, unit in pairs]})
+        return problem.override(
+            {parameter.key: [exact_text(component * value / parameter.value, unit) for component, unit in pairs]}
+        )
     written = exact_text(value, parameter.unit)
     if parameter.equal and not parameter.key.endswith(".exactly"):
         return problem.override({f"{parameter.key}.{side}": written for side in ("min", "max")})

@@ -2,7 +2,8 @@
 
 If only limits vary, the programme is built once: their bounds are its parameters. Within a chunk, each search starts from the
 result of a neighbouring point and from the anchors of the task. Without either, the first search of a chunk starts from the
-starting point of the problem and from random dimensions. So no chunk depends on another. Every machine is validated as by `solve`.
+starting point of the problem and from random dimensions. So no chunk depends on another. Every machine is validated as by
+`solve`.
 """
 
 from __future__ import annotations
@@ -53,8 +54,8 @@ class CycleTask(OptimumTask):
     def programme(self) -> CycleProgramme | None:
         """Common programme of all points; None if every point needs its own."""
         limits = [axis.key.rpartition(".") for axis in self.grid.axes]
-        named = [f"limits.{name}" for name in task_of(self.problem).limits.named]
-        if not all(limit in named and side in BOUNDS for limit, _, side in limits):
+        limit_keys = [f"limits.{name}" for name in task_of(self.problem).limits.named]
+        if not all(limit in limit_keys and side in BOUNDS for limit, _, side in limits):
             return None
         common = CycleProgramme(self.problem.override(self.grid.changes(0)), self.backend)
         return common if common.possible else None
@@ -67,17 +68,17 @@ class CycleTask(OptimumTask):
             task = self.problem.override(self.grid.changes(point))
             near = done.get(point - 1 if point % self.grid.row else point - self.grid.row)
             begin = [*([] if near is None else [near.design]), *map(dict, self.anchors)]
-            found = min(
+            result = min(
                 (self.searched_from(point, task, sizes) for sizes in begin),
                 key=lambda one: (not one.valid, one.objective),
                 default=None,
             )
             how = FOLLOWED
-            if found is None or not found.valid:
-                found, how = self.searched(task), SEARCHED
-            if found.valid:
-                done[point] = found
-            rows.append(self._row(point, found, how))
+            if result is None or not result.valid:
+                result, how = self.searched(task), SEARCHED
+            if result.valid:
+                done[point] = result
+            rows.append(self._row(point, result, how))
         return rows
 
     def searched_from(self, point: int, task: ProblemFile, sizes: Mapping[str, float]) -> CycleResult:
@@ -92,25 +93,25 @@ class CycleTask(OptimumTask):
         sizes : mapping of str to float [SI]
             Starting values of the design variables.
         """
-        found = None
+        result = None
         if self.programme is not None:
             bounds = {axis.key: value for axis, value in zip(self.grid.axes, self.grid.values(point), strict=True)}
-            found = self.programme.design(task, bounds, sizes)
-        return completed(solve_cycle(with_starting_values(task, sizes), self.backend, starts=1)) if found is None else found
+            result = self.programme.design(task, bounds, sizes)
+        return completed(solve_cycle(with_starting_values(task, sizes), self.backend, starts=1)) if result is None else result
 
     def searched(self, task: ProblemFile) -> CycleResult:
         """Return the machine of a separate search, repeated once from its result if the peak exchange did not converge."""
-        found = completed(solve_cycle(task, self.backend))
-        if found.valid or found.status is not Status.OPTIMAL:
-            return found
-        again = completed(solve_cycle(with_starting_values(task, found.design), self.backend, starts=1))
-        return again if again.valid else found
+        result = completed(solve_cycle(task, self.backend))
+        if result.valid or result.status is not Status.OPTIMAL:
+            return result
+        again = completed(solve_cycle(with_starting_values(task, result.design), self.backend, starts=1))
+        return again if again.valid else result
 
-    def _row(self, point: int, found: CycleResult, how: str) -> list[str]:
-        usable = found.solution is not None and found.status in (Status.OPTIMAL, Status.STALLED)
-        missed = [item.name for item in found.conflict] or found.validation.failed
-        limits = active(found.solution) if usable and found.solution is not None else ()
-        row = FoundOptimum(found.design, found.objective, found.status, found.valid, dict.fromkeys(missed), limits, how)
+    def _row(self, point: int, result: CycleResult, how: str) -> list[str]:
+        usable = result.solution is not None and result.status in (Status.OPTIMAL, Status.STALLED)
+        failed = [item.name for item in result.conflict] or result.validation.failed
+        limits = active(result.solution) if usable and result.solution is not None else ()
+        row = FoundOptimum(result.design, result.objective, result.status, result.valid, dict.fromkeys(failed), limits, how)
         return self.optimum(point, row)
 
 
@@ -176,23 +177,23 @@ class CycleProgramme:
         x = nlp.x_of(near)
         nlp.set_exchange_points(peaks(nlp, x).shares)
         built = time.perf_counter()
-        found = exchange(nlp, multistart.solve_from(nlp, x, self.backend))
+        solution = exchange(nlp, multistart.solve_from(nlp, x, self.backend))
         self.nlp.cache.update(nlp.cache)
-        if at_edge(found):
+        if at_edge(solution):
             return None
         done = time.perf_counter()
-        checked = validate_cycle(task_of(problem), found.design, found.objective)
+        checked = validate_cycle(task_of(problem), solution.design, solution.objective)
         return CycleResult(
             problem=problem,
-            status=found.status,
+            status=solution.status,
             backend=self.backend,
-            design=dict(found.design),
-            objective=found.objective,
-            validation=Validation((*checked.checks, *optimality(found)), checked.objective),
+            design=dict(solution.design),
+            objective=solution.objective,
+            validation=Validation((*checked.checks, *optimality(solution)), checked.objective),
             seconds={"build": built - begin, "solve": done - built, "validate": time.perf_counter() - done},
             seed=0,
             starts=1,
-            solution=found,
+            solution=solution,
         )
 
 
@@ -212,8 +213,8 @@ def with_bounds(nlp: CycleNLP, bounds: Mapping[str, float], **changes: Any) -> C
     followed += [bound.key for bound in task.bounds if bound.term.extreme]
     for key, bound in bounds.items():
         limit, _, side = key.rpartition(".")
-        own = [j for j, row in enumerate(rows) if row.limit == limit]
-        for j in own:
+        rows_of_limit = [j for j, row in enumerate(rows) if row.limit == limit]
+        for j in rows_of_limit:
             row, value = rows[j], rows[j].scale.to_internal(bound)
             low = value if side != "max" and math.isfinite(row.low) else row.low
             high = value if side != "min" and math.isfinite(row.high) else row.high
@@ -221,12 +222,15 @@ def with_bounds(nlp: CycleNLP, bounds: Mapping[str, float], **changes: Any) -> C
         if limit in followed:
             k = followed.index(limit)
             if side != ("min" if watched[k].sign > 0.0 else "max"):
-                watched[k] = replace(watched[k], bound=watched[k].sign * bound / rows[own[0]].scale.factor)
+                watched[k] = replace(watched[k], bound=watched[k].sign * bound / rows[rows_of_limit[0]].scale.factor)
     p = nlp.p.copy()
-    kept = {  # derived programmes have the rows of this one, then their own
-        key: _rebound(own, (*rows, *own.rows[len(rows) :]), p) if isinstance(own, NLP) else own for key, own in nlp.cache.items()
+    derived = {  # derived programmes have the rows of this one, then their own
+        key: _rebound(rows_of_limit, (*rows, *rows_of_limit.rows[len(rows) :]), p)
+        if isinstance(rows_of_limit, NLP)
+        else rows_of_limit
+        for key, rows_of_limit in nlp.cache.items()
     }
-    return _rebound(nlp, tuple(rows), p, watched=tuple(watched), cache=kept, **changes)
+    return _rebound(nlp, tuple(rows), p, watched=tuple(watched), cache=derived, **changes)
 
 
 def _rebound(nlp: N, rows: tuple[ConstraintRow, ...], p: Array, **changes: Any) -> N:

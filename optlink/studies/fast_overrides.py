@@ -58,8 +58,8 @@ class FastOverride:
         for place, value in zip(self.places, values, strict=True):
             assert place is not None
             section, name, setter, size = place
-            known = sections.setdefault(section, {})
-            known[name] = setter(known.get(name, getattr(getattr(self.template, section), name)), value * size)
+            changes = sections.setdefault(section, {})
+            changes[name] = setter(changes.get(name, getattr(getattr(self.template, section), name)), value * size)
         return copy_model(self.template, **{s: copy_model(getattr(self.template, s), **fields) for s, fields in sections.items()})
 
 
@@ -70,13 +70,13 @@ def _place(template: DesignProblem, axis: Axis) -> tuple[str, str, Setter, float
     if section not in ("mechanism", "limits", "requirement") or len(rest) != 1:
         return None
     name = _FIELDS.get(rest[0], rest[0])
-    known = getattr(getattr(template, section), name, None)
-    if isinstance(known, Quantity) and known.free == bool(side):
+    value = getattr(getattr(template, section), name, None)
+    if isinstance(value, Quantity) and value.free == bool(side):
         setter = _bound(side) if side else (lambda q, v: replace(q, value=v))
-        return section, name, setter, factor(axis.unit, known.kind)
-    if isinstance(known, Interval):
+        return section, name, setter, factor(axis.unit, value.kind)
+    if isinstance(value, Interval):
         side = "max" if name == "pressure_angle" else side
-        return section, name, _limit(side), factor(axis.unit, known.kind) if known.kind else 1.0
+        return section, name, _limit(side), factor(axis.unit, value.kind) if value.kind else 1.0
     return None
 
 

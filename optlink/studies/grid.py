@@ -99,7 +99,7 @@ def read_axis(assignment: str) -> Axis:
     if match is None:
         if ".." in values:
             raise fault("this is not a range with a number of points")
-        return _listed(key, values, fault)
+        return _value_list(key, values, fault)
     low, low_unit, high, high_unit, count, spacing, step = match.groups()
     unit = (high_unit or low_unit or "").strip()
     if low_unit and high_unit and low_unit.strip() != high_unit.strip():
@@ -143,17 +143,17 @@ def _most(count: int, fault: object) -> None:
         raise fault(f"{count:,} points are more than a sweep takes, {MAX_POINTS:,}", "Give fewer points")
 
 
-def _listed(key: str, values: str, fault: object) -> Axis:
+def _value_list(key: str, values: str, fault: object) -> Axis:
     assert callable(fault)
     parts = [_ONE.fullmatch(part) for part in values.split(",")]
-    found = [match.groups() for match in parts if match is not None]
-    if len(found) != len(parts):
+    groups = [match.groups() for match in parts if match is not None]
+    if len(groups) != len(parts):
         raise fault("this is not a list of values")
-    units = {(unit or "").strip() for _, unit in found}
+    units = {(unit or "").strip() for _, unit in groups}
     unit = max(units, key=len)
     if len(units - {""}) > 1:
         raise fault("the values have different units", "Write all values in one unit")
-    numbers = tuple(float(number) for number, _ in found)
+    numbers = tuple(float(number) for number, _ in groups)
     if not all(map(math.isfinite, numbers)):
         raise fault("the values must be finite numbers")
     if len(set(numbers)) != len(numbers):
@@ -179,11 +179,11 @@ class Grid:
 
     def place(self, index: int) -> tuple[int, ...]:
         """Return the index of a point along every axis."""
-        found: list[int] = []
+        indices: list[int] = []
         for axis in reversed(self.axes):
-            index, own = divmod(index, len(axis.values))
-            found.append(own)
-        return tuple(reversed(found))
+            index, position = divmod(index, len(axis.values))
+            indices.append(position)
+        return tuple(reversed(indices))
 
     def values(self, index: int) -> list[float]:
         """Return the values at a point, in the units of the axes."""

@@ -31,7 +31,7 @@ TIGHT = 1e-9  # scaled units; tolerance of active limits, less than the distance
 STRONG = 1e-8  # relative to the scale of the objective; smaller multipliers count as zero
 STILL = 1e-11  # scaled units; slower changes are rounding errors
 CURVED = 1e-10  # relative to the largest second derivative; smaller ones are rounding errors
-SAME = 1e-6  # relative difference of the slopes of duplicate rows
+DUPLICATE_SLOPE = 1e-6  # relative difference of the slopes of duplicate rows
 LIMIT_EVENTS = "is no longer active", "is reached"
 PEAK_EVENTS = "no longer determines the objective", "determines the objective"
 """Ends of the validity at a limit, and at one of the values of which the objective is the largest."""
@@ -138,15 +138,15 @@ class KKTSystem:
 
     def _distinct(self, strong: list[int], slopes: Array) -> NDArray[np.int_]:
         """Return the active entries without duplicate rows, as where two positions coincide; their multipliers are added."""
-        kept: list[int] = []
+        distinct: list[int] = []
         for entry in strong:
-            twin = next((k for k in kept if self._alike(entry, k, slopes)), None)
-            if twin is None:
-                kept.append(entry)
+            duplicate = next((k for k in distinct if self._alike(entry, k, slopes)), None)
+            if duplicate is None:
+                distinct.append(entry)
             else:
-                self.multipliers[twin] += self.multipliers[entry]
+                self.multipliers[duplicate] += self.multipliers[entry]
                 self.multipliers[entry] = 0.0
-        return np.array(kept, dtype=int)
+        return np.array(distinct, dtype=int)
 
     def _alike(self, entry: int, other: int, slopes: Array) -> bool:
         n = len(self.x)
@@ -155,7 +155,7 @@ class KKTSystem:
         one, two = self.nlp.rows[entry - n], self.nlp.rows[other - n]
         if (one.limit, one.low, one.high) != (two.limit, two.low, two.high):
             return False
-        return bool(np.max(np.abs(slopes[entry] - slopes[other])) <= SAME * np.max(np.abs(slopes[entry])))
+        return bool(np.max(np.abs(slopes[entry] - slopes[other])) <= DUPLICATE_SLOPE * np.max(np.abs(slopes[entry])))
 
     def push(self, parameter: Parameter) -> KKTPerturbation:
         """Return the effect of a parameter of the programme: a fixed quantity, or a bound."""
@@ -167,9 +167,9 @@ class KKTSystem:
             gradient = self.hessian[self.unknown, column] * rate
             entries = self.jacobian[:, column] * rate
         lower, upper = np.zeros(size), np.zeros(size)
-        own = list(parameter.entries)
-        lower[own] += rate * (parameter.equal or not parameter.upper)
-        upper[own] += rate * (parameter.equal or parameter.upper)
+        indices = list(parameter.entries)
+        lower[indices] += rate * (parameter.equal or not parameter.upper)
+        upper[indices] += rate * (parameter.equal or parameter.upper)
         return KKTPerturbation(float(slope), gradient, entries, lower, upper)
 
     def response(self, push: KKTPerturbation) -> KKTResponse:
@@ -233,12 +233,12 @@ class KKTSystem:
     @cached_property
     def turning(self) -> set[int]:
         """Angles that may be any: their bounds, a revolution apart, are one position and no limit."""
-        found = set()
+        indices = set()
         for k, (variable, low, high) in enumerate(zip(self.nlp.variables, self.nlp.x_low, self.nlp.x_high, strict=True)):
             width = variable.size * (high - low)
             if variable.name not in self.nlp.helpers and variable.scale.unit == "deg" and width >= TURN - 1e-9:
-                found.add(k)
-        return found
+                indices.add(k)
+        return indices
 
     @cached_property
     def rooms(self) -> Array:
@@ -253,10 +253,10 @@ class KKTSystem:
                 limits.setdefault((row.limit, row.label, row.low, row.high), []).append(k)
         symbols = [self.nlp.x_symbol, self.nlp.p_symbol]
         places = CompiledFunction(symbols, [self.nlp.place_expression])(self.x, self.p)[0] if limits else np.empty(0)
-        for own in limits.values():
-            periodic = self.nlp.rows[own[0]].periodic
-            order = np.argsort(places[own] % TURN if periodic else places[own])
-            entries = self.free + np.array(own)[order]
+        for peak_rows in limits.values():
+            periodic = self.nlp.rows[peak_rows[0]].periodic
+            order = np.argsort(places[peak_rows] % TURN if periodic else places[peak_rows])
+            entries = self.free + np.array(peak_rows)[order]
             near = np.pad(rooms[:, entries], ((0, 0), (1, 1)), "wrap" if periodic else "edge")
             beside = rooms[:, entries] > np.minimum(near[:, :-2], near[:, 2:]) + STILL
             rooms[:, entries] = np.where(beside, math.inf, rooms[:, entries])

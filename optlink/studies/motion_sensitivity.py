@@ -86,7 +86,7 @@ def output_sensitivity(
         value, slopes = output_derivatives(mechanism, symbols, unit(crank), output, chosen)
     angles = np.atleast_1d(np.asarray(crank_angles, dtype=float))
     tape = NumpyEvaluator([*symbols.values(), crank], [value, *slopes])
-    found = np.asarray(tape(*[np.full(angles.shape, sizes[name]) for name in names], angles), dtype=float)
+    values = np.asarray(tape(*[np.full(angles.shape, sizes[name]) for name in names], angles), dtype=float)
     return OutputSensitivity(
-        output, "rad" if output in mechanism.bodies else "m", angles, found[0], dict(zip(chosen, found[1:], strict=True))
+        output, "rad" if output in mechanism.bodies else "m", angles, values[0], dict(zip(chosen, values[1:], strict=True))
     )

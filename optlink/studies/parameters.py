@@ -65,11 +65,11 @@ class Parameter:
         nlp : NLP
         value : float [unit of the parameter]
         """
-        own = self.scale.to_internal(value)
+        internal = self.scale.to_internal(value)
         if self.constant >= 0:
-            nlp.p[1 + self.constant] = own
+            nlp.p[1 + self.constant] = internal
         for entry in self.entries:
-            nlp.limit(entry, own if self.equal or not self.upper else None, own if self.equal or self.upper else None)
+            nlp.limit(entry, internal if self.equal or not self.upper else None, internal if self.equal or self.upper else None)
 
 
 def displayed(nlp: NLP, x: Sequence[float] | NDArray[np.float64]) -> dict[str, float]:
@@ -104,7 +104,7 @@ def parameters(nlp: NLP) -> list[Parameter]:
 
     Rows that share a limit and a label are one limit, with one bound; so are those of one value for several joints.
     """
-    found = [
+    result = [
         Parameter(c.key or c.name, c.name, _displayed(float(nlp.p[1 + i]), c.scale), c.scale.unit, c.scale, constant=i)
         for i, c in enumerate(nlp.constants)
     ]
@@ -121,20 +121,20 @@ def parameters(nlp: NLP) -> list[Parameter]:
             what, _, joint = name.partition(" at ") if key in GENERAL else (name, "", "")
             mark = (key, what, side, bound)
             if mark in limits:
-                known = limits[mark]
-                named = known.name if joint in known.name.split(" at ")[-1].split(", ") or not joint else f"{known.name}, {joint}"
-                limits[mark] = replace(known, name=named, entries=(*known.entries, entry))
+                limit = limits[mark]
+                label = limit.name if joint in limit.name.split(" at ")[-1].split(", ") or not joint else f"{limit.name}, {joint}"
+                limits[mark] = replace(limit, name=label, entries=(*limit.entries, entry))
                 continue
-            stated = entry < n or (key.startswith("limits.") and key not in ("limits.crank", *MARGIN_KEYS))
+            prescribed = entry < n or (key.startswith("limits.") and key not in ("limits.crank", *MARGIN_KEYS))
             bounds = f"{name}, {'largest' if side == 'max' else 'smallest'} allowed" if entry < n else name
-            whole = f"{key}.{side}" if side and stated else key
+            whole = f"{key}.{side}" if side and prescribed else key
             limits[mark] = Parameter(
-                whole, bounds, _displayed(bound, scale), scale.unit, scale, -1, (entry,), upper, not side, stated
+                whole, bounds, _displayed(bound, scale), scale.unit, scale, -1, (entry,), upper, not side, prescribed
             )
-    return found + list(limits.values())
+    return result + list(limits.values())
 
 
-def _displayed(own: float, scale: Scale) -> float:
+def _displayed(internal: float, scale: Scale) -> float:
     """Return a number of the programme in display units, without rounding errors of scaling."""
-    value, size = scale.to_display(own), abs(scale.to_display(1.0) - scale.to_display(0.0))
+    value, size = scale.to_display(internal), abs(scale.to_display(1.0) - scale.to_display(0.0))
     return 0.0 if abs(value) <= ROUNDING * size else float(f"{value:.14g}")

@@ -28,7 +28,7 @@ from optlink.problem.quantity import check_choice
 from optlink.solvers import multistart
 from optlink.solvers.contract import selectable
 from optlink.solvers.solution import ACTIVE, FEASIBLE, Solution
-from optlink.studies.batch.blocks import MOST, Blocks, coarse_block
+from optlink.studies.batch.blocks import MAX_BLOCK_POINTS, Blocks, coarse_block
 from optlink.studies.batch.newton import BatchProblem
 from optlink.studies.batch.optima import GridSearch
 from optlink.studies.continuation import FOLLOWED, follow_optimum
@@ -46,7 +46,7 @@ CHUNK, SLOW_CHUNK = 100, 4  # points per chunk; the second if every point needs 
 LARGEST_CHUNK, CHUNKS = 10_000, 10  # points of the chunks of a large grid, and the least number of chunks
 BATCH = 2_000  # points that are worked on at a time
 STARTS, SEED = 6, 0  # searches in each of the few large blocks of a grid, from random points
-FEW = 1000  # points of a grid up to which a point that Newton's method does not reach has such searches of its own
+SMALL_GRID = 1000  # points of a grid up to which a point that Newton's method does not reach has such searches of its own
 SEARCHED = "searched"
 OTHER = 3.0  # ratio of sizes beyond which the scaling of the programme is unsuitable
 
@@ -91,8 +91,8 @@ class ReoptimiseTask(OptimumTask):
         """
         if self.programme is None or self.template.spec.requirement.robust is not None:
             return None
-        found = FastOverride(self.template.spec, self.grid.axes)
-        return found if found.possible else None
+        override = FastOverride(self.template.spec, self.grid.axes)
+        return override if override.possible else None
 
     @cached_property
     def grid_search(self) -> GridSearch:
@@ -105,13 +105,13 @@ class ReoptimiseTask(OptimumTask):
             return GridSearch(nlp, Blocks(self.grid, most), self._problem, self._search, large, self._search_many, coarse)
 
         coarse = coarse_block(self.grid.count)
-        return searches(self.most, searches(coarse) if self.most is None and coarse > MOST else None)
+        return searches(self.most, searches(coarse) if self.most is None and coarse > MAX_BLOCK_POINTS else None)
 
     def lines(self, index: int) -> list[list[str]]:
         """Return the rows of a chunk."""
         if self.programme is None:
-            found = (_separately(self.problem.override(self.grid.changes(point)), self.backend) for point in self.span(index))
-            return [self.optimum(point, one) for point, one in zip(self.span(index), found, strict=True)]
+            results = (_separately(self.problem.override(self.grid.changes(point)), self.backend) for point in self.span(index))
+            return [self.optimum(point, one) for point, one in zip(self.span(index), results, strict=True)]
         rows: dict[int, list[str]] = {}
         points = np.array(self.span(index))
         for first in range(0, len(points), BATCH):
@@ -148,20 +148,20 @@ class ReoptimiseTask(OptimumTask):
         """Return the distinct optima of searches at a point from points across the bounds, best first."""
         assert self.programme is not None
         self.programme.bind(self.model(point))
-        nlp, found = self.programme.nlp, list[Solution]()
+        nlp, solutions = self.programme.nlp, list[Solution]()
         high = np.where(np.isfinite(nlp.x_high), nlp.x_high, 1.0)
         for x in itertools.islice(multistart.latin_hypercubes(nlp.x_low, high, SEED), STARTS):
             end = multistart.solve_from(nlp, nlp.lifted(x), self.backend, resume_infeasible=False)
-            if end.status is Status.OPTIMAL and not any(multistart.compare(end, known).same for known in found):
-                found.append(end)
-        return sorted(found, key=lambda one: one.objective)
+            if end.status is Status.OPTIMAL and not any(multistart.compare(end, other).same for other in solutions):
+                solutions.append(end)
+        return sorted(solutions, key=lambda one: one.objective)
 
     def _followed(self, points: Index) -> dict[int, list[str]]:
         """Return the rows of the points at which Newton's method from a neighbouring optimum ends at a verified optimum."""
         assert self.programme is not None
-        nlp, found = self.programme.nlp, self.grid_search.optima(points)
-        done = np.flatnonzero(found.optimal)
-        points, x, sides, objective = points[done], found.x[done], found.sides[done], found.objective[done]
+        nlp, optima = self.programme.nlp, self.grid_search.optima(points)
+        done = np.flatnonzero(optima.optimal)
+        points, x, sides, objective = points[done], optima.x[done], optima.sides[done], optima.objective[done]
         if not len(points):
             return {}
         values = {v.name: v.origin + x[:, i] * v.size for i, v in enumerate(nlp.variables) if v.name not in nlp.helpers}
@@ -177,7 +177,7 @@ class ReoptimiseTask(OptimumTask):
             valid, failed = np.array([one.valid for one in single]), {k: one.failed for k, one in enumerate(single)}
         keys = list(map(tuple, sides.tolist()))
         labels = {key: _labels(nlp, np.flatnonzero(key), np.array(key)) for key in set(keys)}
-        methods = np.where(found.searched[done], SEARCHED, FOLLOWED).tolist()
+        methods = np.where(optima.searched[done], SEARCHED, FOLLOWED).tolist()
         rows, designs = {}, [dict(zip(values, own, strict=True)) for own in np.array([*values.values()]).T.tolist()]
         for k, (point, design, value) in enumerate(zip(points.tolist(), designs, objective.tolist(), strict=True)):
             row = FoundOptimum(design, value, Status.OPTIMAL, bool(valid[k]), failed.get(k, ()), labels[keys[k]], methods[k])
@@ -190,18 +190,18 @@ class ReoptimiseTask(OptimumTask):
         programme, near, corners = self.programme, self.grid_search.nearest(point), self.grid_search.branches(point)
         task = self.model(point)
         programme.bind(task)
-        solution, found = programme.solve(near, self.backend)
-        if solution.usable and self.grid.count <= FEW:
+        solution, how = programme.solve(near, self.backend)
+        if solution.usable and self.grid.count <= SMALL_GRID:
             corners.append(self._search_many(point))
         for rank, other in (pair for corner in corners for pair in enumerate(corner)):
             end = follow_optimum(programme.nlp, other)
             if end is None and rank == 0:
                 end = multistart.solve_from(programme.nlp, programme.within(other.x), self.backend)
             if end is not None and multistart.best([solution, end]) is end and not multistart.compare(solution, end).same:
-                solution, found = end, SEARCHED
+                solution, how = end, SEARCHED
         if not solution.usable and not 1.0 / OTHER <= task.quantities["frame"].value / programme.size <= OTHER:
-            own = build(task)
-            solution = multistart.best([solution, multistart.solve_from(own, own.x_start, self.backend)])
+            nlp = build(task)
+            solution = multistart.best([solution, multistart.solve_from(nlp, nlp.x_start, self.backend)])
         if solution.status is not Status.OPTIMAL and (self.starts > 1 or solution.status is not Status.INFEASIBLE):
             anew = _separately(self.problem.override(self.grid.changes(point)), self.backend)
             if anew.valid:
@@ -211,9 +211,9 @@ class ReoptimiseTask(OptimumTask):
         failed = validation.failed
         valid = solution.status is Status.OPTIMAL and not failed
         if solution.status is Status.INFEASIBLE:
-            missed, against = conflicting(solution)
-            return FoundOptimum(solution.design, solution.objective, solution.status, valid, missed or failed, against, found)
-        return FoundOptimum(solution.design, solution.objective, solution.status, valid, failed, active(solution), found)
+            violated, against = conflicting(solution)
+            return FoundOptimum(solution.design, solution.objective, solution.status, valid, violated or failed, against, how)
+        return FoundOptimum(solution.design, solution.objective, solution.status, valid, failed, active(solution), how)
 
 
 class ParametricProgramme:
@@ -311,10 +311,10 @@ def conflicting(solution: Solution) -> tuple[tuple[str, ...], tuple[str, ...]]:
     with np.errstate(invalid="ignore"):
         beyond = np.maximum(nlp.low - g, g - nlp.high)
         off, near = (beyond > FEASIBLE) | ~np.isfinite(g), np.abs(beyond) <= ACTIVE
-    named = [
+    names = [
         [nlp.rows[j].label for j in np.flatnonzero(mask) if nlp.rows[j].limit not in nlp.helpers] for mask in (off, near & ~off)
     ]
-    return tuple(dict.fromkeys(named[0])), tuple(label for label in dict.fromkeys(named[1]) if label not in named[0])
+    return tuple(dict.fromkeys(names[0])), tuple(label for label in dict.fromkeys(names[1]) if label not in names[0])
 
 
 def active(solution: Solution) -> tuple[str, ...]:

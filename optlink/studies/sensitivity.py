@@ -28,7 +28,7 @@ from optlink.tasks.run import solve
 
 SMALL = 1e-2  # least reference of relative differences: of the objective, per parameter change of its own value
 SLIGHT = 1e-3  # the same for the design
-LEAST = 1e-10  # of the objective, or of a scaled design variable: smaller changes by one step of a parameter count as zero
+NEGLIGIBLE = 1e-10  # of the objective, or of a scaled design variable: smaller changes by one step of a parameter count as zero
 
 
 @dataclass(frozen=True)
@@ -223,18 +223,18 @@ def of_solution(
     kind, nlp = PARAMETERS.get(problem.task, OptimumParameters), solution.nlp
     solution = kind.refined(solution)
     system = KKTSystem(solution)
-    known = kind(problem, system)
+    optimum_parameters = kind(problem, system)
     factors = {v.name: v.scale.slope(x) for v, x in design_variables(nlp, solution.x)}
     residuals = np.abs(nlp.residuals(solution.x))
     exact = solution.objective == 0.0 or float(np.max(residuals, initial=0.0)) <= nlp.exact
-    notes, rows = [*known.notes], []
+    notes, rows = [*optimum_parameters.notes], []
     if exact:
         notes.insert(0, "the requirement is met exactly, so all shadow prices are zero")
     if system.singular:
         notes.insert(0, "several designs are equally good, or limits depend on one another: the smallest change is shown")
-    for parameter in known.parameters:
+    for parameter in optimum_parameters.parameters:
         try:
-            push = known.push(parameter)
+            push = optimum_parameters.push(parameter)
         except InputError as error:  # at the end of the valid range of input values
             notes.append(f"{parameter.name} is left out, as it cannot be changed in both directions: {error.faults[0].message}")
             continue
@@ -243,17 +243,17 @@ def of_solution(
         if parameter.positive and below.value < 0.0:
             below = ValidityEnd(-math.inf, "nothing")
         objective, moved = response.objective, response.moved
-        if exact or abs(objective * parameter.step) <= LEAST * abs(solution.objective):
+        if exact or abs(objective * parameter.step) <= NEGLIGIBLE * abs(solution.objective):
             objective = 0.0
-        moved = np.where(np.abs(moved * parameter.step) <= LEAST, 0.0, moved)
+        moved = np.where(np.abs(moved * parameter.step) <= NEGLIGIBLE, 0.0, moved)
         design = {v.name: float(change * factors[v.name]) for v, change in design_variables(nlp, moved)}
         rows.append(Sensitivity(parameter, objective, design, below, above))
     rows.sort(key=lambda row: -float(f"{abs(row.effect):.6g}"))  # equal effects in the order of the parameters
     if check:
         moving = [row for row in rows if row.moves]
         for done, row in enumerate(moving):
-            found = _searched_again(known, solution, row, backend, degenerate=system.singular)
-            rows[rows.index(row)] = replace(row, check=found)
+            result = _searched_again(optimum_parameters, solution, row, backend, degenerate=system.singular)
+            rows[rows.index(row)] = replace(row, check=result)
             if progress is not None:
                 progress((done + 1) / len(moving))
         missing = [row.parameter.name for row in rows if row.moves and row.check is None]
@@ -272,7 +272,7 @@ def of_solution(
 
 
 def _searched_again(
-    known: OptimumParameters, solution: Solution, row: Sensitivity, backend: str, *, degenerate: bool
+    optimum_parameters: OptimumParameters, solution: Solution, row: Sensitivity, backend: str, *, degenerate: bool
 ) -> DifferenceCheck | None:
     """Return central differences between optima on either side, or None.
 
@@ -283,12 +283,12 @@ def _searched_again(
     parameter = row.parameter
     size = abs(parameter.value) or 1.0
     room = min(parameter.value - row.below.value, row.above.value - parameter.value)
-    step = min(known.share * size, known.most * room)
+    step = min(optimum_parameters.share * size, optimum_parameters.most * room)
     if step <= 1e-9 * size:
         return None
     change = {name: step * rate for name, rate in row.design.items()}
     sides = (parameter.value - step, parameter.value + step)
-    here, there = (known.optimum_at(solution, parameter, value, change, backend) for value in sides)
+    here, there = (optimum_parameters.optimum_at(solution, parameter, value, change, backend) for value in sides)
     if here is None or there is None:
         return None
     (low, below), (high, above) = here, there

@@ -54,12 +54,12 @@ class SimulationTask(FiguresTask):
         try:
             file = self.problem.override(self.grid.changes(point))
             design = {name: value for name, value in self.design if name in file.model.free} or None
-            found = simulate_machine(file, dict(self.stated), design, has_clearances=self.has_clearance)
+            result = simulate_machine(file, dict(self.stated), design, has_clearances=self.has_clearance)
         except InputError as error:
             return MachineFigures({}, "not simulated", error.faults[0].message)
-        if found.status == Ending.INTERRUPTED.value:  # a row is complete or absent
+        if result.status == Ending.INTERRUPTED.value:  # a row is complete or absent
             raise KeyboardInterrupt
-        return found
+        return result
 
 
 def has_clearance(problem: ProblemFile) -> bool:
@@ -82,8 +82,8 @@ def with_integrator(
     runs : int
         Number of simulations.
     """
-    known = {"control": "none", "revolutions": 20, "points": 360, "tolerance": 1e-10, **options}
-    _, integrator = checked(problem, design=design, runs=runs, **known)
+    settings = {"control": "none", "revolutions": 20, "points": 360, "tolerance": 1e-10, **options}
+    _, integrator = checked(problem, design=design, runs=runs, **settings)
     return {**options, "integrator": integrator} if integrator != "cvodes" else dict(options)
 
 
@@ -111,12 +111,12 @@ def simulate_machine(
     InputError
         If the simulation is not possible.
     """
-    known = dict(options)
+    settings = dict(options)
     if has_clearances:
-        found = simulate_clearance(problem, design=design, twin=False, **known)
-        return MachineFigures(found.figures, found.ending.value, "" if found.finished else found.message)
-    if "points" in known:
-        known["rows"] = known.pop("points")
-    ideal = simulate(problem, design=design, **known)
+        simulation = simulate_clearance(problem, design=design, twin=False, **settings)
+        return MachineFigures(simulation.figures, simulation.ending.value, "" if simulation.finished else simulation.message)
+    if "points" in settings:
+        settings["rows"] = settings.pop("points")
+    ideal = simulate(problem, design=design, **settings)
     reason = "" if ideal.finished else f"{ideal.run.ending.text} (at {ideal.run.stopped:.9g} s)"
     return MachineFigures(ideal.figures, ideal.run.ending.value, reason)

@@ -37,7 +37,7 @@ from optlink.studies.sweep_task import OPTIMISE, SweepTask
 CHANGED = "active_set_changed"
 MOST_ANGLES = 10_000  # largest number of crank angles of an analysis
 PORTION = 10_000  # rows of a table that are read at a time
-KEPT = 200  # active-set changes listed in a result; the table marks all
+LISTED_CHANGES = 200  # active-set changes listed in a result; the table marks all
 TEXT = ("status", "failed", "active", "method", "reason")
 
 
@@ -308,14 +308,14 @@ def _task(
     design: Mapping[str, float] | None,
     backend: str,
 ) -> SweepTask:
-    stated = SweepTask.problem_fields(problem)
+    fields = SweepTask.problem_fields(problem)
     if analyze:
         if not 2 <= points <= MOST_ANGLES:
             raise InputError("out of range", f"Give 2 to {MOST_ANGLES:,} crank angles", key="--points", value=points)
         quantities = tuple(quantity_of(problem, axis) for axis in grid.axes)
-        given = tuple((name, value) for name, value in (design or {}).items() if name not in quantities)
+        design_values = tuple((name, value) for name, value in (design or {}).items() if name not in quantities)
         whole = AnalysisTask(
-            **stated, grid=grid, chunk=MANY, quantities=quantities, requested=tuple(columns), points=points, design=given
+            **fields, grid=grid, chunk=MANY, quantities=quantities, requested=tuple(columns), points=points, design=design_values
         )
         first = Grid(tuple(replace(axis, values=axis.values[:1]) for axis in grid.axes))
         replace(whole, grid=first).lines(0)  # detects invalid columns or dimensions early
@@ -340,14 +340,14 @@ def _simulating(
         options = with_integrator(first, options, design, grid.count)
     short = {**options, "revolutions": 1} if clearances else options
     names = tuple(simulate_machine(first, short, design, has_clearances=clearances).figures)
-    own = tuple((design or {}).items())
+    values = tuple((design or {}).items())
     return SimulationTask(
         **SweepTask.problem_fields(problem),
         grid=grid,
         chunk=1,
         figures=names,
         stated=tuple(options.items()),
-        design=own,
+        design=values,
     )
 
 
@@ -386,7 +386,7 @@ def _marked(rows: Iterator[list[str]], grid: Grid, names: list[str], summary: _S
         summary.searched += row[method] == SEARCHED
         if changed:
             summary.changed += 1
-            if len(summary.changes) < KEPT:
+            if len(summary.changes) < LISTED_CHANGES:
                 assert before is not None
                 at = {axis.column: value for axis, value in zip(grid.axes, grid.values(number), strict=True)}
                 summary.changes += (ActiveSetChange(at, before, row[active]),)

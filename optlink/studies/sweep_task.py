@@ -115,15 +115,15 @@ class SweepTask(ABC):
 
     def __call__(self, index: int) -> str:
         """Return a chunk as lines of CSV."""
-        if self.mark not in _kept:
-            _kept.clear()
-            _kept[self.mark] = self
+        if self.mark not in _current_task:
+            _current_task.clear()
+            _current_task[self.mark] = self
         text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerows(_kept[self.mark].lines(index))
+        csv.writer(text, lineterminator="\n").writerows(_current_task[self.mark].lines(index))
         return text.getvalue()
 
 
-_kept: dict[str, SweepTask] = {}
+_current_task: dict[str, SweepTask] = {}
 """The task that this process is at: what it has built is used for every chunk, though each may come with a copy of the task."""
 
 
@@ -206,16 +206,22 @@ class OptimumTask(SweepTask):
         """Name of the column of the objective."""
         return column("objective", self.template.model.objective_unit)
 
-    def optimum(self, point: int, found: FoundOptimum) -> list[str]:
+    def optimum(self, point: int, outcome: FoundOptimum) -> list[str]:
         """Return the row of an optimum; design and objective of other than optimal and stalled searches are left out.
 
         Parameters
         ----------
         point : int
-        found : FoundOptimum
+        outcome : FoundOptimum
         """
-        usable = found.status in (Status.OPTIMAL, Status.STALLED)
-        sizes = [found.design.get(name, math.nan) / q.si_per_unit for name, q in self.free.items()]
-        figures = [value if usable else math.nan for value in (*sizes, found.objective)]
-        words = (found.status.value, str(found.valid).lower(), "; ".join(found.failed), "; ".join(found.active), found.method)
+        usable = outcome.status in (Status.OPTIMAL, Status.STALLED)
+        sizes = [outcome.design.get(name, math.nan) / q.si_per_unit for name, q in self.free.items()]
+        figures = [value if usable else math.nan for value in (*sizes, outcome.objective)]
+        words = (
+            outcome.status.value,
+            str(outcome.valid).lower(),
+            "; ".join(outcome.failed),
+            "; ".join(outcome.active),
+            outcome.method,
+        )
         return self.row(point, figures, *words)

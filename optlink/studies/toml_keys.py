@@ -38,20 +38,20 @@ def value_at(problem: ProblemFile, key: str) -> Any:
     key : str
         Names separated by dots.
     """
-    found: Any = problem.raw
+    value: Any = problem.raw
     for step in key.split("."):
-        if not isinstance(found, Mapping) or step not in found:
+        if not isinstance(value, Mapping) or step not in value:
             return None
-        found = found[step]
-    return found
+        value = value[step]
+    return value
 
 
 def read_figure(raw: Any) -> tuple[float, str]:
     """Return a value and its unit; 0 and no unit for anything else."""
     if isinstance(raw, int | float) and not isinstance(raw, bool):
         return float(raw), ""
-    known = split(raw) if isinstance(raw, str) else None
-    return known if known is not None and is_unit(known[1]) else (0.0, "")
+    parts = split(raw) if isinstance(raw, str) else None
+    return parts if parts is not None and is_unit(parts[1]) else (0.0, "")
 
 
 @dataclass(frozen=True)

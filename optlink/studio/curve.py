@@ -25,7 +25,7 @@ MOST_DRAWN = 10_000  # points of a curve
 POINTS = 16  # target points along it
 REACH, LEAST = 4.0, 0.05  # largest and least length of a link, as a share of the size of the curve
 SECONDS = 4.5  # of the search
-SHOWN = 4  # designs
+SHOWN_DESIGNS = 4  # designs
 TRIED = 12  # candidates of the first round of which valid ones are shown before they are refined
 SMALLEST = 1e-3  # mm
 ROUNDS = 12
@@ -59,7 +59,7 @@ def drawn(points: Any, *, closed: bool) -> Document:
         raise InputError("the curve is smaller than 0.001 mm", "Draw a larger one", key="draw")
     far, least = f"{REACH * size:.4g}", f"{LEAST * size:.4g}"
     sides = [f'{{ bounds = ["{c - REACH * size:.6g} mm", "{c + REACH * size:.6g} mm"] }}' for c in centre]
-    listed = ",\n".join(f'    ["{x!r} mm", "{y!r} mm"]' for x, y in places.tolist())
+    rows = ",\n".join(f'    ["{x!r} mm", "{y!r} mm"]' for x, y in places.tolist())
     links = "\n".join(f'{name} = {{ bounds = ["{least} mm", "{far} mm"] }}' for name in ("crank", "coupler", "rocker", "frame"))
     text = f'''title = "A drawn curve"
 
@@ -77,7 +77,7 @@ kind = "path"
 point = "P"
 closed = {str(closed).lower()}
 points = [
-{listed},
+{rows},
 ]
 
 [limits]
@@ -92,15 +92,15 @@ def _along(line: Array, *, closed: bool) -> Array:
     if closed:
         line = np.vstack([line, line[:1]])
     steps = np.hypot(*np.diff(line, axis=0).T)
-    kept = np.concatenate([[True], steps > 0.0])
-    line, at = line[kept], np.concatenate([[0.0], np.cumsum(steps[steps > 0.0])])
+    distinct = np.concatenate([[True], steps > 0.0])
+    line, at = line[distinct], np.concatenate([[0.0], np.cumsum(steps[steps > 0.0])])
     if len(line) < 2:
         return line
     places = np.linspace(0.0, at[-1], POINTS, endpoint=not closed)
     return np.column_stack([np.interp(places, at, line[:, k]) for k in (0, 1)])
 
 
-class _Over(Exception):
+class _TimeOver(Exception):
     """The time of a search is over."""
 
 
@@ -123,12 +123,12 @@ class _TimedPolisher(Polisher):
     def polish(self, candidate: Candidate, *, near: bool = False) -> PathDesign:
         begun = self.left()
         if begun <= self._longest:
-            raise _Over
-        made = super().polish(candidate, near=near)
+            raise _TimeOver
+        design = super().polish(candidate, near=near)
         self._longest = max(self._longest, begun - self.left())
-        if made.valid:
-            self.valid(made)
-        return made
+        if design.valid:
+            self.valid(design)
+        return design
 
 
 class CurveSearch:
@@ -147,7 +147,7 @@ class CurveSearch:
         self._files = document.problem.variants()
         self._searcher = Searcher([path_model(file) for file in self._files], 0)
         self._polisher = _TimedPolisher(self._files, lambda: seconds - self._seconds, self._first)
-        self._collection = DesignCollection(self._polisher, SHOWN)
+        self._collection = DesignCollection(self._polisher, SHOWN_DESIGNS)
         self._coarse: list[tuple[PathDesign, Candidate]] = []
         self.designs: list[PathDesign] = []
         self._show: Callable[[bool], None] = lambda done: None
@@ -168,13 +168,13 @@ class CurveSearch:
             self._polisher.polish(one)  # shown if it is valid
         for number in range(ROUNDS):
             begun = self._seconds
-            found = self._searcher.advance()
+            candidates = self._searcher.advance()
             if number == 0:
-                self._add_coarse(found.candidates, SHOWN)
+                self._add_coarse(candidates.candidates, SHOWN_DESIGNS)
                 self._better()
             try:
-                self._collection.add(found)
-            except _Over:
+                self._collection.add(candidates)
+            except _TimeOver:
                 break
             if 2.0 * self._seconds - begun > self._limit:
                 break
@@ -195,7 +195,7 @@ class CurveSearch:
         self._coarse = []
         for one in candidates[:TRIED]:
             design = self._rated(one)
-            if design.valid and not any(design.alike(known) for known, _ in self._coarse):
+            if design.valid and not any(design.alike(other) for other, _ in self._coarse):
                 self._coarse.append((design, one))
                 if len(self._coarse) == count:
                     return
@@ -213,8 +213,8 @@ class CurveSearch:
     def _better(self, *, done: bool = False) -> None:
         """Show the best designs, those of the optimiser before coarse ones, if they have changed."""
         before, best = self.designs, list(self._collection.designs)
-        best += [design for design, _ in self._coarse if not any(design.alike(known) for known in best)]
-        self.designs = sorted(best, key=lambda design: design.objective)[:SHOWN] or before
+        best += [design for design, _ in self._coarse if not any(design.alike(other) for other in best)]
+        self.designs = sorted(best, key=lambda design: design.objective)[:SHOWN_DESIGNS] or before
         if self.designs and (done or self.designs != before):
             self._show(done)
 
@@ -251,8 +251,8 @@ class CurveSearch:
 
 
 def _item(design: PathDesign) -> dict[str, Any]:
-    shown = Design(design.problem, design.values, crank_angles=design.crank_angles)
-    picture = Picture(shown.machine, shown.start, shown.speed)
+    displayed = Design(design.problem, design.values, crank_angles=design.crank_angles)
+    picture = Picture(displayed.machine, displayed.start, displayed.speed)
     scene = picture.document()
     sizes = {name: value * (1e3 if quantity.kind != "angle" else math.degrees(1.0)) for name, value, quantity in _sizes(design)}
     error = 1e3 * float(np.max(design.measured.distances))

@@ -171,8 +171,10 @@ def checked(design: Design) -> Design:
     from optlink.tasks.run import validate
 
     model = design.problem.model
-    found = designed(validate(design.problem, {name: design.values[name] for name in model.free}))
-    return replace(found, solution=design.solution, limits=design.limits, objective=design.objective, conclusion=found.conclusion)
+    result = designed(validate(design.problem, {name: design.values[name] for name in model.free}))
+    return replace(
+        result, solution=design.solution, limits=design.limits, objective=design.objective, conclusion=result.conclusion
+    )
 
 
 def verdict(design: Design) -> dict[str, Any]:

@@ -69,8 +69,8 @@ class Document:
         """
         if not changes:
             return self
-        made = self.problem.override(changes)
-        return replace(self, text=toml_text.rewritten(self.text, self.problem.raw, made.raw))
+        problem = self.problem.override(changes)
+        return replace(self, text=toml_text.rewritten(self.text, self.problem.raw, problem.raw))
 
     def locked(self, size: str, value: float | None) -> Document:
         """Return the document with a design variable fixed.
@@ -86,8 +86,8 @@ class Document:
         if not quantity.free:
             return self
         unit, value = quantity.display[1], quantity.value if value is None else value
-        made = self.with_changes({key: exact_text(value / quantity.si_per_unit, unit)})
-        return replace(made, freed={**self.freed, size: value_at(self.problem, key)})
+        document = self.with_changes({key: exact_text(value / quantity.si_per_unit, unit)})
+        return replace(document, freed={**self.freed, size: value_at(self.problem, key)})
 
     def released(self, size: str) -> Document:
         """Return the document with a fixed size as a design variable, within its former bounds.
@@ -102,11 +102,11 @@ class Document:
             return self
         per, unit = quantity.si_per_unit, quantity.display[1]
         value = quantity.value / per
-        known = self.freed.get(size)
-        if not isinstance(known, Mapping):
+        freed_text = self.freed.get(size)
+        if not isinstance(freed_text, Mapping):
             room = ROOM * abs(value) or 100.0
-            known = {"bounds": [exact_text(value - room, unit), exact_text(value + room, unit)]}
-        return self.with_changes({key: {**known, "start": exact_text(value, unit)}})
+            freed_text = {"bounds": [exact_text(value - room, unit), exact_text(value + room, unit)]}
+        return self.with_changes({key: {**freed_text, "start": exact_text(value, unit)}})
 
     def _quantity(self, size: str) -> Any:
         quantities = self.problem.model.mechanism.quantities
@@ -174,13 +174,13 @@ def from_text(text: str, title: str) -> Document:
     if len(text.encode(errors="replace")) > MAX_BYTES:
         raise InputError(f"the text is longer than {MAX_BYTES:,} bytes", "Open a shorter file", file)
     raw = tables(text, file)
-    named = next((table[key] for table, key, _ in references(raw)), None)
-    if named is not None:
+    file_reference = next((table[key] for table, key, _ in references(raw)), None)
+    if file_reference is not None:
         remedy = f"Open it from its folder: optlink studio {file}"
-        raise InputError("a problem that is opened in the page cannot read other files", remedy, file, value=named)
-    made = Document(name, text, _nowhere())
-    _ = made.problem
-    return made
+        raise InputError("a problem that is opened in the page cannot read other files", remedy, file, value=file_reference)
+    document = Document(name, text, _nowhere())
+    _ = document.problem
+    return document
 
 
 def hello(opened: str | None) -> dict[str, Any]:

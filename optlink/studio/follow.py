@@ -82,8 +82,8 @@ class FunctionFollower:
         from optlink.solvers.function_exchange import add_peak_errors
 
         nlp.set_exchange_points(np.zeros(nlp.exchange_count))
-        found = multistart.solve_from(nlp, start_of(nlp, near), BACKEND)
-        return add_peak_errors(task, nlp, found, BACKEND) if found.usable else found
+        solution = multistart.solve_from(nlp, start_of(nlp, near), BACKEND)
+        return add_peak_errors(task, nlp, solution, BACKEND) if solution.usable else solution
 
 
 class PathFollower:
@@ -121,9 +121,9 @@ class PathFollower:
             self._build(task)
         nlp, x = self.nlp, start_of(self.nlp, near)
         if near is not None and near.nlp is nlp and not nlp.exchange_count:
-            found = follow_optimum(nlp, near)
-            if found is not None:
-                return found
+            solution = follow_optimum(nlp, near)
+            if solution is not None:
+                return solution
         backend = MINIMAX if task.measure == "max" else BACKEND
         if nlp.exchange_count:
             start = multistart.solution_at(nlp, x, "the last optimum")
@@ -139,13 +139,13 @@ class PathFollower:
             placed = position_rows(task, task.linkage.pose(values, unit(0.0))) if has_position_limits(task) else []
         anywhere = {(row.limit, row.label): row for row in placed}
         first, each = nlp.exchange_rows
-        known = [(row.limit, row.label) for row in nlp.rows[first : first + each] if row.limit not in nlp.helpers]
-        if [row.limit for row in rows] != [row.limit for row in nlp.rows[: len(rows)]] or list(anywhere) != known:
+        labels = [(row.limit, row.label) for row in nlp.rows[first : first + each] if row.limit not in nlp.helpers]
+        if [row.limit for row in rows] != [row.limit for row in nlp.rows[: len(rows)]] or list(anywhere) != labels:
             return False
         nlp.p[1 : 1 + len(nlp.constants)] = constant_values(task, nlp.constants)
         _set_bounds(nlp, task)
-        for j, own in enumerate(nlp.rows):
-            row = rows[j] if j < len(rows) else anywhere.get((own.limit, own.label))
+        for j, programme_row in enumerate(nlp.rows):
+            row = rows[j] if j < len(rows) else anywhere.get((programme_row.limit, programme_row.label))
             if row is not None:
                 nlp.limit(n + j, row.low, row.high)
         return True
@@ -164,10 +164,10 @@ def start_of(nlp: NLP, near: Solution | None) -> Array:
     if near is not None and near.nlp is nlp:
         x = near.x
     elif near is not None:
-        known = {v.name: v.origin + v.size * float(value) for v, value in zip(near.nlp.variables, near.x, strict=True)}
+        values = {v.name: v.origin + v.size * float(value) for v, value in zip(near.nlp.variables, near.x, strict=True)}
         for i, variable in enumerate(nlp.variables):
-            if variable.name in known:
-                x[i] = variable.scaled(known[variable.name])
+            if variable.name in values:
+                x[i] = variable.scaled(values[variable.name])
     return nlp.lifted(np.clip(x, nlp.x_low, nlp.x_high))
 
 
@@ -195,8 +195,8 @@ class CycleFollower:
         nlp = self.programme.nlp
         x = nlp.x_of({name: values[name] for name in self.task.free})
         nlp.set_exchange_points(peaks(nlp, x).shares)
-        found = multistart.solution_at(nlp, nlp.lifted(x), "the last optimum")
-        return _sharp(found if found.usable and found.kkt <= EXCESS else multistart.solve_from(nlp, x, BACKEND))
+        solution = multistart.solution_at(nlp, nlp.lifted(x), "the last optimum")
+        return _sharp(solution if solution.usable and solution.kkt <= EXCESS else multistart.solve_from(nlp, x, BACKEND))
 
     def follow(self, problem: ProblemFile, near: Solution | None) -> Solution | None:
         """Return the optimum of a problem near the last one; None if its events have another order.
@@ -211,36 +211,36 @@ class CycleFollower:
         if last is None:
             return None
         nlp = self._bound(task_of(problem), last)
-        found = follow_optimum(nlp, last) if last.usable else None
-        if found is None or peaks(nlp, found.x).excess > EXCESS:
-            x = nlp.lifted(np.clip(last.x if found is None else found.x, nlp.x_low, nlp.x_high))
+        solution = follow_optimum(nlp, last) if last.usable else None
+        if solution is None or peaks(nlp, solution.x).excess > EXCESS:
+            x = nlp.lifted(np.clip(last.x if solution is None else solution.x, nlp.x_low, nlp.x_high))
             nlp.set_exchange_points(peaks(nlp, x).shares)
-            found = multistart.solve_from(nlp, x, BACKEND)
+            solution = multistart.solve_from(nlp, x, BACKEND)
             self.programme.nlp.cache.update(nlp.cache)
-        if found.usable:
-            order = nlp.traced.structure(found.design)
+        if solution.usable:
+            order = nlp.traced.structure(solution.design)
             if order is None or not order.like(nlp.structure):
                 return None
-            self._near = _sharp(found)
-        return found
+            self._near = _sharp(solution)
+        return solution
 
-    def refined(self, found: Solution) -> Solution:
+    def refined(self, solution: Solution) -> Solution:
         """Return an optimum that satisfies its limits at every crank angle, from one at fixed positions of the peaks."""
-        nlp = found.nlp
+        nlp = solution.nlp
         assert isinstance(nlp, CycleNLP)
-        nlp.p[:] = found.p
-        settled = exchange(nlp, found)
-        if settled.usable:
-            self._near = _sharp(settled)
-        return settled
+        nlp.p[:] = solution.p
+        exchanged = exchange(nlp, solution)
+        if exchanged.usable:
+            self._near = _sharp(exchanged)
+        return exchanged
 
     def _bound(self, task: CycleProblem, last: Solution) -> CycleNLP:
         """Return the programme with the fixed sizes, bounds and limits of a problem, and the last positions of the peaks."""
         trace = object.__new__(TracedCycle)  # its copy would be traced again
         vars(trace).update(vars(self.programme.trace) | {"problem": task})
-        own = self.programme.nlp
-        movable = {"x_low": own.x_low.copy(), "x_high": own.x_high.copy()}
-        nlp = with_bounds(own, dict(_moved(self.task, task)), trace=trace, **movable)
+        programme_nlp = self.programme.nlp
+        movable = {"x_low": programme_nlp.x_low.copy(), "x_high": programme_nlp.x_high.copy()}
+        nlp = with_bounds(programme_nlp, dict(_moved(self.task, task)), trace=trace, **movable)
         nlp.p[:] = last.p
         nlp.p[1 : 1 + len(nlp.constants)] = [v.scaled(task.quantities[v.name].value) for v in nlp.constants]
         _set_bounds(nlp, task)
@@ -257,21 +257,21 @@ def _set_bounds(nlp: NLP, task: Problem) -> None:
 
 def _moved(old: CycleProblem, new: CycleProblem) -> list[tuple[str, float]]:
     """Return the limits that differ, as key with side and value in the unit of the file."""
-    found: list[tuple[str, float]] = []
+    moves: list[tuple[str, float]] = []
     for before, now in zip(old.bounds, new.bounds, strict=True):
         for side, one, other in zip(("min", "max"), _ends(before), _ends(now), strict=True):
             if one != other and other is not None:
                 size = factor(now.interval.unit, now.interval.kind) if now.interval.kind else 1.0
-                found.append((f"{now.key}.{side}", other / size))
-    return found
+                moves.append((f"{now.key}.{side}", other / size))
+    return moves
 
 
 def _ends(bound: Bound) -> tuple[float | None, float | None]:
     return bound.interval.low, bound.interval.high
 
 
-def _sharp(found: Solution) -> Solution:
+def _sharp(solution: Solution) -> Solution:
     """Return an optimum in whose optimality conditions only exactly active rows count: those beside a peak would count twice."""
-    if not found.usable:
-        return found
-    return replace(found, conditions=stationarity(found.nlp, found.x, found.nlp.at(found.x, found.p), EXACTLY))
+    if not solution.usable:
+        return solution
+    return replace(solution, conditions=stationarity(solution.nlp, solution.x, solution.nlp.at(solution.x, solution.p), EXACTLY))

@@ -19,7 +19,7 @@ from optlink.studio.picture import Picture
 LARGEST = 1e9  # in the unit of a handle
 BESIDE = 0.6  # share of a link at which the handle of its length lies where another one has its end
 RADIUS = 0.09  # share of the extent of the drawing: radius of an angle
-APART = 0.03  # share of the extent: nearer handles would cover each other
+HANDLE_SEPARATION = 0.03  # share of the extent: nearer handles would cover each other
 TRANSMISSION = ("limits.transmission_angle.min", "limits.transmission_angle.max")
 POINTS = "requirement.points"
 SIDES = ("min", "max")
@@ -101,10 +101,10 @@ class Handle:
             return {POINTS: _moved(problem, self.index, dict(zip(self.keys, values, strict=True)))}
         if len(self.keys) < len(values):  # a range that the file holds as one list
             return {self.keys[0]: [exact_text(value, self.unit) for value in values]}
-        found: dict[str, object] = {key: exact_text(value, self.unit) for key, value in zip(self.keys, values, strict=True)}
+        changes: dict[str, object] = {key: exact_text(value, self.unit) for key, value in zip(self.keys, values, strict=True)}
         if self.kind == "range":
-            found |= self._start_within(problem, values)
-        return found
+            changes |= self._start_within(problem, values)
+        return changes
 
     def _start_within(self, problem: ProblemFile, ends: list[float]) -> dict[str, object]:
         """Return the starting value of a design variable, moved to the nearer bound where it would lie beyond it."""
@@ -118,9 +118,9 @@ class Handle:
 def _numbers(raw: Any, count: int) -> list[float]:
     """Return finite numbers of a message."""
     if isinstance(raw, list) and len(raw) == count:
-        found = [float(x) for x in raw if isinstance(x, int | float) and not isinstance(x, bool) and abs(x) <= LARGEST]
-        if len(found) == count:
-            return found
+        numbers = [float(x) for x in raw if isinstance(x, int | float) and not isinstance(x, bool) and abs(x) <= LARGEST]
+        if len(numbers) == count:
+            return numbers
     raise InputError("the message has no usable place or value", "Send numbers of at most 1e9", key="drag", value=raw)
 
 
@@ -144,8 +144,8 @@ def handles(problem: ProblemFile, picture: Picture | None) -> dict[str, Handle]:
     picture : Picture or None
         The design in motion; None if it cannot be assembled: then no handle lies on the drawing but those of the targets.
     """
-    made = _Handles(problem, picture)
-    return {handle.id: handle for handle in made.all()}
+    result = _Handles(problem, picture)
+    return {handle.id: handle for handle in result.all()}
 
 
 class _Handles:
@@ -159,16 +159,16 @@ class _Handles:
         if picture is not None:
             (x0, x1), (y0, y1) = picture.sketch.limits
             extent = 1e3 / picture.sketch.scale.factor * max(x1 - x0, y1 - y0)
-            self.radius, self.apart = RADIUS * extent, APART * extent
+            self.radius, self.apart = RADIUS * extent, HANDLE_SEPARATION * extent
 
     def all(self) -> Iterator[Handle]:
         """Yield the handles: targets, requirement, dimensions, limits, bounds."""
         yield from self._targets()
         yield from self._requirement()
-        known = {knob.key: knob for knob in knobs(self.problem) if knob.key}
-        dimensions = {key: knob for key, knob in known.items() if not key.startswith("limits.")}
+        by_key = {knob.key: knob for knob in knobs(self.problem) if knob.key}
+        dimensions = {key: knob for key, knob in by_key.items() if not key.startswith("limits.")}
         yield from self._geometry(dimensions)
-        for key, knob in known.items():
+        for key, knob in by_key.items():
             drawn = self._transmission(key, knob) if key in TRANSMISSION else None
             if key in dimensions or key.startswith("limits."):
                 yield drawn or self._slider(key, knob.name, knob.value, knob.unit, (knob.low, knob.high))
@@ -286,8 +286,8 @@ class _Handles:
         along = [(b - a) / length for a, b in zip(one, other, strict=True)]
         at = other if self._free(other) else (one[0] + BESIDE * length * along[0], one[1] + BESIDE * length * along[1])
         self.taken.append(at)
-        shown = {"at": list(at), "along": along, "lower": 0.0, "upper": None, "size": name, "locked": True}
-        yield Handle(key, knob.name, "scalar", knob.unit, (key,), knob.value, shown)
+        data = {"at": list(at), "along": along, "lower": 0.0, "upper": None, "size": name, "locked": True}
+        yield Handle(key, knob.name, "scalar", knob.unit, (key,), knob.value, data)
 
     def _place(
         self,
@@ -299,23 +299,23 @@ class _Handles:
     ) -> Iterator[Handle]:
         """Yield the handle of a point: in the plane if both of its coordinates are fixed, along one axis if one is."""
         keys = [self._key(name) if isinstance(name, str) and name in self.quantities else "" for name in names]
-        known = [fixed.pop(key, None) for key in keys]
+        quantities = [fixed.pop(key, None) for key in keys]
         if not all(map(math.isfinite, at)):
             at = (0.0, 0.0)
-        if all(known) and self._free(at):
+        if all(quantities) and self._free(at):
             self.taken.append(at)
             yield Handle(keys[0], label, "point", "mm", (keys[0], keys[1]), None, {"at": list(at)}, None, axes)
             return
-        for key, knob, turn in zip(keys, known, (axes[2], axes[2] + 0.5 * math.pi), strict=True):
+        for key, knob, turn in zip(keys, quantities, (axes[2], axes[2] + 0.5 * math.pi), strict=True):
             if knob is not None:
-                shown = {
+                data = {
                     "at": list(at),
                     "along": [math.cos(turn), math.sin(turn)],
                     "lower": None,
                     "upper": None,
                     **self._lock(key),
                 }
-                yield Handle(key, knob.name, "scalar", knob.unit, (key,), knob.value, shown)
+                yield Handle(key, knob.name, "scalar", knob.unit, (key,), knob.value, data)
 
     def _free(self, at: tuple[float, float]) -> bool:
         return all(math.dist(at, other) > self.apart for other in self.taken)
@@ -346,6 +346,6 @@ class _Handles:
                 if unit and unit == other:
                     room = 0.5 * (high - low)
                     least = 0.0 if low > 0.0 and self.quantities[name].kind == "length" else low - room
-                    shown = {"lower": least, "upper": high + room, "size": name, "locked": False}
+                    data = {"lower": least, "upper": high + room, "size": name, "locked": False}
                     keys = (f"{key}.min", f"{key}.max")
-                    yield Handle(f"{key}.bounds", f"bounds of {name}", "range", unit, keys, [low, high], shown)
+                    yield Handle(f"{key}.bounds", f"bounds of {name}", "range", unit, keys, [low, high], data)

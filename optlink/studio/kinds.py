@@ -23,7 +23,7 @@ from optlink.studio.follow import CycleFollower, Follower, FunctionFollower, Pat
 from optlink.units import DISPLAYED
 from optlink.validation.path import deviations
 
-ALONG = 60  # positions of the error curve
+CURVE_POSITIONS = 60  # positions of the error curve
 WORDS = ("crank", "transmission_over", *MARGINS)  # limits that change the structure of a programme
 
 
@@ -146,7 +146,7 @@ class _FunctionSynthesis(_Searched):
         return (math.degrees(1.0), "deg", words) if unit == "rad" else (1.0, unit.replace("^2", "²"), words)
 
     def error_curves(self, model: Any, values: Mapping[str, float], start: float, angles: Array | None) -> Iterator[ErrorCurve]:
-        offsets = model.span * np.linspace(0.0, 1.0, ALONG + 1)
+        offsets = model.span * np.linspace(0.0, 1.0, CURVE_POSITIONS + 1)
         with np.errstate(all="ignore"):
             error = np.degrees(error_at(model, values, offsets))
         yield ErrorCurve("Output error", start + offsets, "target minus generated", "deg", error)

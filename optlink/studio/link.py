@@ -27,9 +27,9 @@ AGAIN = 1.0  # s until a process that did not start is replaced
 FAILED = "The computation ended unexpectedly and was started again."
 STOPPED = "The computation did not stop when it should, and was started again."
 SLOW = f"The computation took longer than {LIMIT / 60.0:z.0f} minutes and was ended."
-KEPT = "Your problem and its history are kept."
+KEPT_TEXT = "Your problem and its history are kept."
 UNDONE = "The last change was undone; redo it to try again."
-NOTHING = "Open a problem."
+NO_PROBLEM_TEXT = "Open a problem."
 
 
 class Worker:
@@ -199,14 +199,14 @@ class Link:
         self._running, why, self._ended = None, self._ended, FAILED
         if failed:
             self._failures += why != STOPPED or resumed
-            words = KEPT
+            words = KEPT_TEXT
             if self._history is not None and (why == SLOW or self._failures > 1):
                 words = UNDONE
                 if self._history.ends[0]:
                     self._history.move(-1)
                 else:
                     self._history = None
-            message = f"{why} {NOTHING if self._history is None else words}"
+            message = f"{why} {NO_PROBLEM_TEXT if self._history is None else words}"
             await self._send(json.dumps({"type": "fault", "id": self._latest, "message": message}))
         else:
             await asyncio.sleep(AGAIN)

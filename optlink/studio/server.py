@@ -297,8 +297,8 @@ class _Server(uvicorn.Server):
         try:
             yield
         finally:
-            for number, known in before.items():
-                signal.signal(number, known)
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Start, then report."""

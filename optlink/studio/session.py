@@ -178,8 +178,8 @@ class Session:
     def _export(self, request: Mapping[str, Any]) -> None:
         if self._last is None:
             raise InputError("there is no design yet", "Wait for the search")
-        found = exported(self._last[0], self._document.name, request.get("format"))
-        self._send({"type": "file", "id": self._id} | found)
+        file = exported(self._last[0], self._document.name, request.get("format"))
+        self._send({"type": "file", "id": self._id} | file)
 
     def _draw(self, request: Mapping[str, Any]) -> None:
         from optlink.studio.curve import CurveSearch, drawn
@@ -211,21 +211,21 @@ class Session:
     def _followed(self, problem: ProblemFile) -> Design:
         """Return the optimum of a problem near the last design."""
         last = self._design or started(problem)
-        known = structure(problem)
-        if self._follower[0] != known:
+        structure_of_problem = structure(problem)
+        if self._follower[0] != structure_of_problem:
             if kind_of(problem).slow_programme:  # it is prepared after a release
                 return carried(problem, last)
-            self._follower = (known, follower(problem, last.values, -1 if last.speed < 0.0 else 1))
+            self._follower = (structure_of_problem, follower(problem, last.values, -1 if last.speed < 0.0 else 1))
         one = self._follower[1]
-        found = None if one is None else one.follow(problem, last.solution)
-        if found is None:
+        solution = None if one is None else one.follow(problem, last.solution)
+        if solution is None:
             return carried(problem, last)
-        if found.usable:
-            return from_solution(problem, found)
+        if solution.usable:
+            return from_solution(problem, solution)
         from optlink.studies.reoptimise_task import conflicting
 
-        missed, against = conflicting(found)
-        words = "; ".join((*missed, *against)) or "no design was found"
+        violated, against = conflicting(solution)
+        words = "; ".join((*violated, *against)) or "no design was found"
         sentence = f"No design near the last one meets all limits: {words}."
         return replace(carried(problem, last), status="infeasible", conclusion=sentence, conflicts=(sentence,))
 
@@ -239,8 +239,8 @@ class Session:
             middle = 0.5 * (low + high)
             place = [a + middle * (b - a) for a, b in zip(begin, end, strict=True)]
             try:
-                found = self._followed(self._definite(base.override(handle.changes(base, handle.message(place)))))
-                good = found.solution is not None
+                followed = self._followed(self._definite(base.override(handle.changes(base, handle.message(place)))))
+                good = followed.solution is not None
             except InputError:
                 good = False
             low, high = (middle, high) if good else (low, middle)
@@ -283,17 +283,17 @@ class Session:
             self._send({"type": "progress", "id": ident, "fraction": share, "text": "searching"})
 
         try:
-            found: Design = self._interruptible(lambda: solved(problem, progress))
+            design: Design = self._interruptible(lambda: solved(problem, progress))
         except OptlinkError as error:  # the page must not keep the state of another problem
             self._show(replace(self._design or started(problem), **failure(error)), problem, moving=False)
             return
-        if getattr(found.result, "interrupted", False):
+        if getattr(design.result, "interrupted", False):
             raise KeyboardInterrupt
-        if found.status != "infeasible" or self._design is None:
-            self._design = found
-            self._show(found, problem, moving=False)
+        if design.status != "infeasible" or self._design is None:
+            self._design = design
+            self._show(design, problem, moving=False)
         else:
-            self._show(replace(self._design, **verdict(found)), problem, moving=False)
+            self._show(replace(self._design, **verdict(design)), problem, moving=False)
         self._interruptible(self._prepare)
 
     def _show_near(self, problem: ProblemFile) -> None:
@@ -329,9 +329,9 @@ class Session:
         if last is None or last.solution is None or not last.solution.usable:
             return
         problem = self._definite(self._document.problem)
-        known = structure(problem)
-        if self._follower[0] != known:
-            self._follower = (known, follower(problem, last.values, -1 if last.speed < 0.0 else 1))
+        structure_of_problem = structure(problem)
+        if self._follower[0] != structure_of_problem:
+            self._follower = (structure_of_problem, follower(problem, last.values, -1 if last.speed < 0.0 else 1))
 
     # --- the state ----------------------------------------------------------------------------------------------------------
 

@@ -61,7 +61,7 @@ def variables(problem: ProblemFile, design: Design, lockable: Mapping[str, Any])
     lockable : mapping
         Sizes that were locked on the page.
     """
-    found = []
+    rows = []
     for name, quantity in problem.model.quantities.items():
         if not quantity.free and name not in lockable:
             continue
@@ -69,7 +69,7 @@ def variables(problem: ProblemFile, design: Design, lockable: Mapping[str, Any])
         low, high = (bound / size for bound in quantity.bounds)
         value = design.values.get(name, quantity.value) / size
         near = AT_BOUND * (high - low)
-        found.append(
+        rows.append(
             {
                 "name": name,
                 "value": value,
@@ -81,7 +81,7 @@ def variables(problem: ProblemFile, design: Design, lockable: Mapping[str, Any])
                 "key": quantity_key(problem.model, name),
             }
         )
-    return finite(found)  # type: ignore[no-any-return]
+    return finite(rows)  # type: ignore[no-any-return]
 
 
 def objective(problem: ProblemFile, value: float) -> dict[str, Any] | None:
@@ -99,13 +99,13 @@ def objective(problem: ProblemFile, value: float) -> dict[str, Any] | None:
 def active(design: Design) -> list[dict[str, Any]]:
     """Return the active limits of a design with their shadow prices, in display units."""
     factor, unit, _ = kind_of(design.problem).objective(design.problem.model)
-    found = []
+    rows = []
     for one in design.limits:
         if one.active:
             per = f"{unit or '1'} per {one.unit}" if one.unit else unit
             row = {"limit": f"{one.name} {one.sense}", "value": one.bound, "unit": one.unit}
-            found.append(row | {"price": one.multiplier * factor, "price_unit": per})
-    return finite(found)  # type: ignore[no-any-return]
+            rows.append(row | {"price": one.multiplier * factor, "price_unit": per})
+    return finite(rows)  # type: ignore[no-any-return]
 
 
 def checks(design: Design) -> list[dict[str, Any]] | None:
@@ -131,21 +131,21 @@ def charts(design: Design, picture: Picture, *, moving: bool) -> list[dict[str, 
     """
     kind, model = kind_of(design.problem), design.problem.model
     curves = kind.error_curves(model, design.values, design.start, design.crank_angles)
-    found = [_chart(*curve[:2], [curve[2:]]) for curve in curves]
-    found += _transmission(design, picture)
+    specs = [_chart(*curve[:2], [curve[2:]]) for curve in curves]
+    specs += _transmission(design, picture)
     if model.loads or model.bodies:
-        found += _forces(design, picture)
+        specs += _forces(design, picture)
     elif design.problem.task == "cycle" or not model.free:
-        found += _motion(picture)
-    return found
+        specs += _motion(picture)
+    return specs
 
 
 def _chart(
     title: str, x: Array, series: Sequence[tuple[str, str, Array]], limits: Sequence[tuple[str, float]] = ()
 ) -> dict[str, Any]:
-    shown = [{"label": label, "unit": unit, "values": finite(_rounded(values))} for label, unit, values in series]
+    curves = [{"label": label, "unit": unit, "values": finite(_rounded(values))} for label, unit, values in series]
     axis = {"label": "crank angle", "unit": "deg", "values": np.round(np.degrees(x), 3).tolist()}
-    return {"title": title, "x": axis, "series": shown, "limits": [{"label": n, "value": v} for n, v in limits]}
+    return {"title": title, "x": axis, "series": curves, "limits": [{"label": n, "value": v} for n, v in limits]}
 
 
 def _transmission(design: Design, picture: Picture) -> Iterator[dict[str, Any]]:
@@ -157,8 +157,8 @@ def _transmission(design: Design, picture: Picture) -> Iterator[dict[str, Any]]:
     limits = []
     allowed = getattr(design.problem.model, "limits", None)
     if isinstance(allowed, Limits):
-        stated = allowed.transmission_at(groups[0].joint)
-        for word, bound in () if stated is None else (("least", stated.low), ("largest", stated.high)):
+        limit = allowed.transmission_at(groups[0].joint)
+        for word, bound in () if limit is None else (("least", limit.low), ("largest", limit.high)):
             if bound is not None:
                 limits.append((word, math.degrees(bound)))
     series = [(f"at {group.joint}", "deg", angles[:, k]) for k, group in enumerate(groups)]
@@ -188,8 +188,8 @@ def _forces(design: Design, picture: Picture) -> Iterator[dict[str, Any]]:
             for name in record.columns
             if name.endswith(".fx_N") and name.replace(".fx_N", ".fy_N") in record.columns
         }
-    shown = scale(float(np.nanmax(np.abs(torque), initial=0.0)), "N m")
-    yield _chart("Driving torque", picture.angles, [("torque", shown.unit, torque * shown.factor)])
+    torque_scale = scale(float(np.nanmax(np.abs(torque), initial=0.0)), "N m")
+    yield _chart("Driving torque", picture.angles, [("torque", torque_scale.unit, torque * torque_scale.factor)])
     if pins:
         most = scale(max(float(np.nanmax(force, initial=0.0)) for force in pins.values()), "N")
         yield _chart("Joint reactions", picture.angles, [(pin, most.unit, force * most.factor) for pin, force in pins.items()])

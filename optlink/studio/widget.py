@@ -70,10 +70,10 @@ def page() -> str:
     return ADDRESS.sub(_data, text).replace("<html ", "<html data-embedded ", 1)
 
 
-def _data(found: re.Match[str]) -> str:
+def _data(match: re.Match[str]) -> str:
     """Return an attribute that names a picture of the package with the picture itself."""
-    what, _, _ = found[0].partition("=")
-    return f'{what}="data:image/svg+xml;base64,{base64.b64encode((ASSETS / found["name"]).read_bytes()).decode()}"'
+    what, _, _ = match[0].partition("=")
+    return f'{what}="data:image/svg+xml;base64,{base64.b64encode((ASSETS / match["name"]).read_bytes()).decode()}"'
 
 
 def scripts(name: str, seen: dict[str, str] | None = None) -> str:
@@ -88,14 +88,14 @@ def scripts(name: str, seen: dict[str, str] | None = None) -> str:
     """
     parts: dict[str, str] = {} if seen is None else seen
 
-    def imported(found: re.Match[str]) -> str:
-        module, names = found["module"], found["names"]
+    def imported(match: re.Match[str]) -> str:
+        module, names = match["module"], match["names"]
         if module not in parts:
             scripts(module, parts)
         return f"const {{{names}}} = module_{module};" if names else ""
 
     text = IMPORT.sub(imported, (ASSETS / f"{name}.js").read_text(encoding="utf-8"))
-    exported = ", ".join(found["name"] for found in EXPORT.finditer(text))
+    exported = ", ".join(match["name"] for match in EXPORT.finditer(text))
     parts[name] = f"const module_{name} = (() => {{\n{EXPORT.sub('', text)}\nreturn {{ {exported} }};\n}})();\n"
     return "".join(parts.values())
 
@@ -132,9 +132,9 @@ class Canvas(anywidget.AnyWidget):
     @property
     def _document(self) -> Document:
         """What is open on the canvas."""
-        kept = self._link.document if self._link is not None else None
-        if kept is not None and kept["text"] != self._opened.text:
-            self._opened = Document.of(kept)
+        document = self._link.document if self._link is not None else None
+        if document is not None and document["text"] != self._opened.text:
+            self._opened = Document.of(document)
         return self._opened
 
     @property
@@ -156,8 +156,8 @@ class Canvas(anywidget.AnyWidget):
         if not self._state:
             return dict(self.result.design)
         quantities = self.problem.model.quantities
-        shown = json.loads(self._state)["variables"]
-        return {one["name"]: one["value"] * quantities[one["name"]].si_per_unit for one in shown if not one["locked"]}
+        variables = json.loads(self._state)["variables"]
+        return {one["name"]: one["value"] * quantities[one["name"]].si_per_unit for one in variables if not one["locked"]}
 
     @property
     def status(self) -> str:
@@ -175,8 +175,8 @@ class Canvas(anywidget.AnyWidget):
         """Return the widget, and a sentence for a notebook without a kernel."""
         title = str(self.problem.model.title or self._document.name)
         words = f"optlink studio: {html.escape(title)}. Run this cell to drag the linkage."
-        made = super()._repr_mimebundle_(**options)
-        data = made[0] if isinstance(made, tuple) else made
+        bundle = super()._repr_mimebundle_(**options)
+        data = bundle[0] if isinstance(bundle, tuple) else bundle
         return {**(data or {}), "text/html": f"<p>{words}</p>", "text/plain": repr(self)}
 
     def __repr__(self) -> str:

@@ -58,8 +58,8 @@ class Batch:
         self.low, self.high = ((side - self.origin) / self.scale for side in bounds.T)
         self.four_bar = isinstance(problem.mechanism, FourBarSection)
         self.crank_turns = problem.limits.crank != "span"
-        own: Iterable[tuple[Any, ...]] = zip(*(each.linkage.groups for each in self.problems), strict=True)
-        modal = [groups for groups in own if isinstance(groups[0], ModalDyad) and len({g.side for g in groups}) > 1]
+        per_group: Iterable[tuple[Any, ...]] = zip(*(each.linkage.groups for each in self.problems), strict=True)
+        modal = [groups for groups in per_group if isinstance(groups[0], ModalDyad) and len({g.side for g in groups}) > 1]
         self.sides = np.array([[g.side for g in groups] for groups in modal], dtype=float).T
         self.side_symbols = {groups[0].joint: casadi.SX.sym(groups[0].joint) for groups in modal}
         self._trace()
@@ -67,8 +67,8 @@ class Batch:
     def linkage(self) -> Mechanism:
         """Return the linkage, with symbols for the assembly modes that differ between the designs."""
         linkage, symbols = self.problem.linkage, self.side_symbols
-        known: tuple[Any, ...] = linkage.groups
-        groups = [replace(g, side=symbols[g.joint]) if g.joint in symbols else g for g in known]
+        dyads: tuple[Any, ...] = linkage.groups
+        groups = [replace(g, side=symbols[g.joint]) if g.joint in symbols else g for g in dyads]
         return replace(linkage, groups=tuple(groups)) if symbols else linkage
 
     def side_columns(self, variant: Variant) -> list[Array]:
@@ -120,8 +120,8 @@ class Batch:
             residual = casadi.vertcat(*problem.deviation(pose, values, target)) * (more[width] / problem.whole)
             self.width = int(residual.numel())
             slopes = casadi.jacobian(residual, casadi.vertcat(x, t))
-            known = [*inputs, t, *(more[k] for k in range(width + 1)), *sides]
-            self._residual, self._value = (NumpyEvaluator(known, outputs) for outputs in ([residual, slopes], [residual]))
+            arguments = [*inputs, t, *(more[k] for k in range(width + 1)), *sides]
+            self._residual, self._value = (NumpyEvaluator(arguments, outputs) for outputs in ([residual, slopes], [residual]))
             span = casadi.SX.sym("span")
             reach = Reach(t, span, casadi.sign(span))
             self._limits = []
@@ -140,9 +140,9 @@ class Batch:
 
     def values(self, x: Array) -> dict[str, Array]:
         """Return the quantities [SI] of designs, each an array (designs, 1)."""
-        known = {name: np.full((len(x), 1), quantity.value) for name, quantity in self.problem.quantities.items()}
+        values = {name: np.full((len(x), 1), quantity.value) for name, quantity in self.problem.quantities.items()}
         real = self.origin + x * self.scale
-        return known | {name: real[:, i : i + 1] for i, name in enumerate(self.names)}
+        return values | {name: real[:, i : i + 1] for i, name in enumerate(self.names)}
 
     def crank_angles(self, x: Array, t: Array) -> Array:
         """Return the crank angles of the points (designs, points) [rad]: `t` itself where the timing is free.
@@ -197,8 +197,8 @@ class Batch:
 
     def _columns(self, x: Array, t: Array, variant: Variant) -> list[Array]:
         """Return the inputs of the residuals."""
-        own = (x[:, i : i + 1] for i in range(x.shape[1]))
-        return [*own, t, *self.data.columns.T, self.data.roots, *self.side_columns(variant)]
+        columns = (x[:, i : i + 1] for i in range(x.shape[1]))
+        return [*columns, t, *self.data.columns.T, self.data.roots, *self.side_columns(variant)]
 
     def violations(self, x: Array, t: Array, variant: Variant = 0) -> tuple[Array, Array]:
         """Return weighted limit violations (designs, rows), zero where satisfied, and their derivatives (designs, rows, n).
@@ -228,8 +228,8 @@ class Batch:
             parts.append((joined, np.repeat(self.grid_bounds, len(self.angles), axis=0)))
         if not parts:
             return np.zeros((len(x), 0)), np.zeros((len(x), 0, n))
-        found = [self._missed(out, bounds, n) for out, bounds in parts]
-        return np.concatenate([h for h, _ in found], axis=1), np.concatenate([s for _, s in found], axis=1)
+        excesses = [self._excess(out, bounds, n) for out, bounds in parts]
+        return np.concatenate([h for h, _ in excesses], axis=1), np.concatenate([s for _, s in excesses], axis=1)
 
     def _limit_values(self, x: Array, t: Array, variant: Variant) -> Array:
         """Return the limits and their derivatives (rows, designs)."""
@@ -239,13 +239,15 @@ class Batch:
             return evaluate(*(x[:, i : i + 1] for i in range(x.shape[1])), first, span)[..., 0]
         out = np.empty((self._limits[0].outputs, len(x)))
         for k, evaluate in enumerate(self._limits):
-            own = np.flatnonzero(variant == k)
-            if len(own):
-                out[:, own] = evaluate(*(x[own, i : i + 1] for i in range(x.shape[1])), first[own], span[own])[..., 0]
+            indices = np.flatnonzero(variant == k)
+            if len(indices):
+                out[:, indices] = evaluate(*(x[indices, i : i + 1] for i in range(x.shape[1])), first[indices], span[indices])[
+                    ..., 0
+                ]
         return out
 
     @staticmethod
-    def _missed(out: Array, bounds: Array, n: int) -> tuple[Array, Array]:
+    def _excess(out: Array, bounds: Array, n: int) -> tuple[Array, Array]:
         m = len(bounds)
         g, slopes = out[:m].T, out[m:].reshape(n, m, -1).transpose(2, 1, 0)
         with np.errstate(invalid="ignore"):

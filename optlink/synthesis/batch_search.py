@@ -24,13 +24,13 @@ STEPS = 60
 DISTINCT = 1e-3  # least difference of two designs, in scaled units and relative to variables above one
 PERFECT = 1e-20  # cost (square of a fraction of the curve size) of a design that passes all points
 MISSED = 1e-3  # weighted squares of limit violations up to which the NLP refines a design
-FEW = 18  # points in the first descent; the second uses all
+COARSE_POINTS = 18  # points in the first descent; the second uses all
 NEAR, STRAGGLERS = 1e-17, 0.1  # cost from which full steps converge at once; share of designs that are left unconverged before
 FINISHED = 60  # best distinct designs of a round that are refined to full precision
 GOOD = 3  # of them must reach it; poorer ones may stop where they hardly improve
 VALLEY, FINISH = 200, 200  # steps with variable projection, then full steps
 AFTER = 5  # remaining steps of all designs once one of them passes all points
-KEPT = 200  # distinct candidates, best first
+MAX_CANDIDATES = 200  # distinct candidates, best first
 REPAIRED = 12  # best distinct designs of a round that violate the order or a limit, reordered: they may still converge
 
 
@@ -93,7 +93,7 @@ class Searcher:
         self.batch = Batch(variants[0], variants[1:])
         self.fit = SimilarityFit(self.batch)
         self.batches = [self.batch.of_variant(k) for k in range(len(variants))]
-        self.thin, self.lift = self.batch.thinned(FEW)
+        self.thin, self.lift = self.batch.thinned(COARSE_POINTS)
         self.seed, self.variants = seed, variants
         self.runs: Runs | None = None
         self.exploration = Exploration()
@@ -108,28 +108,28 @@ class Searcher:
             Number of rounds to compute at a time if none is ready: larger arrays take less time per design. The result of a
             round does not depend on it.
         """
-        found = self.exploration
+        exploration = self.exploration
         if not self._ready:
-            numbers = range(found.rounds, found.rounds + ahead)
-            task = RoundTask(packed((self.variants, self.seed)), found.rounds)
+            numbers = range(exploration.rounds, exploration.rounds + ahead)
+            task = RoundTask(packed((self.variants, self.seed)), exploration.rounds)
             self._ready = list(ordered(task, ahead, self.runs)) if self.runs else self._rounds(numbers)
         one = self._ready.pop(0)
-        found.repaired = sorted(one.repaired, key=lambda c: c.cost)
+        exploration.repaired = sorted(one.repaired, key=lambda c: c.cost)
         for variant, ends in enumerate(one.ends):
             self._keep(variant, ends)
-        found.starts += self._share(found.rounds) * len(self.batches)
-        found.rounds += 1
-        return found
+        exploration.starts += self._share(exploration.rounds) * len(self.batches)
+        exploration.rounds += 1
+        return exploration
 
     def coarse(self) -> list[Candidate]:
         """Return the candidates of the first round before they are refined to full precision, cheapest first."""
         samples = [self._sample(variant, self._share(0), 0) for variant in range(len(self.batches))]
-        found = []
+        groups = []
         for variant, ends in enumerate(self._descended(samples)):
             proper, way = pass_in_order(self.batch, ends)
             usable = np.flatnonzero(proper & (ends.missed <= MISSED) & np.isfinite(ends.cost))
-            found += [Candidate(variant, ends.x[i], ends.t[i], float(ends.cost[i]), int(way[i])) for i in usable]
-        return sorted(found, key=lambda candidate: candidate.cost)
+            groups += [Candidate(variant, ends.x[i], ends.t[i], float(ends.cost[i]), int(way[i])) for i in usable]
+        return sorted(groups, key=lambda candidate: candidate.cost)
 
     def _share(self, number: int) -> int:
         """Return the starting points of a round per combination of assembly modes."""
@@ -141,12 +141,12 @@ class Searcher:
         samples = [self._sample(variant, self._share(number), number) for number, variant in groups]
         firsts = self._descended(samples)
         ends = self._finished(firsts)
-        found = []
+        rounds = []
         for k in range(0, len(groups), len(self.batches)):
-            own = slice(k, k + len(self.batches))
-            repaired = [c for variant, first in enumerate(firsts[own]) for c in self._repaired(variant, first)]
-            found.append(_Round(ends[own], repaired))
-        return found
+            part = slice(k, k + len(self.batches))
+            repaired = [c for variant, first in enumerate(firsts[part]) for c in self._repaired(variant, first)]
+            rounds.append(_Round(ends[part], repaired))
+        return rounds
 
     def _sample(self, variant: int, count: int, number: int) -> tuple[Array, Array]:
         batch, rng = self.thin.of_variant(variant), np.random.default_rng([self.seed, number, variant])
@@ -205,12 +205,14 @@ class Searcher:
             parts.append((ends.x[first], ends.t[first]))
             counts.append(count)
         if self.fit.applies:
-            found = self._minimise(
+            designs = self._minimise(
                 self.batch, parts, VALLEY, self.fit, slow=1e-7, left=STRAGGLERS, after=AFTER, good=good, zero=zero
             )
-            parts = [(ends.x, ends.t) for ends in found]
-        found = self._minimise(self.batch, parts, FINISH if self.fit.applies else VALLEY, None, slow=1e-9, after=AFTER, good=good)
-        return [replace(ends, count=count) for ends, count in zip(found, counts, strict=True)]
+            parts = [(ends.x, ends.t) for ends in designs]
+        designs = self._minimise(
+            self.batch, parts, FINISH if self.fit.applies else VALLEY, None, slow=1e-9, after=AFTER, good=good
+        )
+        return [replace(ends, count=count) for ends, count in zip(designs, counts, strict=True)]
 
     def _repaired(self, variant: int, ends: FinalDesigns) -> Iterator[Candidate]:
         """Reorder the crank angles of the best designs that violate the order of the points or a limit."""
@@ -234,19 +236,19 @@ class Searcher:
 
     def _keep(self, variant: int, ends: FinalDesigns) -> None:
         proper, way = pass_in_order(self.batch, ends)
-        known = self.exploration.candidates
+        candidates = self.exploration.candidates
         for i in np.argsort(ends.cost):
             if not proper[i] or ends.missed[i] > MISSED or not np.isfinite(ends.cost[i]):
                 continue
-            same = [c for c in known if c.variant == variant and alike(c.x, ends.x[i])]
+            same = [c for c in candidates if c.variant == variant and alike(c.x, ends.x[i])]
             if not same:
-                known.append(Candidate(variant, ends.x[i], ends.t[i], float(ends.cost[i]), int(way[i]), int(ends.count[i])))
+                candidates.append(Candidate(variant, ends.x[i], ends.t[i], float(ends.cost[i]), int(way[i]), int(ends.count[i])))
                 continue
             same[0].count += int(ends.count[i])
             if ends.cost[i] < same[0].cost:
                 same[0].x, same[0].t, same[0].cost, same[0].direction = ends.x[i], ends.t[i], float(ends.cost[i]), int(way[i])
-        known.sort(key=lambda c: c.cost)
-        del known[KEPT:]
+        candidates.sort(key=lambda c: c.cost)
+        del candidates[MAX_CANDIDATES:]
 
 
 def alike(x: Array, other: Array) -> Any:
@@ -317,11 +319,11 @@ def nearest_in_order(problem: PathProblem, t: Array) -> Array:
 
     least = 2.0 * STEP * np.arange(len(t))
     rotation = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(problem.requirement.rotation)
-    found = []
+    angles = []
     for way in (1.0, -1.0) if rotation is None else (rotation,):
         rising = isotonic_regression(way * t - least).x + least
         most = TURN - 2.0 * STEP
         if rising[-1] - rising[0] > most:
             rising = rising[0] + (rising - rising[0]) * most / (rising[-1] - rising[0])
-        found.append((float(np.sum((rising - way * t) ** 2)), way * rising))
-    return np.asarray(min(found, key=lambda each: each[0])[1], dtype=float)
+        angles.append((float(np.sum((rising - way * t) ** 2)), way * rising))
+    return np.asarray(min(angles, key=lambda each: each[0])[1], dtype=float)

@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from optlink.linkage.vector2d import Array
-from optlink.synthesis.freudenstein_convex import CLOSE, Refinement
+from optlink.synthesis.freudenstein_convex import PROVEN_GAP, Refinement
 from optlink.synthesis.freudenstein_fit import Cells, FitProblem, Keep, distinct_cells, fit, scan, step_of, zoom
 from optlink.synthesis.loop_equations import EXACT, LoopEquation, linear_form
 
 UNLIMITED = (1e-3, 1e3)  # ratios beyond a thousand are not practical
-APART = 3.0  # least distance of two distinct start positions, in grid steps
+START_SEPARATION = 3.0  # least distance of two distinct start positions, in grid steps
 SPARE = 2  # `SPARE * count` start positions are refined, as some coincide afterwards
 ANYWHERE = (-math.inf, math.inf)
 
@@ -37,8 +37,8 @@ class FirstStep:
     form. Both are the largest value, or (for both other measures) the root mean square. `bound`: lower bound of the error for
     this start position, assembly mode and range of ratios [rad]: for "max" of the output error itself, otherwise of its
     linearised model about this linkage. Recomputed from the multipliers; zero without a proof, for example where `keep` or the
-    coupler ratio, which are not convex, restrict the linkage. `proven`: whether `error` is within a share `CLOSE` of `bound`,
-    or zero. `status`: solver status; "closed form" where no solver was needed, "no answer" where it failed.
+    coupler ratio, which are not convex, restrict the linkage. `proven`: whether `error` is within a share `PROVEN_GAP` of
+    `bound`, or zero. `status`: solver status; "closed form" where no solver was needed, "no answer" where it failed.
     """
 
     side: int
@@ -63,23 +63,27 @@ def _search(task: FitProblem, x0: Array, y0: Array, count: int) -> list[tuple[Ce
     """Return the best distinct linkages, each as a dimensionless cell and the fields of its `FirstStep`, by increasing error."""
     cells = scan(task, x0, y0)
     steps = max(step_of(x0), EXACT), max(step_of(y0), EXACT)
-    cells = zoom(task, cells[distinct_cells(task, cells, (APART * steps[0], APART * steps[1]), SPARE * count)], (x0, y0))
+    cells = zoom(
+        task,
+        cells[distinct_cells(task, cells, (START_SEPARATION * steps[0], START_SEPARATION * steps[1]), SPARE * count)],
+        (x0, y0),
+    )
     cells = cells[distinct_cells(task, cells, steps, count)]
-    refine, found = Refinement(task), []
+    refine, designs = Refinement(task), []
     for i in range(len(cells.error)):
         cell, bound, status = refine(cells[i])
         a, w = linear_form(task.chain, cell.x0 + task.x, cell.y0 + task.y)
         error = float(cell.error)
-        own: dict[str, Any] = {
+        record: dict[str, Any] = {
             "side": int(cell.side),
             "residual": float(task.figure(a @ cell.k - w)),
             "error": error,
             "bound": bound,
-            "proven": bound >= (1.0 - 2.0 * CLOSE) * error or error <= EXACT,
+            "proven": bound >= (1.0 - 2.0 * PROVEN_GAP) * error or error <= EXACT,
             "status": status,
         }
-        found.append((cell, own))
-    return sorted(found, key=lambda one: (max(float(one[0].error), EXACT), -float(one[0].margin)))
+        designs.append((cell, record))
+    return sorted(designs, key=lambda one: (max(float(one[0].error), EXACT), -float(one[0].margin)))
 
 
 def _range(grid: Array) -> tuple[float, float]:
@@ -116,7 +120,8 @@ def first_steps(
     ratios : (low, high) [-]
         Limits of crank, coupler and rocker over the frame.
     count : int
-        Largest number of linkages; their starts are at least `APART` grid steps apart or have different assembly modes.
+        Largest number of linkages; their starts are at least `START_SEPARATION` grid steps apart or have different assembly
+        modes.
     shift : bool
         True: a fit with a negative crank or rocker is replaced by the linkage that starts half a turn further; grids over half a
         turn then cover all starts. False: start angles stay within the range of their grid.
@@ -134,7 +139,7 @@ def first_steps(
     grids = np.unique(np.asarray(phi0, dtype=float)), np.unique(np.asarray(psi0, dtype=float))
     ranges = (ANYWHERE, ANYWHERE) if shift else (_range(grids[0]), _range(grids[1]))
     task = FitProblem(LoopEquation(ratios), x, y, measure == "max", shift, keep, *ranges)
-    return [_step(task, cell, own) for cell, own in _search(task, *grids, count)]
+    return [_step(task, cell, record) for cell, record in _search(task, *grids, count)]
 
 
 def fit_pairs(
@@ -163,13 +168,14 @@ def fit_pairs(
     task = FitProblem(LoopEquation(ratios), x, y, measure == "max", shift, keep, ANYWHERE, ANYWHERE)
     cells = fit(task, np.asarray(phi0, dtype=float), np.asarray(psi0, dtype=float))
     cells = cells[np.isfinite(cells.error)]
-    own = {"residual": math.nan, "bound": 0.0, "proven": False, "status": "fit"}
+    record = {"residual": math.nan, "bound": 0.0, "proven": False, "status": "fit"}
     return [
-        _step(task, cells[i], own | {"side": int(cells.side[i]), "error": float(cells.error[i])}) for i in range(len(cells.error))
+        _step(task, cells[i], record | {"side": int(cells.side[i]), "error": float(cells.error[i])})
+        for i in range(len(cells.error))
     ]
 
 
-def _step(task: FitProblem, cell: Cells, own: dict[str, Any]) -> FirstStep:
+def _step(task: FitProblem, cell: Cells, record: dict[str, Any]) -> FirstStep:
     crank, coupler, rocker = (float(size) for size in task.chain.sizes(cell.k))
     start = [_wrapped(float(angle)) if task.shift else float(angle) for angle in (cell.x0, cell.y0)]
-    return FirstStep(**own, crank=crank, coupler=coupler, rocker=rocker, phi0=start[0], psi0=start[1])
+    return FirstStep(**record, crank=crank, coupler=coupler, rocker=rocker, phi0=start[0], psi0=start[1])

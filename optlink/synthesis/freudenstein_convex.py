@@ -28,7 +28,7 @@ from optlink.linkage.vector2d import Array
 from optlink.synthesis.freudenstein_fit import Cells, FitProblem, fit_error
 from optlink.synthesis.loop_equations import EXACT, linear_form
 
-CLOSE = 1e-4  # relative gap of the output error at which it counts as proven optimal
+PROVEN_GAP = 1e-4  # relative gap of the output error at which it counts as proven optimal
 STEPS = 12  # convex programmes per start position
 SHARES = 0.5 ** np.arange(6.0)  # trial fractions of a step: the error is quasi-convex, so a fraction of a descent step descends
 
@@ -127,9 +127,9 @@ class Refinement:
     def _smallest_largest(self, cell: Cells) -> tuple[Cells, float, str]:
         """Minimise the largest output error; return the linkage, a proven lower bound of the error and the solver status.
 
-        Each linear programme (least excess over the band of (1 - CLOSE) times the current error, each position scaled by its own
-        slope) either finds a linkage within the band, which becomes the next iterate, or its multipliers prove that there is
-        none.
+        Each linear programme minimises the excess over the band of (1 - PROVEN_GAP) times the current error, with each position
+        scaled by its own slope. It either finds a linkage within the band, which becomes the next iterate, or its multipliers
+        prove that there is none.
         """
         task = self.task
         chain, x, y = task.chain, cell.x0 + task.x, cell.y0 + task.y
@@ -138,20 +138,20 @@ class Refinement:
         for _ in range(STEPS):
             if cell.error <= EXACT:
                 break
-            aim = (1.0 - CLOSE) * float(cell.error)
+            target = (1.0 - PROVEN_GAP) * float(cell.error)
             weight = cell.side / np.abs(chain.slope(x, y, cell.k))
-            below, above = linear_form(chain, x, y - aim), linear_form(chain, x, y + aim)
+            below, above = linear_form(chain, x, y - target), linear_form(chain, x, y + target)
             matrix = np.concatenate([-weight[:, None] * below[0], weight[:, None] * above[0]])
             vector = matrix @ cell.k + np.concatenate([weight * below[1], -weight * above[1]])
-            straight = np.linalg.inv(np.linalg.qr(matrix, mode="r")) * aim  # constants change by straight @ step
+            straight = np.linalg.inv(np.linalg.qr(matrix, mode="r")) * target  # constants change by straight @ step
             room = bounds - rows @ cell.k
-            answer = self.programme(matrix @ straight / aim, vector / aim, rows @ straight, room)
+            answer = self.programme(matrix @ straight / target, vector / target, rows @ straight, room)
             if answer is None:
                 return cell, 0.0, "no answer"
             status = answer.status
             box = (chain.box[0] - cell.k, chain.box[1] - cell.k)
-            if lower_bound(matrix, vector, rows, room, box, answer.rows, answer.limits * aim) > 0.0:
-                return cell, aim, status
+            if lower_bound(matrix, vector, rows, room, box, answer.rows, answer.limits * target) > 0.0:
+                return cell, target, status
             better = self._moved(cell, straight @ answer.step)
             if better is cell:
                 break
@@ -188,7 +188,7 @@ class Refinement:
             square = 1.0 - inner @ inner + np.sum((free + inner) ** 2) + multipliers @ (limit_matrix @ free - room)
             bound = math.sqrt(max(0.0, float(square))) * float(cell.error)
             better = self._moved(cell, straight @ step)
-            if better is cell or bound >= (1.0 - CLOSE) * cell.error:
+            if better is cell or bound >= (1.0 - PROVEN_GAP) * cell.error:
                 break
             cell, bound = better, 0.0  # the bound belonged to the model about the previous linkage
         return cell, bound, status

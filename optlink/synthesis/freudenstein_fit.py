@@ -16,7 +16,7 @@ Keep = Callable[[Array, Array, Array, Array, Array, Array], Any]
 """Which linkages are wanted, elementwise: (crank, coupler, rocker, phi0, psi0, side), all (m,), to (m,) bool."""
 
 BLOCK = 1 << 17  # numbers in one array of the scan, so that it fits in the cache
-FITS = 2  # fits per start position, unweighted then weighted; a third has no measurable effect
+FITS_PER_START = 2  # fits per start position, unweighted then weighted; a third has no measurable effect
 FLATTEST = 0.05  # of the largest slope: limits the weight of positions near a dead position
 SINGULAR = 1e-12  # squared sine between the columns of a fit below which its constants are not determined
 ZOOMS = 6  # successive grids around a start position, each of half the width
@@ -104,7 +104,7 @@ def fit(task: FitProblem, x0: Array, y0: Array) -> Cells:
     x, y = x0[:, None] + task.x, y0[:, None] + task.y
     u, v, w = chain.terms(x, y)
     k = _weighted(task, u, v, w, np.ones_like(w))
-    for _ in range(1, FITS):
+    for _ in range(1, FITS_PER_START):
         slope = np.abs(chain.slope(x, y, k))
         floor = FLATTEST * np.max(slope, axis=-1, keepdims=True)
         q = np.maximum(np.maximum(slope, floor), 1e-100) ** -2.0
@@ -156,11 +156,11 @@ def scan(task: FitProblem, x0: Array, y0: Array) -> Cells:
     """
     first, second = (a.ravel() for a in np.meshgrid(x0, y0, indexing="ij"))
     blocks = min(first.size, math.ceil(first.size * task.x.size / BLOCK))
-    found = []
+    fits = []
     for one, other in zip(np.array_split(first, blocks), np.array_split(second, blocks), strict=True):
         cells = fit(task, one, other)
-        found.append(cells[np.isfinite(cells.error)])
-    return _together(found)
+        fits.append(cells[np.isfinite(cells.error)])
+    return _together(fits)
 
 
 def step_of(grid: Array) -> float:
@@ -211,10 +211,10 @@ def zoom(task: FitProblem, cells: Cells, grids: tuple[Array, Array]) -> Cells:
     for _ in range(ZOOMS):
         x0 = np.clip(cells.x0[:, None] + reach[0] * first, *task.range_x)
         y0 = np.clip(cells.y0[:, None] + reach[1] * second, *task.range_y)
-        found = fit(task, x0.ravel(), y0.ravel())
-        best = np.argmin(found.error.reshape(x0.shape), axis=-1) + first.size * np.arange(len(x0))
-        better = np.flatnonzero(found.error[best] < cells.error)
-        both = _together([cells, found[best]])
+        fits = fit(task, x0.ravel(), y0.ravel())
+        best = np.argmin(fits.error.reshape(x0.shape), axis=-1) + first.size * np.arange(len(x0))
+        better = np.flatnonzero(fits.error[best] < cells.error)
+        both = _together([cells, fits[best]])
         index = np.arange(len(x0))
         index[better] += len(x0)
         cells = both[index]

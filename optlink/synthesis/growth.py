@@ -39,7 +39,7 @@ Values = dict[str, Array]
 SAMPLES = 6000  # random choices of the remaining dimensions, per four-bar design and combination of assembly modes
 COARSE, ALONG, FINE = 10, 73, 1441  # crank angles at which limits are evaluated: of all, of possible and of preselected designs
 MEASURED = 10  # preselected designs, as a multiple of those returned
-SAME = 1e-6  # of the size of the curve: rounding difference of the two curves
+CURVE_ROUNDING = 1e-6  # of the size of the curve: rounding difference of the two curves
 ENLARGED = (math.log(0.4), math.log(2.5))  # logarithms of the pantograph ratio
 NEARBY = {"length": (math.log(0.5), math.log(10.0)), "coordinate": (0.0, math.log(8.0))}  # log ranges of other dimensions
 AROUND = 0.15  # rad: standard deviation of the rotation of the parallelogram sides from those of the four-bar
@@ -125,8 +125,8 @@ def _pantograph(task: PathProblem, loop: InnerFourBar) -> tuple[Link, Link] | No
 def _reach(task: PathProblem, leg: Link) -> float:
     """Return the largest distance [m] of the point from the pin of its link that its bounds and the coupler length allow."""
     mark = task.linkage.marks[leg.body, task.requirement.point]
-    own = [max(map(abs, task.quantities[str(name)].bounds)) for name in (mark.along, mark.across)]
-    return min(math.hypot(*own) + 2.0 * task.size, 1e3 * task.size)
+    extents = [max(map(abs, task.quantities[str(name)].bounds)) for name in (mark.along, mark.across)]
+    return min(math.hypot(*extents) + 2.0 * task.size, 1e3 * task.size)
 
 
 def _part(problem: ProblemFile, loop: InnerFourBar, point: str, reach: float | None) -> ProblemFile:
@@ -208,9 +208,9 @@ def grow_from_four_bar(
         if not quantity.free:
             inside &= np.abs(sizes[name][:, 0] - quantity.value) <= 1e-12
     x, angles = np.clip(x[inside], batch.low, batch.high), angles[inside]
-    same = _apart(part.file, values, t, batch, x, angles) <= SAME  # not the other assembly mode
+    same = _apart(part.file, values, t, batch, x, angles) <= CURVE_ROUNDING  # not the other assembly mode
     x, angles = x[same], angles[same]
-    possible = _slack(batch, x, angles, COARSE) > -SAME
+    possible = _slack(batch, x, angles, COARSE) > -CURVE_ROUNDING
     x, angles = x[possible], angles[possible]
     for along, most in ((ALONG, MEASURED * count), (FINE, count)):
         x, angles = _farthest(x, angles, _slack(batch, x, angles, along), most)
@@ -220,7 +220,7 @@ def grow_from_four_bar(
 def _farthest(x: Array, angles: Array, slack: Array, count: int) -> tuple[Array, Array]:
     """Return the feasible designs with the largest slack."""
     order = np.argsort(-slack, kind="stable")[:count]
-    order = order[slack[order] > -SAME]  # limits of the four-bar itself may be active
+    order = order[slack[order] > -CURVE_ROUNDING]  # limits of the four-bar itself may be active
     return x[order], angles[order]
 
 
@@ -238,11 +238,11 @@ def _apart(part: ProblemFile, values: Mapping[str, float], t: Array, batch: Batc
 def _slack(batch: Batch, x: Array, angles: Array, along: int) -> Array:
     """Return the least slack (designs,) of the limits at `along` crank angles, in the units of the rows; negative if violated."""
     task, values, at = batch.problem, batch.values(x), batch.crank_angles(x, angles)
-    found = [-np.max(limit_excesses(task, values, at.T[..., None], np.linspace(0.0, 1.0, along)), axis=(0, 2))]
+    slacks = [-np.max(limit_excesses(task, values, at.T[..., None], np.linspace(0.0, 1.0, along)), axis=(0, 2))]
     span = at[:, -1:] - at[:, :1]
     for row in limit_rows(task, values, Reach(at[:, :1], span, np.sign(span)), task.size):
-        found += [np.minimum(row.value - row.low, row.high - row.value)[:, 0]]
-    return np.asarray(np.min(found, axis=0))
+        slacks += [np.minimum(row.value - row.low, row.high - row.value)[:, 0]]
+    return np.asarray(np.min(slacks, axis=0))
 
 
 def _local(mechanism: Mechanism, sizes: Mapping[str, Any], body: str, point: str) -> Complex:

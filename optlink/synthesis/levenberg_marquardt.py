@@ -203,20 +203,20 @@ def _step(batch: Batch, state: _State, weight: Array) -> tuple[Array, Array]:
     largest = np.max(diagonal, axis=1, keepdims=True)
     damp = state.damping[:, None] * weight * np.maximum(diagonal, 1e-8 * largest + 1e-300) + 1e-14 * largest + 1e-300
     system[:, np.arange(n), np.arange(n)] += damp
-    own = mixed = np.zeros(0)
+    block = mixed = np.zeros(0)
     if batch.free_timing:
-        own = np.einsum("bpk,bpk->bp", state.by_t, state.by_t) * (1.0 + state.damping[:, None]) + 1e-300
+        block = np.einsum("bpk,bpk->bp", state.by_t, state.by_t) * (1.0 + state.damping[:, None]) + 1e-300
         mixed = np.einsum("bpkn,bpk->bpn", state.by_x, state.by_t)
-        system -= np.matmul((mixed / own[..., None]).transpose(0, 2, 1), mixed)
+        system -= np.matmul((mixed / block[..., None]).transpose(0, 2, 1), mixed)
 
     def slopes(r: Array) -> tuple[Array, Array]:
         """Return the derivatives of half the squares by the variables and by the crank angles, which the former eliminate."""
         by_x, by_t = np.einsum("bqn,bq->bn", jacobian, r.reshape(size, -1)), np.einsum("bpk,bpk->bp", state.by_t, r)
-        return (by_x - np.einsum("bpn,bp->bn", mixed, by_t / own), by_t) if batch.free_timing else (by_x, by_t)
+        return (by_x - np.einsum("bpn,bp->bn", mixed, by_t / block), by_t) if batch.free_timing else (by_x, by_t)
 
     def turned(step: Array, slope: Array) -> Array:
         """Return the steps of the crank angles that belong to those of the variables."""
-        return -(slope + np.einsum("bpn,bn->bp", mixed, step)) / own if batch.free_timing else np.zeros_like(state.t)
+        return -(slope + np.einsum("bpn,bn->bp", mixed, step)) / block if batch.free_timing else np.zeros_like(state.t)
 
     slope, along = slopes(state.r)
     slope += np.einsum("bmn,bm->bn", state.by_h, state.h)
@@ -251,15 +251,15 @@ def _bounded_step(system: Array, right: Array, least: Array, most: Array) -> tup
     active = ((least >= 0.0) & (right < 0.0)) | ((most <= 0.0) & (right > 0.0))
     step, reduced, left = np.zeros_like(right), np.empty_like(system), np.arange(len(right))
     for _ in range(1 + HITS):
-        held, own = active[left], system[left]
-        part = np.where(held[:, :, None] | held[:, None, :], 0.0, own)
-        part[:, diagonal, diagonal] += held
-        fixed = np.where(held, step[left], 0.0)
-        free = right[left] - np.einsum("bij,bj->bi", own, fixed)
-        found = np.linalg.solve(part, np.where(held, fixed, free)[..., None])[..., 0]
+        at_bound, matrix = active[left], system[left]
+        part = np.where(at_bound[:, :, None] | at_bound[:, None, :], 0.0, matrix)
+        part[:, diagonal, diagonal] += at_bound
+        fixed = np.where(at_bound, step[left], 0.0)
+        free = right[left] - np.einsum("bij,bj->bi", matrix, fixed)
+        result = np.linalg.solve(part, np.where(at_bound, fixed, free)[..., None])[..., 0]
         low, high = least[left], most[left]
-        hit = ~held & ((found < low) | (found > high))
-        step[left], active[left], reduced[left] = np.where(hit, np.clip(found, low, high), found), held | hit, part
+        hit = ~at_bound & ((result < low) | (result > high))
+        step[left], active[left], reduced[left] = np.where(hit, np.clip(result, low, high), result), at_bound | hit, part
         left = left[hit.any(axis=1)]  # the others do not change any more
         if not len(left):
             break

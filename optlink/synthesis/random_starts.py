@@ -38,10 +38,10 @@ def random_designs(batch: Batch, count: int, rng: np.random.Generator) -> Array:
         elif batch.four_bar:
             x[:, i] = rng.standard_normal(count) * 1.5
         else:
-            given = (quantity.value - batch.origin[i]) / batch.scale[i]
-            size = max(abs(given), 0.1)
-            near = given + size * SPREAD * rng.standard_normal(count)
-            wide = rng.uniform(np.maximum(low, given - 3.0 * size), np.minimum(high, given + 3.0 * size), count)
+            fixed = (quantity.value - batch.origin[i]) / batch.scale[i]
+            size = max(abs(fixed), 0.1)
+            near = fixed + size * SPREAD * rng.standard_normal(count)
+            wide = rng.uniform(np.maximum(low, fixed - 3.0 * size), np.minimum(high, fixed + 3.0 * size), count)
             x[:, i] = np.where(rng.random(count) < 0.6, near, wide)
     if batch.four_bar:
         shape = _random_lengths(batch, count, rng)
@@ -182,10 +182,10 @@ def assembles_everywhere(batch: Batch, x: Array, t: Array) -> NDArray[np.bool_]:
         angle_sets = [angles]
         if batch.crank_turns and not batch.four_bar:
             angle_sets.append(np.broadcast_to(batch.angles, (len(x), len(batch.angles))))
-        found = np.ones(len(x), dtype=bool)
+        assembled = np.ones(len(x), dtype=bool)
         for at in angle_sets:
             pose = mechanism.pose(values, unit(at))
             for group in mechanism.groups:
                 margin = np.broadcast_to(pose.margins[group.joint], at.shape)
-                found &= np.all(margin > group.least, axis=1)
-    return found
+                assembled &= np.all(margin > group.least, axis=1)
+    return assembled

@@ -38,8 +38,8 @@ class SimilarityFit:
         names = list(batch.names)
         quantities = problem.mechanism.quantities
         point, body = problem.requirement.point, problem.body
-        own = (f"{point}.along", f"{point}.across")
-        marks = own if isinstance(problem.mechanism, FourBarSection) else tuple(f"{body}.{name}" for name in own)
+        point_names = (f"{point}.along", f"{point}.across")
+        marks = point_names if isinstance(problem.mechanism, FourBarSection) else tuple(f"{body}.{name}" for name in point_names)
         self.point = [names.index(name) for name in marks] if all(name in names for name in marks) else []
         ground = {name: q for name, q in quantities.items() if q.kind == "coordinate" and name.rpartition(".")[2] in ("x", "y")}
         angles = [name for name, q in quantities.items() if q.kind == "angle"]
@@ -153,5 +153,5 @@ class SimilarityFit:
     @property
     def linear(self) -> list[int]:
         """Indices of the variables that follow from the others."""
-        found = [*self.point, *self.turning, *(i for pair in self.ground for i in pair)]
-        return [i for i in found if self.batch.names[i] != START]
+        names = [*self.point, *self.turning, *(i for pair in self.ground for i in pair)]
+        return [i for i in names if self.batch.names[i] != START]

@@ -124,7 +124,7 @@ def certify(
     boxes : float
         Largest number of boxes.
     stated : ProblemFile, optional
-        The problem before the choice of assembly modes that it leaves open; `result` has the best ones. Default: that of `result`.
+        The problem whose open assembly modes are searched too; `result` has the best ones. Default: that of `result`.
     folder : Path, optional
         Folder for the state of a long search, from which an interrupted search resumes.
     resume : bool

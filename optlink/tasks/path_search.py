@@ -309,7 +309,16 @@ class DesignCollection:
         del self.designs[self.requested :]
 
     def rescue(self, variant: int, nlp: NLP, x: Array) -> bool:
-        """Add a design near a feasible point of an NLP; return whether there is a valid one. See `Polisher.from_feasible`."""
+        """Add a design near a feasible point of an NLP; return whether there is a valid one.
+
+        Parameters
+        ----------
+        variant : int
+            Number of the problem with definite assembly modes.
+        nlp : NLP
+        x : array (n,)
+            Feasible point, scaled.
+        """
         for design in self.polisher.from_feasible(variant, nlp, x):
             if design.valid:
                 self.insert(design)

@@ -1,7 +1,7 @@
 """Deviations and limits of a problem over a box of designs, in ball arithmetic; written separately from the optimiser's terms.
 
-Limits that cannot be evaluated are omitted, and limits at every crank angle are applied at some crank angles only. This relaxation
-can only decrease a lower bound of the objective, so no wrong certificate passes. The rows have the order of the multipliers of a
+Limits that cannot be evaluated are omitted, and limits at every crank angle are applied at some of them only. This relaxation can
+only decrease a lower bound of the objective, so no wrong certificate passes. The rows have the order of the multipliers of a
 certificate: crank condition, dead centres, transmission angle, registered limits, pivots, limits at single crank angles,
 tolerances of points; for each the lower side first.
 """
@@ -17,7 +17,7 @@ import numpy as np
 from flint import arb
 
 from optlink.linkage.dyad_types import RRR, Transmitting
-from optlink.linkage.margins import MISSED
+from optlink.linkage.margins import FIXED_LIMIT_TOLERANCE
 from optlink.linkage.mechanism import Pose
 from optlink.linkage.vector2d import cross, dot, minus, turn
 from optlink.problem.function import DEAD_CENTRES, DesignProblem
@@ -27,7 +27,7 @@ from optlink.problem.path import MARK, START, PathProblem
 from optlink.validation.balls import Ball, principal_angles
 
 GRID = 36  # crank angles of a revolution at which limits of single positions apply
-SAME = 1e-12  # cosines that differ by rounding alone
+COSINE_ROUNDING = 1e-12  # cosines that differ by rounding alone
 
 Row = tuple[str, Ball, float, float]
 """Key of the limit, value [m, rad or -], bounds."""
@@ -85,12 +85,12 @@ class BallProblem:
         over : bool
             Whether the design variables vary over the box.
         """
-        found = {name: Ball.constant(quantity.value) for name, quantity in self.problem.quantities.items()}
+        values = {name: Ball.constant(quantity.value) for name, quantity in self.problem.quantities.items()}
         for k, name in enumerate(self.names):
-            found[name] = (
+            values[name] = (
                 Ball.constant(centre[k]) if scale is None else Ball.unknown(k, len(self.names), centre[k], scale[k], over=over)
             )
-        return found
+        return values
 
     # --- deviations ------------------------------------------------------------------------------------------------
 
@@ -102,10 +102,10 @@ class BallProblem:
         if isinstance(self.problem, PathProblem):
             start = values[START] if self.problem.timing == "from start" else Ball.constant(0.0)
             return [((np.cos(start), np.sin(start)), start, None)]
-        found = self.problem.start_position(values)
-        phis = [found.phi0] if "phi0" in self.problem.quantities else _principal(found.phi0)
-        psis = [found.psi0] if "psi0" in self.problem.quantities else _principal(found.psi0)
-        return [(found.crank, phi, psi) for phi in phis for psi in psis]
+        position = self.problem.start_position(values)
+        phis = [position.phi0] if "phi0" in self.problem.quantities else _principal(position.phi0)
+        psis = [position.psi0] if "psi0" in self.problem.quantities else _principal(position.psi0)
+        return [(position.crank, phi, psi) for phi in phis for psi in psis]
 
     def deviation(self, position: int, values: Mapping[str, Ball], start: tuple[Any, Any, Any]) -> list[Deviation]:
         """Return the components of the weighted deviation at a position.
@@ -122,8 +122,8 @@ class BallProblem:
             data = problem.data
             assert data.offsets is not None
             offset, weight = float(data.offsets[position]), float(data.roots[position])
-            found = self._at(values, phi0 + Ball.constant(offset), data.columns[position], offset)
-            return [_scaled(one, weight) for one in found]
+            components = self._at(values, phi0 + Ball.constant(offset), data.columns[position], offset)
+            return [_scaled(one, weight) for one in components]
         at, tabulated = Ball.constant(problem.law.offsets[position]), Ball.constant(self._tabulated[position])
         pose = problem.linkage.pose(values, turn(crank, (np.cos(at), np.sin(at))))
         target = problem.law.target(at, tabulated, phi0, psi0) + Ball.constant(0.0)
@@ -156,12 +156,12 @@ class BallProblem:
             body = pose.direction(str(problem.requirement.output))
             return [_turned(_between((np.cos(target), np.sin(target)), body))]
         x, y = pose.point(problem.requirement.point)
-        found = [_plain(x - targets[0]), _plain(y - targets[1])]
+        components = [_plain(x - targets[0]), _plain(y - targets[1])]
         if kind == "motion":
             mark = values[MARK]
             body = turn(pose.direction(problem.body), (np.cos(mark), np.sin(mark)))
-            found.append(_scaled(_turned(_between((targets[2], targets[3]), body)), problem.radian))
-        return found
+            components.append(_scaled(_turned(_between((targets[2], targets[3]), body)), problem.radian))
+        return components
 
     # --- limits ----------------------------------------------------------------------------------------------------
 
@@ -174,12 +174,12 @@ class BallProblem:
         constant : bool
             Whether all rows that do not depend on the design are included, not only those that every design misses.
         """
-        found = []
+        slacks = []
         for key, value, low, high in self._rows(values):
             for slack in ([value - low] if math.isfinite(low) else []) + ([high - value] if math.isfinite(high) else []):
-                if slack.slope is not None or constant or bool(slack.centre < -MISSED):
-                    found.append((key, slack))
-        return found
+                if slack.slope is not None or constant or bool(slack.centre < -FIXED_LIMIT_TOLERANCE):
+                    slacks.append((key, slack))
+        return slacks
 
     def _rows(self, values: Mapping[str, Ball]) -> Iterator[Row]:
         problem = self.problem
@@ -232,24 +232,24 @@ class BallProblem:
         """Return the cosine of the angle B-C-D for that of the crank angle: law of cosines in A-B-D and B-C-D."""
         crank, coupler, rocker, frame = (values[name] for name in ("crank", "coupler", "rocker", "frame"))
         diagonal = crank * crank + frame * frame - 2.0 * crank * frame * cosine
-        found: Ball = (coupler * coupler + rocker * rocker - diagonal) / (2.0 * coupler * rocker)
-        return found
+        result: Ball = (coupler * coupler + rocker * rocker - diagonal) / (2.0 * coupler * rocker)
+        return result
 
     def _cosine_limits(self, joint: str) -> Iterator[tuple[str, float, float, str]]:
         """Yield key, bounds of the cosine of the transmission angle and their crank range, those of the alignment last."""
         limits, problem = self.problem.limits, self.problem
         required = "span" if limits.crank == "span" else "revolution"
-        most, stated = math.cos(limits.alignment.value), limits.transmission_at(joint)
+        most, prescribed = math.cos(limits.alignment.value), limits.transmission_at(joint)
         low, high = -math.inf, math.inf
-        if stated is not None:
-            low = low if stated.high is None else math.cos(stated.high)
-            high = high if stated.low is None else math.cos(stated.low)
-            low, high = low if low >= -most - SAME else -math.inf, high if high <= most + SAME else math.inf
+        if prescribed is not None:
+            low = low if prescribed.high is None else math.cos(prescribed.high)
+            high = high if prescribed.low is None else math.cos(prescribed.low)
+            low, high = low if low >= -most - COSINE_ROUNDING else -math.inf, high if high <= most + COSINE_ROUNDING else math.inf
             if math.isfinite(low) or math.isfinite(high):
-                yield stated.key, low, high, problem.limits.transmission_range
+                yield prescribed.key, low, high, problem.limits.transmission_range
         replaced = problem.limits.transmission_range == required  # by a limit of the file that is as tight
-        floor = -math.inf if replaced and abs(low + most) <= SAME else -most
-        ceiling = math.inf if replaced and abs(high - most) <= SAME else most
+        floor = -math.inf if replaced and abs(low + most) <= COSINE_ROUNDING else -most
+        ceiling = math.inf if replaced and abs(high - most) <= COSINE_ROUNDING else most
         if math.isfinite(floor) or math.isfinite(ceiling):
             yield "limits.alignment", floor, ceiling, required
 
@@ -274,8 +274,8 @@ class BallProblem:
         for term, interval in limits_in_file(self.problem.limits):
             low, high = interval.bounds
             with principal_angles():
-                found = list(term.values(self.problem, values, reach, interval))
-            yield from ((term.key, value, low, high) for _, value in found if isinstance(value, Ball))
+                rows = list(term.values(self.problem, values, reach, interval))
+            yield from ((term.key, value, low, high) for _, value in rows if isinstance(value, Ball))
 
     def _pivots(self, values: Mapping[str, Ball]) -> Iterator[Row]:
         region = self.problem.limits.pivots if isinstance(self.problem, PathProblem) else None
@@ -325,9 +325,9 @@ class BallProblem:
         limited = np.isfinite(data.tolerances)
         if not np.any(limited):
             return
-        for k, found in enumerate(self.deviations(values, self.starts(values)[0])):
-            if limited[k] and all(one.model is not None for one in found[:2]):
-                x, y = (one.model for one in found[:2])
+        for k, deviations in enumerate(self.deviations(values, self.starts(values)[0])):
+            if limited[k] and all(one.model is not None for one in deviations[:2]):
+                x, y = (one.model for one in deviations[:2])
                 most = float(data.tolerances[k]) * float(data.roots[k])
                 yield "requirement.points", -(x * x) - y * y, -most * most, math.inf  # type: ignore[operator]
 
@@ -341,18 +341,18 @@ def _cosine_row(key: str, cosine: Ball, low: float, high: float) -> Row:
 
 def _principal(angle: Ball) -> list[Ball]:
     """Return the angles within -pi ... pi that a continuous one, which may lie beyond, can stand for over the box."""
-    turn, found = 2 * arb.pi(), [angle]
+    turn, angles = 2 * arb.pi(), [angle]
     if not angle.range < arb.pi():
-        found.append(angle - turn)
+        angles.append(angle - turn)
     if not angle.range > -arb.pi():
-        found.append(angle + turn)
-    return found
+        angles.append(angle + turn)
+    return angles
 
 
 def _between(first: Any, second: Any) -> Ball:
     """Return the angle from one direction to another [rad]."""
-    found: Ball = np.arctan2(cross(first, second), dot(first, second))
-    return found
+    angle: Ball = np.arctan2(cross(first, second), dot(first, second))
+    return angle
 
 
 def _plain(model: Ball) -> Deviation:

@@ -143,8 +143,8 @@ def _add(a: Any, b: Any) -> Ball:
     a, b = _ball(a), _ball(b)
     centre, value = a.centre + b.centre, a.value + b.value
     if a.slope is None or b.slope is None:
-        own = b if a.slope is None else a
-        return Ball(centre, value, own.slope, own.gradient, own.hessian)
+        other = b if a.slope is None else a
+        return Ball(centre, value, other.slope, other.gradient, other.hessian)
     return Ball(centre, value, a.slope + b.slope, a.gradient + b.gradient, a.hessian + b.hessian)
 
 
@@ -252,10 +252,10 @@ def _power(base: Any, exponent: Any) -> Ball:
         return _compose(n * _compose(base, _log), _exp)
     if n == 0.0:
         return Ball.constant(1.0)
-    found = base
+    result = base
     for k in range(abs(int(n)) - 1):
-        found = _multiply(found, base) if k else _multiply(base, base)
-    return _compose(found, _reciprocal) if n < 0 else found
+        result = _multiply(result, base) if k else _multiply(base, base)
+    return _compose(result, _reciprocal) if n < 0 else result
 
 
 _principal: list[bool] = []
@@ -281,10 +281,10 @@ def _arctan2(y: Any, x: Any) -> Ball:
     along, across = x * c + y * s, y * c - x * s
     if not along.range > 0:
         return _unknown(NAN, NAN, x, y)
-    found = _add(about, _compose(_divide(across, along), _arctan))
-    if _principal and not (found.range < arb.pi() and found.range > -arb.pi()):
+    result = _add(about, _compose(_divide(across, along), _arctan))
+    if _principal and not (result.range < arb.pi() and result.range > -arb.pi()):
         return _unknown(NAN, NAN, x, y)
-    return found
+    return result
 
 
 def _unknown(centre: Any, value: Any, *like: Ball) -> Ball:
@@ -299,8 +299,8 @@ def _unknown(centre: Any, value: Any, *like: Ball) -> Ball:
 def _absolute(x: Any) -> Ball:
     x = _ball(x)
     if x.range >= 0 or x.range <= 0:
-        found: Ball = x if x.range >= 0 else -x
-        return found
+        result: Ball = x if x.range >= 0 else -x
+        return result
     return _unknown(abs(x.centre), abs(x.range), x)
 
 
@@ -312,8 +312,8 @@ def _sign(x: Any) -> Ball:
 def _maximum(a: Any, b: Any) -> Ball:
     a, b = _ball(a), _ball(b)
     if a.range >= b.range or b.range >= a.range:
-        found: Ball = a if a.range >= b.range else b
-        return found
+        result: Ball = a if a.range >= b.range else b
+        return result
     return _unknown(a.centre.max(b.centre), a.range.max(b.range), a, b)
 
 
@@ -352,11 +352,11 @@ _RULES: dict[np.ufunc, Callable[..., Ball]] = {
 
 def lower_bound(q: Ball) -> Any:
     """Return a lower bound over the box, the best of three forms: value, mean value and Taylor form; -inf where there is none."""
-    found = _finite(q.value.lower())
+    lower = _finite(q.value.lower())
     if q.slope is None:
-        return found
+        return lower
     mean = q.centre - sum((x.abs_upper() for x in q.gradient.entries()), arb(0))
-    return found.max(_finite(mean.lower())).max(_finite(_taylor(q).lower()))
+    return lower.max(_finite(mean.lower())).max(_finite(_taylor(q).lower()))
 
 
 def _finite(x: Any) -> Any:

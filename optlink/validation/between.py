@@ -1,9 +1,9 @@
 """Deviation of the traced curve between neighbouring target points.
 
 There is no target between two points, so the distance of the curve from the straight segment between the two traced points is
-measured. Twice the sagitta of an arc with the local curvature of the points is permitted, because a smooth curve through the points
-has this distance. The excess over it is the excursion. It is zero for points on a circle, however far apart they are, and equals
-the whole distance for collinear points.
+measured. Twice the sagitta of an arc with the local curvature of the points is permitted, because a smooth curve through the
+points has this distance. The excess over it is the excursion. It is zero for points on a circle, however far apart they are, and
+equals the whole distance for collinear points.
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ def sagittas(points: Array, *, closed: bool, around: bool) -> Array:
     around : bool
         Whether the segment from the last point to the first is one of them; the two may also be the same point.
     """
-    own = points if around or not closed else points[:-1]
-    before, after = own - np.roll(own, 1, axis=0), np.roll(own, -1, axis=0) - own
+    inner = points if around or not closed else points[:-1]
+    before, after = inner - np.roll(inner, 1, axis=0), np.roll(inner, -1, axis=0) - inner
     chord = np.linalg.norm(after, axis=-1)
     cross = np.abs(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0])
     turning = np.arctan2(cross, np.sum(before * after, axis=-1))
@@ -82,5 +82,5 @@ def sagittas(points: Array, *, closed: bool, around: bool) -> Array:
     turning[unknown] = curvature[unknown] = np.nan
     turning, curvature = (np.fmax(one, np.roll(one, -1)) for one in (turning, curvature))
     half = np.maximum(0.5 * turning, np.arcsin(np.minimum(0.5 * curvature * chord, 1.0)))
-    found = np.where(repeated, 0.0, 0.5 * chord * np.tan(0.5 * half))
-    return np.asarray(found if closed else found[:-1])
+    heights = np.where(repeated, 0.0, 0.5 * chord * np.tan(0.5 * half))
+    return np.asarray(heights if closed else heights[:-1])

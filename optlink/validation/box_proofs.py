@@ -76,8 +76,8 @@ class Prover:
         values = problem.values([design[name] for name in problem.names], None)
         starts = problem.starts(values)
         if isinstance(model, DesignProblem):
-            for name, found in (("phi0", starts[0][1]), ("psi0", starts[0][2])):
-                away = abs(math.remainder(float(found.value) - design.get(name, math.nan), math.tau))
+            for name, value in (("phi0", starts[0][1]), ("psi0", starts[0][2])):
+                away = abs(math.remainder(float(value.value) - design.get(name, math.nan), math.tau))
                 differs = max(differs, away if math.isfinite(away) else math.inf)
         slacks = [slack.value.lower() for _, slack in problem.slacks(values, constant=True)]
         if any(not slack.is_finite() for slack in slacks):
@@ -89,9 +89,9 @@ class Prover:
             objective = validate(model, design).objective
         return objective, min((float(slack) for slack in slacks), default=0.0), differs
 
-    def _value(self, found: list[list[Deviation]]) -> float:
-        squares = [sum((one.least * one.least for one in position), arb(0)) for position in found]
-        if any(one.model is None for position in found for one in position):
+    def _value(self, deviations: list[list[Deviation]]) -> float:
+        squares = [sum((one.least * one.least for one in position), arb(0)) for position in deviations]
+        if any(one.model is None for position in deviations for one in position):
             return math.nan
         if self.problem.measure == "max":
             return math.sqrt(max(float(square) for square in squares))
@@ -153,10 +153,10 @@ class Prover:
         rows = np.array(columns).T[inside]
         scale = 1e3 * max(float(np.max(np.abs(rows), initial=0.0)), 1e-300)
         total = np.concatenate([np.full(len(top), scale), np.zeros(len(active))])
-        found = nnls(np.vstack([rows, total]), np.append(np.zeros(len(rows)), scale))[0]
+        multipliers = nnls(np.vstack([rows, total]), np.append(np.zeros(len(rows)), scale))[0]
         weights = np.zeros(len(squares))
-        weights[top] = found[: len(top)]
-        self._known = _Lagrangian(_normalised(weights), dict(zip(active, found[len(top) :].tolist(), strict=True)))
+        weights[top] = multipliers[: len(top)]
+        self._known = _Lagrangian(_normalised(weights), dict(zip(active, multipliers[len(top) :].tolist(), strict=True)))
         return self._known
 
 
@@ -194,10 +194,10 @@ class _Piece:
         better, open_ones = False, []
         starts = self.problem.starts(self.values)
         for start in starts:
-            found = self._objective(start, slacks, used, alone=len(starts) == 1)
-            if found is None:
+            proof = self._objective(start, slacks, used, single_start=len(starts) == 1)
+            if proof is None:
                 continue
-            models, value = found
+            models, value = proof
             better |= len(starts) == 1 and bool(value < self.target) and all(slack.centre > 0 for slack in slacks)
             open_ones += models
         if not open_ones:
@@ -205,7 +205,7 @@ class _Piece:
         return "refuted" if better else "open", _direction(open_ones, width)
 
     def _objective(
-        self, start: Any, slacks: list[Ball], used: Mapping[int, float], *, alone: bool
+        self, start: Any, slacks: list[Ball], used: Mapping[int, float], *, single_start: bool
     ) -> tuple[list[Ball], Any] | None:
         """Return the weighted objective and its value at the centre; None if it is proven to be at least the target.
 
@@ -216,20 +216,20 @@ class _Piece:
         slacks : list of Ball
         used : mapping of int to float
             Multipliers.
-        alone : bool
+        single_start : bool
             Whether it is the only start position: then that of any design in the box is on the same branch.
         """
         most, target = self.problem.measure == "max", self.target * (self.problem.positions if self._mean else 1)
         sizes, total = self.prover.sizes, arb(0)
-        found: list[list[Deviation]] = [[] for _ in sizes]
+        deviations: list[list[Deviation]] = [[] for _ in sizes]
         for k in np.argsort(-sizes):
-            found[k] = self.problem.deviation(int(k), self.values, start)
-            least = sum((one.least * one.least for one in found[k]), arb(0))
+            deviations[k] = self.problem.deviation(int(k), self.values, start)
+            least = sum((one.least * one.least for one in deviations[k]), arb(0))
             sizes[k] = float(least)
             total = total.max(least) if most else total + least
             if total >= target:
                 return None
-        squares = [_square(position) for position in found]
+        squares = [_square(position) for position in deviations]
         usable = [square for square in squares if square is not None]
         value = arb("nan")
         if len(usable) == len(squares):
@@ -240,7 +240,9 @@ class _Piece:
         for tried in self._lagrangians(squares, used):
             plain = sum((s * w for s, w in zip(squares, tried.weights, strict=True) if s is not None), Ball.constant(0.0))
             if not most:
-                rest = [sum((o.least * o.least for o in p), arb(0)) for p, s in zip(found, squares, strict=True) if s is None]
+                rest = [
+                    sum((o.least * o.least for o in p), arb(0)) for p, s in zip(deviations, squares, strict=True) if s is None
+                ]
                 plain = plain + Ball.constant(sum(rest, arb(0)) * arb(tried.weights[0]))
             models.append(plain)
             if plain.slope is None:
@@ -251,7 +253,7 @@ class _Piece:
             whole = _combined(plain, slacks, kept) if kept else plain
             if kept and lower_bound(whole) >= self.target:
                 return None
-            smooth = alone and len(usable) == len(squares)
+            smooth = single_start and len(usable) == len(squares)
             if smooth and positive_definite(whole.hessian) and self._tangent(whole, tried.weights, kept):
                 return None
         return models, value
@@ -303,11 +305,11 @@ def _square(position: list[Deviation]) -> Ball | None:
     """Return the squared size of a deviation; None if a component is unknown."""
     if any(one.model is None for one in position):
         return None
-    found = Ball.constant(0.0)
+    total = Ball.constant(0.0)
     for one in position:
         assert one.model is not None
-        found = found + one.model * one.model
-    return found
+        total = total + one.model * one.model
+    return total
 
 
 def _combined(objective: Ball, slacks: Sequence[Ball], multipliers: Mapping[int, float]) -> Ball:
@@ -356,13 +358,13 @@ def _lawson(squares: Sequence[Ball | None]) -> list[float]:
     slope = np.array([_floats(squares[k]) for k in usable])
     root = np.sqrt(np.maximum(value, 1e-300))
     linear = slope / (2.0 * root[:, None])  # of the deviation itself
-    own = np.full(len(usable), 1.0 / len(usable))
+    lawson_weights = np.full(len(usable), 1.0 / len(usable))
     for _ in range(LAWSON):
-        scaled = linear * own[:, None]
+        scaled = linear * lawson_weights[:, None]
         point = box_minimum(scaled.T @ root, scaled.T @ linear)
-        sizes = own * np.abs(root + linear @ point)
+        sizes = lawson_weights * np.abs(root + linear @ point)
         if not float(np.sum(sizes)) > 0.0:
             break
-        own = sizes / np.sum(sizes)
-    weights[usable] = own
+        lawson_weights = sizes / np.sum(sizes)
+    weights[usable] = lawson_weights
     return _normalised(weights)

@@ -154,31 +154,35 @@ def read_certificate(problem: ProblemFile, path: Path) -> CertificateFile:
     document = read_document(path)
     if document.get("schema") != SCHEMA:
         raise InputError("this is not a certificate", remedy, str(path), "schema", document.get("schema"))
-    found = read_record(CertificateFile, document, path)
-    if found.problem_hash != problem.hash:
+    certificate = read_record(CertificateFile, document, path)
+    if certificate.problem_hash != problem.hash:
         message = f"this is the certificate of another problem, or of this one before it was changed (here {problem.hash})"
-        raise InputError(message, "Make it again: optlink solve --certify --out", str(path), "problem_hash", found.problem_hash)
+        raise InputError(
+            message, "Make it again: optlink solve --certify --out", str(path), "problem_hash", certificate.problem_hash
+        )
     try:
-        _check_shapes(found, problem)
+        _check_shapes(certificate, problem)
     except Contradiction as error:
         raise damaged(error, path) from None
-    return found
+    return certificate
 
 
-def _check_shapes(found: CertificateFile, problem: ProblemFile) -> None:
+def _check_shapes(certificate: CertificateFile, problem: ProblemFile) -> None:
     """Check that the parts of a certificate fit each other and the problem."""
-    infeasible = found.status == "infeasible"
+    infeasible = certificate.status == "infeasible"
     for key in ("objective", "lower_bound", "design"):
-        value = getattr(found, key)
+        value = getattr(certificate, key)
         if infeasible == (value is not None and value == value):  # NaN stands for null
             what = "there is none in a certificate that no design is feasible" if infeasible else "this is missing"
             raise Contradiction(key, what, value if infeasible else None)
     free = list(problem.model.free)
-    if list(found.unknowns) != free:
-        raise Contradiction("unknowns", f"the design variables of the problem are {', '.join(free)}", ", ".join(found.unknowns))
-    if not found.covers:
+    if list(certificate.unknowns) != free:
+        raise Contradiction(
+            "unknowns", f"the design variables of the problem are {', '.join(free)}", ", ".join(certificate.unknowns)
+        )
+    if not certificate.covers:
         raise Contradiction("covers", "there are no boxes")
-    for k, cover in enumerate(found.covers):
+    for k, cover in enumerate(certificate.covers):
         count = len(cover.test)
         for name, values in (("low", cover.low), ("high", cover.high)):
             if values.shape != (count, len(free)) or not np.all(np.isfinite(values)):
@@ -208,22 +212,22 @@ def check_certificate(problem: ProblemFile, path: Path, progress: Progress | Non
         import flint
     except ImportError:
         raise InputError(NO_FLINT) from None
-    found = read_certificate(problem, path)
+    certificate = read_certificate(problem, path)
     from optlink.validation.balls import BITS
     from optlink.validation.box_proofs import Prover
 
     with flint.ctx.workprec(BITS):
         variants = {str(one.raw["mechanism"].get("assembly", "left")): one for one in problem.variants()}
-        provers = {name: Prover(_model(one), found.lower_bound, found.design) for name, one in variants.items()}
-        checks = [*_modes(found, variants), *_covered(found, provers)]
+        provers = {name: Prover(_model(one), certificate.lower_bound, certificate.design) for name, one in variants.items()}
+        checks = [*_modes(certificate, variants), *_covered(certificate, provers)]
         objective = math.nan
-        if found.design is not None:
-            objective, own = _design(found, found.design, list(provers.values()))
-            checks += own
+        if certificate.design is not None:
+            objective, contained = _design(certificate, certificate.design, list(provers.values()))
+            checks += contained
         if all(check.passed for check in checks):
-            checks += _boxes(found, provers, progress)
-    bound = math.inf if found.design is None else found.lower_bound
-    count, pieces = sum(len(cover.test) for cover in found.covers), sum(prover.pieces for prover in provers.values())
+            checks += _boxes(certificate, provers, progress)
+    bound = math.inf if certificate.design is None else certificate.lower_bound
+    count, pieces = sum(len(cover.test) for cover in certificate.covers), sum(prover.pieces for prover in provers.values())
     return CertificateCheck(problem, tuple(checks), objective, bound, count, pieces)
 
 
@@ -233,18 +237,18 @@ def _model(variant: ProblemFile) -> DesignProblem | PathProblem:
     return model
 
 
-def _modes(found: CertificateFile, variants: Mapping[str, ProblemFile]) -> Iterator[Check]:
+def _modes(certificate: CertificateFile, variants: Mapping[str, ProblemFile]) -> Iterator[Check]:
     """Check that every assembly mode that the problem leaves open is there."""
-    missing = variants.keys() - {str(cover.assembly) for cover in found.covers}
-    unknown = {str(cover.assembly) for cover in found.covers} - variants.keys()
+    missing = variants.keys() - {str(cover.assembly) for cover in certificate.covers}
+    unknown = {str(cover.assembly) for cover in certificate.covers} - variants.keys()
     wrong = sorted(missing | unknown)
     what = f"assembly modes: {', '.join(wrong)}" if wrong else "assembly modes"
-    yield Check(what, not wrong, float(len(found.covers)), f"= {len(variants)}", "")
+    yield Check(what, not wrong, float(len(certificate.covers)), f"= {len(variants)}", "")
 
 
-def _covered(found: CertificateFile, provers: Mapping[str, Prover]) -> Iterator[Check]:
+def _covered(certificate: CertificateFile, provers: Mapping[str, Prover]) -> Iterator[Check]:
     """Check that the boxes of every assembly mode cover the bounds."""
-    for cover in found.covers:
+    for cover in certificate.covers:
         mode = str(cover.assembly)
         if mode not in provers:
             continue
@@ -252,22 +256,22 @@ def _covered(found: CertificateFile, provers: Mapping[str, Prover]) -> Iterator[
         gap = uncovered(cover.low, cover.high, (low, high))
         name = f"bounds covered ({mode})"
         if gap is not None:
-            sides = ", ".join(f"{key} {a:.6g} ... {b:.6g}" for key, a, b in zip(found.unknowns, *gap, strict=True))
+            sides = ", ".join(f"{key} {a:.6g} ... {b:.6g}" for key, a, b in zip(certificate.unknowns, *gap, strict=True))
             name += f"; uncovered: a part of {sides} (SI)"
         yield Check(name, gap is None, float(len(cover.test)), "no gap", "boxes")
 
 
-def _design(found: CertificateFile, design: Mapping[str, float], provers: Sequence[Prover]) -> tuple[float, list[Check]]:
+def _design(certificate: CertificateFile, design: Mapping[str, float], provers: Sequence[Prover]) -> tuple[float, list[Check]]:
     """Return the objective of the design, recomputed, and its checks: those of the assembly mode that fits best."""
     tried = []
     for prover in provers:
         objective, least, differs = prover.design(design)
-        agrees = abs(objective - found.objective) <= AGREES * abs(found.objective)
+        agrees = abs(objective - certificate.objective) <= AGREES * abs(certificate.objective)
         squared = prover.problem.measure == "sum of squares"
-        roots = (math.sqrt(max(x, 0.0)) if squared else x for x in (objective, found.objective))
+        roots = (math.sqrt(max(x, 0.0)) if squared else x for x in (objective, certificate.objective))
         first, second = roots
         agrees = agrees or abs(first - second) <= ROUNDING
-        share = abs(objective - found.objective) / max(abs(found.objective), 1e-300)
+        share = abs(objective - certificate.objective) / max(abs(certificate.objective), 1e-300)
         worst = max(0.0, -least)
         checks = [
             Check("design within bounds", differs <= AGREES, differs, f"<= {AGREES:g}", ""),
@@ -275,9 +279,9 @@ def _design(found: CertificateFile, design: Mapping[str, float], provers: Sequen
             Check("objective of the design", agrees, share, f"<= {AGREES:g}", ""),
             Check(
                 "lower bound, at most the objective",
-                found.lower_bound <= found.objective,
-                found.lower_bound,
-                f"<= {found.objective:.9g}",
+                certificate.lower_bound <= certificate.objective,
+                certificate.lower_bound,
+                f"<= {certificate.objective:.9g}",
                 "",
             ),
         ]
@@ -286,10 +290,10 @@ def _design(found: CertificateFile, design: Mapping[str, float], provers: Sequen
     return objective, checks
 
 
-def _boxes(found: CertificateFile, provers: Mapping[str, Prover], progress: Progress | None) -> Iterator[Check]:
+def _boxes(certificate: CertificateFile, provers: Mapping[str, Prover], progress: Progress | None) -> Iterator[Check]:
     """Check every box."""
-    total, done, failed = sum(len(cover.test) for cover in found.covers), 0, 0
-    for cover in found.covers:
+    total, done, failed = sum(len(cover.test) for cover in certificate.covers), 0, 0
+    for cover in certificate.covers:
         mode, prover = str(cover.assembly), provers[str(cover.assembly)]
         proven, named = 0, []
         for k, (low, high, multipliers) in enumerate(zip(cover.low, cover.high, cover.multipliers, strict=True)):
@@ -300,7 +304,7 @@ def _boxes(found: CertificateFile, provers: Mapping[str, Prover], progress: Prog
             proven += not reason
             if reason:
                 failed += 1
-                sides = ", ".join(f"{key} {a:.6g} ... {b:.6g}" for key, a, b in zip(found.unknowns, low, high, strict=True))
+                sides = ", ".join(f"{key} {a:.6g} ... {b:.6g}" for key, a, b in zip(certificate.unknowns, low, high, strict=True))
                 named.append(f"box {k} ({mode}; {sides} SI): {reason}")
                 if failed >= FAILURES:
                     break

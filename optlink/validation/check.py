@@ -111,10 +111,10 @@ class Validations:
     @cached_property
     def valid(self) -> NDArray[np.bool_]:
         """Whether every check of a design passed, (designs,)."""
-        found = np.ones(self.objective.shape, dtype=bool)
+        valid = np.ones(self.objective.shape, dtype=bool)
         for check in self.checks:
-            found &= check.passed if check.applies is None else check.passed | ~check.applies
-        return found
+            valid &= check.passed if check.applies is None else check.passed | ~check.applies
+        return valid
 
     def of(self, design: int = 0) -> Validation:
         """Return the validation of one design."""
@@ -183,7 +183,7 @@ def link_lengths(motion: Motion, size: ArrayLike) -> Checks:
     """
     links = [link for link in motion.mechanism.links if link.end]
     measured = ((motion.distance(link.start, link.end), motion.pose.size(link.length)) for link in links)
-    return length_check(((np.min(own), np.max(own), nominal) for own, nominal in measured), size)
+    return length_check(((np.min(lengths), np.max(lengths), nominal) for lengths, nominal in measured), size)
 
 
 def length_check(lengths: Iterable[tuple[ArrayLike, ArrayLike, ArrayLike]], size: ArrayLike) -> Checks:
@@ -201,12 +201,14 @@ def length_check(lengths: Iterable[tuple[ArrayLike, ArrayLike, ArrayLike]], size
     return Checks("link lengths re-measured in motion", worst <= limit, worst, text("<= {:.1e}", limit), "mm")
 
 
-def same_objective(found: ArrayLike, claimed: ArrayLike, least: float, rounding: float = 0.0, *, squared: bool = False) -> Checks:
+def same_objective(
+    measured: ArrayLike, claimed: ArrayLike, least: float, rounding: float = 0.0, *, squared: bool = False
+) -> Checks:
     """Check that the measured objective is that of the optimiser: relatively, or within rounding of a deviation of nearly zero.
 
     Parameters
     ----------
-    found, claimed : float or array (designs,)
+    measured, claimed : float or array (designs,)
         Measured objective, and that of the optimiser.
     least : float
         Objective to which differences of smaller ones are related.
@@ -215,13 +217,13 @@ def same_objective(found: ArrayLike, claimed: ArrayLike, least: float, rounding:
     squared : bool, optional
         Whether the objective is a sum of squared deviations.
     """
-    found, claimed = np.asarray(found, dtype=float), np.asarray(claimed, dtype=float)
-    gap = np.abs(found - claimed) / np.maximum(np.abs(found), least)
-    error, other = (np.sqrt(np.maximum(one, 0.0)) if squared else one for one in (found, claimed))
-    missed = np.abs(error - other)
-    near, tiny = gap <= 1e-6, missed <= rounding  # NaN is neither
+    measured, claimed = np.asarray(measured, dtype=float), np.asarray(claimed, dtype=float)
+    gap = np.abs(measured - claimed) / np.maximum(np.abs(measured), least)
+    error, other = (np.sqrt(np.maximum(one, 0.0)) if squared else one for one in (measured, claimed))
+    difference = np.abs(error - other)
+    near, tiny = gap <= 1e-6, difference <= rounding  # NaN is neither
     limit = text("{}", np.where(near | ~tiny, "<= 1e-06", f"<= {rounding:.0e}"))
-    return Checks("objective measured in motion", near | tiny, np.where(near | ~tiny, gap, missed), limit, "")
+    return Checks("objective measured in motion", near | tiny, np.where(near | ~tiny, gap, difference), limit, "")
 
 
 def finely(offsets: Array) -> tuple[Array, NDArray[np.intp]]:
@@ -259,10 +261,10 @@ def revolutions_check(target: Array, moved: Callable[[], Array]) -> Iterator[Che
     whole = np.round(np.where(np.isfinite(revolutions), revolutions, np.nan))
     some = np.abs(revolutions - whole) < 0.25
     least, most = np.min(np.where(some, whole, np.inf), axis=1), np.max(np.where(some, whole, -np.inf), axis=1)
-    missed = np.where(np.any(some, axis=1), most - least, 0.0)
-    missed = np.where(np.all(np.isfinite(revolutions) | ~begun, axis=1), missed, np.nan)
+    range_of_errors = np.where(np.any(some, axis=1), most - least, 0.0)
+    range_of_errors = np.where(np.all(np.isfinite(revolutions) | ~begun, axis=1), range_of_errors, np.nan)
     name = "output rotates as the law, without extra revolutions"
-    yield Checks(name, missed == 0.0, missed, "= 0", "rev", applies)
+    yield Checks(name, range_of_errors == 0.0, range_of_errors, "= 0", "rev", applies)
 
 
 def limit_checks(name: str, value: float, interval: Interval, tolerance: float, factor: float, unit: str) -> Iterator[Check]:

@@ -31,10 +31,10 @@ def contradictions(recorded: Mapping[str, Any], computed: Mapping[str, Any]) -> 
     computed : mapping
         Recomputed document of the same design.
     """
-    found = []
+    checks = []
     theirs, ours = _objective(recorded), _objective(computed)
     if theirs is not None and ours is not None and not abs(theirs - ours) <= SHARE * max(abs(theirs), abs(ours)) + FLOOR:
-        found.append(Check("objective of the result file", False, theirs, f"= {ours:.9g}", ""))
+        checks.append(Check("objective of the result file", False, theirs, f"= {ours:.9g}", ""))
     ours_by_key = _angles(computed)
     pairs = [(f"{key} of the result file", value, ours_by_key.get(key)) for key, value in _angles(recorded).items()]
     theirs_at, ours_at = (_part(_best(one), "points").get("crank_deg") for one in (recorded, computed))
@@ -42,18 +42,18 @@ def contradictions(recorded: Mapping[str, Any], computed: Mapping[str, Any]) -> 
         pairs += [(f"crank angle of point {k + 1} in the result file", *both) for k, both in enumerate(zip(theirs_at, ours_at))]  # noqa: B905
     for name, value, expected in pairs:
         if _number(value) and _number(expected) and not abs((value - expected + 180.0) % 360.0 - 180.0) <= ANGLE:
-            found.append(Check(name, False, float(value), f"= {expected:.9g}", "deg"))
-    return (*found, *_lengths(recorded, computed), *_figures(recorded, computed))
+            checks.append(Check(name, False, float(value), f"= {expected:.9g}", "deg"))
+    return (*checks, *_lengths(recorded, computed), *_figures(recorded, computed))
 
 
 def _angles(document: Mapping[str, Any]) -> dict[str, Any]:
     """Return the angles [deg] of the design, and the crank angles of its strokes."""
-    found = {key: value for key, value in _part(document, "design").items() if key.endswith("_deg")}
+    angles = {key: value for key, value in _part(document, "design").items() if key.endswith("_deg")}
     for output, strokes in _part(document, "strokes").items():
         for name in ("forward", "backward"):
             stroke = _part(strokes, name) if isinstance(strokes, dict) else {}
-            found |= {f"{key} of {output} {name}": value for key, value in stroke.items() if key.endswith("_deg")}
-    return found
+            angles |= {f"{key} of {output} {name}": value for key, value in stroke.items() if key.endswith("_deg")}
+    return angles
 
 
 def _lengths(recorded: Mapping[str, Any], computed: Mapping[str, Any]) -> Iterator[Check]:
@@ -80,8 +80,8 @@ def _figures(recorded: Mapping[str, Any], computed: Mapping[str, Any]) -> Iterat
 
 
 def _by_name(rows: object) -> dict[str, dict[str, Any]]:
-    listed = rows if isinstance(rows, list) else []
-    return {str(row["name"]): row for row in listed if isinstance(row, dict) and "name" in row and row["name"] != "objective"}
+    entries = rows if isinstance(rows, list) else []
+    return {str(row["name"]): row for row in entries if isinstance(row, dict) and "name" in row and row["name"] != "objective"}
 
 
 def _best(document: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -99,8 +99,8 @@ def _objective(document: Mapping[str, Any]) -> float | None:
 
 
 def _part(document: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    found = document.get(key)
-    return found if isinstance(found, dict) else {}
+    part = document.get(key)
+    return part if isinstance(part, dict) else {}
 
 
 def _number(value: object) -> TypeGuard[float]:

@@ -29,7 +29,7 @@ from optlink.validation.margins import alignment_checks
 
 MEET = 1e-6  # relative violation permitted for a limit
 ROUNDING = 1e-6  # of the size of the signal, below which a mean or a work counts as zero
-NOTHING = 1e-3  # of the size of the signal, the reference for the tolerance of a limit of zero
+ZERO_LIMIT_REFERENCE = 1e-3  # of the size of the signal, the reference for the tolerance of a limit of zero
 BALANCE = 1e-9  # relative difference permitted between the work of the drive and of the loads
 FINER = 3  # times that the steps of its quadrature are halved
 
@@ -112,14 +112,14 @@ class Cycle:
             return self._work(term)
         if output_of(term, self.mechanism)[0] == "point":
             return self._point(term)
-        found = self.travel(term)
-        if found is None:
+        travel = self.travel(term)
+        if travel is None:
             return math.nan
         if term.quantity == "end":
-            return found.high if term.stroke == "forward" else found.low
+            return travel.high if term.stroke == "forward" else travel.low
         if term.quantity == "stroke":
-            return found.span
-        strokes = {stroke.name: stroke.rotation for stroke in found.strokes(self.speed)}
+            return travel.span
+        strokes = {stroke.name: stroke.rotation for stroke in travel.strokes(self.speed)}
         return stroke_ratio(strokes["forward"], strokes["backward"], term.stroke) if strokes else math.nan
 
     def _point(self, term: Term) -> float:
@@ -180,10 +180,10 @@ class Cycle:
 
         breaks = tuple(np.remainder(self.work.breaks, TURN))
         grid = distinct(np.concatenate([np.linspace(0.0, TURN, POSITIONS + 1), np.remainder(self.work.peaks, TURN)]))
-        found = maxima(values, grid, breaks, periodic=True)[1]
+        peaks = maxima(values, grid, breaks, periodic=True)[1]
         if jumps.size:
-            found = np.maximum(found, np.nanmax(values(jumps, side=-1), axis=1))
-        return np.where([term.how == "least" for term in terms], -found, found)
+            peaks = np.maximum(peaks, np.nanmax(values(jumps, side=-1), axis=1))
+        return np.where([term.how == "least" for term in terms], -peaks, peaks)
 
     def _average(self, machine: Machine, read: Callable[[MotionColumns], Array], *, square: bool) -> float:
         """Return the mean, or root mean square, over the revolution by Gauss quadrature between the knots of the work."""
@@ -194,11 +194,11 @@ class Cycle:
 
     def objective(self) -> float:
         """Return the minimised value: a term [SI], negative if maximised, or a weighted sum."""
-        found = []
+        values = []
         for goal, scale in zip(self.problem.goals, self.problem.scales, strict=True):
             value = self.figure(goal) * (-1.0 if goal.sense == "maximise" else 1.0)
-            found.append(value if self.problem.single else goal.weight * value / (scale or 1.0))
-        return math.fsum(found)
+            values.append(value if self.problem.single else goal.weight * value / (scale or 1.0))
+        return math.fsum(values)
 
     def size(self, term: Term) -> float:
         """Return a reference value of the signal of a term [SI] if the term itself may vanish; otherwise zero."""
@@ -206,8 +206,8 @@ class Cycle:
             return max(abs(value) for name, value in self.design.items() if self.problem.quantities[name].kind != "angle")
         if not self.full or (term.how != "mean" and term.quantity != "work"):
             return 0.0
-        course = term if term.how == "mean" else Term(quantity="torque")
-        machine, read = self.history(course)
+        driving = term if term.how == "mean" else Term(quantity="torque")
+        machine, read = self.history(driving)
         values = read(MotionColumns(machine.moving(np.linspace(0.0, TURN, POSITIONS + 1), self.speed)))
         return float(np.max(np.abs(values))) * (1.0 if term.how == "mean" else TURN)
 
@@ -226,13 +226,13 @@ class Cycle:
         loads the works all vanish, in a machine balanced on its crank the powers too.
         """
         knots = self.work.knots
-        found = self._imbalance(knots)
+        imbalance = self._imbalance(knots)
         for _ in range(FINER):  # a share of quadrature vanishes between closer knots, a fault of the forces does not
-            if found <= BALANCE:
+            if imbalance <= BALANCE:
                 break
             knots = np.sort(np.concatenate([knots, 0.5 * (knots[1:] + knots[:-1])]))
-            found = self._imbalance(knots)
-        return found
+            imbalance = self._imbalance(knots)
+        return imbalance
 
     def _imbalance(self, knots: Array) -> float:
         """Return the imbalance by Gauss quadrature between knots (n,) [rad]."""
@@ -276,13 +276,13 @@ def validate_cycle(
         tested = Cycle(problem, design) if tested is None else tested
     except Unusable as error:
         return Validation((Check(f"the machine can be made: {error.message}", False, math.nan, "yes", ""),), math.nan)
-    found = tested.objective()
+    measured = tested.objective()
     checks = [*_sizes(tested), *_motion(tested)]
     if tested.full:
         checks += [check for bound_ in problem.bounds for check in _limit(tested, bound_)]
     if objective is not None:
-        checks.append(same_objective(found, objective, max(tested.natural(), 1e-300)).of())
-    return Validation(tuple(checks), found)
+        checks.append(same_objective(measured, objective, max(tested.natural(), 1e-300)).of())
+    return Validation(tuple(checks), measured)
 
 
 def _sizes(tested: Cycle) -> Iterator[Check]:
@@ -323,6 +323,8 @@ def _limit(tested: Cycle, item: Bound) -> Iterator[Check]:
     value = tested.figure(item.term)
     for limit, words, sense in ((item.interval.low, ">=", 1.0), (item.interval.high, "<=", -1.0)):
         if limit is not None:
-            room = MEET * max(abs(limit), abs(value) if math.isfinite(value) else 0.0, NOTHING * tested.size(item.term))
+            room = MEET * max(
+                abs(limit), abs(value) if math.isfinite(value) else 0.0, ZERO_LIMIT_REFERENCE * tested.size(item.term)
+            )
             passed = bool(sense * (value - limit) >= -room)
             yield Check(f"{item.name}: {item.term.words}", passed, value * size, f"{words} {limit * size:.6g}", unit)

@@ -114,8 +114,8 @@ class FourBarMotion:
     @cached_property
     def survey(self) -> _Survey:
         """Figures of the motion of each design."""
-        found = [vars(self._surveyed(part, joints)) for part, joints in self._blocks()]
-        return _Survey(**{name: np.concatenate([one[name] for one in found], axis=-1) for name in found[0]})
+        blocks = [vars(self._surveyed(part, joints)) for part, joints in self._blocks()]
+        return _Survey(**{name: np.concatenate([one[name] for one in blocks], axis=-1) for name in blocks[0]})
 
     def _surveyed(self, part: slice, joints: _Joints) -> _Survey:
         """Return the figures of a block of designs."""
@@ -178,8 +178,8 @@ class FourBarMotion:
         size : array (designs,) [m]
             Reference length.
         """
-        found = self.survey
-        named = zip(("crank", "coupler", "rocker"), found.least, found.largest, strict=True)
+        survey = self.survey
+        named = zip(("crank", "coupler", "rocker"), survey.least, survey.largest, strict=True)
         return length_check(((least, largest, lengths[name]) for name, least, largest in named), size)
 
     def least_height(self, side: int) -> Array:
@@ -190,10 +190,10 @@ class FourBarMotion:
     @cached_property
     def _cosine_extremes(self) -> tuple[Array, Array]:
         """Crank angle [rad] and value (2, designs) of the least and of the largest cosine of the transmission angle."""
-        found, signs = self.survey, np.array([[1.0], [-1.0]])
+        survey, signs = self.survey, np.array([[1.0], [-1.0]])
         ends = np.sort(self.angles[..., [0, -1]], axis=-1) if self.period is None else np.array([-np.inf, np.inf])
-        low, high = (np.clip(found.angle + way * self.step, ends[..., 0], ends[..., 1]).ravel() for way in (-1.0, 1.0))
-        coupler, rocker = found.mean[1:, :, None]
+        low, high = (np.clip(survey.angle + way * self.step, ends[..., 0], ends[..., 1]).ravel() for way in (-1.0, 1.0))
+        coupler, rocker = survey.mean[1:, :, None]
 
         def own(points: Array, which: Index) -> Array:
             designs = which % self.count
@@ -201,10 +201,10 @@ class FourBarMotion:
             cosine = included_cosine(coupler[designs], rocker[designs], dot(diagonal, diagonal))
             return np.asarray(signs[which // self.count] * cosine)
 
-        values, samples = signs * found.cosine, (signs * found.samples).reshape(POINTS, -1).T
+        values, samples = signs * survey.cosine, (signs * survey.samples).reshape(POINTS, -1).T
         some = np.flatnonzero(np.isfinite(values))
-        best = (found.angle.ravel(), values.ravel(), low, high)
-        angle, value = refined_minima(own, best, some, found.nodes.reshape(POINTS, -1).T[some], samples[some])
+        best = (survey.angle.ravel(), values.ravel(), low, high)
+        angle, value = refined_minima(own, best, some, survey.nodes.reshape(POINTS, -1).T[some], samples[some])
         return angle.reshape(2, -1), signs * value.reshape(2, -1)
 
     @property
@@ -223,13 +223,13 @@ class FourBarMotion:
 
     def dead_centres(self) -> tuple[Array, Array, Index]:
         """Return crank and rocker angles (n,) [rad] at the sign changes of the rocker velocity, and the design (n,) of each."""
-        found = []
+        crossings = []
         for part, joints in self._blocks():
             rate = joints.rate
             after = np.roll(rate, -1, axis=1)
             row, place = np.nonzero((np.sign(rate) * np.sign(after) <= 0.0) & (rate != 0.0))
-            found.append((row + part.start, self.angles[place], rate[row, place], after[row, place]))
-        which, low, before, after = (np.concatenate(column) for column in zip(*found, strict=True))
+            crossings.append((row + part.start, self.angles[place], rate[row, place], after[row, place]))
+        which, low, before, after = (np.concatenate(column) for column in zip(*crossings, strict=True))
 
         def own(angles: Array, brackets: Index) -> Array:
             return self._joints(angles[:, None], which[brackets]).rate[:, 0]

@@ -86,13 +86,13 @@ def validate_batch(
         As for `validate`.
     """
     tested = _Tested(problem, designs, mechanism or problem.linkage)
-    found = tested.objective()
+    objectives = tested.objective()
     checks = [check for group in (_sizes, _crank, _circuit, _transmission, _requirement, _extra) for check in group(tested)]
     if objective is not None:
-        agrees = same_objective(found, objective, 1e-12, ROUNDING, squared=tested.squared)
+        agrees = same_objective(objectives, objective, 1e-12, ROUNDING, squared=tested.squared)
         robust = problem.requirement.robust is not None
         checks.append(replace(agrees, name="error with tolerances measured in motion") if robust else agrees)
-    return Validations(tuple(checks), found)
+    return Validations(tuple(checks), objectives)
 
 
 class _Tested:
@@ -231,7 +231,7 @@ class _Tested:
         if measure == "max":
             return np.asarray(np.max(np.abs(middle) + spread, axis=1))
         squares = np.square(np.concatenate([middle, spread], axis=1)).tolist()
-        total = np.array([math.fsum(own) for own in squares])
+        total = np.array([math.fsum(squares_of_design) for squares_of_design in squares])
         return np.sqrt(total / middle.shape[1]) if measure == "rms" else total
 
     @cached_property
@@ -337,9 +337,9 @@ def _extra(tested: _Tested) -> Iterator[Checks]:
     """Check the registered limits; those of the strokes need two dead centres in the motion."""
     limits, applies = tested.problem.limits, np.ones(tested.count, dtype=bool)
     if limits.swing_angle is not None or limits.time_ratio is not None:
-        found = np.bincount(tested.dead_centres[2], minlength=tested.count)
-        applies = found == 2
-        yield Checks("the rocker has two dead centres", applies, found.astype(float), "= 2", "")
+        counts = np.bincount(tested.dead_centres[2], minlength=tested.count)
+        applies = counts == 2
+        yield Checks("the rocker has two dead centres", applies, counts.astype(float), "= 2", "")
     if any(limits_in_file(limits)):
         of_design = {
             k: list(registered_checks(tested.one(k), limits, float(tested.design["frame"][k]), k))

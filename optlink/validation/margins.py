@@ -78,21 +78,21 @@ def included_cosine(one: ArrayLike, other: ArrayLike, square: Array) -> Array:
 
 def squared_sines(motion: Motion) -> Array:
     """Return the squared sine of the angle of each group from alignment (groups, positions); negative or NaN if not closed."""
-    found, crank = [], motion.mechanism.crank
+    sines, crank = [], motion.mechanism.crank
     for group in motion.mechanism.groups:
         if isinstance(group, RPR):  # the slide, relative to the crank length
             places = [motion.position(name) for name in (*group.outer, crank.start, crank.end)]
             apart, arm = (np.sum((places[k] - places[k + 1]) ** 2, axis=-1) for k in (0, 2))
-            found.append(motion.margin(group.joint) * apart / arm)
+            sines.append(motion.margin(group.joint) * apart / arm)
             continue
         if not isinstance(group, RRR):
-            found.append(motion.margin(group.joint))
+            sines.append(motion.margin(group.joint))
             continue
         p, q = (motion.position(name) for name in group.pins)
         one, other = (_median(np.linalg.norm(motion.position(group.joint) - pin, axis=-1)) for pin in (p, q))
         cosine = included_cosine(one, other, np.sum((q - p) ** 2, axis=-1))
-        found.append(1.0 - cosine * cosine)
-    return np.array(found).reshape(len(motion.mechanism.groups), len(motion.crank_angle))
+        sines.append(1.0 - cosine * cosine)
+    return np.array(sines).reshape(len(motion.mechanism.groups), len(motion.crank_angle))
 
 
 def _median(values: Array) -> float:

@@ -49,10 +49,10 @@ def uncovered(low: Array, high: Array, within: tuple[Array, Array]) -> tuple[Arr
 def _planes(low: Array, high: Array, least: float, most: float) -> Array | None:
     """Return the coordinates strictly inside least ... most that no interval contains in its interior; None if there is a gap."""
     order = np.argsort(low)
-    low, reached = low[order], np.maximum.accumulate(high[order])
-    if not low.size or low[0] > least or reached[-1] < most:
+    low, highest = low[order], np.maximum.accumulate(high[order])
+    if not low.size or low[0] > least or highest[-1] < most:
         return None
-    if np.any((low[1:] > reached[:-1]) & (low[1:] > least) & (reached[:-1] < most)):
+    if np.any((low[1:] > highest[:-1]) & (low[1:] > least) & (highest[:-1] < most)):
         return None
-    found = low[1:][(low[1:] >= reached[:-1]) & (low[1:] > least) & (low[1:] < most)]
-    return np.unique(found)
+    planes = low[1:][(low[1:] >= highest[:-1]) & (low[1:] > least) & (low[1:] < most)]
+    return np.unique(planes)

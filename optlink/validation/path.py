@@ -83,8 +83,8 @@ def deviations(problem: PathProblem, design: Mapping[str, float], crank_angles: 
         square = distances**2
     if kind == "motion":
         angle = np.asarray(motion.body_angle(problem.body).value) + design[MARK]
-        aim = np.arctan2(targets[:, 3], targets[:, 2])
-        turned = np.remainder(angle - aim + math.pi, TURN) - math.pi
+        direction = np.arctan2(targets[:, 3], targets[:, 2])
+        turned = np.remainder(angle - direction + math.pi, TURN) - math.pi
         square = square + (problem.radian * turned) ** 2
     if problem.measure == "max":
         objective = float(np.max(np.sqrt(square * weights)))
@@ -116,7 +116,7 @@ def transmission_angles(motion: Motion, mechanism: Mechanism) -> Array:
     mechanism : Mechanism
         The mechanism in motion.
     """
-    found = []
+    angles = []
     for group in transmitting(mechanism):
         if isinstance(group, RRR):
             p, q, c = (motion.position(name) for name in (*group.pins, group.joint))
@@ -130,8 +130,8 @@ def transmission_angles(motion: Motion, mechanism: Mechanism) -> Array:
         else:
             one, other = (_direction(motion, guide) for guide in group.prismatic)
         cross = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
-        found.append(np.arctan2(np.abs(cross), np.sum(one * other, axis=-1)))
-    return np.stack(found, axis=1) if found else np.zeros((len(motion.crank_angle), 0))
+        angles.append(np.arctan2(np.abs(cross), np.sum(one * other, axis=-1)))
+    return np.stack(angles, axis=1) if angles else np.zeros((len(motion.crank_angle), 0))
 
 
 def _direction(motion: Motion, guide: Guide) -> Array:
@@ -163,13 +163,13 @@ def validate_path(
         Objective of the optimiser, compared with the measured one.
     """
     tested = _Tested(problem, design, np.asarray(crank_angles, dtype=float))
-    found = tested.measured.objective
+    measured = tested.measured.objective
     groups = (_sizes, _closure, _circuit, _order, _points, _transmission, _registered, _pivots)
     checks = [check for group in groups for check in group(tested)]
     if objective is not None:
         squared = problem.measure == "sum of squares"
-        checks.append(same_objective(found, objective, 1e-300, ROUNDING * problem.whole, squared=squared).of())
-    return Validation(tuple(checks), found)
+        checks.append(same_objective(measured, objective, 1e-300, ROUNDING * problem.whole, squared=squared).of())
+    return Validation(tuple(checks), measured)
 
 
 class _Tested:
@@ -285,12 +285,12 @@ def _order(tested: _Tested) -> Iterator[Check]:
         yield Check(
             f"crank turns {tested.problem.requirement.rotation}", tested.way == rotation, tested.way, f"= {rotation:g}", ""
         )
-    given = tested.problem.data.offsets
+    offsets = tested.problem.data.offsets
     if not tested.problem.pointed and tested.problem.timing == "given":
         return
-    if given is not None:
+    if offsets is not None:
         start = tested.design["start"] if tested.problem.timing == "from start" else 0.0
-        miss = math.degrees(float(np.max(np.abs(tested.crank_angles - start - given))))
+        miss = math.degrees(float(np.max(np.abs(tested.crank_angles - start - offsets))))
         yield Check("crank angles as given", bool(miss <= 1e-7), miss, "<= 1e-07", "deg")
 
 

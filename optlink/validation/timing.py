@@ -16,7 +16,7 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.path import MARK, STEP, PathProblem
 
 GRID = 720  # crank angles of the coarse search
-NEAR = 25  # crank angles per point and round of the refinement
+REFINED_ANGLES = 25  # crank angles per point and round of the refinement
 ROUNDS = 16
 SHRINK = 6.0
 FAR = 1e3  # sizes of the curve: distance assigned to a position that does not exist
@@ -40,8 +40,8 @@ def passing(problem: PathProblem, design: Mapping[str, float]) -> Array:
     if problem.data.offsets is not None or not problem.pointed:
         return problem.crank_angles(design, None)
     rotation = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(problem.requirement.rotation)
-    found = [_one_way(problem, design, way) for way in ((1.0, -1.0) if rotation is None else (rotation,))]
-    angles = min(found, key=lambda each: each[1])[0]
+    directions = [_one_way(problem, design, way) for way in ((1.0, -1.0) if rotation is None else (rotation,))]
+    angles = min(directions, key=lambda each: each[1])[0]
     return np.asarray(angles - TURN * np.round(angles[0] / TURN))
 
 
@@ -54,8 +54,8 @@ def _squares(problem: PathProblem, design: Mapping[str, float], angles: Array) -
     square = np.sum((places - data.columns[:, None, :2]) ** 2, axis=-1)
     if problem.requirement.kind == "motion":
         turned = np.asarray(motion.body_angle(problem.body).value).reshape(at.shape) + design[MARK]
-        aim = np.arctan2(data.columns[:, 3], data.columns[:, 2])[:, None]
-        square = square + (problem.radian * (np.remainder(turned - aim + np.pi, TURN) - np.pi)) ** 2
+        direction = np.arctan2(data.columns[:, 3], data.columns[:, 2])[:, None]
+        square = square + (problem.radian * (np.remainder(turned - direction + np.pi, TURN) - np.pi)) ** 2
     return np.asarray(np.where(np.isfinite(square), square, far) * data.roots[:, None] ** 2)
 
 
@@ -68,8 +68,8 @@ def _one_way(problem: PathProblem, design: Mapping[str, float], way: float) -> t
     ahead = np.arange(GRID)[:, None] + np.arange(GRID)[None, :]  # (starts, steps from the start)
     best = np.where(np.arange(GRID) == 0, cost[0][ahead % GRID], np.inf)
     for row in cost[1:]:
-        reached = np.minimum.accumulate(best, axis=1)
-        best = joined(np.concatenate([np.full((GRID, 1), np.inf), reached[:, :-1]], axis=1), row[ahead % GRID])
+        cumulative = np.minimum.accumulate(best, axis=1)
+        best = joined(np.concatenate([np.full((GRID, 1), np.inf), cumulative[:, :-1]], axis=1), row[ahead % GRID])
     start = int(np.argmin(np.min(best, axis=1)))
     rolled = np.roll(cost, -start, axis=1)
     rolled[0, 1:] = np.inf
@@ -79,7 +79,7 @@ def _one_way(problem: PathProblem, design: Mapping[str, float], way: float) -> t
     angles, _ = _ordered(rolled, np.full((count, 1), grid[start]) + steps, joined)
     reach, figure = TURN / GRID, np.inf
     for _ in range(ROUNDS):
-        near = angles[:, None] + reach * np.linspace(-1.0, 1.0, NEAR)
+        near = angles[:, None] + reach * np.linspace(-1.0, 1.0, REFINED_ANGLES)
         angles, figure = _ordered(_squares(problem, design, way * near), near, joined)
         reach /= SHRINK
     angles = np.minimum(angles, angles[0] + TURN)

@@ -32,7 +32,7 @@ from optlink.clearance.contact_laws import SLOWEST
 from optlink.clearance.hermite import crossing, summit
 from optlink.clearance.integration import Block, Impact, Integration
 from optlink.clearance.joint import Motion
-from optlink.clearance.statistics import KEPT
+from optlink.clearance.statistics import RETAINED_REVOLUTIONS
 from optlink.dynamics.ending import Ending
 from optlink.dynamics.inverse import acting_on
 from optlink.dynamics.machine import Acting
@@ -893,14 +893,14 @@ def test_memory_is_bounded_and_all_rows_are_streamed():
     streamed: list[dict] = []
     shares: list[float] = []
     found = simulate(PERIODIC, 100, 12, stream=lambda rows: streamed.append(dict(rows)), progress=shares.append)
-    assert len(streamed) == 100 > KEPT
+    assert len(streamed) == 100 > RETAINED_REVOLUTIONS
     assert shares == sorted(shares)
     assert 0.0 < shares[0] < 0.01  # within a revolution too
     assert {(k + 1) / 100 for k in range(100)} <= {round(share, 12) for share in shares}
     for name in ("time_s", "slider.error_m", "C.normal_N"):
         whole = np.concatenate([rows[name] for rows in streamed])
         assert len(whole) == 1200
-        assert np.array_equal(found[name], whole[-12 * KEPT :]), name
+        assert np.array_equal(found[name], whole[-12 * RETAINED_REVOLUTIONS :]), name
     assert set(streamed[0]) == set(found.columns)
     assert len(found.per_revolution["revolution"]) == len(found.poincare_map["revolution"]) == 100
     error = np.concatenate([rows["slider.error_m"] for rows in streamed])
@@ -911,7 +911,7 @@ def test_memory_is_bounded_and_all_rows_are_streamed():
 def test_every_contact_is_counted_however_few_stay_in_memory(monkeypatch):
     raw = edited(PERIODIC, {"joints.C.law": "hertz", "joints.C.friction": 0.0})
     known = simulate(raw, 1, 90)
-    monkeypatch.setattr(statistics_module, "LISTED", 5)
+    monkeypatch.setattr(statistics_module, "MAX_SUMMARIES", 5)
     found = simulate(raw, 1, 90)
     counted = len(known.impacts)
     assert len(found.impacts) < 10 < counted

@@ -241,7 +241,7 @@ def test_loaded_slider_crank_moves_as_its_lagrangian_says(sign):
 def test_traced_rates_are_those_of_numbers(name, direction):
     problem = optlink.load(name)
     machine = machine_of(problem, None).with_(friction={})
-    plant = drive_module._Plant(machine, lambda known: 3.0 - 0.1 * known["omega"] + np.sin(known["phi"]))
+    plant = drive_module._EquationsOfMotion(machine, lambda known: 3.0 - 0.1 * known["omega"] + np.sin(known["phi"]))
     plant.direction = direction
     for angle in problem.model.drive.start.value + direction * np.linspace(0.0, 6.0, 7):
         crank = np.array([angle, 7.0 * direction])
@@ -250,8 +250,10 @@ def test_traced_rates_are_those_of_numbers(name, direction):
 
 
 def test_drift_and_energy_account_see_a_wrong_acceleration(monkeypatch):
-    honest = drive_module._Plant.accelerations
-    monkeypatch.setattr(drive_module._Plant, "accelerations", lambda self, moving: [1.000001 * a for a in honest(self, moving)])
+    honest = drive_module._EquationsOfMotion.accelerations
+    monkeypatch.setattr(
+        drive_module._EquationsOfMotion, "accelerations", lambda self, moving: [1.000001 * a for a in honest(self, moving)]
+    )
     assert optlink.simulate(slider_crank(), duration=0.5, rows=10).run.drift > 1e-8
 
 

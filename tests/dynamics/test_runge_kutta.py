@@ -90,7 +90,9 @@ def test_rejected_steps_do_not_end_the_integration_and_states_without_a_value_do
 @pytest.mark.parametrize("name", ["slider-crank", "six-bar", "whitworth"])
 def test_compiled_step_is_the_step_in_numbers(name):
     problem = optlink.load(name)
-    plant = forward._Plant(problem.model.machine(None), lambda known: 3.0 - 0.1 * known["omega"] + np.sin(known["phi"]))
+    plant = forward._EquationsOfMotion(
+        problem.model.machine(None), lambda known: 3.0 - 0.1 * known["omega"] + np.sin(known["phi"])
+    )
     state = plant.start(0.4, 6.0)
     state[2:] += np.random.default_rng(0).normal(size=len(state) - 2)
     first = plant(state)

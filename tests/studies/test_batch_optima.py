@@ -14,7 +14,7 @@ from optlink.optimization.batch_nlp import BatchNLP
 from optlink.optimization.nlp import build
 from optlink.solvers import multistart
 from optlink.studies import reoptimise_task
-from optlink.studies.batch.blocks import MOST, Blocks
+from optlink.studies.batch.blocks import MAX_BLOCK_POINTS, Blocks
 from optlink.studies.batch.prediction import block_nodes
 from optlink.studies.grid import Axis, Grid, read_grid
 from optlink.studies.reoptimise_task import FOLLOWED, ReoptimiseTask, chunk_of
@@ -56,8 +56,10 @@ def test_blocks_cover_a_grid_with_few_points_each(sizes):
     of = blocks.of(np.arange(grid.count))
     counts = np.bincount(of)
     assert len(counts) == math.prod(blocks.counts)
-    assert 1 <= counts.min() <= counts.max() <= MOST
-    assert len(counts) <= 6 * math.ceil(grid.count / MOST)  # at least as many searches as one for 100 points, not many more
+    assert 1 <= counts.min() <= counts.max() <= MAX_BLOCK_POINTS
+    assert len(counts) <= 6 * math.ceil(
+        grid.count / MAX_BLOCK_POINTS
+    )  # at least as many searches as one for 100 points, not many more
     for block in range(0, len(counts), max(1, len(counts) // 7)):
         middle = blocks.middle(block)
         assert of[middle] == block
@@ -164,7 +166,7 @@ def test_a_search_that_ends_in_a_worse_optimum_is_mended_by_its_neighbours(monke
     """The problem has optima of 0.0012 and 0.36 rad^2; one search is led to the worse one, another finds no design."""
     vary = ["mechanism.crank=98..102 mm:21"]
     expected = task(vary, **WIDE).lines(0)
-    monkeypatch.setattr("optlink.studies.batch.blocks.MOST", 7)
+    monkeypatch.setattr("optlink.studies.batch.blocks.MAX_BLOCK_POINTS", 7)
     own = task(vary, **WIDE)
     search, nlp = own.grid_search, own.programme.nlp
     assert search.blocks.counts == (3,)

@@ -49,7 +49,7 @@ def resumed(integrator: str, checkpoint: Mapping[str, Any] | None) -> str:
     return str(checkpoint.get("integrator", IntegratorKind.CVODES))
 
 
-def chosen(integrator: str, plant: ClosedLoop, revolutions: float) -> IntegratorKind:
+def chosen(integrator: str, closed_loop: ClosedLoop, revolutions: float) -> IntegratorKind:
     """Return the integrator for some work: the requested one, or the faster one.
 
     The choice depends on the request alone, not on the state of the cache, so that repeated commands give identical results.
@@ -58,7 +58,7 @@ def chosen(integrator: str, plant: ClosedLoop, revolutions: float) -> Integrator
     ----------
     integrator : str
         "auto", "cvodes" or "compiled".
-    plant : ClosedLoop
+    closed_loop : ClosedLoop
         A machine of the work.
     revolutions : float
         Revolutions of all runs.
@@ -71,8 +71,8 @@ def chosen(integrator: str, plant: ClosedLoop, revolutions: float) -> Integrator
     if integrator not in list(IntegratorKind):
         raise InputError("no such integrator", f"Take one of {', '.join(IntegratorKind)}", key="integrator", value=integrator)
     kind = IntegratorKind(integrator)
-    seconds = revolutions * len(plant.equations.gaps) * (REVOLUTION + ROW * plant.rows)
-    if kind is IntegratorKind.CVODES or (kind is IntegratorKind.AUTO and (plant.integration.slow or seconds < WORTH)):
+    seconds = revolutions * len(closed_loop.equations.gaps) * (REVOLUTION + ROW * closed_loop.rows)
+    if kind is IntegratorKind.CVODES or (kind is IntegratorKind.AUTO and (closed_loop.integration.slow or seconds < WORTH)):
         return IntegratorKind.CVODES
     if not installed():
         if kind is IntegratorKind.AUTO:
@@ -84,7 +84,7 @@ def chosen(integrator: str, plant: ClosedLoop, revolutions: float) -> Integrator
     from optlink.clearance.compiled.source import Unsupported
 
     try:
-        code_of(plant.equations)
+        code_of(closed_loop.equations)
     except Unsupported as error:
         if kind is IntegratorKind.AUTO:
             return IntegratorKind.CVODES

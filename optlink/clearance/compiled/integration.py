@@ -119,9 +119,9 @@ class CompiledIntegration(Integration):
     def take_peaks(self) -> tuple[float, ...]:
         """Return the maxima since the last call: penetrations [m] and normal forces [N] of all gaps, torque [N m]."""
         self.open = {impact.gap: impact for impact in self.lasting}
-        found = tuple(self._peaks.tolist())
+        values = tuple(self._peaks.tolist())
         self._peaks[:] = 0.0
-        return found
+        return values
 
     @property
     def lasting(self) -> tuple[Impact, ...]:

@@ -62,9 +62,9 @@ class CycleLimits(Alignment):
             sides = () if limit is None else (("least", "min", limit.low), ("largest", "max", limit.high))
             for measure, side, bound in sides:
                 if limit is not None and bound is not None:
-                    stated = {"quantity": "transmission angle", "of": joint, "measure": measure, side: _degrees(bound)}
+                    raw = {"quantity": "transmission angle", "of": joint, "measure": measure, side: _degrees(bound)}
                     interval = Interval(bound if side == "min" else None, bound if side == "max" else None, "angle", "deg")
-                    yield Bound(f"transmission_angle.{joint}.{side}", Limit.model_validate(stated), interval, limit.key)
+                    yield Bound(f"transmission_angle.{joint}.{side}", Limit.model_validate(raw), interval, limit.key)
 
     @property
     def named(self) -> dict[str, Limit]:
@@ -94,12 +94,12 @@ class CycleProblem(Problem):
     @cached_property
     def bounds(self) -> tuple[Bound, ...]:
         """The limits with their bounds."""
-        found = []
+        bounds = []
         for name, limit in self.limits.named.items():
             with below(f"limits.{name}"):
-                found.append(Bound(name, limit, limit.interval(self.linkage, self.quantities), f"limits.{name}"))
+                bounds.append(Bound(name, limit, limit.interval(self.linkage, self.quantities), f"limits.{name}"))
         joints = [group.joint for group in transmitting(self.linkage)]
-        return (*found, *self.limits.transmission_bounds(joints))
+        return (*bounds, *self.limits.transmission_bounds(joints))
 
     @cached_property
     def lengths(self) -> tuple[str, ...]:
@@ -223,12 +223,12 @@ class StrokeProblem(CycleProblem):
     @cached_property
     def bounds(self) -> tuple[Bound, ...]:
         """The stroke, the time ratio, and the limits with their bounds."""
-        task, found = self.requirement, []
-        stated = {"of": self.output, "direction": task.direction}
+        task, bounds = self.requirement, []
+        raw = {"of": self.output, "direction": task.direction}
         try:
-            term = Limit.model_validate({"quantity": "stroke", **stated, **_sides(task.stroke)})
+            term = Limit.model_validate({"quantity": "stroke", **raw, **_sides(task.stroke)})
             check_term(term, self.linkage, self.quantities)
-            found.append(Bound(REQUIRED[0], term, term.interval(self.linkage, self.quantities), "requirement.stroke"))
+            bounds.append(Bound(REQUIRED[0], term, term.interval(self.linkage, self.quantities), "requirement.stroke"))
         except Unusable as error:  # a plain value has no sides in the file
             side = error.key if isinstance(task.stroke, dict) else ""
             error.key = f"requirement.stroke.{side}".rstrip(".")
@@ -236,9 +236,9 @@ class StrokeProblem(CycleProblem):
         ratio = task.time_ratio
         if ratio is not None:
             sides = {side: value for side, value in (("min", ratio.low), ("max", ratio.high)) if value is not None}
-            term = Limit.model_validate({"quantity": "time ratio", **stated, "stroke": ratio.stroke, **sides})
-            found.append(Bound(REQUIRED[1], term, Interval(ratio.low, ratio.high, None, ""), "requirement.time_ratio"))
-        return (*found, *super().bounds)
+            term = Limit.model_validate({"quantity": "time ratio", **raw, "stroke": ratio.stroke, **sides})
+            bounds.append(Bound(REQUIRED[1], term, Interval(ratio.low, ratio.high, None, ""), "requirement.time_ratio"))
+        return (*bounds, *super().bounds)
 
     def check_output(self) -> None:
         """Check that the output exists and can go to and fro, and that the assembly mode is definite.
@@ -253,14 +253,14 @@ class StrokeProblem(CycleProblem):
             message, assembly = "a stroke is designed for one assembly mode", self.mechanism.assembly
             remedy = 'Write "left" or "right"' if isinstance(assembly, str) else "Choose one mode of every dyad"
             raise Unusable(message, remedy, "mechanism.assembly", assembly)
-        known = [
+        names = [
             *(guide.name for guide in mechanism.guides),
             *(link.body for link in mechanism.links[1:]),
             *moving_points(mechanism),
         ]
         name = self.output
-        if name not in known and guide_of(name, mechanism) is None:
-            remedy = nearest(name, known) if name else f"Write output = one of: {', '.join(known)}"
+        if name not in names and guide_of(name, mechanism) is None:
+            remedy = nearest(name, names) if name else f"Write output = one of: {', '.join(names)}"
             raise Unusable(
                 "the output is the name of a slider, a body that swings, or a point", remedy, "requirement.output", name or None
             )

@@ -63,8 +63,8 @@ def guide_of(name: str, mechanism: Mechanism) -> str | None:
     """
     if any(guide.name == name for guide in mechanism.guides):
         return name
-    own = [guide.name for guide in mechanism.guides if guide.slider == name]
-    return own[0] if len(own) == 1 else None
+    guides = [guide.name for guide in mechanism.guides if guide.slider == name]
+    return guides[0] if len(guides) == 1 else None
 
 
 PIN = Element(lambda mechanism: mechanism.pins, "no such pin joint")

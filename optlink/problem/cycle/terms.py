@@ -17,12 +17,12 @@ from optlink.problem.quantity import FixedAngle, Number, Quantity, Unusable, che
 Measure = Literal["peak", "rms", "mean", "largest", "least"]
 
 
-def _known(raw: object) -> object:
+def _check_quantity(raw: object) -> object:
     check_name(raw, QUANTITIES, "not one of the choices")
     return raw
 
 
-What = Annotated[str, BeforeValidator(_known)]
+What = Annotated[str, BeforeValidator(_check_quantity)]
 """One of `QUANTITIES`."""
 EXTREME = ("peak", "largest", "least")
 """Measures that a single position decides: as many rows as positions, rather than one figure."""
@@ -139,7 +139,7 @@ def check_shape(term: Term) -> None:
     if term.on is not None and what != "reaction":
         raise Unusable("only a reaction acts on a body", "Leave it out", "on", term.on)
     if term.static and not nature.forces:
-        static = ", ".join(name for name, known in QUANTITIES.items() if known.forces)
+        static = ", ".join(name for name, quantity in QUANTITIES.items() if quantity.forces)
         raise Unusable(f"{_a(what)} has no static part", f"Leave it out; only {static} have one", "static")
     if term.stroke is not None and what not in ("end", "time ratio") and (what != "work" or term.of is None):
         message = "only an end, a time ratio, and the work during a stroke of a slider have one"
@@ -179,9 +179,9 @@ class Objective(TermSection):
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
-        own = [key for key in type(self).model_fields if key != "terms" and key in self.model_fields_set]
-        if self.terms and own:
-            raise Unusable("the objective is one term or a sum of terms", "Put all of them under [[objective.terms]]", own[0])
+        keys = [key for key in type(self).model_fields if key != "terms" and key in self.model_fields_set]
+        if self.terms and keys:
+            raise Unusable("the objective is one term or a sum of terms", "Put all of them under [[objective.terms]]", keys[0])
         if not self.terms and self.quantity is None:
             raise Unusable("there is no objective", f'Add quantity = "torque"; known: {", ".join(QUANTITIES)}', "quantity")
         if not self.terms:
@@ -198,8 +198,8 @@ class Objective(TermSection):
         """Terms of the sum."""
         if self.terms:
             return self.terms
-        stated = {key: getattr(self, key) for key in type(self).model_fields if key != "terms"}
-        goal = Goal.model_construct(weight=1.0, scale=None, **stated)
+        values = {key: getattr(self, key) for key in type(self).model_fields if key != "terms"}
+        goal = Goal.model_construct(weight=1.0, scale=None, **values)
         check_shape(goal)
         check_sense(goal)
         return (goal,)
@@ -271,16 +271,16 @@ class Limit(Term):
         Unusable
             with the key below the limit.
         """
-        named = quantities.get(str(self.of)) if self.quantity == "length" else None
-        kind = self.kind(mechanism) if named is None else named.kind
-        found: dict[str, tuple[float, str]] = {}
+        quantity = quantities.get(str(self.of)) if self.quantity == "length" else None
+        kind = self.kind(mechanism) if quantity is None else quantity.kind
+        sides: dict[str, tuple[float, str]] = {}
         for key in ("min", "max", "exactly"):
             if getattr(self, key) is not None:
-                found[key] = read_figure(getattr(self, key), kind, key)
-        low, high = (found.get(key, found.get("exactly")) for key in ("min", "max"))
+                sides[key] = read_figure(getattr(self, key), kind, key)
+        low, high = (sides.get(key, sides.get("exactly")) for key in ("min", "max"))
         if low and high and low[0] > high[0]:
             raise Unusable("min is above max", "Exchange them", "min", self.min)
-        for key, (value, _) in found.items():
+        for key, (value, _) in sides.items():
             if self.how == "peak" and value <= 0.0:
                 raise Unusable("the largest size over the cycle is positive", "Give a limit above zero", key, getattr(self, key))
             if self.quantity == "time ratio":
@@ -290,7 +290,7 @@ class Limit(Term):
             most = {"transmission angle": 180.0, "pressure angle": 90.0}.get(self.quantity)
             if most is not None and not 0.0 < value < math.radians(most):
                 raise Unusable("out of range", f'Give an angle between 0 and {most:g} deg, for example "45 deg"', key, str(value))
-        first = next(iter(found.values()))
+        first = next(iter(sides.values()))
         return Interval(low[0] if low else None, high[0] if high else None, kind or None, first[1])
 
     def _check_stroke(self, key: str, value: float, mechanism: Mechanism) -> None:
@@ -304,13 +304,13 @@ class Limit(Term):
 
 def rockers(mechanism: Mechanism) -> list[str]:
     """Return the bodies that are pinned to the frame and swing with one link between them and the crank."""
-    found = []
+    names = []
     for group in mechanism.groups:
         if len(pins := dict(group.outer_pins)) == 2:
             bodies = {body: mechanism.owners[pin] for body, pin in pins.items()}
             if any(mechanism.crank.body in owners for owners in bodies.values()):
-                found += [body for body, owners in bodies.items() if FRAME in owners]
-    return found
+                names += [body for body, owners in bodies.items() if FRAME in owners]
+    return names
 
 
 def read_figure(raw: object, kind: str, key: str) -> tuple[float, str]:
@@ -370,8 +370,8 @@ def output_of(term: Term, mechanism: Mechanism) -> tuple[str, str]:
         return "guide", guide
     if name in mechanism.bodies:
         return "body", name
-    known = [*mechanism.bodies, *(g.name for g in mechanism.guides), *points]
-    raise Unusable("no such slider, body or point", nearest(name, known), "of", term.of)
+    names = [*mechanism.bodies, *(g.name for g in mechanism.guides), *points]
+    raise Unusable("no such slider, body or point", nearest(name, names), "of", term.of)
 
 
 def check_term(term: Term, mechanism: Mechanism, quantities: Mapping[str, Quantity]) -> None:
@@ -399,9 +399,9 @@ def check_term(term: Term, mechanism: Mechanism, quantities: Mapping[str, Quanti
         raise Unusable("only the stroke of a point has a direction", "Leave it out", "direction", str(term.direction))
     element = None if term.of is None else term.nature.element
     if element is not None:
-        known = element.names(mechanism)
-        if name not in known and not (element is GUIDE and guide_of(name, mechanism)):
-            raise Unusable(element.missing, nearest(name, known) if known else "This machine has none", "of", term.of)
+        names = element.names(mechanism)
+        if name not in names and not (element is GUIDE and guide_of(name, mechanism)):
+            raise Unusable(element.missing, nearest(name, names) if names else "This machine has none", "of", term.of)
     if term.on is not None:
         check_name(term.on, mechanism.pins[name], "the joint is not one of that body", "on")
     if what == "length":

@@ -20,7 +20,7 @@ from optlink.units import read_number
 if TYPE_CHECKING:
     from optlink.dynamics.counterweights import BalanceMeasure, Counterweight, FreeSpring, Kind
 
-MOST = 100_000
+MAX_POSITIONS = 100_000
 EXAMPLES = '"rms shaking force", "largest driving torque", "rms shaking moment", "largest reaction at D"'
 _MEASURE = (
     r"(?a)(?:(?P<of>rms|largest)\s+)?"
@@ -40,24 +40,24 @@ def read_measure(text: object) -> BalanceMeasure:
     """
     from optlink.dynamics.counterweights import KINDS, BalanceMeasure
 
-    found = re.fullmatch(_MEASURE, " ".join(str(text).split())) if isinstance(text, str) else None
-    if found is None:
+    match = re.fullmatch(_MEASURE, " ".join(str(text).split())) if isinstance(text, str) else None
+    if match is None:
         if isinstance(text, str) and re.match(r"\s*(?:maxim|largest\s+possible|most)", text):
             raise Unusable("only minimisation is a convex problem", f"Write for example {EXAMPLES}", "", text)
         raise Unusable("not a measure", f"Write for example {EXAMPLES}", "", text)
     kind: Kind = "reaction"
-    if found["shaking"] or found["torque"]:
-        kind = next(k for k in KINDS if k.endswith(found["shaking"] or found["torque"]))
+    if match["shaking"] or match["torque"]:
+        kind = next(k for k in KINDS if k.endswith(match["shaking"] or match["torque"]))
     arc = None
-    if found["low"]:
-        arc = math.radians(read_number(found["low"])), math.radians(read_number(found["high"]))
+    if match["low"]:
+        arc = math.radians(read_number(match["low"])), math.radians(read_number(match["high"]))
         if math.isnan(arc[1] - arc[0]):
             raise Unusable("not a range of crank angles", "Write for example: from 90 to 180 deg", "", text)
         if not 0.0 < arc[1] - arc[0] < 2.0 * math.pi:
             raise Unusable(
                 "a range of crank angles rises, by less than a turn", "Write for example: from 300 to 420 deg", "", text
             )
-    return BalanceMeasure(kind, "largest" if found["of"] == "largest" else "rms", found["joint"] or "", found["on"] or "", arc)
+    return BalanceMeasure(kind, "largest" if match["of"] == "largest" else "rms", match["joint"] or "", match["on"] or "", arc)
 
 
 def check_measure(measure: BalanceMeasure, machine: Machine) -> None:
@@ -93,15 +93,15 @@ def _read_goal(raw: object) -> tuple[tuple[BalanceMeasure, float], ...]:
         return ((read_measure(raw), 1.0),)
     if not isinstance(raw, dict) or not raw:
         raise Unusable("not a measure", f"Write one of {EXAMPLES}, or a table of measures and their weights", "", raw)
-    found = []
+    goal = []
     for text, weight in raw.items():
         measure = read_measure(text)
         if isinstance(weight, bool) or not isinstance(weight, int | float) or not math.isfinite(weight):
             raise Unusable("expected the weight of the measure", f'Write {{ "{text}" = 1.0 }}', "", weight)
         if weight <= 0.0:
             raise Unusable("a weight must be positive", "Give a positive one, or remove the measure", "", f"{text} = {weight}")
-        found.append((measure, float(weight)))
-    return tuple(found)
+        goal.append((measure, float(weight)))
+    return tuple(goal)
 
 
 @dataclass(frozen=True)
@@ -329,8 +329,8 @@ class SpringSection(Section):
         from optlink.dynamics.counterweights import FreeSpring
 
         mechanism = machine.mechanism
-        taken = (*mechanism.bodies, *mechanism.owners, *(g.name for g in mechanism.guides), *(x.name for x in machine.loads))
-        if self.name in (*taken, *RESERVED):
+        used_names = (*mechanism.bodies, *mechanism.owners, *(g.name for g in mechanism.guides), *(x.name for x in machine.loads))
+        if self.name in (*used_names, *RESERVED):
             raise Unusable("the name is taken", "Choose another for the spring", "name", self.name)
         ends = spring_ends(mechanism, self.between)
         low, most = _ends(self.stiffness)
@@ -355,7 +355,7 @@ class BalanceSection(Section):
     """Total mass of all counterweights: one value or a range; default: any."""
     about: Place = None
     """Reference point of shaking moments on the frame; default: the crank pivot."""
-    positions: int = Field(default=360, ge=8, le=MOST)
+    positions: int = Field(default=360, ge=8, le=MAX_POSITIONS)
     """Number of evenly spaced crank angles of the programme, 8 to 100000."""
 
     @field_validator("limits", mode="after")
@@ -373,8 +373,8 @@ class BalanceSection(Section):
     @property
     def goal(self) -> tuple[tuple[BalanceMeasure, float], ...]:
         """Measures to minimise, with their weights."""
-        found: tuple[tuple[BalanceMeasure, float], ...] = self.minimise
-        return found
+        measures: tuple[tuple[BalanceMeasure, float], ...] = self.minimise
+        return measures
 
     @property
     def total(self) -> tuple[float, float]:

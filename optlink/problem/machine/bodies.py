@@ -77,8 +77,8 @@ class BodySection(Section):
         if isinstance(self.centroid, tuple):
             along, across = (part.value for part in self.centroid)
         elif self.centroid not in (None, "middle"):
-            own = [point for point, bodies in mechanism.owners.items() if body in bodies]
-            check_name(self.centroid, ["middle", *own], "the body has no such point", "centroid")
+            points = [point for point, bodies in mechanism.owners.items() if body in bodies]
+            check_name(self.centroid, ["middle", *points], "the body has no such point", "centroid")
             along, across = Pose(mechanism, sizes).local(body, self.centroid)
         if self.inertia == "uniform bar":
             if not link.end:

@@ -92,17 +92,20 @@ class ControlSection(Section):
         """
         from optlink.clearance.output import default_output, outputs
 
-        known, points = outputs(machine), [gap.point for gap in gaps]
+        available, points = outputs(machine), [gap.point for gap in gaps]
         if self.output is not None:
-            check_name(self.output, known, "no such slider or body", "output")
+            check_name(self.output, available, "no such slider or body", "output")
         for point in self.known or ():
             check_name(point, points, "the joint has no clearance", "known")
-        output, given = known[self.output] if self.output is not None else default_output(machine), self.regularisation
-        if given is not None:
+        output, regularisation = (
+            available[self.output] if self.output is not None else default_output(machine),
+            self.regularisation,
+        )
+        if regularisation is not None:
             needed, example = ("a length", '"5 mm"') if output.guide else ("an angle", '"5 deg"')
-            if (given.kind == "length") != bool(output.guide):
+            if (regularisation.kind == "length") != bool(output.guide):
                 message = f"{output.name} moves by {needed} per radian"
-                raise Unusable(message, f"Give {needed}: {example}", "regularisation", str(given))
-            if not given.value > 0.0:
+                raise Unusable(message, f"Give {needed}: {example}", "regularisation", str(regularisation))
+            if not regularisation.value > 0.0:
                 message = "without regularisation the inverse has no solution at a dead centre"
-                raise Unusable(message, f"Give for example {example}", "regularisation", str(given))
+                raise Unusable(message, f"Give for example {example}", "regularisation", str(regularisation))

@@ -153,14 +153,14 @@ class JointSection(Section):
         """Return clearance and radius of the journal [m]."""
         bearing, journal, clearance = self.bearing_radius, self.journal_radius, self.clearance
         if bearing is not None and journal is not None:
-            found = bearing.value - journal.value
-            if found <= 0.0:
+            difference = bearing.value - journal.value
+            if difference <= 0.0:
                 message = f"the journal ({journal}) is not smaller than the bearing ({bearing})"
                 raise Unusable(message, "Exchange the radii, or make the bearing larger", "journal_radius", str(journal))
-            if clearance is not None and abs(found - clearance.value) > RADII_AGREE * found:
-                message = f"the radii differ by {found * 1e3:.6g} mm, but the clearance is stated as {clearance}"
+            if clearance is not None and abs(difference - clearance.value) > RADII_AGREE * difference:
+                message = f"the radii differ by {difference * 1e3:.6g} mm, but the clearance is stated as {clearance}"
                 raise Unusable(message, "Remove one of the three", "clearance", str(clearance))
-            return found, journal.value
+            return difference, journal.value
         if clearance is None:
             raise Unusable("the joint has radii, but no clearance", f"Add the other radius, or {EXAMPLE}", "clearance")
         if bearing is not None:

@@ -31,7 +31,7 @@ class Constant:
     def __str__(self) -> str:
         return self.text
 
-    def __call__(self, known: Mapping[str, Value]) -> Value:
+    def __call__(self, variables: Mapping[str, Value]) -> Value:
         """Return the value [SI]."""
         return self.value
 
@@ -47,9 +47,9 @@ class Formula:
     def __str__(self) -> str:
         return f"{self.expression.text} [{self.unit}]"
 
-    def __call__(self, known: Mapping[str, Value]) -> Value:
+    def __call__(self, variables: Mapping[str, Value]) -> Value:
         """Return the value [SI]."""
-        return self.expression(known) * self.size
+        return self.expression(variables) * self.size
 
     @property
     def cornered(self) -> bool:
@@ -73,9 +73,9 @@ class Curve:
     def __str__(self) -> str:
         return f"a table over {self.over}, {len(self.at)} rows"
 
-    def __call__(self, known: Mapping[str, Value]) -> Value:
+    def __call__(self, variables: Mapping[str, Value]) -> Value:
         """Return the value [SI]."""
-        x, period = known[self.over], 2.0 * np.pi if self.over == "phi" else None
+        x, period = variables[self.over], 2.0 * np.pi if self.over == "phi" else None
         if isinstance(x, float | int | np.ndarray | np.generic):
             return np.interp(np.asarray(x, dtype=float), self.at, self.values, period=period)
         return self._ramps(x, period)
@@ -88,10 +88,10 @@ class Curve:
             if at[-1] < at[0] + period:
                 at, values = [*at, at[0] + period], [*values, values[0]]
         slopes = [0.0, *np.diff(values) / np.diff(at), 0.0]
-        found: Value = values[0]
+        value: Value = values[0]
         for begin, change in zip(at, np.diff(slopes), strict=True):
-            found = found + change * np.maximum(x - begin, 0.0)
-        return found
+            value = value + change * np.maximum(x - begin, 0.0)
+        return value
 
 
 Size = Constant | Formula | Curve
@@ -117,9 +117,9 @@ def read_size(raw: object, folder: Path, kind: str, names: Iterable[str]) -> Siz
         when the value cannot be read, with the key below the present one.
     """
     if not isinstance(raw, dict):
-        value, own = read_scalar(raw, kind)
-        return Constant(value, show(value, kind, own, digits=12))
-    known = [name for name in names if name in OVER]
+        value, own_unit = read_scalar(raw, kind)
+        return Constant(value, show(value, kind, own_unit, digits=12))
+    variables = [name for name in names if name in OVER]
     if "expression" in raw:
         check_keys(raw, ("expression", "unit"))
         if not isinstance(raw["expression"], str):
@@ -136,8 +136,8 @@ def read_size(raw: object, folder: Path, kind: str, names: Iterable[str]) -> Siz
         with below("unit", unit):
             return Formula(expression, unit, factor(unit, kind))
     over = raw.get("over")
-    if over not in known:
-        raise Unusable("the table has no independent variable", f"Write over = one of: {', '.join(known)}", "over", over)
+    if over not in variables:
+        raise Unusable("the table has no independent variable", f"Write over = one of: {', '.join(variables)}", "over", over)
     check_keys(raw, ("over", "at", "values", "csv"))
     if "csv" in raw and ("at" in raw or "values" in raw):
         raise Unusable("the table is given twice", "Give csv, or at and values, not both", "csv", raw["csv"])

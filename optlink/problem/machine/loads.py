@@ -141,10 +141,10 @@ class LoadSection(Section):
                 self.on,
             )
         _, _, guide = self._target(mechanism)
-        known = next(g for g in mechanism.guides if g.name == guide)
+        joint = next(g for g in mechanism.guides if g.name == guide)
         assert self.damping is not None
         return SlideDamper(
-            name, guide, known.slider, known.on, known.at or mechanism.bodies[known.slider].start, self.damping.value
+            name, guide, joint.slider, joint.on, joint.at or mechanism.bodies[joint.slider].start, self.damping.value
         )
 
     @property
@@ -154,7 +154,7 @@ class LoadSection(Section):
 
     def _check_keys(self) -> None:
         """Refuse inconsistent combinations of keys."""
-        given = {key for key in self.model_fields_set if getattr(self, key) is not None}
+        keys = {key for key in self.model_fields_set if getattr(self, key) is not None}
         kinds: dict[str, set[str]] = {
             "force": {"on", "at", "direction", "acts", "stroke", "against"},
             "torque": {"on", "acts", "stroke", "against"},
@@ -163,18 +163,18 @@ class LoadSection(Section):
             "torsional_damping": {"on", "against"},
             "damping": {"on"},
         }
-        kind = next((kind for kind in kinds if kind in given), None)
+        kind = next((kind for kind in kinds if kind in keys), None)
         if kind is None:
             raise Unusable(
                 "the load has no magnitude",
                 'Give force = "1000 N", torque = "5 N*m", between = [...] with stiffness, or damping',
             )
-        wrong = sorted(given - kinds[kind] - {kind})
+        wrong = sorted(keys - kinds[kind] - {kind})
         if wrong:
             raise Unusable(f"a load with {kind} has no {wrong[0]}", f"Possible:  {', '.join(sorted(kinds[kind]))}", wrong[0])
-        if kind == "between" and not {"stiffness", "damping"} & given:
+        if kind == "between" and not {"stiffness", "damping"} & keys:
             raise Unusable("a spring needs a stiffness", 'Add stiffness = "500 N/m" or damping = "20 N*s/m"', "stiffness")
-        if kind != "between" and "on" not in given:
+        if kind != "between" and "on" not in keys:
             raise Unusable("the load has no body to act on", 'Name a body: on = "slider"', "on")
 
     def _body(self, mechanism: Mechanism, body: str | None, key: str) -> str:
@@ -191,8 +191,8 @@ class LoadSection(Section):
                 raise Unusable("the force has no point", f"Add at, one of: {link.start}, {link.end} or another", "at")
             point = (guide.at if guide else "") or link.start
         else:
-            own = [point for point, bodies in mechanism.owners.items() if body in bodies]
-            check_name(self.at, own, "the body has no such point", "at")
+            points = [point for point, bodies in mechanism.owners.items() if body in bodies]
+            check_name(self.at, points, "the body has no such point", "at")
             point = self.at
         return body, point, guide.name if guide else ""
 
@@ -208,5 +208,5 @@ class LoadSection(Section):
             motion.check_moves(load)
         if not self.by_pace:
             return {"stroke": self.stroke}
-        found = motion.slow(load)
-        return {"stroke": found if self.stroke == "slow" else OTHER[found], "turning": True}
+        slow = motion.slow(load)
+        return {"stroke": slow if self.stroke == "slow" else OTHER[slow], "turning": True}

@@ -156,8 +156,8 @@ class Problem(Section):
 
     def displayed(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return values of a design in display units, each unit appended to the key."""
-        shown = {name: self.display(name) for name in values}
-        return {f"{name}_{shown[name][1]}": value * shown[name][0] for name, value in values.items()}
+        units = {name: self.display(name) for name in values}
+        return {f"{name}_{units[name][1]}": value * units[name][0] for name, value in values.items()}
 
     def start(self, values: Mapping[str, float]) -> float:
         """Return the crank angle [rad] at which the motion of a design begins."""
@@ -303,11 +303,11 @@ class Problem(Section):
         Unusable
             with the full key of the cause.
         """
-        found = []
+        gaps = []
         for name, joint in self.joints.items():
             if joint.has_clearance:
                 with below(f"joints.{name}"):
-                    found.append(joint.gap(name, machine.mechanism))
-        if found:
-            Revolution(machine).check_clearances(found)
-        return tuple(found)
+                    gaps.append(joint.gap(name, machine.mechanism))
+        if gaps:
+            Revolution(machine).check_clearances(gaps)
+        return tuple(gaps)

@@ -44,8 +44,8 @@ class Revolution:
         with np.errstate(all="ignore"):
             pose = mechanism.at(self.machine.sizes, self.moving.motion.crank_angle)
         for group in mechanism.groups if np.all(assembled) else ():
-            own = {link.body for link in group.links}
-            in_group = [gap for gap in gaps if own & {gap.journal, gap.bearing}]
+            bodies = {link.body for link in group.links}
+            in_group = [gap for gap in gaps if bodies & {gap.journal, gap.bearing}]
             with np.errstate(all="ignore"):
                 gap = group.gap(pose)
             spare = -np.broadcast_to(np.asarray(gap, dtype=float), assembled.shape)[assembled]
@@ -92,15 +92,15 @@ class Revolution:
         if load.name in self._slow:
             return self._slow[load.name]
         sense = self.slow_senses(load)  # many designs share one machine only if they have the same slow stroke
-        found: Direction | None = "forward" if np.all(sense > 0.0) else "backward" if np.all(sense < 0.0) else None
-        if not np.all(self.moving.motion.assembled) and found is None:
+        slow: Direction | None = "forward" if np.all(sense > 0.0) else "backward" if np.all(sense < 0.0) else None
+        if not np.all(self.moving.motion.assembled) and slow is None:
             message = "the crank does not turn fully, and in the range that it reaches no stroke is the slow one"
             raise Unusable(message, 'Change the dimensions, or write stroke = "forward" or "backward"', "stroke")
-        if found is None:
+        if slow is None:
             least = f"{math.degrees(LEAST_DIFFERENCE):g} deg"
             message = f"both strokes take equally long (to {least} of crank rotation), so neither stroke is the slow one"
             raise Unusable(message, 'Write stroke = "forward" or "backward", or change the dimensions', "stroke")
-        return found
+        return slow
 
     def slow_senses(self, load: Load) -> Array:
         """Return the slow stroke of a load's motion for one or many designs: 1 forward, -1 backward, 0 for equal strokes.
@@ -162,8 +162,8 @@ class Revolution:
         """Return the ends [rad] of the swing of a body relative to another, of each design; NaN: no position is reached."""
         one, other = (self.moving.state(name).axis for name in (body, against))
         angle = np.asarray(np.arctan2(cross(other, one), dot(other, one)) + 0.0 * self.moving.motion.crank_angle)
-        reached = [np.unwrap(row[np.isfinite(row)]) for row in np.atleast_2d(angle)]
-        ends = np.array([[np.min(swing), np.max(swing)] if swing.size else [np.nan, np.nan] for swing in reached])
+        angles = [np.unwrap(row[np.isfinite(row)]) for row in np.atleast_2d(angle)]
+        ends = np.array([[np.min(swing), np.max(swing)] if swing.size else [np.nan, np.nan] for swing in angles])
         low, high = ends.T.reshape(2, *np.shape(angle)[:-1])
         return low, high
 

@@ -124,8 +124,8 @@ def expression_curve(raw: Mapping[str, Any]) -> TargetPoints:
             )
 
     def at(u: Array) -> Array:
-        known = {"t": begin + (end - begin) * u}
-        return np.stack([np.broadcast_to(np.asarray(law(known), dtype=float), u.shape) for law in (x, y)], axis=1) * size
+        variables = {"t": begin + (end - begin) * u}
+        return np.stack([np.broadcast_to(np.asarray(law(variables), dtype=float), u.shape) for law in (x, y)], axis=1) * size
 
     points, loop, length = resample([CurvePiece(at, FINE)], count)
     if spacing == "t":

@@ -113,7 +113,7 @@ class Expression:
 
         Poles between two values are found too: a denominator that changes its sign.
         """
-        found: list[str] = []
+        hazards: list[str] = []
 
         def watch(sign: str, left: Any, right: Any) -> None:
             denominator = right if sign == "/" else left
@@ -124,11 +124,11 @@ class Expression:
             array = np.atleast_1d(np.asarray(denominator, dtype=float))
             if np.any(array == 0.0) or (np.any(array < 0.0) and np.any(array > 0.0)):
                 what = {"/": "divides by zero", "^": "raises zero to a negative power", "tan": "passes a pole of tan"}
-                found.append(what[sign])
+                hazards.append(what[sign])
 
         result = np.asarray(self._run(values, watch), dtype=float)
-        if found:
-            return found[0]
+        if hazards:
+            return hazards[0]
         if not np.all(np.isfinite(result)):
             return "has no finite real value (a root or logarithm of a negative number, or an overflow)"
         return None

@@ -45,12 +45,12 @@ class Function:
         """Least and largest y, refined between the values of a grid."""
         x = np.linspace(self.low, self.high, GRID)
         y = np.asarray(self.expression({"x": x}) + 0.0 * x, dtype=float)
-        found = []
+        values = []
         for sign in (1.0, -1.0):
             i = int(np.argmin(sign * y))
             near = np.linspace(x[max(i - 1, 0)], x[min(i + 1, GRID - 1)], GRID)
-            found.append(sign * float(np.min(sign * np.asarray(self.expression({"x": near}) + 0.0 * near, dtype=float))))
-        return found[0], found[1]
+            values.append(sign * float(np.min(sign * np.asarray(self.expression({"x": near}) + 0.0 * near, dtype=float))))
+        return values[0], values[1]
 
     def rise(self, offset: Value) -> Value:
         """Return the prescribed output [rad or m] above that of the least y at a crank rotation [rad]; elementwise."""
@@ -104,9 +104,9 @@ def read_function(raw: Mapping[str, Any], kind: str = "angle") -> Function:
     output = read_scalar(raw["output"], kind, "output")[0]
     if output == 0.0:
         raise Unusable("the output range must not be zero", 'Write output = "60 deg"', "output", raw["output"])
-    found = Function(expression, low, high, turned, output, kind)
+    function = Function(expression, low, high, turned, output, kind)
     span = {"phi": turned * np.linspace(0.0, 1.0, GRID), "phi0": 0.0, "psi0": 0.0}
-    worry = found.hazards(span)
+    worry = function.hazards(span)
     if worry:
         raise Unusable(
             f"the function {worry} between x = {low:g} and {high:g}",
@@ -114,10 +114,10 @@ def read_function(raw: Mapping[str, Any], kind: str = "angle") -> Function:
             "function",
             expression.text,
         )
-    least, largest = found.ends
+    least, largest = function.ends
     if not math.isfinite(largest - least) or largest - least <= 1e-12 * max(abs(least), abs(largest), 1e-300):
         raise Unusable("the function is constant there", "Choose a function that varies", "function", expression.text)
-    return found
+    return function
 
 
 def _bound(raw: object, index: int) -> float:

@@ -23,7 +23,7 @@ SLIDE_NAMES = ("phi", "phi0", "s0")
 SLIDE = 'law = { slide = "s0 + 40*(1 - cos(phi - phi0))", unit = "mm" }'
 MAX_ROWS = 10_000
 STARTS = np.array([[0.3, 1.9, -2.2], [-0.8, 2.5, 0.6]])  # phi0, psi0 [rad] at which a law is tested
-SAME = 1e-12  # rad
+SAME_ANGLE = 1e-12  # rad
 
 
 @dataclass(frozen=True)
@@ -95,16 +95,16 @@ class SlideExpression:
         """Names used, with s0 as psi0: the output at the start."""
         return frozenset("psi0" if name == "s0" else name for name in self.expression.names)
 
-    def _named(self, values: Mapping[str, Value]) -> dict[str, Value]:
+    def _variables(self, values: Mapping[str, Value]) -> dict[str, Value]:
         return {"phi": values["phi"], "phi0": values["phi0"], "s0": values["psi0"] / self.size}
 
     def __call__(self, values: Mapping[str, Value]) -> Value:
         """Return the prescribed slide [m] for phi, phi0 [rad] and psi0, the slide at the start [m]."""
-        return self.expression(self._named(values)) * self.size
+        return self.expression(self._variables(values)) * self.size
 
     def hazards(self, values: Mapping[str, Value]) -> str | None:
         """Return the defect of the law along arrays of values, or None; see `Expression.hazards`."""
-        return self.expression.hazards(self._named(values))
+        return self.expression.hazards(self._variables(values))
 
 
 Source = Expression | SlideExpression | Function | Table
@@ -121,7 +121,7 @@ def begins_at_psi0(law: Source) -> bool:
         return law.from_start and law.phi[0] == 0.0 and law.psi[0] == 0.0
     phi0, psi0 = STARTS
     with np.errstate(all="ignore"):
-        return not np.any(np.abs(law({"phi": phi0, "phi0": phi0, "psi0": psi0}) - psi0) > SAME)
+        return not np.any(np.abs(law({"phi": phi0, "phi0": phi0, "psi0": psi0}) - psi0) > SAME_ANGLE)
 
 
 def is_periodic(law: Source, name: str) -> bool:
@@ -140,7 +140,7 @@ def is_periodic(law: Source, name: str) -> bool:
     with np.errstate(all="ignore"):
         change = law(turned) - law(values) + 0.0 * phi0
     whole = TURN * np.round(change / TURN) if isinstance(law, Expression) else 0.0
-    return bool(np.all(np.abs(change - whole) <= SAME))
+    return bool(np.all(np.abs(change - whole) <= SAME_ANGLE))
 
 
 def rotation(law: Source, span: Quantity | None) -> float:
@@ -151,9 +151,9 @@ def rotation(law: Source, span: Quantity | None) -> float:
     law : Expression, SlideExpression, Function or Table
     span : Quantity, optional
     """
-    own = law.span if isinstance(law, Table) else law.input if isinstance(law, Function) else None
-    if own is not None:
-        return own
+    law_rotation = law.span if isinstance(law, Table) else law.input if isinstance(law, Function) else None
+    if law_rotation is not None:
+        return law_rotation
     assert span is not None
     return span.value
 
@@ -324,9 +324,9 @@ def _read_slide(raw: Mapping[str, Any]) -> SlideExpression:
 
 
 def _read_table(raw: Mapping[str, Any], folder: Path, output: str = "psi") -> Table:
-    known = ("phi", output, "csv", "measured_from")
+    keys = ("phi", output, "csv", "measured_from")
     kind = "angle" if output == "psi" else "coordinate"
-    check_keys(raw, known)
+    check_keys(raw, keys)
     origin = raw.get("measured_from", "start")
     if origin not in ("start", "frame"):
         raise Unusable("unknown origin of the angles", 'Write "start" or "frame"', "measured_from", origin)
@@ -371,8 +371,8 @@ def read_columns(raw: Mapping[str, Any], folder: Path, kinds: Mapping[str, str])
         with the file, and the row of the error.
     """
     table = read_csv(raw, folder, MAX_ROWS)
-    found = [_column(table, name, kind) for name, kind in kinds.items()]
-    values = [[table.number(number, cells, index) * size for index, size in found] for number, cells in table.rows]
+    columns = [_column(table, name, kind) for name, kind in kinds.items()]
+    values = [[table.number(number, cells, index) * size for index, size in columns] for number, cells in table.rows]
     return [list(column) for column in zip(*values, strict=True)] or [[] for _ in kinds]
 
 
@@ -388,10 +388,10 @@ _UNITS = {
 def _column(table: CsvTable, name: str, kind: str) -> tuple[int, float]:
     """Return the index of a column and its unit [SI]."""
     units = {f"{name}_{ending}": unit for ending, unit in _UNITS[kind].items()}
-    found = [index for index, title in enumerate(table.titles) if title in units]
-    if not found:
+    indices = [index for index, title in enumerate(table.titles) if title in units]
+    if not indices:
         message = f"{table.name} has no column {' or '.join(units)}"
         raise Unusable(message, f"Name the columns in the first row, one of them {next(iter(units))}", "csv")
-    if len(found) > 1:
+    if len(indices) > 1:
         raise Unusable(f"{table.name} has two columns of {name}", "Keep one of them", "csv")
-    return found[0], factor(units[table.titles[found[0]]], kind)
+    return indices[0], factor(units[table.titles[indices[0]]], kind)

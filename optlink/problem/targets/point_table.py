@@ -91,7 +91,7 @@ def read_rows(raw: Sequence[object]) -> PointRows:
         raise Unusable(f"there are {len(raw):,} points, more than {MAX_ROWS:,}", "Reduce their number", "")
     example = 'Write ["20 mm", "25 mm"], or { x = "20 mm", y = "25 mm", crank = "30 deg" }'
     columns: dict[str, list[float]] = {name: [] for name in _COLUMNS}
-    stated: dict[str, int] = {}
+    first_rows: dict[str, int] = {}
     unit = "mm"
     for number, row in enumerate(raw):
         if isinstance(row, list | tuple):
@@ -116,18 +116,18 @@ def read_rows(raw: Sequence[object]) -> PointRows:
             else:
                 columns[name].append(_number(row[name], key))
             if name in row:
-                stated.setdefault(name, number)
+                first_rows.setdefault(name, number)
     if not raw:
         raise Unusable("there is no point", "Give at least one", "", raw)
     for name in ("crank", "angle"):
         lacks = next((number for number, value in enumerate(columns[name]) if math.isnan(value)), None)
-        if name in stated and lacks is not None:
+        if name in first_rows and lacks is not None:
             raise Unusable(
-                f"point {lacks + 1} has no {name}, and point {stated[name] + 1} has one",
+                f"point {lacks + 1} has no {name}, and point {first_rows[name] + 1} has one",
                 f"Give {name} of all points or of none",
                 f"[{lacks}].{name}",
             )
-    return PointRows({name: np.array(columns[name]) for name in stated}, unit)
+    return PointRows({name: np.array(columns[name]) for name in first_rows}, unit)
 
 
 def _number(raw: object, key: str) -> float:
@@ -195,9 +195,9 @@ def _check_titles(table: CsvTable) -> None:
     name, titles = table.name, table.titles
     for title in titles:
         if title not in _TITLES:
-            shown = [known for known in _TITLES if not known.endswith(("_cm", "_in"))]
-            with_unit = [known for known in shown if known.startswith(f"{title.lower()}_")]
-            remedy = nearest(title, shown, with_unit[:1])
+            examples = [allowed for allowed in _TITLES if not allowed.endswith(("_cm", "_in"))]
+            with_unit = [allowed for allowed in examples if allowed.startswith(f"{title.lower()}_")]
+            remedy = nearest(title, examples, with_unit[:1])
             if not math.isnan(read_number(title)):
                 remedy = "Name the columns in a first row, for example x_mm,y_mm"
             raise Unusable(f'{name} has an unknown column "{shortened(title)}"', remedy, "csv", shortened(title))
@@ -228,8 +228,8 @@ def check_and_reduce(rows: PointRows, requested_count: int | None) -> TargetPoin
     """
     _check_ranges(rows)
     points, of_each = rows.points, set(rows.columns) - {"x", "y"}
-    most, found = requested_count or MAX_POINTS, len(points)
-    if found > most and not of_each:
+    most, number = requested_count or MAX_POINTS, len(points)
+    if number > most and not of_each:
         chords = np.hypot(*np.diff(points, axis=0).T)
         length, size = float(np.sum(chords)), diagonal(points)
         _check_size(rows)
@@ -241,18 +241,18 @@ def check_and_reduce(rows: PointRows, requested_count: int | None) -> TargetPoin
     check_apart(rows)
     note = ""
     columns = dict(rows.columns)
-    if found > most:
+    if number > most:
         # values of a row apply to its point alone, so rows are selected and not interpolated
-        picked = np.round(np.linspace(0, found - 1, most)).astype(int)
+        picked = np.round(np.linspace(0, number - 1, most)).astype(int)
         columns = {name: column[picked] for name, column in columns.items()}
         note = _reduced(rows, most, "rows")
-    elif requested_count and found < requested_count:
-        note = f"{rows.file} has {found:,} points, fewer than the requested {requested_count}; all of them are used"
+    elif requested_count and number < requested_count:
+        note = f"{rows.file} has {number:,} points, fewer than the requested {requested_count}; all of them are used"
     crank, angles, weights, tolerances = (
         tuple(columns[name].tolist()) if name in columns else None for name in ("crank", "angle", "weight", "tolerance")
     )
-    kept = pairs(np.stack([columns["x"], columns["y"]], axis=1))
-    return TargetPoints(kept, crank, angles, weights, tolerances, rows.unit, note)
+    distinct = pairs(np.stack([columns["x"], columns["y"]], axis=1))
+    return TargetPoints(distinct, crank, angles, weights, tolerances, rows.unit, note)
 
 
 def _reduced(rows: PointRows, count: int, by: str) -> str:
@@ -314,10 +314,10 @@ def check_apart(rows: PointRows) -> None:
             same &= np.diff(columns["angle"]) == 0.0
         if same.any():
             row = int(np.argmax(same))
-            listed = rows.key is None or rows.numbers is not None
+            in_list = rows.key is None or rows.numbers is not None
             raise Unusable(
                 f"{rows.named(row, row + 1)} coincide",
-                "Remove one of them" if listed else "Request another number of points, or check the curve",
+                "Remove one of them" if in_list else "Request another number of points, or check the curve",
                 f"[{row + 1}]" if rows.key is None else rows.key,
             )
     if "angle" not in columns:

@@ -66,12 +66,12 @@ class _Element:
 
     def chain(self) -> list[_Element]:
         """Return the elements from the root to this one."""
-        found: list[_Element] = []
+        elements: list[_Element] = []
         here: _Element | None = self
         while here is not None:
-            found.append(here)
+            elements.append(here)
             here = here.parent
-        return found[::-1]
+        return elements[::-1]
 
 
 def _elements(data: bytes, name: str) -> tuple[_Element, list[_Element], str]:
@@ -138,13 +138,13 @@ def _chosen(shapes: Sequence[_Element], raw: Mapping[str, Any], name: str) -> _E
     if isinstance(requested, bool) or not isinstance(requested, int | str):
         raise Unusable("expected an id or a number", 'Write path = "curve", or path = 1', "path", requested)
     if isinstance(requested, str) and requested:
-        named = [shape for shape in shapes if shape.id == requested]
-        if len(named) > 1:
+        matches = [shape for shape in shapes if shape.id == requested]
+        if len(matches) > 1:
             raise Unusable(
-                f"{name} has {len(named)} shapes of that id", "Give each its own, or name it by number", "path", requested
+                f"{name} has {len(matches)} shapes of that id", "Give each its own, or name it by number", "path", requested
             )
-        if named:
-            return named[0]
+        if matches:
+            return matches[0]
     drawn = [shape for shape in shapes if shape.drawn]
     numbered = [shape for shape in drawn if shape.tag == "path"] or drawn
     if not numbered:
@@ -238,15 +238,15 @@ def _scale(root: _Element, name: str, forgive: bool) -> float | None:
     values = [float(number) for number in re.findall(_N, box)] if re.fullmatch(rf"{_S}(?:{_N}{_C}){{4}}", box) else []
     scales = [side / whole for side, whole in zip(sides, values[2:], strict=False) if side is not None and whole > 0.0]
     clear = bool(values and scales) and all(math.isfinite(scale) and scale > 0.0 for scale in scales)
-    kept = root.attributes.get("preserveAspectRatio", "")
-    stretched = clear and "none" in kept and max(scales) > min(scales) * (1.0 + 1e-6)
+    aspect = root.attributes.get("preserveAspectRatio", "")
+    stretched = clear and "none" in aspect and max(scales) > min(scales) * (1.0 + 1e-6)
     if forgive and (stretched or not clear):
         return None
     if not clear:
         raise Unusable(f"the viewBox of {name} cannot be read", add, "svg", shortened(box))
     if stretched:
         raise Unusable(f"{name} is stretched: its width and height do not match its viewBox", add, "svg", shortened(box))
-    return max(scales) if "slice" in kept else min(scales)
+    return max(scales) if "slice" in aspect else min(scales)
 
 
 def svg_points(raw: Mapping[str, Any], folder: Path) -> TargetPoints:
@@ -265,12 +265,12 @@ def svg_points(raw: Mapping[str, Any], folder: Path) -> TargetPoints:
         when the file or the shape cannot be read.
     """
     count = read_count(raw)
-    stated = metres(raw) * 1e3 if "unit" in raw else None
+    millimetres_per_unit = metres(raw) * 1e3 if "unit" in raw else None
     name, data = read_file(raw, "svg", folder)
     root, shapes, sheets = _elements(data, name)
     shape = _chosen(shapes, raw, name)
-    own = _scale(root, name, stated is not None)
-    scale = stated or own or 1.0
+    file_scale = _scale(root, name, millimetres_per_unit is not None)
+    scale = millimetres_per_unit or file_scale or 1.0
     matrix = np.diag([1e-3 * scale, -1e-3 * scale, 1.0]) @ _placed(shape, sheets, name)
     try:
         with np.errstate(all="ignore"):
@@ -282,9 +282,9 @@ def svg_points(raw: Mapping[str, Any], folder: Path) -> TargetPoints:
         key = error.key or "path"
         raise Unusable(f"{shape} of {name}: {error.message}", error.remedy, key, error.value) from None
     unit = raw.get("unit", "mm")
-    said = "as stated" if stated else "as stated in the file" if own else "not stated in the file"
-    if stated and own and not math.isclose(stated, own, rel_tol=1e-6):
-        said = f"as stated, though the file states {own:.6g} mm"
+    said = "as stated" if millimetres_per_unit else "as stated in the file" if file_scale else "not stated in the file"
+    if millimetres_per_unit and file_scale and not math.isclose(millimetres_per_unit, file_scale, rel_tol=1e-6):
+        said = f"as stated, though the file states {file_scale:.6g} mm"
     note = f"{shape} of {name}, {show(length, 'length', unit)} long, sampled at {count} points evenly by arc length"
     return sampled_targets(points, unit, loop, f"{note}; one user unit is {scale:.6g} mm, {said}")
 

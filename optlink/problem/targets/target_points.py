@@ -90,8 +90,8 @@ def diagonal(points: Array) -> float:
 def shortened(value: object) -> str:
     """Return a shortened printable piece of an input value, for messages."""
     text = str(value)
-    shown = "".join(sign if sign.isprintable() else " " for sign in text[:60])
-    return shown if len(text) <= 60 else f"{shown}..."
+    printable = "".join(sign if sign.isprintable() else " " for sign in text[:60])
+    return printable if len(text) <= 60 else f"{printable}..."
 
 
 def read_file(raw: Mapping[str, Any], key: str, folder: Path) -> tuple[str, bytes]:

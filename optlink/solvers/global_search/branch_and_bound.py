@@ -129,9 +129,9 @@ class Boxes:
 
 
 def _with(corners: Array, k: int, values: Array) -> Array:
-    found = corners.copy()
-    found[:, k] = values
-    return found
+    result = corners.copy()
+    result[:, k] = values
+    return result
 
 
 @dataclass

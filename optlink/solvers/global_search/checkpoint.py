@@ -56,7 +56,7 @@ class Checkpoint:
             for name in ("open", "tiny"):
                 boxes = getattr(search, name)
                 arrays |= {f"{k}.{name}.{part}": getattr(boxes, part) for part in ("low", "high", "bound")}
-            arrays |= {f"{k}.leaves.{part}": np.concatenate(found) for part in PARTS if (found := getattr(search.leaves, part))}
+            arrays |= {f"{k}.leaves.{part}": np.concatenate(parts) for part in PARTS if (parts := getattr(search.leaves, part))}
             states.append(
                 {
                     "best": search.best if math.isfinite(search.best) else None,
@@ -116,8 +116,8 @@ def _restore(search: BranchAndBound, state: Mapping[str, Any], arrays: Mapping[s
             raise ValueError(name)
         setattr(search, name, Boxes(low, high, bound))
     for part in PARTS:
-        found = arrays[f"leaves.{part}"]
-        setattr(search.leaves, part, [] if found is None else [found])
+        values = arrays[f"leaves.{part}"]
+        setattr(search.leaves, part, [] if values is None else [values])
     search.leaves.count = int(state["count"])
     search.boxes = int(state["boxes"])
     search.best, search.discarded = (math.inf if state[name] is None else float(state[name]) for name in ("best", "discarded"))

@@ -29,7 +29,7 @@ from optlink.solvers.global_search.quadratic import quadratic_bound
 Complex = NDArray[np.complex128]
 
 FEWEST = 9  # points from which on positions may be left out
-MOST = 36  # points up to which two positions may be left out
+MAX_PAIR_POINTS = 36  # points up to which two positions may be left out
 SLACK = 1e-12  # relative; far beyond the rounding of the sums to which it applies
 
 
@@ -50,9 +50,9 @@ class ColumnFit:
         Bound of the error of the points.
     """
 
-    def __init__(self, points: Complex, known: Complex, *, whole: bool, size: float, rounding: float) -> None:
+    def __init__(self, points: Complex, fixed_columns: Complex, *, whole: bool, size: float, rounding: float) -> None:
         count = len(points)
-        largest = (2 if count <= MOST else 1) if count >= FEWEST else 0
+        largest = (2 if count <= MAX_PAIR_POINTS else 1) if count >= FEWEST else 0
         sets = [drop for number in range(largest + 1) for drop in combinations(range(count), number)]
         self.count, self.largest, self.whole = count, largest, whole
         self.index = {drop: k for k, drop in enumerate(sets)}
@@ -64,7 +64,7 @@ class ColumnFit:
             for j in drop:
                 self.keep[k, [j, count + j]] = 0.0
             rows = self.keep[k] > 0.0
-            fixed, targets = as_real(known) * self.keep[k], as_real(points) * self.keep[k]
+            fixed, targets = as_real(fixed_columns) * self.keep[k], as_real(points) * self.keep[k]
             basis = np.zeros((2 * count, max(0, int(rows.sum()) - len(fixed))))
             basis[rows] = np.linalg.qr(fixed[:, rows].T, mode="complete")[0][:, len(fixed) :]
             self.matrix[k] = basis @ basis.T
@@ -138,14 +138,14 @@ class ColumnFit:
         rest = rest * (1.0 + SLACK) + rounding + TINY
         if not self.whole:
             _least_over_phase(polynomial, rest, vectors, rho, form, (negative, square, rounding))
-        found = quadratic_bound(polynomial[0], polynomial[1], polynomial[2], rest)
+        slack = quadratic_bound(polynomial[0], polynomial[1], polynomial[2], rest)
         least = np.maximum(0.0, size[:, 0] - size[:, 1:].sum(axis=1) - spread - SLACK * (length + spread))
         with np.errstate(all="ignore"):
-            lower = level + found / (least * least) * (1.0 + SLACK)
+            lower = level + slack / (least * least) * (1.0 + SLACK)
             lower = np.where((least > 0.0) & self.whole & np.isfinite(lower), lower, 0.0)
             possible = square * (1.0 - SLACK) > level
             value = level + polynomial[0] / (size[:, 0] ** 2)
-        bound = np.where(found >= 0.0, threshold, np.minimum(threshold, self.proven(lower, self.error[chosen])))
+        bound = np.where(slack >= 0.0, threshold, np.minimum(threshold, self.proven(lower, self.error[chosen])))
         each = np.where(keep[:, : self.count] > 0.0, cost[:, : self.count] + cost[:, self.count :], -1.0)
         value = np.where(np.isfinite(value), value, np.inf)
         return np.where(possible, bound, 0.0), size, value, np.argmax(each, axis=1)
@@ -176,11 +176,11 @@ def changes(size: Array) -> Array:
         Of its coefficients.
     """
     n = unknowns(size)
-    found = size[:, 1 : 1 + n].copy()
+    radius = size[:, 1 : 1 + n].copy()
     for k, (i, j) in enumerate(pairs(n)):
-        found[:, i] += size[:, 1 + n + k]
-        found[:, j] += size[:, 1 + n + k] if i != j else 0.0
-    return found
+        radius[:, i] += size[:, 1 + n + k]
+        radius[:, j] += size[:, 1 + n + k] if i != j else 0.0
+    return radius
 
 
 def _lengths(vectors: Array) -> Array:

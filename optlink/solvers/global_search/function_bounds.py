@@ -32,7 +32,7 @@ SLAB = 0.1  # least width of a slab of K1 or K2 that is cut off, of the logarith
 COARSE = 0.2  # rad; half width of the start angles from which K1 and K2 are cut and halved
 SMALL = 1e-3  # rad; half width of the start angles of a box whose candidate may add a position to the rows
 MOST_POSITIONS = 96
-APART = 0.2  # least distance of such a position from the others, in steps of the dense positions
+POSITION_SEPARATION = 0.2  # least distance of such a position from the others, in steps of the dense positions
 LAW_ROUNDING = 1e-12  # rad; bounds the error of a prescribed output in floating point
 
 
@@ -136,21 +136,21 @@ class FunctionBounds:
         errors = np.full(len(low), np.inf)
         if not np.any(target):
             return points, errors
-        found, gamma, coupler = followed(points[target], self.linkages.side, self.dense, self.target)
-        found = np.abs(found)
-        size = np.max(found, axis=1)
+        deviations, gamma, coupler = followed(points[target], self.linkages.side, self.dense, self.target)
+        deviations = np.abs(deviations)
+        size = np.max(deviations, axis=1)
         least, most = self.linkages.coupler
         ends = self.linkages.transmission
         fits = (coupler >= least) & (coupler <= most) & (np.min(gamma, axis=1) >= ends[0]) & (np.max(gamma, axis=1) <= ends[1])
         errors[target] = np.where(fits & np.isfinite(size), size, np.inf)
         small = np.isfinite(size) & (np.max(radius[target, :2], axis=1) < SMALL)
-        self.x = self._exchanged(self.x, found[small])
+        self.x = self._exchanged(self.x, deviations[small])
         self.y = self.rise(self.x)
         for beyond in (gamma - ends[1], ends[0] - gamma):
             self.places = self._exchanged(self.places, beyond[small & (np.max(beyond, axis=1) > 0.0)])
         return points, errors
 
-    def _exchanged(self, known: Array, sizes: Array) -> Array:
+    def _exchanged(self, errors: Array, sizes: Array) -> Array:
         """Add the positions of the largest values (m, dense positions), refined by parabolas, between the ends of those known."""
         k = np.argmax(sizes, axis=1)
         at = np.clip(k, 1, self.dense.size - 2)
@@ -159,9 +159,9 @@ class FunctionBounds:
             shift = np.clip(np.nan_to_num(0.5 * (before - after) / (before - 2.0 * here + after)), -1.0, 1.0)
         step = self.dense[1] - self.dense[0]
         for x in np.unique(np.where(k == at, self.dense[at] + shift * step, self.dense[k])):
-            if known.size < MOST_POSITIONS and not np.any(np.abs(known - x) < APART * abs(step)):
-                known = np.insert(known, 1, x)
-        return known
+            if errors.size < MOST_POSITIONS and not np.any(np.abs(errors - x) < POSITION_SEPARATION * abs(step)):
+                errors = np.insert(errors, 1, x)
+        return errors
 
 
 def followed(points: Array, side: int, x: Array, y: Array) -> tuple[Array, Array, Array]:
@@ -207,16 +207,16 @@ def _solved(rows: Rows, low: Array, high: Array) -> tuple[Array, Array, NDArray[
     extra, right = _envelopes(low, high)
     matrix = np.concatenate([np.stack(columns, axis=-1), extra], axis=1)
     vector = np.concatenate([-(both.real + rows.k0), right], axis=1)
-    own = rows.k3.shape[1]
-    elastic = np.concatenate([np.ones(own), np.zeros(extra.shape[1])])
+    count = rows.k3.shape[1]
+    elastic = np.concatenate([np.ones(count), np.zeros(extra.shape[1])])
     start = np.zeros((len(low), 8))
     start[:, :2] = centre[:, 2:]
     start[:, 7] = centre[:, 2] / centre[:, 3]
     z, dual = least_violation(matrix, vector - np.einsum("bmn,bn->bm", matrix, start), elastic)
     z = z + start
-    weights = np.maximum(dual[:, :own], 0.0)
+    weights = np.maximum(dual[:, :count], 0.0)
     weights = weights / np.sum(weights, axis=1, keepdims=True)
-    price = [np.sum(dual[:, own + 4 * k : own + 4 * k + 4], axis=1) for k in range(3)]
+    price = [np.sum(dual[:, count + 4 * k : count + 4 * k + 4], axis=1) for k in range(3)]
     miss = [np.abs(z[:, 3] - z[:, 0] * z[:, 6]), np.abs(z[:, 4] - z[:, 1] * z[:, 5]), np.abs(z[:, 0] - z[:, 7] * z[:, 1])]
     angles, lengths = price[0] * miss[0] + price[1] * miss[1], price[2] * miss[2]
     widest = np.argmax(radius[:, :2], axis=1)
@@ -228,25 +228,25 @@ def _envelopes(low: Array, high: Array) -> tuple[Array, Array]:
     """Return matrix and right side of the envelopes of the three products, four rows each, and of the bounds of K3."""
     (l1, l2), (h1, h2) = low[:, 2:].T, high[:, 2:].T
     a, b = l1 / h2, h1 / l2  # of the ratio K1 / K2
-    found: list[tuple[dict[int, Array | float], Array]] = []
+    envelopes: list[tuple[dict[int, Array | float], Array]] = []
     for k, product, angle, lo, hi in ((0, 3, 6, l1, h1), (1, 4, 5, l2, h2)):
-        found += [
+        envelopes += [
             ({product: 1.0, k: 1.0, angle: -lo}, lo),
             ({product: 1.0, k: -1.0, angle: -hi}, -hi),
             ({product: -1.0, k: 1.0, angle: lo}, lo),
             ({product: -1.0, k: -1.0, angle: hi}, -hi),
         ]
-    found += [
+    envelopes += [
         ({0: 1.0, 7: -l2, 1: -a}, -a * l2),
         ({0: 1.0, 7: -h2, 1: -b}, -b * h2),
         ({0: -1.0, 7: h2, 1: a}, a * h2),
         ({0: -1.0, 7: l2, 1: b}, b * l2),
     ]
     most = most_k3(high)
-    found += [({2: 1.0}, -most), ({2: -1.0}, -most)]
-    matrix = np.zeros((len(low), len(found), 8))
-    for i, (row, _) in enumerate(found):
+    envelopes += [({2: 1.0}, -most), ({2: -1.0}, -most)]
+    matrix = np.zeros((len(low), len(envelopes), 8))
+    for i, (row, _) in enumerate(envelopes):
         for j, value in row.items():
             matrix[:, i, j] = value
     size = np.max(np.abs(matrix), axis=2)
-    return matrix / size[:, :, None], np.stack([right for _, right in found], axis=1) / size
+    return matrix / size[:, :, None], np.stack([right for _, right in envelopes], axis=1) / size

@@ -26,7 +26,9 @@ MOST = 0.25 * math.pi  # rad, error up to which the proof holds
 LEVELS = (0.3, 0.05)  # gaps that are proven before the requested one, so that a search that is stopped has a bound
 POSITIONS = 25  # of the rows before those at the peaks of the error
 DENSE, FINE = 401, 20_001  # positions at which candidates are judged, and better designs
-NEAR = 0.05  # rad, and of the logarithms of K1 and K2: a candidate so near to one that was tried is not tried again
+CANDIDATE_SEPARATION = (
+    0.05  # rad, and of the logarithms of K1 and K2: a candidate so near to one that was tried is not tried again
+)
 WIDEN = 1e-9  # relative or absolute [rad] enlargement of bounds, which leaves no box without width
 CLOSED, STOPPED, INTERRUPTED = "closed", "stopped", "interrupted"
 
@@ -197,13 +199,13 @@ class FunctionSearch:
     def _searches(self, level: float) -> list[BranchAndBound]:
         """Return a search of every set of linkages; each begins with the boxes that the one before has discarded."""
         sets = linkage_sets(self.problem, self.best)
-        found = [BranchAndBound(self._bounds(one), self.best, level) for one in sets]
-        for search, known in zip(found, self.searches, strict=False):
-            bounder, before = search.bounder, known.bounder
-            if np.array_equal([bounder.low, bounder.high], [before.low, before.high]) and known.leaves.low:
-                low, high = np.concatenate(known.leaves.low), np.concatenate(known.leaves.high)
+        searches = [BranchAndBound(self._bounds(one), self.best, level) for one in sets]
+        for search, previous in zip(searches, self.searches, strict=False):
+            bounder, before = search.bounder, previous.bounder
+            if np.array_equal([bounder.low, bounder.high], [before.low, before.high]) and previous.leaves.low:
+                low, high = np.concatenate(previous.leaves.low), np.concatenate(previous.leaves.high)
                 search.open = Boxes(low, high, np.zeros(len(low)))
-        return found
+        return searches
 
     def _report(self, search: BranchAndBound, k: int, progress: Callable[[float, float], None]) -> None:
         whole = float(np.prod(search.bounder.high - search.bounder.low))
@@ -229,8 +231,8 @@ class FunctionSearch:
         k3 = (a * a - b * b + c * c + 1.0) / (2.0 * a * c)
         point = np.array([[design["phi0"], design["psi0"], 1.0 / a, 1.0 / c, k3]])
         law = self.problem.requirement.law
-        found = [np.abs(followed(point, side, x, np.asarray(law.rise(x)))[0][0]) for side in (1, -1)]
-        return x, min(found, key=lambda error: float(np.max(np.where(np.isfinite(error), error, np.inf))))
+        errors = [np.abs(followed(point, side, x, np.asarray(law.rise(x)))[0][0]) for side in (1, -1)]
+        return x, min(errors, key=lambda error: float(np.max(np.where(np.isfinite(error), error, np.inf))))
 
     def _better(self, search: BranchAndBound) -> float:
         """Return the best objective known after the candidate of a batch."""
@@ -238,7 +240,7 @@ class FunctionSearch:
         assert isinstance(bounder, FunctionBounds)
         phi0, psi0, k1, k2, k3 = (float(value) for value in bounder.candidate)
         place = np.array([phi0, psi0, math.log(k1), math.log(k2)])
-        if self.improve is not None and any(np.max(np.abs(place - other)) < NEAR for other in self.tried):
+        if self.improve is not None and any(np.max(np.abs(place - other)) < CANDIDATE_SEPARATION for other in self.tried):
             return self.best
         self.tried.append(place)
         frame = self.problem.quantities["frame"].value

@@ -113,8 +113,8 @@ class LinkageSet:
         crank, rocker = distance - 1.0, distance * (1.0 - share)
         most = [1.0 / size if size > 0.0 else math.inf for size in (crank, rocker)]
         high = np.minimum(self.high, [math.inf, math.inf, most[0] * (1.0 + 1e-9), most[1] * (1.0 + 1e-9)])
-        found = replace(self, high=high, near_dead=True, share=share * (1.0 + 1e-12))
-        return found if np.all(high >= self.low) else None
+        part = replace(self, high=high, near_dead=True, share=share * (1.0 + 1e-12))
+        return part if np.all(high >= self.low) else None
 
 
 @dataclass(frozen=True)
@@ -198,14 +198,14 @@ def coupler_rows(linkages: LinkageSet, x: Array, y: Array, t: float, low: Array,
     """
     ends, (least, most), right = linkages.transmission, linkages.coupler, 0.5 * math.pi
     row, two = _CouplerRow(linkages.side, t, low, high), [0, -1]
-    found = [row(x, y, -1.0, right, least * linkages.least_sine)]
+    rows = [row(x, y, -1.0, right, least * linkages.least_sine)]
     for omega in (ends[0] - right, ends[1] + right):
-        found += [row(x, y, 1.0, omega, 0.0, shift) for shift in (-t, 0.0, t)]
+        rows += [row(x, y, 1.0, omega, 0.0, shift) for shift in (-t, 0.0, t)]
     for omega in np.linspace(*ends, ANGLES):
-        found.append(row(x[two], y[two], 1.0, float(omega), -most))
+        rows.append(row(x[two], y[two], 1.0, float(omega), -most))
         if math.isfinite(linkages.share):
-            found.append(row(x, y, 1.0, float(omega), -linkages.share, constant=linkages.share))
-    return found
+            rows.append(row(x, y, 1.0, float(omega), -linkages.share, constant=linkages.share))
+    return rows
 
 
 @dataclass(frozen=True)

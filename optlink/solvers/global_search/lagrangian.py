@@ -126,8 +126,8 @@ class LagrangianBounds:
         positions = models.residuals.remainder.shape[1]
         if self.problem.measure != "max":
             return [np.full(positions, 1.0 / positions if self.problem.measure == "rms" else 1.0)]
-        known = [] if self.guess is None else [self.guess.weights]
-        return [*known, lawson_weights(models)]
+        weights = [] if self.guess is None else [self.guess.weights]
+        return [*weights, lawson_weights(models)]
 
 
 class _Batch:
@@ -164,9 +164,9 @@ class _Batch:
     def weighted(self, weights: Array, guess: Guess | None) -> None:
         """Bound the sum of squares with weights (positions,) or (boxes, positions), alone and with multipliers."""
         objective = (self.squares * weights).sum()
-        own = np.sum(self.least * self.least, axis=2)
-        own = np.max(own, axis=1) if self.measure == "max" else np.sum(weights * own, axis=1)
-        self._raise(own * (1.0 - 8.0 * UNIT * (8 + weights.shape[-1])), 1)
+        squares = np.sum(self.least * self.least, axis=2)
+        squares = np.max(squares, axis=1) if self.measure == "max" else np.sum(weights * squares, axis=1)
+        self._raise(squares * (1.0 - 8.0 * UNIT * (8 + weights.shape[-1])), 1)
         self._raise(lagrangian_bound(objective, self.models.slacks, np.zeros_like(self.multipliers)), 1)
         self.objective = objective
         left = np.flatnonzero(self.test == OPEN)
@@ -225,9 +225,9 @@ class _Batch:
                 rows.append(np.where(usable[..., None], sign * linear, 0.0))
                 most.append(np.where(usable, largest - sign * value + rest, np.inf))
         value, linear, rest = _linear_parts(self.models.slacks[left])
-        known = np.isfinite(self.models.slacks.remainder[left])
+        bounded = np.isfinite(self.models.slacks.remainder[left])
         rows.append(-linear)
-        most.append(np.where(known, value + rest, np.inf))
+        most.append(np.where(bounded, value + rest, np.inf))
         inner_low, inner_high = cut_box(np.concatenate(rows, axis=1), np.concatenate(most, axis=1))
         centre, radius = 0.5 * (low[left] + high[left]), 0.5 * (high[left] - low[left])
         slack = 8.0 * UNIT * (np.abs(low[left]) + np.abs(high[left]))
@@ -320,10 +320,10 @@ Parts = tuple[Array, Array, Array]
 
 
 def _linear_parts(slacks: TaylorModel) -> Parts:
-    known = np.isfinite(slacks.remainder)
-    linear = np.where(known[..., None], np.moveaxis(slacks.linear, 0, -1), 0.0)
-    rest = np.where(known, slacks.radius - slacks.sizes[0], 0.0)
-    return np.where(known, slacks.value, 0.0), linear, rest
+    bounded = np.isfinite(slacks.remainder)
+    linear = np.where(bounded[..., None], np.moveaxis(slacks.linear, 0, -1), 0.0)
+    rest = np.where(bounded, slacks.radius - slacks.sizes[0], 0.0)
+    return np.where(bounded, slacks.value, 0.0), linear, rest
 
 
 def raised_multipliers(first: Parts, slack: Parts) -> Array:

@@ -47,10 +47,10 @@ def quadratic_bound(constant: Array, linear: Array, quadratic: Array, remainder:
         value = constant + 0.5 * np.sum((linear + slope) * point, axis=1)
         tangent = value - np.sum(np.abs(slope) + slope * point, axis=1) - 0.5 * n * shift
         rounding = 16.0 * n * n * ROUNDING * (size + n * shift)
-        found = (
+        bound = (
             np.maximum(simple, np.where(clean & np.isfinite(tangent), tangent, -np.inf)) - rounding - remainder * UPWARD - TINY
         )
-    return np.where(np.isfinite(found), found, -np.inf)
+    return np.where(np.isfinite(bound), bound, -np.inf)
 
 
 def box_minimum(linear: Array, convex: Array) -> Array:
@@ -113,11 +113,11 @@ def least_squares(matrix: Array, vector: Array) -> Array:
     vector : array (m,)
     """
     used = np.arange(matrix.shape[1])
-    found = np.zeros(matrix.shape[1])
+    solution = np.zeros(matrix.shape[1])
     while used.size:
         x = np.linalg.lstsq(matrix[:, used], vector, rcond=None)[0]
         if np.all(x >= 0.0):
-            found[used] = x
+            solution[used] = x
             break
         used = used[x > np.min(x)]
-    return found
+    return solution

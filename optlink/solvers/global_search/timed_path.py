@@ -181,19 +181,19 @@ class TimedPathBounds:
         root = np.sqrt(np.maximum((square - nu * nu) * (total * total - square), 0.0)) * (-1.0 if left else 1.0)
         u = ((nu * total + 1j * root) / np.conj(q) - q) / (2.0 * b)
         columns = as_real(np.array([*self.columns, u, 1j * u]) * self.roots)
-        found = np.linalg.lstsq(columns.T, as_real((self.points * self.roots)[None])[0], rcond=None)[0]
-        crank = complex(found[-4], found[-3]) if self.turned else complex(found[-3], 0.0)
+        linear = np.linalg.lstsq(columns.T, as_real((self.points * self.roots)[None])[0], rcond=None)[0]
+        crank = complex(linear[-4], linear[-3]) if self.turned else complex(linear[-3], 0.0)
         quantities, size = self.problem.quantities, (abs(crank) if self.turned else crank.real) / a * self.unit
         values = {name: quantity.value for name, quantity in quantities.items()}
         values |= {"crank": size * a, "coupler": size * b, "rocker": size * c, "frame": size * d}
         places = [name for name in ("A.x", "A.y") if name in self.problem.free]
-        for name, x in zip(places, found, strict=False):
+        for name, x in zip(places, linear, strict=False):
             values[name] = self.problem.centre[name == "A.y"] + self.unit * x
         if "direction" in self.problem.free:
             values["direction"] = math.remainder(float(np.angle(crank)) - start, 2.0 * math.pi)
         if START in self.problem.free:
             values[START] = start
-        arm = complex(found[-2], found[-1]) * np.exp(-1j * values.get("direction", 0.0)) * self.unit
+        arm = complex(linear[-2], linear[-1]) * np.exp(-1j * values.get("direction", 0.0)) * self.unit
         point_name = self.problem.requirement.point
         return values | {f"{point_name}.along": float(arm.real), f"{point_name}.across": float(arm.imag)}
 
@@ -265,15 +265,15 @@ class TimedPathBounds:
         """Return whether a transmission limit over the revolution, or the alignment, is violated everywhere in a box."""
         far, near, square = (a + d) * (a + d), (a - d) * (a - d), cos_chi * cos_chi
         fold = near * (sin_omega * sin_omega) * square
-        found = np.zeros(a.remainder.shape, dtype=bool)
+        violated = np.zeros(a.remainder.shape, dtype=bool)
         for limit in transmission_sides(self.problem):
             if limit.over != "revolution":
                 continue
             if math.isfinite(limit.high):
-                found |= (limit.high * (far - fold) - (far + fold) + 2.0 * (near * square)).high < 0.0
+                violated |= (limit.high * (far - fold) - (far + fold) + 2.0 * (near * square)).high < 0.0
             if math.isfinite(limit.low):
-                found |= ((far + fold) - 2.0 * (far * square) - limit.low * (far - fold)).high < 0.0
-        return found[:, 0]
+                violated |= ((far + fold) - 2.0 * (far * square) - limit.low * (far - fold)).high < 0.0
+        return violated[:, 0]
 
     def bounded(self, low: Array, high: Array, threshold: float) -> BoxRecord:
         """Bound a batch of boxes; those whose lower bound is not below the threshold [m^2] are discarded.
@@ -286,11 +286,11 @@ class TimedPathBounds:
         """
         boxes = len(low)
         coefficients, remainder, corner, violated = self.columns_over(low, high)
-        known, fit = math.isfinite(threshold), self.fit
-        level = threshold / self.area * (1.0 + SLACK) if known else 0.0
+        has_threshold, fit = math.isfinite(threshold), self.fit
+        level = threshold / self.area * (1.0 + SLACK) if has_threshold else 0.0
         none = np.zeros(boxes, dtype=np.intp)
         bound, size, value, worst = fit.bounds(coefficients, remainder, none, level)
-        left = np.flatnonzero((bound < level) & ~violated) if known else none[:0]
+        left = np.flatnonzero((bound < level) & ~violated) if has_threshold else none[:0]
         dropped, worst = np.zeros((left.size, 0), dtype=np.intp), worst[left]
         for _ in range(fit.largest):  # leave out one more position
             if not left.size:
@@ -301,9 +301,9 @@ class TimedPathBounds:
             bound[left] = np.maximum(bound[left], other)
             go = other < level
             left, dropped, worst = left[go], dropped[go], worst[go]
-        reached = (bound >= level) & known
-        test = np.where(violated, TESTS.index("limits"), np.where(reached, TESTS.index("objective"), OPEN)).astype(np.int8)
-        bound = np.where(reached, threshold, bound * self.area * (1.0 - SLACK) if known else 0.0)
+        proven = (bound >= level) & has_threshold
+        test = np.where(violated, TESTS.index("limits"), np.where(proven, TESTS.index("objective"), OPEN)).astype(np.int8)
+        bound = np.where(proven, threshold, bound * self.area * (1.0 - SLACK) if has_threshold else 0.0)
         width = (high - low) / (self.high - self.low)
         # of what counts, and of the model itself, with which its remainder grows
         change = changes(size) * changes(np.sqrt(np.sum(coefficients * coefficients, axis=2)))

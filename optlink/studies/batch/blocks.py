@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from optlink.studies.grid import Grid
 
 Index = NDArray[np.intp]
-MOST = 100
+MAX_BLOCK_POINTS = 100
 """Points of a block, at most."""
 FEWEST = 3
 """Blocks of a grid, about: each has a search of its own, so that a small grid does not depend on a single one."""
@@ -30,12 +30,12 @@ class Blocks:
     ----------
     grid : Grid
     most : int, optional
-        Points of a block, at most. Default: `MOST`.
+        Points of a block, at most. Default: `MAX_BLOCK_POINTS`.
     """
 
     def __init__(self, grid: Grid, most: int | None = None) -> None:
         self.shape = tuple(len(axis.values) for axis in grid.axes)
-        left = max(1, min(MOST if most is None else most, math.prod(self.shape) // FEWEST))
+        left = max(1, min(MAX_BLOCK_POINTS if most is None else most, math.prod(self.shape) // FEWEST))
         edges = dict.fromkeys(range(len(self.shape)), 1)
         for done, axis in enumerate(sorted(edges, key=lambda k: self.shape[k])):
             edge = math.floor(left ** (1.0 / (len(edges) - done)) + 1e-9)
@@ -60,10 +60,10 @@ class Blocks:
 
     def ends(self, block: int) -> list[tuple[int, int]]:
         """Return the first and last place of a block along every axis."""
-        own = np.unravel_index(block, self.counts)
+        indices = np.unravel_index(block, self.counts)
         return [
             (-(-int(k) * size // count), -(-(int(k) + 1) * size // count) - 1)
-            for k, count, size in zip(own, self.counts, self.shape, strict=True)
+            for k, count, size in zip(indices, self.counts, self.shape, strict=True)
         ]
 
     def points(self, places: Sequence[Index]) -> Index:
@@ -75,8 +75,8 @@ class Blocks:
 
     def neighbours(self, block: int) -> list[int]:
         """Return the blocks beside a block, before and after it along every axis."""
-        own = [int(place) for place in np.unravel_index(block, self.counts)]
-        beside = ([*own[:k], own[k] + way, *own[k + 1 :]] for k in range(len(own)) for way in (-1, 1))
+        indices = [int(place) for place in np.unravel_index(block, self.counts)]
+        beside = ([*indices[:k], indices[k] + way, *indices[k + 1 :]] for k in range(len(indices)) for way in (-1, 1))
         return [int(np.ravel_multi_index(one, self.counts)) for one in beside if self._inside(one)]
 
     def _inside(self, places: list[int]) -> bool:

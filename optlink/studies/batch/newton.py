@@ -25,7 +25,7 @@ ACTIVE_SETS = 5  # that are tried at each point
 LARGEST_STEP = 1.0  # of variables and multipliers; a larger one may come from dependent limits
 ROUNDING = 1e-12  # residual of the optimality conditions at which the iterations end
 SLOWER = 0.1  # ratio of successive residuals above which a small one is rounding error
-SAME = 1e-9  # difference of the derivatives of limits that are the same one
+DUPLICATE_LIMIT = 1e-9  # difference of the derivatives of limits that are the same one
 INDEPENDENT = 1e-9  # least diagonal element of the triangular factor of independent limits
 
 
@@ -49,13 +49,13 @@ class BatchProblem:
         other : BatchProblem
         share : float
         """
-        found = []
+        problems = []
         for begin, end in ((self.p, other.p), (self.lower, other.lower), (self.upper, other.upper)):
             with np.errstate(invalid="ignore"):
                 way = end - begin
-            found.append(end - (1.0 - share) * np.where(np.isfinite(way), way, 0.0))
-        found[0][:, 0] = other.p[:, 0]
-        return BatchProblem(*found)
+            problems.append(end - (1.0 - share) * np.where(np.isfinite(way), way, 0.0))
+        problems[0][:, 0] = other.p[:, 0]
+        return BatchProblem(*problems)
 
 
 @dataclass(frozen=True)
@@ -103,23 +103,23 @@ def batch_newton(nlp: BatchNLP, problem: BatchProblem, x: Array, multipliers: Ar
     for _ in range(ACTIVE_SETS):
         if not todo.size:
             break
-        own = problem.part(todo)
-        ended = _iterated(nlp, own, x[todo], multipliers[todo], sides[todo], start[todo])
+        part = problem.part(todo)
+        ended = _iterated(nlp, part, x[todo], multipliers[todo], sides[todo], start[todo])
         x[todo], multipliers[todo] = ended.x, ended.multipliers
         with np.errstate(invalid="ignore"):
-            beyond = np.maximum(own.lower - ended.values, ended.values - own.upper)
+            beyond = np.maximum(part.lower - ended.values, ended.values - part.upper)
         wrong = (np.abs(sides[todo]) == 1) & (multipliers[todo] * sides[todo] < 0.0)
-        missed = (beyond > FEASIBLE) & (sides[todo] == 0)
-        right = ended.converged & ~np.any(wrong | missed, axis=1)
+        violated = (beyond > FEASIBLE) & (sides[todo] == 0)
+        right = ended.converged & ~np.any(wrong | violated, axis=1)
         objective[todo[right]] = ended.objective[right]
-        optimal[todo[right]] = _second_order(ended, own, sides[todo], right)[right]
+        optimal[todo[right]] = _second_order(ended, part, sides[todo], right)[right]
         again = ended.converged & ~right
         changed, multiplier = sides[todo], multipliers[todo]
         row, at = _worst(wrong, np.abs(multiplier))
         changed[row, at], multiplier[row, at] = 0, 0.0
-        row, at = _worst(missed, beyond)
-        changed[row, at] = np.where(ended.values[row, at] > own.upper[row, at], 1, -1)
-        changed[(changed != 0) & (own.lower == own.upper)] = 2
+        row, at = _worst(violated, beyond)
+        changed[row, at] = np.where(ended.values[row, at] > part.upper[row, at], 1, -1)
+        changed[(changed != 0) & (part.lower == part.upper)] = 2
         sides[todo[again]], multipliers[todo[again]] = changed[again], multiplier[again]
         todo = todo[again]
     return BatchOptima(x, multipliers, sides, objective, optimal)
@@ -179,9 +179,9 @@ def _iterated(
         if step == MAX_STEPS:
             break
         for points, active, slope, residual in moves:
-            own = on[points]
-            which = todo[points[own]]
-            step_x = _steps(here, points[own], slope[own], residual[own])
+            group = on[points]
+            which = todo[points[group]]
+            step_x = _steps(here, points[group], slope[group], residual[group])
             x[which] += step_x[:, :n]
             multipliers[np.ix_(which, active)] += step_x[:, n:]
             fixed = active[active < n]  # exactly, without the rounding of the linear system
@@ -200,8 +200,8 @@ def _steps(here: BatchValues, points: Index, slope: Array, residual: Array) -> A
     with contextlib.suppress(np.linalg.LinAlgError):
         steps[finite] = np.linalg.solve(system[finite], -residual[finite, :, None])[..., 0]
     for k in np.flatnonzero(finite & ~(np.max(np.abs(steps), axis=1) < LARGEST_STEP)):
-        found = newton(here.hessian[points[k]], slope[k], residual[k])
-        steps[k] = np.nan if found is None else found
+        change = newton(here.hessian[points[k]], slope[k], residual[k])
+        steps[k] = np.nan if change is None else change
     return steps
 
 
@@ -215,24 +215,24 @@ def _second_order(ended: _Ended, problem: BatchProblem, sides: NDArray[np.int8],
         near = (problem.upper - ended.values <= ACTIVE) | (ended.values - problem.lower <= ACTIVE)
     optimal, n = right.copy(), ended.x.shape[1]
     for points, active in groups(sides):
-        own = points[optimal[points]]
-        slopes = ended.jacobian[own]
-        for entry in np.flatnonzero(np.any(near[own], axis=0) & ~np.isin(np.arange(near.shape[1]), active)):
+        optimal_points = points[optimal[points]]
+        slopes = ended.jacobian[optimal_points]
+        for entry in np.flatnonzero(np.any(near[optimal_points], axis=0) & ~np.isin(np.arange(near.shape[1]), active)):
             away = np.max(np.abs(slopes[:, active] - slopes[:, [entry]]), axis=2, initial=0.0)
-            optimal[own] &= ~near[own, entry] | (np.min(away, axis=1, initial=np.inf) <= SAME)
-        own = own[optimal[own]]
-        if not own.size:
+            optimal[optimal_points] &= ~near[optimal_points, entry] | (np.min(away, axis=1, initial=np.inf) <= DUPLICATE_LIMIT)
+        optimal_points = optimal_points[optimal[optimal_points]]
+        if not optimal_points.size:
             continue
         if active.size > n:
-            optimal[own] = False
+            optimal[optimal_points] = False
             continue
-        basis = np.broadcast_to(np.eye(n), (own.size, n, n))
+        basis = np.broadcast_to(np.eye(n), (optimal_points.size, n, n))
         if active.size:
-            basis, factor = np.linalg.qr(np.swapaxes(ended.jacobian[own][:, active], 1, 2), mode="complete")
+            basis, factor = np.linalg.qr(np.swapaxes(ended.jacobian[optimal_points][:, active], 1, 2), mode="complete")
             diagonal = np.abs(np.diagonal(factor, axis1=1, axis2=2))
-            optimal[own] &= np.min(diagonal, axis=1) > INDEPENDENT
+            optimal[optimal_points] &= np.min(diagonal, axis=1) > INDEPENDENT
         if active.size < n:
             free = basis[:, :, active.size :]
-            bent = np.einsum("kia,kij,kjb->kab", free, ended.hessian[own], free)
-            optimal[own] &= ~(np.linalg.eigvalsh(bent)[:, 0] < 0.0)
+            bent = np.einsum("kia,kij,kjb->kab", free, ended.hessian[optimal_points], free)
+            optimal[optimal_points] &= ~(np.linalg.eigvalsh(bent)[:, 0] < 0.0)
     return optimal

@@ -28,7 +28,7 @@ Index = NDArray[np.intp]
 Bools = NDArray[np.bool_]
 
 SHARES = (0.25, 0.5, 0.75, 1.0)  # of the way to a problem that Newton's method does not reach at once
-KEPT = 4096  # searches that are kept for further blocks
+CACHED_SEARCHES = 4096  # searches that are kept for further blocks
 ASTRAY = 1e-2  # scaled distance from its prediction at which an optimum may be another one
 BETTER = 1e-9  # share of the objective by which another optimum must be smaller
 BRANCHES = 8  # optima of a large block, the best ones
@@ -100,10 +100,10 @@ class GridSearch:
 
     def _further(self, block: int) -> list[int]:
         """Return the numbers of the optima of the large blocks around a block."""
-        own = int(self.large.of(np.array([self.blocks.middle(block)]))[0])
+        large_block = int(self.large.of(np.array([self.blocks.middle(block)]))[0])
         return [
             self.blocks.count + one * BRANCHES + rank
-            for one in (own, *self.large.neighbours(own))
+            for one in (large_block, *self.large.neighbours(large_block))
             for rank in range(len(self._many(self.large.middle(one))))
         ]
 
@@ -123,9 +123,9 @@ class GridSearch:
 
     def nearest(self, point: int) -> Solution | None:
         """Return the usable result of a search in the block of a point or beside it, if there is one."""
-        own = int(self.blocks.of(np.array([point]))[0])
-        found = (self.at_middle(block) for block in (own, *self.blocks.neighbours(own)))
-        return next((solution for solution in found if solution.usable), None)
+        home = int(self.blocks.of(np.array([point]))[0])
+        optima = (self.at_middle(block) for block in (home, *self.blocks.neighbours(home)))
+        return next((solution for solution in optima if solution.usable), None)
 
     def optima(self, points: Index) -> GridOptima:
         """Return the best optima found at points of the grid (points,)."""
@@ -134,12 +134,12 @@ class GridSearch:
         of_point = self.coarse.blocks.of(points)
         each, which = np.unique(of_point, return_inverse=True)
         some = np.flatnonzero(self.coarse.calm(each)[which])
-        found = self.coarse._optima(points[some])
-        others = np.setdiff1d(np.arange(len(points)), some[found.optimal])
-        order = np.argsort(np.concatenate([some[found.optimal], others]))
+        coarse = self.coarse._optima(points[some])
+        others = np.setdiff1d(np.arange(len(points)), some[coarse.optimal])
+        order = np.argsort(np.concatenate([some[coarse.optimal], others]))
         further = vars(self._optima(points[others]))
         return GridOptima(
-            **{name: np.concatenate([own[found.optimal], further[name]])[order] for name, own in vars(found).items()}
+            **{name: np.concatenate([own[coarse.optimal], further[name]])[order] for name, own in vars(coarse).items()}
         )
 
     def calm(self, blocks: Index) -> Bools:
@@ -147,8 +147,8 @@ class GridSearch:
         beside = [self.blocks.neighbours(block) for block in blocks.tolist()]
         return np.array(
             [
-                others.isdisjoint(own) and all(self.at_middle(one).usable for one in (block, *own))
-                for block, own, others in zip(blocks.tolist(), beside, self._differing(blocks), strict=True)
+                others.isdisjoint(neighbours) and all(self.at_middle(one).usable for one in (block, *neighbours))
+                for block, neighbours, others in zip(blocks.tolist(), beside, self._differing(blocks), strict=True)
             ],
             dtype=bool,
         )
@@ -157,30 +157,30 @@ class GridSearch:
         """Return the best optima that are found from these blocks, and from the large ones."""
         problem, of_point = self.problem(points), self.blocks.of(points)
         count = len(points)
-        found = GridOptima(
+        optima = GridOptima(
             x=np.full((count, self.nlp.size), np.nan),
             sides=np.zeros(problem.lower.shape, dtype=np.int8),
             objective=np.full(count, np.inf),
             optimal=np.zeros(count, dtype=bool),
             searched=np.zeros(count, dtype=bool),
         )
-        self._follow(found, problem, np.arange(count), of_point, points)
+        self._follow(optima, problem, np.arange(count), of_point, points)
         blocks, which = np.unique(of_point, return_inverse=True)
         at_middle = points == np.array([self.blocks.middle(int(block)) for block in blocks])[which]
-        found.searched[:] = found.optimal & at_middle
+        optima.searched[:] = optima.optimal & at_middle
         beside, others = [self._around(block) for block in blocks.tolist()], self._differing(blocks)
         for rank in range(max(map(len, beside), default=0)):
-            begin = np.array([own[rank] if rank < len(own) else -1 for own in beside])
+            begin = np.array([middle[rank] if rank < len(middle) else -1 for middle in beside])
             differs = np.array([one in other for one, other in zip(begin.tolist(), others, strict=True)])
             beyond = begin >= self.blocks.count
-            some = np.flatnonzero((begin[which] >= 0) & (differs[which] | (~found.optimal & ~beyond[which])))
-            self._follow(found, problem, some, begin[which[some]])
-        for k in np.flatnonzero(at_middle & found.optimal):  # an optimum of a search that Newton's method left is not given up
-            own = self.at_middle(int(of_point[k]))
-            found.optimal[k] = not (own.usable and own.objective < found.objective[k] - BETTER * abs(own.objective))
-        return found
+            some = np.flatnonzero((begin[which] >= 0) & (differs[which] | (~optima.optimal & ~beyond[which])))
+            self._follow(optima, problem, some, begin[which[some]])
+        for k in np.flatnonzero(at_middle & optima.optimal):  # an optimum of a search that Newton's method left is not given up
+            middle = self.at_middle(int(of_point[k]))
+            optima.optimal[k] = not (middle.usable and middle.objective < optima.objective[k] - BETTER * abs(middle.objective))
+        return optima
 
-    def _follow(self, found: GridOptima, problem: BatchProblem, some: Index, blocks: Index, points: Index | None = None) -> None:
+    def _follow(self, optima: GridOptima, problem: BatchProblem, some: Index, blocks: Index, points: Index | None = None) -> None:
         """Continue the optima in the middle of blocks to some points, and keep those that are better.
 
         With the points of the grid, which lie in these blocks, the iterations begin at the predictions of the blocks.
@@ -190,10 +190,10 @@ class GridSearch:
         some, blocks = some[usable], blocks[usable]
         ended = self._continued(problem.part(some), blocks, None if points is None else points[some])
         with np.errstate(invalid="ignore"):
-            better = ended.optimal & (ended.objective < found.objective[some] - BETTER * np.abs(ended.objective))
+            better = ended.optimal & (ended.objective < optima.objective[some] - BETTER * np.abs(ended.objective))
         at = some[better]
-        found.x[at], found.sides[at], found.objective[at] = ended.x[better], ended.sides[better], ended.objective[better]
-        found.optimal[at], found.searched[at] = True, False
+        optima.x[at], optima.sides[at], optima.objective[at] = ended.x[better], ended.sides[better], ended.objective[better]
+        optima.optimal[at], optima.searched[at] = True, False
 
     def _around(self, block: int) -> list[int]:
         """Return the blocks beside a block, then the numbers of the optima of the large blocks around it."""
@@ -202,54 +202,54 @@ class GridSearch:
     def _differing(self, blocks: Index) -> list[set[int]]:
         """Return for every block those around it that have another optimum, see `_others`."""
         new = [block for block in blocks.tolist() if block not in self._others_of]
-        found = {block: self._others_of[block] for block in blocks.tolist() if block not in new}
-        found |= zip(new, self._others(np.array(new, dtype=np.intp), [self._around(block) for block in new]), strict=True)
+        neighbours = {block: self._others_of[block] for block in blocks.tolist() if block not in new}
+        neighbours |= zip(new, self._others(np.array(new, dtype=np.intp), [self._around(block) for block in new]), strict=True)
         for block in new:
-            _keep(self._others_of, block, found[block])
-        return [found[block] for block in blocks.tolist()]
+            _keep(self._others_of, block, neighbours[block])
+        return [neighbours[block] for block in blocks.tolist()]
 
     def _others(self, blocks: Index, beside: list[list[int]]) -> list[set[int]]:
         """Return for every block the blocks beside it whose optimum, continued to its middle, is another than its own.
 
         Optima of large blocks count once each, where they are reached and not far worse.
         """
-        pairs = [(k, one) for k, own in enumerate(beside) for one in own if self.at_middle(one).usable]
+        pairs = [(k, one) for k, neighbours in enumerate(beside) for one in neighbours if self.at_middle(one).usable]
         others: list[set[int]] = [set() for _ in beside]
         if not pairs:
             return others
         which, begin = np.array(pairs).T
         middles = np.array([self.blocks.middle(int(block)) for block in blocks])
         ended = self._continued(self.problem(middles).part(which), begin)
-        own = [self.at_middle(int(block)) for block in blocks]
-        objective = np.array([one.objective if one.usable else np.inf for one in own])[which]
+        at_middles = [self.at_middle(int(block)) for block in blocks]
+        objective = np.array([one.objective if one.usable else np.inf for one in at_middles])[which]
         with np.errstate(invalid="ignore"):
             same = ended.optimal & (np.abs(ended.objective - objective) <= SAME_OBJECTIVE * np.abs(objective))
             near = (begin < self.blocks.count) | (ended.optimal & (ended.objective <= NEARBY * objective))
-        known: list[list[float]] = [[] for _ in beside]
+        objectives: list[list[float]] = [[] for _ in beside]
         for at in np.flatnonzero(~same & near).tolist():
             k, one, value = int(which[at]), int(begin[at]), float(ended.objective[at])
             if one >= self.blocks.count:
-                if any(abs(value - other) <= SAME_OBJECTIVE * abs(value) for other in known[k]):
+                if any(abs(value - other) <= SAME_OBJECTIVE * abs(value) for other in objectives[k]):
                     continue
-                known[k].append(value)
+                objectives[k].append(value)
             others[k].add(one)
         return others
 
     def _predictions_of(self, blocks: Index) -> dict[int, Prediction]:
         """Return the predictions of blocks (blocks,) that have one."""
         new = [block for block in blocks.tolist() if block not in self._predictions]
-        found = dict.fromkeys(new) | {block: self._predictions[block] for block in blocks.tolist() if block not in new}
-        nodes = {block: own for block in new if (own := block_nodes(self.blocks.ends(block))) is not None}
+        predictions = dict.fromkeys(new) | {block: self._predictions[block] for block in blocks.tolist() if block not in new}
+        nodes = {block: nodes_of_block for block in new if (nodes_of_block := block_nodes(self.blocks.ends(block))) is not None}
         if nodes:
-            points = [self.blocks.points(own) for own in nodes.values()]
-            sizes = [len(own) for own in points]
+            points = [self.blocks.points(nodes_of_block) for nodes_of_block in nodes.values()]
+            sizes = [len(nodes_of_block) for nodes_of_block in points]
             ended = self._continued(self.problem(np.concatenate(points)), np.repeat([*nodes], sizes))
-            for (block, own), last, size in zip(nodes.items(), np.cumsum(sizes), sizes, strict=True):
+            for (block, nodes_of_block), last, size in zip(nodes.items(), np.cumsum(sizes), sizes, strict=True):
                 part = BatchOptima(**{name: one[last - size : last] for name, one in vars(ended).items()})
-                found[block] = Prediction.through(own, part)
+                predictions[block] = Prediction.through(nodes_of_block, part)
         for block in new:
-            _keep(self._predictions, block, found[block])
-        return {block: one for block, one in found.items() if one is not None}
+            _keep(self._predictions, block, predictions[block])
+        return {block: one for block, one in predictions.items() if one is not None}
 
     def _continued(self, problem: BatchProblem, blocks: Index, points: Index | None = None) -> BatchOptima:
         """Continue the optima in the middle of blocks (points,) to the problem of each point.
@@ -272,18 +272,18 @@ class GridSearch:
                 part = blocks == block
                 first[0][part], first[1][part] = prediction.at(np.unravel_index(points[part], self.blocks.shape))
                 first[2][part], predicted[part] = prediction.sides, True
-        own = BatchProblem(p, problem.lower, problem.upper)
+        batch = BatchProblem(p, problem.lower, problem.upper)
         equal = problem.lower == problem.upper
         for one in (sides, first[2]):
             one[(one != 0) & equal] = 2
-        direct = batch_newton(self.nlp, own, *first)
+        direct = batch_newton(self.nlp, batch, *first)
         direct.optimal[predicted & ~(np.max(np.abs(direct.x - first[0]), axis=1) <= ASTRAY)] = False
         far = np.flatnonzero(~direct.optimal)
         if far.size:
             middles = self.problem(np.array([self._middle(int(block)) for block in each])).part(which[far])
             start = BatchOptima(x[far], multipliers[far], sides[far], direct.objective[far], direct.optimal[far])
             for share in SHARES:
-                between = middles.towards(own.part(far), share)
+                between = middles.towards(batch.part(far), share)
                 start = batch_newton(self.nlp, between, start.x, start.multipliers, start.sides)
             for name, values in vars(direct).items():
                 values[far] = getattr(start, name)
@@ -304,8 +304,8 @@ def active_sides(solution: Solution) -> NDArray[np.int8]:
     return sides
 
 
-def _keep(known: dict[int, T], key: int, value: T) -> None:
+def _keep(cache: dict[int, T], key: int, value: T) -> None:
     """Keep a value, in place of the oldest one if there are many."""
-    if len(known) >= KEPT:
-        del known[next(iter(known))]
-    known[key] = value
+    if len(cache) >= CACHED_SEARCHES:
+        del cache[next(iter(cache))]
+    cache[key] = value

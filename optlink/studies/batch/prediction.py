@@ -73,17 +73,17 @@ class Prediction:
         places : tuple of array (points,)
             Places of the points along each axis.
         """
-        weights = [_lagrange(own, place) for own, place in zip(self.nodes, places, strict=True)]
-        found = np.zeros((len(places[0]), self.values.shape[1]))
+        weights = [_lagrange(nodes, place) for nodes, place in zip(self.nodes, places, strict=True)]
+        values = np.zeros((len(places[0]), self.values.shape[1]))
         for value, factors in zip(self.values, itertools.product(*weights), strict=True):
-            found += math.prod(factors[1:], start=factors[0])[:, None] * value
+            values += math.prod(factors[1:], start=factors[0])[:, None] * value
         n = self.values.shape[1] - len(self.sides)
-        return found[:, :n], found[:, n:]
+        return values[:, :n], values[:, n:]
 
 
 def _lagrange(nodes: Index, places: Index) -> list[Array]:
     """Return the value of each Lagrange polynomial of the nodes at places (points,)."""
     return [
-        np.prod([(places - other) / (own - other) for other in nodes if other != own] or [np.ones(len(places))], axis=0)
-        for own in nodes
+        np.prod([(places - other) / (node - other) for other in nodes if other != node] or [np.ones(len(places))], axis=0)
+        for node in nodes
     ]

@@ -20,7 +20,7 @@ from optlink.tasks.results.cycle import task_of
 from optlink.units import KINDS, factor
 from optlink.validation.cycle import Cycle
 
-OWN = "objective"
+FILE_OBJECTIVE = "objective"
 
 _NAME = r"[A-Za-z][\w.\-]*"
 
@@ -55,12 +55,12 @@ def cycle_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjec
         If there is no such objective.
     """
     task = task_of(problem)
-    if name == OWN:
+    if name == FILE_OBJECTIVE:
         if not task.single:
             return ParetoObjective(name, "sum of the objective", "", 1)
-        stated = problem.raw.get("objective", {"quantity": task.goals[0].quantity})
-        own = {key: value for key, value in stated.items() if key != "sense"}
-        return _termed(problem, own, -1 if task.goals[0].sense == "maximise" else 1, number, name)
+        raw_objective = problem.raw.get("objective", {"quantity": task.goals[0].quantity})
+        keys = {key: value for key, value in raw_objective.items() if key != "sense"}
+        return _termed(problem, keys, -1 if task.goals[0].sense == "maximise" else 1, number, name)
     limited = task.limits.named.get(name.removeprefix("limits."))
     if limited is not None:
         sense = -1 if limited.max is None and limited.exactly is None else 1
@@ -73,37 +73,37 @@ def cycle_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjec
         return _termed(problem, {"quantity": "length", "of": name}, 1, number, name)
     match = _parsed(name)
     if match is None:
-        known = [*QUANTITIES, *(f"limits.{key}" for key in task.limits.named), *task.free, OWN]
-        raise InputError("unknown objective", nearest(name, known), problem.file, OPTION, name)
+        names = [*QUANTITIES, *(f"limits.{key}" for key in task.limits.named), *task.free, FILE_OBJECTIVE]
+        raise InputError("unknown objective", nearest(name, names), problem.file, OPTION, name)
     raw = {key: value for key, value in match.groupdict().items() if value is not None}
     for key in ("quantity", "measure", "stroke"):
         if key in raw:
             raw[key] = raw[key].lower()
     if "static" in raw:
         raw["static"] = True
-    stated = raw.pop("sense", "").lower()
-    sense = -1 if SPELLINGS.get(stated, stated) == "maximise" or (not stated and raw.get("measure") == "least") else 1
+    raw_sense = raw.pop("sense", "").lower()
+    sense = -1 if SPELLINGS.get(raw_sense, raw_sense) == "maximise" or (not raw_sense and raw.get("measure") == "least") else 1
     return _termed(problem, raw, sense, number, name)
 
 
 def _termed(problem: ProblemFile, raw: dict[str, Any], sense: int, number: int, name: str) -> ParetoObjective:
     """Return the objective of a term, after validation by the model."""
-    stated = {**raw, "sense": "maximise" if sense < 0 else "minimise"}
+    raw_objective = {**raw, "sense": "maximise" if sense < 0 else "minimise"}
     document = {key: value for key, value in problem.raw.items() if key != "expected"}
     try:
-        found = read({**document, "objective": stated}, problem.name, problem.file, problem.folder)
+        read_problem = read({**document, "objective": raw_objective}, problem.name, problem.file, problem.folder)
     except InputError as error:
         fault = error.faults[0]
         raise InputError(fault.message, fault.remedy, problem.file, OPTION, name) from None
-    goal = task_of(found).goals[0]
-    kind = task_of(found).kind(goal)
+    goal = task_of(read_problem).goals[0]
+    kind = task_of(read_problem).kind(goal)
     unit = KINDS[kind].display if kind else ""
     side = "min" if sense < 0 else "max"
     return ParetoObjective(name, goal.words, unit, sense, f"limits.front_{number}.{side}", tuple(raw.items()))
 
 
 def epsilon_problem(
-    problem: ProblemFile, aims: Sequence[ParetoObjective], goals: Mapping[int, float], bounds: Mapping[int, Raw]
+    problem: ProblemFile, objectives: Sequence[ParetoObjective], goals: Mapping[int, float], bounds: Mapping[int, Raw]
 ) -> ProblemFile:
     """Return the problem of a machine with other objectives and bounds.
 
@@ -112,34 +112,34 @@ def epsilon_problem(
     Parameters
     ----------
     problem : ProblemFile
-    aims : sequence of ParetoObjective
+    objectives : sequence of ParetoObjective
     goals : mapping of int to float
         Minimised objectives: index, and the reference value in the unit of the objective.
     bounds : mapping of int to value with unit
         Constrained objectives: index, and bound.
     """
     raw = {key: copy.deepcopy(value) for key, value in problem.raw.items() if key != "expected"}
-    given = task_of(problem)
-    way = {name for name, limit in given.limits.named.items() if any(_gives_way(limit, aim) for aim in aims)}
+    task = task_of(problem)
+    way = {name for name, limit in task.limits.named.items() if any(_gives_way(limit, objective) for objective in objectives)}
     limits = {name: value for name, value in raw.get("limits", {}).items() if name not in way}
     for name in way:
-        rest = _rest(problem, name, aims)
+        rest = _rest(problem, name, objectives)
         if rest is not None:
             limits[name] = rest
     for k, value in bounds.items():
-        limits[aims[k].key.split(".")[1]] = {**dict(aims[k].term), aims[k].side: value}
+        limits[objectives[k].key.split(".")[1]] = {**dict(objectives[k].term), objectives[k].side: value}
     raw["limits"] = limits
-    terms = [term for k, one in goals.items() for term in _goals(problem, aims[k], one)]
-    single = [k for k in goals if len(goals) == 1 and aims[k].key]
+    terms = [term for k, one in goals.items() for term in _goals(problem, objectives[k], one)]
+    single = [k for k in goals if len(goals) == 1 and objectives[k].key]
     raw["objective"] = {key: v for key, v in terms[0].items() if key != "scale"} if single else {"terms": terms}
     return read(raw, problem.name, problem.file, problem.folder)
 
 
-def _goals(problem: ProblemFile, aim: ParetoObjective, one: float) -> list[dict[str, Any]]:
+def _goals(problem: ProblemFile, objective: ParetoObjective, one: float) -> list[dict[str, Any]]:
     """Return the terms of an objective, with the reference value `one` [its unit]."""
-    if aim.key:
-        sense = "maximise" if aim.sense < 0 else "minimise"
-        return [{**dict(aim.term), "sense": sense, "scale": exact_text(one, aim.unit)}]
+    if objective.key:
+        sense = "maximise" if objective.sense < 0 else "minimise"
+        return [{**dict(objective.term), "sense": sense, "scale": exact_text(one, objective.unit)}]
     return [{**term, "weight": term.get("weight", 1.0) / one} for term in problem.raw["objective"]["terms"]]
 
 
@@ -149,30 +149,30 @@ def _same(one: Term, other: Term) -> bool:
     return ways[0] == ways[1] and all(getattr(one, key) == getattr(other, key) for key in keys)
 
 
-def _gives_way(limit: Limit, aim: ParetoObjective) -> bool:
+def _gives_way(limit: Limit, objective: ParetoObjective) -> bool:
     """Return whether a limit constrains the term of an objective on the side that is varied."""
-    if not aim.key:
+    if not objective.key:
         return False
-    return _same(limit, aim.cycle_term) and (limit.exactly is not None or getattr(limit, aim.side) is not None)
+    return _same(limit, objective.cycle_term) and (limit.exactly is not None or getattr(limit, objective.side) is not None)
 
 
-def _rest(problem: ProblemFile, name: str, aims: Sequence[ParetoObjective]) -> dict[str, Any] | None:
+def _rest(problem: ProblemFile, name: str, objectives: Sequence[ParetoObjective]) -> dict[str, Any] | None:
     """Return the other side of a limit that is removed, or None."""
     limit, raw = task_of(problem).limits.named[name], dict(problem.raw["limits"][name])
     raw.pop("exactly", None)
-    for aim in aims:
-        if _gives_way(limit, aim):
-            raw.pop(aim.side, None)
+    for objective in objectives:
+        if _gives_way(limit, objective):
+            raw.pop(objective.side, None)
     return raw if any(side in raw for side in SIDES) else None
 
 
-def cycle_figures(problem: ProblemFile, aims: Sequence[ParetoObjective], values: Mapping[str, float]) -> tuple[float, ...]:
+def cycle_figures(problem: ProblemFile, objectives: Sequence[ParetoObjective], values: Mapping[str, float]) -> tuple[float, ...]:
     """Return the values of all objectives of a machine by ordinary inverse dynamics; NaN if the crank cannot turn fully.
 
     Parameters
     ----------
     problem : ProblemFile
-    aims : sequence of ParetoObjective
+    objectives : sequence of ParetoObjective
     values : mapping of str to float [SI]
         Dimensions; those not named have their value in the file.
 
@@ -182,11 +182,11 @@ def cycle_figures(problem: ProblemFile, aims: Sequence[ParetoObjective], values:
     """
     task = task_of(problem)
     cycle = Cycle(task, values)
-    found = []
-    for aim in aims:
-        if not aim.key:
-            found.append(cycle.objective() if cycle.full else math.nan)
+    figures = []
+    for objective in objectives:
+        if not objective.key:
+            figures.append(cycle.objective() if cycle.full else math.nan)
             continue
-        kind = task.kind(aim.cycle_term)
-        found.append(cycle.figure(aim.cycle_term) / (factor(aim.unit, kind) if kind else 1.0))
-    return tuple(found)
+        kind = task.kind(objective.cycle_term)
+        figures.append(cycle.figure(objective.cycle_term) / (factor(objective.unit, kind) if kind else 1.0))
+    return tuple(figures)

@@ -45,8 +45,10 @@ T = TypeVar("T")
 
 POINTS = {1: 15, 2: 7}  # per constrained objective, by their number
 ENDS = "ends.json"  # results of the searches for the ends, kept in the folder
-BEYOND = 1e-3  # share of an objective by which a design is better than the tightest limit of a range that does not restrict it
-MOST = 100_000  # largest number of points of a grid
+RANGE_MARGIN = (
+    1e-3  # share of an objective by which a design is better than the tightest limit of a range that does not restrict it
+)
+MAX_POINTS = 100_000  # largest number of points of a grid
 STARTS = 8  # starting points of each search of a law
 SEARCHES = 100  # about the number of searches of a law's front: one at each point of most fronts
 
@@ -156,14 +158,15 @@ class Pareto(GridStudy):
         if self.valid < self.solved:
             return "Only one point has a verified design, so the front shows no trade-off"
         limited = [
-            (aim, value)
-            for k, (aim, value) in enumerate(zip(self.objectives, self.points[0].values, strict=True))
+            (objective, value)
+            for k, (objective, value) in enumerate(zip(self.objectives, self.points[0].values, strict=True))
             if k != self.minimised
         ]
-        for (aim, value), axis in zip(limited, self.grid.axes, strict=True):
-            if aim.sense * (axis.values[-1] - value) > BEYOND * abs(value):
+        for (objective, value), axis in zip(limited, self.grid.axes, strict=True):
+            if objective.sense * (axis.values[-1] - value) > RANGE_MARGIN * abs(value):
                 best = self.objectives[self.minimised].best
-                return f"No trade-off in this range: the {best} has {aim.name} {value:.6g} {aim.unit}; give a range beyond it"
+                value_of_best = f"{objective.name} {value:.6g} {objective.unit}"
+                return f"No trade-off in this range: the {best} has {value_of_best}; give a range beyond it"
         return "No trade-off: one of the designs found is best in every objective"
 
     def by_column(self, values: Sequence[T]) -> dict[str, T]:
@@ -173,7 +176,7 @@ class Pareto(GridStudy):
     @property
     def costs(self) -> Array:
         """Objectives of the points (n, k), with the sign for minimisation."""
-        return np.array([point.values for point in self.points]) * [aim.sense for aim in self.objectives]
+        return np.array([point.values for point in self.points]) * [objective.sense for objective in self.objectives]
 
     @property
     def complete(self) -> bool:
@@ -183,9 +186,11 @@ class Pareto(GridStudy):
     @property
     def columns(self) -> dict[str, list[Any]]:
         """The front as a table: objectives, design variables, active limits, and marks."""
-        found: dict[str, list[Any]] = {aim.column: [p.values[k] for p in self.points] for k, aim in enumerate(self.objectives)}
-        found |= {name: [p.design[name] for p in self.points] for name in (self.points[0].design if self.points else ())}
-        return found | {key: [getattr(p, key) for p in self.points] for key in ("active", "mark")}
+        columns: dict[str, list[Any]] = {
+            objective.column: [p.values[k] for p in self.points] for k, objective in enumerate(self.objectives)
+        }
+        columns |= {name: [p.design[name] for p in self.points] for name in (self.points[0].design if self.points else ())}
+        return columns | {key: [getattr(p, key) for p in self.points] for key in ("active", "mark")}
 
 
 @typed
@@ -237,19 +242,19 @@ def pareto(
     ['least error', 'knee', 'best largest transmission angle']
     """
     begin = time.perf_counter()
-    aims = read_objectives(problem, objectives)
-    first = min(range(len(aims)), key=lambda k: (bool(aims[k].key), bool(aims[k].span), k))
-    if aims[first].span:
+    objective_list = read_objectives(problem, objectives)
+    first = min(range(len(objective_list)), key=lambda k: (bool(objective_list[k].key), bool(objective_list[k].span), k))
+    if objective_list[first].span:
         message, remedy = "all objectives have ranges", "One of them is minimised: leave its range out"
         raise InputError(message, remedy, problem.file, OPTION, objectives)
-    count = _points(points, len(aims) - 1)
+    count = _points(points, len(objective_list) - 1)
     check_backend(backend)
-    ranges = RANGES[problem.task](problem, aims, first, count, backend)
+    ranges = RANGES[problem.task](problem, objective_list, first, count, backend)
     _most(ranges.shape)
     check(engine, workers, scheduler)
     keep = TemporaryFolder() if out is None else None
     place = keep.path if keep is not None else Path(str(out))
-    with Store(place, _about(problem, aims, count, backend), resume=resume) as store:
+    with Store(place, _about(problem, objective_list, count, backend), resume=resume) as store:
         ahead = ranges.searches
         once = _Once(store, None if progress is None else lambda done: progress(done, ahead + math.prod(ranges.shape)))
         try:
@@ -273,26 +278,28 @@ def pareto(
             store.finish(task.columns, store.rows())
         store.drop()
         rows = [dict(zip(task.columns, row, strict=True)) for row in store.finished_rows(task.columns)]
-        found = [point for row in rows if row["valid"] == "true" for point in [_point(task, ranges, row)] if point is not None]
-        costs = np.array([p.values for p in found]).reshape(-1, len(aims)) * [aim.sense for aim in aims]
-        kept = np.flatnonzero(undominated(costs))
-        kept = kept[np.lexsort(costs[kept].T[::-1])]
-        corner, bend = (ends(costs[kept]), knee(costs[kept])) if len(kept) else ((), None)
-        front = tuple(_marked(found[i], j, aims, corner, bend) for j, i in enumerate(kept))
-        words, given = ranges.reference(base, once)
+        designs = [point for row in rows if row["valid"] == "true" for point in [_point(task, ranges, row)] if point is not None]
+        costs = np.array([p.values for p in designs]).reshape(-1, len(objective_list)) * [
+            objective.sense for objective in objective_list
+        ]
+        non_dominated = np.flatnonzero(undominated(costs))
+        non_dominated = non_dominated[np.lexsort(costs[non_dominated].T[::-1])]
+        corner, bend = (ends(costs[non_dominated]), knee(costs[non_dominated])) if len(non_dominated) else ((), None)
+        front = tuple(_marked(designs[i], j, objective_list, corner, bend) for j, i in enumerate(non_dominated))
+        words, reference = ranges.reference(base, once)
         return Pareto(
             problem=problem,
-            objectives=aims,
+            objectives=objective_list,
             minimised=first,
             points=front,
             ends=corner,
             knee=bend,
-            reference=given,
+            reference=reference,
             reference_label=words,
             solved=len(rows),
-            valid=len(found),
+            valid=len(designs),
             infeasible=sum(row["status"] == Status.INFEASIBLE.value for row in rows),
-            dominated=len(found) - len(front),
+            dominated=len(designs) - len(front),
             grid=grid,
             path=store.table,
             done=mine,
@@ -312,12 +319,12 @@ def _points(points: int | None, constrained: int) -> int:
 
 
 def _most(shape: Sequence[int]) -> None:
-    if math.prod(shape) > MOST:
+    if math.prod(shape) > MAX_POINTS:
         size = " x ".join(f"{count:,}" for count in shape) + (f" = {math.prod(shape):,}" if len(shape) > 1 else "")
-        raise InputError(f"{size} points are more than a front takes, {MOST:,}", "Give fewer", key="--points")
+        raise InputError(f"{size} points are more than a front takes, {MAX_POINTS:,}", "Give fewer", key="--points")
 
 
-def _about(problem: ProblemFile, aims: tuple[ParetoObjective, ...], count: int, backend: str) -> dict[str, Any]:
+def _about(problem: ProblemFile, objectives: tuple[ParetoObjective, ...], count: int, backend: str) -> dict[str, Any]:
     """Return the definition of a front; the ranges of its limits follow from it."""
     return {
         "schema": "optlink/study/1",
@@ -325,7 +332,7 @@ def _about(problem: ProblemFile, aims: tuple[ParetoObjective, ...], count: int, 
         "problem": problem.name,
         "problem_hash": problem.hash,
         "mode": "pareto",
-        "objectives": [f"{aim.text}={aim.span}" if aim.span else aim.text for aim in aims],
+        "objectives": [f"{objective.text}={objective.span}" if objective.span else objective.text for objective in objectives],
         "points": count,
         "backend": backend,
     }
@@ -362,9 +369,9 @@ def _point(task: OptimumTask, ranges: EpsilonRanges, row: Mapping[str, str]) -> 
 
 
 def _marked(
-    point: ParetoPoint, number: int, aims: Sequence[ParetoObjective], corner: Sequence[int], bend: tuple[int, float] | None
+    point: ParetoPoint, number: int, objectives: Sequence[ParetoObjective], corner: Sequence[int], bend: tuple[int, float] | None
 ) -> ParetoPoint:
-    marks = [aim.best for aim, end in zip(aims, corner, strict=True) if end == number]
+    marks = [objective.best for objective, end in zip(objectives, corner, strict=True) if end == number]
     if bend is not None and bend[0] == number:
         marks.append("knee")
     return ParetoPoint(point.values, point.design, point.active, ", ".join(marks))

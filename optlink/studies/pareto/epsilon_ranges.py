@@ -30,7 +30,7 @@ from optlink.tasks.run import solve
 Once = Callable[[str, Callable[[], Mapping[str, Any]]], Mapping[str, Any]]
 """(name, search) -> what the search finds, fit for JSON, done now or before"""
 
-NEAR = 1e-4  # relative relaxation of an objective at its own end, where the others could not change otherwise
+END_RELAXATION = 1e-4  # relative relaxation of an objective at its own end, where the others could not change otherwise
 NONE = 1e-6  # relative; an objective that varies less has no trade-off
 
 
@@ -82,13 +82,13 @@ class EpsilonRanges(ABC):
         InputError
             For invalid ranges, or an objective that requires one.
         """
-        found = {}
+        values = {}
         for k in self.constrained:
-            aim = self.objectives[k]
-            if aim.span:
-                with self._blamed(aim):
-                    found[k] = _requested(aim, self.count, partial(self._with, k))
-        return found
+            objective = self.objectives[k]
+            if objective.span:
+                with self._blamed(objective):
+                    values[k] = _requested(objective, self.count, partial(self._with, k))
+        return values
 
     @cached_property
     def open(self) -> tuple[int, ...]:
@@ -115,17 +115,17 @@ class EpsilonRanges(ABC):
         NoExtreme
             If an end cannot be found.
         """
-        found, anchors = self._ends(once) if self.open else ({}, ())
-        axes = {**self.fixed, **found}
+        ranges, anchors = self._ends(once) if self.open else ({}, ())
+        axes = {**self.fixed, **ranges}
         return self._base(axes, anchors), Grid(tuple(axes[k] for k in self.constrained)), anchors
 
     @abstractmethod
-    def figures(self, stated: ProblemFile, values: Mapping[str, float], error: float) -> tuple[float, ...]:
+    def figures(self, problem: ProblemFile, values: Mapping[str, float], error: float) -> tuple[float, ...]:
         """Return the objectives of a point of the front in their units.
 
         Parameters
         ----------
-        stated : ProblemFile
+        problem : ProblemFile
             Problem at a point of the grid.
         values : mapping of str to float [SI]
             Design variables.
@@ -157,18 +157,20 @@ class EpsilonRanges(ABC):
         """Return the problem with a value of the limit that constrains an objective."""
 
     @contextlib.contextmanager
-    def _blamed(self, aim: ParetoObjective) -> Iterator[None]:
+    def _blamed(self, objective: ParetoObjective) -> Iterator[None]:
         """Attribute errors to the objective."""
-        text = f"{aim.text}={aim.span}" if aim.span else aim.text
+        text = f"{objective.text}={objective.span}" if objective.span else objective.text
         try:
             yield
         except InputError as error:
             fault = error.faults[0]
             raise InputError(fault.message, fault.remedy, self.problem.file, OPTION, text) from None
 
-    def _no_end(self, aim: ParetoObjective, why: str) -> NoExtreme:
-        remedy = f'Give a range: "{aim.text}=LOW..HIGH{" " + aim.unit if aim.unit else ""}"'
-        return NoExtreme(f"the end with the {aim.best} cannot be found: {why}", remedy, self.problem.file, OPTION, aim.text)
+    def _no_end(self, objective: ParetoObjective, why: str) -> NoExtreme:
+        remedy = f'Give a range: "{objective.text}=LOW..HIGH{" " + objective.unit if objective.unit else ""}"'
+        return NoExtreme(
+            f"the end with the {objective.best} cannot be found: {why}", remedy, self.problem.file, OPTION, objective.text
+        )
 
 
 class _LawRanges(EpsilonRanges):
@@ -183,24 +185,24 @@ class _LawRanges(EpsilonRanges):
 
     @cached_property
     def fixed(self) -> dict[int, Axis]:
-        found = super().fixed
-        for aim in (self.objectives[k] for k in self.constrained if k not in found):
-            if not self.bare.model.shares_programme([aim.key]):
-                raise self._no_end(aim, "a function has many optima, so the ends of its front are not searched")
-        return found
+        values = super().fixed
+        for objective in (self.objectives[k] for k in self.constrained if k not in values):
+            if not self.bare.model.shares_programme([objective.key]):
+                raise self._no_end(objective, "a function has many optima, so the ends of its front are not searched")
+        return values
 
     @property
     def searches(self) -> int:
         """Number of searches for the ranges that were not requested."""
         return (1 + len(self.open) + (len(self.constrained) if len(self.constrained) > 1 else 0)) if self.open else 0
 
-    def figures(self, stated: ProblemFile, values: Mapping[str, float], error: float) -> tuple[float, ...]:
-        full = stated.model.design(values)
-        return tuple(law_figure(stated.spec, aim, full) if aim.key else error for aim in self.objectives)
+    def figures(self, problem: ProblemFile, values: Mapping[str, float], error: float) -> tuple[float, ...]:
+        full = problem.model.design(values)
+        return tuple(law_figure(problem.spec, objective, full) if objective.key else error for objective in self.objectives)
 
     def reference(self, base: ProblemFile, once: Once) -> tuple[str, tuple[float, ...] | None]:
-        words, limited = "limits of the file", [aim for aim in self.objectives if aim.key]
-        if any(limit_in_file(self.problem, aim.key) is None for aim in limited):
+        words, limited = "limits of the file", [objective for objective in self.objectives if objective.key]
+        if any(limit_in_file(self.problem, objective.key) is None for objective in limited):
             return words, None
 
         def searched() -> dict[str, Any]:
@@ -210,14 +212,16 @@ class _LawRanges(EpsilonRanges):
         best = once(words, searched)
         if not best:
             return words, None
-        task = base.override({aim.key: tightest_bound(base, aim) for aim in limited}).spec
-        return words, tuple(law_figure(task, aim, best["design"]) if aim.key else best["error"] for aim in self.objectives)
+        task = base.override({objective.key: tightest_bound(base, objective) for objective in limited}).spec
+        return words, tuple(
+            law_figure(task, objective, best["design"]) if objective.key else best["error"] for objective in self.objectives
+        )
 
     def _optimum(self, problem: ProblemFile) -> FunctionResult:
         """Return the optimum that `optlink.solve` finds, certified if there are few design variables."""
-        found = completed(solve(problem, self.backend))
-        assert isinstance(found, FunctionResult)
-        return found
+        result = completed(solve(problem, self.backend))
+        assert isinstance(result, FunctionResult)
+        return result
 
     def _with(self, number: int, value: Raw) -> ProblemFile:
         return self.bare.override({self.objectives[number].key: value})
@@ -226,43 +230,45 @@ class _LawRanges(EpsilonRanges):
         return self.bare
 
     def _ends(self, once: Once) -> tuple[dict[int, Axis], tuple[Mapping[str, float], ...]]:
-        aims, fixed, unbound = self.objectives, self.fixed, self.open
-        free = self.bare.override({aims[k].key: axis.raw(0) for k, axis in fixed.items()})  # with the loosest limits only
+        objectives, fixed, unbound = self.objectives, self.fixed, self.open
+        free = self.bare.override({objectives[k].key: axis.raw(0) for k, axis in fixed.items()})  # with the loosest limits only
 
         def optimum(task: ProblemFile, blamed: ParetoObjective | None = None) -> dict[str, Any]:
-            found = self._optimum(task)
-            if blamed is not None and not found.valid:
-                raise self._no_end(blamed, found.status.text)
-            return {"design": dict(found.design) if found.valid else None}
+            result = self._optimum(task)
+            if blamed is not None and not result.valid:
+                raise self._no_end(blamed, result.status.text)
+            return {"design": dict(result.design) if result.valid else None}
 
-        minimised = aims[self.first]
+        minimised = objectives[self.first]
         best = once(minimised.best, lambda: optimum(free, minimised))
-        tight = {k: once(aims[k].best, partial(self._tight, free, aims[k], best["design"]))["limit"] for k in unbound}
-        corners = {k: exact_text(aims[k].worsened(tight[k], NEAR * abs(tight[k])), aims[k].unit) for k in unbound}
+        tight = {k: once(objectives[k].best, partial(self._tight, free, objectives[k], best["design"]))["limit"] for k in unbound}
+        corners = {
+            k: exact_text(objectives[k].worsened(tight[k], END_RELAXATION * abs(tight[k])), objectives[k].unit) for k in unbound
+        }
         corners |= {k: axis.raw(len(axis.values) - 1) for k, axis in fixed.items()}
         others = {}
         if len(self.constrained) > 1:
             for k in self.constrained:
-                task = free.override({aims[k].key: corners[k]})
-                others[k] = once(f"{minimised.best}, {aims[k].best}", partial(optimum, task))
-        found = {}
+                task = free.override({objectives[k].key: corners[k]})
+                others[k] = once(f"{minimised.best}, {objectives[k].best}", partial(optimum, task))
+        ranges = {}
         for k in unbound:
-            limited, sense = free.override({aims[k].key: tightest_bound(free, aims[k])}).spec, aims[k].sense
+            limited, sense = free.override({objectives[k].key: tightest_bound(free, objectives[k])}).spec, objectives[k].sense
             designs = [best["design"], *(other["design"] for j, other in others.items() if j != k and other["design"])]
-            worst = sense * max(sense * law_figure(limited, aims[k], design) for design in designs)
-            found[k] = _axis(aims[k], tight[k], worst, self.count)
-        return found, ()
+            worst = sense * max(sense * law_figure(limited, objectives[k], design) for design in designs)
+            ranges[k] = _axis(objectives[k], tight[k], worst, self.count)
+        return ranges, ()
 
-    def _tight(self, free: ProblemFile, aim: ParetoObjective, design: Mapping[str, float]) -> dict[str, float]:
+    def _tight(self, free: ProblemFile, objective: ParetoObjective, design: Mapping[str, float]) -> dict[str, float]:
         """Return the tightest feasible value of a limit: the least relaxation of an infeasible one; `design` meets the others."""
-        tight = free.override({aim.key: tightest_bound(free, aim)})
-        found = self._optimum(tight)
-        if found.solution is not None and found.solution.usable:  # feasible at the tightest bound that can be stated
-            return {"limit": law_figure(tight.spec, aim, found.design)}
-        nlp, side = build(tight.spec), "<=" if aim.sense > 0 else ">="
-        limit = tightest(nlp, aim.key.rpartition(".")[0], side, nlp.x_of(design, bounded=False))
+        tight = free.override({objective.key: tightest_bound(free, objective)})
+        result = self._optimum(tight)
+        if result.solution is not None and result.solution.usable:  # feasible at the tightest bound that can be stated
+            return {"limit": law_figure(tight.spec, objective, result.design)}
+        nlp, side = build(tight.spec), "<=" if objective.sense > 0 else ">="
+        limit = tightest(nlp, objective.key.rpartition(".")[0], side, nlp.x_of(design, bounded=False))
         if not math.isfinite(limit):
-            raise self._no_end(aim, found.status.text)
+            raise self._no_end(objective, result.status.text)
         return {"limit": limit}
 
 
@@ -276,12 +282,12 @@ class _CycleRanges(EpsilonRanges):
         """Number of searches for the ranges that were not requested."""
         return 1 + 2 * len(self.open) + bool(self.objectives[self.first].key) if self.open else 0
 
-    def figures(self, stated: ProblemFile, values: Mapping[str, float], error: float) -> tuple[float, ...]:
-        return cycle_figures(stated, self.objectives, values)
+    def figures(self, problem: ProblemFile, values: Mapping[str, float], error: float) -> tuple[float, ...]:
+        return cycle_figures(problem, self.objectives, values)
 
     def reference(self, base: ProblemFile, once: Once) -> tuple[str, tuple[float, ...] | None]:
-        found = cycle_figures(self.problem, self.objectives, {})
-        return "initial machine", found if np.all(np.isfinite(found)) else None
+        figures = cycle_figures(self.problem, self.objectives, {})
+        return "initial machine", figures if np.all(np.isfinite(figures)) else None
 
     def _with(self, number: int, value: Raw) -> ProblemFile:
         return epsilon_problem(self.problem, self.objectives, {self.first: 1.0}, {number: value})
@@ -292,64 +298,68 @@ class _CycleRanges(EpsilonRanges):
         return with_starting_values(base, anchors[0]) if anchors else base
 
     def _ends(self, once: Once) -> tuple[dict[int, Axis], tuple[Mapping[str, float], ...]]:
-        problem, aims, first = self.problem, self.objectives, self.first
+        problem, objectives, first = self.problem, self.objectives, self.first
         bounds = {k: axis.raw(0) for k, axis in self.fixed.items()}
-        asked_for = [k for k in range(len(aims)) if k not in bounds]
+        asked_for = [k for k in range(len(objectives)) if k not in bounds]
 
         def searched(k: int, task: ProblemFile, near: Mapping[str, float], starts: int | None = None) -> dict[str, Any]:
-            found = completed(solve_cycle(with_starting_values(task, near), self.backend, starts=starts))
-            if near and found.status is not Status.OPTIMAL:
-                found = completed(solve_cycle(task, self.backend))
-            measured = cycle_figures(problem, aims, found.design)
-            if found.status not in (Status.OPTIMAL, Status.STALLED) or not np.all(np.isfinite(measured)):
-                raise self._no_end(aims[k], found.status.text)
-            return {"sizes": dict(found.design), "figures": list(measured)}  # validated or not: it only defines the range
+            result = completed(solve_cycle(with_starting_values(task, near), self.backend, starts=starts))
+            if near and result.status is not Status.OPTIMAL:
+                result = completed(solve_cycle(task, self.backend))
+            measured = cycle_figures(problem, objectives, result.design)
+            if result.status not in (Status.OPTIMAL, Status.STALLED) or not np.all(np.isfinite(measured)):
+                raise self._no_end(objectives[k], result.status.text)
+            return {"sizes": dict(result.design), "figures": list(measured)}  # validated or not: it only defines the range
 
-        alone = {
-            first: once(aims[first].best, partial(searched, first, epsilon_problem(problem, aims, {first: 1.0}, bounds), {}))
+        single_optima = {
+            first: once(
+                objectives[first].best, partial(searched, first, epsilon_problem(problem, objectives, {first: 1.0}, bounds), {})
+            )
         }
-        begin = alone[first]["sizes"]
+        begin = single_optima[first]["sizes"]
         for k in asked_for:
             if k != first:  # from a machine that satisfies all limits
-                alone[k] = once(aims[k].best, partial(searched, k, epsilon_problem(problem, aims, {k: 1.0}, bounds), begin))
-        best = {k: alone[k]["figures"][k] for k in asked_for}
-        width = {k: max(abs(end["figures"][k] - best[k]) for end in alone.values()) or abs(best[k]) for k in asked_for}
+                single_optima[k] = once(
+                    objectives[k].best, partial(searched, k, epsilon_problem(problem, objectives, {k: 1.0}, bounds), begin)
+                )
+        best = {k: single_optima[k]["figures"][k] for k in asked_for}
+        width = {k: max(abs(end["figures"][k] - best[k]) for end in single_optima.values()) or abs(best[k]) for k in asked_for}
         corner = {}
         for k in asked_for:
             rest = {j: width[j] for j in asked_for if j != k}
-            if not aims[k].key:  # a sum cannot be constrained
-                corner[k] = alone[k]
+            if not objectives[k].key:  # a sum cannot be constrained
+                corner[k] = single_optima[k]
                 continue
-            limit = exact_text(aims[k].worsened(best[k], NEAR * width[k]), aims[k].unit)
-            task = epsilon_problem(problem, aims, rest, {**bounds, k: limit})
-            corner[k] = once(f"{aims[k].best}, then the others", partial(searched, k, task, alone[k]["sizes"], 1))
-        found = {}
+            limit = exact_text(objectives[k].worsened(best[k], END_RELAXATION * width[k]), objectives[k].unit)
+            task = epsilon_problem(problem, objectives, rest, {**bounds, k: limit})
+            corner[k] = once(f"{objectives[k].best}, then the others", partial(searched, k, task, single_optima[k]["sizes"], 1))
+        ranges = {}
         for k in asked_for:
             if k != first:
-                sense = aims[k].sense
+                sense = objectives[k].sense
                 worst = sense * max(sense * corner[j]["figures"][k] for j in asked_for if j != k)
-                found[k] = _axis(aims[k], best[k], worst, self.count)
-        return found, tuple(corner[k]["sizes"] for k in sorted(corner, key=lambda k: k != first))
+                ranges[k] = _axis(objectives[k], best[k], worst, self.count)
+        return ranges, tuple(corner[k]["sizes"] for k in sorted(corner, key=lambda k: k != first))
 
 
 RANGES: dict[str, type[EpsilonRanges]] = {"function": _LawRanges, "cycle": _CycleRanges}
 """Objectives and ranges by the kind of problem."""
 
 
-def _axis(aim: ParetoObjective, tight: float, relaxed_end: float, count: int) -> Axis:
+def _axis(objective: ParetoObjective, tight: float, relaxed_end: float, count: int) -> Axis:
     """Return the values of a limit from the relaxed_end end of the front to the tight one, both rounded inwards."""
     width = abs(relaxed_end - tight)
     if not width > NONE * max(abs(tight), abs(relaxed_end)):
-        return Axis(aim.key, aim.unit, (aim.worsened(tight, NEAR * abs(tight)),))
-    step = 10.0 ** math.floor(math.log10(NEAR * width))
-    tight = aim.sense * math.ceil(aim.sense * aim.worsened(tight, NEAR * width) / step) * step
-    relaxed_end = aim.sense * math.floor(aim.sense * relaxed_end / step) * step
-    return Axis(aim.key, aim.unit, tuple(float(f"{value:.12g}") for value in np.linspace(relaxed_end, tight, count)))
+        return Axis(objective.key, objective.unit, (objective.worsened(tight, END_RELAXATION * abs(tight)),))
+    step = 10.0 ** math.floor(math.log10(END_RELAXATION * width))
+    tight = objective.sense * math.ceil(objective.sense * objective.worsened(tight, END_RELAXATION * width) / step) * step
+    relaxed_end = objective.sense * math.floor(objective.sense * relaxed_end / step) * step
+    return Axis(objective.key, objective.unit, tuple(float(f"{value:.12g}") for value in np.linspace(relaxed_end, tight, count)))
 
 
-def _requested(aim: ParetoObjective, count: int, problem_with: Callable[[Raw], ProblemFile]) -> Axis:
+def _requested(objective: ParetoObjective, count: int, problem_with: Callable[[Raw], ProblemFile]) -> Axis:
     """Return the requested range from its relaxed_end end; `problem_with` gives the problem with a value of the limit."""
-    axis = range_values(aim, count)
+    axis = range_values(objective, count)
     for at in (0, len(axis.values) - 1):
         problem_with(axis.raw(at))
-    return replace(axis, values=tuple(sorted(axis.values, reverse=aim.sense > 0)))
+    return replace(axis, values=tuple(sorted(axis.values, reverse=objective.sense > 0)))

@@ -93,55 +93,57 @@ def limit_in_file(problem: ProblemFile, key: str) -> Raw | None:
     return whole.get(side, whole.get("exactly")) if isinstance(whole, Mapping) else whole  # type: ignore[no-any-return]
 
 
-def tightest_bound(problem: ProblemFile, aim: ParetoObjective) -> Raw:
+def tightest_bound(problem: ProblemFile, objective: ParetoObjective) -> Raw:
     """Return the tightest bound that can be stated, whether or not a linkage satisfies it.
 
     Parameters
     ----------
     problem : ProblemFile
         With a law.
-    aim : ParetoObjective
+    objective : ParetoObjective
         With a `key`.
     """
-    above = aim.key.rpartition(".")[0]
+    above = objective.key.rpartition(".")[0]
     name = above.rpartition(".")[2]
     other: float | None = None
-    if aim.key.startswith("mechanism."):
+    if objective.key.startswith("mechanism."):
         quantity = problem.spec.quantities[name]
-        low, high = (bound / factor(aim.unit, quantity.kind) for bound in quantity.bounds)
-        return exact_text(low + 1e-6 * (high - low) if aim.sense > 0 else high - 1e-6 * (high - low), aim.unit)
+        low, high = (bound / factor(objective.unit, quantity.kind) for bound in quantity.bounds)
+        return exact_text(low + 1e-6 * (high - low) if objective.sense > 0 else high - 1e-6 * (high - low), objective.unit)
     limited: Interval | None = getattr(problem.spec.limits, name)
     if limited is not None:
-        other = limited.low if aim.sense > 0 else limited.high
+        other = limited.low if objective.sense > 0 else limited.high
     if other is not None:
         assert limited is not None
-        own = other / factor(aim.unit, limited.kind) if limited.kind else other
-        return exact_text(aim.worsened(own, ROOM * abs(own)), aim.unit)  # equal sides would prescribe one value at all positions
-    small, large = {"deg": (1.0, 179.0), "mm": (1e-3, 1e8)}.get(aim.unit, (1e-3, 1e3))
+        other_bound = other / factor(objective.unit, limited.kind) if limited.kind else other
+        return exact_text(
+            objective.worsened(other_bound, ROOM * abs(other_bound)), objective.unit
+        )  # equal sides would prescribe one value at all positions
+    small, large = {"deg": (1.0, 179.0), "mm": (1e-3, 1e8)}.get(objective.unit, (1e-3, 1e3))
     if isinstance(limited, StrokeRatio):
         small, large = (1.0 if limited.stroke in (None, "slow") else small), (1.0 if limited.stroke == "quick" else large)
     elif name == "time_ratio":
         small = 1.0
     if name == "transmission_cosine":
         small, large = -0.999, 0.999
-    return exact_text(small if aim.sense > 0 else large, aim.unit)
+    return exact_text(small if objective.sense > 0 else large, objective.unit)
 
 
-def law_figure(task: DesignProblem, aim: ParetoObjective, design: Mapping[str, float]) -> float:
+def law_figure(task: DesignProblem, objective: ParetoObjective, design: Mapping[str, float]) -> float:
     """Return the value that a limit constrains, in the unit of the objective.
 
     Parameters
     ----------
     task : DesignProblem
         States that side of the limit.
-    aim : ParetoObjective
+    objective : ParetoObjective
         With a `key`.
     design : mapping of str to float [SI]
     """
-    above, _, side = aim.key.rpartition(".")
+    above, _, side = objective.key.rpartition(".")
     name = above.removeprefix("mechanism.")
     if above.startswith("mechanism."):
-        return design[name] / factor(aim.unit, task.quantities[name].kind)
+        return design[name] / factor(objective.unit, task.quantities[name].kind)
     values = task.design(design)
     keys = {above} | ({"limits.alignment"} if name.startswith("transmission") else set())  # which may be tighter
     rows = [row for row in limit_rows(task, values, task.reach(values), values["frame"]) if row.limit in keys]
@@ -150,7 +152,7 @@ def law_figure(task: DesignProblem, aim: ParetoObjective, design: Mapping[str, f
     return max(figures) if side == "max" else min(figures)
 
 
-def without_varied_limits(problem: ProblemFile, aims: Sequence[ParetoObjective]) -> ProblemFile:
+def without_varied_limits(problem: ProblemFile, objectives: Sequence[ParetoObjective]) -> ProblemFile:
     """Return the problem of a law without the limits that its objectives vary.
 
     Bounds of a dimension remain; its search starts from their middle.
@@ -158,11 +160,11 @@ def without_varied_limits(problem: ProblemFile, aims: Sequence[ParetoObjective])
     Parameters
     ----------
     problem : ProblemFile
-    aims : sequence of ParetoObjective
+    objectives : sequence of ParetoObjective
         Objectives with a `key`.
     """
-    for aim in aims:
-        above, _, side = aim.key.rpartition(".")
+    for objective in objectives:
+        above, _, side = objective.key.rpartition(".")
         whole = value_at(problem, above)
         if above.startswith("mechanism."):
             problem = problem.override({above: {"bounds": whole["bounds"]}})

@@ -64,12 +64,12 @@ class ParetoObjective:
         return value + self.sense * by
 
 
-def range_values(aim: ParetoObjective, count: int) -> Axis:
+def range_values(objective: ParetoObjective, count: int) -> Axis:
     """Return the values of the requested range of an objective.
 
     Parameters
     ----------
-    aim : ParetoObjective
+    objective : ParetoObjective
         With a `span`.
     count : int
         Number of values, unless the range states it.
@@ -79,4 +79,8 @@ def range_values(aim: ParetoObjective, count: int) -> Axis:
     InputError
         If the range is not valid.
     """
-    return read_axis(f"{aim.key}={aim.span}" if ":" in aim.span or "step" in aim.span else f"{aim.key}={aim.span}:{count}")
+    return read_axis(
+        f"{objective.key}={objective.span}"
+        if ":" in objective.span or "step" in objective.span
+        else f"{objective.key}={objective.span}:{count}"
+    )

@@ -54,14 +54,14 @@ def read_objectives(problem: ProblemFile, objectives: str) -> tuple[ParetoObject
         raise _no_front(problem)
     if not problem.model.free:
         raise InputError("no design variables: every dimension is fixed", "Free a dimension", problem.file, "mechanism")
-    aims = tuple(_ranged(problem, part, k + 1) for k, part in enumerate(parts))
-    for k, aim in enumerate(aims):
-        if any(aim.name == other.name for other in aims[:k]):
-            raise InputError("the same objective twice", "Give each once", problem.file, OPTION, aim.text)
-    if problem.task != "cycle" and all(aim.key for aim in aims):
-        remedy = f'One objective must be minimised directly: write "{ERROR}, {aims[0].text}"'
+    parsed = tuple(_ranged(problem, part, k + 1) for k, part in enumerate(parts))
+    for k, objective in enumerate(parsed):
+        if any(objective.name == other.name for other in parsed[:k]):
+            raise InputError("the same objective twice", "Give each once", problem.file, OPTION, objective.text)
+    if problem.task != "cycle" and all(objective.key for objective in parsed):
+        remedy = f'One objective must be minimised directly: write "{ERROR}, {parsed[0].text}"'
         raise InputError("two limits alone do not define a trade-off", remedy, problem.file, OPTION, objectives)
-    return aims
+    return parsed
 
 
 def _no_front(problem: ProblemFile) -> InputError:
@@ -69,8 +69,8 @@ def _no_front(problem: ProblemFile) -> InputError:
     whose = "Fronts are those of machines with an [objective] over their cycle, and of four-bars for a law"
     kind = getattr(getattr(problem.model, "requirement", None), "kind", None)
     if kind in PRESCRIBED:
-        named = problem.file if Path(problem.file).is_file() else problem.name  # of a shipped one the name
-        instead = f"to see how a limit changes the optimum: optlink study sweep {named} --vary KEY=LOW..HIGH:N"
+        label = problem.file if Path(problem.file).is_file() else problem.name  # of a shipped one the name
+        instead = f"to see how a limit changes the optimum: optlink study sweep {label} --vary KEY=LOW..HIGH:N"
         return InputError(f"{PRESCRIBED[kind]} prescribed here", f"{whose}; {instead}", problem.file)
     if getattr(problem.model, "balance", None) is not None:
         instead = f"that of two measures of balancing: optlink balance {problem.name} --trade force,torque"
@@ -82,25 +82,27 @@ def _ranged(problem: ProblemFile, part: str, number: int) -> ParetoObjective:
     name, equals, span = (piece.strip() for piece in part.partition("="))
     if equals and not span:
         raise InputError("the range is empty", "Write NAME=LOW..HIGH UNIT", problem.file, OPTION, part)
-    aim = RANGES[problem.task].objective(problem, name, number)
-    if span and not aim.key:
+    objective = RANGES[problem.task].objective(problem, name, number)
+    if span and not objective.key:
         raise InputError(f"{name} has no range: it is minimised", "Leave the range out", problem.file, OPTION, part)
-    aim = replace(aim, span=span)
-    if aim.key.startswith("mechanism."):
-        _check_bounds(problem, aim)
-    return aim
+    objective = replace(objective, span=span)
+    if objective.key.startswith("mechanism."):
+        _check_bounds(problem, objective)
+    return objective
 
 
-def _check_bounds(problem: ProblemFile, aim: ParetoObjective) -> None:
+def _check_bounds(problem: ProblemFile, objective: ParetoObjective) -> None:
     """Check that the bounds of a dimension leave room beside every value of the requested range."""
-    name = aim.key.removeprefix("mechanism.").rpartition(".")[0]
+    name = objective.key.removeprefix("mechanism.").rpartition(".")[0]
     quantity = problem.spec.quantities[name]
     try:
-        values = [value * factor(axis.unit, quantity.kind) for axis in [range_values(aim, 2)] for value in axis.values]
+        values = [value * factor(axis.unit, quantity.kind) for axis in [range_values(objective, 2)] for value in axis.values]
     except (InputError, UnitProblem):  # no valid range: reported when it is used
         return
     low, high = quantity.bounds
-    if (aim.sense > 0 and min(values) <= low) or (aim.sense < 0 and max(values) >= high):
-        ends = " to ".join(f"{bound / factor(aim.unit, quantity.kind):g}" for bound in (low, high))
-        message = f"the range exceeds the bounds of {name}, {ends} {aim.unit}"
-        raise InputError(message, "Stay between them, or change the bounds", problem.file, OPTION, f"{aim.text}={aim.span}")
+    if (objective.sense > 0 and min(values) <= low) or (objective.sense < 0 and max(values) >= high):
+        ends = " to ".join(f"{bound / factor(objective.unit, quantity.kind):g}" for bound in (low, high))
+        message = f"the range exceeds the bounds of {name}, {ends} {objective.unit}"
+        raise InputError(
+            message, "Stay between them, or change the bounds", problem.file, OPTION, f"{objective.text}={objective.span}"
+        )

@@ -28,8 +28,8 @@ from optlink.studies.tolerance.monte_carlo import MonteCarlo, MonteCarloRecord, 
 PROVEN = 1e-6  # largest relative duality gap of a proven cost
 SEARCHED = 1 << 16  # samples of the exact linkage at each k
 STEPS = 40  # of the bisection for k
-CLOSE = 1e-4  # relative accuracy of k
-MOST = 1 << 20  # largest factor on the tolerances in the search of a bracket
+FACTOR_ACCURACY = 1e-4  # relative accuracy of k
+MAX_FACTOR = 1 << 20  # largest factor on the tolerances in the search of a bracket
 
 
 @dataclass(frozen=True)
@@ -117,8 +117,8 @@ def least_cost(weights: Array, costs: Array) -> tuple[Array, float]:
     best = np.power(cost / (2.0 * (scaled.T @ prices)), 2.0 / 3.0)  # minimum of the Lagrangian over all tolerances
     dual = float(np.sum(cost / np.sqrt(best)) + prices @ (scaled @ best - 1.0))
     exact = [point / np.max(scaled @ point) for point in (best, np.asarray(square.value, dtype=float))]  # scaled to the limit
-    own, found = min((float(np.sum(cost / np.sqrt(point))), i) for i, point in enumerate(exact))  # the first for a single limit
-    return rough * np.sqrt(exact[found]), (own - dual) / own
+    least, index = min((float(np.sum(cost / np.sqrt(point))), i) for i, point in enumerate(exact))  # the first for a single limit
+    return rough * np.sqrt(exact[index]), (least - dual) / least
 
 
 def allocate(
@@ -176,18 +176,18 @@ def allocate(
         raise SolverError(f"the least cost of tolerances is not proven: {gap:.1e} of it is open")
 
     def scaled(k: float) -> LinearAnalysis:
-        found = tolerances.copy()
-        found[moves] = unit / k
-        wider = (replace(d, tolerance=float(t)) for d, t in zip(study.deviations, found, strict=True))
+        values = tolerances.copy()
+        values[moves] = unit / k
+        wider = (replace(d, tolerance=float(t)) for d, t in zip(study.deviations, values, strict=True))
         return replace(study, deviations=tuple(wider))  # `by` depends on the nominal design only
 
     def yielded(k: float) -> float:
         return monte_carlo(scaled(k), SEARCHED, seed).share
 
     low, high = 1.0, 1.0  # bracket: yield below and above the requirement
-    while yielded(high) < target_yield and high < MOST:
+    while yielded(high) < target_yield and high < MAX_FACTOR:
         low, high = high, 2.0 * high
-    while low == high or (yielded(low) >= target_yield and low > 1.0 / MOST):
+    while low == high or (yielded(low) >= target_yield and low > 1.0 / MAX_FACTOR):
         high, low = low, 0.5 * low
     for _ in range(STEPS):
         middle = (low * high) ** 0.5
@@ -195,16 +195,16 @@ def allocate(
             high = middle
         else:
             low = middle
-        if high - low <= CLOSE * high:
+        if high - low <= FACTOR_ACCURACY * high:
             break
     final = scaled(high)
-    found = np.array([d.tolerance for d in final.deviations])
+    nominal_tolerances = np.array([d.tolerance for d in final.deviations])
     return Allocation(
         target_yield=target_yield,
         names=tuple(d.name for d in study.deviations),
-        tolerances=found,
+        tolerances=nominal_tolerances,
         costs=coefficients,
-        cost=float(np.sum(coefficients / found)),
+        cost=float(np.sum(coefficients / nominal_tolerances)),
         before=float(np.sum(coefficients / tolerances)),
         gap=gap,
         monte_carlo=monte_carlo(final, samples, seed + 1, runs=runs),

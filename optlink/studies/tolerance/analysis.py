@@ -162,15 +162,15 @@ class Tolerance(LinearAnalysis, Recorded):
     def columns(self) -> dict[str, Array]:
         """Table over crank angles, by name with unit."""
         scale, ending = display_unit(self.nominal)
-        worst, found = self.worst, {"crank_deg": np.degrees(self.nominal.crank_angles)}
-        named = {"value": self.nominal.value, "judged": self.nominal.base, "worst_low": worst[0], "worst_high": worst[1]}
-        named |= {"rss": self.rss, "sigma": self.sigma, "shift": self.shift}
+        worst, columns = self.worst, {"crank_deg": np.degrees(self.nominal.crank_angles)}
+        named_columns = {"value": self.nominal.value, "judged": self.nominal.base, "worst_low": worst[0], "worst_high": worst[1]}
+        named_columns |= {"rss": self.rss, "sigma": self.sigma, "shift": self.shift}
         if self.monte_carlo is not None:
-            named |= {"sampled_mean": self.monte_carlo.mean, "sampled_sigma": self.monte_carlo.sigma}
-            named |= {"sampled_least": self.monte_carlo.least, "sampled_most": self.monte_carlo.most}
-        found |= {f"{name}_{ending}": scale * column for name, column in named.items()}
+            named_columns |= {"sampled_mean": self.monte_carlo.mean, "sampled_sigma": self.monte_carlo.sigma}
+            named_columns |= {"sampled_least": self.monte_carlo.least, "sampled_most": self.monte_carlo.most}
+        columns |= {f"{name}_{ending}": scale * column for name, column in named_columns.items()}
         shares = {f"{d.name}_percent": 100.0 * row for d, row in zip(self.deviations, self.contributions, strict=True)}
-        return found | shares
+        return columns | shares
 
 
 @typed
@@ -262,16 +262,16 @@ def tolerance(
             if name not in [d.name for d in deviations]:
                 raise InputError("no such tolerance", nearest(name, [d.name for d in deviations]), key=f"--cost {name}")
         first = linear_analysis(problem, nominal, deviations, _limit(limit, angular=nominal.angular))
-        found = Tolerance(problem, nominal, first.deviations, first.by, first.limit, robust=again)
+        result = Tolerance(problem, nominal, first.deviations, first.by, first.limit, robust=again)
         if samples and again is not None:
             best = nominal_design(file, output, crank_angles, {name: again.nominal[name] for name in again.free})
-            other = linear_analysis(problem, best, deviations, found.limit)
-            found = replace(found, unrobust=monte_carlo(other, samples, seed, runs=runs))
+            other = linear_analysis(problem, best, deviations, result.limit)
+            result = replace(result, unrobust=monte_carlo(other, samples, seed, runs=runs))
         if samples:
-            found = replace(found, monte_carlo=monte_carlo(found, samples, seed, progress, runs))
+            result = replace(result, monte_carlo=monte_carlo(result, samples, seed, progress, runs))
         if target_yield is not None:
-            found = replace(found, allocation=allocate(found, target_yield, costs or {}, samples or SAMPLES, seed, runs))
-        return found
+            result = replace(result, allocation=allocate(result, target_yield, costs or {}, samples or SAMPLES, seed, runs))
+        return result
 
 
 @contextlib.contextmanager

@@ -85,8 +85,8 @@ def maximise_yield(
         return monte_carlo(linear_analysis(file, nominal, deviations, limit), samples, seed, runs=runs).share
 
     task = YieldSearchTask(file, tuple(deviations), limit, seed + 1, tuple(starts))
-    found = list(ordered(task, len(starts), runs))
-    able = [design for design in found if validate(file, design).valid]
+    designs = list(ordered(task, len(starts), runs))
+    able = [design for design in designs if validate(file, design).valid]
     best = max([*starts, *able], key=share)
     result = validate(file, best)
     return RobustDesign(result, redesign.nominal, 0.0, validate(file, redesign.nominal).objective, by_yield=True)
@@ -123,7 +123,7 @@ class _Search:
         self.file, self.nlp, self.deviations, self.limit, self.seed = file, nlp, deviations, limit, seed
         self.x = nlp.x_of(dict(start))
         self.bounded = np.isfinite(nlp.lower), np.isfinite(nlp.upper)
-        self.scatter = max(float(np.std(self._sizes(self.x, self._drawn(STAGES[0][0])))), 1e-3 * limit)
+        self.scatter = max(float(np.std(self._sizes(self.x, self._sampled_deviations(STAGES[0][0])))), 1e-3 * limit)
         slopes = nlp.residual_derivatives(self.x)
         _, size, axes = np.linalg.svd(slopes / math.sqrt(len(slopes)))
         self.steps = self.scatter * axes.T / np.maximum(np.pad(size, (0, len(axes) - len(size))), FLAT * size[0])
@@ -135,23 +135,23 @@ class _Search:
 
         z = np.zeros(len(self.x))
         for samples, width, step in STAGES:
-            batches, wide = self._drawn(samples), width * self.scatter
+            batches, wide = self._sampled_deviations(samples), width * self.scatter
 
             def scrap(z: Array, batches: list[Array] = batches, wide: float = wide) -> float:
                 beyond = self._sizes(self.x + self.steps @ z, batches) - self.limit
                 return math.log(float(np.mean(ndtr(beyond / wide))) + NEVER)
 
-            found = minimize(
+            result = minimize(
                 scrap,
                 z,
                 method="COBYQA",
                 constraints=[{"type": "ineq", "fun": lambda z: self._room(self.x + self.steps @ z)}],
                 options={"initial_tr_radius": step, "final_tr_radius": LAST_STEP * step, "maxfev": MOST_STEPS},
             )
-            z = np.asarray(found.x, dtype=float)
+            z = np.asarray(result.x, dtype=float)
         return self.nlp.design(self.x + self.steps @ z)
 
-    def _drawn(self, samples: int) -> list[Array]:
+    def _sampled_deviations(self, samples: int) -> list[Array]:
         return list(sample_deviations(self.deviations, samples, self.seed))
 
     def _sizes(self, x: Array, batches: Sequence[Array]) -> Array:
@@ -160,8 +160,8 @@ class _Search:
             nominal = nominal_design(self.file, None, None, self.nlp.design(x))
         except InputError:  # it cannot be assembled as drawn
             return np.full(sum(map(len, batches)), LOST)
-        found = np.concatenate([largest_errors(nominal, self.deviations, batch) for batch in batches])
-        return np.where(np.isfinite(found), found, LOST)
+        errors = np.concatenate([largest_errors(nominal, self.deviations, batch) for batch in batches])
+        return np.where(np.isfinite(errors), errors, LOST)
 
     def _room(self, x: Array) -> Array:
         """Return the slack of bounds and limits; negative if violated."""

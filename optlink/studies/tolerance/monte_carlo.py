@@ -79,9 +79,9 @@ class MonteCarlo:
 
     def below(self, share: float) -> float:
         """Return the value [SI] below which a share of the samples lies, to one histogram bin; infinite beyond its end."""
-        reached = np.cumsum(self.counts) >= share * self.samples
-        place = int(np.argmax(reached))
-        return float(self.edges[place + 1]) if reached[-1] and place < len(self.counts) - 1 else math.inf
+        within = np.cumsum(self.counts) >= share * self.samples
+        place = int(np.argmax(within))
+        return float(self.edges[place + 1]) if within[-1] and place < len(self.counts) - 1 else math.inf
 
 
 class HistogramRecord(Record):
@@ -175,33 +175,33 @@ class SampleTask:
 
     def __call__(self, index: int, advance: Callable[[int], None] | None = None) -> SampleSums:
         """Return the sums over a chunk; `advance` receives the number of samples of every completed batch."""
-        found, begin = SampleSums.none(len(self.shift)), self.chunk * index
+        sums, begin = SampleSums.none(len(self.shift)), self.chunk * index
         for batch in sample_deviations(self.deviations, min(begin + self.chunk, self.samples), self.seed, begin):
             for part, change in _moved(self.nominal, self.deviations, batch):
-                self._count(found, part, change)
+                self._count(sums, part, change)
             if advance is not None:
                 advance(len(batch))
-        return found
+        return sums
 
-    def _count(self, found: SampleSums, part: Array, change: Array) -> None:
+    def _count(self, sums: SampleSums, part: Array, change: Array) -> None:
         """Add a block of deviations and the changes that they cause."""
         base, whole = self.nominal.base, np.isfinite(change).all(axis=1)
         if not whole.all():
-            found.stuck += int(np.sum(~whole))
+            sums.stuck += int(np.sum(~whole))
             change = change[whole]
         largest = np.max(np.abs(base + change), axis=1)
         places = np.clip((largest - self.bottom) * self.bins, 0, BINS - 1).astype(int)
-        found.counts += np.bincount(places, minlength=BINS)
+        sums.counts += np.bincount(places, minlength=BINS)
         if len(change):
-            np.minimum(found.least, np.min(change, axis=0), out=found.least)
-            np.maximum(found.most, np.max(change, axis=0), out=found.most)
+            np.minimum(sums.least, np.min(change, axis=0), out=sums.least)
+            np.maximum(sums.most, np.max(change, axis=0), out=sums.most)
         if self.limit is not None:
-            found.good += int(np.sum(largest <= self.limit))
-            found.linear += int(np.sum(np.max(np.abs(base + part @ self.by), axis=1) <= self.limit))
+            sums.good += int(np.sum(largest <= self.limit))
+            sums.linear += int(np.sum(np.max(np.abs(base + part @ self.by), axis=1) <= self.limit))
         change -= self.shift  # keeps the sums of powers accurate
         power = change
         for i in range(4):
-            found.powers[i] += np.sum(power, axis=0)
+            sums.powers[i] += np.sum(power, axis=0)
             power = power * change
 
 
@@ -287,11 +287,11 @@ def _moved(nominal: Nominal, deviations: Sequence[Deviation], batch: Array) -> I
 
 def _by_size(deviations: Sequence[Deviation], batch: Array) -> dict[str, Array]:
     """Return deviations (samples, 1) by dimension; several may add up."""
-    found: dict[str, Array] = {}
+    bins: dict[str, Array] = {}
     for i, deviation in enumerate(deviations):
-        own = batch[:, i : i + 1]
-        found[deviation.size] = found[deviation.size] + own if deviation.size in found else own
-    return found
+        column = batch[:, i : i + 1]
+        bins[deviation.size] = bins[deviation.size] + column if deviation.size in bins else column
+    return bins
 
 
 def _moments(sums: Array, count: int) -> tuple[Array, Array, Array]:

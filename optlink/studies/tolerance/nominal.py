@@ -21,7 +21,7 @@ from optlink.tasks.protocol import completed
 from optlink.tasks.run import design_task, solve
 
 ERROR = "error"
-ALONG = 31  # positions along the span of a motion law
+POSITIONS = 31  # positions along the span of a motion law
 AROUND = 36  # crank angles of a revolution
 
 
@@ -58,7 +58,7 @@ class Nominal:
         return "rad" if self.angular else "m"
 
     @cached_property
-    def _drawn(self) -> Any:
+    def _nominal_position(self) -> Any:
         return self._where(self.sizes)
 
     def _where(self, sizes: Mapping[str, Value]) -> Any:
@@ -71,9 +71,13 @@ class Nominal:
 
     def change(self, deviations: Mapping[str, Value]) -> Array:
         """Return the exact change (samples, angles) of the judged value for deviations of dimensions, arrays (samples, 1)."""
-        found = self._where({**self.sizes, **{name: self.sizes[name] + by for name, by in deviations.items()}})
+        moved = self._where({**self.sizes, **{name: self.sizes[name] + by for name, by in deviations.items()}})
         with np.errstate(all="ignore"):
-            by = np.arctan2(cross(self._drawn, found), dot(self._drawn, found)) if self.angular else found - self._drawn
+            by = (
+                np.arctan2(cross(self._nominal_position, moved), dot(self._nominal_position, moved))
+                if self.angular
+                else moved - self._nominal_position
+            )
         samples = max((np.shape(column)[0] for column in deviations.values()), default=1)
         whole = np.broadcast_to(self.sign * by, (samples, len(self.crank_angles)))  # an output independent of the deviations
         return np.array(whole, dtype=float)
@@ -108,17 +112,17 @@ def nominal_design(
     mechanism, pivots = with_deviating_pivots(file.model.mechanism, file.model.linkage)
     sizes = {name: values[name] for name in file.model.mechanism.quantities} | pivots
     law = file.model.has_error
-    known = [*([ERROR] if law else []), *output_names(mechanism)]
+    names = [*([ERROR] if law else []), *output_names(mechanism)]
     chosen = ERROR if output is None and law else output
     if chosen is None:
-        raise InputError("the output to analyse is missing", f"One of: {', '.join(known)}", problem.file, "--quantity")
-    check_choice("--quantity", chosen, known, "unknown output", problem.file)
+        raise InputError("the output to analyse is missing", f"One of: {', '.join(names)}", problem.file, "--quantity")
+    check_choice("--quantity", chosen, names, "unknown output", problem.file)
     if law and chosen == ERROR:
         if crank_angles is not None:
             remedy = "Leave --angles out, or give --quantity rocker"
             raise InputError("the error is that over the span of the law", remedy, problem.file, "--angles")
         task = file.spec
-        span = np.linspace(0.0, task.span, ALONG)
+        span = np.linspace(0.0, task.span, POSITIONS)
         at = values["phi0"] + span
         drawn_ = _placed(problem, mechanism, sizes, at, "rocker", ERROR, -1.0)
         target = task.law.curve(span, values["phi0"], values["psi0"])
@@ -140,21 +144,21 @@ def _placed(
     return Nominal(mechanism, dict(sizes), at, output, name, value, np.zeros(len(at)), sign)
 
 
-def _design(problem: ProblemFile, given: Mapping[str, float] | None) -> tuple[ProblemFile, dict[str, float], Array | None]:
+def _design(problem: ProblemFile, design: Mapping[str, float] | None) -> tuple[ProblemFile, dict[str, float], Array | None]:
     """Return the problem with definite assembly modes, all quantities of the design [SI], and its crank angles, if any."""
     model = problem.model
-    if given is None and model.free:
+    if design is None and model.free:
         if problem.task not in ("function", "path", "cycle"):
             none = problem.task in ("analysis", "balance")
             message = "the problem has design variables " + ("but no requirement" if none else "that are not searched here")
             raise InputError(message, "Add --design", problem.file, "mechanism")
         result: Any = completed(solve(problem))
     elif problem.task == "path":
-        result = design_task(problem).validate(problem, given or {})
+        result = design_task(problem).validate(problem, design or {})
     else:
-        return problem, model.design(given or {}), None
+        return problem, model.design(design or {}), None
     best = result.best
-    if best is None or (given is None and not result.valid):
+    if best is None or (design is None and not result.valid):
         raise _nothing(problem)
     angles = getattr(best, "crank_angles", None)
     timed = angles is not None and best.task.requirement.kind != "transmission"

@@ -32,22 +32,22 @@ def read_tolerances(problem: ProblemFile, texts: Sequence[str], shape: str = NOR
     InputError
         If there are no tolerances, or one is invalid.
     """
-    found: dict[str, ToleranceEntry] = {} if texts else dict(problem.model.tolerances)
-    if not texts and not found:
+    entries: dict[str, ToleranceEntry] = {} if texts else dict(problem.model.tolerances)
+    if not texts and not entries:
         raise InputError("no tolerance is given", f"{EXAMPLE}, or give the file [tolerances]", problem.file, OPTION)
     for assignment in texts:
         name, equals, text = assignment.partition("=")
         name = name.strip().removeprefix("mechanism.")
         if not equals or not name or not text.strip():
             raise InputError("expected NAME=TOLERANCE", EXAMPLE, key=OPTION, value=assignment)
-        if name in found:
+        if name in entries:
             raise InputError("a tolerance is given twice", "Give each once", problem.file, OPTION, name)
         try:
-            found[name] = read_tolerance(text, Path())
+            entries[name] = read_tolerance(text, Path())
         except Unusable as error:
             raise InputError(error.message, error.remedy, key=f"{OPTION} {name}", value=error.value) from None
-    said = {name: said.shape or (None if said.measured or name.endswith(CLEARANCE) else shape) for name, said in found.items()}
-    return {name: replace(found[name], shape=own) for name, own in said.items()}
+    said = {name: said.shape or (None if said.measured or name.endswith(CLEARANCE) else shape) for name, said in entries.items()}
+    return {name: replace(entries[name], shape=distribution) for name, distribution in said.items()}
 
 
 def read_deviations(problem: ProblemFile, nominal: Nominal, texts: Sequence[str], shape: str = NORMAL) -> tuple[Deviation, ...]:

@@ -14,7 +14,7 @@ from typing import Annotated
 from optlink.errors import InputError, Status
 from optlink.problem.base_model import Record, absent
 from optlink.problem.file import ProblemFile
-from optlink.problem.robust import MOST, WORST
+from optlink.problem.robust import MAX_SIGMAS, WORST
 from optlink.problem.tolerances import NORMAL
 from optlink.studies.tolerance.monte_carlo import MonteCarloRecord
 from optlink.studies.tolerance.options import read_tolerances
@@ -108,8 +108,8 @@ def robust(problem: ProblemFile, tolerances: Sequence[str], sigmas: float | None
     InputError
         If there is no motion law, no validated design, or an argument is invalid.
     """
-    if sigmas is not None and not 0.0 <= sigmas <= MOST:
-        remedy = f"Give 0 to {MOST:g} standard deviations, or worst, margin or yield"
+    if sigmas is not None and not 0.0 <= sigmas <= MAX_SIGMAS:
+        remedy = f"Give 0 to {MAX_SIGMAS:g} standard deviations, or worst, margin or yield"
         raise InputError("out of range", remedy, key="--robust", value=sigmas)
     return RobustSearch(problem, tolerances, shape).least(sigmas)
 
@@ -144,7 +144,7 @@ def most_reliable(problem: ProblemFile, tolerances: Sequence[str], limit: float,
     here, sigmas = redesign.least(1.0, before.free), 1.0
     for _ in range(STEPS):  # secant method: the minimum is nearly linear in them
         rise = (here.value - before.value) / (sigmas - (before.sigmas or 0.0))
-        proposed = min(max(sigmas + (limit - here.value) / max(rise, LEVEL), 0.0), MOST)
+        proposed = min(max(sigmas + (limit - here.value) / max(rise, LEVEL), 0.0), MAX_SIGMAS)
         if abs(here.value - limit) <= CLOSE * limit or proposed == sigmas:
             break
         before, here, sigmas = here, redesign.least(proposed, here.free), proposed
@@ -194,5 +194,5 @@ class RobustSearch:
             Starting design. Default: the nominal optimum.
         """
         problem = self.problem.override({"requirement.robust": WORST if sigmas is None else f"{sigmas!r} sigma"})
-        found = completed(solve(problem, begin=self.nominal if start is None else start))
-        return RobustDesign(found, dict(self.nominal), sigmas, validate(problem, self.nominal).objective)
+        result = completed(solve(problem, begin=self.nominal if start is None else start))
+        return RobustDesign(result, dict(self.nominal), sigmas, validate(problem, self.nominal).objective)

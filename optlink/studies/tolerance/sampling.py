@@ -113,11 +113,11 @@ def read_costs(texts: Sequence[str]) -> dict[str, float]:
     InputError
         If a text is no positive coefficient.
     """
-    found: dict[str, float] = {}
+    costs: dict[str, float] = {}
     for text in texts:
         name, _, value = text.partition("=")
         number = read_number(value)
         if not number > 0.0:
             raise InputError("not a cost coefficient", "Write NAME=NUMBER, for example coupler=2", key="--cost", value=text)
-        found[name.strip().removeprefix("mechanism.")] = number
-    return found
+        costs[name.strip().removeprefix("mechanism.")] = number
+    return costs
