@@ -220,3 +220,29 @@ def test_work_at_the_end_is_told_from_work_at_the_start(tmp_path):
     assert least[-1] == "deg"
     assert largest[4] == whole[2]
     assert largest[-2:] == ["360.0000", "deg"]
+
+
+@pytest.mark.parametrize(("direction", "share"), [("30 deg", 0.63), ("75 deg", 1.0)])
+def test_the_slow_stroke_of_a_force_against_another_body_is_that_of_their_relative_motion(direction, share):
+    """A force on the rocker against the crank acts more than half of the time; at 75 deg they never reverse."""
+    raw = {
+        "mechanism": {"crank": "100 mm", "coupler": "410 mm", "rocker": "230 mm", "frame": "500 mm"},
+        "bodies": {"rocker": {"mass": "2 kg", "inertia": "uniform bar"}},
+        "loads": {
+            "push": {"on": "rocker", "at": "C", "force": "20 N", "direction": direction, "stroke": "slow", "against": "crank"}
+        },
+    }
+    found = optlink.analyze(optlink.read(raw))
+    assert float(np.mean(found["push.crank.fx_N"] != 0.0)) == pytest.approx(share, abs=0.01)
+
+
+def test_a_force_that_opposes_the_motion_of_a_pin_against_a_body_of_the_pin_is_refused():
+    raw = {
+        "mechanism": {"crank": "100 mm", "coupler": "410 mm", "rocker": "230 mm", "frame": "500 mm"},
+        "bodies": {"rocker": {"mass": "2 kg", "inertia": "uniform bar"}},
+        "loads": {
+            "drag": {"on": "crank", "at": "B", "force": "20 N", "direction": "9 deg", "acts": "opposing", "against": "coupler"}
+        },
+    }
+    with pytest.raises(InputError, match="what it opposes does not move in this direction"):
+        optlink.read(raw)

@@ -109,15 +109,23 @@ class LoadSection(Section):
                 raise Unusable("s and v are those of a slider along its guide", "Leave direction out, or use phi", "force")
             if isinstance(self.force, Curve) and self.force.over == "s" and not isinstance(direction, str):
                 raise Unusable("s is the position of a slider along its guide", "Leave direction out, or use phi", "force")
-            load = Force(name, body, point, self.force, direction, opposing=self.acts == "opposing")
             self._check_against(mechanism)
-            return replace(load, against=self.against or FRAME, **self._stroke(load, motion))
+            load = Force(
+                name, body, point, self.force, direction, opposing=self.acts == "opposing", against=self.against or FRAME
+            )
+            return replace(load, **self._stroke(load, motion))
         if self.torque is not None:
             body = self._body(mechanism, self.on, "on")
-            twist = Torque(name, body, self.torque, opposing=self.acts == "opposing")
             self._check_against(mechanism)
             angular = isinstance(self.torque, Formula) and "theta" in self.torque.expression.names
-            twist = replace(twist, against=self.against or FRAME, middle=motion.branch(body) if angular else 0.0)
+            twist = Torque(
+                name,
+                body,
+                self.torque,
+                motion.branch(body) if angular else 0.0,
+                opposing=self.acts == "opposing",
+                against=self.against or FRAME,
+            )
             return replace(twist, **self._stroke(twist, motion))
         if self.between is not None:
             ends = spring_ends(mechanism, self.between)
