@@ -117,3 +117,17 @@ def test_unknown_and_missing_arguments_are_refused_in_one_sentence(call, message
     with pytest.raises(InputError, match=message) as caught:
         call()
     assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [
+        ("optimize", "optlink.solve"),
+        ("sensitivity", "sensitivities"),
+        ("pareto", "import pareto"),
+        ("report", "import write_page"),
+    ],
+)
+def test_a_name_that_the_package_has_elsewhere_is_pointed_to(name: str, meant: str) -> None:
+    with pytest.raises(AttributeError, match=rf"no attribute '{name}'\. .*{meant}"):
+        optlink.__getattr__(name)

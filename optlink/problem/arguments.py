@@ -99,6 +99,8 @@ def _accepted(hint: Any) -> Any:
 
 def _fault(item: Any) -> Fault:
     message, remedy = WRONG.get(item["type"].partition("_")[0], (item["msg"], "See the description of the function"))
+    if isinstance(item["input"], str) and message == WRONG["is"][0]:
+        remedy = f'Load it: optlink.load("{item["input"]}")'
     if isinstance(item["input"], dict) and item["type"].startswith("string"):
         remedy = "Give one in quotes, or nested tables to optlink.read"
     steps = [str(step) for step in item["loc"] if step not in ("str", "float")]  # members of unions are no keys

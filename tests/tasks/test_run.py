@@ -98,7 +98,7 @@ def test_another_value_of_a_fixed_dimension_is_a_failed_check() -> None:
     ],
 )
 def test_the_name_of_a_problem_in_place_of_the_problem_is_refused(use) -> None:
-    with pytest.raises(InputError, match=r'problem = "six-bar": not a problem\. Load it: optlink\.load'):
+    with pytest.raises(InputError, match=r'problem = "six-bar": not a problem\. Load it: optlink\.load\("six-bar"\)'):
         use("six-bar")
 
 

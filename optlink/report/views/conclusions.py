@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from optlink.tasks.results.path import PathDesign, PathResult
     from optlink.validation import Check
 
+NO_BREAK = "\N{NO-BREAK SPACE}"
 SMALL = 1e-9  # share of the given value below which what is left is rounding
 
 
@@ -121,7 +122,8 @@ def _limiting(limits: Iterable[LimitState]) -> str:
     bound = f"{first.sense} {figure(first.bound, first.unit)}".strip()
     others = len(active) - 1
     more = f"; {others} more limits are active" if others > 1 else "; one more limit is active" * others
-    return f"Active limit: {first.name} ({bound.replace('<=', '≤').replace('>=', '≥')}){more}."
+    bound = bound.replace("<=", "≤").replace(">=", "≥").replace(" ", NO_BREAK)
+    return f"Active limit: {first.name} ({bound}){more}."
 
 
 def _failed(checks: Sequence[Check]) -> str:
