@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from optlink.dynamics.change_points import pin_columns
-from optlink.dynamics.columns import MotionColumns
+from optlink.dynamics.columns import MotionColumns, pin_columns
 from optlink.dynamics.machine import Machine, slider_names
 from optlink.errors import InputError
 from optlink.linkage.alignment import positions_text

@@ -7,8 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 
-from optlink.dynamics.change_points import pin_columns, unbounded_reactions
-from optlink.dynamics.columns import MotionColumns
+from optlink.dynamics.columns import MotionColumns, pin_columns, unbounded_reactions
 from optlink.dynamics.flywheel import flywheel
 from optlink.dynamics.machine import Machine, slider_names
 from optlink.dynamics.poles import without_values

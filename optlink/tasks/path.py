@@ -218,7 +218,10 @@ class _Search:
                 reason = found
             elif found is not None:
                 possible = True
-                if self.collection.rescue(k, nlp, found):
+                near_it = polisher.from_feasible(k, nlp, found)
+                valid = next((design for design in near_it if design.valid), None)
+                if valid is not None:
+                    self.collection.insert(valid)
                     break
         return reason if reason is not None and reason.conflict and not possible else None
 

@@ -308,23 +308,6 @@ class DesignCollection:
         self.designs.sort(key=_rank)
         del self.designs[self.requested :]
 
-    def rescue(self, variant: int, nlp: NLP, x: Array) -> bool:
-        """Add a design near a feasible point of an NLP; return whether there is a valid one.
-
-        Parameters
-        ----------
-        variant : int
-            Number of the problem with definite assembly modes.
-        nlp : NLP
-        x : array (n,)
-            Feasible point, scaled.
-        """
-        for design in self.polisher.from_feasible(variant, nlp, x):
-            if design.valid:
-                self.insert(design)
-                return True
-        return False
-
     def evidence(self) -> Evidence:
         """Return how many starts reached the best optimum, and how likely a better one was missed.
 

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from optlink.dynamics.change_points import pin_columns
-from optlink.dynamics.columns import MotionColumns
+from optlink.dynamics.columns import MotionColumns, pin_columns
 from optlink.dynamics.work import Work
 from optlink.linkage.motion import continuous
 from optlink.linkage.vector2d import Array

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from optlink.dynamics.change_points import pin_columns
+from optlink.dynamics.columns import pin_columns
 from optlink.dynamics.inverse import shaking as shaken
 from optlink.linkage import extrema
 from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Dash, Line, Mark, Panel
