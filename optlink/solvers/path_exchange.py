@@ -15,9 +15,10 @@ import numpy as np
 
 from optlink.errors import Status
 from optlink.linkage.extrema import Function, maxima
+from optlink.linkage.fourbar import lengths_of, time_ratio
 from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.nlp import NLP
-from optlink.optimization.path_nlp import has_sampled_objective, limit_excesses, objective_excess, solved_values
+from optlink.optimization.path_nlp import build_path_nlp, has_sampled_objective, limit_excesses, objective_excess, solved_values
 from optlink.problem.path import PathProblem
 from optlink.solvers import contract, multistart as local
 from optlink.solvers.newton import polish
@@ -99,6 +100,34 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
     return (
         solution if converged else replace(solution, status=Status.STALLED, message="limits are exceeded between the positions")
     )
+
+
+def best_slow_stroke(task: PathProblem, found: Solution, backend: str) -> Solution:
+    """Return the better one of a solution and the optimum near it whose slow stroke has the other direction.
+
+    A time ratio that does not name its stroke divides the four-bars into two families. Near a ratio of 1 they almost meet, and
+    searches that penalise the limit end between them.
+
+    Parameters
+    ----------
+    task : PathProblem
+    found : Solution
+    backend : str
+        Back end.
+    """
+    ratio, nlp = task.limits.time_ratio, found.nlp
+    if ratio is None or ratio.stroke is not None or not (ratio.low or 0.0) > 1.0 or not math.isfinite(found.objective):
+        return found
+    values, angles = solved_values(task, found.design, found.x)
+    sense = 1 if angles[-1] >= angles[0] else -1
+    forward = time_ratio(*lengths_of(values), task.side, "forward", sense)
+    stroke = "backward" if forward >= 1.0 else "forward"
+    if stroke not in nlp.cache:
+        limits = task.limits.model_copy(update={"time_ratio": replace(ratio, stroke=stroke)})
+        nlp.cache[stroke] = build_path_nlp(task.model_copy(update={"limits": limits}), sense)
+    start = local.solution_at(nlp.cache[stroke], found.x, found.message)
+    other = local.solution_at(nlp, local.solve_from(start.nlp, start.x, backend).x, found.message)
+    return local.best([found, other]) if other.status is Status.OPTIMAL else found
 
 
 def _followed(

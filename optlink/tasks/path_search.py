@@ -105,7 +105,7 @@ class Polisher:
             Whether the candidate itself satisfies its limits everywhere.
         """
         from optlink.solvers import multistart as local
-        from optlink.solvers.path_exchange import solve_semi_infinite
+        from optlink.solvers.path_exchange import best_slow_stroke, solve_semi_infinite
 
         file, start = self.files[candidate.variant], self._given(candidate)
         task, minimax = path_model(file), path_model(file).measure == "max"
@@ -115,6 +115,7 @@ class Polisher:
         begun = local.solution_at(start.nlp, start.x, start.message).objective  # with the exchange points of the solution
         if minimax and start.usable and solution.objective > begun * (1.0 + 1e-9):
             solution = replace(solution, status=Status.STALLED)  # an optimum, but not that near the start
+        solution = best_slow_stroke(task, solution, MINIMAX if minimax else self.backend)
         return validated_design(file, start.nlp, solution)
 
     def each(self, candidates: Sequence[Candidate], *, near: bool = False) -> Iterator[PathDesign]:

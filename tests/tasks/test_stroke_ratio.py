@@ -215,3 +215,21 @@ def test_a_side_of_a_ratio_can_be_changed_and_keeps_its_stroke():
     changed = stated.override({"limits.time_ratio.max": 0.9}).spec.limits.time_ratio
     assert (changed.low, changed.high, changed.stroke) == (0.8, 0.9, "forward")
     assert stated.override({"limits.time_ratio.stroke": "backward"}).spec.limits.time_ratio.stroke == "backward"
+
+
+def test_both_slow_strokes_are_searched_where_their_families_almost_meet() -> None:
+    """Near a time ratio of 1 the least squares of all starts ended between the families, and at the worse one: 9.663 deg from 90.
+
+    The value is that of a grid of 160,000 crank-rockers from their dead centres, by complex numbers.
+    """
+    longest = {"crank": "95 mm", "coupler": "300 mm", "rocker": "198.765 mm"}
+    lengths = {name: {"bounds": ["2 mm", most]} for name, most in longest.items()}
+    raw = {
+        "title": "nearly centric",
+        "mechanism": {"type": "four-bar", "frame": "100 mm", "assembly": "right", **lengths},
+        "requirement": {"kind": "transmission"},
+        "limits": {"swing_angle": "16.484 deg", "time_ratio": 1.001},
+    }
+    result = optlink.solve(optlink.read(raw), starts=60)
+    assert result.valid
+    assert math.degrees(math.asin(result.objective)) == pytest.approx(9.5784, abs=1e-4)
