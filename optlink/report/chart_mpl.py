@@ -197,7 +197,7 @@ def _trace(axes: Axes, trace: Trace, chart: ChartSpec, panel: Panel) -> None:
     if isinstance(trace, Curve):
         _curve(axes, trace)
     elif isinstance(trace, Band):
-        named = {"label": trace.name if trace.legend and trace.name else None, "gid": trace.gid or None}
+        named = {"label": trace.name or None, "gid": trace.gid or None}
         axes.fill_between(trace.x, trace.low, trace.high, color=trace.colour, alpha=trace.opacity, linewidth=0.0, **named)  # type: ignore[arg-type]
     elif isinstance(trace, Boxes):
         fill, edge = to_rgba(trace.colour, trace.opacity), to_rgba(trace.colour, min(1.0, 2.0 * trace.opacity))

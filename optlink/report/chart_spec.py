@@ -155,7 +155,6 @@ class Band:
     name: str = ""
     colour: str = INK
     opacity: float = 0.15
-    legend: bool = True
     values: Array | None = None
     gid: str = ""
 

@@ -333,13 +333,6 @@ class Sketch:
             pins[:, 0], pins[:, 1], linestyle="none", marker="o", markersize=5.5, mfc="white", mec=GROUND, zorder=4, gid="pins"
         )
 
-    def legend(self) -> tuple[list[Any], list[str]]:
-        """Return handles and labels of a legend: bodies by colour, and the centroid symbol."""
-        handles: list[Any] = [Line2D([], [], color=self.colours[body], linewidth=3.0) for body in self.parts]
-        if self.centroids:
-            handles.append(tuple(_centroid(GROUND)))
-        return handles, [*self.parts, "centroid"][: len(handles)]
-
     def letters(self, axes: Axes, motion: Motion, k: int = 0) -> list[Label]:
         """Return labels with the names of all points, for `labels.settle`.
 
@@ -371,7 +364,7 @@ class Sketch:
         return self.letters(axes, motion)
 
     def add_legend(self, made: Figure, columns: int = 9, **more: Artist) -> None:
-        """Draw the legend below a figure.
+        """Draw the legend below a figure: bodies by colour, and the centroid symbol.
 
         Parameters
         ----------
@@ -381,9 +374,17 @@ class Sketch:
         **more : Artist
             Further entries; underscores in their names stand for spaces.
         """
-        handles, words = self.legend()
-        handles, words = [*handles, *more.values()], [*words, *(name.replace("_", " ") for name in more)]
-        made.legend(handles, words, loc="outside lower center", ncols=min(len(handles), columns), frameon=False, fontsize=8.5)
+        entries: dict[str, Any] = {body: Line2D([], [], color=self.colours[body], linewidth=3.0) for body in self.parts}
+        entries |= {"centroid": tuple(_centroid(GROUND))} if self.centroids else {}
+        entries |= {name.replace("_", " "): artist for name, artist in more.items()}
+        made.legend(
+            [*entries.values()],
+            [*entries],
+            loc="outside lower center",
+            ncols=min(len(entries), columns),
+            frameon=False,
+            fontsize=8.5,
+        )
 
     def arrows(self, motion: Motion, k: int, names: Sequence[str], longest: float) -> dict[str, tuple[Array, Array]]:
         """Return velocity arrows (begin, end) by point name; slow points are left out.

@@ -72,14 +72,8 @@ class Picture:
         x, y = 1e3 * self.motion.position(name)[k]
         return float(x), float(y)
 
-    def document(self, *, parts: bool = True) -> dict[str, Any]:
-        """Return the scene as data of the page.
-
-        Parameters
-        ----------
-        parts : bool
-            Include the outlines of the bodies.
-        """
+    def document(self) -> dict[str, Any]:
+        """Return the scene as data of the page."""
         sketch, motion, k = self.sketch, self.motion, 1e3 / self.sketch.scale.factor
         owners = self.mechanism.owners
         free = [name for name, bodies in owners.items() if len(bodies) == 1 and bodies[0] != FRAME]
@@ -89,11 +83,9 @@ class Picture:
         for name in self.mechanism.bodies:
             start = 1e3 * motion.position(self.mechanism.bodies[name].start)
             angle = np.degrees(np.asarray(motion.body_angle(name).value, dtype=float))
-            body: dict[str, Any] = {"name": name, "colour": sketch.colours[name]}
-            if parts:
-                body["parts"] = [{"kind": p.kind, "outline": self._places(k * p.outline)} for p in sketch.parts[name]]
+            parts = [{"kind": p.kind, "outline": self._places(k * p.outline)} for p in sketch.parts[name]]
             poses = np.column_stack([np.round(start, self._decimals), np.round(angle, 4)])
-            bodies.append(body | {"poses": _plain(poses)})
+            bodies.append({"name": name, "colour": sketch.colours[name], "parts": parts, "poses": _plain(poses)})
         return {
             "angles": np.round(np.degrees(self.angles), 4).tolist(),
             "closed": self.closed,

@@ -74,13 +74,17 @@ class Session:
         except OptlinkError as error:
             self.fault(str(error))
         except KeyboardInterrupt:
-            self._send({"type": "progress", "id": self._id, "fraction": 1.0, "text": "stopped"})
+            self._answer("progress", fraction=1.0, text="stopped")
         except RecursionError:
             self.fault("The request is nested too deeply. Simplify it")
 
     def fault(self, message: str) -> None:
         """Answer the present request with a fault."""
-        self._send({"type": "fault", "id": self._id, "message": message})
+        self._answer("fault", message=message)
+
+    def _answer(self, kind: str, **fields: Any) -> None:
+        """Send a message about the present request; by those of the kind "kept" another process resumes if this one ends."""
+        self._send({"type": kind, "id": self._id, **fields})
 
     @property
     def _document(self) -> Document:
@@ -96,19 +100,12 @@ class Session:
             document = from_text(_text(request, "text"), _text(request, "title", "problem"))
         self._begin([document])
 
-    def _start(self, request: Mapping[str, Any]) -> None:
-        """Open the problem of the command line, which may be any file."""
-        self._begin([named(_text(request, "name"))])
-
-    def _new(self, request: Mapping[str, Any]) -> None:
-        self._begin([from_template(_text(request, "template"))])
-
     def _begin(self, steps: list[Document], at: int = 0, origin: str | None = None, design: Design | None = None) -> None:
         """Open a document, or one with its history: `at` is the index of the present step, `origin` the text that was opened."""
         _ = steps[at].problem  # refuses what is not usable before anything changes
         self._history, self._origin = History(steps, at), steps[at].text if origin is None else origin
         self._design, self._follower = design, (None, None)
-        self._keep("open", steps=[step.message() for step in steps], at=at, origin=self._origin)
+        self._answer("kept", step="open", steps=[step.message() for step in steps], at=at, origin=self._origin)
         self._reached = {}
         if design is not None:
             self._show(replace(design, conclusion=BEGUN), self._definite(steps[at].problem), moving=False, searching=True)
@@ -117,10 +114,6 @@ class Session:
     def _resume(self, request: Mapping[str, Any]) -> None:
         """Open what an earlier process of this page had open, with its history."""
         self._begin([Document.of(step) for step in request["steps"]], request["at"], request["origin"])
-
-    def _keep(self, step: str, **fields: Any) -> None:
-        """Let the server note a step of the history, which another process resumes if this one ends."""
-        self._send({"type": "kept", "id": self._id, "step": step, **fields})
 
     def _drag(self, request: Mapping[str, Any]) -> None:
         handle = self._handles.get(_text(request, "handle"))
@@ -159,27 +152,23 @@ class Session:
             return
         self._commit(self._document.locked(size, None if self._design is None else self._design.values.get(size)))
 
-    def _search(self, request: Mapping[str, Any]) -> None:
-        self._settle()
-
     def _undo(self, request: Mapping[str, Any]) -> None:
         assert self._history is not None
         way = -1 if request["type"] == "undo" else 1
         self._history.move(way)
-        self._keep("move", way=way)
+        self._answer("kept", step="move", way=way)
         self._reached = {}
         self._settle()
 
     def _save(self, request: Mapping[str, Any]) -> None:
         document = self._document
         self._origin = document.text
-        self._send({"type": "file", "id": self._id, "name": document.file, "media": "application/toml", "text": document.text})
+        self._answer("file", name=document.file, media="application/toml", text=document.text)
 
     def _export(self, request: Mapping[str, Any]) -> None:
         if self._last is None:
             raise InputError("there is no design yet", "Wait for the search")
-        file = exported(self._last[0], self._document.name, request.get("format"))
-        self._send({"type": "file", "id": self._id} | file)
+        self._answer("file", **exported(self._last[0], self._document.name, request.get("format")))
 
     def _draw(self, request: Mapping[str, Any]) -> None:
         from optlink.studio.curve import CurveSearch, drawn
@@ -196,9 +185,6 @@ class Session:
             raise InputError("there are no candidates", "Draw a curve first")
         chosen = self._curve.design(request.get("candidate"))
         self._begin([self._curve.document], design=chosen)
-
-    def _link(self, request: Mapping[str, Any]) -> None:
-        self._send({"type": "link", "id": self._id, "fragment": deflated(self._document.text)})
 
     # --- designs ------------------------------------------------------------------------------------------------------------
 
@@ -270,7 +256,7 @@ class Session:
         assert self._history is not None
         if document.text != self._document.text:
             self._history.add(document)
-            self._keep("add", document=document.message())
+            self._answer("kept", step="add", document=document.message())
         self._reached = {}
         self._settle()
 
@@ -400,18 +386,18 @@ def warm_drawing() -> None:
 OPENING = ("start", "open", "new", "draw", "choose", "resume")
 
 _ACTIONS: dict[str, Callable[[Session, Mapping[str, Any]], None]] = {
-    "start": Session._start,
+    "start": lambda session, request: session._begin([named(_text(request, "name"))]),  # any file: of the command line
     "open": Session._open,
-    "new": Session._new,
+    "new": lambda session, request: session._begin([from_template(_text(request, "template"))]),
     "resume": Session._resume,
     "drag": Session._drag,
     "set": Session._set,
     "lock": Session._lock,
-    "search": Session._search,
+    "search": lambda session, request: session._settle(),
     "undo": Session._undo,
     "redo": Session._undo,
     "save": Session._save,
-    "link": Session._link,
+    "link": lambda session, request: session._answer("link", fragment=deflated(session._document.text)),
     "export": Session._export,
     "draw": Session._draw,
     "choose": Session._choose,

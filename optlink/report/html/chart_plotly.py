@@ -255,7 +255,7 @@ def _band(trace: Band) -> list[Trace]:
     edge: Trace = {"type": "scatter", "mode": "lines", "line": {"width": 0, "color": trace.colour}, "x": short(trace.x)}
     edge |= {"name": escape(trace.name), "legendgroup": escape(trace.name)}
     upper = edge | {"y": short(trace.high), "fill": "tonexty", "fillcolor": f"{trace.colour}{round(255 * trace.opacity):02x}"}
-    upper |= {"showlegend": trace.legend and bool(trace.name)}
+    upper |= {"showlegend": bool(trace.name)}
     if trace.values is not None:
         upper |= {"customdata": short(trace.values), "hovertemplate": "%{customdata:.4g}"}
     elif not trace.name:

@@ -20,6 +20,7 @@ from optlink.tasks.results.analysis import Extreme
 
 MANY = 12  # largest number of dead centres to draw; a body at rest has spurious ones due to rounding
 SHOWN = 4  # largest number of sliders in motion.png
+ROOM = 0.16  # margin above and below cut values, as a share of the range
 
 
 class Output(NamedTuple):
@@ -123,7 +124,7 @@ def curves(
     return found
 
 
-def axis(course: CycleCurves, name: str, traces: Iterable[Curve], *, least: float = 0.0, room: float = 0.16) -> Axis:
+def axis(course: CycleCurves, name: str, traces: Iterable[Curve], *, least: float = 0.0) -> Axis:
     """Return a y axis; values that grow without bound are cut off, and rounding errors are not enlarged.
 
     Parameters
@@ -133,8 +134,6 @@ def axis(course: CycleCurves, name: str, traces: Iterable[Curve], *, least: floa
     traces : iterable of Curve
     least : float, optional
         Smallest range, in the unit of the axis.
-    room : float, optional
-        Margin above and below cut values, as a share of the range.
     """
     values = np.concatenate([trace.y for trace in traces])
     low, high = course.window(values)
@@ -145,7 +144,7 @@ def axis(course: CycleCurves, name: str, traces: Iterable[Curve], *, least: floa
         return Axis(name)
     if width < least:
         low, high, width = 0.5 * (low + high - least), 0.5 * (low + high + least), least
-    return Axis(name if whole else f"{name}, cut off", (low - room * width, high + room * width))
+    return Axis(name if whole else f"{name}, cut off", (low - ROOM * width, high + ROOM * width))
 
 
 def panel(

@@ -39,13 +39,8 @@ def _mean_turn(turns: RevolutionCurves, values: Array) -> tuple[Array, Array, Ar
     numbers = np.arange(turns.last - count, turns.last)[:, None]
     angles = np.mean(turns.angle[rows].reshape(count, turns.points) - turns.way * FULL * numbers, axis=0)
     before = angles[-1] - turns.way * FULL
-    closed = np.concatenate([[before], angles])
-    return closed, _closed(np.mean(table, axis=0)), _closed(np.min(table, axis=0)), _closed(np.max(table, axis=0))
-
-
-def _closed(values: Array) -> Array:
-    """Prepend the last value of a periodic course."""
-    return np.concatenate([values[-1:], values])
+    mean, least, largest = (of(np.column_stack([table[:, -1], table]), axis=0) for of in (np.mean, np.min, np.max))
+    return np.concatenate([[before], angles]), mean, least, largest
 
 
 def _standstills(turns: RevolutionCurves) -> list[float]:

@@ -25,7 +25,7 @@ from optlink.report.format import dimension
 from optlink.report.labels import place_labels
 from optlink.report.style import FOUND, LIMIT, QUIET, ROCKER, TARGET, figure, figure as new_figure, heading, panels, styled
 from optlink.report.view import View
-from optlink.report.views.certificate_charts import certificate_charts
+from optlink.report.views.certificate_view import certificate_charts
 from optlink.report.views.path_view import with_verdict
 from optlink.solvers.contract import selectable
 from optlink.tasks.function import FunctionResult

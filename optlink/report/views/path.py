@@ -24,7 +24,7 @@ from optlink.report.drawing import Sketch
 from optlink.report.labels import place_labels
 from optlink.report.style import CRANK, LIMIT, TARGET, degrees, figure, heading, styled
 from optlink.report.view import View
-from optlink.report.views.certificate_charts import certificate_charts
+from optlink.report.views.certificate_view import certificate_charts
 from optlink.report.views.path_charts import Close, dots, errors, points_on, small_frames
 from optlink.report.views.path_drawings import BESIDE, HIGH, curve, designs, function_values, initial_pose, output_film, trim
 from optlink.report.views.path_view import LINE, SMALL, TITLE, PathView, assembly, best, headed, with_verdict, wrapped

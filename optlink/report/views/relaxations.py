@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from typing import TYPE_CHECKING
 
 from optlink.report.format import figure, joined
@@ -115,5 +115,4 @@ def outward(side: Relaxation, digits: int) -> float:
     if not math.isfinite(side.relaxed) or side.relaxed == 0.0:
         return side.relaxed
     rounding, sign = (ROUND_CEILING, 1.0) if side.relaxed > side.bound else (ROUND_FLOOR, -1.0)
-    value = Decimal(side.relaxed + sign * MARGIN * abs(side.relaxed))
-    return float(value.quantize(Decimal(1).scaleb(value.adjusted() - digits + 1), rounding))
+    return float(Context(digits, rounding).create_decimal_from_float(side.relaxed + sign * MARGIN * abs(side.relaxed)))

@@ -217,7 +217,16 @@ def named(column: str) -> tuple[str, str]:
 
 def column_label(column: str) -> str:
     """Return the display name of a column with its unit."""
-    name, unit = named(column)
+    return with_unit(*named(column))
+
+
+def with_unit(name: str, unit: str) -> str:
+    """Return a name with its unit, if it has one.
+
+    Parameters
+    ----------
+    name, unit : str
+    """
     return f"{name} [{unit}]" if unit else name
 
 

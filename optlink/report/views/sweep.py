@@ -151,10 +151,6 @@ def _design(file: ProblemFile, table: Table, row: int) -> tuple[ProblemFile, dic
 # --- labels ----------------------------------------------------------------------------------------------------------------
 
 
-def _label(name: str, unit: str) -> str:
-    return f"{name} [{unit}]" if unit else name
-
-
 def _words(column: str) -> str:
     """Return the display name of a column with its measure and unit."""
     stem, kind = _parted(column)
@@ -162,7 +158,7 @@ def _words(column: str) -> str:
 
 
 def _axis_of(axis: Axis, limits: tuple[float, float] | None = None) -> chart_spec.Axis:
-    return chart_spec.Axis(_label(axis.key, axis.unit), limits, _spread(axis))
+    return chart_spec.Axis(study_tables.with_unit(axis.key, axis.unit), limits, _spread(axis))
 
 
 def _spread(axis: Axis) -> Literal["linear", "log"]:
@@ -220,7 +216,9 @@ def _picks(table: Table, rows: NDArray[np.intp], x: Array, y: Array) -> Picks:
     """
     columns, result = table.result.columns, table.result
     names = [*(axis.column for axis in result.grid.axes), *table.shown, *table.designs]
-    heads = [_label(axis.key, axis.unit) for axis in result.grid.axes] + [_words(name) for name in (*table.shown, *table.designs)]
+    heads = [study_tables.with_unit(axis.key, axis.unit) for axis in result.grid.axes] + [
+        _words(name) for name in (*table.shown, *table.designs)
+    ]
     words = {"status": "status", "reason": "reason"} if result.evaluated else {ACTIVE: "active", "status": "status"}
     blank = np.full(result.grid.count, "")
     texts = [columns.get(name, blank) for name in words.values()]
@@ -293,12 +291,15 @@ def _design_panels(table: Table) -> Iterator[tuple[str, dict[str, Array]]]:
         name, unit = study_tables.named(column)
         by_unit.setdefault(unit, {})[name] = table.column(column)
     for unit, curves in by_unit.items():
-        yield _label("design variables" if len(curves) > 1 else next(iter(curves)), unit), curves
+        yield study_tables.with_unit("design variables" if len(curves) > 1 else next(iter(curves)), unit), curves
 
 
 def _analysis_panels(table: Table) -> Iterator[tuple[str, dict[str, Array]]]:
     for column, names in _analysed(table).items():
-        yield study_tables.column_label(column), {WORDS.get(_parted(name)[1], name): table.column(name) for name in names}
+        yield (
+            study_tables.column_label(column),
+            {WORDS.get(_parted(name)[1], name): table.column(name) for name in names},
+        )
 
 
 # --- two and three parameters ------------------------------------------------------------------------------------------------
