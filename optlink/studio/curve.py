@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -254,12 +254,8 @@ def _item(design: PathDesign) -> dict[str, Any]:
     displayed = Design(design.problem, design.values, crank_angles=design.crank_angles)
     picture = Picture(displayed.machine, displayed.start, displayed.speed)
     scene = picture.document()
-    sizes = {name: value * (1e3 if quantity.kind != "angle" else math.degrees(1.0)) for name, value, quantity in _sizes(design)}
+    units = {name: math.degrees(1.0) if one.kind == "angle" else 1e3 for name, one in design.task.quantities.items()}
+    sizes = {name: design.values[name] * size for name, size in units.items()}
     error = 1e3 * float(np.max(design.measured.distances))
     item = {"error": error, "unit": "mm", "valid": design.valid, "design": sizes}
     return {**finite(item), "curve": scene["points"][design.task.requirement.point], "scene": scene}
-
-
-def _sizes(design: PathDesign) -> Iterator[tuple[str, float, Any]]:
-    for name, quantity in design.task.quantities.items():
-        yield name, design.values[name], quantity

@@ -25,37 +25,6 @@ ASSETS = Path(__file__).parent / "assets"
 IMPORT = re.compile(r'^import (?:\{(?P<names>[^}]*)\} from )?"\./(?P<module>\w+)\.js";$', re.MULTILINE)
 EXPORT = re.compile(r"^export (?=(?:const|class|function) (?P<name>[\w$]+))", re.MULTILINE)
 ADDRESS = re.compile(r'(?:src|href)="/assets/(?P<name>[\w.]+)"')
-FRONT = """
-const PAGE = %s;
-function render({ model, el }) {
-  const view = Math.random().toString(36).slice(2);
-  const frame = document.createElement("iframe");
-  const dark = document.body?.dataset.jpThemeLight === "false" || document.body?.classList.contains("vscode-dark");
-  frame.title = "optlink studio";
-  frame.style.cssText = "display:block;width:100%%;border:1px solid rgba(128,128,128,.4);border-radius:6px;box-sizing:border-box";
-  frame.style.height = model.get("height") + "px";
-  frame.allow = "clipboard-write";
-  const tell = (message) => frame.contentWindow?.postMessage(message, "*");
-  const answered = (message) => tell(message.view === view ? { studio: "answer", text: message.text } : { studio: "close" });
-  const asked = ({ source, data }) => {
-    if (source === frame.contentWindow && data?.studio) {
-      model.send({ view, text: data.studio === "connect" ? null : data.text });
-    }
-  };
-  const ended = () => model.comm_live === false && tell({ studio: "close" });
-  addEventListener("message", asked);
-  model.on("msg:custom", answered);
-  model.on("comm_live_update", ended);
-  frame.srcdoc = PAGE.replace("<html ", `<html data-prefer="${dark ? "dark" : "light"}" `);
-  el.append(frame);
-  return () => {
-    removeEventListener("message", asked);
-    model.off("msg:custom", answered);
-    model.off("comm_live_update", ended);
-  };
-}
-export default { render };
-"""
 
 
 @cache
@@ -117,7 +86,7 @@ class Canvas(anywidget.AnyWidget):
         Problem that is open at first.
     """
 
-    _esm = FRONT % json.dumps(page())
+    _esm = (ASSETS / "widget.mjs").read_text(encoding="utf-8").replace('"PAGE"', json.dumps(page()), 1)
     height = traitlets.Int(HEIGHT, help="Height of the canvas [px].").tag(sync=True)
 
     def __init__(self, document: Document) -> None:

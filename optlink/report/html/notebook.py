@@ -26,7 +26,6 @@ from optlink.report.report_model import Outcome, report_model_of
 from optlink.report.stored.loader import KNOWN, STUDIES
 from optlink.report.table_spec import Part, TableSpec
 from optlink.report.views import analysis_forces, function_tables
-from optlink.report.views.analysis_curves import CycleCurves
 from optlink.studies.toml_keys import Knob, exact_text, knobs
 from optlink.tasks.analyze import analyze
 from optlink.tasks.results.analysis import Analysis
@@ -290,12 +289,10 @@ class Explorer:
         if self._moving is not None:
             self.crank.max = self.play.max = len(self._moving.stops.values) - 1
         self._draw()
-        if kind == "analysis":
-            torque = analysis_forces.torque(CycleCurves(self._result))
-            charts = torque or view_of(kind).charts(CycleCurves(self._result))
-        else:
-            charts = view_of(kind).charts(view_of(kind).model(self._result))
-        self.chart.value = chart_svg(charts)
+        view = view_of(kind)
+        model = view.model(self._result)
+        torque = analysis_forces.torque(model) if kind == "analysis" else []
+        self.chart.value = chart_svg(torque or view.charts(model))
 
     def _figures(self, parts: tuple[Part, ...]) -> Iterator[Part]:
         """Yield the failed checks and the conflicting limits of a design, its objective, and strokes."""

@@ -84,10 +84,10 @@ class Close:
         self.motion = track.task.requirement.kind == "motion"
         self.shown = even(len(track.targets), FRAMED)
 
-    def _ends(self) -> Array:
-        """Return the end points of the deviation lines."""
-        ends: Array = self.track.targets + self.track.factor * (self.track.generated - self.track.targets)
-        return ends * self.unit.factor
+    def _ends(self, magnified: float) -> Array:
+        """Return the end points of the deviation lines [m]."""
+        ends: Array = self.track.targets + magnified * (self.track.generated - self.track.targets)
+        return ends
 
     def _poses(self) -> tuple[Array, Array]:
         """Return the prescribed and the generated frames as lines."""
@@ -103,8 +103,8 @@ class Close:
         """
         track, factor = self.track, self.unit.factor
         radii = np.where(np.isfinite(track.tolerances), track.tolerances * track.factor, 0.0)[:, None]
-        seen = [track.targets - radii, track.targets + radii, track.generated]
-        must = finite(np.concatenate([*(part * factor for part in seen), self._ends(), *(self._poses() if self.motion else ())]))
+        seen = [track.targets - radii, track.targets + radii, track.generated, self._ends(track.factor)]
+        must = finite(np.concatenate([*(part * factor for part in seen), *(self._poses() if self.motion else ())]))
         low, high = must.min(axis=0), must.max(axis=0)
         size = high - low
         room = AWAY * float(np.max(size))
@@ -190,9 +190,8 @@ class Close:
         track = self.track
         if track.exact:
             return []
-        ends = track.targets + magnified * (track.generated - track.targets)
         gaps = np.full_like(track.targets, np.nan)
-        sticks = np.stack([track.targets, ends, gaps], axis=1).reshape(-1, 2) * self.unit.factor
+        sticks = np.stack([track.targets, self._ends(magnified), gaps], axis=1).reshape(-1, 2) * self.unit.factor
         width = 1.4 if len(track.targets) <= 100 else 0.7
         return [Curve.through(sticks, f"deviation{_fold(magnified)}", LIMIT, width, hover=False, gid="deviations")]
 
