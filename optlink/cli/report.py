@@ -17,8 +17,8 @@ from optlink.execution import interrupts
 from optlink.io import head
 
 if TYPE_CHECKING:
+    from optlink.report.html.shell import StoredStudy
     from optlink.report.report_model import ReportModel
-    from optlink.report.stored.stored_study import StoredStudy
 
 SCHEMA = "optlink/written/1"
 Words = list[str] | None
@@ -89,7 +89,7 @@ def export(
     with console.working("Reading or solving the problem"):
         about = _subject(subject, output, problem, (backend, starts, seed), changes, design)
         interrupts.check()
-    from optlink.report.stored.stored_study import StoredStudy
+    from optlink.report.html.shell import StoredStudy
 
     if isinstance(about, StoredStudy):
         remedy = f"Export the problem with one design:  optlink export {about.problem.name} --design NAME=VALUE"

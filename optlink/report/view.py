@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from optlink.problem.file import ProblemFile
     from optlink.report.chart_spec import ChartSpec
-    from optlink.report.stored.stored_study import StoredStudy
+    from optlink.report.html.shell import StoredStudy
 
 
 def _unreadable(document: Any, *_: Any) -> Any:

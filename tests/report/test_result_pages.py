@@ -20,10 +20,10 @@ import pytest
 import optlink
 from optlink.errors import InputError
 from optlink.problem.base_model import LARGEST as LARGEST_NUMBER
-from optlink.report.html.shell import LARGEST, PageContent
+from optlink.report.html.shell import LARGEST, PageContent, StoredStudy
 from optlink.report.registry import records
 from optlink.report.stored.loader import KNOWN, load_stored
-from optlink.report.stored.stored_study import StoredStudy, _sheet, study_page
+from optlink.report.stored.stored_study import _sheet, study_page
 from tests.browser import colours, console, faults, opened as shown, requests
 from tests.cli.test_cli import run
 from tests.report.test_report_page import Reader, poses, slide_to
@@ -248,7 +248,7 @@ def test_the_tolerances_of_a_page_add_up(results):
 @pytest.mark.slow
 def test_conclusions_state_the_main_figures(results):
     told = {name: document(results, name) for name in RECORDED}
-    said = {name: sheet(results, name).conclusion for name in RECORDED}
+    said = {name: sheet(results, name).about.conclusion for name in RECORDED}
     assert f"{100 * told['tolerance']['monte_carlo']['yield']:.4g} % of the linkages" in said["tolerance"]
     assert f"{told['course']['figures']['end.speed_rad_s'] * 30 / math.pi:.4g} rpm" in said["course"]
     gap, figures = told["play"]["gaps"][0]["point"], told["play"]["figures"]

@@ -12,10 +12,10 @@ from optlink.report.chart_spec import ChartSpec
 from optlink.report.format import single_units
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, turning
-from optlink.report.html.shell import PageSection
+from optlink.report.html.shell import PageSection, StoredStudy
 from optlink.report.registry import table_of, view_of
 from optlink.report.report_model import ReportModel
-from optlink.report.stored.stored_study import StoredStudy, study_page
+from optlink.report.stored.stored_study import study_page
 from optlink.report.table_spec import Paragraph, Part, Summary, TableSpec
 from optlink.report.views import (
     analysis_charts,

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import base64
+import datetime
 import gzip
 import hashlib
 import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from importlib.resources import files
 from typing import Any
@@ -16,12 +17,13 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from optlink.problem.file import ProblemFile
 from optlink.report.export.dimensions import Drawing, dimensioned
 from optlink.report.format import pretty, single_units
 from optlink.report.html import theme
 from optlink.report.html.chart_plotly import Chart, short
 from optlink.report.html.moving_linkage import Moving
-from optlink.report.table_spec import Paragraph, Part, TableSpec
+from optlink.report.table_spec import Line, Paragraph, Part, TableSpec
 from optlink.version import VERSION
 
 LARGEST = 3_000_000  # largest size of a page [bytes]
@@ -50,22 +52,36 @@ class PageSection:
         return self.name.lower().replace(" ", "-")
 
 
-@dataclass(frozen=True)
-class PageContent:
-    """Content of a page: `kind` above the title, verdict and whether it is positive, conclusion and status below it.
+@dataclass(frozen=True, eq=False)
+class StoredStudy:
+    """Report of a result.
 
-    `letterhead` contains the facts above the title; a title among them replaces that of the problem, which is `title`.
+    `kind` describes the task; `conclusion` says in a sentence what was found; `status` are lines below the verdict;
+    `sections` contain tables and charts; `moving` returns the animated linkage for a number of positions per revolution, `drawn`
+    is its caption, `after` the number of sections before it; `by` is the method.
     """
 
-    title: str
+    problem: ProblemFile
     kind: str
     verdict: str
-    good: bool
-    status: Paragraph
+    valid: bool
+    conclusion: str
+    status: Sequence[Line]
     sections: Sequence[PageSection]
-    moving: Moving | None = None
-    conclusion: str = ""
-    letterhead: Mapping[str, str] = field(default_factory=dict)
+    moving: Callable[[int], Moving | None]
+    by: str
+    drawn: str = ""
+    after: int = 0
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class PageContent:
+    """Content of a page: what it is about, its sections with the appendix, and the linkage in motion."""
+
+    about: StoredStudy
+    sections: Sequence[PageSection]
+    moving: Moving | None
 
     @cached_property
     def charts(self) -> tuple[Chart, ...]:
@@ -84,6 +100,9 @@ class PageContent:
             .get_template("page.html")
             .render(
                 sheet=self,
+                about=self.about,
+                status=Paragraph(*self.about.status, *(f"Note: {note}" for note in self.about.notes)),
+                letterhead=letterhead(self.about.problem),
                 policy=_policy(plotly, script),
                 version=VERSION,
                 style=_style(colours),
@@ -93,6 +112,13 @@ class PageContent:
                 script=script,
             )
         )
+
+
+def letterhead(file: ProblemFile) -> dict[str, str]:
+    """Return the facts at the head of a page by name, without the empty ones; the date is that of today unless it is stated."""
+    facts = file.model.report.model_dump()
+    facts["date"] = facts["date"] or datetime.datetime.now(tz=datetime.UTC).date().isoformat()
+    return {name: " ".join(text.split()) for name, text in facts.items() if text.strip()}
 
 
 def arranged(sections: Iterable[PageSection], closing: Iterable[PageSection]) -> tuple[PageSection, ...]:

@@ -15,10 +15,10 @@ from optlink.problem.assignment import parse_assignments
 from optlink.problem.base_model import Contradiction, Record, ResultRecord, damaged, read_document, read_record
 from optlink.problem.file import ProblemFile, load, shipped
 from optlink.report.format import single_units
+from optlink.report.html.shell import StoredStudy
 from optlink.report.registry import REGISTERED, records, view_of
 from optlink.report.report_model import ReportModel, report_model_of
 from optlink.report.stored.stored_result import read_report_model
-from optlink.report.stored.stored_study import StoredStudy
 from optlink.report.view import View
 from optlink.version import VERSION
 

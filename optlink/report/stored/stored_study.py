@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import datetime
 import platform
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from importlib.metadata import version
 
 import numpy as np
@@ -18,38 +17,15 @@ from optlink.report.export.dimensions import Drawing, dimensioned
 from optlink.report.html import moving_linkage
 from optlink.report.html.chart_plotly import Chart
 from optlink.report.html.moving_linkage import Moving
-from optlink.report.html.shell import PageContent, PageSection, arranged, fitted, linkage_sections
+from optlink.report.html.shell import PageContent, PageSection, StoredStudy, arranged, fitted, linkage_sections
 from optlink.report.shapes import even
-from optlink.report.table_spec import Line, Paragraph
+from optlink.report.table_spec import Paragraph
 from optlink.report.views import problem_tables
 from optlink.tasks.analyze import analyze
 from optlink.tasks.results.analysis import Analysis
 from optlink.version import VERSION
 
 DRAWN = 60  # largest number of selectable points with a drawing of their own
-
-
-@dataclass(frozen=True, eq=False)
-class StoredStudy:
-    """Report of a result.
-
-    `kind` describes the task; `conclusion` says in a sentence what was found; `status` are lines below the verdict;
-    `sections` contain tables and charts; `moving` returns the animated linkage for a number of positions per revolution, `drawn`
-    is its caption, `after` the number of sections before it; `by` is the method.
-    """
-
-    problem: ProblemFile
-    kind: str
-    verdict: str
-    valid: bool
-    conclusion: str
-    status: Sequence[Line]
-    sections: Sequence[PageSection]
-    moving: Callable[[int], Moving | None]
-    by: str
-    drawn: str = ""
-    after: int = 0
-    notes: tuple[str, ...] = ()
 
 
 def study_page(studied: StoredStudy) -> str:
@@ -64,17 +40,7 @@ def _sheet(studied: StoredStudy, steps: int) -> PageContent:
         picked = any(isinstance(part, Chart) and part.draw for section in sections for part in section.parts)
         shown = linkage_sections(moving, file.model.title, studied.drawn, dimensions=not picked)
         sections[studied.after : studied.after] = shown
-    return PageContent(
-        title=file.model.title,
-        kind=f"{file.name} · {studied.kind}",
-        verdict=studied.verdict,
-        good=studied.valid,
-        conclusion=studied.conclusion,
-        status=Paragraph(*studied.status, *(f"Note: {note}" for note in studied.notes)),
-        sections=arranged(sections, closing(file, studied.by)),
-        moving=moving,
-        letterhead=letterhead(file),
-    )
+    return PageContent(studied, arranged(sections, closing(file, studied.by)), moving)
 
 
 # --- parts -------------------------------------------------------------------------------------------------------------------
@@ -166,13 +132,6 @@ def closing(file: ProblemFile, by: str) -> Iterable[PageSection]:
     about = (" ".join(piece.replace("`", "").split()) for piece in file.model.about.split("\n\n") if piece.strip())
     yield PageSection("Problem", (Paragraph(*about), problem_tables.problem(file).parts))
     yield PageSection("Sources", (dict(_sources(file, by)),))
-
-
-def letterhead(file: ProblemFile) -> dict[str, str]:
-    """Return the facts at the head of a page by name, without the empty ones; the date is that of today unless it is stated."""
-    facts = file.model.report.model_dump()
-    facts["date"] = facts["date"] or datetime.datetime.now(tz=datetime.UTC).date().isoformat()
-    return {name: " ".join(text.split()) for name, text in facts.items() if text.strip()}
 
 
 def _sources(file: ProblemFile, by: str) -> list[tuple[str, str]]:

@@ -21,8 +21,8 @@ from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line,
 from optlink.report.files import verdict
 from optlink.report.format import change, number
 from optlink.report.html import chart_plotly
-from optlink.report.html.shell import PageSection
-from optlink.report.stored.stored_study import StoredStudy, still, turning
+from optlink.report.html.shell import PageSection, StoredStudy
+from optlink.report.stored.stored_study import still, turning
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, TARGET, scale
 from optlink.report.view import View
 from optlink.report.views import balance_drawing, balance_tables, conclusions

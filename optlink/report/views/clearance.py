@@ -20,10 +20,10 @@ from optlink.problem.file import ProblemFile
 from optlink.report.chart_spec import TIME, Array, Axis, ChartSpec, Curve, Dash, Panel, Span
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, in_time
-from optlink.report.html.shell import PageSection
+from optlink.report.html.shell import PageSection, StoredStudy
 from optlink.report.scene import through
 from optlink.report.shapes import even
-from optlink.report.stored.stored_study import StoredStudy, cycle_of
+from optlink.report.stored.stored_study import cycle_of
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, ROCKER, SHADE, TARGET, Scale, scale
 from optlink.report.view import View
 from optlink.report.views import clearance_joints, clearance_tables, conclusions, magnified_joints

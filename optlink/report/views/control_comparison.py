@@ -13,8 +13,8 @@ import numpy as np
 from optlink.problem.file import ProblemFile
 from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line, Panel
 from optlink.report.html import chart_plotly
-from optlink.report.html.shell import PageSection
-from optlink.report.stored.stored_study import StoredStudy, still
+from optlink.report.html.shell import PageSection, StoredStudy
+from optlink.report.stored.stored_study import still
 from optlink.report.style import BODIES, COUPLER, CRANK, FOUND, QUIET, ROCKER, TARGET, scale
 from optlink.report.view import View
 from optlink.report.views import clearance_tables, conclusions

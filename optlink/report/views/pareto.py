@@ -15,8 +15,8 @@ from optlink.problem.file import ProblemFile
 from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Mark, Panel, Picks
 from optlink.report.format import number
 from optlink.report.html import chart_plotly
-from optlink.report.html.shell import PageSection
-from optlink.report.stored.stored_study import StoredStudy, named_si, still, turning, with_drawings
+from optlink.report.html.shell import PageSection, StoredStudy
+from optlink.report.stored.stored_study import named_si, still, turning, with_drawings
 from optlink.report.style import FOUND, LIMIT, QUIET, TARGET
 from optlink.report.view import View
 from optlink.report.views import conclusions, study_tables

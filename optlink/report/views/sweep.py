@@ -16,9 +16,9 @@ from optlink.report import chart_spec
 from optlink.report.chart_spec import Array, ChartSpec, Curve, HeatMap, Line, Panel, Picks, Span, cells
 from optlink.report.format import number
 from optlink.report.html import chart_plotly
-from optlink.report.html.shell import PageSection
+from optlink.report.html.shell import PageSection, StoredStudy
 from optlink.report.shapes import even
-from optlink.report.stored.stored_study import StoredStudy, named_si, still, turning, with_drawings
+from optlink.report.stored.stored_study import named_si, still, turning, with_drawings
 from optlink.report.stored.stored_sweep import read
 from optlink.report.style import BODIES, FOUND, LIMIT, QUIET, beside
 from optlink.report.view import View

@@ -12,8 +12,8 @@ import numpy as np
 from optlink.problem.file import ProblemFile
 from optlink.report.chart_spec import Array, Axis, Band, Bars, ChartSpec, Curve, Line, Panel, Trace, crank_angle
 from optlink.report.html import chart_plotly
-from optlink.report.html.shell import PageSection
-from optlink.report.stored.stored_study import StoredStudy, turning
+from optlink.report.html.shell import PageSection, StoredStudy
+from optlink.report.stored.stored_study import turning
 from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, SHADE, TARGET
 from optlink.report.view import View
 from optlink.report.views import conclusions, tolerance_tables
