@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import copy
-import difflib
 import hashlib
 import json
 import os
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +20,17 @@ from optlink.errors import InputError, shown
 from optlink.io import data_files, load_extensions
 from optlink.problem.arguments import typed
 from optlink.problem.base_model import DEEPEST, SPELLED, SPELLINGS, with_ranges, with_spellings
-from optlink.problem.file_errors import SECTIONS, as_written, faults, keys_ending, known_keys, of_dyads, text_fault, toml_fault
+from optlink.problem.file_errors import (
+    SECTIONS,
+    as_written,
+    faults,
+    keys_ending,
+    known_keys,
+    of_dyads,
+    similar_name,
+    text_fault,
+    toml_fault,
+)
 from optlink.problem.function import DesignProblem
 from optlink.problem.limits import MARGINS, Alignment
 from optlink.problem.machine.model import Problem
@@ -99,6 +107,10 @@ class ProblemFile:
         text = json.dumps([content, repr(law), *read], sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
+    def at(self, key: str) -> Any:
+        """Return the value of the file at a dotted key, also that of a coordinate; None if there is none."""
+        return _at(self.raw, key)
+
     def variants(self) -> list[ProblemFile]:
         """Return the problem with definite assembly modes, one for each combination that it leaves open."""
         changes = self.model.mechanism.variants(self.model.linkage)
@@ -137,16 +149,6 @@ def _without_defaults(raw: dict[str, Any]) -> dict[str, Any]:
         return raw
     changed = {key: value for key, value in limits.items() if key not in MARGINS or value != MARGINS[key]}
     return {key: value for key, value in {**raw, "limits": changed}.items() if key != "limits" or value}
-
-
-def _similar(text: str, names: Iterable[str]) -> str:
-    """Return the remedy for a name that is no shipped problem: a file or a problem with a similar name."""
-    with contextlib.suppress(OSError, ValueError):
-        files = sorted(path.name for path in Path().glob("*.toml"))
-        if meant := [f"{text}.toml"] * (f"{text}.toml" in files) or difflib.get_close_matches(text, files, n=1, cutoff=0.8):
-            return f'Did you mean the file "{meant[0]}"?'
-    guess = nearest(text, names).partition("Known: ")[0]
-    return f"{guess}`optlink list` names the shipped ones; or give the path of a .toml file"
 
 
 def shipped() -> dict[str, Path]:
@@ -191,7 +193,7 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
                     key="PROBLEM",
                     value=text,
                 )
-            raise InputError("no such problem", _similar(text, names), key="PROBLEM", value=text)
+            raise InputError("no such problem", similar_name(text, names), key="PROBLEM", value=text)
     raw = with_ranges(with_spellings(_read_toml(path)), skip=WORDS)
     file = path.name if text in names else text
     changes = _without_arrays(overrides or {})
@@ -401,14 +403,20 @@ def _coordinate(path: tuple[str, ...], table: Any, step: str) -> int | None:
     return names.index(step) if step in names else None
 
 
+def _at(raw: Mapping[str, Any], key: str) -> Any:
+    """Return the value at a dotted key; None if there is none."""
+    found: Any = raw
+    steps = key.split(".")
+    for depth, step in enumerate(steps):
+        place = _coordinate(tuple(steps[:depth]), found, step)
+        found = found[place] if place is not None else found.get(step) if isinstance(found, Mapping) else None
+    return found
+
+
 def _whole(raw: Mapping[str, Any], key: str, value: object, file: str) -> tuple[str, object]:
     """Return key and value of a whole range for one side of it: `limits.transmission_angle.max`, `mechanism.coupler.min`."""
     above, _, side = key.rpartition(".")
-    content: Any = raw
-    steps = above.split(".")
-    for depth, step in enumerate(steps):
-        place = _coordinate(tuple(steps[:depth]), content, step)
-        content = content[place] if place is not None else content.get(step) if isinstance(content, Mapping) else None
+    content = _at(raw, above)
     if side not in SIDES or value is None or content is None:
         return key, value
     if isinstance(content, Mapping):

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
+import difflib
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pydantic
@@ -268,6 +271,23 @@ TOML_FAULTS = (
     ("Invalid statement", "", "a line is neither key = value nor a [section] nor a # comment", "Correct that line"),
 )
 """Message of the TOML parser and rest of the line where it stopped (patterns), each in plain words with its remedy."""
+
+
+def similar_name(text: str, names: Iterable[str]) -> str:
+    """Return the remedy for a name that is no shipped problem: a file or a problem with a similar name.
+
+    Parameters
+    ----------
+    text : str
+    names : iterable of str
+        Those of the shipped problems.
+    """
+    with contextlib.suppress(OSError, ValueError):
+        files = sorted(path.name for path in Path().glob("*.toml"))
+        if meant := [f"{text}.toml"] * (f"{text}.toml" in files) or difflib.get_close_matches(text, files, n=1, cutoff=0.8):
+            return f'Did you mean the file "{meant[0]}"?'
+    guess = nearest(text, names).partition("Known: ")[0]
+    return f"{guess}`optlink list` names the shipped ones; or give the path of a .toml file"
 
 
 BINARY = {

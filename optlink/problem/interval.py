@@ -101,10 +101,27 @@ def check_time_ratio(stroke: str | None, value: float, key: str, low: float | No
         raise Unusable("the time of a stroke is positive", "Give a ratio above 0", key, value)
 
 
-def _read_interval(raw: object, kind: str | None) -> Interval:
-    def one(text: object, key: str = "") -> tuple[float, str]:
-        return read_scalar(text, kind, key) if kind else (read_number(text, key), "")
+def read_figure(raw: object, kind: str | None, key: str) -> tuple[float, str]:
+    """Read a value of a physical kind, or a plain number; return its SI number and the unit as written.
 
+    Parameters
+    ----------
+    raw : object
+        Value as read from the file.
+    kind : str or None
+        Physical kind; none or empty for a plain number.
+    key : str
+        Key of the value, for errors.
+
+    Raises
+    ------
+    Unusable
+        when the value cannot be read.
+    """
+    return read_scalar(raw, kind, key) if kind else (read_number(raw, key), "")
+
+
+def _read_interval(raw: object, kind: str | None) -> Interval:
     example = range_example(kind)
     if isinstance(raw, str) and (suggestion := mistyped_range(raw)) is not None:
         raise Unusable("this is not a range", f'Write it with two dots: "{suggestion}"', "", raw)
@@ -116,14 +133,14 @@ def _read_interval(raw: object, kind: str | None) -> Interval:
             raise Unusable(
                 "exactly and min or max are given together", "Give either exactly, or min and max", "exactly", raw["exactly"]
             )
-        exactly = one(raw["exactly"], "exactly") if "exactly" in raw else None
-        low, high = (one(raw[key], key) if key in raw else exactly for key in SIDES[:2])
+        exactly = read_figure(raw["exactly"], kind, "exactly") if "exactly" in raw else None
+        low, high = (read_figure(raw[key], kind, key) if key in raw else exactly for key in SIDES[:2])
     elif isinstance(raw, list):
         if len(raw) != 2:
             raise Unusable("a range is two values, lower and upper", f"Write {example}", "", raw)
-        low, high = one(raw[0]), one(raw[1])
+        low, high = (read_figure(end, kind, "") for end in raw)
     else:
-        low = high = one(raw)
+        low = high = read_figure(raw, kind, "")
     if low and high and low[0] > high[0]:
         raise Unusable("the lower limit is above the upper", "Exchange them", "", raw)
     unit = (low or high or (0.0, ""))[1]

@@ -28,7 +28,7 @@ from optlink.studies.cycle_task import with_starting_values
 from optlink.studies.kkt_derivatives import KKTPerturbation
 from optlink.studies.optimum_parameters import Optimum, OptimumParameters
 from optlink.studies.parameters import Parameter, design_variables, displayed, parameters
-from optlink.studies.toml_keys import exact_text, read_figure, value_at
+from optlink.studies.toml_keys import exact_text, read_figure
 from optlink.symbolic import CompiledFunction
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.protocol import completed
@@ -127,7 +127,7 @@ class CycleParameters(OptimumParameters):
             limit = self.nlp.rows[entry - len(self.nlp.variables)].limit
             if not limit.startswith(("limits.", "requirement.")) or limit in MARGIN_KEYS:
                 return ""
-            value = value_at(self.problem, limit)
+            value = self.problem.at(limit)
             exactly = isinstance(value, Mapping) and "exactly" in value
             return f"{limit}.exactly" if exactly else limit if parameter.equal else f"{limit}{side}"
         name = parameter.name if parameter.constant >= 0 else self.nlp.variables[entry].name
@@ -154,7 +154,7 @@ class CycleParameters(OptimumParameters):
 
 def _figures(problem: ProblemFile) -> list[Parameter]:
     """Return all numbers of bodies and loads in the file, guide friction, the speed and gravity as parameters."""
-    keys = [*(leaf for key in SINGLE_KEYS for leaf in _leaves(key, value_at(problem, key)))]
+    keys = [*(leaf for key in SINGLE_KEYS for leaf in _leaves(key, problem.at(key)))]
     for section in SECTIONS:
         keys += _leaves(section, problem.raw.get(section, {}))
     guides = problem.raw["mechanism"].get("guides", {})
@@ -202,7 +202,7 @@ def with_parameter(problem: ProblemFile, parameter: Parameter, value: float) -> 
     value : float [parameter.unit]
     """
     if parameter.unit == WHOLE:
-        pairs = [read_figure(each) for each in value_at(problem, parameter.key)]
+        pairs = [read_figure(each) for each in problem.at(parameter.key)]
         return problem.override(
             {parameter.key: [exact_text(component * value / parameter.value, unit) for component, unit in pairs]}
         )

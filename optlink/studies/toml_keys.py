@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,23 +27,6 @@ def exact_text(value: float, unit: str) -> Raw:
     if unit:
         return f"{float(value)!r} {unit}"
     return int(value) if float(value).is_integer() and abs(value) < 1e15 else value
-
-
-def value_at(problem: ProblemFile, key: str) -> Any:
-    """Return the value of the file at a key, or None.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-    key : str
-        Names separated by dots.
-    """
-    value: Any = problem.raw
-    for step in key.split("."):
-        if not isinstance(value, Mapping) or step not in value:
-            return None
-        value = value[step]
-    return value
 
 
 def read_figure(raw: Any) -> tuple[float, str]:

@@ -16,7 +16,7 @@ from optlink.problem.fixed_design import file_key, references
 from optlink.problem.quantity import check_choice
 from optlink.problem.templates import template, templates
 from optlink.report import toml_text
-from optlink.studies.toml_keys import exact_text, value_at
+from optlink.studies.toml_keys import exact_text
 from optlink.version import VERSION
 
 ROOM = 0.5  # share of a size by which it may change where the file has no bounds for it
@@ -87,7 +87,7 @@ class Document:
             return self
         unit, value = quantity.display[1], quantity.value if value is None else value
         document = self.with_changes({key: exact_text(value / quantity.si_per_unit, unit)})
-        return replace(document, freed={**self.freed, size: value_at(self.problem, key)})
+        return replace(document, freed={**self.freed, size: self.problem.at(key)})
 
     def released(self, size: str) -> Document:
         """Return the document with a fixed size as a design variable, within its former bounds.

@@ -13,7 +13,7 @@ from optlink.linkage.mechanism import Arm
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import file_key
 from optlink.problem.mechanism import FourBarSection
-from optlink.studies.toml_keys import Knob, exact_text, knobs, read_figure, value_at
+from optlink.studies.toml_keys import Knob, exact_text, knobs, read_figure
 from optlink.studio.picture import Picture
 
 LARGEST = 1e9  # in the unit of a handle
@@ -109,7 +109,7 @@ class Handle:
     def _start_within(self, problem: ProblemFile, ends: list[float]) -> dict[str, object]:
         """Return the starting value of a design variable, moved to the nearer bound where it would lie beyond it."""
         key = f"{self.keys[0].rpartition('.')[0]}.start"
-        start, unit = read_figure(value_at(problem, key))
+        start, unit = read_figure(problem.at(key))
         if unit != self.unit or ends[0] <= start <= ends[1]:
             return {}
         return {key: exact_text(min(max(start, ends[0]), ends[1]), unit)}
@@ -340,7 +340,7 @@ class _Handles:
             if name not in self.quantities:
                 continue
             key = self._key(name)
-            raw = value_at(self.problem, key) if "." in key else None
+            raw = self.problem.at(key) if "." in key else None
             if isinstance(raw, Mapping) and isinstance(raw.get("bounds"), list):
                 (low, unit), (high, other) = (read_figure(end) for end in raw["bounds"])
                 if unit and unit == other:

@@ -193,10 +193,7 @@ def check_pace(problem: ProblemFile, speed: float, processes: Mapping[str, tuple
 
 def _of_drive(problem: ProblemFile, key: str, message: str, remedy: str) -> InputError:
     """Return the error for a key of the drive or the controller."""
-    value: object = problem.raw
-    for step in key.split("."):
-        value = value.get(step) if isinstance(value, Mapping) else None
-    return InputError(message, remedy, problem.file, key, value)
+    return InputError(message, remedy, problem.file, key, problem.at(key))
 
 
 def with_flywheel(machine: Machine, inertia: float) -> Machine:

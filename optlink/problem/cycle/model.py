@@ -15,8 +15,8 @@ from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.vector2d import Value
 from optlink.problem.base_model import Name, Section
 from optlink.problem.cycle.quantities import guide_of, moving_points
-from optlink.problem.cycle.terms import Goal, Limit, Objective, Term, check_term, output_of, read_figure
-from optlink.problem.interval import SIDES, AnglesOfJoints, Interval, LargestAnglesOfJoints, RatioOfStrokes
+from optlink.problem.cycle.terms import Goal, Limit, Objective, Term, check_term, output_of
+from optlink.problem.interval import SIDES, AnglesOfJoints, Interval, LargestAnglesOfJoints, RatioOfStrokes, read_figure
 from optlink.problem.limits import Alignment, check_transmission, transmission_limit
 from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import FourBarSection, check_one_mode, sizes_of

@@ -11,8 +11,8 @@ from pydantic import BeforeValidator, model_validator
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.problem.base_model import Section
 from optlink.problem.cycle.quantities import GUIDE, QUANTITIES, QuantityType, guide_of, moving_points
-from optlink.problem.interval import STROKES, Interval, check_time_ratio
-from optlink.problem.quantity import FixedAngle, Number, Quantity, Unusable, check_name, nearest, read_scalar, where
+from optlink.problem.interval import STROKES, Interval, check_time_ratio, read_figure
+from optlink.problem.quantity import FixedAngle, Number, Quantity, Unusable, check_name, nearest, where
 
 Measure = Literal["peak", "rms", "mean", "largest", "least"]
 
@@ -311,30 +311,6 @@ def rockers(mechanism: Mechanism) -> list[str]:
             if any(mechanism.crank.body in owners for owners in bodies.values()):
                 names += [body for body, owners in bodies.items() if FRAME in owners]
     return names
-
-
-def read_figure(raw: object, kind: str, key: str) -> tuple[float, str]:
-    """Return a value in SI units and its unit as written.
-
-    Parameters
-    ----------
-    raw : object
-        Value as read from the file.
-    kind : str
-        Physical kind; empty for a plain number.
-    key : str
-        Key of the value, for errors.
-
-    Raises
-    ------
-    Unusable
-        when the value cannot be read.
-    """
-    if kind:
-        return read_scalar(raw, kind, key)
-    if isinstance(raw, bool) or not isinstance(raw, int | float) or not math.isfinite(raw):
-        raise Unusable("expected a plain number", "Write a number without a unit, for example 1.8", key, raw)
-    return float(raw), ""
 
 
 def _a(words: str) -> str:

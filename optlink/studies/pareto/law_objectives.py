@@ -12,7 +12,7 @@ from optlink.problem.function import DesignProblem
 from optlink.problem.interval import Interval, StrokeRatio
 from optlink.problem.quantity import nearest, range_example
 from optlink.studies.pareto.objective import OPTION, ParetoObjective
-from optlink.studies.toml_keys import Raw, exact_text, value_at
+from optlink.studies.toml_keys import Raw, exact_text
 from optlink.units import factor
 
 ERROR = "error"
@@ -85,7 +85,7 @@ def limit_in_file(problem: ProblemFile, key: str) -> Raw | None:
         Key of the limit, including its side.
     """
     above, _, side = key.rpartition(".")
-    whole = value_at(problem, above)
+    whole = problem.at(above)
     if isinstance(whole, Mapping):
         whole = whole.get("bounds", whole) if key.startswith("mechanism.") else whole
     if isinstance(whole, list):
@@ -165,7 +165,7 @@ def without_varied_limits(problem: ProblemFile, objectives: Sequence[ParetoObjec
     """
     for objective in objectives:
         above, _, side = objective.key.rpartition(".")
-        whole = value_at(problem, above)
+        whole = problem.at(above)
         if above.startswith("mechanism."):
             problem = problem.override({above: {"bounds": whole["bounds"]}})
         elif above == "limits.pressure_angle":
