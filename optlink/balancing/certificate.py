@@ -27,7 +27,7 @@ REFINED = {"iterative_refinement_reltol": 1e-14, "iterative_refinement_abstol": 
 
 
 @dataclass
-class Certificate:
+class ConeCertificate:
     """Certificate of an optimum: primal value, lower bound from the dual point, and feasibility of the primal point.
 
     `lower` is already reduced by the residual of the dual point. `outside`: largest violation of cones and rows by the primal
@@ -51,7 +51,7 @@ class Certificate:
         return self.gap <= GAP * max(1.0, abs(self.value)) and self.outside <= GAP
 
 
-def solved(cp: Any, problem: Any) -> Certificate:
+def solved(cp: Any, problem: Any) -> ConeCertificate:
     """Solve a cone programme to the tightest tolerance that the solver reaches, and certify the solution.
 
     Parameters
@@ -60,7 +60,7 @@ def solved(cp: Any, problem: Any) -> Certificate:
         cvxpy.
     problem : cvxpy.Problem
     """
-    best = Certificate("not solved")
+    best = ConeCertificate("not solved")
     for options in TOLERANCES:
         settings = {**options, **REFINED}
         data, chain, inverse = problem.get_problem_data(cp.CLARABEL, solver_opts=settings)
@@ -73,7 +73,7 @@ def solved(cp: Any, problem: Any) -> Certificate:
                 best.status = str(raw.status)
                 continue
         if problem.status in ("infeasible", "unbounded"):
-            return Certificate(problem.status, iterations=int(raw.iterations))
+            return ConeCertificate(problem.status, iterations=int(raw.iterations))
         if problem.status not in ("optimal", "optimal_inaccurate"):
             continue
         best = _certified(data, raw)
@@ -82,7 +82,7 @@ def solved(cp: Any, problem: Any) -> Certificate:
     return best
 
 
-def _certified(data: Mapping[str, Any], raw: Any) -> Certificate:
+def _certified(data: Mapping[str, Any], raw: Any) -> ConeCertificate:
     """Compute the certificate of the cone programme.
 
     Primal: minimise c x subject to b - A x in K; dual: maximise -b z subject to A' z + c = 0, z in K*.
@@ -92,7 +92,7 @@ def _certified(data: Mapping[str, Any], raw: Any) -> Certificate:
     dims = data["dims"]
     residual = np.abs(a.T @ z + c)
     lower = -float(b @ z) - float(residual @ np.maximum(np.abs(x), 1.0)) - _outside(z, dims, dual=True) * float(np.sum(np.abs(b)))
-    return Certificate("optimal", float(c @ x), lower, _outside(b - a @ x, dims, dual=False), int(raw.iterations))
+    return ConeCertificate("optimal", float(c @ x), lower, _outside(b - a @ x, dims, dual=False), int(raw.iterations))
 
 
 def _outside(s: Array, dims: Any, *, dual: bool) -> float:

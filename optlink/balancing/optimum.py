@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from optlink.balancing.certificate import GAP, Certificate, solved
+from optlink.balancing.certificate import GAP, ConeCertificate, solved
 from optlink.balancing.socp import CONSTRAINT_TOLERANCE, BalancingProgramme, Bound, Price
 from optlink.dynamics.counterweights import BalanceMeasure
 from optlink.errors import SolverError
@@ -48,7 +48,7 @@ class Optimum:
 
     x: Array
     value: float
-    certificate: Certificate
+    certificate: ConeCertificate
     prices: tuple[Price, ...] = ()
     exact: bool = False
 
@@ -108,7 +108,7 @@ def optimum(programme: BalancingProgramme, goal: Goal) -> Optimum:
         if exact is not None:
             least = goal[0][1] * programme.evaluate(goal[0][0], exact)
             # the residual of least squares is a lower bound for all parameters, within limits or not
-            proof = Certificate("optimal", least, least, 0.0, certificate.iterations)
+            proof = ConeCertificate("optimal", least, least, 0.0, certificate.iterations)
             return Optimum(exact, least, proof, _prices(programme, duals, exact), True)
     x = _without_crumbs(programme, goal, _Lightest(programme, [measure for measure, _ in goal]).like(x))
     return Optimum(x, evaluate(programme, goal, x), certificate, _prices(programme, duals, x))
@@ -306,7 +306,7 @@ class TradeOffPoint:
 
 
 @dataclass(frozen=True)
-class Curve:
+class TradeOffCurve:
     """The trade-off between two measures, from the least first to the least second measure.
 
     The solution times [s] of the first point and of a further point (median) are recorded.
@@ -317,7 +317,7 @@ class Curve:
     further_seconds: float
 
 
-def curve(programme: BalancingProgramme, first: BalanceMeasure, second: BalanceMeasure, count: int) -> Curve:
+def curve(programme: BalancingProgramme, first: BalanceMeasure, second: BalanceMeasure, count: int) -> TradeOffCurve:
     """Return Pareto-optimal points of two measures, evenly spaced along the front.
 
     The ends are the optima of each measure, with the other as small as that allows. For the points between, evenly spaced points
@@ -348,7 +348,7 @@ def curve(programme: BalancingProgramme, first: BalanceMeasure, second: BalanceM
     if (
         a1 - a0 <= 10.0 * LEAST_SQUARES_DIFFERENCE or b0 - b1 <= 10.0 * LEAST_SQUARES_DIFFERENCE
     ):  # no conflict: one point minimises both
-        return Curve((start,), math.nan, math.nan)
+        return TradeOffCurve((start,), math.nan, math.nan)
     at, depth = cp.Parameter(2), cp.Variable()
     rows = [
         programme.expression(first) <= at[0] + depth * (a1 - a0),
@@ -372,7 +372,7 @@ def curve(programme: BalancingProgramme, first: BalanceMeasure, second: BalanceM
         worse = max(pair[0] - values[0], pair[1] - values[1], 0.0)  # increase accepted for less mass
         gap, rate = certificate.gap * max(a1 - a0, b0 - b1) + worse, other / one if one > 0.0 else math.inf
         inner.append(TradeOffPoint(x, *pair, gap, rate))
-    return Curve((start, *inner, stop), seconds[0], float(np.median(seconds[1:])) if len(seconds) > 1 else math.nan)
+    return TradeOffCurve((start, *inner, stop), seconds[0], float(np.median(seconds[1:])) if len(seconds) > 1 else math.nan)
 
 
 def _end(programme: BalancingProgramme, first: BalanceMeasure, second: BalanceMeasure) -> Optimum:

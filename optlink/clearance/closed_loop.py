@@ -29,7 +29,7 @@ LOOKS = 4.0
 """Rows for each period in which a journal vibrates on its bearing under the load that the machine's motion makes."""
 
 
-class Revolution(NamedTuple):
+class SimulatedRevolution(NamedTuple):
     """One revolution.
 
     Its rows, the feedback correction of the crank angle beyond the command (m,) [rad], the contacts that ended; for every gap the
@@ -102,7 +102,7 @@ class ClosedLoop:
         self.start, self.nominal = start, nominal
         self.controller: Controller | None = None
         self.advanced: Callable[[float], None] = lambda revolutions: None
-        self.partial: Revolution | None = None  # rows of an interrupted revolution
+        self.partial: SimulatedRevolution | None = None  # rows of an interrupted revolution
 
     def _ideal(self, machine: Machine, start: float, speed: float) -> Array:
         """State of the machine without clearance."""
@@ -155,7 +155,7 @@ class ClosedLoop:
         row = (integration.state, integration.modes, integration.entered, integration.works)
         return Block(np.array([integration.time]), *(part[None, :].copy() for part in row))
 
-    def turn(self) -> Revolution:
+    def turn(self) -> SimulatedRevolution:
         """Simulate one revolution of the nominal speed.
 
         Raises
@@ -176,11 +176,11 @@ class ClosedLoop:
         peaks, k = integration.take_peaks(), len(self.equations.gaps)
         return whole._replace(impacts=impacts, depths=peaks[:k], forces=peaks[k : 2 * k], torque=peaks[-1])
 
-    def _rows(self, parts: list[tuple[Block, Array]], every: int) -> Revolution:
+    def _rows(self, parts: list[tuple[Block, Array]], every: int) -> SimulatedRevolution:
         """Select every `every`-th of the evaluated rows."""
         columns = zip(*(block for block, _ in parts), strict=True)
         whole = Block(*(np.concatenate(column)[every - 1 :: every] for column in columns))
-        return Revolution(whole, np.concatenate([further for _, further in parts])[every - 1 :: every], ())
+        return SimulatedRevolution(whole, np.concatenate([further for _, further in parts])[every - 1 :: every], ())
 
     def _samples(self, parts: list[tuple[Block, Array]]) -> None:
         """Simulate one revolution, sample by sample of the controller."""
@@ -220,7 +220,7 @@ class ClosedLoop:
         if self.controller and saved["pid"]:
             self.controller.pid.integral, self.controller.pid.before = saved["pid"]
 
-    def record(self, revolution: Revolution) -> ClearanceColumns:
+    def record(self, revolution: SimulatedRevolution) -> ClearanceColumns:
         """Return all columns of the rows of a revolution."""
         return ClearanceColumns(self.equations, revolution.block, revolution.further)
 

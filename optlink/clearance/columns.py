@@ -50,7 +50,7 @@ class ClearanceColumns:
         needed = moving.needed()
         forces = [one for several in moving.acting().values() for one in several]
         for gap, contact in zip(self.equations.gaps, self.touches, strict=True):
-            both = acting(gap, moving.play(gap), moving.position(gap.point, gap.journal), contact)
+            both = acting(gap, moving.journal_motion(gap), moving.position(gap.point, gap.journal), contact)
             forces += both
             for one in both:
                 self._exert(gap.point, one.body, one.force)
@@ -154,8 +154,8 @@ class ClearanceColumns:
 
     def _gaps(self) -> Iterator[tuple[str, str, Value]]:
         for gap, contact, mode in zip(self.equations.gaps, self.touches, self.block.modes.T, strict=True):
-            play, name = self.motion.play(gap), gap.point
-            for axis, value in zip("xy", play.eccentricity, strict=True):
+            journal, name = self.motion.journal_motion(gap), gap.point
+            for axis, value in zip("xy", journal.eccentricity, strict=True):
                 yield f"{name}.e{axis}_m", f"journal's centre relative to the bearing's at {name} in {axis}", value
             yield f"{name}.contact", f"1 if journal and bearing are in contact at {name}, otherwise 0", mode
             yield f"{name}.penetration_m", f"penetration at {name}; negative: remaining gap", contact.penetration

@@ -100,7 +100,7 @@ class Equations:
         modes : iterable of Value
             1 in contact, 0 apart, for each gap.
         """
-        return [touch(gap, moving.play(gap), v, m) for gap, v, m in zip(self.gaps, speeds, modes, strict=True)]
+        return [touch(gap, moving.journal_motion(gap), v, m) for gap, v, m in zip(self.gaps, speeds, modes, strict=True)]
 
     @property
     def losses(self) -> tuple[str, ...]:
@@ -124,7 +124,7 @@ class Equations:
         loads = unaccelerated.acting()
         forces = [one for several in loads.values() for one in several]
         for gap, contact in zip(self.gaps, touches, strict=True):
-            forces += acting(gap, unaccelerated.play(gap), unaccelerated.position(gap.point, gap.journal), contact)
+            forces += acting(gap, unaccelerated.journal_motion(gap), unaccelerated.position(gap.point, gap.journal), contact)
         residual = casadi.SX.zeros(n)
         for body, (force, moment) in moving.needed().items():
             state = unaccelerated.state(body)
@@ -175,7 +175,7 @@ class Equations:
         normal = casadi.vertcat(*[contact.normal for contact in touches])
         torque = casadi.SX(torque)
         bare = [
-            touch(gap, unaccelerated.play(gap), v).normal
+            touch(gap, unaccelerated.journal_motion(gap), v).normal
             for gap, v in zip(self.gaps, casadi.vertsplit(self.entered), strict=True)
         ]
         # the torque is linear in the modes, which scale the contact forces: derivative with respect to each contact force

@@ -74,7 +74,7 @@ class Inverse:
         with symbols_in_numpy():
             q, e = casadi.SX.sym("q", self.size), casadi.SX.sym("e", 2 * len(gaps))
             moved = ClearanceState(machine, self.tree, [Jet(value) for value in casadi.vertsplit(q)], speed)
-            apart = [moved.play(gap).eccentricity for gap in gaps]
+            apart = [moved.journal_motion(gap).eccentricity for gap in gaps]
             missing = [value - e[i] for i, value in enumerate(part for pair in apart for part in pair)]
             missing += [jet_parts(value)[0] for value in self.tree.open(moved.places)]
             value, gone = output.of(moved), casadi.vertcat(*missing)

@@ -59,7 +59,7 @@ class Gap:
     damping: float = field(default=0.0, kw_only=True)
 
 
-class Motion(NamedTuple):
+class JournalMotion(NamedTuple):
     """Motion of a journal in its bearing: eccentricity and its rate (of the centres), angular velocities of both bodies."""
 
     eccentricity: Vector
@@ -106,13 +106,13 @@ class Touch(NamedTuple):
     rubbing: Value
 
 
-def touch(gap: Gap, motion: Motion, speed: Value, closed: Value = 1.0) -> Touch:
+def touch(gap: Gap, motion: JournalMotion, speed: Value, closed: Value = 1.0) -> Touch:
     """Compute the contact between journal and bearing.
 
     Parameters
     ----------
     gap : Gap
-    motion : Motion
+    motion : JournalMotion
     speed : Value [m/s]
         Approach speed at the start of the contact.
     closed : Value
@@ -129,13 +129,13 @@ def touch(gap: Gap, motion: Motion, speed: Value, closed: Value = 1.0) -> Touch:
     return Touch(delta, rate, slip, normal, rub, force, elastic, (normal - spring) * rate, -rub * slip)
 
 
-def acting(gap: Gap, motion: Motion, journal: Vector, contact: Touch) -> tuple[Acting, Acting]:
+def acting(gap: Gap, motion: JournalMotion, journal: Vector, contact: Touch) -> tuple[Acting, Acting]:
     """Return the contact forces on both bodies, journal first, at one point so that their moments cancel.
 
     Parameters
     ----------
     gap : Gap
-    motion : Motion
+    motion : JournalMotion
     journal : pair of Value [m]
         Centre of the journal.
     contact : Touch

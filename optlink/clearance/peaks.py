@@ -51,7 +51,7 @@ Solve = Callable[[Array, Array, int], tuple[Array, Watched]]
 
 
 @dataclass
-class Interval:
+class MotionInterval:
     """A part of the motion without a switch: state at its start, parameters of the integrator (the first: its span [s])."""
 
     state: Array
@@ -64,7 +64,7 @@ class CurrentPeak:
     """The current maximum of one quantity, and the intervals where it may be exceeded: (bound, interval)."""
 
     value: float = 0.0
-    waiting: list[tuple[float, Interval]] = field(default_factory=list)
+    waiting: list[tuple[float, MotionInterval]] = field(default_factory=list)
 
 
 class Peaks:
@@ -98,7 +98,7 @@ class Peaks:
         span, k = float(parameters(0)[0]), len(self.gaps)
         values, _ = _curves(watched)
         bounds = self._bounds(watched, span, entered)
-        inside: dict[int, Interval] = {}
+        inside: dict[int, MotionInterval] = {}
         several = [(self.contacts[j], j) for j in range(k) if modes[j]]
         several += [(peak, j) for j, peak in enumerate(self.turn) if j == 2 * k or modes[j % k]]
         for peak, j in several:
@@ -107,7 +107,7 @@ class Peaks:
             peak.waiting = [one for one in peak.waiting if one[0] > least]
             for i in np.flatnonzero(bounds[:, j] > least).tolist():
                 if i not in inside:
-                    inside[i] = Interval(states[i].copy(), parameters(i))
+                    inside[i] = MotionInterval(states[i].copy(), parameters(i))
                 peak.waiting.append((float(bounds[i, j]), inside[i]))
 
     def _bounds(self, watched: Watched, span: float, entered: Array) -> Array:
@@ -159,7 +159,7 @@ class Peaks:
             peak.value = self._summit(interval, j, peak.value, deeper=True)
         return peak.value
 
-    def _summit(self, interval: Interval, j: int, least: float, *, deeper: bool) -> float:
+    def _summit(self, interval: MotionInterval, j: int, least: float, *, deeper: bool) -> float:
         """The maximum of quantity `j` within an interval, or `least` if that is larger."""
         if interval.divided is None:
             interval.divided = self.solve(interval.state, interval.parameters, PARTS)
@@ -176,7 +176,7 @@ class Peaks:
                 break
             inner = interval.parameters.copy()
             inner[0], inner[1] = span, interval.parameters[1] + i * span
-            best = self._summit(Interval(states[i], inner), j, best, deeper=False)
+            best = self._summit(MotionInterval(states[i], inner), j, best, deeper=False)
         return best
 
 

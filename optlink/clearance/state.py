@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from optlink.clearance.joint import Gap, Motion
+from optlink.clearance.joint import Gap, JournalMotion
 from optlink.clearance.spanning_tree import SpanningTree
 from optlink.dynamics.inertia import BodyMotion, Wrench, body_motion
 from optlink.dynamics.inverse import required_wrench
@@ -106,11 +106,11 @@ class ClearanceState:
         """
         return np.tanh(of(self)[0] / (SMOOTH * abs(self.nominal) * size))
 
-    def play(self, gap: Gap) -> Motion:
+    def journal_motion(self, gap: Gap) -> JournalMotion:
         """Return the motion of the journal of a gap in its bearing."""
         one, other = self.velocity(gap.point, gap.journal), self.velocity(gap.point, gap.bearing)
         eccentricity = minus(self.position(gap.point, gap.journal), self.position(gap.point, gap.bearing))
-        return Motion(eccentricity, minus(one, other), self.state(gap.journal).omega, self.state(gap.bearing).omega)
+        return JournalMotion(eccentricity, minus(one, other), self.state(gap.journal).omega, self.state(gap.bearing).omega)
 
     # --- forces and energies -----------------------------------------------------------------------------------------
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from optlink.clearance.closed_loop import ClosedLoop, Revolution
+from optlink.clearance.closed_loop import ClosedLoop, SimulatedRevolution
 from optlink.clearance.columns import ClearanceColumns
 from optlink.clearance.integration import Impact, Stalled
 from optlink.linkage.vector2d import Array
@@ -64,7 +64,7 @@ class Statistics:
         """
         if self.first is None:
             closed_loop = self.closed_loop
-            self.first = float(closed_loop.record(Revolution(closed_loop.now(), np.zeros(1), ())).energy[0])
+            self.first = float(closed_loop.record(SimulatedRevolution(closed_loop.now(), np.zeros(1), ())).energy[0])
             self.largest = abs(self.first)
         turn = self.closed_loop.turn()
         record = self.closed_loop.record(turn)
@@ -75,7 +75,7 @@ class Statistics:
         self.rows.append(rows)
         return rows
 
-    def _rows(self, turn: Revolution, record: ClearanceColumns) -> dict[str, Array]:
+    def _rows(self, turn: SimulatedRevolution, record: ClearanceColumns) -> dict[str, Array]:
         """The columns, with the ideal output, the error and the correction."""
         output, columns = self.closed_loop.output, record.columns
         ideal = self._ideal_output(record)
@@ -122,7 +122,7 @@ class Statistics:
         moving = closed_loop.equations.machine.moving(angle)
         return np.broadcast_to(np.asarray(closed_loop.output.ideal(moving)[0]), time.shape)
 
-    def _sum(self, rows: Mapping[str, Array], error: Array, turn: Revolution, steady: bool) -> None:
+    def _sum(self, rows: Mapping[str, Array], error: Array, turn: SimulatedRevolution, steady: bool) -> None:
         impacts = turn.impacts
         self.count += 1
         unit, output_name = self.closed_loop.output.unit, self.closed_loop.output.name

@@ -150,8 +150,8 @@ Speed = Annotated[str | None, option("SPEED", 'Crank speed: --speed "64 rpm"; ne
 BOTH = "Solver; both: SLSQP and IPOPT solve independently and must agree."
 Searcher = Annotated[str, option(BACK_ENDS, BOTH, "--backend", parser=back_end)]
 MORE = (
-    "Number of starting points; more are never worse. Motion law or function: N per assembly mode; path: at least N. "
-    "Default: as many as make a better design unlikely; 1 if a law's optimum is certified instead."
+    "Number of starting points; a larger number is never worse. Motion law or function: N per assembly mode; path: at least N. "
+    "Default: until a better design is unlikely; 1 for a law with a certified optimum."
 )
 Starts = Annotated[int | None, number(MORE, "--starts")]
 Seed = Annotated[int, number("Seed of the starting points.", "--seed", metavar="S")]

@@ -41,7 +41,7 @@ def show(
     problem: Shown = "",
     changes: Set = None,
     schema: Annotated[
-        str, option("KIND", "Print the JSON schema of a kind of result in place of a problem; of all: result.", "--schema")
+        str, option("KIND", "Print the JSON schema of a kind of result; KIND result: of all kinds.", "--schema")
     ] = "",
     as_toml: Annotated[bool, flag("Print a problem file, as a template for your own.", "--toml")] = False,
     as_json: Json = False,

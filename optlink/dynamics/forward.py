@@ -33,7 +33,7 @@ from optlink.dynamics.inertia import kinetic, potential
 from optlink.dynamics.inverse import Reactions, reactions
 from optlink.dynamics.loads import Magnitude
 from optlink.dynamics.machine import Machine, Moving
-from optlink.dynamics.runge_kutta import Attempt, Step, Stepper, attempt, states_at
+from optlink.dynamics.runge_kutta import Step, Stepper, TrialStep, attempt, states_at
 from optlink.dynamics.work import jumps
 from optlink.linkage.jet import Jet
 from optlink.linkage.motion import Motion
@@ -186,14 +186,14 @@ class _EquationsOfMotion:
         rates = _flat(self.rates(float(state[0]), float(state[1]))) if numbers else self.traced(state[:2])
         return np.concatenate(self.placed(rates, state))
 
-    def attempt(self, state: Array, first: Array, size: float) -> Attempt:
+    def attempt(self, state: Array, first: Array, size: float) -> TrialStep:
         """Take one step of the integrator."""
         if self.by_numbers:
             trial = attempt(self, np.column_stack, state, first, size)
             return trial._replace(rates=np.array(trial.rates))
         self.evaluations += ALL - 1
         new, rates, (fifth, third) = self.functions()[1](state, first, size)
-        return Attempt(new, rates.reshape(ALL, len(state)), float(fifth), float(third))
+        return TrialStep(new, rates.reshape(ALL, len(state)), float(fifth), float(third))
 
 
 def _flat(parts: list[Value]) -> Array:

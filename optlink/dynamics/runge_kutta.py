@@ -25,7 +25,7 @@ SAFETY, LEAST, MOST = 0.9, 0.2, 10.0  # of the change of the step size
 EXPONENT = -1.0 / 8.0
 
 
-class Attempt(NamedTuple):
+class TrialStep(NamedTuple):
     """A step: the new state, the rates at all stages, and the squares of its errors of orders 5 and 3 over their tolerances."""
 
     state: Any
@@ -34,7 +34,7 @@ class Attempt(NamedTuple):
     third: Any
 
 
-def attempt(rates: Callable[[Any], Any], stack: Callable[[list[Any]], Any], state: Any, first: Any, size: Any) -> Attempt:
+def attempt(rates: Callable[[Any], Any], stack: Callable[[list[Any]], Any], state: Any, first: Any, size: Any) -> TrialStep:
     """Take one step, of numbers or symbols.
 
     Parameters
@@ -61,7 +61,7 @@ def attempt(rates: Callable[[Any], Any], stack: Callable[[list[Any]], Any], stat
             new = at
     scale = ABSOLUTE + RELATIVE * np.maximum(np.abs(state), np.abs(new))
     fifth, third = (combined(row) / scale for row in (coefficients.fifth, coefficients.third))
-    return Attempt(new, stages, fifth.T @ fifth, third.T @ third)
+    return TrialStep(new, stages, fifth.T @ fifth, third.T @ third)
 
 
 class Step(NamedTuple):
@@ -153,7 +153,7 @@ class Stepper:
     Parameters
     ----------
     rates : function of a state (n,) to its rates
-    attempt : function of a state, its rates and a step size to an Attempt
+    attempt : function of a state, its rates and a step size to an TrialStep
     time, end : float [s]
     state, first : array (n,)
         Initial state and its rates.
@@ -162,7 +162,7 @@ class Stepper:
     def __init__(
         self,
         rates: Callable[[Array], Array],
-        attempt: Callable[[Array, Array, float], Attempt],
+        attempt: Callable[[Array, Array, float], TrialStep],
         time: float,
         end: float,
         state: Array,

@@ -332,7 +332,7 @@ class Assembly:
             joints = [joint if isinstance(joint, str) else joint.name for joint in self.placed_joints(body)]
             if len(joints) > 1:
                 return StructureError(
-                    f"{body} cannot move on its own: {_list(joints)} hold it already, which leaves it no freedom",
+                    f"{body} cannot move: {_list(joints)} already fix its position",
                     "Remove one of these joints, or add a body between",
                     f"links.{body}",
                 )

@@ -116,7 +116,7 @@ class CouplerLinkage:
             if not math.isfinite(value):
                 raise InputError("not a finite number", "Give a number in SI units", key=name, value=value)
             if name in ("crank", "coupler", "rocker", "frame") and value <= 0.0:
-                raise InputError("a link length is positive", "Give it in m, above 0", key=name, value=value)
+                raise InputError("a link length must be positive", "Give it in m, above 0", key=name, value=value)
         if self.side not in (1, -1):
             raise InputError("not an assembly mode", "Give 1 or -1", key="side", value=self.side)
 
@@ -314,7 +314,9 @@ def cognates(linkage: CouplerLinkage, at: float | None = None) -> Cognates:
             "the four-bar cannot be assembled so that it moves", "Make the longest link shorter", value=linkage.lengths
         )
     if at is not None and not any(_within(at, low, high) for low, high in ranges):
-        raise InputError("the four-bar is not assembled there", f"It is in {ranges} rad", key="at", value=at)
+        raise InputError(
+            "the four-bar cannot be assembled at this crank angle", f"Give one within {ranges} rad", key="at", value=at
+        )
     smallest = DEGENERATE * max(linkage.lengths)
     first = second = None
     if math.hypot(linkage.along, linkage.across) > smallest:

@@ -140,7 +140,7 @@ def box_problem(problem: ProblemFile) -> DesignBoxes:
         elif model.data.offsets is None:
             reason = "the crank angles at the points are unknowns too"
         elif model.requirement.kind == "transmission" and not _four_bar(model):
-            reason = "of transmission problems only those of four-bars have one"
+            reason = "among transmission problems, only those of four-bars have one"
         else:
             return DesignBoxes(model)
     raise InputError(Fault(f"no certificate of the global optimum: {reason}", "Leave --certify out", problem.file, "--certify"))

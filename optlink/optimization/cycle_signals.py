@@ -26,7 +26,7 @@ from optlink.linkage.zeros import sign_changes, zeros
 from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.cycle.quantities import guide_of
 from optlink.problem.cycle.terms import Term, output_of
-from optlink.problem.machine.load_curves import Curve
+from optlink.problem.machine.load_curves import LoadTable
 from optlink.problem.mechanism import sizes_of
 from optlink.symbolic import CompiledFunction, NumpyEvaluator, symbols_in_numpy
 
@@ -278,7 +278,7 @@ class TracedCycle:
             guide = str(load.direction) if isinstance(load, Force) else ""
             if load.switching:
                 add(("guide", guide) if slides else ("load", load.name), _reversal(load))
-            if isinstance(load, Force) and isinstance(load.magnitude, Curve) and load.magnitude.over == "s":
+            if isinstance(load, Force) and isinstance(load.magnitude, LoadTable) and load.magnitude.over == "s":
                 for row, at in enumerate(load.magnitude.at):
                     add(("corner", load.name, str(row)), _corner(guide, at))
         for term in self.terms:

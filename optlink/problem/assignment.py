@@ -67,7 +67,7 @@ def parse_assignment(text: str, option: str = "--set") -> tuple[str, object]:
         read_back = tomllib.loads(f"value = {value}")
         if len(read_back) == 1:
             return key, read_back["value"]
-        raise InputError("a value is one line", f"Repeat {option} for every key", key=key, value=value)
+        raise InputError("a value must be on one line", f"Repeat {option} for every key", key=key, value=value)
     except (tomllib.TOMLDecodeError, ValueError, RecursionError):
         repaired = _BARE.sub(_quoted, value) if value[0] in "[{" and len(value) <= MOST_BARE else plain(value)
         with contextlib.suppress(tomllib.TOMLDecodeError, ValueError, RecursionError):

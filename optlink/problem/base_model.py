@@ -215,7 +215,7 @@ def check_length(values: Sequence[Any] | NDArray[Any], count: int, key: str) -> 
         If it has not `count` entries.
     """
     if len(values) != count:
-        raise Contradiction(key, f"there are {len(values)} numbers where {count} belong")
+        raise Contradiction(key, f"expected {count} numbers, found {len(values)}")
 
 
 def absent() -> Any:

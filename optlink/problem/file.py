@@ -187,12 +187,8 @@ def load(problem: str | Path, overrides: Mapping[str, object] | None = None) -> 
         name = path.stem
         if not text.endswith(".toml") and not os.path.exists(text):  # False for a name that is too long
             if text in data_files("templates"):
-                raise InputError(
-                    "this is a template, not a problem",
-                    f"Write a problem file from it: optlink new {text} --out {text}.toml",
-                    key="PROBLEM",
-                    value=text,
-                )
+                remedy = f"Write a problem file from it: optlink new {text} --out {text}.toml"
+                raise InputError("this is a template, not a problem", remedy, key="PROBLEM", value=text)
             raise InputError("no such problem", similar_name(text, names), key="PROBLEM", value=text)
     raw = with_ranges(with_spellings(_read_toml(path)), skip=WORDS)
     file = path.name if text in names else text

@@ -235,7 +235,9 @@ class DesignProblem(Problem):
         function = requirement.law if isinstance(requirement.law, Function) else None
         check_one_mode(self.mechanism)
         if self.mechanism.placed:
-            raise Unusable("a motion law has no place in the plane", "Leave pivot and direction out", "mechanism.pivot")
+            raise Unusable(
+                "a motion law does not depend on the position of the linkage", "Leave pivot and direction out", "mechanism.pivot"
+            )
         if self.mechanism.assembly == EITHER and function is None:
             remedy = 'Write "left" or "right"'
             raise Unusable("a motion law is designed for one assembly mode", remedy, "mechanism.assembly", EITHER)
@@ -243,7 +245,7 @@ class DesignProblem(Problem):
         check_rotation(requirement.law, requirement.span, "from", start)
         if function is not None and start is not None and not isinstance(start, Quantity):
             raise Unusable(
-                "a function starts at a crank angle, fixed or free",
+                "the start of a function must be a crank angle, fixed or free",
                 'Write from = { start = "50 deg", bounds = ["0 deg", "180 deg"] }, or leave it out: then it is a design variable',
                 "requirement.from",
                 requirement.start,

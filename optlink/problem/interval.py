@@ -98,7 +98,7 @@ def check_time_ratio(stroke: str | None, value: float, key: str, low: float | No
             remedy = "Give 1" if key else f"Write [1, {high:g}]" if slow else f"Write [{low:g}, 1]"
         raise Unusable(f"the {stroke or 'slow'} stroke takes {words} one, so that the ratio is 1 or {side}", remedy, key, value)
     if value <= 0.0:
-        raise Unusable("the time of a stroke is positive", "Give a ratio above 0", key, value)
+        raise Unusable("the ratio of two stroke times must be positive", "Give a ratio above 0", key, value)
 
 
 def read_figure(raw: object, kind: str | None, key: str) -> tuple[float, str]:

@@ -233,7 +233,11 @@ def check_limits(limits: Limits, joints: Sequence[str]) -> None:
         limits.transmission_at(joint)
     for term, _ in limits_in_file(limits) if limits.crank != "full rotation" else ():
         if term.crank_rocker:
-            raise Unusable("only a crank-rocker has it", 'Set limits.crank = "full rotation", or leave the limit out', term.key)
+            raise Unusable(
+                "this limit applies to a crank-rocker only",
+                'Set limits.crank = "full rotation", or leave the limit out',
+                term.key,
+            )
     if limits.crank == "span" and limits.transmission_over == "revolution":
         raise Unusable(
             "a crank that need not turn fully has no whole revolution",

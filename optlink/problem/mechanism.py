@@ -289,7 +289,7 @@ class DyadsSection(Section):
             key = f"mechanism.links.{name}"
             start, end = (*link.joints, "")[:2]
             if end and link.length is None:
-                raise Unusable("a link with two joints has a length", 'Add length = "100 mm"', f"{key}.length")
+                raise Unusable("a link with two joints needs a length", 'Add length = "100 mm"', f"{key}.length")
             if not end and link.length is not None:
                 raise Unusable("a body with one joint has no length", 'Add its other joint: joints = ["B", "C"]', f"{key}.joints")
             names = [start, *([end] if end else []), *link.points]
@@ -313,7 +313,7 @@ class DyadsSection(Section):
             elif guide.through is None:
                 if guide.on == FRAME:
                     example = f'through = "{next(iter(self.ground), "D")}", or through = ["0 mm", "575 mm"]'
-                    raise Unusable("a guide on the frame passes through a point", f"Add {example}", f"{key}.through")
+                    raise Unusable("a guide on the frame needs a point on its line", f"Add {example}", f"{key}.through")
                 through = self.links[guide.on].joints[0]
             else:
                 through = self._point(guide.through, guide.on, f"{key}.through")

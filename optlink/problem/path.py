@@ -93,7 +93,9 @@ class PathRequirement(Section):
                 kind == "transmission" or isinstance(raw, bool) or not isinstance(raw, int) or not 2 <= raw <= 400
             ):
                 remedy = "Leave points out" if kind == "transmission" else "Give a whole number from 2 to 400, or leave it out"
-                raise Unusable(f"no points belong to a {kind}" if kind == "transmission" else "no number of positions", remedy)
+                raise Unusable(
+                    f"a {kind} requirement has no points" if kind == "transmission" else "not a number of positions", remedy
+                )
             return raw
         return read_points(raw, folder_of(info))
 

@@ -99,9 +99,11 @@ def _check_output(problem: PathProblem, mechanism: Mechanism) -> None:
         remedy = f"Write output = one of: {', '.join(outputs)}" if task.output is None else nearest(task.output, outputs)
         raise Unusable(f"the output is the name of a {what}", remedy, "requirement.output", task.output)
     if task.zero is not None and not problem.slides:
-        raise Unusable("only a slider has it", "Write psi0 for the angle of a body", "requirement.zero", str(task.zero))
+        raise Unusable(
+            "this key applies to a slider only", "Write psi0 for the angle of a body", "requirement.zero", str(task.zero)
+        )
     if task.psi0 is not None and problem.slides:
-        raise Unusable("only a body that turns has it", "Write zero for a slide", "requirement.psi0", str(task.psi0))
+        raise Unusable("this key applies to a rotating body only", "Write zero for a slide", "requirement.psi0", str(task.psi0))
     for key in ("zero", "psi0"):
         if getattr(task, key) is not None and not problem.based:
             remedy = f"Leave it out, or add {'s0' if key == 'zero' else 'psi0'} to the law"
@@ -163,7 +165,7 @@ def _check_points(problem: PathProblem, mechanism: Mechanism) -> None:
         )
     if task.start is not None and problem.timing != "from start":
         raise Unusable(
-            "only points that are timed from a start have one",
+            "this key applies to points that are timed from a start only",
             'Write timing = "from start", or leave start out',
             "requirement.start",
             str(task.start),
@@ -192,7 +194,7 @@ def _check_distinct_poses(points: TargetPoints, *, closed: bool) -> None:
         assert points.angles is not None
         turn = math.remainder(points.angles[i] - points.angles[j], math.tau)
         if np.linalg.norm(poses[i] - poses[j]) <= COINCIDENT * points.size and abs(turn) <= COINCIDENT:
-            message = f"poses {j + 1} and {i + 1} are the same, which one revolution meets once"
+            message = f"poses {j + 1} and {i + 1} are the same, but one revolution passes a pose only once"
             raise Unusable(message, "Remove one of them, or prescribe crank angles for a dwell", "requirement.points")
 
 
@@ -200,7 +202,9 @@ def _check_limits(problem: PathProblem, mechanism: Mechanism) -> None:
     limits, four_bar = problem.limits, isinstance(problem.mechanism, FourBarSection)
     for key in four_bar_limits():
         if key in limits.model_fields_set and not four_bar:
-            raise Unusable("only a four-bar has it", "Leave it out, and bound the lengths themselves", f"limits.{key}")
+            raise Unusable(
+                "this limit applies to a four-bar only", "Leave it out, and bound the lengths themselves", f"limits.{key}"
+            )
     if limits.crank == "double-crank" and not four_bar:
-        raise Unusable("only a four-bar can be one", 'Write crank = "full rotation"', "limits.crank", limits.crank)
+        raise Unusable("only a four-bar can be a double-crank", 'Write crank = "full rotation"', "limits.crank", limits.crank)
     check_limits(limits, [group.joint for group in transmitting(mechanism)])

@@ -393,7 +393,7 @@ def read_positive(raw: object, kind: str) -> Quantity:
     """
     quantity = read_fixed(raw, kind)
     if quantity.value < 0.0:
-        raise Unusable(f"{'an' if kind[0] in 'aeiou' else 'a'} {kind} is not negative", "Give zero or more", "", raw)
+        raise Unusable(f"{'an' if kind[0] in 'aeiou' else 'a'} {kind} must not be negative", "Give zero or more", "", raw)
     return quantity
 
 

@@ -159,7 +159,7 @@ def read_tolerance(raw: object, folder: Path) -> ToleranceEntry:
             message = "measured deviations are a distribution themselves" if entry.measured else "unknown distribution"
             raise Unusable(message, "Leave it out" if entry.measured else nearest(str(shape), CHOICES), "distribution", shape)
         if isinstance(cost, bool) or not isinstance(cost, int | float) or not 0.0 < cost < math.inf:
-            raise Unusable("a cost coefficient is a number above zero", "Write cost = 2", "cost", cost)
+            raise Unusable("a cost coefficient must be a number above zero", "Write cost = 2", "cost", cost)
         return replace(entry, shape=shape, cost=float(cost))
     if not isinstance(raw, str):
         remedy = f'Write "0.1 mm", "0.1 mm uniform", "parts.csv" or {{ {", ".join(f"{key} = ..." for key in KEYS)} }}'

@@ -119,7 +119,9 @@ def read_axis(assignment: str) -> Axis:
         if ratio < 1.0:
             raise fault("the step is longer than the range", "Give a shorter step, or one value with --set")
         if ratio >= MAX_POINTS:  # including infinity
-            raise fault(f"so short a step makes more points than a sweep takes, {MAX_POINTS:,}", "Give a longer step")
+            raise fault(
+                f"the step is too small: the number of points exceeds the limit of a sweep, {MAX_POINTS:,}", "Give a longer step"
+            )
         steps = math.floor(ratio)
         return Axis(key, unit, tuple(a + size * i for i in range(steps + 1)))
     number = int(count)
@@ -140,7 +142,7 @@ def read_axis(assignment: str) -> Axis:
 def _most(count: int, fault: object) -> None:
     if count > MAX_POINTS:
         assert callable(fault)
-        raise fault(f"{count:,} points are more than a sweep takes, {MAX_POINTS:,}", "Give fewer points")
+        raise fault(f"{count:,} points exceed the limit of a sweep, {MAX_POINTS:,}", "Give fewer points")
 
 
 def _value_list(key: str, values: str, fault: object) -> Axis:
@@ -240,7 +242,7 @@ def read_grid(problem: ProblemFile, vary: Sequence[str]) -> Grid:
         days, size = grid.count / POINTS_PER_SECOND / 86400.0, grid.count * ROW_BYTES / 1e9
         shape = " x ".join(f"{len(axis.values):,}" for axis in grid.axes)
         raise InputError(
-            f"{shape} = {grid.count:,} points are more than a sweep takes, {MAX_POINTS:,}: "
+            f"{shape} = {grid.count:,} points exceed the limit of a sweep, {MAX_POINTS:,}: "
             f"about {days:z,.0f} days on one core and {size:z,.0f} GB",
             "Give fewer points, or vary fewer parameters at a time",
             problem.file,

@@ -321,7 +321,7 @@ def _task(
         replace(whole, grid=first).lines(0)  # detects invalid columns or dimensions early
         return whole
     if design is not None:
-        raise InputError("a given design is not optimised", "Leave --design out, or add --analyze", key="--design")
+        raise InputError("--design has no effect on an optimisation", "Leave --design out, or add --analyze", key="--design")
     check_backend(backend)
     if problem.task not in ("path", "cycle"):
         problem.spec  # noqa: B018 - raises if there is nothing to solve

@@ -115,7 +115,7 @@ def carried(problem: ProblemFile, last: Design) -> Design:
     return Design(problem, values, UNVERIFIED, crank_angles=last.crank_angles, conclusion=words)
 
 
-def designed(result: Any) -> Design:
+def design_of(result: Any) -> Design:
     """Return the design of an ordinary result, with the verdict of its validation."""
     if isinstance(result, Analysis | Balance):
         return _machine(result)
@@ -163,7 +163,7 @@ def solved(problem: ProblemFile, progress: Callable[[float], None] | None = None
     problem : ProblemFile
     progress : function of the completed fraction, optional
     """
-    return designed(kind_of(problem).result(problem, progress))
+    return design_of(kind_of(problem).result(problem, progress))
 
 
 def checked(design: Design) -> Design:
@@ -171,7 +171,7 @@ def checked(design: Design) -> Design:
     from optlink.tasks.run import validate
 
     model = design.problem.model
-    result = designed(validate(design.problem, {name: design.values[name] for name in model.free}))
+    result = design_of(validate(design.problem, {name: design.values[name] for name in model.free}))
     return replace(
         result, solution=design.solution, limits=design.limits, objective=design.objective, conclusion=result.conclusion
     )

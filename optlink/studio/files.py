@@ -75,4 +75,4 @@ def inflated(fragment: str) -> str:
             raise ValueError
         return text.decode()
     except (ValueError, binascii.Error, zlib.error):
-        raise InputError("the link holds no problem", "Copy the whole link") from None
+        raise InputError("the link contains no problem", "Copy the whole link") from None

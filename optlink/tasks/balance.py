@@ -102,7 +102,7 @@ class _Task:
         if bad:
             where = ", ".join(f"{math.degrees(a):.6g}" for a in bad[:3])
             raise InputError(
-                f"no finite reactions at crank angle {where} deg, so it cannot be balanced there",
+                f"the reactions are not finite at crank angle {where} deg, so the machine cannot be balanced",
                 "`optlink analyze` gives the reason; keep away from singular positions",
                 self.problem.file,
                 "mechanism",

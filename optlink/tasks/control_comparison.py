@@ -46,7 +46,7 @@ def random_crank_angles(count: int, seed: int) -> Array:
     """
     check_range("starts", count, 1, 10_000)
     if seed < 0:
-        raise InputError("a seed is not negative", "Give zero or more", key="seed", value=seed)
+        raise InputError("a seed must not be negative", "Give zero or more", key="seed", value=seed)
     return np.random.default_rng(seed).uniform(0.0, TURN, count)
 
 

@@ -204,7 +204,7 @@ class DesignTask(ABC, Generic[R]):
         backend : "slsqp", "ipopt" or "both"
             With "both" each solver searches separately, the better design is used, and the results must agree.
         starts : int, optional
-            Number of starting points; a larger number contains those of a smaller one, so that more are never worse.
+            Number of starting points; a larger number includes those of a smaller one, so it is never worse.
         seed : int
             Seed of the random starting points.
         progress : function of the completed fraction, optional
@@ -244,7 +244,7 @@ class DesignTask(ABC, Generic[R]):
         check_choice("backend", backend, known, "unknown back end")
         check_range("starts", 1 if starts is None else starts, 1, self.most_starts)
         if seed < 0:
-            raise InputError("a seed is not negative", "Give 0 or more", key="seed", value=seed)
+            raise InputError("a seed must not be negative", "Give 0 or more", key="seed", value=seed)
         if not problem.model.free:
             message = "no design variables: every dimension is fixed"
             raise InputError(message, f"Free one: {self.free_example}, or {self.without_free}", problem.file, "mechanism")

@@ -166,7 +166,7 @@ def simulate(
     duration = duration_of(problem, duration)
     if duration is None:
         if LONGEST * abs(drive.speed.value) < TURN:
-            message = "the simulated time is not stated, and does not follow from so low a speed"
+            message = "the duration is missing, and the speed is too low for a default"
             raise InputError(message, 'Give drive.duration = "2 s"', problem.file, "drive.duration")
         duration = TURN / abs(drive.speed.value)
     check_range("points", rows, 1, MAX_ROWS)

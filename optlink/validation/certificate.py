@@ -188,7 +188,7 @@ def _check_shapes(certificate: CertificateFile, problem: ProblemFile) -> None:
             if values.shape != (count, len(free)) or not np.all(np.isfinite(values)):
                 raise Contradiction(f"covers[{k}].{name}", f"this is not {count} rows of {len(free)} finite numbers")
         if len(cover.multipliers) != count:
-            raise Contradiction(f"covers[{k}].multipliers", f"there are {len(cover.multipliers)} rows where {count} belong")
+            raise Contradiction(f"covers[{k}].multipliers", f"expected {count} rows, found {len(cover.multipliers)}")
         if any(not 0 <= index < len(cover.limits) for row in cover.multipliers for index in row):
             raise Contradiction(f"covers[{k}].multipliers", f"an index is not one of the {len(cover.limits)} limits")
 

@@ -31,7 +31,7 @@ from optlink.clearance import (
 from optlink.clearance.contact_laws import SLOWEST
 from optlink.clearance.hermite import crossing, summit
 from optlink.clearance.integration import Block, Impact, Integration
-from optlink.clearance.joint import Motion
+from optlink.clearance.joint import JournalMotion
 from optlink.clearance.statistics import RETAINED_REVOLUTIONS
 from optlink.dynamics.ending import Ending
 from optlink.dynamics.inverse import acting_on
@@ -334,14 +334,14 @@ def _radius_of_the_bearing(monkeypatch):
     def slip(self, radius):
         return cross(self.normal, self.rate) + radius * self.journal - (radius + 0.5e-3) * self.bearing
 
-    monkeypatch.setattr(Motion, "slip", slip)
+    monkeypatch.setattr(JournalMotion, "slip", slip)
 
 
 def _journal_does_not_turn(monkeypatch):
     def slip(self, radius):
         return cross(self.normal, self.rate) - (radius + self.distance) * self.bearing
 
-    monkeypatch.setattr(Motion, "slip", slip)
+    monkeypatch.setattr(JournalMotion, "slip", slip)
 
 
 @pytest.mark.slow

@@ -110,7 +110,7 @@ BAD = {
     "swing of a double-crank": (
         {"limits.crank": "double-crank", "requirement.from": "10 deg", "limits.swing_angle": "40 deg"},
         "limits.swing_angle",
-        "only a crank-rocker",
+        "a crank-rocker only",
     ),
     "dead centre of a double-crank": ({"limits.crank": "double-crank"}, "requirement.from", "no dead centres"),
     "revolution of a span": (

@@ -196,7 +196,7 @@ DAMAGED = {
     "status": ("fine", "certificate.status"),
     "objective": (0.5, "the gap is too large for the status of the proof"),
     "lower_bound": (0.001, "certificate.lower_bound = 0.001: the result is damaged: the gap is too large for the status"),
-    "asked": (7.0, "certificate.asked = 7.0: the result is damaged: this is not a share"),
+    "asked": (7.0, "certificate.asked = 7.0: the result is damaged: expected a number from 1e-12 to less than 1"),
     "boxes": (-1, "certificate.open_boxes"),
     "open_boxes": (4, "certificate.open_boxes = 4: the result is damaged: it does not fit the status of the proof"),
     "unknowns": (["coupler"], "the design variables of the problem are coupler, rocker"),
@@ -224,7 +224,10 @@ def test_a_damaged_certificate_is_refused_in_a_sentence(solved, tmp_path, key):
 
 
 def test_boxes_with_unknown_tests_or_reversed_corners_are_refused(solved, tmp_path):
-    for change, told in (({"test": ["magic"]}, "discarded[0].test"), ({"low": [[0.9, 0.9]]}, "a box ends before it begins")):
+    for change, told in (
+        ({"test": ["magic"]}, "discarded[0].test"),
+        ({"low": [[0.9, 0.9]]}, "the upper corner of a box lies below its lower corner"),
+    ):
         document = copy.deepcopy(solved.to_dict())
         one = {"assembly": "left", "low": [[0.1, 0.1]], "high": [[0.2, 0.2]], "test": ["limits"]} | change
         document["certificate"]["discarded"] = [one]

@@ -434,7 +434,7 @@ def test_the_sentences_of_damaged_results(results, tmp_path):
             "linear: the result is damaged: this is missing",
         ),
         "another kind": ({**good, "limit": "2 deg"}, 'limit = "2 deg": the result is damaged: this is not a number'),
-        "cut arrays": ({**good, "value": good["value"][:3]}, "there are 3 numbers where 31 belong"),
+        "cut arrays": ({**good, "value": good["value"][:3]}, "expected 31 numbers, found 3"),
         "another version": ({**good, "schema": "optlink/tolerance/1"}, "has another format version"),
         "slopes of another version": ({**good, "schema": "optlink/output-sensitivity/1"}, "has another format version"),
         "no study": ({**good, "schema": "optlink/list/1"}, "not a result that can be shown here"),
@@ -693,7 +693,7 @@ def test_a_front_along_no_or_endless_values_is_damaged(results, tmp_path, count)
     told = document(results, "front")
     told["constrained"][0]["values"] = count
     (tmp_path / "result.json").write_text(json.dumps(told))
-    with pytest.raises(InputError, match="no front has so many"):
+    with pytest.raises(InputError, match="there are too many"):
         load_stored(str(tmp_path))
 
 

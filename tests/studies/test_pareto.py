@@ -690,7 +690,7 @@ def test_other_problems_and_sizes_are_refused():
         pareto(optlink.load("crank-rocker"), f"error, {ANGLE}", backend="ipop")
     with pytest.raises(InputError, match="searches with one back end"):
         pareto(optlink.load("crank-rocker"), f"error, {ANGLE}", backend="both")
-    with pytest.raises(InputError, match="200,000 points are more"):
+    with pytest.raises(InputError, match="200,000 points exceed"):
         pareto(optlink.load("crank-rocker"), f"error, {ANGLE}=100..140 deg:200000")
     with pytest.raises(InputError, match="optlink balance balance-four-bar --trade force,torque"):
         pareto(optlink.load("balance-four-bar"), "rms shaking force, rms torque")

@@ -603,7 +603,7 @@ def test_a_single_tolerance_has_no_chart_of_shares(tmp_path):
         (["--tolerance", "coupler=1 mm", "--cost", "coupler=2"], ["the option applies to --allocate only"]),
         (["--tolerance", "coupler=1 mm", "--samples", "1"], ["out of range"]),
         (["--tolerance", "coupler=1 mm", "--samples", "1000000000000"], ["out of range", "100,000,000"]),
-        (["--tolerance", "coupler=1 mm", "--seed", "-1"], ["a seed is not negative"]),
+        (["--tolerance", "coupler=1 mm", "--seed", "-1"], ["a seed must not be negative"]),
         (["--tolerance", "coupler=1 mm", "--robust", "3"], ["a robust design is searched"]),
         (["--tolerance", "coupler=1 mm", "--robust", "margin"], ["a robust design is searched"]),
         (["--tolerance", "coupler=1 mm", "--robust", "much"], ["not a number of standard deviations"]),
@@ -668,7 +668,7 @@ def test_costs_and_yields_are_read():
         ),
         (
             ["crank-rocker", "--tolerance", "coupler=0.1 mm", "--robust", "yield", "--limit", "3 deg", "--samples", "0"],
-            "a yield is counted by samples",
+            "a yield requires samples",
         ),
         (["crank-rocker", "--tolerance", "coupler=0.1 mm", "--distribution", "contact"], "only clearances"),
         (["crank-rocker", "--tolerance", "coupler=0.1 mm", "--distribution", "foo"], "Known: normal, uniform, triangular\n"),

@@ -152,7 +152,7 @@ def test_a_locked_size_keeps_its_value_and_is_released_within_its_bounds(page: P
         ({"type": "lock", "size": "neck", "locked": True}, "no such dimension"),
         ({"type": "open", "text": "a = [", "title": "x"}, "not valid TOML"),
         ({"type": "open", "text": "a = " + "[" * 5000, "title": "x"}, "nested too deeply"),
-        ({"type": "open", "fragment": "***"}, "the link holds no problem"),
+        ({"type": "open", "fragment": "***"}, "the link contains no problem"),
         ({"type": "open", "name": "/etc/hostname"}, "no such shipped problem"),
         ({"type": "draw", "points": [[0, 0], [1, 1]]}, "3 to 10,000 points"),
         ({"type": "draw", "points": [[0, 0]] * 9, "closed": True}, "smaller than"),

@@ -373,7 +373,7 @@ def test_analyze_json_is_one_document():
         (("--points", "many"), "not a whole number"),
         (("--set", "mechanism.links.link2.lenght=1 m"), "length"),
         (("--set", "mechanism.links.link3.length=3 m"), "fails to close"),
-        (("--set", "bodies.link2.mass=-3 kg"), "not negative"),
+        (("--set", "bodies.link2.mass=-3 kg"), "must not be negative"),
         (("--csv", "."), "folder"),
     ],
 )

@@ -897,7 +897,7 @@ BAD = {
     "negative weight": ('balance.minimise={ "rms force" = -1.0 }', "must be positive"),
     "no joint": ('balance.minimise="reaction at Z"', "no such joint"),
     "no point": ('balance.about="Q"', "not a point of the frame"),
-    "negative limit": ('balance.limits={ "rms force" = "-1 N" }', "never negative"),
+    "negative limit": ('balance.limits={ "rms force" = "-1 N" }', "must not be negative"),
     "wrong unit": ('balance.limits={ "rms force" = "5 mm" }', "force"),
     "no share": ('balance.limits={ "rms force" = "x %" }', "80 %"),
     "few positions": ("balance.positions=2", "8"),

@@ -156,7 +156,7 @@ FAULTS = {
     "more than a revolution": ({"span": "400 deg"}, "requirement.span", "one revolution"),
     "angle of a guide": ({"law": "psi0 + phi"}, "requirement.output", "body that turns"),
     "slide of a body": ({"output": "rod"}, "requirement.output", "name of a guide"),
-    "psi0 of a slide": ({"psi0": "3 deg"}, "requirement.psi0", "only a body that turns"),
+    "psi0 of a slide": ({"psi0": "3 deg"}, "requirement.psi0", "a rotating body only"),
     "zero that is not used": ({"law": {"slide": "40*phi", "unit": "mm"}, "zero": "3 mm"}, "requirement.zero", "does not depend"),
     "rows that fall and rise": (
         {"law": {"phi": ["0 deg", "20 deg", "10 deg"], "s": ["0 mm", "1 mm", "2 mm"]}, "span": None, "points": None},

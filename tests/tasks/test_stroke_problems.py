@@ -164,7 +164,7 @@ FAULTS: dict[str, tuple[Raw, str, str]] = {
     "no such output": ({"requirement.output": "slidr"}, "requirement.output", 'Did you mean "slider"'),
     "no output": ({"requirement.output": None}, "requirement.output", "one of: G, rod, slider"),
     "the crank": ({"requirement.output": "crank"}, "requirement.output", "a body that swings"),
-    "a point": ({"requirement.output": "C"}, "requirement.direction", "moves in the plane"),
+    "a point": ({"requirement.output": "C"}, "requirement.direction", "needs a direction"),
     "no stroke": ({"requirement.stroke": None}, "requirement.stroke", "the stroke is missing"),
     "an angle": ({"requirement.stroke": "30 deg"}, "requirement.stroke", "not a unit of length"),
     "reversed": ({"requirement.stroke": ["110 mm", "100 mm"]}, "requirement.stroke", "min is above max"),
@@ -191,8 +191,8 @@ def test_wrong_requirements_are_named(name: str) -> None:
     [
         ({"requirement.stroke": "370 deg"}, 'requirement.stroke = "370 deg": a rocker between crank and frame swings by less'),
         ({"requirement.stroke": ">= 180 deg"}, 'requirement.stroke.min = "180 deg": a rocker between crank and frame'),
-        ({"requirement.stroke": "0 deg"}, 'requirement.stroke = "0 deg": a stroke is positive'),
-        ({"requirement.stroke": "-20..30 deg"}, 'requirement.stroke.min = "-20 deg": a stroke is positive'),
+        ({"requirement.stroke": "0 deg"}, 'requirement.stroke = "0 deg": a stroke must be positive'),
+        ({"requirement.stroke": "-20..30 deg"}, 'requirement.stroke.min = "-20 deg": a stroke must be positive'),
         ({"limits.swing": {"quantity": "stroke", "of": "rocker", "exactly": "3.5 rad"}}, 'limits.swing.exactly = "3.5 rad"'),
     ],
 )

@@ -222,7 +222,7 @@ def _a_result(document: Document) -> None:
         (_negative, "a multiplier is not negative"),
         (_no_number, "not finite"),
         (_null, "rows of 2 finite numbers"),
-        (_short, "rows where"),
+        (_short, "rows, found"),
         (_no_limit, "not one of the 9 limits"),
         (_no_boxes, "no boxes"),
         (_others, "the design variables of the problem are coupler, rocker"),

@@ -69,7 +69,7 @@ def copy(source, target):
 
 
 @njit(**HELPER)
-def command(time, model, p):
+def servo_reference(time, model, p):
     """Write angle, speed and acceleration of the servo reference to p, as `ReferenceSignal.at` defines them.
 
     Parameters
@@ -114,7 +114,7 @@ def evaluate(time, x, model, p, slopes):
     slopes : array (m,)
         Result.
     """
-    command(time, model, p)
+    servo_reference(time, model, p)
     call(model[RHS], x, p, model[CONSTANTS], slopes)
 
 

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from numba import njit
 
-from optlink.clearance.compiled.dop853 import CONSTANTS, HELPER, WATCH, call, command, copy, cubic_summit, inside, interpolant
+from optlink.clearance.compiled.dop853 import (
+    CONSTANTS,
+    HELPER,
+    WATCH,
+    call,
+    copy,
+    cubic_summit,
+    inside,
+    interpolant,
+    servo_reference,
+)
 from optlink.clearance.compiled.switches import penetration, root
 
 PARTS = 8
@@ -40,7 +50,7 @@ def quantity(w, j, gaps):
 def _watched(time, share, f, y, n, model, p, x, out):
     """Forces, torque and their rates at a share of a step."""
     inside(share, f, y, n, x)
-    command(time, model, p)
+    servo_reference(time, model, p)
     call(model[WATCH], x, p, model[CONSTANTS], out)
 
 
@@ -130,7 +140,7 @@ def maxima(time, h, parts, dense, modes, contact, peaks, y, n, model, space):
     """
     k, f, new, between, x, _, _, spare, nodes, _, first, last, selected, p = space
     gaps, some = modes.shape[0], False
-    command(time + h, model, p)
+    servo_reference(time + h, model, p)
     call(model[WATCH], new, p, model[CONSTANTS], last)
     for j in range(gaps + 1):
         selected[j] = 0.0

@@ -165,7 +165,7 @@ class CycleProblem(Problem):
             with below(place):
                 check_term(goal, mechanism, self.quantities)
                 if goal.scale is not None and read_figure(goal.scale, self.kind(goal), "scale")[0] <= 0.0:
-                    raise Unusable("a scale is positive", "Give one above zero", "scale", goal.scale)
+                    raise Unusable("a scale must be positive", "Give one above zero", "scale", goal.scale)
         for name, limit in self.limits.named.items():
             with below(f"limits.{name}"):
                 check_term(limit, mechanism, self.quantities)

@@ -142,7 +142,7 @@ def check_shape(term: Term) -> None:
         static = ", ".join(name for name, quantity in QUANTITIES.items() if quantity.forces)
         raise Unusable(f"{_a(what)} has no static part", f"Leave it out; only {static} have one", "static")
     if term.stroke is not None and what not in ("end", "time ratio") and (what != "work" or term.of is None):
-        message = "only an end, a time ratio, and the work during a stroke of a slider have one"
+        message = "only an end, a time ratio, and the work during a stroke of a slider refer to a stroke"
         raise Unusable(message, 'Write quantity = "work" and of', "stroke")
     if term.stroke in ("slow", "quick") and what != "time ratio":
         raise Unusable(f"{_a(what)} has its stroke by direction", 'Write "forward" or "backward"', "stroke", term.stroke)
@@ -282,7 +282,9 @@ class Limit(Term):
             raise Unusable("min is above max", "Exchange them", "min", self.min)
         for key, (value, _) in sides.items():
             if self.how == "peak" and value <= 0.0:
-                raise Unusable("the largest size over the cycle is positive", "Give a limit above zero", key, getattr(self, key))
+                raise Unusable(
+                    "a limit of the largest magnitude must be positive", "Give a limit above zero", key, getattr(self, key)
+                )
             if self.quantity == "time ratio":
                 check_time_ratio(self.stroke, value, key, low and low[0], high and high[0])
             if self.quantity == "stroke":
@@ -296,7 +298,7 @@ class Limit(Term):
     def _check_stroke(self, key: str, value: float, mechanism: Mechanism) -> None:
         """Refuse a stroke that no linkage has, or that its bound `key` does not limit."""
         if value < 0.0 or (value == 0.0 and key != "min"):
-            raise Unusable("a stroke is positive", "Give one above zero", key, getattr(self, key))
+            raise Unusable("a stroke must be positive", "Give one above zero", key, getattr(self, key))
         if key != "max" and value >= math.pi and self.of in rockers(mechanism):
             message = "a rocker between crank and frame swings by less than 180 deg"
             raise Unusable(message, 'Give less, for example "60 deg"', key, getattr(self, key))
@@ -337,7 +339,7 @@ def output_of(term: Term, mechanism: Mechanism) -> tuple[str, str]:
     points = moving_points(mechanism)
     if name in points:
         if term.direction is None:
-            raise Unusable("a point moves in the plane", 'Add a direction: direction = "0 deg"', "direction")
+            raise Unusable("the stroke of a point needs a direction", 'Add a direction: direction = "0 deg"', "direction")
         return "point", name
     if term.direction is not None:
         raise Unusable("only the stroke of a point has a direction", "Leave it out", "direction", str(term.direction))
@@ -369,7 +371,9 @@ def check_term(term: Term, mechanism: Mechanism, quantities: Mapping[str, Quanti
     if what in ("stroke", "end", "time ratio"):
         kind, body = output_of(term, mechanism)
         if kind == "body" and (what == "end" or body == mechanism.crank.body):
-            message = f"{body} turns, its end has no place" if what == "end" else f"{body} turns fully, it has no stroke"
+            message = (
+                f"{body} rotates, so it has no end of a stroke" if what == "end" else f"{body} turns fully, so it has no stroke"
+            )
             raise Unusable(message, "Name a slider or a point", "of", term.of)
     elif term.direction is not None:
         raise Unusable("only the stroke of a point has a direction", "Leave it out", "direction", str(term.direction))

@@ -142,7 +142,7 @@ def read_measure_limit(name: str, raw: object) -> MeasureLimit:
         return MeasureLimit(measure, None, share, text)
     value, _ = read_scalar(raw, "force" if measure.unit == "N" else "torque", name)
     if value < 0.0:
-        raise Unusable("the amount is never negative, so this limit cannot be met", "Give zero or more", name, raw)
+        raise Unusable("an upper bound of a magnitude must not be negative", "Give zero or more", name, raw)
     return MeasureLimit(measure, value, None, text)
 
 
@@ -217,7 +217,7 @@ class CounterweightSection(Section):
         else:
             low, most, radius = self._disc(low, most, thickness, density)
         if low > most:
-            message = f"no mass is left: at least {low:.6g} kg, at most {most:.6g} kg"
+            message = f"no mass is admissible: at least {low:.6g} kg, at most {most:.6g} kg"
             raise Unusable(message, "Widen mass, radius or thickness", "mass", str(self.mass))
         extent = math.inf if self.extent is None else self.extent.value
         if radius is not None and extent < radius:
@@ -315,7 +315,9 @@ class SpringSection(Section):
             raise Unusable("a range is a list of two lengths", 'Write ["50 mm", "200 mm"], or one length', "", raw)
         low, high = (read_scalar(text, "coordinate")[0] for text in texts)
         if not 0.0 <= low <= high:
-            raise Unusable("free lengths rise from zero", 'Write ["0 mm", "200 mm"], or one length', "", raw)
+            raise Unusable(
+                "the range of a free length must rise, from zero or more", 'Write ["0 mm", "200 mm"], or one length', "", raw
+            )
         return low, high
 
     def spring(self, machine: Machine) -> FreeSpring:
@@ -335,7 +337,7 @@ class SpringSection(Section):
         ends = spring_ends(mechanism, self.between)
         low, most = _ends(self.stiffness)
         if min(low, most) < 0.0:
-            raise Unusable("a spring has no negative stiffness", "Give zero or more", "stiffness", str(self.stiffness))
+            raise Unusable("a stiffness must not be negative", "Give zero or more", "stiffness", str(self.stiffness))
         free = self.free_length or (0.0, 0.0)
         return FreeSpring(self.name, (ends[0], ends[1]), (low, most), free, math.inf if self.force is None else self.force.value)
 

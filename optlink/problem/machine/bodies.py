@@ -87,7 +87,7 @@ class BodySection(Section):
         elif self.inertia is None:
             if mass > 0.0 and link.end:
                 example = f'inertia = "{mass * float(np.max(length)) ** 2 / 12.0:.3g} kg*m^2", or "uniform bar"'
-                raise Unusable("a link with a mass has a moment of inertia about its centroid", f"Add {example}", "inertia")
+                raise Unusable("a link with a mass needs a moment of inertia about its centroid", f"Add {example}", "inertia")
             moment = 0.0
         else:
             moment = self.inertia.value
@@ -135,7 +135,7 @@ class DriveSection(Section):
     @classmethod
     def _one(cls, raw: object) -> object:
         if isinstance(raw, list):
-            raise Unusable("one body is driven, the others follow", 'Name one: body = "crank"', "", raw)
+            raise Unusable("exactly one body must be driven", 'Name one: body = "crank"', "", raw)
         return raw
 
     @model_validator(mode="after")

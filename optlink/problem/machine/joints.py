@@ -57,7 +57,7 @@ def _one(raw: object, kind: str) -> float:
     if kind:
         value = read_positive(raw, kind).value
         if value == 0.0:
-            raise Unusable(f"a modulus of elasticity is positive, and this {kind} is not", 'Give for example "207 GPa"', "", raw)
+            raise Unusable(f"a {kind} of the contact must be positive", 'Give for example "207 GPa"', "", raw)
         return value
     if isinstance(raw, bool) or not isinstance(raw, int | float):
         raise Unusable("expected a plain number", "Write a number without a unit, for example 0.3", "", raw)
@@ -195,5 +195,5 @@ class JointSection(Section):
         """
         said = sorted(key for key in self.model_fields_set - {"on"} if getattr(self, key) is not None)
         if said and not self.has_clearance:
-            message = f"the joint has no clearance, so {said[0]} says nothing"
+            message = f"the joint has no clearance, so {said[0]} has no effect"
             raise Unusable(message, f"Add {EXAMPLE}, or remove the key", said[0])

@@ -62,7 +62,7 @@ class Formula:
 
 
 @dataclass(frozen=True)
-class Curve:
+class LoadTable:
     """A table over one variable with linear interpolation; periodic over the crank angle, else constant beyond its ends."""
 
     over: str
@@ -94,7 +94,7 @@ class Curve:
         return value
 
 
-Size = Constant | Formula | Curve
+Size = Constant | Formula | LoadTable
 
 
 def read_size(raw: object, folder: Path, kind: str, names: Iterable[str]) -> Size:
@@ -157,4 +157,4 @@ def read_size(raw: object, folder: Path, kind: str, names: Iterable[str]) -> Siz
         raise Unusable(f"the rows must rise, and row {falls} does not", "Sort them and remove repeated ones", "at")
     if over == "phi" and at[-1] - at[0] > 2.0 * math.pi * (1.0 + 1e-12):
         raise Unusable("the table is longer than one revolution", "A table repeats every revolution: give one revolution", "at")
-    return Curve(str(over), tuple(at), tuple(values))
+    return LoadTable(str(over), tuple(at), tuple(values))

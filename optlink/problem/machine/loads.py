@@ -11,8 +11,8 @@ from optlink.dynamics.machine import Load
 from optlink.linkage.mechanism import FRAME, Mechanism
 from optlink.linkage.stroke import OTHER
 from optlink.problem.base_model import Section, in_folder
-from optlink.problem.machine.load_curves import Curve, Formula, read_size
-from optlink.problem.machine.revolution import Revolution
+from optlink.problem.machine.load_curves import Formula, LoadTable, read_size
+from optlink.problem.machine.revolution import RevolutionSamples
 from optlink.problem.quantity import (
     Damping,
     FixedAngle,
@@ -81,7 +81,7 @@ class LoadSection(Section):
     torsional_damping: TorsionalDamping | None = None
     """Viscous damping of the rotation of `on` relative to `against`."""
 
-    def build(self, name: str, mechanism: Mechanism, motion: Revolution) -> Load:
+    def build(self, name: str, mechanism: Mechanism, motion: RevolutionSamples) -> Load:
         """Return the load of a machine.
 
         Parameters
@@ -89,7 +89,7 @@ class LoadSection(Section):
         name : str
             Name of the load.
         mechanism : Mechanism
-        motion : Revolution
+        motion : RevolutionSamples
             Samples of the motion over a revolution.
 
         Raises
@@ -107,7 +107,7 @@ class LoadSection(Section):
                 direction = guide
             if isinstance(self.force, Formula) and self.force.expression.names & {"s", "v"} and not isinstance(direction, str):
                 raise Unusable("s and v are those of a slider along its guide", "Leave direction out, or use phi", "force")
-            if isinstance(self.force, Curve) and self.force.over == "s" and not isinstance(direction, str):
+            if isinstance(self.force, LoadTable) and self.force.over == "s" and not isinstance(direction, str):
                 raise Unusable("s is the position of a slider along its guide", "Leave direction out, or use phi", "force")
             self._check_against(mechanism)
             load = Force(
@@ -210,7 +210,7 @@ class LoadSection(Section):
             if self.against == self.on:
                 raise Unusable("a load does not act against itself", "Name another body, or frame", "against", self.against)
 
-    def _stroke(self, load: Force | Torque, motion: Revolution) -> dict[str, Any]:
+    def _stroke(self, load: Force | Torque, motion: RevolutionSamples) -> dict[str, Any]:
         """Return the stroke in which the load acts, and whether it follows the sense of crank rotation."""
         if load.opposing or self.stroke != "both":
             motion.check_moves(load)

@@ -22,7 +22,7 @@ from optlink.problem.machine.bodies import BodySection, DriveSection, Gravity
 from optlink.problem.machine.control import ControlSection
 from optlink.problem.machine.joints import JointSection
 from optlink.problem.machine.loads import LoadSection
-from optlink.problem.machine.revolution import Revolution
+from optlink.problem.machine.revolution import RevolutionSamples
 from optlink.problem.mechanism import DyadsSection, FourBarSection, sizes_of
 from optlink.problem.quantity import FixedAngle, FixedLength, Number, Quantity, Unusable, below, check_name, nearest
 from optlink.problem.tolerances import Deviation, Tolerances, deviations, with_deviating_pivots
@@ -254,7 +254,7 @@ class Problem(Section):
         if self.mechanism.follows and all(np.ndim(size) == 0 for size in sizes.values()):
             self.mechanism.check_mode(sizes)
             mechanism = continue_through_singularities(mechanism, sizes, self.drive.start.value)
-        motion = Revolution(Machine(mechanism, sizes), slow or {})
+        motion = RevolutionSamples(Machine(mechanism, sizes), slow or {})
         loads = []
         for name, section_ in self.loads.items():
             if name in RESERVED:
@@ -287,7 +287,7 @@ class Problem(Section):
             Values of quantities.
         """
         machine = self.machine(design, dict.fromkeys(self.loads, "forward"))
-        motion = Revolution(Machine(machine.mechanism, machine.sizes))
+        motion = RevolutionSamples(Machine(machine.mechanism, machine.sizes))
         return np.array([motion.slow_senses(load) for load in machine.loads if self.loads[load.name].by_pace])
 
     @property
@@ -309,5 +309,5 @@ class Problem(Section):
                 with below(f"joints.{name}"):
                     gaps.append(joint.gap(name, machine.mechanism))
         if gaps:
-            Revolution(machine).check_clearances(gaps)
+            RevolutionSamples(machine).check_clearances(gaps)
         return tuple(gaps)

@@ -21,7 +21,7 @@ FULL_TURN = TURN - 0.02  # rad; a sampled swing that is wider is a full turn
 _SENSE: dict[Direction | None, float] = {"forward": 1.0, "backward": -1.0, None: 0.0}
 
 
-class Revolution:
+class RevolutionSamples:
     """Samples of a machine's motion over a revolution, as far as it can be assembled."""
 
     def __init__(self, machine: Machine, slow: Mapping[str, Direction] | None = None) -> None:
@@ -51,12 +51,12 @@ class Revolution:
             spare = -np.broadcast_to(np.asarray(gap, dtype=float), assembled.shape)[assembled]
             if not in_group or not spare.size or not np.any(spare > 0.0):
                 continue
-            play, least = sum(gap.clearance for gap in in_group), float(np.min(spare))
-            if play >= least:
+            clearances, least = sum(gap.clearance for gap in in_group), float(np.min(spare))
+            if clearances >= least:
                 at = float(np.degrees(self.moving.motion.crank_angle[assembled][int(np.argmin(spare))]))
                 message = (
                     f"the clearance is too large for the mechanism: at a crank angle of {at:z.0f} deg the group of {group.joint} "
-                    f"closes with {least * 1e3:.4g} mm to spare, and its joints have {play * 1e3:.4g} mm of clearance"
+                    f"closes with {least * 1e3:.4g} mm to spare, and its joints have {clearances * 1e3:.4g} mm of clearance"
                 )
                 raise Unusable(message, "Give a smaller clearance, or other lengths", f"joints.{in_group[0].point}.clearance")
 
@@ -79,7 +79,9 @@ class Revolution:
         moves = np.count_nonzero(np.abs(rates) > 1e-12 * size)
         if rates.size and moves < 0.5 * rates.size:  # near singular positions rounding errors are larger
             what = "does not move in this direction" if isinstance(load, Force) else "does not turn"
-            raise Unusable(f"what it opposes {what}", 'Remove the load, or write acts = "constant"', "acts")
+            raise Unusable(
+                f"an opposing load needs a motion, but its body {what}", 'Remove the load, or write acts = "constant"', "acts"
+            )
 
     def slow(self, load: Load) -> Direction:
         """Return the stroke of a load's motion that takes longer at constant counter-clockwise crank speed.

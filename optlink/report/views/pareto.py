@@ -52,7 +52,7 @@ def read(record: ParetoRecord, file: ProblemFile, path: Path) -> Pareto:
     if record.minimised not in columns:
         raise Contradiction("minimised", "this is none of the objectives", record.minimised)
     if len({tuple(point.design) for point in record.front}) > 1:
-        raise Contradiction("front", "its designs differ in what is free")
+        raise Contradiction("front", "its designs have different design variables")
     places: dict[str, Mapping[str, object]] = {"ends": record.ends if record.front else dict.fromkeys(columns, 0)}
     places |= {f"front[{k}].objectives": point.objectives for k, point in enumerate(record.front)}
     places |= {} if record.reference is None else {"reference": record.reference}
@@ -66,7 +66,7 @@ def read(record: ParetoRecord, file: ProblemFile, path: Path) -> Pareto:
         raise Contradiction("ends", "an end or the knee is not a point of the front")
     for k, axis_ in enumerate(record.constrained):
         if not 0 < axis_.values <= grid.MAX_POINTS:
-            raise Contradiction(f"constrained[{k}].values", "no front has so many", axis_.values)
+            raise Contradiction(f"constrained[{k}].values", "there are too many", axis_.values)
     spans = [(one.key, one.unit, np.linspace(one.first, one.last, one.values)) for one in record.constrained]
     points = [
         ParetoPoint(tuple(one.objectives[name] for name in columns), one.design, "; ".join(one.active), one.mark or "")

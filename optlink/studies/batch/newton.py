@@ -73,7 +73,7 @@ class BatchOptima:
     optimal: Bools
 
 
-def groups(sides: NDArray[np.int8]) -> list[tuple[Index, Index]]:
+def active_set_groups(sides: NDArray[np.int8]) -> list[tuple[Index, Index]]:
     """Return the points (indices) and the active entries of every active set that occurs."""
     if not len(sides):
         return []
@@ -163,7 +163,7 @@ def _iterated(
         here = nlp(x[todo], problem.p[todo], multipliers[todo])
         size = np.zeros(len(todo))
         moves: list[tuple[Index, Index, Array, Array]] = []
-        for points, active in groups(sides[todo]):
+        for points, active in active_set_groups(sides[todo]):
             slope = here.jacobian[points][:, active]
             pull = np.sum(slope * multipliers[todo[points]][:, active, None], axis=1)
             missing = here.values[points][:, active] - bound[todo[points]][:, active]
@@ -214,7 +214,7 @@ def _second_order(ended: _Ended, problem: BatchProblem, sides: NDArray[np.int8],
     with np.errstate(invalid="ignore"):
         near = (problem.upper - ended.values <= ACTIVE) | (ended.values - problem.lower <= ACTIVE)
     optimal, n = right.copy(), ended.x.shape[1]
-    for points, active in groups(sides):
+    for points, active in active_set_groups(sides):
         optimal_points = points[optimal[points]]
         slopes = ended.jacobian[optimal_points]
         for entry in np.flatnonzero(np.any(near[optimal_points], axis=0) & ~np.isin(np.arange(near.shape[1]), active)):

@@ -321,7 +321,7 @@ def _points(points: int | None, constrained: int) -> int:
 def _most(shape: Sequence[int]) -> None:
     if math.prod(shape) > MAX_POINTS:
         size = " x ".join(f"{count:,}" for count in shape) + (f" = {math.prod(shape):,}" if len(shape) > 1 else "")
-        raise InputError(f"{size} points are more than a front takes, {MAX_POINTS:,}", "Give fewer", key="--points")
+        raise InputError(f"{size} points exceed the limit of a front, {MAX_POINTS:,}", "Give fewer", key="--points")
 
 
 def _about(problem: ProblemFile, objectives: tuple[ParetoObjective, ...], count: int, backend: str) -> dict[str, Any]:

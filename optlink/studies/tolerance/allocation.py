@@ -164,7 +164,7 @@ def allocate(
         )
     coefficients = np.array([costs.get(d.name, d.cost) for d in study.deviations], dtype=float)
     if not np.all(np.isfinite(coefficients)) or np.any(coefficients <= 0.0):
-        raise InputError("a cost coefficient is above zero", "Give for example --cost coupler=2", key="--cost")
+        raise InputError("a cost coefficient must be above zero", "Give for example --cost coupler=2", key="--cost")
     tolerances = np.array([d.tolerance for d in study.deviations])
     each = np.array([d.sigma / d.tolerance for d in study.deviations])  # standard deviation per tolerance
     weights = np.square((each[:, None] * study.by / room).T)

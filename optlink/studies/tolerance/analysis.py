@@ -297,7 +297,7 @@ def _robust_design(
 ) -> RobustDesign:
     """Return the robust design for the error; see `tolerance`."""
     if robust == YIELD and not samples:
-        raise InputError("a yield is counted by samples", "Leave --samples out", key="--samples", value=samples)
+        raise InputError("a yield requires samples", "Leave --samples out", key="--samples", value=samples)
     allowed = _limit(limit, angular=True)
     if robust not in (MARGIN, YIELD):
         return robust_design.robust(problem, tolerances, None if robust == WORST else float(robust), shape=shape)
@@ -312,7 +312,7 @@ def _check(samples: int, seed: int, shape: str, target_yield: float | None, limi
     if not 0 <= samples <= MAX_SAMPLES or samples == 1:
         raise InputError("out of range", f"Give 0 (none), or 2 to {MAX_SAMPLES:,}", key="--samples", value=samples)
     if seed < 0:
-        raise InputError("a seed is not negative", "Give 0 or more", key="--seed", value=seed)
+        raise InputError("a seed must not be negative", "Give 0 or more", key="--seed", value=seed)
     message = "only clearances have this distribution" if shape in SHAPES else "unknown distribution"
     check_choice("--distribution", shape, CHOICES, message)
     if target_yield is not None and not 0.0 < target_yield < 1.0:

@@ -93,7 +93,7 @@ class HistogramRecord(Record):
     @model_validator(mode="after")
     def _check_edges(self) -> Self:
         if len(self.counts) and len(self.edges) != len(self.counts) + 1:
-            raise Contradiction("", "it has not one edge more than bins")
+            raise Contradiction("", "the number of edges must be one more than the number of bins")
         return self
 
 

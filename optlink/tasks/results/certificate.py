@@ -219,7 +219,7 @@ class CoverRecord(Record):
             if corners.shape != (len(self.test), unknowns):
                 raise Contradiction(f"discarded.{name}", f"{len(self.test)} rows of {unknowns} numbers belong there")
         if not np.all(self.low <= self.high):
-            raise Contradiction("discarded.high", "a box ends before it begins")
+            raise Contradiction("discarded.high", "the upper corner of a box lies below its lower corner")
         tests = np.array([TESTS.index(name) for name in self.test], dtype=np.int8)
         return Cover(self.assembly, self.low, self.high, tests, np.zeros((len(tests), 0)), ())
 
@@ -266,7 +266,7 @@ class CertificateRecord(Record):
         if min(self.boxes, self.open_boxes) < 0 or found.closed != (self.open_boxes == 0):
             raise Contradiction("open_boxes", "it does not fit the status of the proof", self.open_boxes)
         if not 1e-12 <= self.asked < 1.0:
-            raise Contradiction("asked", "this is not a share", self.asked)
+            raise Contradiction("asked", "expected a number from 1e-12 to less than 1", self.asked)
         if found.status == INFEASIBLE:
             if math.isfinite(min(self.objective, self.lower_bound)):
                 raise Contradiction("status", "there is an objective or a bound of it", self.status)
