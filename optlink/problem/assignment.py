@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import re
 import tomllib
 from collections.abc import Sequence
@@ -62,6 +63,8 @@ def parse_assignment(text: str, option: str = "--set") -> tuple[str, object]:
     key, value = key.strip(), value.strip()
     if not equals or not key or not value:
         words, remedy = EXPECTED.get(option, EXPECTED["--set"])
+        result = os.path.join(text.strip(), "result.json")
+        remedy = f"Write {option} {result}" if option == "--design" and os.path.isfile(result) else remedy
         raise InputError(f"expected {words}", remedy, key=option, value=text)
     try:
         read_back = tomllib.loads(f"value = {value}")

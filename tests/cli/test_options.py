@@ -131,6 +131,13 @@ def test_a_result_folder_has_no_name_of_a_file(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_result_folder_in_place_of_its_design_is_pointed_to_the_file(tmp_path):
+    (tmp_path / "result.json").write_text("{}", encoding="utf-8")
+    done = run("validate", "crank-rocker", "--design", str(tmp_path))
+    assert done.exit_code == 2
+    assert f"Write --design {tmp_path / 'result.json'}" in done.stderr
+
+
 @pytest.mark.parametrize("words", [("--out=",), ("-o", ""), ("--out", " ")])
 def test_an_empty_name_is_not_the_working_folder(words, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

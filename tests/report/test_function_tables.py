@@ -81,6 +81,12 @@ def test_a_problem_is_shown_with_the_keys_and_defaults_of_its_kind(
     assert [text for text in not_there if f" {text} " in shown] == []
 
 
+def test_iterations_that_a_stored_result_does_not_know_are_not_zero(solved: optlink.FunctionResult) -> None:
+    assert solved.solution is not None
+    assert f"{solved.solution.iterations} iterations" in shown(solved)
+    assert " iterations" not in shown(replace(solved, solution=replace(solved.solution, iterations=0)))
+
+
 def test_a_multistart_search_is_not_recommended_after_one(solved: optlink.FunctionResult) -> None:
     """The counts of the table and of the text above it agree: what the table leaves out is stated."""
     solved = replace(solved, certificate=None)

@@ -91,7 +91,7 @@ def searched(
         priced = active(model, outcome.objective, solution.limits)
     counted = ["" if outcome.backend == "none" else outcome.backend]
     counted.append(f"{outcome.starts} start{'s' * (outcome.starts != 1)}" if outcome.starts else "")
-    counted.append(f"{solution.iterations} iterations" if solution is not None else "")
+    counted.append(f"{solution.iterations} iterations" if solution is not None and solution.iterations else "")
     effort = "; ".join(filter(None, [", ".join(filter(None, counted)), times(outcome.seconds, 1)]))
     return summary(
         model.title,
