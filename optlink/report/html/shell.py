@@ -8,7 +8,7 @@ import gzip
 import hashlib
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from importlib.resources import files
@@ -18,8 +18,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from optlink.problem.file import ProblemFile
-from optlink.report.export.dimensions import Drawing, dimensioned
-from optlink.report.format import pretty, single_units
+from optlink.report.export.dimensions import Drawing
+from optlink.report.format import pretty
 from optlink.report.html import theme
 from optlink.report.html.chart_plotly import Chart, short
 from optlink.report.html.moving_linkage import Moving
@@ -169,33 +169,6 @@ def four(text: str) -> str:
         return shown + power
 
     return _DECIMAL.sub(rounded, text)
-
-
-def linkage_sections(moving: Moving, title: str, caption: str = "", *, dimensions: bool = True) -> Iterator[PageSection]:
-    """Yield the sections of the dimensioned drawing and of the linkage in motion.
-
-    Parameters
-    ----------
-    moving : Moving
-    title : str
-    caption : str, optional
-        Sentence above the linkage.
-    dimensions : bool, optional
-        Yield the dimensioned drawing.
-    """
-    if dimensions:
-        yield PageSection("Dimensions", (dimensioned(moving.cycle, title),))
-    yield PageSection("Linkage in motion", (*([Paragraph(caption, lead=True)] if caption else []), moving))
-
-
-def fitted(made: Callable[[int], PageContent]) -> str:
-    """Return the document of a sheet with the most positions per revolution that keep it below `LARGEST`."""
-    for steps in STEPS:
-        with single_units():
-            text = made(steps).html()
-        if len(text.encode()) <= LARGEST:
-            break
-    return text
 
 
 # --- templates ---------------------------------------------------------------------------------------------------------------

@@ -98,15 +98,16 @@ def load_stored(text: str, problem: str | None = None, changes: Sequence[str] = 
     file = problem_of(record, path, problem, changes)
     try:
         if schema in SOLVED:
-            return read_report_model(record, file, path)
-        with single_units():
-            found = view_of(kind).page(record, file, path)
+            found: ReportModel | StoredStudy = read_report_model(record, file, path)
+        else:
+            with single_units():
+                found = replace(view_of(kind).page(record, file, path), notes=(f"shown as recorded in {path.name}",))
     except Contradiction as error:
         raise damaged(error, path) from None
-    notes = [f"shown as recorded in {path.name}"]
     if record.optlink != VERSION:
-        notes.append(f"that file was written by optlink {record.optlink}, this page by {VERSION}")
-    return replace(found, notes=tuple(notes))
+        note = f"that file was written by optlink {record.optlink}, this page by {VERSION}"
+        found = replace(found, notes=(*found.notes, note))
+    return found
 
 
 def _further(view: View, document: dict[str, Any], path: Path, problem: str | None, changes: Sequence[str]) -> ReportModel:

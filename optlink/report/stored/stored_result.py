@@ -36,7 +36,6 @@ from optlink.units import UnitProblem, factor
 from optlink.validation import Check
 from optlink.validation.check import Validation
 from optlink.validation.path import validate_path
-from optlink.version import VERSION
 
 RESTORED = "the certificate of the global optimum is that of the file; it is not recomputed"
 
@@ -61,8 +60,6 @@ def read_report_model(record: ResultRecord, file: ProblemFile, path: Path) -> Re
         If the record does not fit the problem.
     """
     notes = [f"read from {path.name}; kinematics and checks are recomputed from the design in it"]
-    if record.optlink != VERSION:
-        notes.append(f"that file was written by optlink {record.optlink}, this page by {VERSION}")
     if isinstance(record, SensitivitiesRecord):
         return _sensitive(record, file, tuple(notes))
     outcome = _solved(_certified(_outcome(record, path, file), record))

@@ -14,10 +14,11 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
 from optlink.problem.mechanism import sizes_of
 from optlink.report.export.dimensions import Drawing, dimensioned
+from optlink.report.format import single_units
 from optlink.report.html import moving_linkage
 from optlink.report.html.chart_plotly import Chart
 from optlink.report.html.moving_linkage import Moving
-from optlink.report.html.shell import PageContent, PageSection, StoredStudy, arranged, fitted, linkage_sections
+from optlink.report.html.shell import LARGEST, STEPS, PageContent, PageSection, StoredStudy, arranged
 from optlink.report.shapes import even
 from optlink.report.table_spec import Paragraph
 from optlink.report.views import problem_tables
@@ -29,8 +30,13 @@ DRAWN = 60  # largest number of selectable points with a drawing of their own
 
 
 def study_page(studied: StoredStudy) -> str:
-    """Return the HTML page of a result."""
-    return fitted(lambda steps: _sheet(studied, steps))
+    """Return the HTML page of a result with the most positions per revolution that keep it below `LARGEST`."""
+    for steps in STEPS:
+        with single_units():
+            text = _sheet(studied, steps).html()
+        if len(text.encode()) <= LARGEST:
+            break
+    return text
 
 
 def _sheet(studied: StoredStudy, steps: int) -> PageContent:
@@ -38,7 +44,9 @@ def _sheet(studied: StoredStudy, steps: int) -> PageContent:
     sections = list(studied.sections)  # those without parts are left out
     if moving is not None:
         picked = any(isinstance(part, Chart) and part.draw for section in sections for part in section.parts)
-        shown = linkage_sections(moving, file.model.title, studied.drawn, dimensions=not picked)
+        shown = [] if picked else [PageSection("Dimensions", (dimensioned(moving.cycle, file.model.title),))]
+        caption = [Paragraph(studied.drawn, lead=True)] if studied.drawn else []
+        shown.append(PageSection("Linkage in motion", (*caption, moving)))
         sections[studied.after : studied.after] = shown
     return PageContent(studied, arranged(sections, closing(file, studied.by)), moving)
 

@@ -23,19 +23,11 @@ from optlink.report.view import View
 from optlink.report.views.path_view import with_verdict
 from optlink.tasks.results.analysis import Analysis
 from optlink.tasks.results.cycle import CycleResult
+from optlink.units import KINDS
 from optlink.validation.cycle import Cycle
 
 GIVEN = QUIET
 STEPS = 720
-UNITS = {
-    "torque": "N m",
-    "force": "N",
-    "velocity": "m/s",
-    "acceleration": "m/s²",
-    "angle": "deg",
-    "coordinate": "m",
-    "length": "m",
-}
 
 
 class Line(NamedTuple):
@@ -97,7 +89,7 @@ def charts(result: CycleResult) -> list[ChartSpec]:
 
 def _panel(result: CycleResult, term: Term, cycles: dict[str, Cycle], limits: tuple[float | None, float | None]) -> Panel:
     lines = {name: _line(cycle, term) for name, cycle in cycles.items()}
-    shown = scale(max(float(np.nanmax(np.abs(line.values))) for line in lines.values()), UNITS.get(result.task.kind(term), ""))
+    shown = scale(max(float(np.nanmax(np.abs(line.values))) for line in lines.values()), _unit(result.task.kind(term)))
     looks = {"initial": (GIVEN, 1.3), "result": (FOUND, 1.8)}
     curves = [
         Curve(line.angles, line.values * shown.factor, f"{name}: {term.how} {shown.text(line.figure)}", *looks[name], gid=name)
@@ -105,6 +97,12 @@ def _panel(result: CycleResult, term: Term, cycles: dict[str, Cycle], limits: tu
     ]
     low = min(float(np.nanmin(line.values)) for line in lines.values())
     return Panel(Axis(f"{_named(term)} [{shown.unit}]"), curves, lines=list(_limits(term, limits, shown, low)))
+
+
+def _unit(kind: str) -> str:
+    """Return the unit of a physical kind for `scale`; an empty text for a mere number."""
+    unit = "deg" if kind == "angle" else KINDS[kind].si if kind in KINDS else ""
+    return unit.replace("**2", "²").replace("*", " ")
 
 
 def _limits(term: Term, limits: tuple[float | None, float | None], shown: Scale, low: float) -> Iterable[chart_spec.Line]:
