@@ -13,12 +13,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from optlink.linkage.vector2d import Array
 from optlink.synthesis.freudenstein_convex import PROVEN_GAP, Refinement
 from optlink.synthesis.freudenstein_fit import Cells, FitProblem, Keep, distinct_cells, fit, scan, step_of, zoom
 from optlink.synthesis.loop_equations import EXACT, LoopEquation, linear_form
@@ -26,7 +24,6 @@ from optlink.synthesis.loop_equations import EXACT, LoopEquation, linear_form
 UNLIMITED = (1e-3, 1e3)  # ratios beyond a thousand are not practical
 START_SEPARATION = 3.0  # least distance of two distinct start positions, in grid steps
 SPARE = 2  # `SPARE * count` start positions are refined, as some coincide afterwards
-ANYWHERE = (-math.inf, math.inf)
 
 
 @dataclass(frozen=True)
@@ -57,37 +54,6 @@ class FirstStep:
     def gap(self) -> float:
         """Difference of `error` and its lower bound [rad]."""
         return self.error - self.bound
-
-
-def _search(task: FitProblem, x0: Array, y0: Array, count: int) -> list[tuple[Cells, dict[str, Any]]]:
-    """Return the best distinct linkages, each as a dimensionless cell and the fields of its `FirstStep`, by increasing error."""
-    cells = scan(task, x0, y0)
-    steps = max(step_of(x0), EXACT), max(step_of(y0), EXACT)
-    cells = zoom(
-        task,
-        cells[distinct_cells(task, cells, (START_SEPARATION * steps[0], START_SEPARATION * steps[1]), SPARE * count)],
-        (x0, y0),
-    )
-    cells = cells[distinct_cells(task, cells, steps, count)]
-    refine, designs = Refinement(task), []
-    for i in range(len(cells.error)):
-        cell, bound, status = refine(cells[i])
-        a, w = linear_form(task.chain, cell.x0 + task.x, cell.y0 + task.y)
-        error = float(cell.error)
-        record: dict[str, Any] = {
-            "side": int(cell.side),
-            "residual": float(task.figure(a @ cell.k - w)),
-            "error": error,
-            "bound": bound,
-            "proven": bound >= (1.0 - 2.0 * PROVEN_GAP) * error or error <= EXACT,
-            "status": status,
-        }
-        designs.append((cell, record))
-    return sorted(designs, key=lambda one: (max(float(one[0].error), EXACT), -float(one[0].margin)))
-
-
-def _range(grid: Array) -> tuple[float, float]:
-    return float(grid[0]), float(grid[-1])
 
 
 def _wrapped(angle: float) -> float:
@@ -137,9 +103,22 @@ def first_steps(
     """
     x, y = np.asarray(phi, dtype=float), np.asarray(psi, dtype=float)
     grids = np.unique(np.asarray(phi0, dtype=float)), np.unique(np.asarray(psi0, dtype=float))
-    ranges = (ANYWHERE, ANYWHERE) if shift else (_range(grids[0]), _range(grids[1]))
-    task = FitProblem(LoopEquation(ratios), x, y, measure == "max", shift, keep, *ranges)
-    return [_step(task, cell, record) for cell, record in _search(task, *grids, count)]
+    task = FitProblem(LoopEquation(ratios), x, y, measure == "max", shift, keep)
+    cells = scan(task, *grids)
+    steps = max(step_of(grids[0]), EXACT), max(step_of(grids[1]), EXACT)
+    cells = zoom(
+        task, cells[distinct_cells(task, cells, (START_SEPARATION * steps[0], START_SEPARATION * steps[1]), SPARE * count)], grids
+    )
+    cells = cells[distinct_cells(task, cells, steps, count)]
+    refine, found = Refinement(task), []
+    for i in range(len(cells.error)):
+        cell, bound, status = refine(cells[i])
+        a, w = linear_form(task.chain, cell.x0 + task.x, cell.y0 + task.y)
+        error = float(cell.error)
+        proven = bound >= (1.0 - 2.0 * PROVEN_GAP) * error or error <= EXACT
+        step = _step(task, cell, float(task.figure(a @ cell.k - w)), bound, proven, status)
+        found.append((max(error, EXACT), -float(cell.margin), step))
+    return [step for *_, step in sorted(found, key=lambda one: one[:2])]
 
 
 def fit_pairs(
@@ -165,17 +144,14 @@ def fit_pairs(
         As in `first_steps`.
     """
     x, y = np.asarray(phi, dtype=float), np.asarray(psi, dtype=float)
-    task = FitProblem(LoopEquation(ratios), x, y, measure == "max", shift, keep, ANYWHERE, ANYWHERE)
+    task = FitProblem(LoopEquation(ratios), x, y, measure == "max", shift, keep)
     cells = fit(task, np.asarray(phi0, dtype=float), np.asarray(psi0, dtype=float))
     cells = cells[np.isfinite(cells.error)]
-    record = {"residual": math.nan, "bound": 0.0, "proven": False, "status": "fit"}
-    return [
-        _step(task, cells[i], record | {"side": int(cells.side[i]), "error": float(cells.error[i])})
-        for i in range(len(cells.error))
-    ]
+    return [_step(task, cells[i], math.nan, 0.0, False, "fit") for i in range(len(cells.error))]
 
 
-def _step(task: FitProblem, cell: Cells, record: dict[str, Any]) -> FirstStep:
-    crank, coupler, rocker = (float(size) for size in task.chain.sizes(cell.k))
+def _step(task: FitProblem, cell: Cells, residual: float, bound: float, proven: bool, status: str) -> FirstStep:
+    """Return one cell with what is known of its error; see `FirstStep`."""
+    sizes = [float(size) for size in task.chain.sizes(cell.k)]
     start = [_wrapped(float(angle)) if task.shift else float(angle) for angle in (cell.x0, cell.y0)]
-    return FirstStep(**record, crank=crank, coupler=coupler, rocker=rocker, phi0=start[0], psi0=start[1])
+    return FirstStep(int(cell.side), residual, float(cell.error), bound, proven, status, *sizes, *start)

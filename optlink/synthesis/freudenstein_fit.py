@@ -33,8 +33,6 @@ class FitProblem:
     largest: bool
     shift: bool
     keep: Keep | None
-    range_x: tuple[float, float]  # of the start positions
-    range_y: tuple[float, float]
 
     def figure(self, errors: Array) -> Array:
         """Return the largest absolute value, or the root mean square, over the last axis."""
@@ -53,12 +51,11 @@ class Cells:
     margin: Array
 
     def __getitem__(self, index: Any) -> Cells:
-        return Cells(*(getattr(self, name)[index] for name in ("x0", "y0", "k", "side", "error", "margin")))
+        return Cells(*(values[index] for values in vars(self).values()))
 
 
 def _together(cells: list[Cells]) -> Cells:
-    names = ("x0", "y0", "k", "side", "error", "margin")
-    return Cells(*(np.concatenate([getattr(cell, name) for cell in cells]) for name in names))
+    return Cells(*map(np.concatenate, zip(*(vars(cell).values() for cell in cells), strict=True)))
 
 
 def _weighted(task: FitProblem, u: Array, v: Array, w: Array, q: Array) -> Array:
@@ -195,7 +192,7 @@ def distinct_cells(task: FitProblem, cells: Cells, room: tuple[float, float], co
 
 
 def zoom(task: FitProblem, cells: Cells, grids: tuple[Array, Array]) -> Cells:
-    """Refine the start positions of cells on successively finer local grids.
+    """Refine the start positions of cells on successively finer local grids; without `shift` they stay within their grid.
 
     Parameters
     ----------
@@ -208,13 +205,14 @@ def zoom(task: FitProblem, cells: Cells, grids: tuple[Array, Array]) -> Cells:
     if len(cells.error) == 0 or not any(reach):
         return cells
     first, second = (a.ravel() for a in np.meshgrid(*(FINE if r > 0.0 else FINE[2:3] for r in reach), indexing="ij"))
+    ranges = [(-np.inf, np.inf) if task.shift else (grid[0], grid[-1]) for grid in grids]
     for _ in range(ZOOMS):
-        x0 = np.clip(cells.x0[:, None] + reach[0] * first, *task.range_x)
-        y0 = np.clip(cells.y0[:, None] + reach[1] * second, *task.range_y)
-        fits = fit(task, x0.ravel(), y0.ravel())
-        best = np.argmin(fits.error.reshape(x0.shape), axis=-1) + first.size * np.arange(len(x0))
-        better = np.flatnonzero(fits.error[best] < cells.error)
-        both = _together([cells, fits[best]])
+        x0 = np.clip(cells.x0[:, None] + reach[0] * first, *ranges[0])
+        y0 = np.clip(cells.y0[:, None] + reach[1] * second, *ranges[1])
+        found = fit(task, x0.ravel(), y0.ravel())
+        best = np.argmin(found.error.reshape(x0.shape), axis=-1) + first.size * np.arange(len(x0))
+        better = np.flatnonzero(found.error[best] < cells.error)
+        both = _together([cells, found[best]])
         index = np.arange(len(x0))
         index[better] += len(x0)
         cells = both[index]
