@@ -106,9 +106,8 @@ def first_steps(
     task = FitProblem(LoopEquation(ratios), x, y, measure == "max", shift, keep)
     cells = scan(task, *grids)
     steps = max(step_of(grids[0]), EXACT), max(step_of(grids[1]), EXACT)
-    cells = zoom(
-        task, cells[distinct_cells(task, cells, (START_SEPARATION * steps[0], START_SEPARATION * steps[1]), SPARE * count)], grids
-    )
+    apart = START_SEPARATION * steps[0], START_SEPARATION * steps[1]
+    cells = zoom(task, cells[distinct_cells(task, cells, apart, SPARE * count)], grids)
     cells = cells[distinct_cells(task, cells, steps, count)]
     refine, found = Refinement(task), []
     for i in range(len(cells.error)):

@@ -714,7 +714,7 @@ REFUSED = [
             pinned("brace", "E", "G"),
             modes={"C": "left of B-D"},
         ),
-        ("brace cannot move on its own", "E and G"),
+        ("brace cannot move", "E and G"),
         ("Remove one of these joints", "add a body between"),
         "links.brace",
     ),

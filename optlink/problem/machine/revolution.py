@@ -79,9 +79,8 @@ class RevolutionSamples:
         moves = np.count_nonzero(np.abs(rates) > 1e-12 * size)
         if rates.size and moves < 0.5 * rates.size:  # near singular positions rounding errors are larger
             what = "does not move in this direction" if isinstance(load, Force) else "does not turn"
-            raise Unusable(
-                f"an opposing load needs a motion, but its body {what}", 'Remove the load, or write acts = "constant"', "acts"
-            )
+            message = f"an opposing load needs a motion, but what it opposes {what}"
+            raise Unusable(message, 'Remove the load, or write acts = "constant"', "acts")
 
     def slow(self, load: Load) -> Direction:
         """Return the stroke of a load's motion that takes longer at constant counter-clockwise crank speed.
