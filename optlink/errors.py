@@ -119,3 +119,42 @@ _STATUS_TEXT = {
     "try --starts N",
     Status.NOT_SEARCHED: "the given design was checked, not optimised",
 }
+
+
+_STANDARD_NAMES = {
+    "max maximum": "max peak largest bounds",
+    "min minimum": "least bounds",
+    "lower upper lb ub range": "bounds span",
+    "x0 initial guess value nominal": "start",
+    "constraint constraints restrictions": "limits",
+    "target task goal aim": "requirement",
+    "variables design parameters linkage geometry": "mechanism",
+    "masses": "bodies",
+    "forces": "loads",
+    "motor input": "drive",
+    "rpm omega angular_velocity": "speed",
+    "objective norm criterion": "measure",
+    "t theta alpha": "phi",
+    "l": "length",
+    "m": "mass",
+    "j": "inertia",
+    "f": "force",
+    "cog com": "centroid",
+    "pins": "joints",
+    "body": "slider on",
+    "angle": "direction",
+    "ground": "frame",
+    "n": "points",
+    "to": "span",
+    "phi0": "from start",
+    "name": "title",
+    "options settings solver": "",
+    "slider-crank crank-slider six-bar sixbar": "dyads",
+    "crank-rocker": "four-bar",
+    "dwell": "path",
+    "poses": "motion",
+    "law": "function",
+    "swing": "stroke",
+}
+OTHER_WORDS = {word: tuple(names.split()) for words, names in _STANDARD_NAMES.items() for word in words.split()}
+"""Names of problem files by the word that other programs and books use; none: nothing is similar."""

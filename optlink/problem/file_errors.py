@@ -178,7 +178,8 @@ def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[
             yield Fault(problem.message, problem.remedy, file, key + below, problem.value if problem.key else _plain(value))
         elif kind == "extra_forbidden":
             fitting = _fitting(tuple(path[:-1]), model, raw)
-            deeper = _elsewhere(str(path[0]), str(path[-1]), model) if path[1:] else keys_ending(raw, key)
+            deeper = _elsewhere(str(path[0]), str(path[-1]), model)
+            deeper = deeper if path[1:] else keys_ending(raw, key) or deeper
             yield Fault(UNKNOWN, nearest(str(path[-1]), fitting, deeper if len(path) < 3 else []), file, key)
         elif kind == "union_tag_invalid":
             linkage_type = raw["mechanism"].get("type")
@@ -208,16 +209,15 @@ def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[
             yield Fault("this is not a text", remedy, file, key, _plain(value))
         else:
             message = item["msg"][0].lower() + item["msg"][1:]
-            words = _WRONG[kind].format(**item.get("ctx", {})) if kind in _WRONG else message
-            yield Fault(words, _example(key), file, key, _plain(value))
+            yield Fault(_WRONG[kind].format(**context) if kind in _WRONG else message, _example(key), file, key, _plain(value))
 
 
 _WRONG = {
     **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "this is not a whole number"),
-    "greater_than": "out of range, not greater than {gt}",
-    "greater_than_equal": "out of range, less than {ge}",
-    "less_than": "out of range, not less than {lt}",
-    "less_than_equal": "out of range, greater than {le}",
+    "greater_than": "this is not above {gt}",
+    "greater_than_equal": "this is below {ge}",
+    "less_than": "this is not below {lt}",
+    "less_than_equal": "this is above {le}",
 }
 """What is wrong with a value, by the type of pydantic's error."""
 

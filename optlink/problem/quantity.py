@@ -17,7 +17,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator
 
-from optlink.errors import InputError, InvalidValue
+from optlink.errors import OTHER_WORDS, InputError, InvalidValue
 from optlink.units import KINDS, display_unit, factor, parse, show
 
 SHORTEST, LONGEST = 1e-9, 1e6  # m; beyond them squares of ratios overflow
@@ -67,30 +67,6 @@ def input_of(file: str | None, key: str | None = None, value: object = None) -> 
     except Unusable as error:
         place = (error.key, error.value) if key is None else (key, value)
         raise InputError(error.message, error.remedy, file, *place) from None
-
-
-OTHER_WORDS = {
-    **dict.fromkeys(("max", "maximum"), ("max", "peak", "largest", "bounds")),
-    **dict.fromkeys(("min", "minimum"), ("least", "bounds")),
-    **dict.fromkeys(("lower", "upper", "lb", "ub", "range"), ("bounds", "span")),
-    **dict.fromkeys(("x0", "initial", "guess", "value", "nominal"), ("start",)),
-    **dict.fromkeys(("constraint", "constraints", "restrictions"), ("limits",)),
-    **dict.fromkeys(("target", "task", "goal", "aim"), ("requirement",)),
-    **dict.fromkeys(("variables", "design", "parameters", "linkage", "geometry"), ("mechanism",)),
-    **dict.fromkeys(("rpm", "omega", "angular_velocity"), ("speed",)),
-    **dict.fromkeys(("objective", "norm", "criterion"), ("measure",)),
-    **dict.fromkeys(("t", "theta", "alpha"), ("phi",)),
-    **dict.fromkeys(("options", "settings", "solver"), ()),
-    **{"ground": ("frame",), "n": ("points",), "to": ("span",), "phi0": ("from", "start"), "name": ("title",)},
-    "coupler curve": ("path",),
-    **dict.fromkeys(("slider-crank", "crank-slider", "six-bar", "sixbar"), ("dyads",)),
-    "crank-rocker": ("four-bar",),
-    "dwell": ("path",),
-    "poses": ("motion",),
-    "law": ("function",),
-    "swing": ("stroke",),
-}
-"""Names that other programs and books use, with those of problem files."""
 
 
 def nearest(key: str, choices: Iterable[str], deeper: Sequence[str] = ()) -> str:
@@ -287,7 +263,8 @@ def read_quantity(raw: object, kind: str) -> Quantity:
     if isinstance(raw, Quantity):
         return raw
     if isinstance(raw, list) or (isinstance(raw, str) and raw.strip().lower() == "free"):
-        ends = json.dumps(raw, ensure_ascii=False) if isinstance(raw, list) and len(raw) == 2 else range_example(kind)
+        stated = isinstance(raw, list) and len(raw) == 2 and all(isinstance(end, str) for end in raw)
+        ends = json.dumps(raw, ensure_ascii=False) if stated else range_example(kind)
         remedy = f'Write {{ bounds = {ends} }} for a design variable, or one value, for example "{KINDS[kind].example}"'
         raise Unusable(f"this is not {'an' if kind[0] in 'aeiou' else 'a'} {kind}", remedy, "", raw)
     if not isinstance(raw, dict):

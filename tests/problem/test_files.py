@@ -75,7 +75,7 @@ BAD = {
     "section of another tool": ({"constraints": {}}, "constraints", 'mean "limits"'),
     "title as a number": ({"title": 3}, "title", 'this is not a text. Write it in quotes: "3"'),
     "points as text": ({"requirement.points": "40"}, "requirement.points", "this is not a whole number"),
-    "points out of range": ({"requirement.points": -1}, "requirement.points", "out of range, less than 1. Give a whole number"),
+    "points out of range": ({"requirement.points": -1}, "requirement.points", "this is below 1. Give a whole number"),
     "mass alone": ({"bodies": {"rocker": "2 kg"}}, "bodies.rocker", 'Write rocker = { mass = "1.2 kg" }'),
     "kind of a path": (
         {"requirement": {"point": "C", "points": [["1 mm", "2 mm"], ["3 mm", "4 mm"]]}},
