@@ -43,6 +43,11 @@ TIGHT = {f"ipopt.{name}": 1e-11 for name in ("tol", "constr_viol_tol", "compl_in
 CYCLE = {"ipopt.adaptive_mu_globalization": "kkt-error"}
 """Programmes of machine cycles: half the iterations, as the barrier parameter seldom falls back to a monotone decrease."""
 
+STAYING = {f"ipopt.{name}": 1e-8 for name in ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")}
+"""Begin at the start itself. By default IPOPT moves it away from the bounds, by up to 1 % of their distance: in a narrow feasible
+region beside a bound the objective then has no value."""
+UNDEFINED = "Invalid_Number_Detected"
+
 CLOSE_START = {"ipopt.mu_strategy": "monotone", "ipopt.mu_init": 1e-4}
 
 
@@ -72,7 +77,7 @@ def _solver(nlp: NLP, extra: dict[str, Any]) -> Any:
     return casadi.nlpsol("ipopt", "ipopt", nlp.programme, {**OPTIONS, **options, **extra})
 
 
-def compiled(nlp: NLP, tight: bool = False, close: bool = False) -> Any:
+def compiled(nlp: NLP, tight: bool = False, close: bool = False, staying: bool = False) -> Any:
     """Return the solver of an NLP, built once and cached in `nlp.cache`.
 
     Parameters
@@ -82,10 +87,12 @@ def compiled(nlp: NLP, tight: bool = False, close: bool = False) -> Any:
         Use convergence tolerances of 1e-11 instead of 1e-8.
     close : bool
         Start with a small barrier parameter, for a start near an optimum.
+    staying : bool
+        Begin at the start itself, see `STAYING`.
     """
-    key = f"ipopt, {tight}, {close}"
+    key = f"ipopt, {tight}, {close}, {staying}"
     if key not in nlp.cache:
-        nlp.cache[key] = _solver(nlp, (TIGHT if tight else {}) | (CLOSE_START if close else {}))
+        nlp.cache[key] = _solver(nlp, (TIGHT if tight else {}) | (CLOSE_START if close else {}) | (STAYING if staying else {}))
         nlp.take_hessian(nlp.cache[key].get_function("nlp_hess_l"))
     return nlp.cache[key]
 
@@ -110,9 +117,12 @@ def ipopt(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = Fa
     recorder = _Recorder(nlp) if track else None
     options = {"iteration_callback": recorder} | (TIGHT if tight else {}) | (CLOSE_START if close else {})
     solver = compiled(nlp, tight, close) if recorder is None else _solver(nlp, options)
-    before = interrupted()
+    before, limits = interrupted(), {"lbx": nlp.x_low, "ubx": nlp.x_high, "lbg": nlp.low, "ubg": nlp.high}
     with silent():
-        result = solver(x0=x, p=p, lbx=nlp.x_low, ubx=nlp.x_high, lbg=nlp.low, ubg=nlp.high)
+        result = solver(x0=x, p=p, **limits)
+        if solver.stats()["return_status"] == UNDEFINED and nlp.at(x, p).finite:
+            solver = compiled(nlp, tight, close, staying=True)
+            result = solver(x0=x, p=p, **limits)
     if interrupted() and not before:  # casadi stops at Ctrl-C, but returns
         raise KeyboardInterrupt
     statistics = solver.stats()

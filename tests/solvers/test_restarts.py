@@ -75,3 +75,20 @@ def test_the_conditions_of_an_optimum_are_those_of_its_design(name: str) -> None
     assert found.kkt == own.kkt <= 1e-12
     np.testing.assert_array_equal(found.conditions.multipliers, own.multipliers)
     np.testing.assert_array_equal(found.g, point.g)
+
+
+def test_ipopt_begins_at_its_start_where_the_interior_of_the_bounds_has_no_value() -> None:
+    """Only rockers within 0.03 mm of the upper bound turn fully: IPOPT moved its start away from it, and no design was found."""
+    raw = {
+        "title": "nearly no crank-rocker",
+        "mechanism": {"crank": "57.8763 mm", "frame": "100 mm", "coupler": "20..300 mm", "rocker": "20..58.24 mm"},
+        "requirement": {"law": "psi0 + 1.1147*sin(phi - phi0)", "span": "-353.788 deg", "points": 10},
+        "limits": {"transmission_angle": ["5 deg", "175 deg"]},
+    }
+    result = optlink.solve(optlink.read(raw), "ipopt")
+    assert result.status is Status.OPTIMAL
+    assert result.valid
+    b, r = (1e3 * result.design[name] for name in ("coupler", "rocker"))
+    assert r <= 58.24 + 1e-9
+    least = np.degrees(np.arccos((b * b + r * r - (100.0 - 57.8763) ** 2) / (2.0 * b * r)))
+    assert least == pytest.approx(5.0, abs=1e-6)
