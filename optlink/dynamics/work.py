@@ -12,8 +12,11 @@ from optlink.linkage.vector2d import Array
 from optlink.linkage.zeros import zeros
 
 PANELS = 180  # per range or revolution: 2 degrees each in a revolution
-HALVINGS = 30  # of the panels towards a peak of a load
+HALVINGS = 30  # of the panels at most, where the torque is not smooth
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
+TAILS = (np.polynomial.legendre.legvander(NODES, 7)[:, 6:] * WEIGHTS[:, None]) * (np.array([6.0, 7.0]) + 0.5)
+"""Last two coefficients of the Legendre series through values at the nodes."""
+ROUGH = 1e-7  # share of the whole work that these may add to a panel, whose quadrature is then exact to about 1e-13
 
 
 def gauss_points(a: Array, b: Array) -> tuple[Array, Array]:
@@ -119,8 +122,8 @@ class Work:
         even = np.linspace(low, high, _panels(low, high) + 1)
         beside = (even[1] - even[0]) * np.outer([-1.0, 1.0], 0.5 ** np.arange(HALVINGS))
         graded = (self.peaks[:, None] + beside.ravel()).ravel()
-        self.knots = distinct(np.concatenate([even, self.breaks, graded[(graded > low) & (graded < high)]]))
-        pieces = self._integral(self.knots[:-1], self.knots[1:])
+        knots = distinct(np.concatenate([even, self.breaks, graded[(graded > low) & (graded < high)]]))
+        self.knots, pieces = self._panels(knots)
         for pole in np.concatenate([*self.poles.values(), np.empty(0)]):
             pieces[(self.knots[:-1] <= pole) & (pole <= self.knots[1:])] = np.nan
         self._sum = np.concatenate([[0.0], np.cumsum(pieces)])
@@ -131,6 +134,25 @@ class Work:
         """Return the driving torque [N m] at crank angles (n,)."""
         torque = reactions(self.machine.moving(angles, self.speed)).torque
         return np.broadcast_to(np.asarray(torque, dtype=float), angles.shape)
+
+    def _panels(self, knots: Array) -> tuple[Array, Array]:
+        """Return knots between which the torque is smooth, halved where it is not between those given, and the works between them."""
+        a, b, total, found = knots[:-1], knots[1:], None, []
+        for level in range(HALVINGS):
+            points, half = gauss_points(a, b)
+            values = self.torque(points.ravel()).reshape(points.shape)
+            if total is None:
+                total = float(np.nansum(half * (np.abs(values) @ WEIGHTS)))
+            rough = half * np.max(np.abs(values @ TAILS), axis=1) > ROUGH * total
+            done = ~rough if level < HALVINGS - 1 else np.ones(len(a), dtype=bool)
+            found.append(np.array([a, b, half * (values @ WEIGHTS)])[:, done])
+            a, middle, b = a[~done], 0.5 * (a + b)[~done], b[~done]
+            if not a.size:
+                break
+            a, b = np.concatenate([a, middle]), np.concatenate([middle, b])
+        begins, _, works = np.concatenate(found, axis=1)
+        order = np.argsort(begins)
+        return np.append(begins[order], knots[-1]), works[order]
 
     def _integral(self, a: Array, b: Array) -> Array:
         points, half = gauss_points(a, b)

@@ -756,6 +756,29 @@ def test_a_design_of_a_batch_has_the_branch_of_the_angle_that_it_has_alone(load)
             np.testing.assert_allclose(batch[name][row], alone[name][:36], atol=1e-12, err_msg=f"{name}, {direction} deg")
 
 
+@pytest.mark.parametrize("mode", ["left", "right"])
+def test_a_crank_that_turns_fast_against_the_rocker_near_alignment_turns_fully(mode):
+    """The relative angle changes by more than 0.02 rad from sample to sample, and the samples do not close the revolution."""
+    sizes = {"crank": "232 mm", "coupler": "262 mm", "rocker": "330 mm", "frame": "302.5 mm"}
+    spring = {"on": "crank", "against": "rocker", "torsional_stiffness": "5 N*m/rad"}
+    with pytest.raises(optlink.InputError, match="crank turns fully against rocker"):
+        optlink.read({"mechanism": {"type": "four-bar", **sizes, "assembly": mode}, "loads": {"spring": spring}})
+    swinging = {**spring, "on": "rocker", "against": "frame"}
+    assert optlink.read({"mechanism": {"type": "four-bar", **sizes, "assembly": mode}, "loads": {"spring": swinging}})
+
+
+@pytest.mark.parametrize(("rocker", "full"), [("292.6 mm", True), ("250 mm", False)])
+def test_work_is_exact_near_alignment_and_near_the_ends_of_a_limited_range(rocker, full):
+    """The drive's work is the change of the kinetic energy: nothing else takes or gives any."""
+    sizes = {"crank": "232 mm", "coupler": "262 mm", "rocker": rocker, "frame": "302.5 mm"}
+    bodies = {name: {"mass": "2 kg", "inertia": "uniform bar"} for name in ("crank", "coupler", "rocker")}
+    mechanism = {"type": "four-bar", **sizes, "assembly": "right"}
+    result = optlink.analyze(optlink.read({"mechanism": mechanism, "bodies": bodies, "drive": {"start": "90 deg"}}))
+    energy, work = result["energy.kinetic_J"], result["input.work_J"]
+    assert result.full is full
+    np.testing.assert_allclose(work, energy - energy[0], rtol=0.0, atol=1e-9 * np.max(np.abs(energy)))
+
+
 def test_what_cannot_follow_or_does_not_move_is_refused():
     fault = {"loads.spring": {"on": "crank", "torsional_stiffness": "1 N*m/rad"}}
     with pytest.raises(optlink.InputError, match="turns fully against frame"):

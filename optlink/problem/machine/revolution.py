@@ -160,11 +160,15 @@ class RevolutionSamples:
         return _per_design(np.where(high - low <= FULL_TURN, _near(0.5 * (low + high), 0.0), 0.0))
 
     def _swing(self, body: str, against: str) -> tuple[Array, Array]:
-        """Return the ends [rad] of the swing of a body relative to another, of each design; NaN: no position is reached."""
+        """Return the ends [rad] of the swing of a body relative to another, of each design; NaN: no position is reached.
+
+        If every position is reached, the first one is also the last one, so that a full turn counts as one.
+        """
         one, other = (self.moving.state(name).axis for name in (body, against))
         angle = np.asarray(np.arctan2(cross(other, one), dot(other, one)) + 0.0 * self.moving.motion.crank_angle)
-        angles = [np.unwrap(row[np.isfinite(row)]) for row in np.atleast_2d(angle)]
-        ends = np.array([[np.min(swing), np.max(swing)] if swing.size else [np.nan, np.nan] for swing in angles])
+        closed = [np.append(row, row[0]) if np.all(np.isfinite(row)) else row[np.isfinite(row)] for row in np.atleast_2d(angle)]
+        reached = [np.unwrap(row) for row in closed]
+        ends = np.array([[np.min(swing), np.max(swing)] if swing.size else [np.nan, np.nan] for swing in reached])
         low, high = ends.T.reshape(2, *np.shape(angle)[:-1])
         return low, high
 
