@@ -13,6 +13,7 @@ from optlink.linkage.zeros import zeros
 
 PANELS = 180  # per range or revolution: 2 degrees each in a revolution
 HALVINGS = 30  # of the panels at most, where the torque is not smooth
+MOST_ROUGH = 2_000  # panels that are halved again; more are rough from rounding errors, as beside singular positions
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 TAILS = (np.polynomial.legendre.legvander(NODES, 7)[:, 6:] * WEIGHTS[:, None]) * (np.array([6.0, 7.0]) + 0.5)
 """Last two coefficients of the Legendre series through values at the nodes."""
@@ -136,15 +137,17 @@ class Work:
         return np.broadcast_to(np.asarray(torque, dtype=float), angles.shape)
 
     def _panels(self, knots: Array) -> tuple[Array, Array]:
-        """Return knots between which the torque is smooth, halved where it is not between those given, and the works between them."""
+        """Return knots between which the torque is smooth, halved where it is not, and the works between them."""
         a, b, total, found = knots[:-1], knots[1:], None, []
         for level in range(HALVINGS):
             points, half = gauss_points(a, b)
             values = self.torque(points.ravel()).reshape(points.shape)
             if total is None:
                 total = float(np.nansum(half * (np.abs(values) @ WEIGHTS)))
-            rough = half * np.max(np.abs(values @ TAILS), axis=1) > ROUGH * total
-            done = ~rough if level < HALVINGS - 1 else np.ones(len(a), dtype=bool)
+            with np.errstate(invalid="ignore"):  # a load without a value
+                rough = half * np.max(np.abs(values @ TAILS), axis=1) > ROUGH * total
+            last = level == HALVINGS - 1 or np.count_nonzero(rough) > MOST_ROUGH
+            done = np.ones(len(a), dtype=bool) if last else ~rough
             found.append(np.array([a, b, half * (values @ WEIGHTS)])[:, done])
             a, middle, b = a[~done], 0.5 * (a + b)[~done], b[~done]
             if not a.size:

@@ -31,7 +31,6 @@ MEET = 1e-6  # relative violation permitted for a limit
 ROUNDING = 1e-6  # of the size of the signal, below which a mean or a work counts as zero
 ZERO_LIMIT_REFERENCE = 1e-3  # of the size of the signal, the reference for the tolerance of a limit of zero
 BALANCE = 1e-9  # relative difference permitted between the work of the drive and of the loads
-FINER = 3  # times that the steps of its quadrature are halved
 
 
 class _Weight(Steady):
@@ -225,18 +224,7 @@ class Cycle:
         The exchanged energy is the integral of the absolute powers over the revolution plus the kinetic energy: without
         loads the works all vanish, in a machine balanced on its crank the powers too.
         """
-        knots = self.work.knots
-        imbalance = self._imbalance(knots)
-        for _ in range(FINER):  # a share of quadrature vanishes between closer knots, a fault of the forces does not
-            if imbalance <= BALANCE:
-                break
-            knots = np.sort(np.concatenate([knots, 0.5 * (knots[1:] + knots[:-1])]))
-            imbalance = self._imbalance(knots)
-        return imbalance
-
-    def _imbalance(self, knots: Array) -> float:
-        """Return the imbalance by Gauss quadrature between knots (n,) [rad]."""
-        points, half = gauss_points(knots[:-1], knots[1:])
+        points, half = gauss_points(self.work.knots[:-1], self.work.knots[1:])
         points = points.ravel()
         moving = self.machine.moving(points, self.speed)
         record = MotionColumns(moving)
