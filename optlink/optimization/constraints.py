@@ -327,7 +327,7 @@ def pivot_region_rows(problem: AnyProblem, values: Mapping[str, Value], reach: R
             if interval is not None:
                 low, high = interval.bounds
                 yield ConstraintRow(
-                    "limits.pivots", f"{name}.{axis}", coordinate / size, low / size, high / size, Scale("mm", 1e3 * size)
+                    "limits.pivots", f"pivot {name}.{axis}", coordinate / size, low / size, high / size, Scale("mm", 1e3 * size)
                 )
 
 

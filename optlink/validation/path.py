@@ -346,4 +346,4 @@ def _pivots(tested: _Tested) -> Iterator[Check]:
         for axis, value in zip("xy", place, strict=True):
             interval = getattr(region, axis)
             if interval is not None:
-                yield from limit_checks(f"{name}.{axis}", float(value), interval, tolerance, 1e3, "mm")
+                yield from limit_checks(f"pivot {name}.{axis}", float(value), interval, tolerance, 1e3, "mm")

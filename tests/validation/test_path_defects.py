@@ -39,8 +39,8 @@ CHECKS = {
     "time ratio": "time ratio",
     "frame length": "frame length",
     " / frame": "link ratio",
-    "A.": "pivots",
-    "D.": "pivots",
+    "pivot A.": "pivots",
+    "pivot D.": "pivots",
     "objective": "objective",
 }
 DESIGN = oracle.four_bar(100.0, 35.0, 90.0, 80.0, x=-30.0, y=12.0, direction=0.35, along=40.0, across=55.0, mode=1)
