@@ -81,6 +81,12 @@ def test_a_problem_is_shown_with_the_keys_and_defaults_of_its_kind(
     assert [text for text in not_there if f" {text} " in shown] == []
 
 
+def test_moments_of_inertia_have_the_product_dot_of_torques() -> None:
+    parts = problem_tables.problem(optlink.load("six-bar")).parts
+    bodies = next(part for part in parts if getattr(part, "title", "") == "[bodies]")
+    assert [column.name for column in bodies.columns][-1] == "inertia [kg·m^2]"
+
+
 def test_iterations_that_a_stored_result_does_not_know_are_not_zero(solved: optlink.FunctionResult) -> None:
     assert solved.solution is not None
     assert f"{solved.solution.iterations} iterations" in shown(solved)

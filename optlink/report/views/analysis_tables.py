@@ -54,7 +54,7 @@ def machine(file: ProblemFile) -> Iterator[TableSpec]:
         for name, inertia in built.inertias.items():
             place = f"({number(inertia.along * 1e3)}, {number(inertia.across * 1e3)})"
             masses.append((name, number(inertia.mass), place, number(inertia.moment)))
-        yield table("[bodies]", ["body", ">mass [kg]", ">centroid [mm]", ">inertia [kg m^2]"], masses)
+        yield table("[bodies]", ["body", ">mass [kg]", ">centroid [mm]", ">inertia [kg·m^2]"], masses)
     gravity = math.hypot(*built.gravity)
     drive = [("drive", f"{mechanism.crank.body} at {model.drive.speed}, from {model.drive.start}")]
     if model.drive.torque is not None:
@@ -229,7 +229,7 @@ def _work(outcome: Analysis) -> TableSpec:
         rows += [
             ("mean speed", number(wheel.mean_speed), "rad/s, mean over crank angle, not time"),
             ("fluctuation", number(wheel.fluctuation), alone if wheel.fluctuation > 0.0 else "without a flywheel: it would stop"),
-            ("flywheel", number(wheel.inertia), f"kg m^2, added to the crank: fluctuation {wheel.allowed:g}"),
+            ("flywheel", number(wheel.inertia), f"kg·m^2, added to the crank: fluctuation {wheel.allowed:g}"),
         ]
     return table("Work of the drive", "<><", rows)
 
