@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import plotly.graph_objects as go
@@ -23,7 +24,7 @@ import optlink
 from optlink.report.export.dimensions import dimensioned
 from optlink.report.format import pretty
 from optlink.report.html import chart_plotly, theme
-from optlink.report.html.page import charts, page, sensitivities_of, write_page
+from optlink.report.html.page import charts, page, sensitivities_of, verdict, write_page
 from optlink.report.html.shell import LARGEST, four
 from optlink.report.report_model import ReportModel, report_model_of, solve_or_validate
 from optlink.report.scene import scene
@@ -672,3 +673,9 @@ def test_what_got_into_a_page_would_still_not_run(driver, tmp_path, crank_rocker
     assert asked == ["http://127.0.0.1:9/x.png"]
     assert complaints
     assert driver.execute_script("return window.caught === 1")
+
+
+def test_the_verdict_writes_torques_as_the_tables_do() -> None:
+    best = SimpleNamespace(fit=None, comparison="objective 218.78 N*m (-17.1 %)")
+    subject = SimpleNamespace(result=SimpleNamespace(best=best), valid=True)
+    assert verdict(subject) == "Valid: every check passed; objective 218.78 N·m (-17.1 %)"  # type: ignore[arg-type]

@@ -9,7 +9,7 @@ from pathlib import Path
 from optlink.errors import Status
 from optlink.io import whole
 from optlink.report.chart_spec import ChartSpec
-from optlink.report.format import single_units
+from optlink.report.format import product, single_units
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, turning
 from optlink.report.html.shell import PageSection, StoredStudy
@@ -132,7 +132,7 @@ def verdict(subject: ReportModel | StoredStudy) -> str:
     if subject.valid:
         best = getattr(subject.result, "best", None)
         fit, comparison = (getattr(best, name, None) for name in ("fit", "comparison"))
-        beside = f"; {comparison}" if comparison else ""
+        beside = f"; {product(comparison)}" if comparison else ""
         return (f"Valid, {fit.text}" if fit is not None and fit.grade == "poor" else "Valid: every check passed") + beside
     if subject.result.status is Status.INFEASIBLE:
         return "No feasible design found"
