@@ -42,11 +42,8 @@ class Scene:
     `angles` (positions,) [deg] follow the motion; `closed` says whether the last position equals the first; `points` are
     coordinates (positions, 2) by name; `moving`, `free` and `pins` are names of points, `owner` the body whose colour the trace
     of each takes; `ground` contains lines, widths and whether they are filled; `springs` are the two end points
-    (positions, 2, 2) by name; `size` is the height of a ground pivot; `box` is x, y, width and height of the drawing; `cycle`
-    the analysis of the machine.
+    (positions, 2, 2) by name; `size` is the height of a ground pivot; `box` is x, y, width and height of the drawing.
     """
-
-    cycle: Analysis
 
     angles: Array
     closed: bool
@@ -112,7 +109,7 @@ def scene(cycle: Analysis, steps: int = STEPS, at: float | None = None) -> Scene
     whole = sweep(machine.mechanism, machine.sizes, angles, cycle.speed)
     sketch = Sketch(whole, machine)
     shown = whole if at is None else sweep(machine.mechanism, machine.sizes, [at], cycle.speed)
-    return _scene(cycle, sketch, shown, closed=cycle.full and at is None)
+    return scene_of(sketch, shown, closed=cycle.full and at is None)
 
 
 def through(cycle: Analysis, angles: Array) -> Scene:
@@ -125,17 +122,28 @@ def through(cycle: Analysis, angles: Array) -> Scene:
     """
     machine = cycle.machine
     whole = sweep(machine.mechanism, machine.sizes, np.radians(cycle["crank_angle_deg"]), cycle.speed)
-    return _scene(cycle, Sketch(whole, machine), sweep(machine.mechanism, machine.sizes, angles, cycle.speed), closed=False)
+    return scene_of(Sketch(whole, machine), sweep(machine.mechanism, machine.sizes, angles, cycle.speed), closed=False)
 
 
-def _scene(cycle: Analysis, sketch: Sketch, motion: Motion, *, closed: bool) -> Scene:
-    mechanism, k = sketch.mechanism, 1e3 / sketch.scale.factor
-    flip = k * FLIP
+def scene_of(sketch: Sketch, motion: Motion, *, closed: bool, up: bool = False) -> Scene:
+    """Return the scene of a sketch at the positions of a motion.
+
+    Parameters
+    ----------
+    sketch : Sketch
+    motion : Motion
+    closed : bool
+        Whether the last position equals the first.
+    up : bool, optional
+        Whether the y axis points up, and angles turn with it.
+    """
+    mechanism, k, way = sketch.mechanism, 1e3 / sketch.scale.factor, np.abs(FLIP) if up else FLIP
+    flip = k * way
 
     def body(name: str) -> Body:
         parts = tuple(Part(part.kind, part.outline * flip) for part in sketch.parts[name])
-        start = motion.position(mechanism.bodies[name].start) * 1e3 * FLIP
-        angle = -np.degrees(np.asarray(motion.body_angle(name).value, dtype=float))
+        start = motion.position(mechanism.bodies[name].start) * 1e3 * way
+        angle = way[1] * np.degrees(np.asarray(motion.body_angle(name).value, dtype=float))
         centroid = sketch.centroids.get(name)
         poses = np.concatenate([start, angle[:, None]], axis=1)
         return Body(name, sketch.colours[name], parts, None if centroid is None else centroid[0] * flip, poses)
@@ -143,20 +151,19 @@ def _scene(cycle: Analysis, sketch: Sketch, motion: Motion, *, closed: bool) -> 
     owners = mechanism.owners
     (x0, x1), (y0, y1) = sketch.limits
     return Scene(
-        cycle=cycle,
         angles=np.degrees(np.asarray(motion.crank_angle, dtype=float)),
         closed=closed,
         bodies=tuple(body(name) for name in mechanism.bodies),
-        points={name: motion.position(name) * 1e3 * FLIP for name in sketch.names},
+        points={name: motion.position(name) * 1e3 * way for name in sketch.names},
         moving=tuple(name for name, bodies in owners.items() if FRAME not in bodies),
         free=tuple(name for name, bodies in owners.items() if len(bodies) == 1 and bodies[0] != FRAME),
         pins=tuple(mechanism.pins),
         owner={name: bodies[0 if bodies[0] == mechanism.crank.body else -1] for name, bodies in owners.items()},
         ground=[(line * flip, width, filled) for line, width, filled in sketch.ground],
         springs={
-            spring.name: np.stack([motion.position(point) * 1e3 * FLIP for _, point in spring.ends], axis=1)
+            spring.name: np.stack([motion.position(point) * 1e3 * way for _, point in spring.ends], axis=1)
             for spring in sketch.springs
         },
         size=sketch.size * k,
-        box=(k * x0, -k * y1, k * (x1 - x0), k * (y1 - y0)),
+        box=(k * x0, k * (y0 if up else -y1), k * (x1 - x0), k * (y1 - y0)),
     )

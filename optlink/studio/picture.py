@@ -9,10 +9,10 @@ import numpy as np
 
 from optlink.dynamics.machine import Machine
 from optlink.io import finite
-from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.report.drawing import Sketch
+from optlink.report.scene import scene_of
 
 STEPS = 72  # positions per revolution
 INSIDE = 1e-8  # rad from the ends of a limited motion: there rounding decides
@@ -74,33 +74,26 @@ class Picture:
 
     def document(self) -> dict[str, Any]:
         """Return the scene as data of the page."""
-        sketch, motion, k = self.sketch, self.motion, 1e3 / self.sketch.scale.factor
-        owners = self.mechanism.owners
-        free = [name for name, bodies in owners.items() if len(bodies) == 1 and bodies[0] != FRAME]
-        points = {name: self._places(1e3 * motion.position(name)) for name in sketch.names}
-        (x0, x1), (y0, y1) = sketch.limits
+        drawn = scene_of(self.sketch, self.motion, closed=self.closed, up=True)
+        x, y, wide, high = drawn.box
+        points = {name: self._places(own) for name, own in drawn.points.items()}
         bodies = []
-        for name in self.mechanism.bodies:
-            start = 1e3 * motion.position(self.mechanism.bodies[name].start)
-            angle = np.degrees(np.asarray(motion.body_angle(name).value, dtype=float))
-            parts = [{"kind": p.kind, "outline": self._places(k * p.outline)} for p in sketch.parts[name]]
-            poses = np.column_stack([np.round(start, self._decimals), np.round(angle, 4)])
-            bodies.append({"name": name, "colour": sketch.colours[name], "parts": parts, "poses": _plain(poses)})
+        for body in drawn.bodies:
+            parts = [{"kind": p.kind, "outline": self._places(p.outline)} for p in body.parts]
+            poses = np.column_stack([np.round(body.poses[:, :2], self._decimals), np.round(body.poses[:, 2], 4)])
+            bodies.append({"name": body.name, "colour": body.colour, "parts": parts, "poses": _plain(poses)})
         return {
-            "angles": np.round(np.degrees(self.angles), 4).tolist(),
-            "closed": self.closed,
-            "box": self._places(k * np.array([x0, y0, x1, y1])),
+            "angles": np.round(drawn.angles, 4).tolist(),
+            "closed": drawn.closed,
+            "box": self._places(np.array([x, y, x + wide, y + high])),
             "bodies": bodies,
             "points": points,
-            "pins": list(self.mechanism.pins),
-            "free": free,
-            "ground": [{"line": self._gaps(k * line), "width": width, "filled": filled} for line, width, filled in sketch.ground],
-            "springs": {
-                spring.name: self._places(1e3 * np.concatenate([motion.position(p) for _, p in spring.ends], axis=1))
-                for spring in sketch.springs
-            },
-            "size": round(k * sketch.size, self._decimals),
-            "traces": {name: points[name] for name in free},
+            "pins": list(drawn.pins),
+            "free": list(drawn.free),
+            "ground": [{"line": self._gaps(line), "width": width, "filled": filled} for line, width, filled in drawn.ground],
+            "springs": {name: self._places(ends.reshape(len(ends), 4)) for name, ends in drawn.springs.items()},
+            "size": round(drawn.size, self._decimals),
+            "traces": {name: points[name] for name in drawn.free},
         }
 
     def _places(self, values: Array) -> Any:

@@ -65,8 +65,9 @@ class Stops:
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """A scene with its slider and the quantities beside it."""
+    """A scene of an analysed machine with its slider and the quantities beside it."""
 
+    cycle: Analysis
     scene: Scene
     stops: Stops
     readouts: Sequence[Readout]
@@ -85,21 +86,17 @@ class Moving:
         _, _, width, height = self.scene.box
         return height < FLAT * width
 
-    @property
-    def cycle(self) -> Analysis:
-        """Analysis of the machine."""
-        return self.scene.cycle
-
     def svg(self, title: str) -> str:
         """Return the drawing."""
         return svg(self.scene, f"{title}, drawn to scale")
 
 
-def in_time(scene: Scene, time: Array, shown: Iterable[tuple[str, Scale, Array]]) -> Moving:
+def in_time(cycle: Analysis, scene: Scene, time: Array, shown: Iterable[tuple[str, Scale, Array]]) -> Moving:
     """Return the animation of a scene whose positions are reached at times, with quantities that follow it.
 
     Parameters
     ----------
+    cycle : Analysis
     scene : Scene
     time : array (positions,) [s]
     shown : iterable of (name, Scale, array (positions,))
@@ -109,7 +106,7 @@ def in_time(scene: Scene, time: Array, shown: Iterable[tuple[str, Scale, Array]]
         Readout(name, unit.unit, [round(float(v) * unit.factor, 5) if math.isfinite(v) else None for v in values])
         for name, unit, values in shown
     ]
-    return Moving(scene, Stops("time", " s", time, decimals_of(time)), listed)
+    return Moving(cycle, scene, Stops("time", " s", time, decimals_of(time)), listed)
 
 
 def decimals_of(values: Array) -> int:
@@ -128,7 +125,7 @@ def turning(cycle: Analysis, steps: int) -> Moving:
         Number of positions per revolution.
     """
     drawn = scene(cycle, steps)
-    return Moving(drawn, Stops("crank angle", "°", drawn.angles, 1, 360.0), readouts(cycle, drawn.angles))
+    return Moving(cycle, drawn, Stops("crank angle", "°", drawn.angles, 1, 360.0), readouts(cycle, drawn.angles))
 
 
 def readouts(cycle: Analysis, angles: Array) -> list[Readout]:

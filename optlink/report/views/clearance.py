@@ -342,7 +342,7 @@ def _moving(found: ClearanceSimulation, steps: int) -> Moving | None:
     names = {gap.point: f"{gap.point}.normal_N" for gap in found.gaps}
     force = scale(largest(found.columns, names.values()), "N")
     shown += [(f"contact force at {point}", force, found[name][rows]) for point, name in names.items()]
-    return in_time(through(cycle, np.radians(crank)), found["time_s"][rows], shown)
+    return in_time(cycle, through(cycle, np.radians(crank)), found["time_s"][rows], shown)
 
 
 VIEW = View(

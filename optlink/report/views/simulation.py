@@ -247,7 +247,7 @@ def _moving(file: ProblemFile, record: SimulationRecord, steps: int) -> Moving |
     for name, words, unit in ((f"{body}.omega_rad_s", "crank speed", "rad/s"), ("input.torque_Nm", "driving torque", "N m")):
         if name in columns:
             shown.append((words, scale(largest(columns, [name]), unit), columns[name][rows]))
-    return in_time(drawn, columns["time_s"][rows], shown)
+    return in_time(cycle, drawn, columns["time_s"][rows], shown)
 
 
 VIEW = View(charts=lambda result: charts(_history(result)), tables=lambda result: {"course": result.columns}, page=stored_study)
