@@ -6,7 +6,7 @@ feasible design is feasible here too, and a lower bound of the objective here ho
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import contextlib
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -96,9 +96,8 @@ class DesignBoxes:
                 residuals, rows = _function(self.problem, values, low.shape[1])
             else:
                 residuals, rows = _timed(self.problem, values, low.shape[1])
-        sides: list[TaylorModel] = []
-        limits: list[str] = []
-        shape, count = (len(low),), low.shape[1]
+        found: list[tuple[str, TaylorModel]] = []
+        count = low.shape[1]
         for row in rows:
             for bound, sign in ((row.low, 1.0), (row.high, -1.0)):
                 slack = sign * (row.value - bound) if np.isfinite(bound) else np.inf
@@ -106,11 +105,9 @@ class DesignBoxes:
                     least = np.min(slack.high if isinstance(slack, TaylorModel) else slack)
                     slack = TaylorModel.constant(least, count) if least < -FIXED_LIMIT_TOLERANCE else None
                 if slack is not None:
-                    sides.append(slack)
-                    limits.append(row.limit)
-        slacks = _joined([column for side in sides for column in _columns(side, shape, count)], shape, count)
-        widths = [1 if side.remainder.ndim < 2 else side.remainder.shape[-1] for side in sides]
-        self.limits = tuple(limit for limit, width in zip(limits, widths, strict=True) for _ in range(width))
+                    found += [(row.limit, column) for column in _columns(slack)]
+        self.limits = tuple(limit for limit, _ in found)
+        slacks = _joined([column for _, column in found], (len(low),), count)
         return BoxModels(residuals, slacks, periodic=getattr(self.problem, "unit", "rad") == "rad")
 
 
@@ -229,20 +226,13 @@ def _limits(problem: DesignProblem | PathProblem, values: dict[str, Any], reach:
     """Return the limits that can be evaluated with Taylor models."""
     rows: list[ConstraintRow] = []
     for term in (*FOUR_BAR, *GENERAL) if isinstance(problem.mechanism, FourBarSection) else GENERAL:
-        limit_rows: Iterator[ConstraintRow] = iter(term(problem, values, reach, 1.0))
-        while True:
-            try:
-                row = next(limit_rows, None)
-            except TypeError:  # an operation without a rule: the remaining limits of this term are left out
-                break
-            if row is None:
-                break
-            rows.append(row)
+        with contextlib.suppress(TypeError):  # an operation without a rule: the remaining limits of this term are left out
+            rows.extend(term(problem, values, reach, 1.0))
     return rows
 
 
-def _columns(model: TaylorModel, shape: tuple[int, ...], count: int) -> list[TaylorModel]:
-    """Return a quantity over boxes of the given shape as models (boxes,), one for each of its positions."""
+def _columns(model: TaylorModel) -> list[TaylorModel]:
+    """Return a quantity over boxes as models (boxes,), one for each of its positions."""
     if model.remainder.ndim < 2:
         return [model]
     return [model[..., k] for k in range(model.remainder.shape[-1])]

@@ -30,7 +30,7 @@ from optlink.solvers.semi_infinite import exchange, peaks
 from optlink.studies.continuation import FOLLOWED
 from optlink.studies.grid import Grid
 from optlink.studies.reoptimise_task import SEARCHED, SLOW_CHUNK, ReoptimiseTask, active
-from optlink.studies.sweep_task import FoundOptimum, OptimumTask, SweepTask
+from optlink.studies.sweep_task import FoundOptimum, OptimumTask
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.protocol import completed
 from optlink.tasks.results.common import optimality
@@ -130,10 +130,9 @@ def optimum_task(
     anchors : sequence of mapping of str to float [SI]
         Dimensions of machines from which each search starts too.
     """
-    common = SweepTask.problem_fields(problem) | {"grid": grid, "backend": backend}
     if problem.task == "cycle":
-        return CycleTask(**common, chunk=SLOW_CHUNK, anchors=tuple(tuple(sizes.items()) for sizes in anchors))
-    task = ReoptimiseTask(**common, chunk=chunk)
+        return CycleTask(problem, grid, SLOW_CHUNK, backend, tuple(tuple(sizes.items()) for sizes in anchors))
+    task = ReoptimiseTask(problem, grid, chunk, backend)
     shared = task.template.model.shares_programme([axis.key for axis in grid.axes])
     return task if shared else replace(task, chunk=SLOW_CHUNK)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated
@@ -127,7 +127,8 @@ def read_axis(assignment: str) -> Axis:
     number = int(count)
     if number < 2:
         raise fault(f"{number} points do not make a range", "Give at least 2 points, or one value with --set")
-    _most(number, fault)
+    if number > MAX_POINTS:
+        raise fault(f"{number:,} points exceed the limit of a sweep, {MAX_POINTS:,}", "Give fewer points")
     if spacing:
         if a <= 0.0:
             raise fault("equal ratios need ends above zero", "Leave log out, or begin above zero")
@@ -139,14 +140,7 @@ def read_axis(assignment: str) -> Axis:
     return Axis(key, unit, (a, *inner, b))
 
 
-def _most(count: int, fault: object) -> None:
-    if count > MAX_POINTS:
-        assert callable(fault)
-        raise fault(f"{count:,} points exceed the limit of a sweep, {MAX_POINTS:,}", "Give fewer points")
-
-
-def _value_list(key: str, values: str, fault: object) -> Axis:
-    assert callable(fault)
+def _value_list(key: str, values: str, fault: Callable[..., InputError]) -> Axis:
     parts = [_ONE.fullmatch(part) for part in values.split(",")]
     groups = [match.groups() for match in parts if match is not None]
     if len(groups) != len(parts):
@@ -170,22 +164,23 @@ class Grid:
     axes: tuple[Axis, ...]
 
     @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of values of every axis."""
+        return tuple(len(axis.values) for axis in self.axes)
+
+    @property
     def count(self) -> int:
         """Number of points."""
-        return math.prod(len(axis.values) for axis in self.axes)
+        return math.prod(self.shape)
 
     @property
     def row(self) -> int:
         """Number of values of the last axis."""
-        return len(self.axes[-1].values)
+        return self.shape[-1]
 
     def place(self, index: int) -> tuple[int, ...]:
         """Return the index of a point along every axis."""
-        indices: list[int] = []
-        for axis in reversed(self.axes):
-            index, position = divmod(index, len(axis.values))
-            indices.append(position)
-        return tuple(reversed(indices))
+        return tuple(map(int, np.unravel_index(index, self.shape)))
 
     def values(self, index: int) -> list[float]:
         """Return the values at a point, in the units of the axes."""
@@ -193,7 +188,7 @@ class Grid:
 
     def columns(self, points: NDArray[np.intp]) -> list[NDArray[np.float64]]:
         """Return the values (points,) of every axis at points, in the units of the axes."""
-        places = np.unravel_index(points, tuple(len(axis.values) for axis in self.axes))
+        places = np.unravel_index(points, self.shape)
         return [axis.array[place] for axis, place in zip(self.axes, places, strict=True)]
 
     def changes(self, index: int) -> dict[str, Raw]:
@@ -240,7 +235,7 @@ def read_grid(problem: ProblemFile, vary: Sequence[str]) -> Grid:
             raise InputError("varied twice", "Give every key once", key=f"--vary {key}")
     if grid.count > MAX_POINTS:
         days, size = grid.count / POINTS_PER_SECOND / 86400.0, grid.count * ROW_BYTES / 1e9
-        shape = " x ".join(f"{len(axis.values):,}" for axis in grid.axes)
+        shape = " x ".join(f"{size:,}" for size in grid.shape)
         raise InputError(
             f"{shape} = {grid.count:,} points exceed the limit of a sweep, {MAX_POINTS:,}: "
             f"about {days:z,.0f} days on one core and {size:z,.0f} GB",

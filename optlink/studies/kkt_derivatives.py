@@ -69,29 +69,17 @@ class KKTResponse:
     multipliers: Array
 
 
-class _Lagrangian:
-    """Second derivatives of a programme by its variables and parameters, compiled once."""
-
-    def __init__(self, nlp: NLP) -> None:
-        both = casadi.vertcat(nlp.x_symbol, nlp.p_symbol)
-        prices = casadi.SX.sym("prices", len(nlp.rows))
-        whole = nlp.f_expression + casadi.dot(prices, nlp.g_expression)
-        hessian, gradient = casadi.hessian(whole, both)
-        inputs = [nlp.x_symbol, nlp.p_symbol, prices]
-        self._call = CompiledFunction(inputs, [hessian, gradient, casadi.jacobian(nlp.g_expression, both)])
-
-    def __call__(self, x: Array, p: Array, prices: Array) -> tuple[Array, Array, Array]:
-        """Return Hessian and gradient of f + prices . g by (x, p), and the Jacobian of g."""
-        hessian, gradient, jacobian = self._call(x, p, prices)
-        size = len(gradient)
-        return hessian.reshape(size, size), gradient, jacobian.reshape((len(prices), size), order="F")
-
-
-def lagrangian(nlp: NLP) -> _Lagrangian:
-    """Return the second derivatives of a programme, cached."""
+def _lagrangian(nlp: NLP, x: Array, p: Array, prices: Array) -> tuple[Array, Array, Array]:
+    """Return Hessian and gradient of f + prices . g by (x, p), and the Jacobian of g; compiled once for a programme."""
     if "lagrangian" not in nlp.cache:
-        nlp.cache["lagrangian"] = _Lagrangian(nlp)
-    return nlp.cache["lagrangian"]  # type: ignore[no-any-return]
+        both = casadi.vertcat(nlp.x_symbol, nlp.p_symbol)
+        symbols = casadi.SX.sym("prices", len(nlp.rows))
+        hessian, gradient = casadi.hessian(nlp.f_expression + casadi.dot(symbols, nlp.g_expression), both)
+        inputs = [nlp.x_symbol, nlp.p_symbol, symbols]
+        nlp.cache["lagrangian"] = CompiledFunction(inputs, [hessian, gradient, casadi.jacobian(nlp.g_expression, both)])
+    hessian, gradient, jacobian = nlp.cache["lagrangian"](x, p, prices)
+    size = len(gradient)
+    return hessian.reshape(size, size), gradient, jacobian.reshape((len(prices), size), order="F")
 
 
 class KKTSystem:
@@ -113,11 +101,11 @@ class KKTSystem:
         self.multipliers = np.zeros(n + m)
         self.multipliers[strong] = conditions.multipliers[strong]
         self.values = np.concatenate([x, point.g])
-        hessian, gradient, rows = lagrangian(nlp)(x, p, self.multipliers[n:])
+        hessian, gradient, rows = _lagrangian(nlp, x, p, self.multipliers[n:])
         whole = np.vstack([np.eye(n, n + len(p)), rows])  # derivatives of x and the rows by x and p
         self.active = self._distinct(strong, whole[:, :n])
         if len(self.active) < len(strong):
-            hessian, gradient, _ = lagrangian(nlp)(x, p, self.multipliers[n:])
+            hessian, gradient, _ = _lagrangian(nlp, x, p, self.multipliers[n:])
         self.by_p = gradient[n:]
         # such positions are determined by the vanishing slope of the quantity that is largest there
         first, bend = len(p) - nlp.exchange_count, float(np.max(np.abs(hessian), initial=1.0))

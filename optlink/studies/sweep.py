@@ -308,15 +308,12 @@ def _task(
     design: Mapping[str, float] | None,
     backend: str,
 ) -> SweepTask:
-    fields = SweepTask.problem_fields(problem)
     if analyze:
         if not 2 <= points <= MOST_ANGLES:
             raise InputError("out of range", f"Give 2 to {MOST_ANGLES:,} crank angles", key="--points", value=points)
         quantities = tuple(quantity_of(problem, axis) for axis in grid.axes)
         design_values = tuple((name, value) for name, value in (design or {}).items() if name not in quantities)
-        whole = AnalysisTask(
-            **fields, grid=grid, chunk=MANY, quantities=quantities, requested=tuple(columns), points=points, design=design_values
-        )
+        whole = AnalysisTask(problem, grid, MANY, quantities, tuple(columns), points, design_values)
         first = Grid(tuple(replace(axis, values=axis.values[:1]) for axis in grid.axes))
         replace(whole, grid=first).lines(0)  # detects invalid columns or dimensions early
         return whole
@@ -341,14 +338,7 @@ def _simulating(
     short = {**options, "revolutions": 1} if clearances else options
     names = tuple(simulate_machine(first, short, design, has_clearances=clearances).figures)
     values = tuple((design or {}).items())
-    return SimulationTask(
-        **SweepTask.problem_fields(problem),
-        grid=grid,
-        chunk=1,
-        figures=names,
-        stated=tuple(options.items()),
-        design=values,
-    )
+    return SimulationTask(problem, grid, 1, names, tuple(options.items()), values)
 
 
 def _about(task: SweepTask) -> dict[str, Any]:

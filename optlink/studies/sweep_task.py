@@ -11,7 +11,7 @@ import io
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
@@ -39,15 +39,13 @@ class SweepTask(ABC):
     """What is computed at every point: "analyse", "simulate" or "optimise"."""
 
     source: ProblemFile
-    hash: str
     grid: Grid
     chunk: int
-    version: str
+    hash: str = field(init=False)
+    version: str = field(default=VERSION, init=False)
 
-    @classmethod
-    def problem_fields(cls, problem: ProblemFile) -> dict[str, Any]:
-        """Return the fields that come from the problem."""
-        return {"source": problem, "hash": problem.hash, "version": VERSION}
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "hash", self.source.hash)
 
     @property
     def chunks(self) -> int:
@@ -63,7 +61,7 @@ class SweepTask(ABC):
         return len(self.span(index))
 
     def __getstate__(self) -> dict[str, Any]:
-        return {field.name: getattr(self, field.name) for field in fields(self)}  # without cached values
+        return {one.name: getattr(self, one.name) for one in fields(self)}  # without cached values
 
     @cached_property
     def problem(self) -> ProblemFile:
@@ -85,7 +83,7 @@ class SweepTask(ABC):
     @cached_property
     def mark(self) -> str:
         """Key that distinguishes tasks."""
-        text = repr([type(self).__name__, *(getattr(self, field.name) for field in fields(self))])
+        text = repr([type(self).__name__, *(getattr(self, one.name) for one in fields(self))])
         return hashlib.sha256(text.encode()).hexdigest()
 
     @property

@@ -14,7 +14,7 @@ from optlink.balancing import optimum as search
 from optlink.balancing.certificate import GAP
 from optlink.balancing.socp import NOTHING, BalanceLimits, BalancingProgramme, version
 from optlink.dynamics.columns import MotionColumns
-from optlink.dynamics.counterweights import Affine, BalanceMeasure, Effects, quantities, quantities_of, with_counterweight
+from optlink.dynamics.counterweights import BalanceMeasure, Effects, quantities, quantities_of, with_counterweight
 from optlink.dynamics.inertia import Inertia, Parameters
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.poles import poles
@@ -86,9 +86,8 @@ class _Task:
         self.moving = self.machine.moving(self.angles, self.speed)
         self._check_finite()
         self.effects = Effects(self.moving, [weight.body for weight in self.counterweights], self.springs, self.about)
-        ceilings = tuple(ceiling for ceiling in section.limits.values())
         self.limits = BalanceLimits(
-            tuple((c.measure, c.of(c.measure.value(self.effects.affine(c.measure).offset))) for c in ceilings),
+            tuple((c.measure, c.of(c.measure.value(self.effects.affine(c.measure).offset))) for c in section.limits.values()),
             section.total,
         )
         masses = sum(float(inertia.mass) for inertia in self.machine.inertias.values())
@@ -107,10 +106,6 @@ class _Task:
                 self.problem.file,
                 "mechanism",
             )
-
-    def affine(self, measure: BalanceMeasure) -> Affine:
-        """Return a quantity as an affine function of the parameters."""
-        return self.effects.affine(measure)
 
     def parts(self, x: Array) -> tuple[tuple[AddedCounterweight, ...], tuple[FittedSpring, ...]]:
         """Return counterweights and springs of scaled parameters; omit those of negligible size."""
@@ -347,7 +342,7 @@ def _disagreement(task: _Task, measured: Sequence[BalanceMeasure], amounts: Sequ
     """Return the largest difference of the affine functions from the inverse dynamics, relative to the largest contribution."""
     worst = 0.0
     for quantity, amount in zip(measured, amounts, strict=True):
-        affine = task.affine(quantity)
+        affine = task.effects.affine(quantity)
         predicted = affine.at(parameters)
         size = max(float(np.max(np.abs(affine.offset))), float(np.max(np.abs(affine.matrix * parameters), initial=0.0)), 1e-300)
         worst = max(worst, float(np.max(np.abs(predicted - amount))) / size)

@@ -436,7 +436,7 @@ def _local(result: FunctionResult | PathResult, variant: ProblemFile, start: dic
     nlp = polisher.programme(0, 1)
     x = nlp.x_of(start)
     begun = multistart.solution_at(nlp, x, "found by branch and bound")
-    design = validated_design(variant, nlp, solve_semi_infinite(path_model(variant), begun, polisher.backend))
+    design = validated_design(variant, solve_semi_infinite(path_model(variant), begun, polisher.backend))
     if not design.valid:
         return None
     return replace(result, designs=(design, *result.designs)[: max(1, len(result.designs))])

@@ -116,7 +116,7 @@ class Polisher:
         if minimax and start.usable and solution.objective > begun * (1.0 + 1e-9):
             solution = replace(solution, status=Status.STALLED)  # an optimum, but not that near the start
         solution = best_slow_stroke(task, solution, MINIMAX if minimax else self.backend)
-        return validated_design(file, start.nlp, solution)
+        return validated_design(file, solution)
 
     def each(self, candidates: Sequence[Candidate], *, near: bool = False) -> Iterator[PathDesign]:
         """Yield the refined designs of candidates in order; see `polish`. The caller may leave the iterator at any of them.
@@ -139,7 +139,7 @@ class Polisher:
     def unpolished(self, candidate: Candidate) -> PathDesign:
         """Return the candidate itself, validated: a feasible design if it satisfies its limits everywhere."""
         start = self._given(candidate)
-        return feasible(validated_design(self.files[candidate.variant], start.nlp, start))
+        return feasible(validated_design(self.files[candidate.variant], start))
 
     def from_feasible(self, variant: int, nlp: NLP, x: Array) -> Iterator[PathDesign]:
         """Yield the local optimum near a point that meets all limits at the positions of its NLP, then the point itself.
@@ -156,8 +156,8 @@ class Polisher:
         from optlink.solvers.path_exchange import solve_semi_infinite
 
         file, start = self.files[variant], local.solution_at(nlp, nlp.lifted(x), "found by the analysis of limits")
-        yield validated_design(file, nlp, solve_semi_infinite(path_model(file), start, self.backend))
-        yield feasible(validated_design(file, nlp, start))
+        yield validated_design(file, solve_semi_infinite(path_model(file), start, self.backend))
+        yield feasible(validated_design(file, start))
 
     def _given(self, candidate: Candidate) -> Solution:
         """Return a candidate as a point of its NLP."""
@@ -178,16 +178,14 @@ def feasible(design: PathDesign) -> PathDesign:
     return replace(design, status=Status.FEASIBLE, validation=checked, solution=None)  # no shadow prices without an optimum
 
 
-def validated_design(file: ProblemFile, nlp: NLP, solution: Solution) -> PathDesign:
+def validated_design(file: ProblemFile, solution: Solution) -> PathDesign:
     """Return a solution of the NLP as a validated design.
 
     Parameters
     ----------
     file : ProblemFile
         With definite assembly modes.
-    nlp : NLP
     solution : Solution
-        Solution of `nlp`.
     """
     task = path_model(file)
     values, angles = solved_values(task, solution.design, solution.x)

@@ -171,7 +171,7 @@ def test_a_design_that_the_analysis_of_limits_finds_is_refined(monkeypatch: pyte
 
     def failing(self: Polisher, candidate: Candidate, *, near: bool = False) -> PathDesign:
         start = self._given(candidate)
-        return validated_design(self.files[candidate.variant], start.nlp, replace(start, status=Status.STALLED))
+        return validated_design(self.files[candidate.variant], replace(start, status=Status.STALLED))
 
     monkeypatch.setattr(Polisher, "polish", failing)
     result = solve(lever_problem(**assembly), starts=60)

@@ -19,7 +19,6 @@ from optlink.studies.batch.prediction import block_nodes
 from optlink.studies.grid import Axis, Grid, read_grid
 from optlink.studies.reoptimise_task import FOLLOWED, ReoptimiseTask, chunk_of
 from optlink.studies.sweep import sweep
-from optlink.studies.sweep_task import SweepTask
 from optlink.validation import validate_batch
 
 LIMIT = "limits.transmission_angle.max"
@@ -28,7 +27,7 @@ CHANGING = ["mechanism.crank=60..140 mm:12", "mechanism.coupler.max=402..440 mm:
 
 def task(vary: list[str], chunk: int = 100, **overrides) -> ReoptimiseTask:
     problem = optlink.load("crank-rocker", overrides)
-    return ReoptimiseTask(**SweepTask.problem_fields(problem), grid=read_grid(problem, vary), chunk=chunk, backend="ipopt")
+    return ReoptimiseTask(problem, read_grid(problem, vary), chunk, "ipopt")
 
 
 @pytest.mark.parametrize("measure", ["sum of squares", "rms", "max"])
