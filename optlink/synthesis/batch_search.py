@@ -126,9 +126,8 @@ class Searcher:
         samples = [self._sample(variant, self._share(0), 0) for variant in range(len(self.batches))]
         groups = []
         for variant, ends in enumerate(self._descended(samples)):
-            proper, way = pass_in_order(self.batch, ends)
-            usable = np.flatnonzero(proper & (ends.missed <= MISSED) & np.isfinite(ends.cost))
-            groups += [Candidate(variant, ends.x[i], ends.t[i], float(ends.cost[i]), int(way[i])) for i in usable]
+            good, way = acceptable(self.batch, ends)
+            groups += [Candidate(variant, ends.x[i], ends.t[i], float(ends.cost[i]), int(way[i])) for i in np.flatnonzero(good)]
         return sorted(groups, key=lambda candidate: candidate.cost)
 
     def _share(self, number: int) -> int:
@@ -198,9 +197,9 @@ class Searcher:
         good, zero = (GOOD, NEAR) if simple else (None, ZERO)
         parts, counts = [], []
         for ends in firsts:
-            proper = pass_in_order(self.batch, ends)[0] & (ends.missed <= MISSED) & np.isfinite(ends.cost)
-            order = np.argsort(np.where(proper, ends.cost, np.inf))
-            ends = ends.take(order[proper[order]])
+            fine = acceptable(self.batch, ends)[0]
+            order = np.argsort(np.where(fine, ends.cost, np.inf))
+            ends = ends.take(order[fine[order]])
             first, count = distinct(ends, max(1, FINISHED // len(self.batches)))
             parts.append((ends.x[first], ends.t[first]))
             counts.append(count)
@@ -217,15 +216,14 @@ class Searcher:
     def _repaired(self, variant: int, ends: FinalDesigns) -> Iterator[Candidate]:
         """Reorder the crank angles of the best designs that violate the order of the points or a limit."""
         batch = self.batches[variant]
-        proper, way = pass_in_order(batch, ends)
-        wrong = np.isfinite(ends.cost) & ~(proper & (ends.missed <= MISSED))
+        good, way = acceptable(batch, ends)
+        wrong = np.isfinite(ends.cost) & ~good
         order = np.argsort(np.where(wrong, ends.cost, np.inf))[: int(wrong.sum())]
         ends, way = ends.take(order), way[order]
         for i in distinct(ends, REPAIRED)[0]:
-            t, direction = (
-                (nearest_in_order(batch.problem, ends.t[i]), int(way[i])) if batch.free_timing else (ends.t[i], int(way[i]))
-            )
+            t, direction = ends.t[i], int(way[i])
             if batch.free_timing:
+                t = nearest_in_order(batch.problem, t)
                 direction = 1 if t[-1] >= t[0] else -1
             angles = batch.crank_angles(ends.x[i : i + 1], t[None])
             r, _, _ = batch.residuals(ends.x[i : i + 1], angles)
@@ -235,10 +233,10 @@ class Searcher:
                 yield Candidate(variant, ends.x[i], t, cost, direction)
 
     def _keep(self, variant: int, ends: FinalDesigns) -> None:
-        proper, way = pass_in_order(self.batch, ends)
+        good, way = acceptable(self.batch, ends)
         candidates = self.exploration.candidates
         for i in np.argsort(ends.cost):
-            if not proper[i] or ends.missed[i] > MISSED or not np.isfinite(ends.cost[i]):
+            if not good[i]:
                 continue
             same = [c for c in candidates if c.variant == variant and alike(c.x, ends.x[i])]
             if not same:
@@ -284,14 +282,20 @@ def distinct(ends: FinalDesigns, most: int) -> tuple[NDArray[np.intp], NDArray[n
     return np.array(first, dtype=np.intp), np.array(counts, dtype=int)
 
 
-def pass_in_order(batch: Batch, ends: FinalDesigns) -> tuple[NDArray[np.bool_], NDArray[np.int_]]:
-    """Return whether the points are passed in order within one revolution, and the direction of the crank, both (designs,).
+def acceptable(batch: Batch, ends: FinalDesigns) -> tuple[NDArray[np.bool_], NDArray[np.int_]]:
+    """Return whether designs pass the points in order within one revolution and nearly meet all limits, and their direction.
 
     Parameters
     ----------
     batch : Batch
     ends : FinalDesigns
         Designs and their crank angles.
+
+    Returns
+    -------
+    acceptable : array (designs,) of bool
+    direction : array (designs,) of int
+        Of the crank, +1 or -1.
     """
     angles = batch.crank_angles(ends.x, ends.t)
     steps = np.diff(angles, axis=1)
@@ -301,7 +305,7 @@ def pass_in_order(batch: Batch, ends: FinalDesigns) -> tuple[NDArray[np.bool_], 
     rotation = {"counter-clockwise": 1, "clockwise": -1}.get(batch.problem.requirement.rotation)
     if rotation is not None and batch.free_timing:
         proper &= way == rotation
-    return proper if batch.free_timing else np.ones(len(whole), dtype=bool), way
+    return (ends.missed <= MISSED) & (proper | (not batch.free_timing)), way
 
 
 def nearest_in_order(problem: PathProblem, t: Array) -> Array:

@@ -16,7 +16,6 @@ from optlink.problem.quantity import Quantity
 from optlink.problem.targets.function import Function
 from optlink.synthesis.freudenstein import UNLIMITED, FirstStep, first_steps, fit_pairs
 
-COUNT = 5  # first designs used as starting points
 BLOCK, BLOCKS = 1024, 8  # random start angles per block, and number of blocks
 GRID = 36  # start angles of crank and rocker that are scanned, each over half a turn
 WIDER = 2.0 * math.pi / 180.0  # relaxation of the transmission-angle limits: the nearest start may just violate them
@@ -36,18 +35,11 @@ def _ratios(problem: DesignProblem) -> tuple[float, float]:
     return UNLIMITED if ratio is None else (ratio.low or UNLIMITED[0], ratio.high or UNLIMITED[1])
 
 
-def steps(problem: DesignProblem, count: int = COUNT) -> list[FirstStep]:
-    """Return the best first designs with the assembly mode of the problem, by increasing error.
-
-    Parameters
-    ----------
-    problem : DesignProblem
-    count : int
-        Largest number of designs.
-    """
+def steps(problem: DesignProblem) -> list[FirstStep]:
+    """Return the best first designs with the assembly mode of the problem, by increasing error."""
     free, ranges = _ranges(problem)
     phi0, psi0 = (_grid(low, high, free) for low, high in ranges)
-    return first_steps(*_rotations(problem), phi0, psi0, **_options(problem, free), count=count)
+    return first_steps(*_rotations(problem), phi0, psi0, **_options(problem, free))
 
 
 def fits(problem: DesignProblem, seed: int) -> Iterator[dict[str, float]]:

@@ -47,7 +47,7 @@ class FinalDesigns:
 
     def take(self, keep: NDArray[np.intp]) -> FinalDesigns:
         """Return a selection of the designs."""
-        return FinalDesigns(self.x[keep], self.t[keep], self.cost[keep], self.missed[keep], self.count[keep])
+        return FinalDesigns(*(values[keep] for values in vars(self).values()))
 
 
 @dataclass
@@ -70,16 +70,18 @@ class _State:
 
     def take(self, keep: NDArray[np.bool_]) -> _State:
         """Return a selection of the designs."""
-        return _State(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
+        return _State(*(values[keep] for values in vars(self).values()))
 
 
-def _look(batch: Batch, x: Array, t: Array, variant: NDArray[np.int_]) -> tuple[Array, Array, Array, Array, Array, Array]:
+def _look(batch: Batch, x: Array, t: Array, variant: NDArray[np.int_]) -> dict[str, Array]:
+    """Return designs with their residuals, limit violations, derivatives and cost, as fields of a `_State`."""
     angles = batch.crank_angles(x, t)
     r, by_x, by_t = batch.residuals(x, angles, variant)
     h, by_h = batch.violations(x, angles, variant)
     cost = np.einsum("bpk,bpk->b", r, r) + np.einsum("bm,bm->b", h, h)
     smooth = np.isfinite(cost) & np.isfinite(by_x.sum(axis=(1, 2, 3)) + by_t.sum(axis=(1, 2)))  # none where modes meet
-    return r, by_x, by_t, h, by_h, np.where(smooth, cost, np.inf)
+    cost = np.where(smooth, cost, np.inf)
+    return {"x": x, "t": t, "r": r, "by_x": by_x, "by_t": by_t, "h": h, "by_h": by_h, "cost": cost}
 
 
 def minimise(
@@ -139,9 +141,10 @@ def minimise(
     end_x, end_t = x.copy(), t.copy()
     end_cost, end_missed = np.full(len(x), np.inf), np.full(len(x), np.inf)
     with np.errstate(all="ignore"):
-        r, by_x, by_t, h, by_h, cost = _look(batch, x, t, variant)
+        seen = _look(batch, x, t, variant)
+    cost = seen["cost"]
     damping, steady = np.full(len(x), FIRST_DAMPING), np.zeros(len(x), dtype=int)
-    state = _State(np.arange(len(x)), variant, group, x, t, r, by_x, by_t, h, by_h, cost, damping, steady).take(np.isfinite(cost))
+    state = _State(np.arange(len(x)), variant, group, **seen, damping=damping, slow=steady).take(np.isfinite(cost))
     members = np.bincount(group)
     last = np.full(len(members), steps)
     every, poor = np.where(np.isfinite(cost), cost, np.inf), np.full(len(members), np.inf)
@@ -182,12 +185,12 @@ def _advance(batch: Batch, state: _State, weight: Array, fit: Fit | None, slow: 
         fitted, turned = fit(x, batch.crank_angles(x, t), state.variant)
         inside = np.all((fitted >= batch.low) & (fitted <= batch.high), axis=1)[:, None]
         x, t = np.where(inside, fitted, x), np.where(inside, turned, t) if batch.free_timing else t
-    r, by_x, by_t, h, by_h, cost = _look(batch, x, t, state.variant)
+    new = _look(batch, x, t, state.variant)
+    cost = new["cost"]
     better = cost < state.cost
     decrease = np.where(better, (state.cost - np.where(better, cost, 0.0)) / np.maximum(state.cost, 1e-300), 0.0)
     state.slow = np.where(better & (decrease < slow), state.slow + 1, np.where(better, 0, state.slow))
     state.damping = np.where(better, np.maximum(0.2 * state.damping, LEAST_DAMPING), 6.0 * state.damping)
-    new = {"x": x, "t": t, "r": r, "by_x": by_x, "by_t": by_t, "h": h, "by_h": by_h, "cost": cost}
     for name, value in new.items():
         old = getattr(state, name)
         mask = better.reshape(-1, *[1] * (old.ndim - 1))

@@ -20,11 +20,11 @@ from optlink.problem.path import PathProblem
 from optlink.solvers.contract import MINIMAX
 from optlink.solvers.solution import Solution
 from optlink.synthesis.batch import Batch
-from optlink.synthesis.batch_search import MISSED, PERFECT, Candidate, pass_in_order
+from optlink.synthesis.batch_search import PERFECT, Candidate, acceptable
 from optlink.synthesis.growth import ContainedFourBar, grow_from_four_bar
 from optlink.synthesis.levenberg_marquardt import minimise
 from optlink.tasks.results.common import OPTIMALITY_CHECK, optimality
-from optlink.tasks.results.evidence import Evidence, evidence
+from optlink.tasks.results.evidence import Evidence, evidence, tally
 from optlink.tasks.results.path import PathDesign
 from optlink.validation.path import validate_path
 
@@ -318,20 +318,11 @@ class DesignCollection:
             return evidence(())
         best = self.designs[0]
         level = 0.0 if best.exact else best.error
-        values: list[float] = []
-        counts: list[int] = []
-        if ends[0][0] > level * (1.0 + SAME) and not (best.exact and ends[0][0] <= best.level):
-            values, counts = [level], [1]  # no random start reached the best design: it was derived from a four-bar
-        for error, count in ends:
-            value = 0.0 if best.exact and error <= best.level else error
-            if value > COMPARABLE * level:
-                break
-            if values and value <= values[-1] * (1.0 + SAME):
-                counts[-1] += count
-            else:
-                values.append(value)
-                counts.append(count)
-        found_evidence = evidence(counts)
+        found = [(0.0 if best.exact and error <= best.level else error, count) for error, count in ends]
+        if found[0][0] > level * (1.0 + SAME):
+            found.insert(0, (level, 1))  # no random start reached the best design: it was derived from a four-bar
+        near = (one for one in found if one[0] <= COMPARABLE * level)
+        found_evidence = evidence([count for _, count in tally(near, lambda known, error: error <= known * (1.0 + SAME))])
         return replace(found_evidence, missed=0.0) if best.exact else found_evidence  # no design is better than an exact one
 
 
@@ -408,7 +399,7 @@ def designs_from_four_bar(
             continue
         begun += _candidates(variant, batch, x, t)
         ends = minimise(batch, x, t, STEPS, slow=1e-9)
-        good = pass_in_order(batch, ends)[0] & (ends.missed <= MISSED)
+        good = acceptable(batch, ends)[0]
         ended += _candidates(variant, batch, ends.x[good], ends.t[good])
     polished: list[PathDesign] = []
     for near, candidates in ((False, ended), (True, begun)):
