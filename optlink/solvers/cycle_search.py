@@ -244,7 +244,7 @@ def search_all(
     trace: TracedCycle,
     firsts: Sequence[StartGroup],
     names: Sequence[str],
-    done: Callable[[], None],
+    done: Callable[[int], None] = lambda _: None,
     further: Callable[[], Sequence[StartGroup]] = lambda: (),
     alike: Callable[[EventOrder], Sequence[StartGroup]] = lambda _: (),
     runs: Runs | None = None,
@@ -258,8 +258,8 @@ def search_all(
         With the order of events of the initial design.
     names : sequence of str
         Names of back ends.
-    done : function
-        Called after each starting point.
+    done : function of a number
+        Called after each starting point with the number of complete ones.
     further : function that returns a sequence of StartGroup
         Searched as well while no feasible design is found.
     alike : function of an EventOrder that returns a sequence of StartGroup
@@ -287,7 +287,7 @@ def search_all(
             _return([*orders, *(more or ())], beside, backends)
             _explore([*orders, *(more or ())], beside, backends, alike)
             count = k + 1
-            done()
+            done(count)
     except KeyboardInterrupt:
         interrupts.handled()
         if not any(order.usable for order in (*orders, *(more or ()))):

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from optlink.optimization.cycle_signals import EventOrder, Sample, TracedCycle
+from optlink.problem.cycle.terms import Term
 from optlink.solvers.multistart import latin_hypercubes
 
 STARTS = 8  # default number of starting points
@@ -27,10 +28,14 @@ class StartGroup:
 
 
 class StartSequence:
-    """A fixed sequence of starting points: the design of the file, then random ones within the bounds."""
+    """A fixed sequence of starting points: the design of the file, then random ones within the bounds.
+
+    `fault`: of the first design in which an output with a stroke does not reciprocate, see `TracedCycle.strokeless`.
+    """
 
     def __init__(self, trace: TracedCycle, seed: int) -> None:
         self.trace, self._known = trace, list[Sample]()
+        self.fault: tuple[str, Term, int] | None = None
         task = trace.problem
         given = {name: task.quantities[name].value for name in task.free}
         low, high = np.array([task.quantities[name].bounds for name in task.free]).T
@@ -45,10 +50,14 @@ class StartSequence:
                 self._known += self.trace.samples(many)
             yield self._known[k]
 
+    def fits(self, structure: EventOrder) -> bool:
+        """Return whether every output with a stroke reciprocates in a design."""
+        fault = self.trace.strokeless(structure)
+        self.fault = self.fault or fault
+        return fault is None
 
-def start_groups(
-    samples: StartSequence, count: int, fits: Callable[[EventOrder], bool], order: EventOrder | None = None
-) -> list[StartGroup]:
+
+def start_groups(samples: StartSequence, count: int, order: EventOrder | None = None) -> list[StartGroup]:
     """Return up to `count` starting points per choice of slow strokes that share one order of events.
 
     Parameters
@@ -56,8 +65,6 @@ def start_groups(
     samples : StartSequence
     count : int
         Greatest number of starting points of each Begin.
-    fits : function of a Structure
-        Whether every output with a stroke oscillates.
     order : EventOrder, optional
         Default: that of the first suitable starting point.
 
@@ -71,7 +78,7 @@ def start_groups(
         if order is not None and not sample.may_be_like(order):
             continue
         structure = sample.structure
-        if structure is None or not fits(structure):
+        if structure is None or not samples.fits(structure):
             continue
         order = structure if order is None else order
         if structure.like(order):
@@ -91,9 +98,7 @@ def _sort_in(
             found[slow] = replace(known, starts=(*known.starts, values))
 
 
-def further_start_groups(
-    samples: StartSequence, known: Sequence[StartGroup], count: int, fits: Callable[[EventOrder], bool]
-) -> list[StartGroup]:
+def further_start_groups(samples: StartSequence, known: Sequence[StartGroup], count: int) -> list[StartGroup]:
     """Return further Begins for a search without a feasible design: missing slow strokes and the next most frequent orders.
 
     Parameters
@@ -103,8 +108,6 @@ def further_start_groups(
         Those searched already; the first one defines the order of events.
     count : int
         Greatest number of starting points of each Begin.
-    fits : function of a Structure
-        Whether every output with a stroke oscillates.
     """
     trace, first = samples.trace, known[0]
     choices = list(itertools.product((True, False), repeat=len(trace.paced)))
@@ -114,7 +117,7 @@ def further_start_groups(
     frequent: Counter[tuple[object, ...]] = Counter()
     for k, sample in enumerate(samples.first(SAMPLES * max(count, STARTS))):
         structure = sample.structure
-        if structure is not None and not structure.like(first.structure) and fits(structure):
+        if structure is not None and not structure.like(first.structure) and samples.fits(structure):
             key = (structure.which, structure.rising)
             frequent[key] += k <= SAMPLES * STARTS
             _sort_in(groups.setdefault(key, {}), choices, sample.values, structure)

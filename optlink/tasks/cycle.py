@@ -13,7 +13,6 @@ from optlink.errors import InputError, Status
 from optlink.execution import interrupts
 from optlink.linkage.vector2d import Array
 from optlink.problem.cycle.model import Bound, CycleProblem
-from optlink.problem.cycle.terms import Term
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import EPIGRAPH
 from optlink.problem.quantity import input_of
@@ -29,7 +28,6 @@ from optlink.validation.cycle import validate_cycle
 
 if TYPE_CHECKING:
     from optlink.optimization.cycle_nlp import CycleNLP
-    from optlink.optimization.cycle_signals import EventOrder
     from optlink.solvers.continuum import Continuum
     from optlink.solvers.cycle_search import CycleSearchResult
     from optlink.solvers.cycle_starts import StartGroup, StartSequence
@@ -72,31 +70,21 @@ class CycleTask(DesignTask[CycleResult]):
             trace = TracedCycle(task, slow=task.slow_assumed)
         samples = StartSequence(trace, seed)
 
-        def fits(structure: EventOrder) -> bool:
-            return trace.strokeless(structure) is None
-
         firsts = _firsts(problem, samples, count)
         if not firsts:
             timer.lap("solve")
             return _nowhere(problem, seed, count, timer.seconds)
         interrupts.check()
         timer.lap("build")
-        done = 0
-
-        def advance() -> None:
-            nonlocal done
-            done += 1
-            if progress:
-                progress(min(done / count, 1.0))
-
-        def alike(order: EventOrder) -> list[StartGroup]:
-            return start_groups(samples, count, fits, order)
-
-        def further() -> list[StartGroup]:
-            return further_start_groups(samples, firsts, count, fits)
-
-        runs = search.runs if search.shared or count >= MANY else None
-        result = search_all(trace, firsts, names, advance, further, alike, runs)
+        result = search_all(
+            trace,
+            firsts,
+            names,
+            lambda done: progress(min(done / count, 1.0)) if progress else None,
+            lambda: further_start_groups(samples, firsts, count),
+            lambda order: start_groups(samples, count, order),
+            search.runs if search.shared or count >= MANY else None,
+        )
         if not result.usable:
             result = _explained(result, names)
         nlp, found = _dense(result.nlp, result.best)
@@ -191,17 +179,9 @@ def _firsts(problem: ProblemFile, samples: StartSequence, count: int) -> list[St
     """
     from optlink.solvers.cycle_starts import start_groups
 
-    wrong: list[tuple[str, Term, int]] = []
-
-    def fits(structure: EventOrder) -> bool:
-        fault = samples.trace.strokeless(structure)
-        if fault is not None:
-            wrong.append(fault)
-        return fault is None
-
-    found = start_groups(samples, count, fits)
-    if not found and wrong:
-        key, term, reversals = wrong[0]
+    found = start_groups(samples, count)
+    if not found and samples.fault is not None:
+        key, term, reversals = samples.fault
         message = f"{term.of} reverses {reversals} times in a revolution" if reversals else f"{term.of} never reverses"
         remedy = "Name an output with two reversals, or change the starting point"
         raise InputError(message, remedy, problem.file, f"{key}.of", term.of)

@@ -164,7 +164,7 @@ def test_ratios_that_no_stroke_has_are_refused(limit, key):
 
 def test_starting_points_of_a_smaller_number_come_first():
     trace = TracedCycle(task_of(problem(PUMP)), slow={"delivery": "forward"})
-    few, more = (start_groups(StartSequence(trace, 3), count, lambda _: True) for count in (3, 9))
+    few, more = (start_groups(StartSequence(trace, 3), count) for count in (3, 9))
     assert {own.structure.slow for own in few} == {own.structure.slow for own in more}
     for own in few:
         (same,) = (other for other in more if other.structure.slow == own.structure.slow)
@@ -220,7 +220,7 @@ def test_a_design_without_the_dead_centres_of_its_limits_is_refused(monkeypatch)
     task = task_of(optlink.load("shaper-design"))
     trace = TracedCycle(task, slow=task.slow_assumed)
     samples = StartSequence(trace, 0)
-    begin = start_groups(samples, 1, lambda structure: trace.strokeless(structure) is None)[0]
+    begin = start_groups(samples, 1)[0]
     wrong = next(s.values for s in samples.first(200) if s.structure is not None and trace.strokeless(s.structure))
     assert math.isnan(
         next(check.value for check in validate(optlink.load("shaper-design"), wrong).validation.checks if "ratio" in check.name)

@@ -253,7 +253,7 @@ def test_positions_beside_a_peak_hold_nothing(name):
     values = {key: 1e-3 * value for key, value in BESIDE.items()}
     trace = TracedCycle(task)
     begin = StartGroup(trace.structure(values), (values,))
-    found = search_all(trace, [begin], (name,), lambda: None).best[name]
+    found = search_all(trace, [begin], (name,)).best[name]
     assert found.status is Status.OPTIMAL
     lower = Cycle(task, found.design)
     assert found.objective == pytest.approx(lower.objective(), rel=1e-7)
