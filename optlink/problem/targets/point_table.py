@@ -165,28 +165,25 @@ def read_csv_rows(raw: Mapping[str, Any], folder: Path) -> PointRows:
     name = table.name
     if table.titles:
         _check_titles(table)
-    read: list[tuple[str, str, int, float | None, array[float]]] = [
-        (column, title, table.titles.index(title), _LEFT_OUT.get(column), array("d"))
-        for title, (column, _) in _TITLES.items()
+    read: list[tuple[str, str, int, array[float]]] = [
+        (column, unit, table.titles.index(title), array("d"))
+        for title, (column, unit) in _TITLES.items()
         if title in table.titles
     ]
     numbers = array("q")
     for number, cells in table.rows:
         numbers.append(number)
-        for _, _, index, left_out, values in read:
-            if left_out is None:
+        for column, _, index, values in read:
+            if column not in _LEFT_OUT:
                 values.append(table.number(number, cells, index))
             elif index < len(cells) and cells[index].strip():
                 values.append(table.number(number, cells, index, "Leave the cell empty where there is none"))
             else:
-                values.append(left_out)
+                values.append(_LEFT_OUT[column])
     if not numbers:
         raise Unusable(f"{name} has no rows", "Give the columns x_mm and y_mm, and at least one row below them", "csv", name)
-    columns = {}
-    for column, title, _, _, values in read:
-        unit = _TITLES[title][1]
-        columns[column] = np.array(values) * (factor(unit, _COLUMNS[column]) if unit else 1.0)
-    unit = next(_TITLES[title][1] for column, title, *_ in read if column == "x")
+    columns = {column: np.array(values) * (factor(unit, _COLUMNS[column]) if unit else 1.0) for column, unit, _, values in read}
+    unit = next(unit for column, unit, *_ in read if column == "x")
     return PointRows(columns, unit, name, numbers, "csv")
 
 

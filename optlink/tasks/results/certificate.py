@@ -278,24 +278,16 @@ class CertificateRecord(Record):
         return found
 
 
-def cover_document(cover: Cover, *, witnesses: bool) -> dict[str, Any]:
-    """Return the boxes of a cover as plain data.
-
-    Parameters
-    ----------
-    cover : Cover
-    witnesses : bool
-        Whether the multipliers are included.
-    """
-    document: dict[str, Any] = {"assembly": cover.assembly, "low": cover.low.tolist(), "high": cover.high.tolist()}
-    document["test"] = cover.names
-    if witnesses:
-        document["limits"] = list(cover.limits)
-        used = [np.flatnonzero(row > 0.0) for row in cover.multipliers]
-        document["multipliers"] = [
-            {str(k): float(row[k]) for k in found} for row, found in zip(cover.multipliers, used, strict=True)
-        ]
-    return document
+def _cover_document(cover: Cover) -> dict[str, Any]:
+    """Return the boxes of a cover as plain data, with the multipliers above zero."""
+    return {
+        "assembly": cover.assembly,
+        "low": cover.low.tolist(),
+        "high": cover.high.tolist(),
+        "test": cover.names,
+        "limits": list(cover.limits),
+        "multipliers": [{str(k): float(row[k]) for k in np.flatnonzero(row > 0.0)} for row in cover.multipliers],
+    }
 
 
 def certificate_document(certificate: Certificate, result: Any) -> dict[str, Any]:
@@ -318,5 +310,5 @@ def certificate_document(certificate: Certificate, result: Any) -> dict[str, Any
         "lower_bound": certificate.lower_bound if math.isfinite(certificate.lower_bound) else None,
         "unknowns": list(certificate.unknowns),
         "design": dict(result.design) if certificate.proven else None,
-        "covers": [cover_document(cover, witnesses=True) for cover in certificate.covers],
+        "covers": [_cover_document(cover) for cover in certificate.covers],
     }
