@@ -28,10 +28,10 @@ from optlink.studies.tolerance.allocation import Allocation, AllocationRecord, a
 from optlink.studies.tolerance.linear import LinearAnalysis, linear_analysis
 from optlink.studies.tolerance.maximum_yield import maximise_yield
 from optlink.studies.tolerance.monte_carlo import CHUNK, MonteCarlo, MonteCarloRecord, Progress, monte_carlo
-from optlink.studies.tolerance.nominal import ERROR, display_unit, nominal_design
+from optlink.studies.tolerance.nominal import ERROR, nominal_design
 from optlink.studies.tolerance.options import read_deviations
 from optlink.studies.tolerance.robust_design import YIELD, RobustDesign, RobustRecord, check_law
-from optlink.units import UnitProblem, parse
+from optlink.units import DISPLAYED, UnitProblem, parse
 
 WORST, MARGIN = "worst", "margin"
 SAMPLES, MAX_SAMPLES = 1 << 17, 100_000_000
@@ -121,12 +121,12 @@ class ToleranceRecord(ResultRecord):
     @property
     def scale(self) -> float:
         """Factor from SI to the display unit of the output."""
-        return math.degrees(1.0) if self.unit == "rad" else 1e3
+        return DISPLAYED[self.unit][0]
 
     @property
     def display_unit(self) -> str:
         """Display unit of the output."""
-        return "deg" if self.unit == "rad" else "mm"
+        return DISPLAYED[self.unit][1]
 
     @property
     def where(self) -> int:
@@ -161,7 +161,7 @@ class Tolerance(LinearAnalysis, Recorded):
     @property
     def columns(self) -> dict[str, Array]:
         """Table over crank angles, by name with unit."""
-        scale, ending = display_unit(self.nominal)
+        scale, ending = DISPLAYED[self.nominal.unit]
         worst, columns = self.worst, {"crank_deg": np.degrees(self.nominal.crank_angles)}
         named_columns = {"value": self.nominal.value, "judged": self.nominal.base, "worst_low": worst[0], "worst_high": worst[1]}
         named_columns |= {"rss": self.rss, "sigma": self.sigma, "shift": self.shift}

@@ -83,11 +83,6 @@ class Nominal:
         return np.array(whole, dtype=float)
 
 
-def display_unit(nominal: Nominal) -> tuple[float, str]:
-    """Return the display units per SI unit of an output, and the display unit."""
-    return (math.degrees(1.0), "deg") if nominal.angular else (1e3, "mm")
-
-
 def nominal_design(
     problem: ProblemFile, output: str | None, crank_angles: Array | None = None, design: Mapping[str, float] | None = None
 ) -> Nominal:
