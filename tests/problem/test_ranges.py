@@ -132,6 +132,14 @@ def test_remedy_of_a_wrong_range(problem, key, value, words):
     assert key in str(caught.value)
 
 
+def test_plain_numbers_of_the_terms_of_a_machine_are_read_like_others():
+    machine, key = load("shaper-design"), "limits.time_ratio.exactly"
+    bounds = machine.override({key: "180 %"}).model.bounds
+    assert [bound.interval.low for bound in bounds if bound.key == "limits.time_ratio"] == [1.8]
+    with pytest.raises(InputError, match="decimal point, without quotes"):
+        machine.override({key: "1,8"})
+
+
 BARE = [
     ("[40 deg, 140 deg]", ["40 deg", "140 deg"]),
     ("[ 40 deg , 140 deg ]", ["40 deg", "140 deg"]),
