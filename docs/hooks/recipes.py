@@ -34,7 +34,7 @@ LISTED = "<!-- recipes -->"
 PICTURES = ("mechanism.png", "mechanisms.png", "path.png")
 """Pictures that show the machine; the first that the command has drawn is shown."""
 WIDTH = "100"
-READING = "## Reading the answer"
+READING = "## Reading the result"
 
 
 @dataclass(frozen=True)

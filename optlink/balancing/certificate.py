@@ -21,7 +21,7 @@ TOLERANCES: tuple[dict[str, float], ...] = (
     {"tol_gap_abs": 1e-9, "tol_gap_rel": 1e-9, "tol_feas": 1e-9},
     {},
 )
-"""Of the solver, from the tightest on that it can keep."""
+"""Tolerances of the solver, tried from the tightest one on."""
 
 REFINED = {"iterative_refinement_reltol": 1e-14, "iterative_refinement_abstol": 1e-14, "iterative_refinement_max_iter": 30}
 

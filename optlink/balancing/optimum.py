@@ -18,25 +18,25 @@ from optlink.units import percent
 
 Goal = Sequence[tuple[BalanceMeasure, float]]
 NEGLIGIBLE = 1e-10
-"""Share of the largest singular value below which parameters do nothing to a measure."""
+"""Share of the largest singular value below which parameters have no effect on a measure."""
 
 CRUMB = 1e-4
-"""Scaled mass below which a counterweight is tried without."""
+"""Scaled mass below which the removal of a counterweight is tried."""
 
 LIKE = (1e-8, 2e-8, 4e-8)
 """By how much a scaled measure may be larger for the sake of less mass: the first that leaves the solver room."""
 
 LIGHTER = 5e-3
-"""Share of the mass that must be saved before a measure may be larger at all."""
+"""Least share of the mass that must be saved for an increase of a measure to be accepted."""
 
 END = 5e-8
-"""By how much the first scaled measure may be above its optimum at the end of a trade-off where the second is then made least."""
+"""Accepted increase of the first scaled measure above its optimum at the end of a trade-off where the second one is minimised."""
 
 ROUNDS = 60
 """Greatest number of linearisations of the moments of inertia of discs."""
 
 LEAST_SQUARES_DIFFERENCE = 1e-6
-"""Scaled difference from the least-squares optimum up to which that is tried in place of the solver's."""
+"""Scaled difference from the least-squares optimum up to which it is tried in place of the solver's solution."""
 
 
 @dataclass(frozen=True)

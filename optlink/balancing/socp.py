@@ -19,13 +19,13 @@ from optlink.dynamics.inertia import Parameters
 from optlink.linkage.vector2d import Array
 
 NOTHING = 1e-9
-"""Scaled mass or stiffness below which there is none."""
+"""Scaled mass or stiffness below which a counterweight or spring counts as absent."""
 
 SHORTEST = 1e-9
 """Free length of a spring [m] below which there is none: a problem file states no shorter one."""
 
 CONSTRAINT_TOLERANCE = 1e-8
-"""By how much a scaled constraint may be missed by rounding."""
+"""Violation of a scaled constraint that is permitted as rounding error."""
 
 
 @dataclass(frozen=True)

@@ -20,10 +20,10 @@ from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.symbolic import CompiledFunction, symbols_in_numpy
 
 DENSE, DENSEST = 360, 50_000
-"""Rows of a revolution that are looked at, at least and at most; within one a contact is found by values and slopes."""
+"""Least and largest number of evaluated rows per revolution; a contact within a row is detected by values and slopes."""
 
 SLOW = 5_000
-"""Rows of a revolution that a journal's vibration would need from which on the machine is slow, measured by its contacts."""
+"""Rows per revolution, as required by the vibration of a journal, from which on the machine counts as slow."""
 
 LOOKS = 4.0
 """Rows for each period in which a journal vibrates on its bearing under the load that the machine's motion makes."""

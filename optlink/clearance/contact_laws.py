@@ -16,7 +16,7 @@ EXPONENT = 1.5
 """Of the penetration, after Hertz, for smooth metal."""
 
 SLOWEST = 1e-3
-"""Least approach speed [m/s] that a contact is taken to begin with: the laws are singular at a grazing contact."""
+"""Least approach speed [m/s] at the start of a contact: the laws are singular for a grazing contact."""
 
 Normal = Callable[[Value, Value, Value, Value, Value], Value]
 """(penetration [m], its rate [m/s], approach speed [m/s], stiffness [N/m^1.5], restitution [-]) -> force [N]"""

@@ -268,7 +268,7 @@ class Equations:
         ----------
         state : array (2n,)
             Coordinates and their rates.
-        parameters : array
+        parameters : array (k,)
             Constants in the order of `Equations.parameters`; the span is ignored.
         time : float [s]
             Time step, may be negative.

@@ -26,13 +26,13 @@ CHUNKS = (1, 10, 64, 256, 2560)
 """Rows that one call of the integrator may cover; the most where the machine is slow and in contact only."""
 
 BUSY = 2000
-"""Switches within one row that are a stall."""
+"""Number of switches within one row from which on the integration counts as stalled."""
 
 SHARP = 1e-6
-"""Share of a row up to which two instants are told apart."""
+"""Resolution of time, as a share of a row."""
 
 RUNGE_KUTTA_SHARE = 2e-3
-"""Share of a row that one step of Runge and Kutta goes through without an error that counts."""
+"""Largest share of a row that one Runge-Kutta step covers with negligible error."""
 
 DEEPEST = 0.2
 """Share of the journal's radius: a deeper penetration is no longer a contact."""

@@ -27,7 +27,7 @@ STEADY, SHARE = 0.5, 0.2
 """Where a quantity is never below this share of its bound, a cubic errs by less than that share of how far the bound is off."""
 
 PEAK_ACCURACY = 1e-13
-"""Relative excess over the largest value that is not worth another look."""
+"""Relative excess over the largest value that is neglected."""
 
 
 class Watched(NamedTuple):

@@ -16,16 +16,16 @@ from optlink.clearance.integration import Impact, Stalled
 from optlink.linkage.vector2d import Array
 
 RETAINED_REVOLUTIONS = 30
-"""Revolutions whose rows stay in memory; all rows are streamed to whoever takes them."""
+"""Number of the last revolutions whose rows stay in memory; `stream` receives the rows of all."""
 
 MAX_SUMMARIES = 10_000
 """Revolutions whose summary stays in memory, and contacts; all of them are counted."""
 
 DIVERGED_SHARE = 0.1
-"""Share of the smallest clearance (for an angle: per size of the machine) by which outputs of twins differ that have parted."""
+"""Difference of two outputs that counts as divergence, over the smallest clearance (for an angle: times the machine's size)."""
 
 WATCHED = 25
-"""Revolutions for which the twin runs."""
+"""Revolutions of the second run."""
 
 _PLAIN = (
     *("count", "contacts", "largest", "imbalance", "first", "sums", "every"),

@@ -28,7 +28,7 @@ COMPLETION = "_OPTLINK_COMPLETE"
 """Environment variable by which a shell asks for completions."""
 
 NO_OUTPUT = (errno.EPIPE, errno.ENOSPC, errno.EIO, errno.EFBIG)
-"""What makes standard output or standard error unusable."""
+"""Errors that make standard output or standard error unusable."""
 
 app = App(
     name="optlink",

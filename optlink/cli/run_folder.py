@@ -11,7 +11,7 @@ from optlink.errors import InputError
 from optlink.io import check_sum, locked, read_object, write_json, written_files
 
 MANIFEST = ".optlink-run.json"
-"""What an earlier run in the folder was, and the files that it wrote with their check sums."""
+"""File that records the command of an earlier run in the folder, and the files that it wrote with their check sums."""
 
 RESULT = "result.json"
 

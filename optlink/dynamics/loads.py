@@ -44,7 +44,7 @@ class _Process:
     turning: bool = field(default=False, kw_only=True)
     """The stroke is that of a crank that turns counter-clockwise; clockwise it is the other one."""
     against: str = field(default=FRAME, kw_only=True)
-    """The body that feels the opposite."""
+    """The body on which the reaction acts."""
 
     @property
     def switching(self) -> bool:

@@ -18,11 +18,11 @@ from optlink.linkage.stroke import Ranges, reachable
 from optlink.linkage.vector2d import Value, Vector, cross, dot, magnitude, minus, sign
 
 INSTANT = 1e-10
-"""Crank rotation [rad] after which a one-sided value is meant where a load jumps."""
+"""Crank rotation [rad] from a load jump to the position of its one-sided value."""
 
 
 NOISE = 1e-13
-"""Share of the machine's size that a motion per crank rotation must have to be one."""
+"""Least motion per crank rotation, relative to the size of the machine; smaller ones are rounding errors."""
 
 
 def jet_parts(x: Value) -> tuple[Value, Value, Value]:

@@ -93,7 +93,7 @@ def acting_loads(machine: Machine, speed: float) -> tuple[StrokeLoad, ...]:
     ----------
     machine : Machine
         Its crank turns fully.
-    speed : float
+    speed : float [rad/s]
         Speed of the crank; only its sign is used.
     """
     return tuple(_acting(machine, speed))
@@ -118,7 +118,7 @@ def working_stroke(travel: Travel, speed: float, acting: tuple[StrokeLoad, ...])
     Parameters
     ----------
     travel : Travel
-    speed : float
+    speed : float [rad/s]
         Speed of the crank; only its sign is used.
     acting : tuple of StrokeLoad
     """

@@ -121,7 +121,7 @@ class _Processes:
 
 
 _LOCAL_CLUSTERS: dict[int, _Processes] = {}
-"""By number: a message of Dask contains the number, as it cannot contain the processes."""
+"""Processes by number; a message of Dask contains the number, because it cannot contain the processes."""
 
 
 @contextlib.contextmanager

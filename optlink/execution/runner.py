@@ -146,7 +146,7 @@ def _here(task: ChunkTask, count: int) -> Iterator[tuple[int, Any]]:
 
 
 def apart(todo: list[int], workers: int) -> list[int]:
-    """Return the chunks in an order in which each worker gets neighbouring ones: what it has computed serves for the next.
+    """Return the chunks in an order in which each worker gets neighbouring ones, for which it can reuse its results.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ from optlink.errors import Fault, InputError, OptlinkError, SolverError
 
 T = TypeVar("T")
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-"""Environment of a process beside others: linear algebra without threads of its own."""
+"""Environment of worker processes: single-threaded linear algebra."""
 
 
 class ChunkTask(Protocol):

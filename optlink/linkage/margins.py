@@ -36,7 +36,7 @@ It is far above rounding (double precision leaves about 1e-6 deg) and far below 
 """
 
 NEAR_ALIGNMENT = math.radians(5.0)
-"""Angle [rad] of a joint from alignment below which an analysis says where forces and accelerations peak."""
+"""Angle [rad] of a joint from alignment below which an analysis reports the position, as forces and accelerations peak there."""
 
 SMALLEST_ALIGNMENT = math.radians(0.1)
 """Least value [rad] that a problem may set for the alignment: below it a solver's accuracy would decide."""
@@ -45,4 +45,4 @@ SMALLEST_LENGTH_MARGIN = 1e-5
 """Least value that a problem may set for the length margin."""
 
 FIXED_LIMIT_TOLERANCE = 1e-9
-"""Amount [m, rad or 1] by which a limit that no design variable changes is missed, far above the rounding of its terms."""
+"""Violation [m, rad or 1] above which a limit that no design variable changes counts as violated, far above rounding errors."""

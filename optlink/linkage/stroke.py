@@ -21,7 +21,7 @@ from optlink.linkage.zeros import zeros
 GRID = 1440
 """Positions per revolution among which everything is bracketed."""
 SEAM = 1e-6
-"""Crank rotation [rad] below a whole cycle that counts as one: as exactly as flat extremes are found."""
+"""Crank rotations [rad] that differ from a whole cycle by less count as one: the accuracy of flat extrema."""
 PARALLEL_AT_END = 1e-4
 """Sine of the angle of two guides below which they count as parallel at the end of a range."""
 LEAST_DIFFERENCE = math.radians(0.1)
@@ -282,7 +282,7 @@ class Travel:
 
         Parameters
         ----------
-        speed : float
+        speed : float [rad/s]
             Speed of the crank; only its sign is used, negative clockwise.
         """
         if not math.isfinite(self.time_ratio):

@@ -12,7 +12,7 @@ Array: TypeAlias = NDArray[np.float64]
 """An array of floats."""
 
 Value: TypeAlias = Any
-"""A float, an array of any broadcastable shape, a casadi symbol or a Jet: the formulas do not care."""
+"""A float, an array of any broadcastable shape, a casadi symbol or a Jet; the formulas accept all of them."""
 
 Vector: TypeAlias = tuple[Value, Value]
 """x and y of a point or a direction, each a Value."""

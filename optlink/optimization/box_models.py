@@ -182,7 +182,7 @@ def _where_principal(residuals: TaylorModel, start: StartPosition) -> TaylorMode
 
 
 def _known_within(model: TaylorModel, most: float) -> TaylorModel:
-    """Return a model that is unknown in boxes in which its size may exceed `most`."""
+    """Return a model that is undefined in boxes in which its magnitude may exceed `most`."""
     beyond = ~((model.high < most) & (model.low > -most))
     return TaylorModel(model.coefficients, np.where(beyond, np.inf, model.remainder), model.count)
 

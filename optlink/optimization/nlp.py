@@ -204,7 +204,7 @@ class NLP:
         ----------
         x : array (n,)
             Scaled point.
-        p : array
+        p : array (parameters,)
             Parameters.
         """
         f, g = self._values(x, p)
@@ -217,7 +217,7 @@ class NLP:
         ----------
         x : array (n,)
             Scaled point.
-        p : array
+        p : array (parameters,)
             Parameters.
         """
         f, gradient, g, jacobian = self._all(x, p)
@@ -230,7 +230,7 @@ class NLP:
         ----------
         x : array (n,)
             Scaled point.
-        p : array
+        p : array (parameters,)
             Parameters.
         multipliers : array (m,)
             Of the rows.

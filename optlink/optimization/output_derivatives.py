@@ -21,7 +21,7 @@ from optlink.symbolic import NumpyEvaluator, symbols_in_numpy
 def output_derivatives(
     mechanism: Mechanism, sizes: Mapping[str, Any], crank: Vector, output: str, by: Sequence[str]
 ) -> tuple[Any, list[Any]]:
-    """Return an output and its derivatives with respect to dimensions, as symbols; call it while `tracing`.
+    """Return an output and its derivatives with respect to dimensions, as symbols; call it within `symbolic.symbols_in_numpy`.
 
     Parameters
     ----------

@@ -38,7 +38,7 @@ def undominated(costs: Array) -> NDArray[np.bool_]:
 
 
 def ends(costs: Array) -> tuple[int, ...]:
-    """Return the indices of the least of every column; of several equal ones, that with the least sum of all columns."""
+    """Return the index of the least value of every column; among equal ones, that with the least sum of all columns."""
     share = costs / extent(costs)
     indices = []
     for column in range(costs.shape[1]):

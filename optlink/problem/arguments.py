@@ -32,7 +32,7 @@ WRONG = {
     "callable": ("not a function", "Give one, or leave it out"),
     "is": ("not a problem", 'Load it: optlink.load("crank-rocker"), or optlink.load("mine.toml")'),
 }
-"""What is wrong with a value, and the remedy, by the first word of the type of pydantic's error."""
+"""Message and remedy by the first word of the type of pydantic's error."""
 
 
 def typed(function: Callable[P, R]) -> Callable[P, R]:

@@ -316,7 +316,7 @@ class Recorded(Summary):
     record: ClassVar[type[ResultRecord]]
 
     notebook: ClassVar[Callable[[Any], str | None] | None] = None
-    """Renderer of notebooks, which the package installs: records know nothing of reports."""
+    """Renderer of notebooks, which the package installs, as records do not depend on reports."""
 
     def _repr_html_(self) -> str | None:
         return None if Recorded.notebook is None else Recorded.notebook(self)

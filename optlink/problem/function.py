@@ -282,18 +282,18 @@ def _check_law(problem: DesignProblem) -> None:
     nominal = problem.design({})
     start = (nominal["phi0"], nominal["psi0"])
     starts = [start] if np.all(np.isfinite(start)) else [(0.3, 0.5), (0.9, 1.2), (1.7, 2.1)]
-    worries = [_worry(law, problem.span, phi0, psi0) for phi0, psi0 in starts]
-    if all(worries):
+    defects = [_defect(law, problem.span, phi0, psi0) for phi0, psi0 in starts]
+    if all(defects):
         span, begin = (f"{np.degrees(angle):.6g} deg" for angle in (problem.span, starts[0][0]))
         raise Unusable(
-            f"the law {worries[0]} on the span, {span} from {begin} on",
+            f"the law {defects[0]} on the span, {span} from {begin} on",
             "Change the law, the span or the start",
             "requirement.law",
             law.text,
         )
 
 
-def _worry(law: Expression | Function, span: float, phi0: float, psi0: float) -> str | None:
+def _defect(law: Expression | Function, span: float, phi0: float, psi0: float) -> str | None:
     """Return the defect of a law along the span, or None; poles of even order are found by refining around the largest value."""
     low, high = 0.0, 1.0
     for _ in range(5):

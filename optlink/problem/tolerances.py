@@ -55,7 +55,7 @@ SHAPES: Mapping[str, Distribution] = {
     "triangular": Distribution(1.0 / math.sqrt(6.0), _triangular),
     CONTACT: Distribution(1.0 / math.sqrt(2.0), lambda share: -np.cos(np.pi * share)),
 }
-"""By name. Contact: the part along a link of a gap whose journal rests on the bearing's wall, in any direction alike."""
+"""Distributions by name. Contact: component along a link of a clearance with the journal in contact in a random direction."""
 
 CHOICES = tuple(name for name in SHAPES if name != CONTACT)
 
@@ -278,7 +278,7 @@ def deviations(
     entries : mapping of str to ToleranceEntry
         Tolerances by name.
     mechanism : Mechanism
-        Returned by `loosened`.
+        From `with_deviating_pivots`.
     quantities : mapping of str to Quantity
         Quantities of the file.
     sizes : mapping of str to float [m, rad]

@@ -231,7 +231,7 @@ class CycleSearchResult:
 
     @property
     def begin(self) -> StartGroup:
-        """The Begin of the best design."""
+        """The start group of the best design."""
         return next(order.begin for order in self.orders if order.nlp is self.nlp)
 
     @property

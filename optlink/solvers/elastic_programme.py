@@ -68,7 +68,7 @@ class Limit:
     sides: tuple[LimitSide, ...]
 
     def shares(self, amount: float) -> Array:
-        """Return the slack of each side relative to that of the first one where all sides give an amount [display unit]."""
+        """Return the slack of each side relative to the first one if all sides are relaxed by an amount [display unit]."""
         slacks = [abs(side.scale.to_internal(side.displaced(amount)) - side.bound) for side in self.sides]
         shares = np.array([slack / slacks[0] if slacks[0] else 1.0 for slack in slacks])
         return np.asarray(np.clip(shares, 0.1, 10.0))  # a root has no slope at zero
@@ -83,7 +83,7 @@ class Limit:
         nlp : NLP
         x : array (n,)
             The design that needs the slack.
-        p : array
+        p : array (parameters,)
             Parameters of the NLP.
         approximate : bool
             Whether the limit may be exceeded between the positions of the NLP.

@@ -25,7 +25,7 @@ def repair(nlp: NLP, x: Array, p: Array, inside: float = INSIDE) -> Array | None
     nlp : NLP
     x : array (n,)
         Starting point, scaled.
-    p : array
+    p : array (parameters,)
         Parameters of the NLP.
     inside : float
         Distance inside the limits to aim for, scaled.
@@ -58,7 +58,7 @@ def repair(nlp: NLP, x: Array, p: Array, inside: float = INSIDE) -> Array | None
 
 
 def _worst(nlp: NLP, rows: NDArray[np.intp], miss: Array) -> NDArray[np.intp]:
-    """Return of every limit the row that misses it most.
+    """Return the most violated row of every limit.
 
     The rows of one limit at neighbouring positions are nearly dependent: a step that meets all of them exactly leads far away.
     """

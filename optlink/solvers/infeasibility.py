@@ -28,8 +28,8 @@ from optlink.solvers.solution import Relaxation
 
 STARTS, LOOKED_AT = 6, 256  # starting points used, of those sampled: the first at which every limit is finite
 FIRST_ORDER, EVEN, ROUNDS = 1e-4, 1e-4, 4
-"""Amount [display unit] for which the sides of a range first give equally; relative difference of their amounts that ends the
-rounds in which the shares of the sides are corrected."""
+"""Amount [display unit] by which both sides of a range are relaxed first; relative difference of their amounts at which the
+corrections of their shares end; largest number of corrections."""
 ENOUGH = 3  # number of searches that end at the same least slack before it is accepted
 AGREEING = 2  # the same for the relaxation of one limit of a large NLP
 EQUAL_SLACKS = 1e-4  # relative difference of slacks that count as equal
@@ -96,7 +96,7 @@ class _Search:
     def alone(self, i: int) -> tuple[Array, Array]:
         """Return the least slack of each side of a limit that is relaxed alone, and x with the slacks.
 
-        Both sides of a range give by the same amount, which is at most the least amount of one of its sides.
+        Both sides of a range are relaxed by the same amount, which is at most the least amount of one of its sides.
         """
         limit, weights = self.limits[i], np.eye(self.k)[i]
         count = len(limit.sides)

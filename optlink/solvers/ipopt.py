@@ -105,7 +105,7 @@ def ipopt(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = Fa
     nlp : NLP
     x : array (n,)
         Starting point, scaled.
-    p : array
+    p : array (parameters,)
         Parameters of the NLP.
     track : bool
         Record the iterates.

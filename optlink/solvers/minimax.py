@@ -48,7 +48,7 @@ class _Linearisation:
     by_e: Array
     g: Array
     by_g: Array
-    missed: float
+    violation: float
 
     @property
     def largest(self) -> float:
@@ -57,7 +57,7 @@ class _Linearisation:
 
     def merit(self, price: float) -> float:
         """Return the merit function: largest distance plus penalised violation."""
-        return self.largest + price * self.missed
+        return self.largest + price * self.violation
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class _Step:
 
     d: Array
     merit: float
-    missed: float
+    violation: float
     by_e: Array
     by_g: Array
 
@@ -94,9 +94,9 @@ class _View:
         by_e, by_g = (slopes.reshape(len(y), -1).T for slopes in (by_e, by_g))
         finite = all(np.all(np.isfinite(a)) for a in (e, by_e, g, by_g))
         points = e.reshape(-1, self.width) / self.size
-        return _Linearisation(points, by_e / self.size, g, by_g, self.missed(g) if finite else math.inf)
+        return _Linearisation(points, by_e / self.size, g, by_g, self.violation(g) if finite else math.inf)
 
-    def missed(self, g: Array) -> float:
+    def violation(self, g: Array) -> float:
         """Return the largest violation of a limit."""
         return float(np.max([self.low - g, g - self.high], initial=0.0)) if len(g) else 0.0
 
@@ -119,7 +119,7 @@ def minimax(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = 
         NLP with the measure "max".
     x : array (n,)
         Starting point, scaled.
-    p : array
+    p : array (parameters,)
         Parameters of the NLP.
     track : bool
         Record the iterates.
@@ -128,7 +128,7 @@ def minimax(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = 
     """
     view, y, path = _View(nlp, p), x[:-1], [x]
     here = view.at(y)
-    if not math.isfinite(here.missed):
+    if not math.isfinite(here.violation):
         return Attempt(x, 0, "undefined at the start")
     view.size = max(here.largest, nlp.exact)
     here = view.at(y)
@@ -150,7 +150,7 @@ def minimax(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = 
             break
         there = view.at(np.clip(y + step.d, low, high))
         gained = _gained(here, there, price, decrease)
-        if gained < POOR and math.isfinite(there.missed):
+        if gained < POOR and math.isfinite(there.violation):
             e, g = there.e - (here.by_e @ step.d).reshape(there.e.shape), there.g - here.by_g @ step.d
             corrected = _step(view, replace(here, e=e, g=g), bend, box, price)
             if corrected is not None:
@@ -176,12 +176,12 @@ def _priced(
     view: _View, here: _Linearisation, bend: Array, box: tuple[Array, Array], price: float, step: _Step
 ) -> tuple[float, _Step]:
     """Return a penalty weight that halves the reducible violation or is large enough, and the step for it."""
-    if here.missed <= FEASIBILITY_TOLERANCE:
+    if here.violation <= FEASIBILITY_TOLERANCE:
         return min(price, max(PRICE, SPARE * float(np.sum(np.abs(step.by_g))))), step
-    if step.missed > 0.5 * here.missed:
+    if step.violation > 0.5 * here.violation:
         most = _step(view, here, bend, box, DEAREST)
-        enough = here.missed if most is None else 0.5 * (here.missed + most.missed)
-        while step.missed > enough and price < DEAREST:
+        enough = here.violation if most is None else 0.5 * (here.violation + most.violation)
+        while step.violation > enough and price < DEAREST:
             price *= 10.0
             step = _step(view, here, bend, box, price) or step
     return price, step
@@ -189,7 +189,7 @@ def _priced(
 
 def _gained(here: _Linearisation, there: _Linearisation, price: float, promised: float) -> float:
     """Return the actual decrease of the merit as a share of the predicted one."""
-    return (here.merit(price) - there.merit(price)) / promised if math.isfinite(there.missed) else -1.0
+    return (here.merit(price) - there.merit(price)) / promised if math.isfinite(there.violation) else -1.0
 
 
 def _sparse(dense: Array) -> Any:
@@ -229,7 +229,7 @@ def _step(view: _View, here: _Linearisation, bend: Array, box: tuple[Array, Arra
         return None
     d = np.clip(z[:n], *box)
     e, g = here.e + (here.by_e @ d).reshape(points, width), here.g + here.by_g @ d
-    violated = view.missed(g)
+    violated = view.violation(g)
     merit = float(np.max(np.linalg.norm(e, axis=1))) + price * violated + 0.5 * float(d @ bend @ d)
     tips = -dual[: points * (width + 1)].reshape(points, width + 1)[:, 1:].ravel()
     box_duals = dual[points * (width + 1) :]

@@ -175,7 +175,7 @@ def conclude(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
     ----------
     nlp : NLP
     attempt : Attempt
-    p : array
+    p : array (parameters,)
         Parameters of the NLP.
     """
     x = nlp.lifted(attempt.x)

@@ -41,7 +41,7 @@ def polish(nlp: NLP, attempt: Attempt, p: Array, near: float = NEAR) -> Attempt:
     ----------
     nlp : NLP
     attempt : Attempt
-    p : array
+    p : array (parameters,)
         Parameters of the NLP.
     near : float
         Distance at which a limit counts as active, scaled.
@@ -57,7 +57,7 @@ def refined(nlp: NLP, x: Array, p: Array, begin: NLPValues, near: float = NEAR) 
     nlp : NLP
     x : array (n,)
         Scaled point.
-    p : array
+    p : array (parameters,)
         Parameters of the NLP.
     begin : NLPValues
         The NLP at x.

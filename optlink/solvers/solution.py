@@ -182,7 +182,7 @@ def verified_solution(
     ----------
     nlp : NLP
     attempt : Attempt
-    p : array
+    p : array (parameters,)
         Parameters of the NLP.
     point : NLPValues, optional
         The NLP at x, if it was evaluated before.
@@ -292,7 +292,7 @@ def curvature(nlp: NLP, x: Array, p: Array, point: NLPValues, conditions: Statio
     nlp : NLP
     x : array (n,)
         Scaled point.
-    p : array
+    p : array (parameters,)
         Parameters of the NLP.
     point : NLPValues
         The NLP at x.

@@ -122,7 +122,7 @@ class SweepTask(ABC):
 
 
 _current_task: dict[str, SweepTask] = {}
-"""The task that this process is at: what it has built is used for every chunk, though each may come with a copy of the task."""
+"""The task of this process: it keeps its compiled parts for all chunks, although each chunk may come with a copy of the task."""
 
 
 class MachineFigures(NamedTuple):

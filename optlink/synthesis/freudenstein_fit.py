@@ -13,7 +13,7 @@ from optlink.linkage.vector2d import Array
 from optlink.synthesis.loop_equations import EXACT, LoopEquation
 
 Keep = Callable[[Array, Array, Array, Array, Array, Array], Any]
-"""Which linkages are wanted, elementwise: (crank, coupler, rocker, phi0, psi0, side), all (m,), to (m,) bool."""
+"""Admissible linkages, elementwise: (crank, coupler, rocker, phi0, psi0, side), all (m,), to (m,) bool."""
 
 BLOCK = 1 << 17  # numbers in one array of the scan, so that it fits in the cache
 FITS_PER_START = 2  # fits per start position, unweighted then weighted; a third has no measurable effect

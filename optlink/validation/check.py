@@ -240,7 +240,7 @@ def finely(offsets: Array) -> tuple[Array, NDArray[np.intp]]:
 
 
 def revolutions_check(target: Array, moved: Callable[[], Array]) -> Iterator[Checks]:
-    """Yield the check that an output turns as its law, not by whole revolutions more or less, which angles alone do not show.
+    """Yield the check that an output follows its law without an error of whole revolutions, which angles alone do not show.
 
     Positions where it is more than a quarter turn off do not count. Laws with short steps, which cannot be met so, have no check.
     Where a law with long steps or the output has no value, the check fails. (That any law has values is checked with the error.)

@@ -78,7 +78,7 @@ def servo_reference(time, model, p):
         Time at the start of the step.
     model : tuple
         See above.
-    p : array
+    p : array (parameters,)
         See above.
     """
     harmonics = model[HARMONICS]
@@ -109,7 +109,7 @@ def evaluate(time, x, model, p, slopes):
         State; written where it is an intermediate array.
     model : tuple
         See above.
-    p : array
+    p : array (parameters,)
         See above.
     slopes : array (m,)
         Result.
@@ -169,7 +169,7 @@ def attempt(time, h, y, new, k, between, n, model, p):
         Length of the state without the works.
     model : tuple
         See above.
-    p : array
+    p : array (parameters,)
         See above.
     """
     for s in range(1, STAGES + 1):
@@ -239,7 +239,7 @@ def interpolant(time, h, y, new, k, between, n, model, p, f):
         Length of the state without the works.
     model : tuple
         See above.
-    p : array
+    p : array (parameters,)
         See above.
     f : array (7, m)
         Coefficients of the dense output.

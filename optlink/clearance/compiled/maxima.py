@@ -24,7 +24,7 @@ REACH = 0.625
 """Share of a step times the slope at its end by which a maximum within it may exceed that end; 0.5 for a concave curve."""
 
 EQUAL = 1e-13
-"""Relative excess over a maximum that is not worth another look."""
+"""Relative excess over a maximum that is neglected."""
 
 
 @njit(**HELPER)

@@ -26,7 +26,7 @@ def penetration(share, f, y, n, model, p, x, out):
         Length of the state without the works.
     model : tuple
         See above.
-    p : array
+    p : array (parameters,)
         See above.
     x : array
         State; written where it is an intermediate array.
@@ -59,7 +59,7 @@ def root(low, high, place, sign, f, y, n, model, p, x, out):
         Length of the state without the works.
     model : tuple
         See above.
-    p : array
+    p : array (parameters,)
         See above.
     x : array
         State; written where it is an intermediate array.

@@ -18,7 +18,7 @@ from optlink.problem.targets.law import read_columns
 from optlink.units import factor, show
 
 OVER = {"phi": "angle", "s": "coordinate", "omega": "angular velocity"}
-"""What a table of forces may run over: crank angle, slider position, crank speed."""
+"""Independent variables of a table of forces: crank angle, slider position, crank speed."""
 
 
 @dataclass(frozen=True)

@@ -101,7 +101,7 @@ class Boxes:
         return Boxes.joined(parts)
 
     def about(self, point: Array, width: Array) -> Boxes:
-        """Return these boxes divided, the finer the nearer to a point: up to a batch, each about as wide as it is distant.
+        """Return these boxes, divided into at most a batch of boxes that are about as wide as their distance from a point.
 
         Parameters
         ----------

@@ -347,7 +347,7 @@ RANGES: dict[str, type[EpsilonRanges]] = {"function": _LawRanges, "cycle": _Cycl
 
 
 def _axis(objective: ParetoObjective, tight: float, relaxed_end: float, count: int) -> Axis:
-    """Return the values of a limit from the relaxed_end end of the front to the tight one, both rounded inwards."""
+    """Return the values of a limit from the relaxed end of the front to the tight one, both rounded inwards."""
     width = abs(relaxed_end - tight)
     if not width > NONE * max(abs(tight), abs(relaxed_end)):
         return Axis(objective.key, objective.unit, (objective.worsened(tight, END_RELAXATION * abs(tight)),))
@@ -358,7 +358,7 @@ def _axis(objective: ParetoObjective, tight: float, relaxed_end: float, count: i
 
 
 def _requested(objective: ParetoObjective, count: int, problem_with: Callable[[Raw], ProblemFile]) -> Axis:
-    """Return the requested range from its relaxed_end end; `problem_with` gives the problem with a value of the limit."""
+    """Return the requested range from its relaxed end; `problem_with` gives the problem with a value of the limit."""
     axis = range_values(objective, count)
     for at in (0, len(axis.values) - 1):
         problem_with(axis.raw(at))

@@ -74,8 +74,8 @@ def _no_front(problem: ProblemFile) -> InputError:
         return InputError(f"{PRESCRIBED[kind]} prescribed here", f"{whose}; {instead}", problem.file)
     if getattr(problem.model, "balance", None) is not None:
         instead = f"that of two measures of balancing: optlink balance {problem.name} --trade force,torque"
-        return InputError("the problem has nothing to design", f"{whose}; {instead}", problem.file)
-    return InputError("the problem has nothing to design", f"{whose}; add an [objective] and design variables", problem.file)
+        return InputError("a balancing problem has no such objectives", f"{whose}; {instead}", problem.file)
+    return InputError("the problem has no [objective]", f"{whose}; add an [objective] and design variables", problem.file)
 
 
 def _ranged(problem: ProblemFile, part: str, number: int) -> ParetoObjective:

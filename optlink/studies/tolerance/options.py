@@ -51,7 +51,7 @@ def read_tolerances(problem: ProblemFile, texts: Sequence[str], shape: str = NOR
 
 
 def read_deviations(problem: ProblemFile, nominal: Nominal, texts: Sequence[str], shape: str = NORMAL) -> tuple[Deviation, ...]:
-    """Return the deviations of a nominal linkage; see `stated`.
+    """Return the deviations of a nominal linkage; see `read_tolerances`.
 
     Parameters
     ----------
