@@ -294,11 +294,11 @@ def parse(text: object, kind: str) -> tuple[float, str]:
     number, unit = match.groups()
     if unit is None:
         raise UnitProblem(f"{_a(kind)} needs a unit", f'Write "{number} {expected_kind.display}"')
-    known = _unit(unit, kind)
-    value = float(number) * known.scale
+    known_unit = _unit(unit, kind)
+    value = float(number) * known_unit.scale
     if not math.isfinite(value):
         raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{expected_kind.example}"')
-    return value, known.symbol
+    return value, known_unit.symbol
 
 
 def _check_form(text: str, kind: str) -> None:

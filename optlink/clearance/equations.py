@@ -135,9 +135,9 @@ class Equations:
                     fx, fy, total = fx - gx, fy - gy, total - turned
             rates = casadi.vertcat(*state.velocity, state.omega)
             residual += casadi.jacobian(rates, x[n:]).T @ casadi.vertcat(fx, fy, total)
-        opened = [jet_parts(value) for value in self.tree.open(moving.places)]
-        closure = casadi.vertcat(*[value for value, _, _ in opened]) if opened else casadi.SX(0, 1)
-        bent = casadi.vertcat(*[twice for _, _, twice in opened]) if opened else casadi.SX(0, 1)
+        residuals = [jet_parts(value) for value in self.tree.open(moving.places)]
+        closure = casadi.vertcat(*[value for value, _, _ in residuals]) if residuals else casadi.SX(0, 1)
+        bent = casadi.vertcat(*[twice for _, _, twice in residuals]) if residuals else casadi.SX(0, 1)
         grip = casadi.jacobian(closure, x[:n])
         crank = self.tree.driven
         prescribed, torque = self._driven(unaccelerated)
@@ -258,8 +258,8 @@ class Equations:
         count = len(states)
         if count not in self._closures:
             self._closures[count] = CompiledFunction(self.closed[:1], self.closed[1:], count)
-        opened, grip = self._closures[count](states[:, : self.size].ravel())
-        return opened.reshape(count, -1), grip.reshape(count, self.size, -1).transpose(0, 2, 1)
+        residuals, grip = self._closures[count](states[:, : self.size].ravel())
+        return residuals.reshape(count, -1), grip.reshape(count, self.size, -1).transpose(0, 2, 1)
 
     def nudge(self, state: Array, parameters: Array, time: float) -> tuple[Array, Array]:
         """Return state and works [J] after a time too short for the integrator, by one step of the classical Runge-Kutta method.

@@ -377,9 +377,9 @@ class Integration:
         n, crank = self.equations.size, self.equations.tree.driven
         states = states.copy()
         for _ in range(2):
-            opened, grip = self.equations.closure(states)
+            residuals, grip = self.equations.closure(states)
             grip[:, :, crank] = 0.0
-            states[:, :n] -= np.einsum("mij,mj->mi", np.linalg.pinv(grip), opened)
+            states[:, :n] -= np.einsum("mij,mj->mi", np.linalg.pinv(grip), residuals)
         _, grip = self.equations.closure(states)
         moving = np.einsum("mji,mi->mj", grip, states[:, n:])
         grip[:, :, crank] = 0.0

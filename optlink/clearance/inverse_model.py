@@ -77,8 +77,8 @@ class Inverse:
             apart = [moved.journal_motion(gap).eccentricity for gap in gaps]
             missing = [value - e[i] for i, value in enumerate(part for pair in apart for part in pair)]
             missing += [jet_parts(value)[0] for value in self.tree.open(moved.places)]
-            value, gone = output.of(moved), casadi.vertcat(*missing)
-            results = [gone, casadi.jacobian(gone, q), value, casadi.jacobian(value, q)]
+            value, residuals = output.of(moved), casadi.vertcat(*missing)
+            results = [residuals, casadi.jacobian(residuals, q), value, casadi.jacobian(value, q)]
             self._loops = CompiledFunction([q, e], results, POINTS)
         self.angles: Array = np.asarray(start + np.sign(speed) * np.linspace(0.0, 2.0 * np.pi, POINTS, endpoint=False))
         moving = machine.moving(self.angles, speed)
@@ -91,12 +91,12 @@ class Inverse:
         q = self._ideal.copy()
         q[:, self.tree.driven] = crank
         for _ in range(ROUNDS):
-            gone, slopes, value, gradient = self._loops(q.ravel(), self.gaps.ravel())
-            gone = gone.reshape(POINTS, -1)
+            residuals, slopes, value, gradient = self._loops(q.ravel(), self.gaps.ravel())
+            residuals = residuals.reshape(POINTS, -1)
             slopes = slopes.reshape(POINTS, self.size, -1).transpose(0, 2, 1)
-            if np.max(np.abs(gone), initial=0.0) < 1e-13:
+            if np.max(np.abs(residuals), initial=0.0) < 1e-13:
                 break
-            q[:, self.free] -= np.linalg.solve(slopes[:, :, self.free], gone[:, :, None])[:, :, 0]
+            q[:, self.free] -= np.linalg.solve(slopes[:, :, self.free], residuals[:, :, None])[:, :, 0]
         gradient = gradient.reshape(POINTS, self.size)
         follow = -np.linalg.solve(slopes[:, :, self.free], slopes[:, :, self.tree.driven, None])[:, :, 0]
         return value, gradient[:, self.tree.driven] + np.sum(gradient[:, self.free] * follow, axis=1)

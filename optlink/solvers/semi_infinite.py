@@ -84,15 +84,15 @@ def exchange(nlp: CycleNLP, solution: Solution) -> Solution:
         merit = _merit(nlp, solution.x, cycle_peaks)
         for step in (_polished, _levelled, _followed):
             nlp.set_exchange_points(cycle_peaks.shares)
-            near = step(nlp, nlp.lifted(solution.x), cycle_peaks, radius)
-            if near is None:
+            candidate = step(nlp, nlp.lifted(solution.x), cycle_peaks, radius)
+            if candidate is None:
                 continue
-            there = peaks(nlp, near.x)
-            converged = there.excess <= LEVELLED and near.status is Status.OPTIMAL
-            if _merit(nlp, near.x, there) < merit + (1e-9 if converged else -1e-12) * abs(merit):
-                moved = _distance(nlp, near.x, solution.x)
+            there = peaks(nlp, candidate.x)
+            converged = there.excess <= LEVELLED and candidate.status is Status.OPTIMAL
+            if _merit(nlp, candidate.x, there) < merit + (1e-9 if converged else -1e-12) * abs(merit):
+                moved = _distance(nlp, candidate.x, solution.x)
                 radius = max(radius, 2.0 * moved) if moved > 0.9 * radius else radius
-                solution, cycle_peaks = near, there
+                solution, cycle_peaks = candidate, there
                 break
         else:
             radius *= 0.25

@@ -147,8 +147,8 @@ class CycleParameters(OptimumParameters):
         prices = casadi.DM(system.multipliers[system.free :])
         whole = other.f_expression + casadi.dot(prices, other.g_expression)
         both = casadi.vertcat(other.x_symbol, other.p_symbol)
-        seen = CompiledFunction([other.x_symbol, other.p_symbol], [whole, casadi.gradient(whole, both), other.g_expression])
-        value_, gradient, rows = seen(system.x, system.p)
+        functions = CompiledFunction([other.x_symbol, other.p_symbol], [whole, casadi.gradient(whole, both), other.g_expression])
+        value_, gradient, rows = functions(system.x, system.p)
         return float(value_[0]), gradient, rows
 
 

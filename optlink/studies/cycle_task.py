@@ -157,7 +157,7 @@ class CycleProgramme:
         programme.lifted(programme.x_start)
         return programme
 
-    def design(self, problem: ProblemFile, bounds: Mapping[str, float], near: Mapping[str, float]) -> CycleResult | None:
+    def design(self, problem: ProblemFile, bounds: Mapping[str, float], start_values: Mapping[str, float]) -> CycleResult | None:
         """Return the machine of a problem with other bounds; None if another order of its events may allow a better one.
 
         Parameters
@@ -165,15 +165,15 @@ class CycleProgramme:
         problem : ProblemFile
         bounds : mapping of str to float [unit of the problem]
             Bounds by key, including their side.
-        near : mapping of str to float [SI]
+        start_values : mapping of str to float [SI]
             Starting values of the design variables.
         """
         begin = time.perf_counter()
-        structure = self.trace.structure(near)
+        structure = self.trace.structure(start_values)
         if structure is None or self.structure is None or not structure.like(self.structure):
             return None
         nlp = with_bounds(self.nlp, bounds)
-        x = nlp.x_of(near)
+        x = nlp.x_of(start_values)
         nlp.set_exchange_points(peaks(nlp, x).shares)
         built = time.perf_counter()
         solution = exchange(nlp, multistart.solve_from(nlp, x, self.backend))

@@ -263,9 +263,9 @@ class ParametricProgramme:
 
     def bind(self, task: DesignProblem) -> None:
         """Set fixed quantities, bounds and limits from a problem of the same structure."""
-        nlp, own = self.nlp, self.parameters(task)
-        nlp.p[:] = own.p[0]
-        for entry, (low, high) in enumerate(zip(own.lower[0], own.upper[0], strict=True)):
+        nlp, batch = self.nlp, self.parameters(task)
+        nlp.p[:] = batch.p[0]
+        for entry, (low, high) in enumerate(zip(batch.lower[0], batch.upper[0], strict=True)):
             nlp.limit(entry, low, high)
 
     def within(self, x: Array) -> Array:

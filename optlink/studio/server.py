@@ -61,8 +61,8 @@ class Studio:
         Problem that a new page opens.
     """
 
-    def __init__(self, port: int, opened: str | None = None) -> None:
-        self.port, self.opened, self.token = port, opened, secrets.token_urlsafe(32)
+    def __init__(self, port: int, initial: str | None = None) -> None:
+        self.port, self.opened, self.token = port, initial, secrets.token_urlsafe(32)
         self.links: set[Link] = set()
         self._spare: asyncio.Task[Worker] | None = None
         for ending, media in TYPES.items():
@@ -241,12 +241,12 @@ class _Guard:
         await self.app(scope, receive, sent)
 
 
-def serve(opened: str | None = None, port: int = 0, ready: Callable[[str], None] = print) -> None:
+def serve(initial: str | None = None, port: int = 0, ready: Callable[[str], None] = print) -> None:
     """Serve the studio on this machine until it is interrupted.
 
     Parameters
     ----------
-    opened : str, optional
+    initial : str, optional
         Shipped problem or file that a new page opens.
     port : int
         Port; 0 for any free one.
@@ -266,7 +266,7 @@ def serve(opened: str | None = None, port: int = 0, ready: Callable[[str], None]
         listening.close()
         remedy = "Leave --port out, or give another one"
         raise InputError(f"cannot listen on the port: {error.strerror}", remedy, key="--port", value=port) from None
-    studio = Studio(listening.getsockname()[1], opened)
+    studio = Studio(listening.getsockname()[1], initial)
     config = uvicorn.Config(
         studio.app,
         log_level="warning",

@@ -301,8 +301,10 @@ class Session:
                     self._show(near, problem, moving=False, searching=True)
                     raise
         if near.solution is not None and near.solution.usable:
-            seen = checked(near)
-            self._design = replace(seen, conclusion=FIRST) if seen.status == "verified" else replace(near, conclusion=BEGUN)
+            validated = checked(near)
+            self._design = (
+                replace(validated, conclusion=FIRST) if validated.status == "verified" else replace(near, conclusion=BEGUN)
+            )
             self._show(self._design, problem, moving=False, searching=True)
         elif near.status == "infeasible":
             self._show(replace(last, **verdict(near)), problem, moving=False, searching=True)

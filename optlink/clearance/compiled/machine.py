@@ -93,8 +93,8 @@ def _key(text: str) -> str:
     import numba
     import scipy
 
-    said = f"{text}\n{sys.version}\n{scipy.__version__}\n{numba.__version__}"
-    return hashlib.sha256(said.encode()).hexdigest()[:24]
+    content = f"{text}\n{sys.version}\n{scipy.__version__}\n{numba.__version__}"
+    return hashlib.sha256(content.encode()).hexdigest()[:24]
 
 
 def _projection(equations: Equations) -> Any:
@@ -112,8 +112,8 @@ def _projection(equations: Equations) -> Any:
         return free.T @ casadi.solve(free @ free.T, right)
 
     for _ in range(2):
-        opened, matrix = joints(q)
-        q = q - least(matrix, opened)
+        residuals, matrix = joints(q)
+        q = q - least(matrix, residuals)
     matrix = joints(q)[1]
     return casadi.vertcat(q, v - least(matrix, matrix @ v))
 

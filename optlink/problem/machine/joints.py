@@ -193,7 +193,7 @@ class JointSection(Section):
         Unusable
             with the first such key.
         """
-        said = sorted(key for key in self.model_fields_set - {"on"} if getattr(self, key) is not None)
-        if said and not self.has_clearance:
-            message = f"the joint has no clearance, so {said[0]} has no effect"
-            raise Unusable(message, f"Add {EXAMPLE}, or remove the key", said[0])
+        unused = sorted(key for key in self.model_fields_set - {"on"} if getattr(self, key) is not None)
+        if unused and not self.has_clearance:
+            message = f"the joint has no clearance, so {unused[0]} has no effect"
+            raise Unusable(message, f"Add {EXAMPLE}, or remove the key", unused[0])

@@ -281,11 +281,11 @@ class _Parser:
 
     def bracket(self, depth: int) -> None:
         assert self.here is not None
-        opened = self.here.column
+        opening_column = self.here.column
         self.advance()
         self.expression(0, depth + 1)
         if self.here is None:
-            self.fail("a bracket is not closed", 'Add the missing ")"', opened)
+            self.fail("a bracket is not closed", 'Add the missing ")"', opening_column)
         if self.here.text != ")":
             self.fail(f'"{self.here.text}" is not expected here', 'Check operators, or add the missing ")"')
         self.advance()

@@ -282,11 +282,11 @@ def svg_points(raw: Mapping[str, Any], folder: Path) -> TargetPoints:
         key = error.key or "path"
         raise Unusable(f"{shape} of {name}: {error.message}", error.remedy, key, error.value) from None
     unit = raw.get("unit", "mm")
-    said = "as stated" if millimetres_per_unit else "as stated in the file" if file_scale else "not stated in the file"
+    origin = "as stated" if millimetres_per_unit else "as stated in the file" if file_scale else "not stated in the file"
     if millimetres_per_unit and file_scale and not math.isclose(millimetres_per_unit, file_scale, rel_tol=1e-6):
-        said = f"as stated, though the file states {file_scale:.6g} mm"
+        origin = f"as stated, though the file states {file_scale:.6g} mm"
     note = f"{shape} of {name}, {show(length, 'length', unit)} long, sampled at {count} points evenly by arc length"
-    return sampled_targets(points, unit, loop, f"{note}; one user unit is {scale:.6g} mm, {said}")
+    return sampled_targets(points, unit, loop, f"{note}; one user unit is {scale:.6g} mm, {origin}")
 
 
 _Curve = Callable[[Array], Drawn]  # x + iy in user units at u from 0 to 1

@@ -144,22 +144,22 @@ class Leaves:
     multipliers: list[Array] = field(default_factory=list)
     count: int = 0
 
-    def add(self, boxes: Boxes, gone: NDArray[np.bool_], test: NDArray[np.int8], multipliers: Array) -> None:
+    def add(self, boxes: Boxes, discarded: NDArray[np.bool_], test: NDArray[np.int8], multipliers: Array) -> None:
         """Add boxes that are discarded.
 
         Parameters
         ----------
         boxes : Boxes
-        gone : array of bool (boxes,)
+        discarded : array of bool (boxes,)
             Those of a batch that are discarded.
         test : array of int (boxes,)
         multipliers : array (boxes, limits)
         """
-        self.count += int(gone.sum())
-        self.low.append(boxes.low[gone])
-        self.high.append(boxes.high[gone])
-        self.test.append(test[gone])
-        self.multipliers.append(multipliers[gone])
+        self.count += int(discarded.sum())
+        self.low.append(boxes.low[discarded])
+        self.high.append(boxes.high[discarded])
+        self.test.append(test[discarded])
+        self.multipliers.append(multipliers[discarded])
         if self.count > MOST_LEAVES:
             for part in (self.low, self.high, self.test, self.multipliers):
                 part.clear()
@@ -288,20 +288,25 @@ class BranchAndBound:
         record = self._bounded(batch)
         self.boxes += len(batch)
         batch = Boxes(batch.low, batch.high, np.maximum(batch.bound, record.bound))
-        gone = record.test != OPEN
-        by_objective = gone & (record.test > 0)
+        discarded = record.test != OPEN
+        by_objective = discarded & (record.test > 0)
         self.discarded = min(self.discarded, float(np.min(batch.bound[by_objective], initial=math.inf)))
-        self.leaves.add(batch, gone, record.test, record.multipliers)
+        self.leaves.add(batch, discarded, record.test, record.multipliers)
         self._better(batch, record)
-        left, direction = Boxes(record.low[~gone], record.high[~gone], batch.bound[~gone]), record.split[~gone]
-        cut = batch[~gone].without(left)
+        left, direction = (
+            Boxes(record.low[~discarded], record.high[~discarded], batch.bound[~discarded]),
+            record.split[~discarded],
+        )
+        cut = batch[~discarded].without(left)
         if len(cut):
             self.discarded = min(self.discarded, self.threshold)
             every = np.ones(len(cut), dtype=bool)
             self.leaves.add(cut, every, np.full(len(cut), CUT, dtype=np.int8), np.zeros((len(cut), record.multipliers.shape[1])))
         width = self._widths(left)
         small = np.max(width, axis=1) < SMALLEST
-        bounded = np.max(self._widths(batch[~gone]), axis=1) < SMALLEST  # else a cut has just made it small: it is bounded again
+        bounded = (
+            np.max(self._widths(batch[~discarded]), axis=1) < SMALLEST
+        )  # else a cut has just made it small: it is bounded again
         rows = np.arange(len(left))
         direction = np.where(width[rows, direction] < SMALLEST, np.argmax(width, axis=1), direction)
         self.tiny = Boxes.joined([self.tiny, left[small & bounded]])

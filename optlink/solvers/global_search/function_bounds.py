@@ -88,16 +88,16 @@ class FunctionBounds:
         t = threshold + LAW_ROUNDING
         rows = Rows.joined([loop_rows(self.linkages, self.x, self.y, t), grashof_rows(self.linkages)], len(low))
         z, weights, split = _solved(rows, low, high)
-        gone = largest(rows, weights, low, high) < 0.0
-        left = np.flatnonzero(~gone)
+        discarded = largest(rows, weights, low, high) < 0.0
+        left = np.flatnonzero(~discarded)
         if left.size:  # with the limits of the coupler as well
-            z[left], split[left], gone[left] = self._tested(low[left], high[left], t)
-        inner = self._cut(low, high, z, ~gone, t)
-        points, errors = self._candidates(z, low, high, ~gone)
+            z[left], split[left], discarded[left] = self._tested(low[left], high[left], t)
+        inner = self._cut(low, high, z, ~discarded, t)
+        points, errors = self._candidates(z, low, high, ~discarded)
         k = int(np.argmin(errors))
         self.candidate = points[k]
-        test = np.where(gone, PROVEN, OPEN).astype(np.int8)
-        return BoxRecord(np.where(gone, threshold, 0.0), test, np.zeros((len(low), 0)), split, errors, *inner)
+        test = np.where(discarded, PROVEN, OPEN).astype(np.int8)
+        return BoxRecord(np.where(discarded, threshold, 0.0), test, np.zeros((len(low), 0)), split, errors, *inner)
 
     def _tested(self, low: Array, high: Array, t: float) -> tuple[Array, NDArray[np.intp], NDArray[np.bool_]]:
         """Return the solutions of the programmes with all rows, the unknowns to halve, and which boxes are discarded."""
@@ -119,8 +119,8 @@ class FunctionBounds:
                     continue
                 slab = [low[tried], high[tried]]
                 slab[0 if corner is high else 1][:, k] = end[tried]
-                gone = tried[self._tested(slab[0], slab[1], t)[2]]
-                corner[gone, k] = end[gone]
+                discarded = tried[self._tested(slab[0], slab[1], t)[2]]
+                corner[discarded, k] = end[discarded]
         return low, high
 
     # --- candidates ------------------------------------------------------------------------------------------------

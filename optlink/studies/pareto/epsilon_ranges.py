@@ -302,9 +302,9 @@ class _CycleRanges(EpsilonRanges):
         bounds = {k: axis.raw(0) for k, axis in self.fixed.items()}
         asked_for = [k for k in range(len(objectives)) if k not in bounds]
 
-        def searched(k: int, task: ProblemFile, near: Mapping[str, float], starts: int | None = None) -> dict[str, Any]:
-            result = completed(solve_cycle(with_starting_values(task, near), self.backend, starts=starts))
-            if near and result.status is not Status.OPTIMAL:
+        def searched(k: int, task: ProblemFile, start: Mapping[str, float], starts: int | None = None) -> dict[str, Any]:
+            result = completed(solve_cycle(with_starting_values(task, start), self.backend, starts=starts))
+            if start and result.status is not Status.OPTIMAL:
                 result = completed(solve_cycle(task, self.backend))
             measured = cycle_figures(problem, objectives, result.design)
             if result.status not in (Status.OPTIMAL, Status.STALLED) or not np.all(np.isfinite(measured)):

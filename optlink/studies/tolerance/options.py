@@ -46,8 +46,10 @@ def read_tolerances(problem: ProblemFile, texts: Sequence[str], shape: str = NOR
             entries[name] = read_tolerance(text, Path())
         except Unusable as error:
             raise InputError(error.message, error.remedy, key=f"{OPTION} {name}", value=error.value) from None
-    said = {name: said.shape or (None if said.measured or name.endswith(CLEARANCE) else shape) for name, said in entries.items()}
-    return {name: replace(entries[name], shape=distribution) for name, distribution in said.items()}
+    entry = {
+        name: entry.shape or (None if entry.measured or name.endswith(CLEARANCE) else shape) for name, entry in entries.items()
+    }
+    return {name: replace(entries[name], shape=distribution) for name, distribution in entry.items()}
 
 
 def read_deviations(problem: ProblemFile, nominal: Nominal, texts: Sequence[str], shape: str = NORMAL) -> tuple[Deviation, ...]:
