@@ -17,10 +17,10 @@ from optlink.linkage.mechanism import FRAME
 from optlink.linkage.vector2d import Array, Value, Vector, cross, dot, magnitude, minus
 
 NEAR, NEARER, ASIDE = 1e-4, 1e-5, 1e-2
-"""Distances from a change point [rad] at which reactions are compared with one another, and with what they usually are."""
+"""Distances from a change point [rad]: two at which reactions are compared, and one with reactions of the usual size."""
 
 GROWS, NOTHING = 0.3, 1e-9
-"""Shares: force times distance that stays as large when the distance is a tenth; and of the usual force what is rounding."""
+"""An unbounded force has at least this ratio of force times distance at `NEARER` and `NEAR`, and this share of usual forces."""
 
 SINGULAR = 1e-7
 """Sine below which a group counts as singular: its reactions are rounding errors."""

@@ -55,11 +55,11 @@ def irregular(machine: Machine, grid: Array, speed: float) -> Irregular:
             crossed = np.concatenate([*zeros(values, grid, still=True, samples=samples), np.empty(0)])
             close, zero = _least(values, grid, samples)
             at = distinct(np.concatenate([crossed, close[zero]]))
-            found = at[_grows(machine, load, speed, at)] if at.size else at
+            irregular_angles = at[_grows(machine, load, speed, at)] if at.size else at
         corners.append(crossed)
         peaks.append(close)
-        if found.size:
-            unbounded[load.name] = found
+        if irregular_angles.size:
+            unbounded[load.name] = irregular_angles
     return Irregular(np.concatenate(corners), np.concatenate(peaks), unbounded)
 
 
@@ -108,8 +108,8 @@ def _breakpoints(machine: Machine, load: Load, speed: float) -> Callable[[Array]
     magnitude = load.magnitude
 
     def values(angles: Array) -> Array:
-        found = magnitude.breakpoints(load.known(machine.moving(angles, speed)))  # type: ignore[attr-defined]
-        return np.array([np.broadcast_to(value, angles.shape) for value in found]).reshape(len(found), len(angles))
+        points = magnitude.breakpoints(load.known(machine.moving(angles, speed)))  # type: ignore[attr-defined]
+        return np.array([np.broadcast_to(value, angles.shape) for value in points]).reshape(len(points), len(angles))
 
     return values
 

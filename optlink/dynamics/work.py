@@ -118,8 +118,8 @@ class Work:
     def __init__(self, machine: Machine, start: float, low: float, high: float, speed: float) -> None:
         self.machine, self.speed = machine, speed
         self.jumps = jumps(machine, low, high)
-        found, self.peaks, self.poles = irregular(machine, _grid(low, high), speed)
-        self.breaks = _rising([self.jumps, corners(machine, low, high, speed), found], low, high)
+        irregular_angles, self.peaks, self.poles = irregular(machine, _grid(low, high), speed)
+        self.breaks = _rising([self.jumps, corners(machine, low, high, speed), irregular_angles], low, high)
         even = np.linspace(low, high, _panels(low, high) + 1)
         beside = (even[1] - even[0]) * np.outer([-1.0, 1.0], 0.5 ** np.arange(HALVINGS))
         graded = (self.peaks[:, None] + beside.ravel()).ravel()

@@ -195,24 +195,24 @@ def _rivals(values: Array, signs: tuple[float, ...], grid: Array, part: Index) -
 
     Each is that of the parabola through three samples of one part of the grid, less its error by the third differences.
     """
-    found = np.full((len(values) * len(signs), len(grid)), np.inf)
+    candidates = np.full((len(values) * len(signs), len(grid)), np.inf)
     before, after = np.diff(grid)[:-1], np.diff(grid)[1:]
     longer = np.maximum(before, after)
     together = (part[2:] == part[:-2]) & (np.minimum(before, after) > UNEVEN * longer)
     for k, sign in enumerate(signs):
-        own = sign * values
+        signed = sign * values
         with np.errstate(all="ignore"):
-            slopes = np.diff(own, axis=-1) / np.diff(grid)
+            slopes = np.diff(signed, axis=-1) / np.diff(grid)
             curvature = 2.0 * np.diff(slopes, axis=-1) / (before + after)
             slope = (slopes[:, :-1] * after + slopes[:, 1:] * before) / (before + after)
             change = np.abs(np.diff(curvature, axis=-1, prepend=curvature[:, :1], append=curvature[:, -1:]))
-            lowest = own[:, 1:-1] - 0.5 * slope * slope / curvature - np.fmax(change[:, :-1], change[:, 1:]) * longer**2
+            lowest = signed[:, 1:-1] - 0.5 * slope * slope / curvature - np.fmax(change[:, :-1], change[:, 1:]) * longer**2
             place = -slope / curvature
             inside = together & (curvature > 0.0) & np.isfinite(lowest) & (-before <= place) & (place <= after)
         rows, middle = np.nonzero(inside)
         nearest = middle + 1 + (place > 0.5 * after)[inside] - (place < -0.5 * before)[inside]
-        np.minimum.at(found, (rows * len(signs) + k, nearest), lowest[inside])
-    return found
+        np.minimum.at(candidates, (rows * len(signs) + k, nearest), lowest[inside])
+    return candidates
 
 
 def refined_minima(

@@ -62,13 +62,13 @@ def zeros(
         return in_portions(function, angles, which[brackets])
 
     ends = grid[where], grid[where + 1], left[crossing], right[crossing]
-    found = np.full(len(which), np.nan)
+    roots = np.full(len(which), np.nan)
     if slope is not None:
-        found[:] = [_newton(slope, int(k), *(float(end[i]) for end in ends)) for i, k in enumerate(which)]
-    rest = np.flatnonzero(np.isnan(found))
+        roots[:] = [_newton(slope, int(k), *(float(end[i]) for end in ends)) for i, k in enumerate(which)]
+    rest = np.flatnonzero(np.isnan(roots))
     low, high, at_low, at_high = (end[rest] for end in ends)
-    found[rest] = refined_roots(lambda angles, brackets: own(angles, rest[brackets]), low, high, at_low, at_high, count)
-    return [found[which == k] for k in range(len(crossing))]
+    roots[rest] = refined_roots(lambda angles, brackets: own(angles, rest[brackets]), low, high, at_low, at_high, count)
+    return [roots[which == k] for k in range(len(crossing))]
 
 
 def sign_changes(values: Array, *, still: bool = False) -> tuple[NDArray[np.bool_], Array, Array]:
@@ -119,7 +119,7 @@ def refined_roots(
         Maximum number of rounds.
     """
     # `new` and `old` bracket a zero, `last` is the end dropped before
-    found, active, sign = high.copy(), np.arange(len(low)), np.sign(at_low)
+    roots, active, sign = high.copy(), np.arange(len(low)), np.sign(at_low)
     new, old, last, f_new, f_old, f_last = high, low, low, at_high, at_low, at_low
     lower = np.zeros(len(low), dtype=bool)  # whether `new` is the lower end
     step, rounding = np.full(len(low), 0.5), np.spacing(np.maximum(np.abs(low), np.abs(high)))
@@ -131,7 +131,7 @@ def refined_roots(
         last, f_last = np.where(same, new, old), np.where(same, f_new, f_old)
         old, f_old = np.where(same, old, new), np.where(same, f_old, f_new)
         new, f_new, lower = at, f_at, below
-        found[active] = np.maximum(new, old)
+        roots[active] = np.maximum(new, old)
         width, least = np.abs(old - new), rounding[active]  # at a zero at 0, of the bracket: not of ever smaller numbers
         wide = width > 2.0 * least
         if not np.any(wide):
@@ -145,4 +145,4 @@ def refined_roots(
             good = (phi * phi < xi) & ((1.0 - phi) ** 2 < 1.0 - xi) & np.isfinite(inverse)
         edge = np.minimum(0.5, least / width)
         step = np.clip(np.where(good, inverse, 0.5), edge, 1.0 - edge)
-    return found
+    return roots

@@ -74,7 +74,7 @@ def _faults_of_call(
 ) -> list[Fault]:
     """Return the faults of a call whose arguments are not those of the function: unknown, given twice, too many, or missing."""
     parameters = {name: parameter for name, parameter in signature.parameters.items() if name != "self"}
-    names, given = list(parameters), len(args) - (len(parameters) < len(signature.parameters))
+    names, count = list(parameters), len(args) - (len(parameters) < len(signature.parameters))
     places = sum(parameter.kind is not inspect.Parameter.KEYWORD_ONLY for parameter in parameters.values())
     remedy = f"Known: {', '.join(names)}"
     unknown = [
@@ -82,11 +82,11 @@ def _faults_of_call(
         for name, value in kwargs.items()
         if name not in parameters
     ]
-    twice = [Fault(f"given twice to {function}", "Give it once", key=name) for name in names[:given] if name in kwargs]
-    many = [Fault(f"{function} takes at most {places} arguments without a name", remedy)] if given > places else []
+    twice = [Fault(f"given twice to {function}", "Give it once", key=name) for name in names[:count] if name in kwargs]
+    many = [Fault(f"{function} takes at most {places} arguments without a name", remedy)] if count > places else []
     missing = [
         Fault(f"{function} needs this argument", remedy, key=name)
-        for name in names[given:]
+        for name in names[count:]
         if name not in kwargs and parameters[name].default is inspect.Parameter.empty
     ]
     return [*unknown, *twice, *many] or missing

@@ -401,12 +401,12 @@ def _coordinate(path: tuple[str, ...], table: Any, step: str) -> int | None:
 
 def _at(raw: Mapping[str, Any], key: str) -> Any:
     """Return the value at a dotted key; None if there is none."""
-    found: Any = raw
+    value: Any = raw
     steps = key.split(".")
     for depth, step in enumerate(steps):
-        place = _coordinate(tuple(steps[:depth]), found, step)
-        found = found[place] if place is not None else found.get(step) if isinstance(found, Mapping) else None
-    return found
+        place = _coordinate(tuple(steps[:depth]), value, step)
+        value = value[place] if place is not None else value.get(step) if isinstance(value, Mapping) else None
+    return value
 
 
 def _whole(raw: Mapping[str, Any], key: str, value: object, file: str) -> tuple[str, object]:

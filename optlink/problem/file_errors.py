@@ -123,8 +123,8 @@ def _fitting(path: tuple[str | int, ...], model: type[Problem], raw: Mapping[str
     keys = known_keys(path, model)
     if path == ("mechanism",):
         other = FourBarSection if of_dyads(raw) else DyadsSection
-        own = DyadsSection if of_dyads(raw) else FourBarSection
-        keys = [key for key in keys if key in own.model_fields or key not in other.model_fields]
+        section = DyadsSection if of_dyads(raw) else FourBarSection
+        keys = [key for key in keys if key in section.model_fields or key not in other.model_fields]
     if model is PathProblem and len(path) == 1:
         others = inapplicable_keys(str(path[0]), raw["requirement"].get("kind", "function"), four_bar=not of_dyads(raw))
         keys = [key for key in keys if key not in others]

@@ -37,10 +37,10 @@ class StartSequence:
         self.trace, self._known = trace, list[Sample]()
         self.fault: tuple[str, Term, int] | None = None
         task = trace.problem
-        given = {name: task.quantities[name].value for name in task.free}
+        initial = {name: task.quantities[name].value for name in task.free}
         low, high = np.array([task.quantities[name].bounds for name in task.free]).T
         drawn = (dict(zip(task.free, x.tolist(), strict=True)) for x in latin_hypercubes(low, high, seed))
-        self._next = itertools.chain([given], drawn)
+        self._next = itertools.chain([initial], drawn)
 
     def first(self, count: int) -> Iterator[Sample]:
         """Iterate over the design of the file and `count` random ones."""
@@ -64,15 +64,15 @@ def start_groups(samples: StartSequence, count: int, order: EventOrder | None = 
     ----------
     samples : StartSequence
     count : int
-        Greatest number of starting points of each Begin.
+        Greatest number of starting points of each group.
     order : EventOrder, optional
         Default: that of the first suitable starting point.
 
     Returns
     -------
-    list of Begin, that of the first starting point first; empty if none is suitable
+    list of StartGroup, that of the first starting point first; empty if none is suitable
     """
-    found: dict[tuple[bool, ...], StartGroup] = {}
+    groups: dict[tuple[bool, ...], StartGroup] = {}
     choices = list(itertools.product((True, False), repeat=len(samples.trace.paced)))
     for k, sample in enumerate(samples.first(SAMPLES * count)):
         if order is not None and not sample.may_be_like(order):
@@ -82,37 +82,40 @@ def start_groups(samples: StartSequence, count: int, order: EventOrder | None = 
             continue
         order = structure if order is None else order
         if structure.like(order):
-            _sort_in(found, choices, sample.values, structure)
-        if (k >= SAMPLES or len(choices) == 1) and any(len(own.starts) >= count for own in found.values()):
+            _sort_in(groups, choices, sample.values, structure)
+        if (k >= SAMPLES or len(choices) == 1) and any(len(group.starts) >= count for group in groups.values()):
             break
-    return [StartGroup(own.structure, own.starts[:count]) for own in found.values()]
+    return [StartGroup(group.structure, group.starts[:count]) for group in groups.values()]
 
 
 def _sort_in(
-    found: dict[tuple[bool, ...], StartGroup], choices: list[tuple[bool, ...]], values: Mapping[str, float], structure: EventOrder
+    groups: dict[tuple[bool, ...], StartGroup],
+    choices: list[tuple[bool, ...]],
+    values: Mapping[str, float],
+    structure: EventOrder,
 ) -> None:
-    """Add a starting point to the Begin of its slow strokes; to both if the strokes take equally long."""
+    """Add a starting point to the group of its slow strokes; to both groups if the strokes take equally long."""
     for slow in choices:
-        if all(own is None or own == other for own, other in zip(structure.slow, slow, strict=True)):
-            known = found.get(slow, StartGroup(replace(structure, slow=slow), ()))
-            found[slow] = replace(known, starts=(*known.starts, values))
+        if all(pace is None or pace == other for pace, other in zip(structure.slow, slow, strict=True)):
+            group = groups.get(slow, StartGroup(replace(structure, slow=slow), ()))
+            groups[slow] = replace(group, starts=(*group.starts, values))
 
 
-def further_start_groups(samples: StartSequence, known: Sequence[StartGroup], count: int) -> list[StartGroup]:
-    """Return further Begins for a search without a feasible design: missing slow strokes and the next most frequent orders.
+def further_start_groups(samples: StartSequence, existing: Sequence[StartGroup], count: int) -> list[StartGroup]:
+    """Return further groups for a search without a feasible design: missing slow strokes, the next most frequent orders.
 
     Parameters
     ----------
     samples : StartSequence
-    known : sequence of StartGroup
+    existing : sequence of StartGroup
         Those searched already; the first one defines the order of events.
     count : int
-        Greatest number of starting points of each Begin.
+        Greatest number of starting points of each group.
     """
-    trace, first = samples.trace, known[0]
+    trace, first = samples.trace, existing[0]
     choices = list(itertools.product((True, False), repeat=len(trace.paced)))
-    missing = [slow for slow in choices if slow not in [own.structure.slow for own in known]]
-    found = [StartGroup(replace(first.structure, slow=slow), first.starts) for slow in missing]
+    missing = [slow for slow in choices if slow not in [group.structure.slow for group in existing]]
+    result = [StartGroup(replace(first.structure, slow=slow), first.starts) for slow in missing]
     groups: dict[tuple[object, ...], dict[tuple[bool, ...], StartGroup]] = {}
     frequent: Counter[tuple[object, ...]] = Counter()
     for k, sample in enumerate(samples.first(SAMPLES * max(count, STARTS))):
@@ -122,5 +125,5 @@ def further_start_groups(samples: StartSequence, known: Sequence[StartGroup], co
             frequent[key] += k <= SAMPLES * STARTS
             _sort_in(groups.setdefault(key, {}), choices, sample.values, structure)
     for order, _ in frequent.most_common(ORDERS):
-        found += [StartGroup(own.structure, own.starts[:count]) for own in groups[order].values()]
-    return found
+        result += [StartGroup(group.structure, group.starts[:count]) for group in groups[order].values()]
+    return result

@@ -102,7 +102,7 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
     )
 
 
-def best_slow_stroke(task: PathProblem, found: Solution, backend: str) -> Solution:
+def best_slow_stroke(task: PathProblem, solution: Solution, backend: str) -> Solution:
     """Return the better one of a solution and the optimum near it whose slow stroke has the other direction.
 
     A time ratio that does not name its stroke divides the four-bars into two families. Near a ratio of 1 they almost meet, and
@@ -111,23 +111,23 @@ def best_slow_stroke(task: PathProblem, found: Solution, backend: str) -> Soluti
     Parameters
     ----------
     task : PathProblem
-    found : Solution
+    solution : Solution
     backend : str
         Back end.
     """
-    ratio, nlp = task.limits.time_ratio, found.nlp
-    if ratio is None or ratio.stroke is not None or not (ratio.low or 0.0) > 1.0 or not math.isfinite(found.objective):
-        return found
-    values, angles = solved_values(task, found.design, found.x)
+    ratio, nlp = task.limits.time_ratio, solution.nlp
+    if ratio is None or ratio.stroke is not None or not (ratio.low or 0.0) > 1.0 or not math.isfinite(solution.objective):
+        return solution
+    values, angles = solved_values(task, solution.design, solution.x)
     sense = 1 if angles[-1] >= angles[0] else -1
     forward = time_ratio(*lengths_of(values), task.side, "forward", sense)
     stroke = "backward" if forward >= 1.0 else "forward"
     if stroke not in nlp.cache:
         limits = task.limits.model_copy(update={"time_ratio": replace(ratio, stroke=stroke)})
         nlp.cache[stroke] = build_path_nlp(task.model_copy(update={"limits": limits}), sense)
-    start = local.solution_at(nlp.cache[stroke], found.x, found.message)
-    other = local.solution_at(nlp, local.solve_from(start.nlp, start.x, backend).x, found.message)
-    return local.best([found, other]) if other.status is Status.OPTIMAL else found
+    start = local.solution_at(nlp.cache[stroke], solution.x, solution.message)
+    other = local.solution_at(nlp, local.solve_from(start.nlp, start.x, backend).x, solution.message)
+    return local.best([solution, other]) if other.status is Status.OPTIMAL else solution
 
 
 def _followed(
@@ -198,14 +198,14 @@ def _moving_rows(nlp: NLP) -> list[int]:
     return [j for j, row in enumerate(nlp.rows) if j >= first or (row.limit, row.label) not in names]
 
 
-def _missed(found: Solution, tops: list[RowPeak]) -> float:
+def _violation(solution: Solution, tops: list[RowPeak]) -> float:
     """Return the largest violation of a limit, at the positions of the NLP or between them."""
-    return max(found.violation, tops[0].height, 0.0)
+    return max(solution.violation, tops[0].height, 0.0)
 
 
 def _merit(solution: Solution, tops: list[RowPeak], penalty: float) -> float:
     """Return the objective plus the penalty of its violation, `VIOLATION_PENALTY` times the objective or more."""
-    violation = _missed(solution, tops)
+    violation = _violation(solution, tops)
     return (
         solution.objective + max(VIOLATION_PENALTY * abs(solution.objective), penalty) * violation
         if math.isfinite(violation)
@@ -213,12 +213,12 @@ def _merit(solution: Solution, tops: list[RowPeak], penalty: float) -> float:
     )
 
 
-def _needed_penalty(found: Solution, tops: list[RowPeak], moved: Solution, there: list[RowPeak]) -> float:
+def _needed_penalty(solution: Solution, tops: list[RowPeak], moved: Solution, there: list[RowPeak]) -> float:
     """Return a penalty with which a step that restores feasibility decreases the merit; 0 for any other step."""
-    before, after = _missed(found, tops), _missed(moved, there)
-    if not (math.isfinite(before) and after <= RESTORED * before and found.objective < moved.objective < math.inf):
+    before, after = _violation(solution, tops), _violation(moved, there)
+    if not (math.isfinite(before) and after <= RESTORED * before and solution.objective < moved.objective < math.inf):
         return 0.0
-    return 2.0 * (moved.objective - found.objective) / (before - after)
+    return 2.0 * (moved.objective - solution.objective) / (before - after)
 
 
 def _tops(task: PathProblem, solution: Solution) -> list[RowPeak]:

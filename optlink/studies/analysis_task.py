@@ -87,17 +87,17 @@ class AnalysisTask(FiguresTask):
     def machines(self, points: range) -> Iterator[MachineFigures]:
         """Yield the figures of the designs at points of the grid."""
         values = [self.grid.values(point) for point in points]
-        known = self.problem.model.mechanism.quantities
+        quantities = self.problem.model.mechanism.quantities
         designs = {name: np.full(len(values), value) for name, value in self.design}
         for name, axis, column in zip(self.quantities, self.grid.axes, np.array(values).T, strict=True):
-            designs[name] = column * factor(axis.unit, known[name].kind)
+            designs[name] = column * factor(axis.unit, quantities[name].kind)
         clear = self._batched(designs)
         for i in range(len(values)):
-            found = clear.get(i) or self._alone({name: float(sizes[i]) for name, sizes in designs.items()})
-            missing = [name for name in self.figures if not math.isfinite(found.figures.get(name, math.nan))]
-            if found.status == ANALYSED and missing:
-                found = found._replace(status="no value", reason=f"{missing[0]} has no value for this design")
-            yield found
+            outcome = clear.get(i) or self._alone({name: float(sizes[i]) for name, sizes in designs.items()})
+            missing = [name for name in self.figures if not math.isfinite(outcome.figures.get(name, math.nan))]
+            if outcome.status == ANALYSED and missing:
+                outcome = outcome._replace(status="no value", reason=f"{missing[0]} has no value for this design")
+            yield outcome
 
     def _batched(self, designs: Mapping[str, Array]) -> dict[int, MachineFigures]:
         """Return the outcomes of the designs clear of all singular positions, by their index."""

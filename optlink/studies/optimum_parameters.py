@@ -71,10 +71,10 @@ class OptimumParameters:
         nlp = solution.nlp
         try:
             parameter.place(nlp, value)
-            found = multistart.solve_from(nlp, solution.x, backend)
+            optimum = multistart.solve_from(nlp, solution.x, backend)
         finally:
             parameter.place(nlp, parameter.value)
-        return found.objective, displayed(nlp, found.x)
+        return optimum.objective, displayed(nlp, optimum.x)
 
 
 class FunctionParameters(OptimumParameters):
@@ -98,6 +98,6 @@ class FunctionParameters(OptimumParameters):
         if not parameter.in_file:
             return super().optimum_at(solution, parameter, value, change, backend)
         other = self.problem.override({parameter.key: exact_text(value, parameter.unit)})
-        found = completed(solve(other, backend, begin=solution.design))
-        assert found.solution is not None
-        return found.objective, displayed(found.solution.nlp, found.solution.x)
+        result = completed(solve(other, backend, begin=solution.design))
+        assert result.solution is not None
+        return result.objective, displayed(result.solution.nlp, result.solution.x)

@@ -145,9 +145,9 @@ class FiguresTask(SweepTask):
     def lines(self, index: int) -> list[list[str]]:
         """Return the rows of a chunk."""
         rows = []
-        for point, found in zip(self.span(index), self.machines(self.span(index)), strict=True):
-            cells = [found.figures.get(name, math.nan) for name in self.figures]
-            rows.append(self.row(point, cells, found.status, str(not found.reason).lower(), found.reason))
+        for point, outcome in zip(self.span(index), self.machines(self.span(index)), strict=True):
+            cells = [outcome.figures.get(name, math.nan) for name in self.figures]
+            rows.append(self.row(point, cells, outcome.status, str(not outcome.reason).lower(), outcome.reason))
         return rows
 
     @property

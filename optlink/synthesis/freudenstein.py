@@ -109,15 +109,15 @@ def first_steps(
     apart = START_SEPARATION * steps[0], START_SEPARATION * steps[1]
     cells = zoom(task, cells[distinct_cells(task, cells, apart, SPARE * count)], grids)
     cells = cells[distinct_cells(task, cells, steps, count)]
-    refine, found = Refinement(task), []
+    refine, designs = Refinement(task), []
     for i in range(len(cells.error)):
         cell, bound, status = refine(cells[i])
         a, w = linear_form(task.chain, cell.x0 + task.x, cell.y0 + task.y)
         error = float(cell.error)
         proven = bound >= (1.0 - 2.0 * PROVEN_GAP) * error or error <= EXACT
         step = _step(task, cell, float(task.figure(a @ cell.k - w)), bound, proven, status)
-        found.append((max(error, EXACT), -float(cell.margin), step))
-    return [step for *_, step in sorted(found, key=lambda one: one[:2])]
+        designs.append((max(error, EXACT), -float(cell.margin), step))
+    return [step for *_, step in sorted(designs, key=lambda one: one[:2])]
 
 
 def fit_pairs(

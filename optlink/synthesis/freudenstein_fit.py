@@ -209,10 +209,10 @@ def zoom(task: FitProblem, cells: Cells, grids: tuple[Array, Array]) -> Cells:
     for _ in range(ZOOMS):
         x0 = np.clip(cells.x0[:, None] + reach[0] * first, *ranges[0])
         y0 = np.clip(cells.y0[:, None] + reach[1] * second, *ranges[1])
-        found = fit(task, x0.ravel(), y0.ravel())
-        best = np.argmin(found.error.reshape(x0.shape), axis=-1) + first.size * np.arange(len(x0))
-        better = np.flatnonzero(found.error[best] < cells.error)
-        both = _together([cells, found[best]])
+        fits = fit(task, x0.ravel(), y0.ravel())
+        best = np.argmin(fits.error.reshape(x0.shape), axis=-1) + first.size * np.arange(len(x0))
+        better = np.flatnonzero(fits.error[best] < cells.error)
+        both = _together([cells, fits[best]])
         index = np.arange(len(x0))
         index[better] += len(x0)
         cells = both[index]

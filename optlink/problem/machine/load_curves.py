@@ -56,9 +56,9 @@ class Formula:
         """Whether the value may have a pole, a jump or a corner."""
         return bool(self.breakpoints({name: np.zeros(1) for name in self.expression.names}))
 
-    def breakpoints(self, known: Mapping[str, Value]) -> list[Value]:
+    def breakpoints(self, variables: Mapping[str, Value]) -> list[Value]:
         """Return quantities at whose zeros the value may have a pole, a jump or a corner, see `Expression.breakpoints`."""
-        return self.expression.breakpoints(known)
+        return self.expression.breakpoints(variables)
 
 
 @dataclass(frozen=True)

@@ -76,11 +76,11 @@ def read_csv(raw: Mapping[str, Any], folder: Path, most: int) -> CsvTable:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise Unusable(f"{name} is not a CSV text file: {error.reason}", "Save it as CSV, UTF-8", "csv", name) from None
-    stated = re.match(r"sep=([;,\t])[;,\t\s]*?\r?\n", text, re.IGNORECASE)  # Excel's own first line
-    text = text[stated.end() :] if stated else text
+    separator_line = re.match(r"sep=([;,\t])[;,\t\s]*?\r?\n", text, re.IGNORECASE)  # Excel's own first line
+    text = text[separator_line.end() :] if separator_line else text
     first = text[:10_000].lstrip().partition("\n")[0]
     delimiter = next((sign for sign in ";\t" if sign in first and "," not in first), ",")
-    rows = _filled(csv.reader(io.StringIO(text, newline=""), delimiter=delimiter), name, 2 if stated else 1)
+    rows = _filled(csv.reader(io.StringIO(text, newline=""), delimiter=delimiter), name, 2 if separator_line else 1)
     titles = [cell.strip() for cell in next(rows, (0, []))[1]]
     while titles and not titles[-1]:
         titles.pop()

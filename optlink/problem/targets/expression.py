@@ -139,23 +139,23 @@ class Expression:
         They are denominators, bases of powers that are no whole numbers above zero, and arguments of roots, logarithms and
         absolute values; those that are constant over arrays of values are left out.
         """
-        found: list[Value] = []
+        breakpoints: list[Value] = []
 
         def watch(sign: str, left: Any, right: Any) -> None:
             if sign == "/":
-                found.append(right)
+                breakpoints.append(right)
             elif sign == "^":
                 if np.ndim(right) or right <= 0.0 or right % 1.0:
-                    found.append(left)
+                    breakpoints.append(left)
             elif sign == "tan":
-                found.append(np.cos(left))
+                breakpoints.append(np.cos(left))
             elif sign in ("asin", "acos"):
-                found.append(1.0 - left * left)
+                breakpoints.append(1.0 - left * left)
             elif sign in ("sqrt", "log", "log10", "abs"):
-                found.append(left)
+                breakpoints.append(left)
 
         self._run(values, watch)
-        return [value for value in found if np.ndim(value)]
+        return [value for value in breakpoints if np.ndim(value)]
 
     def _run(self, values: Mapping[str, Value], watch: Callable[[str, Any, Any], None] | None) -> Value:
         stack: list[Value] = []

@@ -171,7 +171,7 @@ class Pareto(GridStudy):
 
     def by_column(self, values: Sequence[T]) -> dict[str, T]:
         """Return one value for each objective by the column of the objective."""
-        return dict(zip([aim.column for aim in self.objectives], values, strict=True))
+        return dict(zip([objective.column for objective in self.objectives], values, strict=True))
 
     @property
     def costs(self) -> Array:
