@@ -206,17 +206,14 @@ def _violation(solution: Solution, tops: list[RowPeak]) -> float:
 def _merit(solution: Solution, tops: list[RowPeak], penalty: float) -> float:
     """Return the objective plus the penalty of its violation, `VIOLATION_PENALTY` times the objective or more."""
     violation = _violation(solution, tops)
-    return (
-        solution.objective + max(VIOLATION_PENALTY * abs(solution.objective), penalty) * violation
-        if math.isfinite(violation)
-        else math.inf
-    )
+    factor = max(VIOLATION_PENALTY * abs(solution.objective), penalty)
+    return solution.objective + factor * violation if math.isfinite(violation) else math.inf
 
 
 def _needed_penalty(solution: Solution, tops: list[RowPeak], moved: Solution, there: list[RowPeak]) -> float:
     """Return a penalty with which a step that restores feasibility decreases the merit; 0 for any other step."""
     before, after = _violation(solution, tops), _violation(moved, there)
-    if not (math.isfinite(before) and after <= RESTORED * before and solution.objective < moved.objective < math.inf):
+    if not (0.0 < before < math.inf and after <= RESTORED * before and solution.objective < moved.objective < math.inf):
         return 0.0
     return 2.0 * (moved.objective - solution.objective) / (before - after)
 
