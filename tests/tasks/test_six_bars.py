@@ -111,6 +111,7 @@ def planted(monkeypatch: pytest.MonkeyPatch, worse: float) -> None:
         return replace(start, status=Status.STALLED, validation=replace(start.validation, checks=limits))
 
     monkeypatch.setattr(Polisher, "polish", failing)
+    monkeypatch.setattr(Polisher, "from_feasible", lambda *_: iter(()))
     monkeypatch.setattr(path, "PART_STARTS", STARTS)
 
 
