@@ -176,13 +176,21 @@ class ReoptimiseTask(OptimumTask):
             single = [validate(task, *own) for task, *own in zip(tasks, designs, objective.tolist(), strict=True)]
             valid, failed = np.array([one.valid for one in single]), {k: one.failed for k, one in enumerate(single)}
         keys = list(map(tuple, sides.tolist()))
-        labels = {key: _labels(nlp, np.flatnonzero(key), np.array(key)) for key in set(keys)}
+        labels = {key: "; ".join(_labels(nlp, np.flatnonzero(key), np.array(key))) for key in set(keys)}
         methods = np.where(optima.searched[done], SEARCHED, FOLLOWED).tolist()
-        rows, designs = {}, [dict(zip(values, own, strict=True)) for own in np.array([*values.values()]).T.tolist()]
-        for k, (point, design, value) in enumerate(zip(points.tolist(), designs, objective.tolist(), strict=True)):
-            row = FoundOptimum(design, value, Status.OPTIMAL, bool(valid[k]), failed.get(k, ()), labels[keys[k]], methods[k])
-            rows[point] = self.optimum(point, row)
-        return rows
+        sizes = [values[name] / quantity.si_per_unit for name, quantity in self.free.items()]
+        figures, status = np.array([*self.grid.columns(points), *sizes, objective]).T.tolist(), Status.OPTIMAL.value
+        return {
+            point: [
+                *map(repr, figures[k]),
+                status,
+                "true" if valid[k] else "false",
+                "" if valid[k] else "; ".join(failed[k]),
+                labels[keys[k]],
+                methods[k],
+            ]
+            for k, point in enumerate(points.tolist())
+        }
 
     def _again(self, point: int) -> FoundOptimum:
         """Return the optimum at a point that is searched, from that of a neighbour if there is one."""
