@@ -78,12 +78,12 @@ class Force(_Process):
         """Return the velocity and acceleration along the direction, relative to the body that takes the reaction."""
         if isinstance(self.direction, str):
             return moving.slides[self.direction][1:]
-        way, (velocity, acceleration) = (
-            unit(self.direction),
-            moving.state(self.against).at(moving.position(self.point, self.body)),
-        )
-        point_velocity, turning = moving.velocity(self.point, self.body), moving.acceleration(self.point, self.body)
-        return dot(way, minus(point_velocity, velocity)), dot(way, minus(turning, acceleration))
+        way, other = unit(self.direction), moving.state(self.against)
+        velocity, acceleration = other.at(moving.position(self.point, self.body))
+        slip = minus(moving.velocity(self.point, self.body), velocity)
+        rate = minus(moving.acceleration(self.point, self.body), acceleration)
+        # the point of the other body that the force meets changes: its velocity does so by omega x slip
+        return dot(way, slip), dot(way, (rate[0] + other.omega * slip[1], rate[1] - other.omega * slip[0]))
 
     def known(self, moving: Moving) -> dict[str, Value]:
         """Return the variables of the magnitude: crank angle and speed; of a slider its slide and velocity [SI]."""

@@ -12,6 +12,7 @@ from optlink.linkage.vector2d import Array
 from optlink.linkage.zeros import zeros
 
 PANELS = 180  # per range or revolution: 2 degrees each in a revolution
+BESIDE = 1e-8  # rad from a jump, where some loads may have jumped and others not
 HALVINGS = 30  # of the panels at most, where the torque is not smooth
 MOST_ROUGH = 2_000  # panels that are halved again; more are rough from rounding errors, as beside singular positions
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
@@ -119,7 +120,11 @@ class Work:
         self.machine, self.speed = machine, speed
         self.jumps = jumps(machine, low, high)
         irregular_angles, self.peaks, self.poles = irregular(machine, _grid(low, high), speed)
-        self.breaks = _rising([self.jumps, corners(machine, low, high, speed), irregular_angles], low, high)
+        bent = np.concatenate(
+            [corners(machine, low, high, speed), irregular_angles]
+        )  # a normal force may change its sign by a jump
+        apart = np.min(np.abs(bent[:, None] - self.jumps), axis=1, initial=np.inf) > BESIDE
+        self.breaks = _rising([self.jumps, bent[apart]], low, high)
         even = np.linspace(low, high, _panels(low, high) + 1)
         beside = (even[1] - even[0]) * np.outer([-1.0, 1.0], 0.5 ** np.arange(HALVINGS))
         graded = (self.peaks[:, None] + beside.ravel()).ravel()

@@ -15,6 +15,7 @@ import casadi
 import numpy as np
 import pytest
 
+import optlink
 from optlink.dynamics import dyad_balances, inverse as reactions_module
 from optlink.dynamics.inertia import Inertia, Parameters, Wrench
 from optlink.dynamics.inverse import Reactions, acting_on, reactions, regressor, reported_on, shaking, torque_parts
@@ -1263,3 +1264,20 @@ def test_motion_check_sees_a_wrong_acceleration(monkeypatch):
         close(flat(moving.state("yoke").acceleration, PHI), k.material("yoke", np.zeros(2))[2], 1e-6, 49.0, "yoke")
     with pytest.raises(AssertionError):
         check(reactions(moving), expected(moving, k), 1e-6)
+
+
+@pytest.mark.parametrize("against", ["frame", "crank"])
+def test_acceleration_of_the_motion_that_a_force_opposes_is_the_derivative_of_its_velocity(against):
+    """Relative to a turning body too, whose point that the force meets changes."""
+    sizes = {"crank": "100 mm", "coupler": "410 mm", "rocker": "230 mm", "frame": "500 mm"}
+    load = {"on": "rocker", "at": "C", "force": "20 N", "direction": "20 deg", "acts": "opposing", "against": against}
+    mechanism = {"type": "four-bar", **sizes}
+    machine = optlink.read({"mechanism": mechanism, "loads": {"drag": load}}).model.machine()
+    angles, step = np.linspace(0.0, 6.0, 9), 1e-5
+
+    def velocity(at):
+        return machine.loads[0].reversing(machine.moving(at, 3.0))[0]
+
+    expected = 3.0 * (velocity(angles + step) - velocity(angles - step)) / (2.0 * step)
+    found = machine.loads[0].reversing(machine.moving(angles, 3.0))[1]
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-8)

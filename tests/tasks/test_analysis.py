@@ -779,6 +779,40 @@ def test_work_is_exact_near_alignment_and_near_the_ends_of_a_limited_range(rocke
     np.testing.assert_allclose(work, energy - energy[0], rtol=0.0, atol=1e-9 * np.max(np.abs(energy)))
 
 
+def test_extremes_at_a_dead_centre_where_several_loads_jump_are_values_beside_it():
+    """Ram, its friction and a drag reverse with the arm; a normal force that changes its sign by the jump has no corner there."""
+    mechanism = {
+        "ground": {"A": ["0.1 m", "-0.05 m"], "D": ["-0.259 m", "0.1252 m"]},
+        "links": {
+            "crank": {"joints": ["A", "B"], "length": "0.1188 m"},
+            "block": {"joints": ["B"]},
+            "arm": {"joints": ["D", "T"], "length": "0.3548 m"},
+            "rod": {"joints": ["T", "E"], "length": "0.8015 m"},
+            "ram": {"joints": ["E"]},
+        },
+        "guides": {
+            "G": {"slider": "block", "on": "arm", "through": "D", "offset": "-0.014 m", "friction": 0.215},
+            "F": {"slider": "ram", "direction": "249.7 deg", "through": ["-0.586 m", "0.254 m"], "friction": 0.2},
+        },
+        "assembly": {"G": "forward", "E": "forward"},
+    }
+    drag = {"on": "crank", "at": "A", "force": "10.49 N", "direction": "-91.4 deg", "acts": "opposing", "against": "rod"}
+    loads = {"drag": drag, "spring": {"between": ["A", "E"], "stiffness": "47 N/m", "free_length": "76 mm"}}
+    bodies = {"arm": {"mass": "1.34 kg", "inertia": "0.042 kg*m^2"}}
+    result = optlink.analyze(
+        optlink.read({"mechanism": mechanism, "bodies": bodies, "loads": loads, "drive": {"speed": "2.745 rad/s"}})
+    )
+    work = Work(result.machine, result.low, result.low, result.high, result.speed)
+    apart = np.abs(work.breaks[:, None] - result.jumps)
+    assert not np.any((apart > 0.0) & (apart < 1e-8))
+    beside = np.concatenate([result.jumps + gap for gap in (-1e-7, 1e-7)])
+    angles = np.concatenate([np.linspace(result.low, result.high, 4001), beside])
+    torque = MotionColumns(result.machine.moving(angles, result.speed))["input.torque_Nm"]
+    extreme = result.extremes["input.torque_Nm"]
+    assert extreme.least == pytest.approx(np.min(torque), abs=1e-4 * np.ptp(torque))
+    assert extreme.largest == pytest.approx(np.max(torque), abs=1e-4 * np.ptp(torque))
+
+
 def test_what_cannot_follow_or_does_not_move_is_refused():
     fault = {"loads.spring": {"on": "crank", "torsional_stiffness": "1 N*m/rad"}}
     with pytest.raises(optlink.InputError, match="turns fully against frame"):
