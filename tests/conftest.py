@@ -29,7 +29,9 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 sys.modules["rfc3987_syntax"] = None  # type: ignore[assignment]
 
 # the same examples in every run: what fails once fails again, and is found before it lands; a busy machine fails nothing
-hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None)
+hypothesis.settings.register_profile(
+    "repeatable", derandomize=True, deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
+)
 hypothesis.settings.load_profile("repeatable")
 
 # a shell's background job ignores it, and so would all processes that are interrupted here
