@@ -20,7 +20,7 @@ from optlink.report.table_spec import Part, Summary
 from optlink.report.views import conclusions, path as path_view, problem_tables
 from optlink.report.views.function import function_values
 from optlink.report.views.function_tables import active
-from optlink.report.views.relaxations import conflict
+from optlink.report.views.relaxations import conflict, contradiction
 from optlink.solvers.solution import LimitState, Relaxation
 from optlink.tasks.function import validate
 from optlink.tasks.path import validate as validate_path
@@ -163,6 +163,21 @@ def test_a_relaxed_limit_without_a_unit_has_one_space_before_its_difference() ->
     with console.capture() as caught:
         console.print(terminal.rendered(conflict([limit], [])))
     assert "<= 1.00978 (0.009778)" in caught.get()
+
+
+def test_a_limit_of_one_value_is_called_exact_with_the_way_to_state_a_side() -> None:
+    """As one writes it who means the least transmission angle: `transmission_angle = "40 deg"`."""
+    key, names = "limits.transmission_angle", ("smallest transmission angle", "largest transmission angle")
+    pairs = zip(names, (">=", "<="), (31.67, 48.33), strict=True)
+    exact = [Relaxation(name, key, sense, 40.0, end, 8.33, "deg", both_sides=True) for name, sense, end in pairs]
+    hint = 'A single value is exact: write ">= 40 deg" for the smallest or "<= 40 deg" for the largest transmission angle.'
+    shown = " ".join(words(conflict(exact, [])).split())
+    assert "exactly 40 deg" in shown
+    assert hint in shown
+    assert contradiction(exact, []).endswith(hint)
+    apart = [exact[0], replace(exact[1], bound=50.0)]
+    assert "40 ... 50 deg" in words(conflict(apart, []))
+    assert "exact" not in contradiction(apart, [])
 
 
 def test_the_generated_function_is_that_of_the_linkage() -> None:

@@ -35,7 +35,7 @@ def conflict(limits: Sequence[Relaxation], together: Sequence[Relaxation]) -> Ta
     if any(not math.isfinite(one.amount) for one in limits):
         rows += [(_name(one), _limit(one), f"together: {_relaxed(one) or 'dropped'}") for one in _ranges(together)]
     columns = ["limit", "limit value", "feasible if relaxed alone"]
-    return table("Conflicting limits", columns, rows, sections=[alone])
+    return table("Conflicting limits", columns, rows, sections=[alone], notes=_exact_values(_ranges(limits)))
 
 
 def contradiction(conflict: Sequence[Relaxation], together: Sequence[Relaxation]) -> str:
@@ -57,7 +57,22 @@ def contradiction(conflict: Sequence[Relaxation], together: Sequence[Relaxation]
         remedy = f"relax together {joined(shared[:3])}" if shared else "drop one of them"
     names = joined([_name(one) for one in limits][:4])
     subject = f"the limits {names} conflict" if len(limits) > 1 else f"the limit {names} cannot be met"
-    return f"No design was found that meets all limits: {subject}. To make it feasible, {remedy}."
+    sentence = f"No design was found that meets all limits: {subject}. To make it feasible, {remedy}."
+    return " ".join([sentence, *_exact_values(limits)])
+
+
+def _exact_values(limits: Sequence[tuple[Relaxation, ...]]) -> list[str]:
+    """Return how to state a least or a greatest value, for each limit whose two sides are the same."""
+    found = [(_name(one), _value(one[0])) for one in limits if _exact(one)]
+    return [f'A single value is exact: write ">= {x}" for the smallest or "<= {x}" for the largest {name}.' for name, x in found]
+
+
+def _value(side: Relaxation) -> str:
+    return f"{side.bound:g} {side.unit}".rstrip()
+
+
+def _exact(sides: tuple[Relaxation, ...]) -> bool:
+    return len(sides) > 1 and sides[0].bound == sides[1].bound
 
 
 def _ranges(items: Sequence[Relaxation]) -> list[tuple[Relaxation, ...]]:
@@ -79,6 +94,8 @@ def _name(sides: tuple[Relaxation, ...]) -> str:
 def _limit(sides: tuple[Relaxation, ...]) -> str:
     if "<=" in sides[0].name:
         return "must hold"
+    if _exact(sides):
+        return f"exactly {_value(sides[0])}"
     return _stated(sides, lambda side: f"{side.bound:g}")
 
 
