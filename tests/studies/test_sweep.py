@@ -128,6 +128,13 @@ def test_texts_and_expected_results_are_not_varied(axis):
         read_grid(problem(), [axis])
 
 
+def test_a_tolerance_is_varied_for_a_robust_design_alone():
+    with pytest.raises(InputError, match=r"--vary tolerances\.coupler: no result depends on this key"):
+        read_grid(problem(), ["tolerances.coupler=0.1..0.2 mm:3"])
+    key = next(iter(optlink.load("crank-rocker-robust").model.tolerances))
+    assert read_grid(problem("crank-rocker-robust"), [f"tolerances.{key}=0.1..0.2 mm:3"]).count == 3
+
+
 def test_nothing_and_twice_are_no_grids():
     with pytest.raises(InputError, match="no parameter is varied"):
         read_grid(problem(), [])
