@@ -6,6 +6,7 @@ the interpolant is not accurate, more samples are taken. Where several local ext
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
@@ -23,7 +24,8 @@ EXACT, ROUNDING = 1e-9, 1e-13  # shares of the range of its samples, and of thei
 SMOOTH = 1e-6  # share of that range which the last term of an interpolant may add half-way between samples
 BEFORE = 1e-9  # rad before a jump at which the value before it is sampled
 ZERO = 1e-13  # share of the largest value of its kind below which a function is rounding error
-RIVALS = 6  # local extrema at most among which the samples do not decide
+RIVALS = 6  # further local extrema that are refined at most, where the samples do not decide
+ROWS = 16  # functions whose parabolas are computed at once, to keep memory small
 UNEVEN = 1e-3  # least ratio of two steps with a parabola
 PORTION, VALUES = 512, 1_000_000  # angles, and values of all functions, per portion
 HALFWAY = float(np.prod(np.arange(0.5, POINTS // 2) ** 2))
@@ -126,9 +128,11 @@ def extremes_of_rows(function: Function, grid: Array) -> Array:
     values = function(grid[None, :])
 
     def own(points: Array, which: Index) -> Array:
-        each = np.full((2 * len(values), points.shape[1]), grid[0])
-        each[which] = points
-        return function(each.reshape(len(values), -1)).reshape(each.shape)[which]
+        slot = np.arange(len(which)) - np.searchsorted(which, which)  # among those of the same extremum
+        each = np.full((2 * len(values), int(np.max(slot)) + 1, points.shape[1]), grid[0])
+        each[which, slot] = points
+        found: Array = function(each.reshape(len(values), -1)).reshape(each.shape)[which, slot]
+        return found
 
     return _extremes(values, grid, np.zeros(0), np.zeros(len(values), dtype=bool), own, 1)[1]
 
@@ -149,8 +153,8 @@ def _extremes(
 ) -> tuple[Array, Array]:
     """Angles and values (functions, signs) of the least of the values (functions, n) on a grid times each sign, refined.
 
-    `values_at` returns the values (m, k) at crank angles (m, k) for the extrema number (m,): those of the first function come
-    first, in the order of the signs. The first and the last `beyond` points of the grid only continue it: no extremum is
+    `values_at` returns the values (m, k) at crank angles (m, k) for the extrema number (m,), rising: those of the first function
+    come first, in the order of the signs. The first and the last `beyond` points of the grid only continue it: no extremum is
     sought there.
     """
     finite = np.isfinite(values)
@@ -160,37 +164,47 @@ def _extremes(
     angle, value = grid[best], sign * values[rows, best]
     some = np.flatnonzero(np.isfinite(value) & ~zero[rows])  # extrema still to be refined
     part = np.searchsorted(breaks, grid, side="right")
-    others = _rivals(np.where(finite, values, np.nan), signs, grid, part)
     room = EXACT * (np.where(finite, values, -np.inf).max(axis=-1) - np.where(finite, values, np.inf).min(axis=-1))[rows]
-    for _ in range(RIVALS):
-        at = grid[best]
-        low, high = grid[np.maximum(best - 1, 0)], grid[np.minimum(best + 1, len(grid) - 1)]
+
+    def refined(which: Index, samples: Index) -> tuple[Array, Array]:
+        """Refine samples (m,) of extrema number (m,), rising."""
+        at = grid[samples]
+        low, high = grid[np.maximum(samples - 1, 0)], grid[np.minimum(samples + 1, len(grid) - 1)]
         for edge in breaks:
             low, high = (
                 np.where((low < edge) & (edge <= at), edge, low),
                 np.where((at < edge) & (edge <= high), edge - BEFORE, high),
             )
-        nodes, samples = _beside(values, rows[some], grid, best[some], breaks)
-        refined = refined_minima(
-            lambda points, which: sign[which, None] * values_at(points, which),
-            (at, sign * values[rows, best], low, high),
-            some,
+        nodes, beside = _beside(values, rows[which], grid, samples, breaks)
+        return refined_minima(
+            lambda points, number: sign[which[number], None] * values_at(points, which[number]),
+            (at, sign[which] * values[rows[which], samples], low, high),
+            np.arange(len(which)),
             nodes,
-            sign[some, None] * samples,
+            sign[which, None] * beside,
         )
-        angle[some], value[some] = _lower(angle[some], value[some], *(part[some] for part in refined))
-        for near in (np.maximum(best - 1, 0), best, np.minimum(best + 1, len(grid) - 1)):  # in the bracket
-            same = np.flatnonzero(part[near] == part[best])
-            others[same, near[same]] = np.inf
-        best = np.argmin(others, axis=-1)
-        some = some[others[some, best[some]] < value[some] - room[some]]
-        if not some.size:
-            break
+
+    angle[some], value[some] = _lower(angle[some], value[some], *refined(some, best[some]))
+    others = _rivals(values, finite, signs, grid, part)
+    for near in (np.maximum(best - 1, 0), best, np.minimum(best + 1, len(grid) - 1)):  # in the bracket
+        same = np.flatnonzero(part[near] == part[best])
+        others[same, near[same]] = np.inf
+    limit = value - room
+    some = some[np.min(others[some], axis=-1, initial=np.inf) < limit[some]]
+    lowest = np.argpartition(others[some], RIVALS, axis=-1)[:, :RIVALS]
+    row, place = np.nonzero(np.take_along_axis(others[some], lowest, axis=-1) < limit[some, None])
+    which = some[row]
+    if which.size:
+        at, least = refined(which, lowest[row, place])
+        order = np.argsort(-np.where(np.isfinite(least), least, np.inf), kind="stable")  # the lowest of each extremum last
+        last = dict(zip(which[order].tolist(), order.tolist(), strict=True))
+        each, chosen = np.array([*last]), np.array([*last.values()])
+        angle[each], value[each] = _lower(angle[each], value[each], at[chosen], least[chosen])
     shape = (len(values), len(signs))
     return np.where(np.isfinite(value), angle, np.nan).reshape(shape), (sign * value).reshape(shape)
 
 
-def _rivals(values: Array, signs: tuple[float, ...], grid: Array, part: Index) -> Array:
+def _rivals(values: Array, finite: NDArray[np.bool_], signs: tuple[float, ...], grid: Array, part: Index) -> Array:
     """Lower bounds (functions x signs, n) of the local minima beside samples (functions, n) times each sign; infinite elsewhere.
 
     Each is that of the parabola through three samples of one part of the grid, less its error by the third differences.
@@ -199,8 +213,9 @@ def _rivals(values: Array, signs: tuple[float, ...], grid: Array, part: Index) -
     before, after = np.diff(grid)[:-1], np.diff(grid)[1:]
     longer = np.maximum(before, after)
     together = (part[2:] == part[:-2]) & (np.minimum(before, after) > UNEVEN * longer)
-    for k, sign in enumerate(signs):
-        signed = sign * values
+    for (k, sign), first in itertools.product(enumerate(signs), range(0, len(values), ROWS)):
+        some = slice(first, first + ROWS)
+        signed = np.where(finite[some], sign * values[some], np.nan)
         with np.errstate(all="ignore"):
             slopes = np.diff(signed, axis=-1) / np.diff(grid)
             curvature = 2.0 * np.diff(slopes, axis=-1) / (before + after)
@@ -211,7 +226,7 @@ def _rivals(values: Array, signs: tuple[float, ...], grid: Array, part: Index) -
             inside = together & (curvature > 0.0) & np.isfinite(lowest) & (-before <= place) & (place <= after)
         rows, middle = np.nonzero(inside)
         nearest = middle + 1 + (place > 0.5 * after)[inside] - (place < -0.5 * before)[inside]
-        np.minimum.at(candidates, (rows * len(signs) + k, nearest), lowest[inside])
+        np.minimum.at(candidates, ((first + rows) * len(signs) + k, nearest), lowest[inside])
     return candidates
 
 

@@ -152,7 +152,8 @@ class _Fitted:
         units = [k for k in range(figures + 1, len(heads)) if not heads[k] and heads[k - 1].endswith("]")]  # of the whole row
         yield Text(spec.title, style=STYLES["strong"])
         for row in spec.rows:
-            name = Text("  ").join(Text(*_styled(cell)) for cell in row[:figures] if cell.text)
+            name = Text(f"{heads[0]} " if spec.columns[0].right else "")
+            name += Text("  ").join(Text(*_styled(cell)) for cell in row[:figures] if cell.text)
             for cell in (row[k] for k in units if row[k].text):
                 name.append(product(f" [{cell.text}]"), STYLES[cell.role])
             for number, line in enumerate(name.wrap(console, width - INDENT)):
