@@ -129,7 +129,7 @@ def extremes_of_rows(function: Function, grid: Array) -> Array:
 
     def own(points: Array, which: Index) -> Array:
         slot = np.arange(len(which)) - np.searchsorted(which, which)  # among those of the same extremum
-        each = np.full((2 * len(values), int(np.max(slot)) + 1, points.shape[1]), grid[0])
+        each = np.full((2 * len(values), int(np.max(slot, initial=0)) + 1, points.shape[1]), grid[0])
         each[which, slot] = points
         found: Array = function(each.reshape(len(values), -1)).reshape(each.shape)[which, slot]
         return found
@@ -191,7 +191,8 @@ def _extremes(
         others[same, near[same]] = np.inf
     limit = value - room
     some = some[np.min(others[some], axis=-1, initial=np.inf) < limit[some]]
-    lowest = np.argpartition(others[some], RIVALS, axis=-1)[:, :RIVALS]
+    count = min(RIVALS, len(grid) - 1)
+    lowest = np.argpartition(others[some], count, axis=-1)[:, :count]
     row, place = np.nonzero(np.take_along_axis(others[some], lowest, axis=-1) < limit[some, None])
     which = some[row]
     if which.size:

@@ -10,7 +10,7 @@ from scipy.optimize import brentq, minimize_scalar
 
 import optlink
 from optlink.linkage import extrema
-from optlink.linkage.extrema import distinct, extremes, maxima
+from optlink.linkage.extrema import distinct, extremes, extremes_of_rows, maxima
 from optlink.linkage.zeros import zeros
 from tests.tiers import mostly_slow
 
@@ -288,3 +288,19 @@ def test_nearly_equal_extremes_of_random_fourier_series_are_those_of_all_their_z
     for row, flat in enumerate(zeros(lambda angles: series(angles, 1), np.linspace(0.0, TURN, 4001))):
         values = series(flat, 0)[row]
         np.testing.assert_allclose(found[row], [values.min(), values.max()], rtol=0.0, atol=1e-12 * np.ptp(values))
+
+
+def test_rows_with_several_nearly_equal_extremes_and_rows_without_a_value():
+    """Five dips a revolution that differ by 1e-5: the lowest sample is seldom beside the lowest dip."""
+    phases = np.random.default_rng(4).uniform(0.0, 2.0 * math.pi, (2, 20, 1))
+
+    def values(angles):
+        return np.cos(5.0 * angles + phases[0]) + 1e-5 * np.cos(angles + phases[1])
+
+    grid, dense = np.linspace(0.0, 2.0 * math.pi, 97), np.linspace(0.0, 2.0 * math.pi, 400_001)[None, :]
+    exact = np.stack([np.min(values(dense), axis=1), np.max(values(dense), axis=1)], axis=1)
+    assert np.max(np.abs(extremes_of_rows(values, grid) - exact)) < 1e-9
+    assert np.max(np.abs(extremes(values, grid, periodic=True)[1] - exact)) < 1e-9
+    samples = values(grid[None, :-1])
+    assert np.count_nonzero(np.argmin(samples, axis=1) // 20 != np.argmin(values(dense), axis=1) // 80_000) > 3
+    assert np.all(np.isnan(extremes_of_rows(lambda angles: np.nan * values(angles), grid)))
