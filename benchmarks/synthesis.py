@@ -414,7 +414,7 @@ def first(laws: str) -> Figures:
             problem = optlink.read(law_file(law, side)).spec
             nlp = build(problem)
             search.prepare(nlp, "ipopt")
-            found, taken, _ = clocked(lambda problem=problem: function_starts.steps(problem, STEPS))  # type: ignore[misc]
+            found, taken, _ = clocked(lambda problem=problem: function_starts.steps(problem))  # type: ignore[misc]
             spent["convex"] += taken
             begin = [nlp.x_of(function_starts.values(problem, step)) for step in found]
             drawn = []
