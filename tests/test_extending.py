@@ -22,7 +22,8 @@ from optlink.problem.cycle.quantities import QUANTITIES
 from optlink.problem.file_errors import SECTIONS
 from optlink.problem.function import DesignProblem
 from optlink.problem.limits import LIMITS, Limits
-from optlink.problem.path import PathLimits, PathProblem
+from optlink.problem.path import PathProblem
+from optlink.problem.path_requirement import PathLimits
 from optlink.report.registry import REGISTERED
 from optlink.solvers.contract import SOLVERS
 from optlink.studio import design as studio_design

@@ -32,7 +32,7 @@ from optlink.problem.file_errors import (
     toml_fault,
 )
 from optlink.problem.function import DesignProblem
-from optlink.problem.limits import MARGINS, Alignment
+from optlink.problem.limits import MARGINS, Alignment, four_bar_limits
 from optlink.problem.machine.model import Problem
 from optlink.problem.quantity import input_of, nearest
 from optlink.problem.tolerances import with_tolerance
@@ -299,8 +299,6 @@ def complete(problem: ProblemFile) -> dict[str, Any]:
     raw = copy.deepcopy(dict(problem.raw))
     limits = getattr(problem.model, "limits", None)
     if isinstance(limits, Alignment):
-        from optlink.problem.path_checks import four_bar_limits
-
         four_bar = not of_dyads(problem.raw)
         applicable = {key for key in MARGINS if key in type(limits).model_fields and (four_bar or key not in four_bar_limits())}
         margins = {key: value for key, value in MARGINS.items() if key in applicable}

@@ -118,7 +118,7 @@ def _models(annotation: Any) -> Iterator[Any]:
 def _fitting(path: tuple[str | int, ...], model: type[Problem], raw: Mapping[str, Any]) -> list[str]:
     """Return the keys at a path of sections that are valid for the task of the file."""
     from optlink.problem.path import PathProblem
-    from optlink.problem.path_checks import inapplicable_keys
+    from optlink.problem.path_requirement import inapplicable_keys
 
     keys = known_keys(path, model)
     if path == ("mechanism",):

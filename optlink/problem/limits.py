@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
-from pydantic.fields import FieldInfo
 
 from optlink.io import Registry
 from optlink.linkage.fourbar import LENGTHS, lengths_of, swing, time_ratio
@@ -324,24 +323,9 @@ def limits_in_file(limits: Limits) -> Iterator[tuple[LimitTerm, Interval]]:
             yield term, interval
 
 
-def add_limit(term: LimitTerm) -> None:
-    """Register a limit of function and path synthesis from outside the package.
-
-    Raises
-    ------
-    ValueError
-        if the key is already taken.
-    """
-    from optlink.problem.function import DesignProblem
-    from optlink.problem.path import PathLimits, PathProblem
-
-    if term.name in PathLimits.model_fields:
-        raise ValueError(f"{term.key} is already registered")
-    LIMITS.add(term.name, term)
-    for section in (Limits, PathLimits):
-        section.model_fields[term.name] = FieldInfo(annotation=term.form | None, default=None, description=term.about)
-    for model in (Limits, PathLimits, DesignProblem, PathProblem):
-        model.model_rebuild(force=True)
+def four_bar_limits() -> tuple[str, ...]:
+    """Return the keys of limits that only a four-bar has."""
+    return ("length_margin", "transmission_cosine", *(term.name for term in LIMITS.values() if term.four_bar))
 
 
 def stroke_ratio(forward: float, backward: float, stroke: str | None) -> float:

@@ -9,22 +9,27 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, ValidationInfo, field_validator
+from pydantic.fields import FieldInfo
 
 from optlink.linkage.dyad_types import RRR, Transmitting, transmitting
 from optlink.linkage.mechanism import FRAME, Pose
 from optlink.linkage.vector2d import TURN, Array, Value, angle_from, dot, minus, turn, unit
-from optlink.problem.base_model import Section, folder_of, in_folder
-from optlink.problem.interval import CoordinateInterval
-from optlink.problem.limits import Limits
+from optlink.problem.function import DesignProblem
+from optlink.problem.limits import LIMITS, Limits, LimitTerm
 from optlink.problem.machine.model import Problem
-from optlink.problem.mechanism import FourBarSection
-from optlink.problem.quantity import Angle, Coordinate, FixedAngle, FixedLength, Quantity, Unusable, nearest
-from optlink.problem.targets.law import Law, Table, is_periodic, read_output_law, rotation
-from optlink.problem.targets.points import read_points
+from optlink.problem.mechanism import FourBarSection, check_one_mode
+from optlink.problem.path_requirement import (
+    PathLimits,
+    PathRequirement,
+    check_keys,
+    check_output,
+    check_path_limits,
+    check_points,
+)
+from optlink.problem.quantity import Quantity, Unusable
+from optlink.problem.targets.law import Law, Table, is_periodic, rotation
 from optlink.problem.targets.target_points import TargetPoints, closed
 from optlink.units import DISPLAYED
 
@@ -36,87 +41,7 @@ FINE = 721  # positions at which the travel of a law is computed
 GRID = 36  # crank angles at which the transmission of a mechanism other than a four-bar is evaluated
 
 STEP = 1e-4  # rad, least crank rotation from a point to the next
-
-
-def _read_crank(raw: object) -> object:
-    if isinstance(raw, str) and raw in ("free", "from start", "given"):
-        return raw
-    raise Unusable("not a kind of timing", nearest(str(raw), ("free", "from start", "given")), "", raw)
-
-
-class PathRequirement(Section):
-    """Requirement of the design.
-
-    A point passes the listed points in order (path), a body takes the listed poses (motion), the output is a function of the
-    crank angle (function), or the worst cosine of the transmission angles is minimised (transmission).
-    """
-
-    kind: Literal["path", "motion", "function", "transmission"] = "function"
-    """Kind of requirement."""
-    point: str = "P"
-    """The moving point that takes the positions; its body takes the angles."""
-    points: Any = None
-    """Points or poses: a list, a CSV file, a drawing or expressions; for a function the number of positions (60)."""
-    law: Annotated[Any, in_folder(read_output_law)] = None
-    """Law of the output: a function y(x), with x proportional to the crank angle; an expression in phi, phi0, psi0, for a slide
-    `{ slide = "s0 + 40*(1 - cos(phi))", unit = "mm" }`; or a table of phi and psi, or phi and s, or a CSV file."""
-    span: FixedAngle | None = None
-    """Crank rotation over which an expression applies, negative clockwise; a table or function defines it itself."""
-    output: str | None = None
-    """Output of a law or function: a guide (its slide) or a body (its angle)."""
-    zero: Coordinate | None = None
-    """Slide at the start of a law (s0), or at the least y of a function, fixed or free; default: free."""
-    psi0: Angle | None = None
-    """Angle of the output body at the start of a law, or at the least y of a function, fixed or free; default: free."""
-    timing: Annotated[Literal["free", "from start", "given"] | None, BeforeValidator(_read_crank)] = None
-    """Crank angles at the points: `given`: prescribed; `from start`: prescribed except for a common offset; `free`: optimised, in
-    the order of the points. Default: `given` if the points have crank angles, else `free`."""
-    start: Angle | None = None
-    """Common offset of the crank angles, fixed or free; default: any angle."""
-    rotation: Literal["either", "counter-clockwise", "clockwise"] = "either"
-    """Sense of crank rotation with free timing."""
-    closed: bool | None = None
-    """Whether the last point leads back to the first one within the revolution; default: determined from the points."""
-    mark: Angle | None = None
-    """Angle from the direction of the body to that of the poses, fixed or free; default: free."""
-    angle_length: FixedLength | None = None
-    """Length that is equivalent to an angle error of one radian; default: the size of the curve."""
-    measure: Literal["sum of squares", "rms", "max"] | None = None
-    """Measure that combines all deviations into the objective; default: the sum of squares, for a transmission the largest."""
-
-    @field_validator("points", mode="before")
-    @classmethod
-    def _points(cls, raw: object, info: ValidationInfo) -> TargetPoints | int | None:
-        kind = info.data.get("kind")
-        if kind in ("function", "transmission"):
-            if raw is not None and (
-                kind == "transmission" or isinstance(raw, bool) or not isinstance(raw, int) or not 2 <= raw <= 400
-            ):
-                remedy = "Leave points out" if kind == "transmission" else "Give a whole number from 2 to 400, or leave it out"
-                raise Unusable(
-                    f"a {kind} requirement has no points" if kind == "transmission" else "not a number of positions", remedy
-                )
-            return raw
-        return read_points(raw, folder_of(info))
-
-
-SLIDES = 'law = { function = "sqrt(x)", x = [0.1, 1], input = "90 deg", output = "40 mm" }'
-
-
-class RegionSection(Section):
-    """A rectangle of the plane: ranges of x and y."""
-
-    x: CoordinateInterval | None = None
-    """Range of x; default: unlimited."""
-    y: CoordinateInterval | None = None
-    """Range of y; default: unlimited."""
-
-
-class PathLimits(Limits):
-    """Limits of a path synthesis problem."""
-
-    pivots: RegionSection | None = None
-    """Rectangle that contains every point of the frame."""
+MAX_SHIFT = 1e6  # largest distance of the curve from the origin, in multiples of its size
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,10 +79,45 @@ class PathProblem(Problem):
         Unusable
             with the full key of the cause.
         """
-        from optlink.problem.path_checks import check_path
-
-        check_path(self)
+        check_one_mode(self.mechanism)
+        task, limits = self.requirement, self.limits
+        check_keys(task)
+        if task.kind == "function":
+            check_output(task, self.linkage, slides=self.slides, based=self.based)
+            self._check_values()
+        elif task.kind == "transmission":
+            if self.width == 0:
+                message = "no dyad of this mechanism has a transmission angle"
+                raise Unusable(message, "Take another requirement", "requirement.kind", task.kind)
+            if limits.crank == "span":
+                message = "the transmission angle is optimised over a whole revolution"
+                raise Unusable(message, 'Write crank = "full rotation"', "limits.crank", "span")
+        else:
+            check_points(task, self.target_points, self.timing, self.mechanism, self.linkage)
+            shift = max(map(abs, self.centre))
+            if shift > MAX_SHIFT * self.size:
+                raise Unusable(
+                    f"the points lie {shift / self.size:.1e} times their own size away from the origin, "
+                    "so double precision does not resolve their shape",
+                    "Check the units, or move the origin near the points",
+                    "requirement.points",
+                )
+        check_path_limits(limits, self.mechanism, self.linkage)
         super().check()
+
+    def _check_values(self) -> None:
+        """Check that an expression has a finite value over the span and moves the output."""
+        law, start = self.requirement.law, self.requirement.start
+        if isinstance(law, Table):
+            return
+        starts = [0.3, 0.9, 1.7] if start is None else [start.value, *start.bounds]
+        offsets = self.rotation_of_law * np.linspace(0.0, 1.0, FINE)
+        hazards = [law.hazards({"phi": begin + offsets, "phi0": begin, "psi0": 0.0}) for begin in starts]
+        if all(hazards):
+            remedy = "Change the law, the span or the start"
+            raise Unusable(f"the law {hazards[0]} on the span", remedy, "requirement.law", law.text)
+        if not self.travel > 1e-9:
+            raise Unusable("the law does not move the output", "Change the law", "requirement.law", law.text)
 
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
@@ -435,3 +395,20 @@ def transmission_cosine(pose: Pose, group: Transmitting) -> Value:
     joint = pose.point(group.joint)
     one, other = (minus(pose.point(pin), joint) for pin in group.pins)
     return dot(one, other) / np.sqrt(dot(one, one) * dot(other, other))
+
+
+def add_limit(term: LimitTerm) -> None:
+    """Register a limit of function and path synthesis from outside the package.
+
+    Raises
+    ------
+    ValueError
+        if the key is already taken.
+    """
+    if term.name in PathLimits.model_fields:
+        raise ValueError(f"{term.key} is already registered")
+    LIMITS.add(term.name, term)
+    for section in (Limits, PathLimits):
+        section.model_fields[term.name] = FieldInfo(annotation=term.form | None, default=None, description=term.about)
+    for model in (Limits, PathLimits, DesignProblem, PathProblem):
+        model.model_rebuild(force=True)

@@ -253,7 +253,7 @@ def test_every_example_of_the_reference_page_is_solved(example):
 
 
 def test_the_reference_page_knows_every_key_of_a_task():
-    from optlink.problem.path import PathLimits, PathRequirement
+    from optlink.problem.path_requirement import PathLimits, PathRequirement
 
     assert len(EXAMPLES) >= 6
     for section in (PathRequirement, PathLimits):

@@ -72,7 +72,7 @@ def _effective(model: DesignProblem) -> dict[str, str]:
 
 def _inapplicable(model: PathProblem) -> tuple[Collection[str], Collection[str]]:
     """Return the keys of the requirement and of the limits that do not apply to the kind of problem."""
-    from optlink.problem.path_checks import inapplicable_keys
+    from optlink.problem.path_requirement import inapplicable_keys
 
     kind, four_bar = model.requirement.kind, isinstance(model.mechanism, FourBarSection)
     task = inapplicable_keys("requirement", kind, four_bar=four_bar)
@@ -138,7 +138,7 @@ ABSENT = {
 
 
 def _plain(name: str, value: object) -> str:
-    from optlink.problem.path import RegionSection
+    from optlink.problem.path_requirement import RegionSection
 
     if value is None:
         return ABSENT.get(name, "no limit")
