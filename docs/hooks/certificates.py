@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import optlink
 from optlink.report.chart_mpl import pictures
-from optlink.report.style import house
+from optlink.report.style import apply_style
 from optlink.report.views.function import certified
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def picture() -> bytes:
     found = optlink.solve(optlink.load("crank-rocker"))
     assert isinstance(found, optlink.FunctionResult)
     drawn = pictures(certified(found))["boxes"]
-    with house(), io.BytesIO() as stream:
+    with apply_style(), io.BytesIO() as stream:
         drawn.savefig(stream, dpi=130)
         return stream.getvalue()
 

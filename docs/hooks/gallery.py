@@ -20,7 +20,7 @@ import optlink
 from optlink.linkage.motion import Motion, sweep
 from optlink.report.drawing import Sketch
 from optlink.report.report_model import report_model_of, solve_or_validate
-from optlink.report.style import TARGET, house
+from optlink.report.style import TARGET, apply_style
 from optlink.report.views.path_view import PathView, best
 from optlink.tasks.results.path import PathResult
 
@@ -103,10 +103,10 @@ def picture(name: str) -> bytes:
     else:
         motion, here = view.motion, view.here
     sketch = Sketch(motion, machine if view is None else None, SHARE)
-    with house(), io.BytesIO() as stream:
+    with apply_style(), io.BytesIO() as stream:
         if view is not None:
             sketch.widen(view.targets * sketch.scale.factor)
-        drawn, axes = sketch.alone(*SIZE)
+        drawn, axes = sketch.bare_figure(*SIZE)
         if view is not None:
             axes.plot(*(view.targets * sketch.scale.factor).T, ".", color=TARGET, markersize=3.5, zorder=5)
             if view.task.requirement.kind == "motion":

@@ -26,7 +26,7 @@ import optlink
 from optlink.linkage.motion import Motion, sweep
 from optlink.report.drawing import Sketch
 from optlink.report.labels import Label, place_labels
-from optlink.report.style import GROUND, HALO, QUIET, house
+from optlink.report.style import GROUND, HALO, MUTED, apply_style
 
 if TYPE_CHECKING:
     from mkdocs.config.defaults import MkDocsConfig
@@ -142,9 +142,9 @@ def four_bar() -> Figure:
     sketch, motion = _posed(DYADS["RRR"], ANGLES["RRR"], 0.04)
     at = _joints(sketch, motion)
     sketch.widen(np.array([at["A"] - [60.0, 45.0], at["D"] + [105.0, 0.0], at["C"] + [0.0, 25.0]]))
-    drawn, axes = sketch.alone(6.4, 4.0, traces=False)
+    drawn, axes = sketch.bare_figure(6.4, 4.0, traces=False)
     for start, end in ((at["A"], at["D"]), (at["D"], at["D"] + [95.0, 0.0])):
-        axes.add_line(Line2D(*np.array([start, end]).T, color=QUIET, linewidth=1.1, linestyle=(0, (5, 3)), zorder=1))
+        axes.add_line(Line2D(*np.array([start, end]).T, color=MUTED, linewidth=1.1, linestyle=(0, (5, 3)), zorder=1))
     sketch.pose(axes, motion)
     for body, (p, q), text, side in (
         ("crank", "AB", "l₁", 1.0),
@@ -185,14 +185,14 @@ def dyad(kind: str) -> Figure:
         RRR, RRP, RPR, RPP or PRP.
     """
     sketch, motion = _posed(DYADS[kind], ANGLES[kind], SYMBOL)
-    sketch.colours[sketch.mechanism.crank.body] = QUIET
+    sketch.colours[sketch.mechanism.crank.body] = MUTED
     ghost = None
     if kind in OTHER:
         other = {**DYADS[kind], **OTHER[kind]}
         share = SYMBOL * sketch.size / _posed(other, ANGLES[kind], SYMBOL)[0].size  # symbols of the same size
         ghost = _posed(other, ANGLES[kind], share)
         sketch.low, sketch.high = np.minimum(sketch.low, ghost[0].low), np.maximum(sketch.high, ghost[0].high)
-    drawn, axes = sketch.alone(3.6, 2.7, traces=False)
+    drawn, axes = sketch.bare_figure(3.6, 2.7, traces=False)
     if ghost:
         ghost[0].colours = sketch.colours
         for artist in ghost[0].pose(axes, ghost[1]):
@@ -219,7 +219,7 @@ def svg(name: str) -> bytes:
     name : str
         Key of `SKETCHES`.
     """
-    with house(), mpl.rc_context({"svg.hashsalt": name}), io.BytesIO() as stream:
+    with apply_style(), mpl.rc_context({"svg.hashsalt": name}), io.BytesIO() as stream:
         SKETCHES[name]().savefig(stream, format="svg", metadata={"Date": None})
         return stream.getvalue()
 

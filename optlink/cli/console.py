@@ -337,9 +337,9 @@ def places(out: Path | None, command: str, problem: str, csv: Path | None = None
     else:
         _kept[-1].enter_context(_result_folder(out, command, problem))
     if csv is not None:
-        from optlink.report.files import target
+        from optlink.report.files import check_target
 
-        target(csv, (), "motion.csv", "--csv")
+        check_target(csv, (), "motion.csv", "--csv")
 
 
 def study_place(out: Path, command: str, problem: str) -> None:

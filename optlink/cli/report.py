@@ -43,9 +43,9 @@ def report(
     quiet: Quiet = False,
 ) -> None:
     """Write a self-contained HTML page of a design, simulation or study: results, checks, charts, animation, sources."""
-    from optlink.report.files import target
+    from optlink.report.files import check_target
 
-    target(output, (".html", ".htm"), "report.html")
+    check_target(output, (".html", ".htm"), "report.html")
     facts = {"title": title, "company": company, "author": author, "part": part, "revision": revision, "date": date}
     changes = [*(changes or []), *(f"report.{key}={json.dumps(text)}" for key, text in facts.items() if text is not None)]
     with console.working("Reading or solving the problem"):
@@ -81,9 +81,9 @@ def export(
 ) -> None:
     """Export a design to DXF, SVG, CSV or JSON."""
     from optlink.report.export.export import FORMATS, Options, export as write
-    from optlink.report.files import target
+    from optlink.report.files import check_target
 
-    target(output, tuple(FORMATS), "drawing.dxf")
+    check_target(output, tuple(FORMATS), "drawing.dxf")
     angle = console.quantity(at, "angle", "--at")
     options = Options(angle, console.quantity(hole, "length", "--hole"), console.quantity(width, "length", "--width"), points)
     with console.working("Reading or solving the problem"):

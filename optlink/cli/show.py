@@ -135,8 +135,8 @@ def new(
 
 def _check(out: Path, force: bool) -> None:
     """Refuse a file that cannot be written, and one that exists unless it may be overwritten."""
-    from optlink.report.files import target
+    from optlink.report.files import check_target
 
-    target(out, (".toml",), "mine.toml")
+    check_target(out, (".toml",), "mine.toml")
     if out.exists() and not force:
         raise InputError("the file exists", "Choose another name, or add --force", key="--out", value=str(out))

@@ -78,9 +78,9 @@ def sensitivity(
 
     with console.share("searching again" if check else "searching") as progress:
         result = sensitivities(file, backend, starts, seed, check=check, progress=progress)
-    from optlink.report.views.study_tables import AGREES
+    from optlink.report.views.study_tables import DERIVATIVE_TOLERANCE
 
-    differs = result.gap is not None and result.gap > AGREES
+    differs = result.gap is not None and result.gap > DERIVATIVE_TOLERANCE
     console.deliver(result, "sensitivity", as_json, out, code=1 if differs else 0)
 
 

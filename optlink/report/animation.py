@@ -12,12 +12,12 @@ from PIL import Image
 
 from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import Array
-from optlink.report.chart_mpl import into
+from optlink.report.chart_mpl import draw_into
 from optlink.report.chart_spec import ChartSpec
 from optlink.report.drawing import Sketch
 from optlink.report.style import CRANK, figure, heading, one_palette, styled
 
-WIDE = 0.42  # ratio of height to width below which the curve is drawn below the mechanism
+STACKED_RATIO = 0.42  # ratio of height to width below which the curve is drawn below the mechanism
 
 
 @styled
@@ -50,30 +50,30 @@ def film(
     list of Image
         Frames with a common palette.
     """
-    flat = sketch.ratio < WIDE
+    flat = sketch.ratio < STACKED_RATIO
     if flat:
-        drawn = figure(7.8, 7.2 * sketch.ratio + 3.0)
-        stage, strip = drawn.subplots(2, 1, height_ratios=(7.2 * sketch.ratio + 0.5, 1.9))
+        fig = figure(7.8, 7.2 * sketch.ratio + 3.0)
+        stage, strip = fig.subplots(2, 1, height_ratios=(7.2 * sketch.ratio + 0.5, 1.9))
     else:
-        drawn = figure(8.4, min(max(4.3 * sketch.ratio + 0.9, 3.5), 5.2))
-        stage, strip = drawn.subplots(1, 2, width_ratios=(1.25, 1.0))
-    drawn.set_dpi(80)
-    canvas = FigureCanvasAgg(drawn)
+        fig = figure(8.4, min(max(4.3 * sketch.ratio + 0.9, 3.5), 5.2))
+        stage, strip = fig.subplots(1, 2, width_ratios=(1.25, 1.0))
+    fig.set_dpi(80)
+    canvas = FigureCanvasAgg(fig)
     sketch.stage(stage)
     if more:
         more(stage)
-    into(strip, curve) if isinstance(curve, ChartSpec) else curve(strip)
+    draw_into(strip, curve) if isinstance(curve, ChartSpec) else curve(strip)
     mark = Line2D([], [], linestyle="none", marker="o", markersize=7, color=CRANK, zorder=8, animated=True)
     strip.add_artist(mark)
-    drawn.suptitle(heading(title, drawn.get_figwidth(), 10.0), fontsize=10)
+    fig.suptitle(heading(title, fig.get_figwidth(), 10.0), fontsize=10)
     canvas.draw()  # type: ignore[no-untyped-call] # all that stands still is drawn once
-    drawn.set_layout_engine("none")
-    still = canvas.copy_from_bbox(drawn.bbox)  # type: ignore[no-untyped-call]
+    fig.set_layout_engine("none")
+    still = canvas.copy_from_bbox(fig.bbox)  # type: ignore[no-untyped-call]
     pictures = []
     for k in range(len(steps.crank_angle)):
         canvas.restore_region(still)  # type: ignore[no-untyped-call]
         moving = sketch.pose(stage, steps, k)
-        for artist in sorted(moving, key=lambda one: one.get_zorder()):
+        for artist in sorted(moving, key=lambda item: item.get_zorder()):
             artist.set_animated(True)
             stage.draw_artist(artist)
             artist.remove()

@@ -33,14 +33,14 @@ from optlink.report.chart_spec import (
     cells,
 )
 from optlink.report.labels import Label, place_labels
-from optlink.report.style import HALO, LIMIT, QUIET, figure, heading, styled
+from optlink.report.style import HALO, LIMIT, MUTED, figure, heading, styled
 
 DASHES: dict[str, Any] = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}
-EMPTY = "#e4e4e4"  # colour of the cells of a heat map without a value
+NO_VALUE = "#e4e4e4"  # colour of the cells of a heat map without a value
 TITLE, FONT = 10.5, 8.5
-FLAT, TALL = 0.45, 1.1  # ratios of height to width that a chart with equal scales may have in a picture
-PANEL = 2.05  # height of a panel [inch]
-STEPS = 40  # number of bars up to which they are drawn as bars
+MIN_ASPECT, MAX_ASPECT = 0.45, 1.1  # ratios of height to width that a chart with equal scales may have in a picture
+PANEL_HEIGHT = 2.05  # height of a panel [inch]
+MAX_BARS = 40  # number of bars up to which they are drawn as bars
 
 
 def pictures(charts: Iterable[ChartSpec]) -> dict[str, Figure]:
@@ -59,7 +59,7 @@ def pictures(charts: Iterable[ChartSpec]) -> dict[str, Figure]:
     for chart in charts:
         if chart.file:
             files.setdefault(chart.file, []).append(chart)
-    return {name: draw(own) for name, own in files.items()}
+    return {name: draw(group) for name, group in files.items()}
 
 
 @styled
@@ -71,38 +71,38 @@ def draw(charts: Sequence[ChartSpec]) -> Figure:
     charts : sequence of ChartSpec
         In the order of their rows.
     """
-    rows = [list(own) for _, own in itertools.groupby(charts, lambda chart: chart.row)]
+    rows = [list(group) for _, group in itertools.groupby(charts, lambda chart: chart.row)]
     width = max(sum(chart.width for chart in row) for row in rows)
     heights = [max(_height(chart) for chart in row) for row in rows]
     first = charts[0]
-    words = [heading(line, 0.95 * width, TITLE) for line in (first.heading or first.title).split("\n")]
-    words += [heading(first.remark, 0.95 * width, TITLE)] if first.remark and len(charts) == 1 else []
-    title = "\n".join(words)
-    made = figure(width, sum(heights) + 0.35 + 0.17 * title.count("\n"))
+    title_lines = [heading(line, 0.95 * width, TITLE) for line in (first.heading or first.title).split("\n")]
+    title_lines += [heading(first.remark, 0.95 * width, TITLE)] if first.remark and len(charts) == 1 else []
+    title = "\n".join(title_lines)
+    fig = figure(width, sum(heights) + 0.35 + 0.17 * title.count("\n"))
     labels: list[Label] = []
     if len(charts) == 1:
-        labels += _chart(made, first)
+        labels += _chart(fig, first)
     else:
-        whole = made.subfigures(len(rows), 1, height_ratios=heights, squeeze=False)[:, 0]
-        for part, row in zip(whole, rows, strict=True):
+        strips = fig.subfigures(len(rows), 1, height_ratios=heights, squeeze=False)[:, 0]
+        for strip, row in zip(strips, rows, strict=True):
             widths = [chart.width for chart in row]
-            rest = [width - sum(widths)] if sum(widths) < 0.9 * width else []  # left empty, so that rows are of one measure
-            places = part.subfigures(1, len([*widths, *rest]), width_ratios=[*widths, *rest], squeeze=False)[0]
-            for place, chart in zip(places, row, strict=False):
-                labels += _chart(place, chart)
+            rest = [width - sum(widths)] if sum(widths) < 0.9 * width else []  # empty, so that all rows have the same scale
+            subfigures = strip.subfigures(1, len([*widths, *rest]), width_ratios=[*widths, *rest], squeeze=False)[0]
+            for subfigure, chart in zip(subfigures, row, strict=False):
+                labels += _chart(subfigure, chart)
                 written = [heading(text, chart.width - 0.7, 9.5) for text in (chart.title, chart.remark) if text]
-                place.suptitle("\n".join(written), fontsize=9.5)
-    made.suptitle(title, fontsize=TITLE, color=LIMIT if first.warning else INK)
+                subfigure.suptitle("\n".join(written), fontsize=9.5)
+    fig.suptitle(title, fontsize=TITLE, color=LIMIT if first.warning else INK)
     if labels:
-        place_labels(made, labels)
-    return made
+        place_labels(fig, labels)
+    return fig
 
 
 def _height(chart: ChartSpec) -> float:
     """Return the height of a chart in the figure [inch]."""
     if chart.equal:
-        return (chart.width - 1.0) * min(max(_ratio(chart), FLAT), TALL) + 1.45
-    return 0.75 + PANEL * sum(panel.height for panel in chart.panels)
+        return (chart.width - 1.0) * min(max(_ratio(chart), MIN_ASPECT), MAX_ASPECT) + 1.45
+    return 0.75 + PANEL_HEIGHT * sum(panel.height for panel in chart.panels)
 
 
 def _ratio(chart: ChartSpec) -> float:
@@ -112,9 +112,9 @@ def _ratio(chart: ChartSpec) -> float:
 
 
 def _widened(chart: ChartSpec) -> bool:
-    """Return whether equal scales widen the limits to fill the panel: where they are not given, or too flat or tall for it."""
-    given = chart.x.limits is not None and chart.panels[0].y.limits is not None
-    return chart.equal and not (given and FLAT <= _ratio(chart) <= TALL)
+    """Return whether equal scales widen the limits to fill the panel: unless both axes have limits of a suitable ratio."""
+    fixed = chart.x.limits is not None and chart.panels[0].y.limits is not None
+    return chart.equal and not (fixed and MIN_ASPECT <= _ratio(chart) <= MAX_ASPECT)
 
 
 def _chart(place: Figure | SubFigure, chart: ChartSpec) -> list[Label]:
@@ -122,12 +122,12 @@ def _chart(place: Figure | SubFigure, chart: ChartSpec) -> list[Label]:
     heights = [panel.height for panel in chart.panels]
     grid = place.subplots(len(chart.panels), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     labels = [label for axes, panel in zip(grid, chart.panels, strict=True) for label in _panel(axes, chart, panel)]
-    _across(grid[-1], chart)
+    _x_axis(grid[-1], chart)
     place.align_ylabels()
     return labels
 
 
-def into(axes: Axes, spec: ChartSpec, *, legend: bool = True) -> list[Label]:
+def draw_into(axes: Axes, spec: ChartSpec, *, legend: bool = True) -> list[Label]:
     """Draw the first panel of a chart into axes and return the labels still to place.
 
     Parameters
@@ -138,11 +138,11 @@ def into(axes: Axes, spec: ChartSpec, *, legend: bool = True) -> list[Label]:
         Draw a legend.
     """
     labels = _panel(axes, spec, spec.panels[0], legend=legend)
-    _across(axes, spec)
+    _x_axis(axes, spec)
     return labels
 
 
-def _across(axes: Axes, chart: ChartSpec) -> None:
+def _x_axis(axes: Axes, chart: ChartSpec) -> None:
     _scaled(
         axes, "x", chart.x, chart.x.limits or (chart.reach if _tight(chart) else None), chart.width - 1.0, widened=_widened(chart)
     )
@@ -158,10 +158,10 @@ def _panel(axes: Axes, chart: ChartSpec, panel: Panel, *, legend: bool = True) -
     for trace in panel.traces:
         _trace(axes, trace, chart, panel)
     for line in panel.lines:
-        axes.axhline(line.at, zorder=2, **_look(line))
+        axes.axhline(line.at, zorder=2, **_line_style(line))
     top = panel is chart.panels[0]
     for line in chart.lines:
-        axes.axvline(line.at, zorder=1.5, **_look(line) | ({} if top else {"label": None}))
+        axes.axvline(line.at, zorder=1.5, **_line_style(line) | ({} if top else {"label": None}))
     for span in chart.spans:
         style: dict[str, Any] = {"color": span.colour, "alpha": span.opacity, "linewidth": 0.0, "zorder": 0.5}
         axes.axvspan(span.low, span.high, label=span.name if top and span.name else None, gid=span.gid or None, **style)
@@ -170,16 +170,16 @@ def _panel(axes: Axes, chart: ChartSpec, panel: Panel, *, legend: bool = True) -
         axes.margins(y=0.16 if panel.marks else 0.06)
     for mark in panel.marks:
         _mark(axes, mark, inside=chart.equal)
-    _scaled(axes, "y", panel.y, panel.y.limits, 0.85 * PANEL * panel.height, widened=_widened(chart))
+    _scaled(axes, "y", panel.y, panel.y.limits, 0.85 * PANEL_HEIGHT * panel.height, widened=_widened(chart))
     low, high = sorted(axes.get_ylim())
     if chart.equal:
         axes.set_aspect("equal", adjustable="datalim" if _widened(chart) else "box")
     if low < 0.0 < high and panel.y.scale == "linear" and not flat and not chart.equal:
-        axes.axhline(0.0, color=QUIET, linewidth=0.8, zorder=1)
+        axes.axhline(0.0, color=MUTED, linewidth=0.8, zorder=1)
     if panel.y.limits is not None:
         for trace in panel.traces:
             if isinstance(trace, Bars) and not trace.horizontal:
-                _cut(axes, trace)
+                _label_cut_bars(axes, trace)
     if panel.note:
         axes.text(0.99, 0.03, panel.note, transform=axes.transAxes, ha="right", va="bottom", fontsize=FONT)
     if legend:
@@ -187,7 +187,7 @@ def _panel(axes: Axes, chart: ChartSpec, panel: Panel, *, legend: bool = True) -
     return [Label(axes, (m.x, m.y), m.text, m.colour, m.font, 0.6 * m.size, m.prefer) for m in panel.marks if m.text]
 
 
-def _look(line: Line) -> dict[str, Any]:
+def _line_style(line: Line) -> dict[str, Any]:
     style = {"color": line.colour, "linewidth": line.width, "linestyle": DASHES[line.dash]}
     return {**style, "label": line.name or None, "gid": line.gid or None}
 
@@ -213,7 +213,7 @@ def _trace(axes: Axes, trace: Trace, chart: ChartSpec, panel: Panel) -> None:
     elif isinstance(trace, HeatMap):
         low, high = trace.limits or (None, None)
         edges = [cells(at, log=axis.scale == "log") for at, axis in ((trace.x, chart.x), (trace.y, panel.y))]
-        axes.set_facecolor(EMPTY)
+        axes.set_facecolor(NO_VALUE)
         axes.grid(visible=False)
         shaded = axes.pcolormesh(*edges, np.ma.masked_invalid(trace.z), cmap="viridis", vmin=low, vmax=high, rasterized=True)
         if trace.name:
@@ -251,19 +251,19 @@ def _bars(axes: Axes, trace: Bars) -> None:
     """Draw bars, or a stepped line if there are many."""
     colour = trace.colours if isinstance(trace.colours, str) else list(trace.colours)
     style: dict[str, Any] = {"alpha": trace.opacity, "label": trace.name if trace.legend and trace.name else None, "zorder": 2}
-    if len(trace.x) > STEPS and isinstance(colour, str) and not trace.horizontal and np.ndim(trace.width) == 0:
+    if len(trace.x) > MAX_BARS and isinstance(colour, str) and not trace.horizontal and np.ndim(trace.width) == 0:
         axes.plot(trace.x, trace.y, drawstyle="steps-mid", color=colour, linewidth=1.2, gid=trace.gid or None, **style)
         return
     if trace.horizontal:
-        made = axes.barh(trace.x, trace.y, height=trace.width, color=colour, **style)
+        bars = axes.barh(trace.x, trace.y, height=trace.width, color=colour, **style)
         axes.grid(visible=False, axis="y")
     else:
-        made = axes.bar(trace.x, trace.y, width=trace.width, color=colour, **style)
-    for bar in made:
+        bars = axes.bar(trace.x, trace.y, width=trace.width, color=colour, **style)
+    for bar in bars:
         bar.set_gid(trace.gid or None)
 
 
-def _cut(axes: Axes, trace: Bars) -> None:
+def _label_cut_bars(axes: Axes, trace: Bars) -> None:
     """Write the values of bars that exceed the axes."""
     low, high = axes.get_ylim()
     for at, value in zip(trace.x, trace.y, strict=True):
@@ -271,43 +271,43 @@ def _cut(axes: Axes, trace: Bars) -> None:
             up = value > high
             written = f"{'↑' if up else '↓'} {value:.4g}".replace("-", "−")
             end = (float(at), high if up else low)
-            drawn = axes.annotate(written, end, (0, -3 if up else 3), textcoords="offset points", ha="center", fontsize=8.0)
-            drawn.set(va="top" if up else "bottom", path_effects=HALO, gid="cut off", zorder=5)
+            text = axes.annotate(written, end, (0, -3 if up else 3), textcoords="offset points", ha="center", fontsize=8.0)
+            text.set(va="top" if up else "bottom", path_effects=HALO, gid="cut off", zorder=5)
 
 
 def _mark(axes: Axes, mark: Mark, *, inside: bool) -> None:
-    """Draw a marked point, whole at the edge of the axes unless it may be `inside` only."""
-    drawn = axes.plot([mark.x], [mark.y], linestyle="none", color=mark.colour, markersize=mark.size, clip_on=inside, zorder=5)[0]
+    """Draw a marked point; clip it at the edge of the axes if `inside`."""
+    marker = axes.plot([mark.x], [mark.y], linestyle="none", color=mark.colour, markersize=mark.size, clip_on=inside, zorder=5)[0]
     look: Any = (3, 0, mark.angle) if mark.symbol == "triangle" else SYMBOLS[mark.symbol][0]
-    drawn.set_marker(look)
-    drawn.set_markerfacecolor("none" if mark.symbol == "open circle" else mark.colour)
-    drawn.set_markeredgewidth(0.0 if mark.symbol == "circle" else 1.0)
-    drawn.set_gid(mark.gid or None)
+    marker.set_marker(look)
+    marker.set_markerfacecolor("none" if mark.symbol == "open circle" else mark.colour)
+    marker.set_markeredgewidth(0.0 if mark.symbol == "circle" else 1.0)
+    marker.set_gid(mark.gid or None)
 
 
-def _scaled(axes: Axes, way: str, axis: Axis, limits: tuple[float, float] | None, room: float, *, widened: bool) -> None:
+def _scaled(axes: Axes, direction: str, axis: Axis, limits: tuple[float, float] | None, room: float, *, widened: bool) -> None:
     """Set name, scale, limits, direction and ticks of an axis that is `room` long [inch].
 
     If `widened`, the limits may be widened for equal scales.
     """
-    own = axes.xaxis if way == "x" else axes.yaxis
-    own.set_label_text(axis.name if "\n" in axis.name else heading(axis.name, room, 10.0))
+    side = axes.xaxis if direction == "x" else axes.yaxis
+    side.set_label_text(axis.name if "\n" in axis.name else heading(axis.name, room, 10.0))
     if axis.scale == "log":
-        (axes.set_xscale if way == "x" else axes.set_yscale)("log")
-        low, high = limits or own.get_view_interval()
+        (axes.set_xscale if direction == "x" else axes.set_yscale)("log")
+        low, high = limits or side.get_view_interval()
         if high / max(low, 1e-300) < 1e4:
-            own.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        own.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}" if 1e-3 <= value < 1e5 else f"{value:.0e}"))
-        own.set_minor_formatter(NullFormatter())
+            side.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}" if 1e-3 <= value < 1e5 else f"{value:.0e}"))
+        side.set_minor_formatter(NullFormatter())
     if limits is not None and limits[1] > limits[0]:
-        (axes.set_xlim if way == "x" else axes.set_ylim)(*limits, auto=widened)
+        (axes.set_xlim if direction == "x" else axes.set_ylim)(*limits, auto=widened)
     if axis.reversed:
-        (axes.invert_xaxis if way == "x" else axes.invert_yaxis)()
-    low, high = sorted(axes.get_xlim() if way == "x" else axes.get_ylim())
+        (axes.invert_xaxis if direction == "x" else axes.invert_yaxis)()
+    low, high = sorted(axes.get_xlim() if direction == "x" else axes.get_ylim())
     if axis.step and high - low >= 4.0 * axis.step:
-        own.set_major_locator(MultipleLocator(axis.step))
+        side.set_major_locator(MultipleLocator(axis.step))
     if axis.ticks:
-        own.set_ticks([place for place, _ in axis.ticks], [text for _, text in axis.ticks])
+        side.set_ticks([place for place, _ in axis.ticks], [text for _, text in axis.ticks])
 
 
 def _legend(axes: Axes, width: float) -> None:

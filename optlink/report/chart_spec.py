@@ -43,7 +43,7 @@ SYMBOLS: dict[Symbol, tuple[str, str]] = {
 CRANK_ANGLE = "crank angle φ [deg]"
 TIME = "time [s]"
 INK = "#111111"
-DESCRIBED = 8  # largest number of traces of a panel that are described in words
+MAX_DESCRIBED = 8  # largest number of traces of a panel that are described in words
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +97,8 @@ class Curve:
     gid: str = ""
 
     @classmethod
-    def through(cls, places: Array, name: str = "", colour: str = INK, width: float = 1.6, **more: Any) -> Curve:
-        """Return a curve through places (n, 2); `more` are further attributes.
+    def through(cls, places: Array, name: str = "", colour: str = INK, width: float = 1.6, **options: Any) -> Curve:
+        """Return a curve through places (n, 2); `options` are further attributes.
 
         Parameters
         ----------
@@ -111,11 +111,11 @@ class Curve:
         **more
             Further attributes of the curve.
         """
-        return cls(places[:, 0], places[:, 1], name, colour, width, **more)
+        return cls(places[:, 0], places[:, 1], name, colour, width, **options)
 
     @classmethod
-    def entry(cls, name: str, colour: str, **more: Any) -> Curve:
-        """Return an entry in the legend without a curve; `more` are further attributes.
+    def entry(cls, name: str, colour: str, **options: Any) -> Curve:
+        """Return an entry in the legend without a curve; `options` are further attributes.
 
         Parameters
         ----------
@@ -123,7 +123,7 @@ class Curve:
         colour : str
         **more
         """
-        return cls(np.full(1, np.nan), np.full(1, np.nan), name, colour, **more)
+        return cls(np.full(1, np.nan), np.full(1, np.nan), name, colour, **options)
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,8 +252,8 @@ class Panel:
     @property
     def rise(self) -> tuple[float, float]:
         """Range of y of the curves."""
-        every = np.concatenate([trace.y for trace in self.traces if isinstance(trace, Curve)] or [np.zeros(1)])
-        return (float(np.nanmin(every)), float(np.nanmax(every))) if np.any(np.isfinite(every)) else (0.0, 0.0)
+        heights = np.concatenate([trace.y for trace in self.traces if isinstance(trace, Curve)] or [np.zeros(1)])
+        return (float(np.nanmin(heights)), float(np.nanmax(heights))) if np.any(np.isfinite(heights)) else (0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,14 +307,14 @@ class ChartSpec:
     @property
     def words(self) -> str:
         """Description in words for readers who do not see the chart: axes, and extremes of the named traces."""
-        found = [f"{_plain(self.title)}."]
+        sentences = [f"{_plain(self.title)}."]
         for panel in self.panels:
-            named = [sentence for trace in panel.traces if (sentence := _extremes(trace, panel.y.name))]
-            named += [f"{_plain(line.name)} at {line.at:.4g}" for line in panel.lines if line.name]
-            if named:
+            parts = [sentence for trace in panel.traces if (sentence := _extremes(trace, panel.y.name))]
+            parts += [f"{_plain(line.name)} at {line.at:.4g}" for line in panel.lines if line.name]
+            if parts:
                 across = f", over {_plain(self.x.name)}" if self.x.name else ""
-                found.append(f"{_plain(panel.y.name) or 'Values'}{across}: {'; '.join(named[:DESCRIBED])}.")
-        return " ".join(found)
+                sentences.append(f"{_plain(panel.y.name) or 'Values'}{across}: {'; '.join(parts[:MAX_DESCRIBED])}.")
+        return " ".join(sentences)
 
 
 def _plain(text: str) -> str:
@@ -325,22 +325,22 @@ def _extremes(trace: Trace, default: str) -> str:
     """Describe a trace by its extremes; an empty text if it has no name or no finite value."""
     if isinstance(trace, Bars):
         sizes = [(float(value), k) for k, value in enumerate(trace.y) if np.isfinite(value)]
-        value, at = max(sizes, key=lambda one: abs(one[0]), default=(0.0, 0))
+        value, at = max(sizes, key=lambda item: abs(item[0]), default=(0.0, 0))
         where = f" ({_plain(trace.text[at])})" if trace.text else ""
         return f"{_plain(trace.name)}: largest {value:.4g}{where}" if trace.name and sizes else ""
     if isinstance(trace, Boxes):
         return f"{_plain(trace.name)}: {len(trace.x)} boxes" if trace.name else ""
     heights = trace.z if isinstance(trace, HeatMap) else np.stack([trace.low, trace.high]) if isinstance(trace, Band) else trace.y
-    known = np.asarray(heights, dtype=float)
-    known = known[np.isfinite(known)]
+    finite_heights = np.asarray(heights, dtype=float)
+    finite_heights = finite_heights[np.isfinite(finite_heights)]
     name = _plain(trace.name or (default if isinstance(trace, HeatMap) else ""))
-    return f"{name} from {np.min(known):.4g} to {np.max(known):.4g}" if name and known.size else ""
+    return f"{name} from {np.min(finite_heights):.4g} to {np.max(finite_heights):.4g}" if name and finite_heights.size else ""
 
 
 def _ends(trace: Trace) -> list[float]:
     places = trace.y if isinstance(trace, Bars) and trace.horizontal else trace.x
-    known = places[np.isfinite(places)]
-    return [float(np.min(known)), float(np.max(known))] if known.size else []
+    finite_values = places[np.isfinite(places)]
+    return [float(np.min(finite_values)), float(np.max(finite_values))] if finite_values.size else []
 
 
 def cells(places: Array, *, log: bool = False) -> Array:
@@ -352,9 +352,11 @@ def cells(places: Array, *, log: bool = False) -> Array:
     log : bool, optional
         Whether the axis is logarithmic.
     """
-    own = np.log(places) if log else np.asarray(places, dtype=float)
-    if len(own) == 1:
-        own = np.array([own[0] - 0.5, own[0] + 0.5])
+    centres = np.log(places) if log else np.asarray(places, dtype=float)
+    if len(centres) == 1:
+        centres = np.array([centres[0] - 0.5, centres[0] + 0.5])
     else:
-        own = np.concatenate([[1.5 * own[0] - 0.5 * own[1]], 0.5 * (own[1:] + own[:-1]), [1.5 * own[-1] - 0.5 * own[-2]]])
-    return np.exp(own) if log else own
+        centres = np.concatenate(
+            [[1.5 * centres[0] - 0.5 * centres[1]], 0.5 * (centres[1:] + centres[:-1]), [1.5 * centres[-1] - 0.5 * centres[-2]]]
+        )
+    return np.exp(centres) if log else centres

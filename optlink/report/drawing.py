@@ -25,10 +25,10 @@ from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import TURN, Array, Vector
 from optlink.report.labels import Label
 from optlink.report.shapes import Part, finite, hatching, hull, in_line, rectangle, spread, stem, zigzag
-from optlink.report.style import BODIES, CRANK, GROUND, QUIET, Scale, figure, scale, short_name
+from optlink.report.style import BODIES, CRANK, GROUND, MUTED, Scale, figure, scale, short_name
 
-FAR = 8.0  # positions beyond this multiple of the median distance from the crank pivot do not set the scale
-SHARE = 0.035  # height of a ground pivot
+FAR_RATIO = 8.0  # positions beyond this multiple of the median distance from the crank pivot do not set the scale
+SYMBOL_SHARE = 0.035  # height of a ground pivot
 FACES = {"plate": (0.22, 2.2, 2.8, "round"), "slot": (0.13, 1.1, 2.6, "miter"), "block": (None, 1.5, 3.2, "round")}
 """Opacity (None: a tint without), line width, order and corners of the parts of bodies."""
 
@@ -46,11 +46,11 @@ class Sketch:
         Height of a ground pivot, as a share of the extent of the mechanism.
     """
 
-    def __init__(self, motion: Motion, machine: Machine | None = None, share: float = SHARE) -> None:
+    def __init__(self, motion: Motion, machine: Machine | None = None, share: float = SYMBOL_SHARE) -> None:
         self.motion, self.mechanism = motion, motion.mechanism
         self.names = list(self.mechanism.owners)
         self.points = np.array([motion.position(name) for name in self.names])  # m, (points, positions, 2)
-        self.near = self._near()
+        self.near = self._in_sight()
         extent = max(float(np.max(spread(finite(self.points[:, self.near])))), 1e-30)
         self.scale: Scale = scale(extent, "m")
         self.size = share * extent * self.scale.factor
@@ -69,11 +69,11 @@ class Sketch:
 
     # --- positions ---------------------------------------------------------------------------------------------------
 
-    def _near(self) -> NDArray[np.bool_]:
+    def _in_sight(self) -> NDArray[np.bool_]:
         """Return the positions in which no point is so far away (parallel lines) that the others would vanish."""
         crank = self.motion.position(self.mechanism.crank.start)
-        away = np.where(np.isfinite(self.points).all(axis=-1), np.linalg.norm(self.points - crank, axis=-1), 0.0).max(axis=0)
-        near: NDArray[np.bool_] = away <= FAR * np.median(away)
+        distance = np.where(np.isfinite(self.points).all(axis=-1), np.linalg.norm(self.points - crank, axis=-1), 0.0).max(axis=0)
+        near: NDArray[np.bool_] = distance <= FAR_RATIO * np.median(distance)
         return near
 
     def position(self, motion: Motion, name: str) -> Array:
@@ -99,8 +99,8 @@ class Sketch:
         """
         shape = motion.crank_angle.shape
         with np.errstate(all="ignore"):  # at a dead centre of a group its rates are infinite or NaN
-            way = motion.pose.direction(body)
-        x, y = (np.broadcast_to(jet_parts(part)[0], shape)[:, None] for part in way)
+            direction = motion.pose.direction(body)
+        x, y = (np.broadcast_to(jet_parts(part)[0], shape)[:, None] for part in direction)
         start = self.position(motion, self.mechanism.bodies[body].start)[:, None, :]
         along, across = outline[:, 0], outline[:, 1]
         return np.asarray(start + np.stack([along * x - across * y, along * y + across * x], axis=-1))
@@ -108,92 +108,94 @@ class Sketch:
     def _vector(self, vector: Vector) -> Array:
         return np.array([float(jet_parts(part)[0]) for part in vector]) * self.scale.factor
 
-    def _own(self, body: str) -> Array:
+    def _points_of(self, body: str) -> Array:
         """Return the named points of a body in its own axes, without duplicates."""
         pose = self.motion.pose
-        found: list[Array] = []
+        points: list[Array] = []
         for point, bodies in self.mechanism.owners.items():
             if body in bodies:
                 at = self._vector(pose.local(body, point))
-                if all(np.max(np.abs(at - other)) > 1e-3 * self.size for other in found):
-                    found.append(at)
-        return np.array(found).reshape(-1, 2)
+                if all(np.max(np.abs(at - other)) > 1e-3 * self.size for other in points):
+                    points.append(at)
+        return np.array(points).reshape(-1, 2)
 
     def _line(self, guide: Guide, body: str) -> tuple[Array, Array]:
-        point, way = self.motion.pose.local_line(guide, body)
-        return self._vector(point), self._vector(way) / self.scale.factor
+        point, direction = self.motion.pose.local_line(guide, body)
+        return self._vector(point), self._vector(direction) / self.scale.factor
 
     def _travel(self, guide: Guide) -> tuple[float, float]:
         slides = np.asarray(self.motion.slide(guide.name).value) * self.scale.factor
-        known = slides[np.isfinite(slides) & self.near]
-        return (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+        finite_slides = slides[np.isfinite(slides) & self.near]
+        return (float(finite_slides.min()), float(finite_slides.max())) if finite_slides.size else (0.0, 0.0)
 
     # --- shapes of the bodies ------------------------------------------------------------------------------------------
 
     def _is_rod(self, guide: Guide) -> bool:
         """Return whether the slider is a rod along the line in a small guide, which is then drawn as the block."""
-        if guide.on == FRAME or len(self._own(guide.on)) > 1:
+        if guide.on == FRAME or len(self._points_of(guide.on)) > 1:
             return False
-        own, (point, way) = self._own(guide.slider), self._line(guide, guide.slider)
-        off = (own - point) @ np.array([-way[1], way[0]])
-        return len(own) > 1 and bool(np.all(np.abs(off) < 0.05 * self.size))
+        points, (point, direction) = self._points_of(guide.slider), self._line(guide, guide.slider)
+        off = (points - point) @ np.array([-direction[1], direction[0]])
+        return len(points) > 1 and bool(np.all(np.abs(off) < 0.05 * self.size))
 
     def _parts(self, body: str) -> list[Part]:
-        own = self._own(body)
-        found: list[Part] = []
+        points = self._points_of(body)
+        parts: list[Part] = []
         half = np.array([1.0, 0.62]) * self.size
         for guide in self.mechanism.guides:
             if body not in guide.bodies:
                 continue
             rod = self._is_rod(guide)
-            point, way = self._line(guide, body)
+            point, direction = self._line(guide, body)
             low, high = self.travel[guide.name]
             if rod and body == guide.slider:  # long enough to reach through its block
-                own = np.concatenate([own, [point - (high + half[0]) * way, point - (low - half[0]) * way]])
+                points = np.concatenate([points, [point - (high + half[0]) * direction, point - (low - half[0]) * direction]])
             elif (body == guide.slider) != rod:
-                found.append(Part("block", rectangle(point, way, -half[0], half[0], half[1])))
+                parts.append(Part("block", rectangle(point, direction, -half[0], half[0], half[1])))
             else:
-                ends = np.array([point + (low - 1.25 * half[0]) * way, point + (high + 1.25 * half[0]) * way])
-                found.append(Part("slot", rectangle(point, way, low - 1.25 * half[0], high + 1.25 * half[0], 1.2 * half[1])))
-                arm = stem(own, ends)
+                ends = np.array([point + (low - 1.25 * half[0]) * direction, point + (high + 1.25 * half[0]) * direction])
+                parts.append(
+                    Part("slot", rectangle(point, direction, low - 1.25 * half[0], high + 1.25 * half[0], 1.2 * half[1]))
+                )
+                arm = stem(points, ends)
                 if np.linalg.norm(arm[1] - arm[0]) > 0.5 * self.size:
-                    found.append(Part("bar", arm))
-        if len(own) > 1:
-            order = in_line(own, 0.05 * self.size)
-            found.append(Part("plate", hull(own)) if order is None else Part("bar", own[order[[0, -1]]]))
-        return found
+                    parts.append(Part("bar", arm))
+        if len(points) > 1:
+            order = in_line(points, 0.05 * self.size)
+            parts.append(Part("plate", hull(points)) if order is None else Part("bar", points[order[[0, -1]]]))
+        return parts
 
     # --- ground ----------------------------------------------------------------------------------------------------------
 
     def _ground_lines(self) -> list[tuple[Array, float, bool]]:
         """Return the ground pivots and rails as (line, width, filled white)."""
-        found: list[tuple[Array, float, bool]] = []
+        lines: list[tuple[Array, float, bool]] = []
         middle = np.mean(finite(self.points[:, self.near] * self.scale.factor), axis=0)
         s = self.size
         anchors = {point for spring in self.springs for body, point in spring.ends if body == FRAME}
         for name in self.mechanism.ground:
             at = self._vector(self.motion.pose.points[name])
             if name in self.mechanism.pins or name in anchors:
-                found.append((at + s * np.array([[0.0, 0.0], [-0.55, -1.0], [0.55, -1.0], [0.0, 0.0]]), 1.1, True))
-                found.append((at + s * np.array([[-0.9, -1.0], [0.9, -1.0]]), 1.1, False))
-                found.append(
+                lines.append((at + s * np.array([[0.0, 0.0], [-0.55, -1.0], [0.55, -1.0], [0.0, 0.0]]), 1.1, True))
+                lines.append((at + s * np.array([[-0.9, -1.0], [0.9, -1.0]]), 1.1, False))
+                lines.append(
                     (hatching(at - s * np.array([0.9, 1.0]), np.array([1.0, 0.0]), 1.8 * s, -0.35 * s, 0.25 * s), 0.8, False)
                 )
             else:
-                found.append(
+                lines.append(
                     (at + 0.35 * s * np.array([[-1.0, 0.0], [1.0, 0.0], [np.nan, np.nan], [0.0, -1.0], [0.0, 1.0]]), 1.0, False)
                 )
         for guide in self.mechanism.guides:
             if guide.on == FRAME:
-                point, way = self._line(guide, FRAME)
-                left = np.array([-way[1], way[0]])
-                away = float((middle - point) @ left)
-                side = -math.copysign(1.0, away if abs(away) > 0.5 * s else left[1] + 1e-9 * left[0])
+                point, direction = self._line(guide, FRAME)
+                left = np.array([-direction[1], direction[0]])
+                offset = float((middle - point) @ left)
+                side = -math.copysign(1.0, offset if abs(offset) > 0.5 * s else left[1] + 1e-9 * left[0])
                 low, high = (end + room * 1.5 * s for end, room in zip(self.travel[guide.name], (-1.0, 1.0), strict=True))
-                begin = point + low * way + side * 0.62 * s * left
-                found.append((np.array([begin, begin + (high - low) * way]), 1.3, False))
-                found.append((hatching(begin, way, high - low, side * 0.35 * s, 0.35 * s), 0.8, False))
-        return found
+                begin = point + low * direction + side * 0.62 * s * left
+                lines.append((np.array([begin, begin + (high - low) * direction]), 1.3, False))
+                lines.append((hatching(begin, direction, high - low, side * 0.35 * s, 0.35 * s), 0.8, False))
+        return lines
 
     # --- extent ----------------------------------------------------------------------------------------------------------
 
@@ -203,17 +205,17 @@ class Sketch:
             finite(self.points[:, self.near] * self.scale.factor),
             *(finite(line) for line, _, _ in self.ground),
         ]
-        for body, own in self.parts.items():
-            outlines = [part.outline for part in own] + ([self.centroids[body]] if body in self.centroids else [])
+        for body, parts in self.parts.items():
+            outlines = [part.outline for part in parts] + ([self.centroids[body]] if body in self.centroids else [])
             corners += [finite(self.placed(self.motion, body, outline)[self.near]) for outline in outlines]
         together = np.concatenate(corners)
         return np.min(together, axis=0), np.max(together, axis=0)
 
     def widen(self, points: Array) -> None:
         """Extend the drawing to further points (n, 2), in the display unit."""
-        known = finite(points)
-        if known.size:
-            self.low, self.high = np.minimum(self.low, known.min(axis=0)), np.maximum(self.high, known.max(axis=0))
+        kept = finite(points)
+        if kept.size:
+            self.low, self.high = np.minimum(self.low, kept.min(axis=0)), np.maximum(self.high, kept.max(axis=0))
 
     @property
     def limits(self) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -231,7 +233,7 @@ class Sketch:
         (x0, x1), (y0, y1) = self.limits
         return (y1 - y0) / (x1 - x0)
 
-    def alone(self, width: float, height: float, *, traces: bool = True) -> tuple[Figure, Axes]:
+    def bare_figure(self, width: float, height: float, *, traces: bool = True) -> tuple[Figure, Axes]:
         """Return a figure that the fixed parts of the drawing fill, without scales, and its axes.
 
         Parameters
@@ -240,12 +242,12 @@ class Sketch:
         traces : bool, optional
             Draw the traces.
         """
-        drawn = figure(width, height, None)
-        self.stage(axes := drawn.add_axes((0.0, 0.0, 1.0, 1.0)), traces=traces)
+        fig = figure(width, height, None)
+        self.stage(axes := fig.add_axes((0.0, 0.0, 1.0, 1.0)), traces=traces)
         half = 0.5 * np.max(np.ptp(self.limits, axis=1) / (width, height)) * np.array([[width], [height]])
         axes.axis((*(np.mean(self.limits, axis=1, keepdims=True) + half * [-1.0, 1.0]).ravel(),))
         axes.set_axis_off()
-        return drawn, axes
+        return fig, axes
 
     # --- drawing -----------------------------------------------------------------------------------------------------------
 
@@ -284,45 +286,45 @@ class Sketch:
         k : int, optional
             Index of the position.
         """
-        found: list[Artist] = []
-        for body, own in self.parts.items():
+        artists: list[Artist] = []
+        for body, parts in self.parts.items():
             color = self.colours[body]
             first = body == self.mechanism.crank.body
             tint = tuple(1.0 - 0.35 * (1.0 - c) for c in to_rgb(color))
-            for part in own:
+            for part in parts:
                 xy = self.placed(motion, body, part.outline)[k]
                 if not np.all(np.isfinite(xy)):
                     continue
                 if part.kind == "bar":
                     width, above = (3.8, 3.4) if first else (3.0, 3.0)
-                    found.append(Line2D(*xy.T, color=color, linewidth=width, solid_capstyle="round", zorder=above, gid=body))
+                    artists.append(Line2D(*xy.T, color=color, linewidth=width, solid_capstyle="round", zorder=above, gid=body))
                     continue
                 opacity, width, above, joint = FACES[part.kind]
                 face = tint if opacity is None else (*to_rgb(color), opacity)
                 look: dict[str, Any] = {"facecolor": face, "edgecolor": color, "linewidth": width, "joinstyle": joint}
-                found.append(Polygon(xy, closed=True, zorder=above, gid=body, **look))
-        found += self._springs(motion, k)
-        found += self._markers(motion, k)
-        for artist in found:
+                artists.append(Polygon(xy, closed=True, zorder=above, gid=body, **look))
+        artists += self._springs(motion, k)
+        artists += self._markers(motion, k)
+        for artist in artists:
             axes.add_artist(artist)
-        return found
+        return artists
 
     def _springs(self, motion: Motion, k: int) -> Iterable[Line2D]:
         for spring in self.springs:
             p, q = (self.position(motion, point)[k] for _, point in spring.ends)
             along, across = q - p, np.array([p[1] - q[1], q[0] - p[0]]) / max(float(np.linalg.norm(q - p)), 1e-30)
             xy = np.array([p + share * along + swing * across for share, swing in zigzag(self.size)])
-            yield Line2D(xy[:, 0], xy[:, 1], color=QUIET, linewidth=1.2, zorder=2.9, gid=spring.name)
+            yield Line2D(xy[:, 0], xy[:, 1], color=MUTED, linewidth=1.2, zorder=2.9, gid=spring.name)
 
     def _markers(self, motion: Motion, k: int) -> Iterable[Line2D]:
         """Yield pins as rings, free points as dots in the colour of their body, and centroids as rings with a cross."""
-        for body, own in self.centroids.items():
-            at = self.placed(motion, body, own)[k, 0]
+        for body, centroid in self.centroids.items():
+            at = self.placed(motion, body, centroid)[k, 0]
             points = finite(np.array([self.position(motion, name)[k] for name in self.names]))
             if np.all(np.isfinite(at)) and float(np.min(np.linalg.norm(points - at, axis=1))) > 0.4 * self.size:
-                for drawn in _centroid(self.colours[body]):
-                    drawn.set(xdata=[at[0]], ydata=[at[1]], zorder=3.6, gid=f"centroid {body}")
-                    yield drawn
+                for artist in _centroid(self.colours[body]):
+                    artist.set(xdata=[at[0]], ydata=[at[1]], zorder=3.6, gid=f"centroid {body}")
+                    yield artist
         for name, bodies in self.mechanism.owners.items():
             if len(bodies) == 1 and bodies[0] != FRAME:
                 x, y = self.position(motion, name)[k]
@@ -334,7 +336,7 @@ class Sketch:
         )
 
     def letters(self, axes: Axes, motion: Motion, k: int = 0) -> list[Label]:
-        """Return labels with the names of all points, for `labels.settle`.
+        """Return labels with the names of all points, for `labels.place_labels`.
 
         Parameters
         ----------
@@ -363,12 +365,12 @@ class Sketch:
         self.pose(axes, motion)
         return self.letters(axes, motion)
 
-    def add_legend(self, made: Figure, columns: int = 9, **more: Artist) -> None:
+    def add_legend(self, fig: Figure, columns: int = 9, **extra: Artist) -> None:
         """Draw the legend below a figure: bodies by colour, and the centroid symbol.
 
         Parameters
         ----------
-        made : Figure
+        fig : Figure
         columns : int, optional
             Largest number of columns.
         **more : Artist
@@ -376,8 +378,8 @@ class Sketch:
         """
         entries: dict[str, Any] = {body: Line2D([], [], color=self.colours[body], linewidth=3.0) for body in self.parts}
         entries |= {"centroid": tuple(_centroid(GROUND))} if self.centroids else {}
-        entries |= {name.replace("_", " "): artist for name, artist in more.items()}
-        made.legend(
+        entries |= {name.replace("_", " "): artist for name, artist in extra.items()}
+        fig.legend(
             [*entries.values()],
             [*entries],
             loc="outside lower center",
@@ -401,12 +403,12 @@ class Sketch:
         """
         speeds = {name: motion.velocity(name)[k] for name in names}
         top = max((float(np.linalg.norm(v)) for v in speeds.values() if np.all(np.isfinite(v))), default=0.0)
-        found = {}
+        arrows = {}
         for name, v in speeds.items():
             if np.all(np.isfinite(v)) and float(np.linalg.norm(v)) > 0.01 * top:
                 at = self.position(motion, name)[k]
-                found[name] = (at, at + v * longest / top)
-        return found
+                arrows[name] = (at, at + v * longest / top)
+        return arrows
 
 
 def merged_positions(positions: Iterable[tuple[str, float]], *, periodic: bool = True) -> dict[str, float]:

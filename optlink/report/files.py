@@ -17,16 +17,16 @@ from optlink.problem.file import ProblemFile, dump
 from optlink.problem.fixed_design import with_files_beside
 from optlink.problem.quantity import input_of, nearest
 
-LONGEST = 255  # largest length of a file name on common systems [bytes]
+MAX_NAME_BYTES = 255  # largest length of a file name on common systems [bytes]
 
 
-def target(path: Path, endings: tuple[str, ...], example: str, key: str = "--out") -> Path:
+def check_target(path: Path, suffixes: tuple[str, ...], example: str, key: str = "--out") -> Path:
     """Check that a file can be written and return its path.
 
     Parameters
     ----------
     path : Path
-    endings : tuple of str
+    suffixes : tuple of str
         Permitted extensions with dot; none: any.
     example : str
         File name to suggest in messages.
@@ -38,13 +38,13 @@ def target(path: Path, endings: tuple[str, ...], example: str, key: str = "--out
     InputError
         If the extension is unknown, or the folder does not exist or is not writable.
     """
-    if len(os.fsencode(path.name)) > LONGEST:
+    if len(os.fsencode(path.name)) > MAX_NAME_BYTES:
         raise InputError("the name is too long", f"Give a shorter one, for example {example}", key=key, value=str(path))
     if os.path.isdir(path):
         raise InputError("this is a folder", f"Give the name of a file, for example {example}", key=key, value=str(path))
-    if endings and path.suffix.lower() not in endings:
+    if suffixes and path.suffix.lower() not in suffixes:
         message = f'cannot write "{path.suffix}" files' if path.suffix else "the name has no ending"
-        remedy = nearest(path.suffix, endings) if path.suffix else f"Write one of {', '.join(endings)}"
+        remedy = nearest(path.suffix, suffixes) if path.suffix else f"Write one of {', '.join(suffixes)}"
         raise InputError(message, remedy, key=key, value=str(path))
     if not os.path.isdir(path.parent):
         message = f"there is no folder {path.parent}"
@@ -165,7 +165,7 @@ def checkpoint(out: Path | None) -> dict[str, Any]:
     if out is None:
         raise InputError("needs the folder of the run", "Add --out DIR", key="--resume")
     path = out / "checkpoint.json"
-    found = read_object(path)
-    if found is None or checked(found) is None:
+    content = read_object(path)
+    if content is None or checked(content) is None:
         raise InputError("there is no checkpoint, or it is damaged", "Start without --resume", str(path), "--resume")
-    return found
+    return content

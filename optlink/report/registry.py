@@ -91,7 +91,7 @@ def view_of(kind: str) -> View:
 
     designs = (function, path, cycle, balance)
     studies = (analysis, simulation, clearance, control_comparison, sweep, sensitivity, tolerance, pareto)
-    views = {one.__name__.rpartition(".")[2].replace("_", " "): one.VIEW for one in (*designs, *studies)}
+    views = {module.__name__.rpartition(".")[2].replace("_", " "): module.VIEW for module in (*designs, *studies)}
     return View() if kind == "tuning" else views[kind]
 
 
@@ -113,8 +113,8 @@ def records() -> dict[str, type[ResultRecord]]:
 
     designs = (FunctionRecord, PathRecord, CycleRecord, AnalysisRecord, SensitivitiesRecord, OutputSensitivityRecord)
     machines = (SimulationRecord, ClearanceRecord, ComparisonRecord, BalanceRecord)
-    every = (*designs, *machines, SweepRecord, ToleranceRecord, ParetoRecord)
-    return {schema_of(one).split("/")[1].replace("-", " "): one for one in every}
+    classes = (*designs, *machines, SweepRecord, ToleranceRecord, ParetoRecord)
+    return {schema_of(record).split("/")[1].replace("-", " "): record for record in classes}
 
 
 def schema_of(record: type[ResultRecord]) -> str:
@@ -140,12 +140,12 @@ def json_schema(kind: str) -> dict[str, Any]:
 
     from optlink.problem.quantity import check_choice
 
-    known = records()
-    check_choice("--schema", kind, ["result", *known], "no such kind of result")
-    chosen = list(known.values()) if kind == "result" else [known[kind]]
-    places, schema = models_json_schema([(one, "validation") for one in chosen], title=f"optlink {kind}")
+    classes = records()
+    check_choice("--schema", kind, ["result", *classes], "no such kind of result")
+    chosen = list(classes.values()) if kind == "result" else [classes[kind]]
+    places, schema = models_json_schema([(record, "validation") for record in chosen], title=f"optlink {kind}")
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         **schema,
-        "anyOf": [places[one, "validation"] for one in chosen],
+        "anyOf": [places[record, "validation"] for record in chosen],
     }

@@ -63,7 +63,7 @@ def solve_or_validate(
     backend: str = "ipopt",
     starts: int | None = None,
     seed: int = 0,
-    given: Mapping[str, float] | None = None,
+    design: Mapping[str, float] | None = None,
 ) -> Outcome:
     """Solve a problem, validate a given design of it, or analyse it.
 
@@ -78,7 +78,7 @@ def solve_or_validate(
         Number of starting points; None for the default of the problem kind.
     seed : int, optional
         Seed of the starting points.
-    given : mapping of str to float or None [m, rad], optional
+    design : mapping of str to float or None [m, rad], optional
         Design to validate or analyse; None to search.
 
     Raises
@@ -87,10 +87,10 @@ def solve_or_validate(
         If `solve`, `validate` or `analyze` raises it.
     """
     if problem.task in ("analysis", "balance"):
-        return analyze(problem, design=given)
-    found = solve(problem, backend, starts, seed) if given is None else validate(problem, given)
-    assert not isinstance(found, Balance)
-    return found
+        return analyze(problem, design=design)
+    result = solve(problem, backend, starts, seed) if design is None else validate(problem, design)
+    assert not isinstance(result, Balance)
+    return result
 
 
 def report_model_of(

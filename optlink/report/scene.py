@@ -101,18 +101,18 @@ def scene(cycle: Analysis, steps: int = STEPS, at: float | None = None) -> Scene
         Crank angle of the position; None for the whole motion.
     """
     machine = cycle.machine
-    way = math.copysign(1.0, cycle.speed)
+    direction = math.copysign(1.0, cycle.speed)
     first = math.radians(float(cycle["crank_angle_deg"][0]))
-    last = first + way * cycle.cycle if cycle.full else math.radians(float(cycle["crank_angle_deg"][-1]))
+    last = first + direction * cycle.cycle if cycle.full else math.radians(float(cycle["crank_angle_deg"][-1]))
     count = steps * round(cycle.cycle / TURN) if cycle.full else max(1, math.ceil(abs(last - first) / TURN * steps))
     angles = np.linspace(first, last, count + 1)
-    whole = sweep(machine.mechanism, machine.sizes, angles, cycle.speed)
-    sketch = Sketch(whole, machine)
-    shown = whole if at is None else sweep(machine.mechanism, machine.sizes, [at], cycle.speed)
+    full_motion = sweep(machine.mechanism, machine.sizes, angles, cycle.speed)
+    sketch = Sketch(full_motion, machine)
+    shown = full_motion if at is None else sweep(machine.mechanism, machine.sizes, [at], cycle.speed)
     return scene_of(sketch, shown, closed=cycle.full and at is None)
 
 
-def through(cycle: Analysis, angles: Array) -> Scene:
+def scene_at(cycle: Analysis, angles: Array) -> Scene:
     """Return the scene of an analysed machine at arbitrary crank angles, with the extent of its whole motion.
 
     Parameters
@@ -121,8 +121,8 @@ def through(cycle: Analysis, angles: Array) -> Scene:
     angles : array (positions,) [rad]
     """
     machine = cycle.machine
-    whole = sweep(machine.mechanism, machine.sizes, np.radians(cycle["crank_angle_deg"]), cycle.speed)
-    return scene_of(Sketch(whole, machine), sweep(machine.mechanism, machine.sizes, angles, cycle.speed), closed=False)
+    full_motion = sweep(machine.mechanism, machine.sizes, np.radians(cycle["crank_angle_deg"]), cycle.speed)
+    return scene_of(Sketch(full_motion, machine), sweep(machine.mechanism, machine.sizes, angles, cycle.speed), closed=False)
 
 
 def scene_of(sketch: Sketch, motion: Motion, *, closed: bool, up: bool = False) -> Scene:
@@ -137,13 +137,13 @@ def scene_of(sketch: Sketch, motion: Motion, *, closed: bool, up: bool = False) 
     up : bool, optional
         Whether the y axis points up, and angles turn with it.
     """
-    mechanism, k, way = sketch.mechanism, 1e3 / sketch.scale.factor, np.abs(FLIP) if up else FLIP
-    flip = k * way
+    mechanism, k, signs = sketch.mechanism, 1e3 / sketch.scale.factor, np.abs(FLIP) if up else FLIP
+    flip = k * signs
 
     def body(name: str) -> Body:
         parts = tuple(Part(part.kind, part.outline * flip) for part in sketch.parts[name])
-        start = motion.position(mechanism.bodies[name].start) * 1e3 * way
-        angle = way[1] * np.degrees(np.asarray(motion.body_angle(name).value, dtype=float))
+        start = motion.position(mechanism.bodies[name].start) * 1e3 * signs
+        angle = signs[1] * np.degrees(np.asarray(motion.body_angle(name).value, dtype=float))
         centroid = sketch.centroids.get(name)
         poses = np.concatenate([start, angle[:, None]], axis=1)
         return Body(name, sketch.colours[name], parts, None if centroid is None else centroid[0] * flip, poses)
@@ -154,14 +154,14 @@ def scene_of(sketch: Sketch, motion: Motion, *, closed: bool, up: bool = False) 
         angles=np.degrees(np.asarray(motion.crank_angle, dtype=float)),
         closed=closed,
         bodies=tuple(body(name) for name in mechanism.bodies),
-        points={name: motion.position(name) * 1e3 * way for name in sketch.names},
+        points={name: motion.position(name) * 1e3 * signs for name in sketch.names},
         moving=tuple(name for name, bodies in owners.items() if FRAME not in bodies),
         free=tuple(name for name, bodies in owners.items() if len(bodies) == 1 and bodies[0] != FRAME),
         pins=tuple(mechanism.pins),
         owner={name: bodies[0 if bodies[0] == mechanism.crank.body else -1] for name, bodies in owners.items()},
         ground=[(line * flip, width, filled) for line, width, filled in sketch.ground],
         springs={
-            spring.name: np.stack([motion.position(point) * 1e3 * way for _, point in spring.ends], axis=1)
+            spring.name: np.stack([motion.position(point) * 1e3 * signs for _, point in spring.ends], axis=1)
             for spring in sketch.springs
         },
         size=sketch.size * k,

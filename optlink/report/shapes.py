@@ -31,14 +31,14 @@ def spread(points: Array) -> Array:
     return np.ptp(points, axis=0) if len(points) else np.zeros(2)
 
 
-def rectangle(point: Array, way: Array, low: float, high: float, half: float) -> Array:
+def rectangle(point: Array, direction: Array, low: float, high: float, half: float) -> Array:
     """Return the corners of a rectangle along a line, shape (4, 2).
 
     Parameters
     ----------
     point : array (2,)
         Point on the line.
-    way : array (2,)
+    direction : array (2,)
         Unit vector along the line.
     low : float
         Coordinate of the first end along the line.
@@ -47,18 +47,18 @@ def rectangle(point: Array, way: Array, low: float, high: float, half: float) ->
     half : float
         Half width.
     """
-    left = np.array([-way[1], way[0]])
-    return np.array([point + a * way + b * half * left for a, b in ((low, -1.0), (high, -1.0), (high, 1.0), (low, 1.0))])
+    left = np.array([-direction[1], direction[0]])
+    return np.array([point + a * direction + b * half * left for a, b in ((low, -1.0), (high, -1.0), (high, 1.0), (low, 1.0))])
 
 
-def hatching(begin: Array, way: Array, length: float, depth: float, spacing: float) -> Array:
+def hatching(begin: Array, direction: Array, length: float, depth: float, spacing: float) -> Array:
     """Return slanted strokes beside a line, as one line with gaps.
 
     Parameters
     ----------
     begin : array (2,)
         Start of the line.
-    way : array (2,)
+    direction : array (2,)
         Unit vector along the line.
     length : float
         Length of the line.
@@ -67,28 +67,28 @@ def hatching(begin: Array, way: Array, length: float, depth: float, spacing: flo
     spacing : float
         Distance between strokes.
     """
-    left, gap = np.array([-way[1], way[0]]), np.full(2, np.nan)
+    left, gap = np.array([-direction[1], direction[0]]), np.full(2, np.nan)
     slant = abs(depth) * 0.75
     count = max(2, math.floor((length - slant) / spacing) + 1)
     starts = np.linspace(slant, length, count)
-    return np.array([p for t in starts for p in (begin + t * way, begin + (t - slant) * way + depth * left, gap)])
+    return np.array([p for t in starts for p in (begin + t * direction, begin + (t - slant) * direction + depth * left, gap)])
 
 
-def stem(own: Array, ends: Array) -> Array:
+def stem(points: Array, ends: Array) -> Array:
     """Return the shortest line from one of several points to a segment, shape (2, 2).
 
     Parameters
     ----------
-    own : array (n, 2)
+    points : array (n, 2)
         Points.
     ends : array (2, 2)
         End points of the segment.
     """
     along = ends[1] - ends[0]
-    shares = np.clip((own - ends[0]) @ along / max(float(along @ along), 1e-30), 0.0, 1.0)
+    shares = np.clip((points - ends[0]) @ along / max(float(along @ along), 1e-30), 0.0, 1.0)
     feet = ends[0] + shares[:, None] * along
-    nearest = int(np.argmin(np.linalg.norm(own - feet, axis=1)))
-    return np.array([own[nearest], feet[nearest]])
+    nearest = int(np.argmin(np.linalg.norm(points - feet, axis=1)))
+    return np.array([points[nearest], feet[nearest]])
 
 
 def in_line(points: Array, near: float) -> NDArray[np.intp] | None:
@@ -112,12 +112,12 @@ def hull(points: Array) -> Array:
     ordered = points[np.lexsort((points[:, 1], points[:, 0]))]
 
     def chain(run: Array) -> list[Array]:
-        kept: list[Array] = []
+        corners: list[Array] = []
         for p in run:
-            while len(kept) > 1 and np.linalg.det(np.array([kept[-1] - kept[-2], p - kept[-1]])) <= 0.0:
-                kept.pop()
-            kept.append(p)
-        return kept[:-1]
+            while len(corners) > 1 and np.linalg.det(np.array([corners[-1] - corners[-2], p - corners[-1]])) <= 0.0:
+                corners.pop()
+            corners.append(p)
+        return corners[:-1]
 
     return np.array([*chain(ordered), *chain(ordered[::-1])])
 

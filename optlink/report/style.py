@@ -26,7 +26,7 @@ from optlink.report.format import Scale as Scale, degrees as degrees, scale as s
 CRANK, COUPLER, ROCKER, GROUND = "#c0392b", "#2c6fbb", "#2e8b57", "#444444"
 BODIES = (COUPLER, ROCKER, "#d07d00", "#7d55a8", "#17888f", "#a0522d", "#c2527f", "#6f7d22", "#5a6b7b")
 """Colours of the bodies after the crank, in the order in which they are placed."""
-QUIET, TARGET, FOUND, LIMIT = "#9a9a9a", "#111111", "#2c6fbb", "#c0392b"
+MUTED, TARGET, RESULT, LIMIT = "#9a9a9a", "#111111", "#2c6fbb", "#c0392b"
 SHADE = "#f3e3c3"
 HALO: list[patheffects.AbstractPathEffect] = [patheffects.withStroke(linewidth=2.5, foreground="white")]
 OTHER_SCRIPTS = ("Noto Sans CJK SC", "Source Han Sans SC", "Microsoft YaHei", "SimHei", "PingFang SC", "WenQuanYi Zen Hei")
@@ -43,12 +43,12 @@ STYLE: dict[Any, Any] = {
 
 P = ParamSpec("P")
 T = TypeVar("T")
-LONGEST_NAME = 12  # most letters of the name of a point in a drawing
-LARGEST = 1_500_000  # largest size of an animation [bytes]
+MAX_NAME_LETTERS = 12  # most letters of the name of a point in a drawing
+MAX_GIF_BYTES = 1_500_000  # largest size of an animation [bytes]
 
 
 @contextlib.contextmanager
-def house() -> Iterator[None]:
+def apply_style() -> Iterator[None]:
     """Apply the style of the project, independent of the settings of the caller; missing glyphs give no warning."""
     with mpl.rc_context(STYLE), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing from", category=UserWarning)
@@ -60,7 +60,7 @@ def styled(draw: Callable[P, T]) -> Callable[P, T]:
 
     @functools.wraps(draw)
     def inside(*args: P.args, **kwargs: P.kwargs) -> T:
-        with house():
+        with apply_style():
             return draw(*args, **kwargs)
 
     return inside
@@ -76,30 +76,30 @@ def figure(width: float, height: float, layout: Literal["constrained"] | None = 
     layout : "constrained" or None, optional
         Layout engine of matplotlib; None for axes at given places.
     """
-    made = Figure(figsize=(width, height), layout=layout)
-    FigureCanvasAgg(made)
-    return made
+    fig = Figure(figsize=(width, height), layout=layout)
+    FigureCanvasAgg(fig)
+    return fig
 
 
-def panels(made: Figure, count: int, columns: int, **options: Any) -> list[Axes]:
+def panels(fig: Figure, count: int, columns: int, **options: Any) -> list[Axes]:
     """Return axes in rows; those of the last row that are not needed are left out.
 
     Parameters
     ----------
-    made : Figure
+    fig : Figure
     count : int
     columns : int
         Number of axes in a row.
     **options
         As in `Figure.subplots`.
     """
-    every = list(made.subplots(-(-count // columns), columns, squeeze=False, **options).flat)
-    for axes in every[count:]:
+    grid = list(fig.subplots(-(-count // columns), columns, squeeze=False, **options).flat)
+    for axes in grid[count:]:
         axes.remove()
-    return every[:count]
+    return grid[:count]
 
 
-def beside(count: int) -> int:
+def charts_per_row(count: int) -> int:
     """Return the number of charts or drawings in a row."""
     return 2 if count in (2, 4) else min(count, 3)
 
@@ -121,18 +121,18 @@ def heading(text: str, width: float, size: float = 11.0) -> str:
 # --- files -----------------------------------------------------------------------------------------------------------
 
 
-def save(drawn: Figure, path: Path) -> None:
+def save(fig: Figure, path: Path) -> None:
     """Write a figure as PNG, SVG or PDF, according to the suffix of the path; the same figure gives the same bytes.
 
     Parameters
     ----------
-    drawn : Figure
+    fig : Figure
     path : Path
     """
-    with whole(path) as temporary, house():
+    with whole(path) as temporary, apply_style():
         kind = path.suffix.removeprefix(".")
         dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
-        drawn.savefig(temporary, format=kind, dpi=150, metadata=dates.get(kind))
+        fig.savefig(temporary, format=kind, dpi=150, metadata=dates.get(kind))
 
 
 def save_film(pictures: Sequence[Image.Image], path: Path) -> None:
@@ -144,10 +144,10 @@ def save_film(pictures: Sequence[Image.Image], path: Path) -> None:
     path : Path
     """
     with whole(path) as temporary:
-        for every in (1, 2, 3):
-            shown = pictures[::every]
-            shown[0].save(temporary, save_all=True, append_images=list(shown[1:]), duration=40 * every, loop=0, optimize=False)
-            if temporary.stat().st_size <= LARGEST:
+        for step in (1, 2, 3):
+            shown = pictures[::step]
+            shown[0].save(temporary, save_all=True, append_images=list(shown[1:]), duration=40 * step, loop=0, optimize=False)
+            if temporary.stat().st_size <= MAX_GIF_BYTES:
                 break
 
 
@@ -168,22 +168,22 @@ def one_palette(pictures: Sequence[NDArray[np.uint8]], colours: int = 160) -> li
     rest = _unpacked(colours_used[order[2 * colours // 3 :]])
     if len(rest):
         count = colours - len(exact)
-        found = Image.fromarray(rest[None, :, :]).quantize(count).getpalette() or []
-        chosen = np.concatenate([exact, np.array(found[: 3 * count], dtype=np.uint8).reshape(-1, 3)])
-    seen = np.zeros(1 << 24, dtype=bool)
+        palette = Image.fromarray(rest[None, :, :]).quantize(count).getpalette() or []
+        chosen = np.concatenate([exact, np.array(palette[: 3 * count], dtype=np.uint8).reshape(-1, 3)])
+    used = np.zeros(1 << 24, dtype=bool)
     for p in packed:
-        seen[p] = True
-    there = np.flatnonzero(seen)
+        used[p] = True
+    used_colours = np.flatnonzero(used)
     nearest = np.zeros(1 << 24, dtype=np.uint8)
-    for k in range(0, len(there), 4096):
-        away = _unpacked(there[k : k + 4096]).astype(np.int32)[:, None, :] - chosen.astype(np.int32)
-        nearest[there[k : k + 4096]] = np.argmin(np.sum(away * away, axis=-1), axis=-1)
-    made = []
+    for k in range(0, len(used_colours), 4096):
+        difference = _unpacked(used_colours[k : k + 4096]).astype(np.int32)[:, None, :] - chosen.astype(np.int32)
+        nearest[used_colours[k : k + 4096]] = np.argmin(np.sum(difference * difference, axis=-1), axis=-1)
+    converted = []
     for p in packed:
         picture = Image.fromarray(nearest[p])  # greyscale until the palette is set
         picture.putpalette(chosen.ravel().tolist())
-        made.append(picture)
-    return made
+        converted.append(picture)
+    return converted
 
 
 def _unpacked(colours: NDArray[Any]) -> NDArray[np.uint8]:
@@ -192,4 +192,4 @@ def _unpacked(colours: NDArray[Any]) -> NDArray[np.uint8]:
 
 def short_name(name: str) -> str:
     """Return a name as drawings show it: without the middle if it is long, as the ends of similar names differ."""
-    return name if len(name) <= LONGEST_NAME else f"{name[:6]}\u2026{name[-5:]}"
+    return name if len(name) <= MAX_NAME_LETTERS else f"{name[:6]}\u2026{name[-5:]}"

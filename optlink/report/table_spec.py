@@ -118,7 +118,7 @@ class TableSpec:
 
     @property
     def verdict(self) -> Paragraph:
-        """What a quiet command prints."""
+        """Text that a command prints with --quiet."""
         return Paragraph(self.title)
 
     @property
@@ -140,7 +140,7 @@ class Summary:
 
     @property
     def verdict(self) -> Paragraph:
-        """What a quiet command prints: the first line of the status."""
+        """First line of the status, which a command prints with --quiet."""
         return Paragraph(self.status.lines[0] if self.status.lines else self.title)
 
 
@@ -191,12 +191,12 @@ def table(
     exact : bool, optional
         Show all digits on a page.
     """
-    made = tuple(
+    header_cells = tuple(
         column if isinstance(column, Column) else Column(column.lstrip("<>"), column[:1] == ">", unbroken and column[:1] == ">")
         for column in columns
     )
     return TableSpec(
-        title, made, tuple(_spans(row) for row in rows), _spans(tuple(notes)), tuple(sections), leading, appendix, exact
+        title, header_cells, tuple(_spans(row) for row in rows), _spans(tuple(notes)), tuple(sections), leading, appendix, exact
     )
 
 

@@ -19,9 +19,9 @@ from optlink.report.table_spec import Paragraph, Part, Span, Summary, TableSpec
 
 STYLES = {"": "", "good": "green", "bad": "bold red", "quiet": "dim", "strong": "bold"}
 GAP = 2  # gap between columns [characters]
-NARROWEST = 20  # characters of a line; a narrower terminal breaks it
+MIN_WIDTH = 20  # characters of a line; a narrower terminal breaks it
 WIDEST_TITLE = 79  # a table is at least as wide as its title, up to this width
-INDENT = 4  # of the values below the name of a row
+INDENT = 4  # indentation of the values below the name of a row
 _WORD = re.compile(r"\S+(?: %(?!\S))?")  # a figure and its % stay on one line
 
 
@@ -37,30 +37,30 @@ def console(*, stderr: bool = False) -> Console:
     """Return a console that prints text verbatim, without markup or highlighting."""
     colours: Literal["auto"] | None = None if os.environ.get("NO_COLOR") else "auto"
     place = sys.stderr if stderr else None  # kept, so that a bar is drawn while casadi's reports are suppressed
-    made = _Console(file=place, stderr=stderr, highlight=False, markup=False, emoji=False, color_system=colours)
+    result = _Console(file=place, stderr=stderr, highlight=False, markup=False, emoji=False, color_system=colours)
     columns = os.environ.get("COLUMNS", "")  # rich does not ask for it where TERM is dumb
-    made.size = ConsoleDimensions(max(int(columns) if columns.isdigit() else made.width, NARROWEST), made.height)
-    return made
+    result.size = ConsoleDimensions(max(int(columns) if columns.isdigit() else result.width, MIN_WIDTH), result.height)
+    return result
 
 
-def show(shown: Summary | Part) -> None:
+def show(content: Summary | Part) -> None:
     """Print a summary or a table on standard output."""
-    console().print(rendered(shown))
+    console().print(rendered(content))
 
 
-def rendered(shown: Summary | Part) -> RenderableType:
+def rendered(content: Summary | Part) -> RenderableType:
     """Return the rich counterpart of a summary, a table or a paragraph."""
-    if isinstance(shown, Summary):
-        status = [_paragraph(shown.status)] if shown.status.lines else []
-        parts = (piece for part in shown.parts for piece in (Text(), rendered(part)))
-        return Group(Text(shown.title, style=STYLES["strong"]), *status, *parts)
-    if isinstance(shown, Paragraph):
-        return _paragraph(shown)
-    return _Fitted(shown)
+    if isinstance(content, Summary):
+        status = [_paragraph(content.status)] if content.status.lines else []
+        parts = (piece for part in content.parts for piece in (Text(), rendered(part)))
+        return Group(Text(content.title, style=STYLES["strong"]), *status, *parts)
+    if isinstance(content, Paragraph):
+        return _paragraph(content)
+    return _Fitted(content)
 
 
-def _paragraph(shown: Paragraph) -> Text:
-    return Text("\n").join(Text.assemble(*map(_styled, line)) for line in shown.lines)
+def _paragraph(paragraph: Paragraph) -> Text:
+    return Text("\n").join(Text.assemble(*map(_styled, line)) for line in paragraph.lines)
 
 
 def _styled(span: Span) -> tuple[str, str]:
@@ -72,7 +72,7 @@ def _table(spec: TableSpec, title: str, chosen: Sequence[int], width: int) -> Ta
     widths = _widths(spec, chosen, width)
     if widths is None:
         return None
-    made = Table(
+    result = Table(
         title=Text(title, style=STYLES["strong"]),
         title_justify="left",
         min_width=min(len(title), width, WIDEST_TITLE),
@@ -88,12 +88,12 @@ def _table(spec: TableSpec, title: str, chosen: Sequence[int], width: int) -> Ta
         column = spec.columns[k]
         fits = max(map(len, column.name.split("\n"))) <= max((len(row[k].text) for row in spec.rows), default=0)
         justify: Literal["left", "right"] = "right" if column.right else "left"
-        made.add_column(product(column.name), justify=justify, overflow="fold", no_wrap=column.unbroken and fits, width=wide)
+        result.add_column(product(column.name), justify=justify, overflow="fold", no_wrap=column.unbroken and fits, width=wide)
     for number, row in enumerate(spec.rows):
         if number in spec.sections:
-            made.add_section()
-        made.add_row(*(Text(*_styled(row[k]), no_wrap=spec.columns[k].unbroken or None) for k in chosen))
-    return made
+            result.add_section()
+        result.add_row(*(Text(*_styled(row[k]), no_wrap=spec.columns[k].unbroken or None) for k in chosen))
+    return result
 
 
 def _widths(spec: TableSpec, chosen: Sequence[int], width: int) -> list[int] | None:
@@ -110,9 +110,9 @@ def _widths(spec: TableSpec, chosen: Sequence[int], width: int) -> list[int] | N
     if free < 0:
         return None
     for rest, k in zip(range(len(full), 0, -1), sorted(range(len(full)), key=lambda k: full[k] - least[k]), strict=True):
-        more = min(full[k] - least[k], free // rest)
-        least[k] += more
-        free -= more
+        extra = min(full[k] - least[k], free // rest)
+        least[k] += extra
+        free -= extra
     return least
 
 
@@ -123,15 +123,17 @@ class _Fitted:
         self.spec = spec
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Yield what fits."""
+        """Yield tables or lines that fit the width of the terminal."""
         spec, width = self.spec, options.max_width
-        every = range(len(spec.columns))
+        columns = range(len(spec.columns))
         if spec.leading:
-            widths = [max(len(text) for text in (spec.columns[k].name, *(row[k].text for row in spec.rows))) + GAP for k in every]
-            made = list(self._tables(widths, width))
+            widths = [
+                max(len(text) for text in (spec.columns[k].name, *(row[k].text for row in spec.rows))) + GAP for k in columns
+            ]
+            tables = list(self._tables(widths, width))
         else:
-            made = [_table(spec, spec.title, every, width)]
-        yield from (one for one in made if one) if all(made) else self._lines(console, width)
+            tables = [_table(spec, spec.title, columns, width)]
+        yield from (part for part in tables if part) if all(tables) else self._lines(console, width)
 
     def _tables(self, widths: list[int], width: int) -> Iterator[Table | None]:
         spec = self.spec
@@ -149,7 +151,7 @@ class _Fitted:
         spec = self.spec
         figures = next((k for k, column in enumerate(spec.columns) if column.right), 1) or 1
         heads = [product(" ".join(column.name.split())) for column in spec.columns]
-        units = [k for k in range(figures + 1, len(heads)) if not heads[k] and heads[k - 1].endswith("]")]  # of the whole row
+        units = [k for k in range(figures + 1, len(heads)) if not heads[k] and heads[k - 1].endswith("]")]  # units of a whole row
         yield Text(spec.title, style=STYLES["strong"])
         for row in spec.rows:
             name = Text(f"{heads[0]} " if spec.columns[0].right else "")

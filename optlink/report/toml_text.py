@@ -1,4 +1,4 @@
-"""Texts of problem files that are changed: comments and layout stay as they are."""
+"""Changes to the text of a problem file that keep its comments and layout."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def tables(text: str) -> dict[str, Any]:
     ValueError
         If the text is not valid TOML.
     """
-    found: dict[str, Any] = with_ranges(with_spellings(tomllib.loads(text)), skip=WORDS)
-    return found
+    result: dict[str, Any] = with_ranges(with_spellings(tomllib.loads(text)), skip=WORDS)
+    return result
 
 
 def rewritten(text: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
@@ -42,9 +42,9 @@ def rewritten(text: str, old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
         with contextlib.suppress(TOMLKitError, LookupError, TypeError, ValueError):  # such as rare orders of tables
             page = tomlkit.parse(text)
             edit(page, old, new)
-            made = page.as_string()
-            if _without_type(tables(made)) == _without_type(new):
-                return made
+            result = page.as_string()
+            if _without_type(tables(result)) == _without_type(new):
+                return result
     return tomli_w.dumps(new)
 
 
@@ -79,12 +79,12 @@ def _edit(place: Any, old: Any, new: Any) -> None:
             del place[key]
         last = next((key for key in reversed(list(old)) if key in new and not isinstance(place[key], AoT | Table)), None)
     for key, value in new.items() if named else enumerate(new):
-        known = old.get(key) if named else old[key]
-        if value == known:
+        old_value = old.get(key) if named else old[key]
+        if value == old_value:
             continue
-        if known is not None and _alike(known, value, place[key]):
-            _edit(place[key], known, value)
-        elif known is not None or top or last is None:
+        if old_value is not None and _alike(old_value, value, place[key]):
+            _edit(place[key], old_value, value)
+        elif old_value is not None or top or last is None:
             place[key] = _item(value, section=top)
         else:  # before the blank lines and the comment above the next section
             place.value._insert_after(last, key, _item(value))

@@ -27,7 +27,7 @@ def _unreadable(document: Any, *_: Any) -> Any:
 
 @dataclass(frozen=True)
 class View:
-    """What is shown of a kind of result.
+    """How results of a kind are shown.
 
     Parameters
     ----------
@@ -98,13 +98,13 @@ class View:
         design = self.design(result)
         if design is not None:
             written += write_design(folder, *design)
-        shown = self.model(result)
-        drawings = {name: draw(shown) for name, draw in self.drawings.items()}
-        for name, drawn in {**drawings, **chart_mpl.pictures(self.charts(shown))}.items():
-            if drawn is not None:
+        model = self.model(result)
+        drawings = {name: draw(model) for name, draw in self.drawings.items()}
+        for name, fig in {**drawings, **chart_mpl.pictures(self.charts(model))}.items():
+            if fig is not None:
                 written.append(folder / f"{name}.{pictures}")
-                save(drawn, written[-1])
-        frames = self.frames(shown)
+                save(fig, written[-1])
+        frames = self.frames(model)
         if frames:
             written.append(folder / "motion.gif")
             save_film(frames, written[-1])

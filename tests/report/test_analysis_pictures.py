@@ -723,7 +723,7 @@ def test_a_film_that_would_be_large_gets_fewer_pictures(tmp_path, monkeypatch):
     pictures = [noise.integers(0, 255, (20, 20, 3), dtype=np.uint8) for _ in range(80)]
     film = style.one_palette(pictures)
     style.save_film(film, tmp_path / "motion.gif")
-    monkeypatch.setattr(style, "LARGEST", 0.7 * (tmp_path / "motion.gif").stat().st_size)
+    monkeypatch.setattr(style, "MAX_GIF_BYTES", 0.7 * (tmp_path / "motion.gif").stat().st_size)
     style.save_film(film, tmp_path / "motion.gif")
     with Image.open(tmp_path / "motion.gif") as film:
         assert film.n_frames == 40

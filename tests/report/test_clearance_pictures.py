@@ -324,14 +324,14 @@ def test_orbit_has_contact_outside_the_circle_and_flight_inside() -> None:
             depth = result[f"{gap.point}.penetration_m"][RevolutionCurves(result).rows(3)]
             deepest = float(np.max(result.per_revolution[f"{gap.point}.penetration_max_m"][-3:]))
             assert deepest >= np.max(depth)
-            factor = clearance_joints.exaggeration(gap, deepest)
+            factor = clearance_joints.magnification(gap, deepest)
             assert factor > 1.0
             assert f"beyond the circle {factor:g}-fold" in words(made)
             assert math.isclose(np.nanmax(lines["in contact"]), radius + factor * np.max(depth) * 1e6, rel_tol=1e-9)
             assert np.nanmax(lines["in contact"]) < axes.get_xlim()[1]
     gap = simulated("chaotic").gaps[0]
-    assert clearance_joints.exaggeration(gap, 0.0) == 1.0
-    assert clearance_joints.exaggeration(gap, gap.clearance) == 1.0
+    assert clearance_joints.magnification(gap, 0.0) == 1.0
+    assert clearance_joints.magnification(gap, gap.clearance) == 1.0
 
 
 def test_force_shades_the_contact() -> None:

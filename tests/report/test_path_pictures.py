@@ -24,7 +24,7 @@ from optlink.report.chart_mpl import pictures
 from optlink.report.registry import view_of
 from optlink.report.style import LIMIT
 from optlink.report.views import path as view, path_drawings, path_tables as tables
-from optlink.report.views.path_charts import Close
+from optlink.report.views.path_charts import CloseUp
 from optlink.report.views.path_view import PathView
 from optlink.tasks.results.evidence import evidence
 from optlink.tasks.results.path import PathDesign, PathResult
@@ -293,11 +293,11 @@ def test_the_curve_from_near_leaves_out_what_is_far():
     """A few points on a part of a large curve: they fill the picture."""
     phi = np.radians([60.0, 70.0, 80.0, 90.0])
     tight = made(path_raw(oracle.planted_path(PLANTED, phi)), values_of(PLANTED), phi)
-    low, high = Close(PathView(tight)).limits()
+    low, high = CloseUp(PathView(tight)).limits()
     reach = np.ptp(oracle.planted_path(PLANTED, phi), axis=0).max()
     assert np.max(high - low) < 2.0 * reach
     closed = made(path_raw(oracle.planted_path(PLANTED, phi), closed=True), values_of(PLANTED), phi)
-    low, high = Close(PathView(closed)).limits()
+    low, high = CloseUp(PathView(closed)).limits()
     assert np.max(high - low) < 2.2 * reach < 0.7 * np.ptp(PLACED, axis=0).max()
 
 
@@ -420,7 +420,7 @@ def test_designs_stand_side_by_side_and_cognates_are_named():
     assert abs(one["coupler"] - two["coupler"]) > 1.0
     same, _ = oracle.distance_to_curve(oracle.planted_path(two, np.linspace(0.1, 6.2, 40)), one, 720)
     assert np.max(same) < 1e-8
-    assert tables.kin(found) == {1: 0}
+    assert tables.cognate_sources(found) == {1: 0}
     panels = picture("cognates", "designs").axes
     assert len(panels) == 3
     titles = [axes.get_title() for axes in panels]
@@ -435,8 +435,8 @@ def test_designs_stand_side_by_side_and_cognates_are_named():
 def test_what_is_only_like_a_cognate_is_none(change):
     one, two, _ = result("cognates").designs
     other = replace(two, values={**two.values, **{name: two.values[name] * factor for name, factor in change.items()}})
-    assert tables.kin((one, two)) == {1: 0}
-    assert tables.kin((one, other)) == {}
+    assert tables.cognate_sources((one, two)) == {1: 0}
+    assert tables.cognate_sources((one, other)) == {}
 
 
 # --- what is not valid, and what is not there ----------------------------------------------------------------------------------

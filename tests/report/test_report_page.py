@@ -25,11 +25,11 @@ from optlink.report.export.dimensions import dimensioned
 from optlink.report.format import pretty
 from optlink.report.html import chart_plotly, theme
 from optlink.report.html.page import charts, page, sensitivities_of, verdict, write_page
-from optlink.report.html.shell import LARGEST, four
+from optlink.report.html.shell import MAX_BYTES, four_digits
 from optlink.report.report_model import ReportModel, report_model_of, solve_or_validate
 from optlink.report.scene import scene
 from optlink.report.stored.loader import load_stored
-from optlink.report.style import BODIES, CRANK, LIMIT, QUIET, TARGET
+from optlink.report.style import BODIES, CRANK, LIMIT, MUTED, TARGET
 from optlink.report.views import conclusions, sensitivity
 from optlink.report.views.relaxations import outward
 from optlink.tasks.analyze import analyze
@@ -53,7 +53,7 @@ EVIL = "<script>window.caught = 1</script><img src=x onerror='window.caught = 2'
 
 def subject(name: str, given: dict[str, float] | None = None, **changes: object) -> ReportModel:
     file = optlink.load(name, changes)
-    return report_model_of(file, solve_or_validate(file, given=given))
+    return report_model_of(file, solve_or_validate(file, design=given))
 
 
 @functools.cache
@@ -210,12 +210,12 @@ def test_the_drawing_has_the_dimensions_of_the_design(crank_rocker_subject):
     ],
 )
 def test_tables_have_four_digits(text, shown):
-    assert four(text) == shown
-    assert four("0.1.0, 3.11.7, 1,234.56 of 4096") == "0.1.0, 3.11.7, 1,234.56 of 4096"  # versions and groups stay
+    assert four_digits(text) == shown
+    assert four_digits("0.1.0, 3.11.7, 1,234.56 of 4096") == "0.1.0, 3.11.7, 1,234.56 of 4096"  # versions and groups stay
 
 
 def test_every_colour_can_be_read_in_both_modes():
-    for colour in (*BODIES, CRANK, QUIET, TARGET, LIMIT):
+    for colour in (*BODIES, CRANK, MUTED, TARGET, LIMIT):
         assert theme.contrast(theme.readable(colour), "#ffffff") >= 4.5
         assert theme.contrast(theme.dark(colour), theme.DARK) >= 4.5
     assert theme.contrast(theme.dark("#f3e3c3"), theme.DARK) < 2.0  # a shade stays one
@@ -314,7 +314,7 @@ def evil_problem(folder: Path) -> Path:
 
 def test_texts_stay_texts(tmp_path):
     file = optlink.load(evil_problem(tmp_path))
-    about = report_model_of(file, solve_or_validate(file, given={"coupler": 0.41286542, "rocker": 0.23224617}))
+    about = report_model_of(file, solve_or_validate(file, design={"coupler": 0.41286542, "rocker": 0.23224617}))
     read = Reader(page(about))
     assert read.scripts == 4
     assert read.handlers == []
@@ -482,7 +482,7 @@ def test_bad_input_is_named(tmp_path, monkeypatch, arguments, words):
 
 
 def test_the_limit_of_a_page():
-    assert LARGEST == 3_000_000
+    assert MAX_BYTES == 3_000_000
 
 
 # --- in a browser ------------------------------------------------------------------------------------------------------------
@@ -650,7 +650,7 @@ def test_a_page_prints(driver, crank_rocker_page):
 def test_texts_do_not_run_in_a_browser(driver, tmp_path):
     file = optlink.load(evil_problem(tmp_path))
     path = tmp_path / "a.html"
-    write_page(report_model_of(file, solve_or_validate(file, given={"coupler": 0.41286542, "rocker": 0.23224617})), path)
+    write_page(report_model_of(file, solve_or_validate(file, design={"coupler": 0.41286542, "rocker": 0.23224617})), path)
     complaints, asked = opened(driver, path)
     assert (complaints, asked) == ([], [])
     assert driver.execute_script("return window.caught === undefined")

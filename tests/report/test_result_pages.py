@@ -20,10 +20,10 @@ import pytest
 import optlink
 from optlink.errors import InputError
 from optlink.problem.base_model import LARGEST as LARGEST_NUMBER
-from optlink.report.html.shell import LARGEST, PageContent, StoredStudy
+from optlink.report.html.shell import MAX_BYTES, PageContent, StoredStudy
 from optlink.report.registry import records
-from optlink.report.stored.loader import KNOWN, load_stored
-from optlink.report.stored.stored_study import _sheet, study_page
+from optlink.report.stored.loader import WITH_PAGE, load_stored
+from optlink.report.stored.stored_study import _page, study_page
 from tests.browser import colours, console, faults, opened as shown, requests
 from tests.cli.test_cli import run
 from tests.report.test_report_page import Reader, poses, slide_to
@@ -111,7 +111,7 @@ def document(results: Path, name: str) -> dict:
 def sheet(results: Path, name: str) -> PageContent:
     found = load_stored(str(results / name))
     assert isinstance(found, StoredStudy)
-    return _sheet(found, 90)
+    return _page(found, 90)
 
 
 def trace(made: PageContent, name: str) -> dict:
@@ -127,7 +127,7 @@ def numbers(values: list) -> np.ndarray:
 
 def test_schemas_are_those_of_the_records():
     """They are written out beside the commands, so that no record is loaded before it is needed."""
-    for schema, (_, kind) in KNOWN.items():
+    for schema, (_, kind) in WITH_PAGE.items():
         assert (schema,) == get_args(records()[kind].model_fields["format"].annotation)
 
 
@@ -135,7 +135,7 @@ def test_schemas_are_those_of_the_records():
 @pytest.mark.parametrize("name", RECORDED)
 def test_a_page_is_complete_small_and_safe(results, pages, name):
     path = pages(name)
-    assert json.loads(path.with_name("told.json").read_text())["bytes"] == path.stat().st_size < LARGEST
+    assert json.loads(path.with_name("told.json").read_text())["bytes"] == path.stat().st_size < MAX_BYTES
     read, told = Reader(path.read_text()), document(results, name)
     assert read.scripts == 4
     assert read.handlers == []
@@ -181,16 +181,16 @@ def test_a_simulation_is_drawn_with_the_sizes_that_ran(tmp_path):
     run = optlink.simulate(problem, speed=5.0, rows=90, design={"coupler": 0.43, "rocker": 0.22})
     told = json.loads(json.dumps(run.to_dict()))
     (tmp_path / "result.json").write_text(json.dumps(told))
-    moving = _sheet(load_stored(str(tmp_path)), 90).moving
+    moving = _page(load_stored(str(tmp_path)), 90).moving
     places = moving.scene.points["C"] - moving.scene.points["B"]
     assert np.hypot(*places.T) == pytest.approx(430.0, abs=1e-3)
     del told["sizes_SI"]["coupler"]
     (tmp_path / "result.json").write_text(json.dumps(told))
     with pytest.raises(InputError, match=r"sizes_SI\.coupler"):
-        _sheet(load_stored(str(tmp_path)), 90)
+        _page(load_stored(str(tmp_path)), 90)
     told["sizes_SI"] = optlink.simulate(problem, rows=1).to_dict()["sizes_SI"]
     (tmp_path / "result.json").write_text(json.dumps(told))
-    assert _sheet(load_stored(str(tmp_path)), 90).moving is None  # the sizes of the file are those of another linkage
+    assert _page(load_stored(str(tmp_path)), 90).moving is None  # the sizes of the file are those of another linkage
 
 
 @pytest.mark.slow
@@ -322,7 +322,7 @@ def test_three_objectives_have_a_colour(results, tmp_path):
     told["ends"]["swing_deg"], told["knee"] = 1, None
     told["reference"]["swing_deg"] = 41.0
     (tmp_path / "result.json").write_text(json.dumps(told))
-    made = _sheet(load_stored(str(tmp_path)), 90)
+    made = _page(load_stored(str(tmp_path)), 90)
     cloud = made.charts[0].figure["data"][0]
     assert cloud["marker"]["color"] == [40.0 + k for k in range(len(told["front"]))]
     assert "swing [deg] (more is better)" in made.charts[0].picks.names
@@ -506,7 +506,7 @@ def test_texts_of_a_result_stay_texts(results, tmp_path):
     assert read.scripts == 4
     assert read.handlers == []
     assert "img" not in read.texts
-    for trace_ in _sheet(load_stored(str(tmp_path)), 90).charts[0].figure["data"]:
+    for trace_ in _page(load_stored(str(tmp_path)), 90).charts[0].figure["data"]:
         assert evil not in str(trace_.get("text", ""))  # plotly reads texts of points as markup
 
 
@@ -514,7 +514,7 @@ def test_known_schemas_are_told(tmp_path):
     (tmp_path / "a.json").write_text(json.dumps({"schema": "optlink/other/1"}))
     with pytest.raises(InputError, match="study pareto") as caught:
         load_stored(str(tmp_path / "a.json"))
-    for command, _ in KNOWN.values():
+    for command, _ in WITH_PAGE.values():
         assert command in str(caught.value)
 
 

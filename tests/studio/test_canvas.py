@@ -33,7 +33,7 @@ def test_the_colours_are_those_of_the_report():
         shared = variables(report, selector)
         assert len(shared) >= 9
         assert shared.items() <= variables(own, selector).items()
-    drawn = (style.CRANK, *style.BODIES, style.GROUND, style.QUIET, style.TARGET)
+    drawn = (style.CRANK, *style.BODIES, style.GROUND, style.MUTED, style.TARGET)
     dark = variables(own, ":root[data-theme=dark] {")
     assert {light: dark[f"--c{light[1:]}"] for light in drawn} == theme.palette(drawn)
 

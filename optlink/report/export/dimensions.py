@@ -22,11 +22,11 @@ from optlink.report.shapes import finite, hull, in_line
 from optlink.report.style import GROUND
 from optlink.tasks.results.analysis import Analysis
 
-POSES = 24  # positions from which the clearest is drawn
+POSITIONS = 24  # positions from which the clearest is drawn
 OFFSETS = (1.2, 2.2, 3.3, 4.6)  # distances of a dimension line from what it measures, in heights of a ground pivot
-LETTER = 0.62  # width of a letter in font sizes
+LETTER_WIDTH = 0.62  # width of a letter in font sizes
 _ANIMATED = re.compile(r' data-(?:body|point|spring)="[^"]*"')  # names by which the page moves a linkage
-SAME = 1e-6  # distance of coincident points, as a share of the extent
+COINCIDENT = 1e-6  # distance of coincident points, as a share of the extent
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,21 +58,24 @@ def dimensioned(cycle: Analysis, title: str) -> Drawing:
     at = clearest(cycle)
     drawn = scene(cycle, at=at)
     sheet = _Sheet(drawn)
-    words: list[str] = []
-    words += list(dict.fromkeys(f"{one.text}" for one in _links(cycle, drawn, named=True)))
+    descriptions: list[str] = []
+    descriptions += list(dict.fromkeys(f"{dimension.text}" for dimension in _links(cycle, drawn, named=True)))
     for name, low, high, centre, start in _swings(cycle, drawn):
         text = "360°" if high - low >= TURN - 1e-9 else f"{_deg(high - low)}"
-        words.append(f"{name} turns fully" if text == "360°" else f"{name} swings {text}")
+        descriptions.append(f"{name} turns fully" if text == "360°" else f"{name} swings {text}")
         sheet.angle(centre, start, low, high, text, _colour(drawn, name))
-    for one in (*_links(cycle, drawn), *_strokes(cycle, at, drawn)):
-        sheet.length(one)
+    for dimension in (*_links(cycle, drawn), *_strokes(cycle, at, drawn)):
+        sheet.length(dimension)
     for name in cycle.machine.mechanism.ground:
         x, y = drawn.points[name][0] * FLIP
         place = f"{name} ({_mm(x)}, {_mm(y)})"
-        words.append(f"pivot {place}" if name in drawn.pins else place)
+        descriptions.append(f"pivot {place}" if name in drawn.pins else place)
         sheet.label(drawn.points[name][0], place)
-    words += [f"{one.text.partition(' ')[0]} of {one.text.partition(' ')[2]}" for one in _strokes(cycle, at, drawn, named=True)]
-    described = f"{title}, drawn at a crank angle of {_deg(at)}. Dimensions in mm: {'; '.join(words)}."
+    descriptions += [
+        f"{dimension.text.partition(' ')[0]} of {dimension.text.partition(' ')[2]}"
+        for dimension in _strokes(cycle, at, drawn, named=True)
+    ]
+    described = f"{title}, drawn at a crank angle of {_deg(at)}. Dimensions in mm: {'; '.join(descriptions)}."
     for name in drawn.moving:
         if np.all(np.isfinite(drawn.points[name][0])):
             sheet.label(drawn.points[name][0], name)
@@ -85,15 +88,15 @@ def dimensioned(cycle: Analysis, title: str) -> Drawing:
 def clearest(cycle: Analysis) -> float:
     """Return the crank angle [rad] at which the joints keep farthest from the lines of links to which they do not belong."""
     machine, mechanism = cycle.machine, cycle.machine.mechanism
-    known = np.radians(cycle["crank_angle_deg"])
-    angles = known[np.linspace(0, len(known) - 1, POSES).round().astype(int)]
+    all_angles = np.radians(cycle["crank_angle_deg"])
+    angles = all_angles[np.linspace(0, len(all_angles) - 1, POSITIONS).round().astype(int)]
     motion = sweep(mechanism, machine.sizes, angles)
     places = {name: motion.position(name) for name in mechanism.owners}
     gaps = [np.full(len(angles), math.inf)]
     for body in (*mechanism.bodies, FRAME):
-        own = [name for name, bodies in mechanism.owners.items() if body in bodies]
-        for (p, q), name in itertools.product(itertools.pairwise(own), places):
-            if name not in own:
+        names = [name for name, bodies in mechanism.owners.items() if body in bodies]
+        for (p, q), name in itertools.product(itertools.pairwise(names), places):
+            if name not in names:
                 along = places[q] - places[p]
                 share = np.sum((places[name] - places[p]) * along, axis=1) / np.maximum(np.sum(along**2, axis=1), 1e-30)
                 foot = places[p] + share[:, None] * along
@@ -109,17 +112,17 @@ def _links(cycle: Analysis, drawn: Scene, *, named: bool = False) -> Iterator[_L
     """Yield the distances between neighbouring points of every link, of the frame between its pivots."""
     extent = max(drawn.box[2:])
     for body in (*cycle.machine.mechanism.bodies, FRAME):
-        own = [
+        names = [
             name
             for name, bodies in cycle.machine.mechanism.owners.items()
             if body in bodies and (body != FRAME or name in drawn.pins)
         ]
-        points = [drawn.points[name][0] for name in own]
-        apart = [k for k, p in enumerate(points) if all(np.linalg.norm(p - q) > SAME * extent for q in points[:k])]
-        for i, j in _neighbours(np.array([points[k] for k in apart]).reshape(-1, 2)):
-            p, q = points[apart[i]], points[apart[j]]
+        points = [drawn.points[name][0] for name in names]
+        distinct = [k for k, p in enumerate(points) if all(np.linalg.norm(p - q) > COINCIDENT * extent for q in points[:k])]
+        for i, j in _neighbours(np.array([points[k] for k in distinct]).reshape(-1, 2)):
+            p, q = points[distinct[i]], points[distinct[j]]
             length = _mm(float(np.linalg.norm(q - p)))
-            ends = own[apart[i]], own[apart[j]]
+            ends = names[distinct[i]], names[distinct[j]]
             text = f"{body} {('' if max(map(len, ends)) < 3 else '–').join(ends)} {length}" if named else length
             yield _Length((p, q), text, GROUND if body == FRAME else _colour(drawn, body))
 
@@ -141,12 +144,14 @@ def _neighbours(points: Array) -> list[tuple[int, int]]:
 def _strokes(cycle: Analysis, at: float, drawn: Scene, *, named: bool = False) -> Iterator[_Length]:
     """Yield the strokes of the sliders on the frame, along their guides."""
     machine = cycle.machine
-    here = sweep(machine.mechanism, machine.sizes, [at])
+    motion = sweep(machine.mechanism, machine.sizes, [at])
     for guide in machine.mechanism.guides:
         travel = cycle.strokes.get(slider_names(machine)[guide.name])
         if guide.on == FRAME and travel is not None:
-            point, way = (np.array([float(np.asarray(part)) for part in one]) for one in here.pose.local_line(guide, FRAME))
-            ends = (1e3 * (point + travel.low * way) * FLIP, 1e3 * (point + travel.high * way) * FLIP)
+            point, direction = (
+                np.array([float(np.asarray(part)) for part in vector]) for vector in motion.pose.local_line(guide, FRAME)
+            )
+            ends = (1e3 * (point + travel.low * direction) * FLIP, 1e3 * (point + travel.high * direction) * FLIP)
             text = f"stroke {guide.slider} {_mm(1e3 * travel.span)}" if named else f"stroke {_mm(1e3 * travel.span)}"
             yield _Length(ends, text, _colour(drawn, guide.slider))
 
@@ -155,28 +160,28 @@ def _swings(cycle: Analysis, drawn: Scene) -> Iterator[tuple[str, float, float, 
     """Yield body, ends of its range [rad], ground pivot and direction at the low end, of all bodies with a pivot on the frame."""
     mechanism, at = cycle.machine.mechanism, drawn.angles[0]
     for body in mechanism.bodies:
-        own = [name for name, bodies in mechanism.owners.items() if body in bodies]
-        pivot = next((name for name in own if name in mechanism.ground), None)
-        other = next((name for name in own if name not in mechanism.ground), None)
-        if pivot is None or other is None:
+        names = [name for name, bodies in mechanism.owners.items() if body in bodies]
+        pivot = next((name for name in names if name in mechanism.ground), None)
+        moving_end = next((name for name in names if name not in mechanism.ground), None)
+        if pivot is None or moving_end is None:
             continue
-        arm = (drawn.points[other][0] - drawn.points[pivot][0]) * FLIP
-        here = math.atan2(arm[1], arm[0])
+        arm = (drawn.points[moving_end][0] - drawn.points[pivot][0]) * FLIP
+        direction = math.atan2(arm[1], arm[0])
         angle = -math.radians(float(next(b for b in drawn.bodies if b.name == body).poses[0, 2]))
         if body == mechanism.crank.body:
-            known = np.radians(cycle["crank_angle_deg"])
-            low, high = (0.0, TURN) if cycle.full else (float(np.min(known)), float(np.max(known)))
+            angles = np.radians(cycle["crank_angle_deg"])
+            low, high = (0.0, TURN) if cycle.full else (float(np.min(angles)), float(np.max(angles)))
             angle = math.radians(float(at))
         elif body in cycle.swings:
             low, high = cycle.swings[body].low, cycle.swings[body].high
             angle = low + (angle - low) % TURN  # the angle of a body is known up to full turns
         else:
             continue
-        yield body, low, high, drawn.points[pivot][0], here - angle + low
+        yield body, low, high, drawn.points[pivot][0], direction - angle + low
 
 
 def _colour(drawn: Scene, body: str) -> str:
-    return readable(next(one.colour for one in drawn.bodies if one.name == body))
+    return readable(next(item.colour for item in drawn.bodies if item.name == body))
 
 
 def _mm(value: float) -> str:
@@ -217,81 +222,86 @@ class _Sheet:
         """Return points along a level text of a half width."""
         return self._sampled(middle - np.array([half, 0.0]), middle + np.array([half, 0.0]), 9)
 
-    def _cost(self, place: Array) -> float:
+    def _cost(self, points: Array) -> float:
         """Return how much a text at sampled points covers."""
         crowd = np.concatenate([self.crowd, *self.taken])
-        away = np.linalg.norm(place[:, None] - crowd, axis=-1) if len(crowd) else np.full((1, 1), math.inf)
-        return float(np.sum(np.maximum(0.0, 0.9 * self.font - away)) / self.font)
+        distance = np.linalg.norm(points[:, None] - crowd, axis=-1) if len(crowd) else np.full((1, 1), math.inf)
+        return float(np.sum(np.maximum(0.0, 0.9 * self.font - distance)) / self.font)
 
-    def length(self, one: _Length) -> None:
+    def length(self, dimension: _Length) -> None:
         """Draw a distance with extension lines, arrows and its text along the line."""
-        p, q = one.ends
+        p, q = dimension.ends
         along = q - p
         span = float(np.linalg.norm(along))
         if span < 1e-9:
             return
         along /= span
         normal = np.array([along[1], -along[0]])
-        half = 0.5 * LETTER * self.font * len(one.text)
+        half = 0.5 * LETTER_WIDTH * self.font * len(dimension.text)
 
-        def placed(way: tuple[float, float]) -> tuple[float, Array, Array]:
-            shift = way[1] * way[0] * self.size * normal
+        def placed(offset: tuple[float, float]) -> tuple[float, Array, Array]:
+            shift = offset[1] * offset[0] * self.size * normal
             middle = 0.5 * (p + q) + shift
             covered = self._sampled(middle - half * along, middle + half * along, 9)
-            return self._cost(covered) + 0.15 * self._cost(self._sampled(p + shift, q + shift)) + 0.3 * way[0], shift, covered
+            return self._cost(covered) + 0.15 * self._cost(self._sampled(p + shift, q + shift)) + 0.3 * offset[0], shift, covered
 
-        _, shift, covered = min(map(placed, itertools.product(OFFSETS, (1.0, -1.0))), key=lambda one: one[0])
+        _, shift, covered = min(map(placed, itertools.product(OFFSETS, (1.0, -1.0))), key=lambda item: item[0])
         a, b = p + shift, q + shift
         self.taken += [covered, self._sampled(a, b, 12)]
         over = 0.35 * self.size * shift / np.linalg.norm(shift)
         gap = 0.45 * self.size * shift / np.linalg.norm(shift)
-        self._line([p + gap, a + over], one.colour, 0.6)
-        self._line([q + gap, b + over], one.colour, 0.6)
+        self._line([p + gap, a + over], dimension.colour, 0.6)
+        self._line([q + gap, b + over], dimension.colour, 0.6)
         inside = span > 2.0 * half + 2.5 * self.size
         parts = [(a, 0.5 * (a + b) - half * along), (0.5 * (a + b) + half * along, b)] if inside else [(a, b)]
         for begin, end in parts:
-            self._line([begin, end], one.colour, 0.8)
-        self._arrow(a, -along if span > 1.6 * self.size else along, one.colour)
-        self._arrow(b, along if span > 1.6 * self.size else -along, one.colour)
+            self._line([begin, end], dimension.colour, 0.8)
+        self._arrow(a, -along if span > 1.6 * self.size else along, dimension.colour)
+        self._arrow(b, along if span > 1.6 * self.size else -along, dimension.colour)
         middle = 0.5 * (a + b) + (0.0 if inside else 0.75 * self.font) * shift / np.linalg.norm(shift)
         angle = math.degrees(math.atan2(along[1], along[0]))
-        self._text(middle, one.text, one.colour, angle - 180.0 if angle > 90.0 else angle + 180.0 if angle <= -90.0 else angle)
+        self._text(
+            middle,
+            dimension.text,
+            dimension.colour,
+            angle - 180.0 if angle > 90.0 else angle + 180.0 if angle <= -90.0 else angle,
+        )
 
     def angle(self, centre: Array, start: float, low: float, high: float, text: str, colour: str) -> None:
         """Draw the range of an angle as an arc with arrows, from the direction `start` [rad] on."""
-        half = 0.5 * LETTER * self.font * len(text)
+        half = 0.5 * LETTER_WIDTH * self.font * len(text)
 
         def placed(radius: float, share: float) -> tuple[float, float, Array]:
-            way = start + share * (high - low)
-            ray = np.array([math.cos(way), -math.sin(way)])
+            direction = start + share * (high - low)
+            ray = np.array([math.cos(direction), -math.sin(direction)])
             inside = min(half / max(abs(ray[0]), 1e-9), 0.4 * self.font / max(abs(ray[1]), 1e-9))  # of the text, along the ray
             middle = centre + (radius * self.size + inside + 0.4 * self.font) * ray
             covered = self._around(middle, half)
             return self._cost(covered) + 0.25 * radius, radius * self.size, covered
 
-        beside = (half + 0.8 * self.font) / (3.2 * self.size * max(high - low, 1e-9))  # beyond the ends of a narrow range
-        shares = (0.5, 0.25, 0.75) if beside > 4.0 or high - low > 2.0 else (0.5, 0.25, 0.75, -beside, 1.0 + beside)
+        outside = (half + 0.8 * self.font) / (3.2 * self.size * max(high - low, 1e-9))  # beyond the ends of a narrow range
+        shares = (0.5, 0.25, 0.75) if outside > 4.0 or high - low > 2.0 else (0.5, 0.25, 0.75, -outside, 1.0 + outside)
         places = itertools.product((2.2, 3.2, 4.4, 5.6), shares)
-        _, radius, covered = min(itertools.starmap(placed, places), key=lambda one: one[0])
+        _, radius, covered = min(itertools.starmap(placed, places), key=lambda item: item[0])
         turn = min(high - low, math.radians(300.0))
-        ways = start + np.linspace(0.0, turn, max(8, math.ceil(math.degrees(turn) / 4)))
-        arc = centre + radius * np.stack([np.cos(ways), -np.sin(ways)], axis=1)
+        directions = start + np.linspace(0.0, turn, max(8, math.ceil(math.degrees(turn) / 4)))
+        arc = centre + radius * np.stack([np.cos(directions), -np.sin(directions)], axis=1)
         self.taken += [covered, arc]
         self._line(list(arc), colour, 0.8)
         for at, sign in ((0, 1.0), (-1, -1.0)):
             if at or high - low < TURN - 1e-9:
                 self._arrow(arc[at], -sign * (arc[1] - arc[0] if at == 0 else arc[-2] - arc[-1]) * sign, colour)
             if high - low < TURN - 1e-9:
-                ray = np.array([math.cos(ways[at]), -math.sin(ways[at])])
+                ray = np.array([math.cos(directions[at]), -math.sin(directions[at])])
                 self._line([centre + 0.5 * self.size * ray, centre + (radius + 0.6 * self.size) * ray], colour, 0.6)
         self._text(covered[4], text, colour, 0.0)
 
     def label(self, at: Array, text: str) -> None:
         """Write a text beside a point, that of a ground pivot clear of its support."""
-        half = 0.5 * LETTER * self.font * len(text)
-        ways = [*itertools.product((1.1, -1.1), (0.9, 2.0, -1.4)), (0.5, -0.9), (-0.5, -0.9), (0.9, 0.0)]
-        places = [at + self.size * np.array(way) + [math.copysign(half, way[0]), 0.0] for way in ways]
-        covered = min((self._around(one, half) for one in places), key=self._cost)
+        half = 0.5 * LETTER_WIDTH * self.font * len(text)
+        offsets = [*itertools.product((1.1, -1.1), (0.9, 2.0, -1.4)), (0.5, -0.9), (-0.5, -0.9), (0.9, 0.0)]
+        places = [at + self.size * np.array(offset) + [math.copysign(half, offset[0]), 0.0] for offset in offsets]
+        covered = min((self._around(place, half) for place in places), key=self._cost)
         self.taken.append(covered)
         self._text(covered[4], text, GROUND, 0.0)
 
@@ -299,10 +309,10 @@ class _Sheet:
         path = " L".join(f"{x:.6g} {y:.6g}" for x, y in points)
         self.lines.append(f'<path d="M{path}" fill="none" stroke="{colour}" stroke-width="{width * self.size / 8.0:.4g}"/>')
 
-    def _arrow(self, tip: Array, way: Array, colour: str) -> None:
-        way = way / max(float(np.linalg.norm(way)), 1e-30)
-        left = np.array([-way[1], way[0]])
-        back = tip - 0.75 * self.size * way
+    def _arrow(self, tip: Array, direction: Array, colour: str) -> None:
+        direction = direction / max(float(np.linalg.norm(direction)), 1e-30)
+        left = np.array([-direction[1], direction[0]])
+        back = tip - 0.75 * self.size * direction
         corners = (tip, back + 0.16 * self.size * left, back - 0.16 * self.size * left)
         path = " L".join(f"{x:.6g} {y:.6g}" for x, y in corners)
         self.lines.append(f'<path d="M{path}Z" fill="{colour}"/>')
@@ -319,6 +329,6 @@ class _Sheet:
 
     def box(self) -> tuple[float, float, float, float]:
         """Return the extent of the links and dimensions in this position."""
-        every = finite(np.concatenate([self.corners, *self.taken]))
-        low, high = every.min(axis=0) - 1.4 * self.size, every.max(axis=0) + 1.4 * self.size
+        points = finite(np.concatenate([self.corners, *self.taken]))
+        low, high = points.min(axis=0) - 1.4 * self.size, points.max(axis=0) + 1.4 * self.size
         return float(low[0]), float(low[1]), float(high[0] - low[0]), float(high[1] - low[1])

@@ -34,9 +34,9 @@ Vertex = tuple[float, float, float]
 
 ASSEMBLY, PARTS, NAMES, TRACES, MARKS = "ASSEMBLY", "PARTS", "NAMES", "TRACES", "MARKS"
 HOLE = 0.03  # default hole diameter, as a share of the extent, before rounding
-MOST_OF_PITCH = 0.5  # default hole diameter, at most this share of the least distance of two holes of a link
+MAX_HOLE_SHARE = 0.5  # default hole diameter, at most this share of the least distance of two holes of a link
 WIDTH = 2.5  # default link width in hole diameters
-SAME = 1e-9  # distance of coincident corners, as a share of the extent
+COINCIDENT = 1e-9  # distance of coincident corners, as a share of the extent
 COLOURS = (1, 5, 3, 30, 6, 4, 34, 200, 52, 8)
 """AutoCAD colours of the links, the crank's first."""
 
@@ -81,41 +81,41 @@ def document(cycle: Analysis, at: float, title: str, hole: float | None = None, 
     from ezdxf.filemanagement import new
 
     machine = cycle.machine
-    here = sweep(machine.mechanism, machine.sizes, [at])
+    motion = sweep(machine.mechanism, machine.sizes, [at])
     drawn = scene(cycle)
-    body, least = _nearest_holes(machine.mechanism, here)
-    diameter = usual_hole(min(max(drawn.box[2:]), MOST_OF_PITCH * least / HOLE)) if hole is None else 1e3 * hole
+    body, least = _nearest_holes(machine.mechanism, motion)
+    diameter = usual_hole(min(max(drawn.box[2:]), MAX_HOLE_SHARE * least / HOLE)) if hole is None else 1e3 * hole
     if diameter >= least:
         message = f"two holes of {body} would overlap: they are {least:.6g} mm apart"
         raise InputError(message, "Give a smaller diameter", key="--hole", value=f"{diameter:.6g} mm")
     radius = 0.5 * (WIDTH * diameter if width is None else 1e3 * width)
-    made = new("R2010", units=units.MM)
-    made.header.custom_vars.append("TITLE", " ".join(title.split()))
-    made.header.custom_vars.append("CRANK ANGLE [deg]", f"{math.degrees(at):.9g}")
+    drawing = new("R2010", units=units.MM)
+    drawing.header.custom_vars.append("TITLE", " ".join(title.split()))
+    drawing.header.custom_vars.append("CRANK ANGLE [deg]", f"{math.degrees(at):.9g}")
     for name, colour in ((ASSEMBLY, 7), (PARTS, 7), (NAMES, 7), (TRACES, 9), (MARKS, 8)):
-        made.layers.add(name, color=colour)
-    found = list(plates(cycle, here, radius))
-    for number, plate in enumerate(found):
-        made.layers.add(plate.block, color=COLOURS[number % len(COLOURS)] if plate.body != FRAME else 7)
-        _cut(made.blocks.new(plate.block), plate, diameter, radius)
-    space = made.modelspace()
-    _assemble(space, found, here)
+        drawing.layers.add(name, color=colour)
+    parts = list(plates(cycle, motion, radius))
+    for number, plate in enumerate(parts):
+        drawing.layers.add(plate.block, color=COLOURS[number % len(COLOURS)] if plate.body != FRAME else 7)
+        _cut(drawing.blocks.new(plate.block), plate, diameter, radius)
+    space = drawing.modelspace()
+    _assemble(space, parts, motion)
     for name in drawn.free:
         line = drawn.points[name] * np.array([1.0, -1.0])
         space.add_lwpolyline(line[np.all(np.isfinite(line), axis=1)].tolist(), dxfattribs={"layer": TRACES})
     x, y, wide, _ = drawn.box
-    _lay_out(space, [plate for plate in found if plate.body != FRAME], (x, -y - drawn.box[3]), radius, wide)
-    return made
+    _lay_out(space, [plate for plate in parts if plate.body != FRAME], (x, -y - drawn.box[3]), radius, wide)
+    return drawing
 
 
-def _nearest_holes(mechanism: Mechanism, here: Motion) -> tuple[str, float]:
+def _nearest_holes(mechanism: Mechanism, motion: Motion) -> tuple[str, float]:
     """Return the body with the least distance of two holes, and that distance [mm]; infinite if no body has two."""
-    found = [("", math.inf)]
+    distances = [("", math.inf)]
     for body in (*mechanism.bodies, FRAME):
-        pins = [_vector(here.pose.local(body, name)) for name, bodies in mechanism.pins.items() if body in bodies]
-        gaps = (float(np.linalg.norm(one - other)) for one, other in itertools.combinations(pins, 2))
-        found += [(body, gap) for gap in gaps if gap > 0.0]
-    return min(found, key=lambda item: item[1])
+        pins = [_vector(motion.pose.local(body, name)) for name, bodies in mechanism.pins.items() if body in bodies]
+        gaps = (float(np.linalg.norm(first - second)) for first, second in itertools.combinations(pins, 2))
+        distances += [(body, gap) for gap in gaps if gap > 0.0]
+    return min(distances, key=lambda item: item[1])
 
 
 def usual_hole(extent: float) -> float:
@@ -126,25 +126,25 @@ def usual_hole(extent: float) -> float:
 # --- plates ------------------------------------------------------------------------------------------------------------------
 
 
-def plates(cycle: Analysis, here: Motion, radius: float) -> Iterator[Plate]:
+def plates(cycle: Analysis, motion: Motion, radius: float) -> Iterator[Plate]:
     """Yield every link as a plate, and finally the frame, which has no outline.
 
     Parameters
     ----------
     cycle : Analysis
-    here : Motion
+    motion : Motion
         Position of the assembly.
     radius : float [mm]
         Distance of the outline from the hole centres.
     """
-    mechanism, pose = cycle.machine.mechanism, here.pose
+    mechanism, pose = cycle.machine.mechanism, motion.pose
     travel = {guide.name: travelled(cycle, guide) for guide in mechanism.guides}
     for body in (*mechanism.bodies, FRAME):
-        own = {name: _vector(pose.local(body, name)) for name, bodies in mechanism.owners.items() if body in bodies}
-        holes = {name: at for name, at in own.items() if name in mechanism.pins}
-        marks = {name: at for name, at in own.items() if name not in holes}
-        slots = tuple(_slot(here, guide, travel[guide.name]) for guide in mechanism.guides if guide.on == body)
-        corners = np.array([*own.values(), *(end for slot in slots for end in slot)]).reshape(-1, 2)
+        points = {name: _vector(pose.local(body, name)) for name, bodies in mechanism.owners.items() if body in bodies}
+        holes = {name: at for name, at in points.items() if name in mechanism.pins}
+        marks = {name: at for name, at in points.items() if name not in holes}
+        slots = tuple(_slot(motion, guide, travel[guide.name]) for guide in mechanism.guides if guide.on == body)
+        corners = np.array([*points.values(), *(end for slot in slots for end in slot)]).reshape(-1, 2)
         yield Plate(body, holes, marks, slots, rounded(corners, radius) if body != FRAME else ())
 
 
@@ -162,17 +162,17 @@ def travelled(cycle: Analysis, guide: Guide) -> tuple[float, float]:
     guide : Guide
     """
     slides = cycle[f"{slider_names(cycle.machine)[guide.name]}.s_m"]
-    known = slides[np.isfinite(slides)]
+    finite_slides = slides[np.isfinite(slides)]
     travel = cycle.strokes.get(slider_names(cycle.machine)[guide.name])
     if travel is not None:
         return travel.low, travel.high
-    return (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    return (float(finite_slides.min()), float(finite_slides.max())) if finite_slides.size else (0.0, 0.0)
 
 
-def _slot(here: Motion, guide: Guide, travel: tuple[float, float]) -> tuple[Array, Array]:
+def _slot(motion: Motion, guide: Guide, travel: tuple[float, float]) -> tuple[Array, Array]:
     """Return both ends of the slider path on the body that carries the guide."""
-    point, way = here.pose.local_line(guide, guide.on)
-    begin, along = _vector(point), _vector(way) / 1e3
+    point, direction = motion.pose.local_line(guide, guide.on)
+    begin, along = _vector(point), _vector(direction) / 1e3
     return begin + 1e3 * travel[0] * along, begin + 1e3 * travel[1] * along
 
 
@@ -187,30 +187,30 @@ def rounded(points: Array, radius: float) -> tuple[Vertex, ...]:
     radius : float [mm]
     """
     extent = float(np.max(np.ptp(points, axis=0)))
-    corners = _distinct(points, SAME * max(extent, radius))
+    corners = _distinct(points, COINCIDENT * max(extent, radius))
     if len(corners) > 2:
         corners = hull(corners)
-        order = in_line(corners, SAME * extent)
+        order = in_line(corners, COINCIDENT * extent)
         corners = corners if order is None else corners[order[[0, -1]]]
     if len(corners) == 1:
         x, y = corners[0]
         return ((x - radius, y, 1.0), (x + radius, y, 1.0))
-    found: list[Vertex] = []
+    vertices: list[Vertex] = []
     for k, corner in enumerate(corners):
         before, after = corner - corners[k - 1], corners[(k + 1) % len(corners)] - corner
         turned = math.atan2(before[0] * after[1] - before[1] * after[0], float(before @ after)) % (2.0 * math.pi)
-        out = [np.array([edge[1], -edge[0]]) / np.linalg.norm(edge) for edge in (before, after)]
-        first, second = (corner + radius * normal for normal in out)
-        found += [(float(first[0]), float(first[1]), math.tan(turned / 4.0)), (float(second[0]), float(second[1]), 0.0)]
-    return tuple(found)
+        normals = [np.array([edge[1], -edge[0]]) / np.linalg.norm(edge) for edge in (before, after)]
+        first, second = (corner + radius * normal for normal in normals)
+        vertices += [(float(first[0]), float(first[1]), math.tan(turned / 4.0)), (float(second[0]), float(second[1]), 0.0)]
+    return tuple(vertices)
 
 
 def _distinct(points: Array, near: float) -> Array:
-    kept: list[Array] = []
+    distinct: list[Array] = []
     for point in points:
-        if all(np.linalg.norm(point - other) > near for other in kept):
-            kept.append(point)
-    return np.array(kept)
+        if all(np.linalg.norm(point - other) > near for other in distinct):
+            distinct.append(point)
+    return np.array(distinct)
 
 
 # --- drawing -----------------------------------------------------------------------------------------------------------------
@@ -222,10 +222,10 @@ def _cut(block: BlockLayout, plate: Plate, diameter: float, radius: float) -> No
     for at in plate.holes.values():
         block.add_circle(tuple(at), 0.5 * diameter, dxfattribs=layer)
     for at in plate.marks.values():
-        for way in (np.array([0.5 * diameter, 0.0]), np.array([0.0, 0.5 * diameter])):
-            block.add_line(tuple(at - way), tuple(at + way), dxfattribs={"layer": MARKS})
+        for arm in (np.array([0.5 * diameter, 0.0]), np.array([0.0, 0.5 * diameter])):
+            block.add_line(tuple(at - arm), tuple(at + arm), dxfattribs={"layer": MARKS})
     for first, last in plate.slots:
-        if plate.body == FRAME or np.linalg.norm(last - first) <= SAME * radius:
+        if plate.body == FRAME or np.linalg.norm(last - first) <= COINCIDENT * radius:
             block.add_line(tuple(first), tuple(last), dxfattribs=layer)
         else:
             outline = rounded(np.array([first, last]), 0.5 * diameter)
@@ -234,21 +234,21 @@ def _cut(block: BlockLayout, plate: Plate, diameter: float, radius: float) -> No
         block.add_lwpolyline(plate.outline, format="xyb", close=True, dxfattribs=layer)
 
 
-def _assemble(space: Modelspace, found: list[Plate], here: Motion) -> None:
+def _assemble(space: Modelspace, parts: list[Plate], motion: Motion) -> None:
     """Insert every plate at its position in the assembly."""
-    for plate in found:
+    for plate in parts:
         place, angle = (0.0, 0.0), 0.0
         if plate.body != FRAME:
-            start = here.position(here.mechanism.bodies[plate.body].start)[0] * 1e3
+            start = motion.position(motion.mechanism.bodies[plate.body].start)[0] * 1e3
             place = float(start[0]), float(start[1])
-            angle = math.degrees(float(np.asarray(here.body_angle(plate.body).value)[0]))
+            angle = math.degrees(float(np.asarray(motion.body_angle(plate.body).value)[0]))
         space.add_blockref(plate.block, place, dxfattribs={"rotation": angle, "layer": ASSEMBLY})
 
 
-def _lay_out(space: Modelspace, found: list[Plate], corner: tuple[float, float], radius: float, wide: float) -> None:
+def _lay_out(space: Modelspace, parts: list[Plate], corner: tuple[float, float], radius: float, wide: float) -> None:
     """Arrange the plates with their names below the assembly, in rows about as wide as the assembly."""
     left, x, y, deep = corner[0], corner[0], corner[1] - 2.0 * radius, 0.0
-    for plate in found:
+    for plate in parts:
         corners = np.array([*plate.holes.values(), *plate.marks.values(), *(end for slot in plate.slots for end in slot)])
         low, high = corners.min(axis=0) - radius, corners.max(axis=0) + radius
         if x > left and x + high[0] - low[0] > left + wide:

@@ -19,7 +19,7 @@ from optlink.linkage.vector2d import Vector
 from optlink.problem.quantity import LARGEST_ANGLE, LONGEST, SHORTEST, check_range
 from optlink.report.export.dxf import document, travelled
 from optlink.report.export.svg import svg
-from optlink.report.files import target, write_csv
+from optlink.report.files import check_target, write_csv
 from optlink.report.report_model import ReportModel
 from optlink.report.scene import scene
 from optlink.tasks.analyze import MAX_POINTS, analyze
@@ -58,12 +58,12 @@ class Options:
         check_range("--points", self.points, 1, MAX_POINTS)
 
 
-def export(subject: ReportModel, path: Path, options: Options | None = None) -> None:
+def export(model: ReportModel, path: Path, options: Options | None = None) -> None:
     """Write a design in the format of the file extension.
 
     Parameters
     ----------
-    subject : ReportModel
+    model : ReportModel
     path : Path
         Extension .dxf, .svg, .csv or .json.
     options : Options or None, optional
@@ -75,19 +75,19 @@ def export(subject: ReportModel, path: Path, options: Options | None = None) -> 
         If the extension is unknown, the design cannot be assembled or an option is out of range; then no file is written.
     """
     options = options or Options()
-    target(path, tuple(FORMATS), "drawing.dxf")
-    if subject.cycle is None:
+    check_target(path, tuple(FORMATS), "drawing.dxf")
+    if model.cycle is None:
         remedy = "Check it with optlink validate, and export another design"
-        raise InputError(f"the design cannot be drawn: {subject.unmoved}", remedy, subject.problem.file)
-    FORMATS[path.suffix.lower()](subject, subject.cycle, path, options)
+        raise InputError(f"the design cannot be drawn: {model.unmoved}", remedy, model.problem.file)
+    FORMATS[path.suffix.lower()](model, model.cycle, path, options)
 
 
-def place_of(subject: ReportModel, cycle: Analysis, at: float | None) -> float:
+def place_of(model: ReportModel, cycle: Analysis, at: float | None) -> float:
     """Return a crank angle [rad] at which the mechanism can be assembled.
 
     Parameters
     ----------
-    subject : ReportModel
+    model : ReportModel
     cycle : Analysis
     at : float [rad] or None
         Requested angle; None for the start of the motion.
@@ -105,67 +105,67 @@ def place_of(subject: ReportModel, cycle: Analysis, at: float | None) -> float:
         failed = failure(cycle.machine.mechanism, cycle.machine.sizes, at)
         message = str(failed) if failed else "the mechanism cannot be assembled there"
         shown = f"{math.degrees(at):.6g} deg"
-        raise InputError(message, f"Give an angle within {cycle.ranges.text}", subject.problem.file, "--at", shown)
+        raise InputError(message, f"Give an angle within {cycle.ranges.text}", model.problem.file, "--at", shown)
     return at
 
 
-def _dxf(subject: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
-    at = place_of(subject, cycle, options.at)
-    drawing = document(cycle, at, subject.problem.model.title, options.hole, options.width)
+def _dxf(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
+    at = place_of(model, cycle, options.at)
+    drawing = document(cycle, at, model.problem.model.title, options.hole, options.width)
     with whole(path) as temporary:
         drawing.saveas(temporary)
 
 
-def _svg(subject: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
-    at = place_of(subject, cycle, options.at)
-    whole_motion, here = scene(cycle), scene(cycle, at=at)
-    text = svg(here, f"{subject.problem.model.title}: crank angle {math.degrees(at):.6g} deg", over=whole_motion)
+def _svg(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
+    at = place_of(model, cycle, options.at)
+    whole_motion, position = scene(cycle), scene(cycle, at=at)
+    text = svg(position, f"{model.problem.model.title}: crank angle {math.degrees(at):.6g} deg", motion=whole_motion)
     with whole(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
-def _csv(subject: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
+def _csv(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
     """Write the motion as a table, without force columns if there are no masses and loads."""
     rows = cycle if options.points == len(cycle["time_s"]) - 1 else analyze(cycle.problem, options.points, speed=cycle.speed)
-    columns = {name: values for name, values in rows.columns.items() if subject.forces or not name.endswith(FORCES)}
+    columns = {name: values for name, values in rows.columns.items() if model.forces or not name.endswith(FORCES)}
     write_csv(path, columns)
 
 
-def _json(subject: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
-    write_json(path, geometry(subject, cycle, place_of(subject, cycle, options.at)))
+def _json(model: ReportModel, cycle: Analysis, path: Path, options: Options) -> None:
+    write_json(path, geometry(model, cycle, place_of(model, cycle, options.at)))
 
 
-def geometry(subject: ReportModel, cycle: Analysis, at: float) -> dict[str, Any]:
+def geometry(model: ReportModel, cycle: Analysis, at: float) -> dict[str, Any]:
     """Return the linkage as a JSON document [SI]: points of the bodies in their own axes, and all positions at a crank angle.
 
     Parameters
     ----------
-    subject : ReportModel
+    model : ReportModel
     cycle : Analysis
     at : float [rad]
         Crank angle.
     """
     machine = cycle.machine
     mechanism = machine.mechanism
-    here = sweep(mechanism, machine.sizes, [at])
+    motion = sweep(mechanism, machine.sizes, [at])
 
     def local(body: str) -> dict[str, list[float]]:
-        return {name: _plain(here.pose.local(body, name)) for name, owners in mechanism.owners.items() if body in owners}
+        return {name: _plain(motion.pose.local(body, name)) for name, owners in mechanism.owners.items() if body in owners}
 
     bodies = {}
     for body, link in mechanism.bodies.items():
-        angle = float(np.asarray(here.body_angle(body).value)[0])
-        bodies[body] = {"points_m": local(body), "at_m": here.position(link.start)[0].tolist(), "angle_rad": angle}
+        angle = float(np.asarray(motion.body_angle(body).value)[0])
+        bodies[body] = {"points_m": local(body), "at_m": motion.position(link.start)[0].tolist(), "angle_rad": angle}
         if body in machine.inertias:
             bodies[body] |= {"inertia": vars(machine.inertias[body]) | {}}
     guides = {}
     for guide in mechanism.guides:
-        point, way = here.pose.local_line(guide, guide.on)
-        record = {"slider": guide.slider, "on": guide.on, "through_m": _plain(point), "direction": _plain(way)}
+        point, direction = motion.pose.local_line(guide, guide.on)
+        record = {"slider": guide.slider, "on": guide.on, "through_m": _plain(point), "direction": _plain(direction)}
         guides[guide.name] = record | {"travel_m": list(travelled(cycle, guide))}
     document = {
-        **head(SCHEMA, subject.problem, "valid" if subject.valid else "not valid"),
-        "valid": subject.valid,
+        **head(SCHEMA, model.problem, "valid" if model.valid else "not valid"),
+        "valid": model.valid,
         "crank_angle_rad": at,
         "full_rotation": cycle.full,
         "reachable_rad": [list(range_) for range_ in cycle.ranges.ranges],
@@ -175,7 +175,7 @@ def geometry(subject: ReportModel, cycle: Analysis, at: float) -> dict[str, Any]
         "bodies": bodies,
         "pins": {name: list(owners) for name, owners in mechanism.pins.items()},
         "guides": guides,
-        "points_m": {name: here.position(name)[0].tolist() for name in mechanism.owners},
+        "points_m": {name: motion.position(name)[0].tolist() for name in mechanism.owners},
     }
     return finite(document)  # type: ignore[no-any-return]
 

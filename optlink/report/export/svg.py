@@ -11,14 +11,14 @@ import numpy as np
 from optlink.linkage.vector2d import Array
 from optlink.report.scene import Body, Scene
 from optlink.report.shapes import Part, zigzag
-from optlink.report.style import GROUND, QUIET, short_name
+from optlink.report.style import GROUND, MUTED, short_name
 
 POINT = 1.0 / 8.0  # size of a typographic point, as a share of the size of a ground pivot, as in the other figures
 LAYERS = ("slot", "plate", "bar", "block", "crank")
 """What lies on what."""
 
 
-def svg(scene: Scene, title: str, over: Scene | None = None, k: int = 0, *, traces: bool = True, names: bool = True) -> str:
+def svg(scene: Scene, title: str, motion: Scene | None = None, k: int = 0, *, traces: bool = True, names: bool = True) -> str:
     """Draw position `k` of a scene.
 
     Parameters
@@ -26,7 +26,7 @@ def svg(scene: Scene, title: str, over: Scene | None = None, k: int = 0, *, trac
     scene : Scene
     title : str
         Accessible name of the drawing.
-    over : Scene or None, optional
+    motion : Scene or None, optional
         Whole motion, if `scene` is one position of it: the drawing becomes a file in true size; None for a drawing that
         fills its place in a page.
     k : int, optional
@@ -37,7 +37,7 @@ def svg(scene: Scene, title: str, over: Scene | None = None, k: int = 0, *, trac
         Draw the names of the points.
     """
     x, y, width, height = (_number(value, scene) for value in scene.box)
-    true_size = f' xmlns="http://www.w3.org/2000/svg" width="{width}mm" height="{height}mm"' if over is not None else ""
+    true_size = f' xmlns="http://www.w3.org/2000/svg" width="{width}mm" height="{height}mm"' if motion is not None else ""
     lines = [f'<svg{true_size} viewBox="{x} {y} {width} {height}" role="img" aria-label="{escape(title)}">']
     lines.append(f"<title>{escape(title)}</title>")
     lines.append('<g data-layer="ground" stroke-linecap="round" stroke-linejoin="round">')
@@ -45,7 +45,7 @@ def svg(scene: Scene, title: str, over: Scene | None = None, k: int = 0, *, trac
     lines.append("</g>")
     if traces:
         lines.append('<g data-layer="traces" fill="none" stroke-linejoin="round">')
-        lines += _traces(over or scene)
+        lines += _traces(motion or scene)
         lines.append("</g>")
     lines.append('<g data-layer="bodies" stroke-linecap="round" stroke-linejoin="round">')
     for layer in LAYERS:
@@ -59,7 +59,7 @@ def svg(scene: Scene, title: str, over: Scene | None = None, k: int = 0, *, trac
     lines.append("</g>")
     if names:
         lines.append(f'<g data-layer="names" font-family="sans-serif" font-size="{_number(9.0 * POINT * scene.size, scene)}">')
-        lines += _names(scene, over or scene, k)
+        lines += _names(scene, motion or scene, k)
         lines.append("</g>")
     lines.append("</svg>")
     return "\n".join(lines) + "\n"
@@ -154,7 +154,7 @@ def _springs(scene: Scene, k: int) -> Iterator[str]:
         along = q - p
         left = np.array([along[1], -along[0]]) / max(float(np.linalg.norm(along)), 1e-30)
         line = np.array([p + share * along + side * left for share, side in zigzag(scene.size)])
-        look = f'fill="none" stroke="{QUIET}" stroke-width="{_wide(1.2, scene)}"'
+        look = f'fill="none" stroke="{MUTED}" stroke-width="{_wide(1.2, scene)}"'
         yield f'<path data-spring="{escape(name)}" d="{_path(line, scene)}" {look}><title>{escape(name)}</title></path>'
 
 
@@ -172,20 +172,20 @@ def _joints(scene: Scene, k: int) -> Iterator[str]:
         yield f"<circle {place} {look}><title>{escape(name)}</title></circle>"
 
 
-def _names(scene: Scene, over: Scene, k: int) -> Iterator[str]:
+def _names(scene: Scene, motion: Scene, k: int) -> Iterator[str]:
     """Yield the names of the points with a white outline, beside the points or their ground supports."""
     rim = _wide(2.2, scene)
-    beside = name_offsets(over)
+    offsets = name_offsets(motion)
     for name, places in scene.points.items():
         x, y = places[k]
         if math.isfinite(x) and math.isfinite(y):
             place = f'data-point="{escape(name)}" transform="translate({_number(x, scene)} {_number(y, scene)})"'
             look = f'fill="{GROUND}" stroke="#ffffff" stroke-width="{rim}" paint-order="stroke" stroke-linejoin="round"'
-            right, down = beside[name]
+            right, down = offsets[name]
             side = ' text-anchor="end"' if right < 0.0 else ""
             at = f'x="{_number(right, scene)}" y="{_number(down, scene)}"{side}'
-            whole = "" if short_name(name) == name else f"<title>{escape(name)}</title>"
-            yield f"<g {place}><text {at} {look}>{whole}{escape(short_name(name))}</text></g>"
+            tooltip = "" if short_name(name) == name else f"<title>{escape(name)}</title>"
+            yield f"<g {place}><text {at} {look}>{tooltip}{escape(short_name(name))}</text></g>"
 
 
 def name_offsets(scene: Scene) -> dict[str, tuple[float, float]]:
@@ -199,8 +199,8 @@ def name_offsets(scene: Scene) -> dict[str, tuple[float, float]]:
     """
     letter, unit = 9.0 * POINT * scene.size, scene.size
     left, top, wide, high = scene.box
-    taken: list[Array] = []
-    found = {}
+    occupied: list[Array] = []
+    offsets = {}
     for name, places in scene.points.items():
         length = 0.6 * letter * len(short_name(name))
         right, down = (1.15, 1.3) if name in scene.still else (0.5, -0.55)
@@ -209,12 +209,12 @@ def name_offsets(scene: Scene) -> dict[str, tuple[float, float]]:
             begin = places + np.array([x * unit - (length if x < 0.0 else 0.0), y * unit - letter])
             box = np.concatenate([begin, begin + np.array([length, 1.2 * letter])], axis=1)
             inside = np.clip(box, [left, top] * 2, [left + wide, top + high] * 2)
-            overlap = sum(_common(box, other) for other in taken) + _area(box) - _area(inside)
+            overlap = sum(_common(box, name_box) for name_box in occupied) + _area(box) - _area(inside)
             choices.append((float(np.nansum(overlap)), len(choices), x * unit, y * unit, box))
         _, _, x, y, box = min(choices, key=lambda choice: choice[:2])
-        taken.append(box)
-        found[name] = x, y
-    return found
+        occupied.append(box)
+        offsets[name] = x, y
+    return offsets
 
 
 def _area(boxes: Array) -> Array:

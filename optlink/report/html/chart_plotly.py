@@ -22,9 +22,9 @@ from optlink.report.style import TARGET
 Trace = dict[str, Any]
 DIGITS = 6  # significant digits of a number in a chart, far below the visible resolution
 FONT = "system-ui, -apple-system, 'Segoe UI', 'DejaVu Sans', sans-serif"
-LONG = 1200  # number of points from which a curve is thinned, about two per pixel of a wide page
-CELLS = 150  # largest number of rows and columns of a map
-DOTS = 4.0 / 3.0  # pixels per point
+THIN_ABOVE = 1200  # number of points from which a curve is thinned, about two per pixel of a wide page
+MAX_CELLS = 150  # largest number of rows and columns of a map
+PIXELS_PER_POINT = 4.0 / 3.0  # pixels per point
 LAYOUT = {
     "margin": {"l": 70, "r": 20, "t": 24, "b": 50},
     "font": {"family": FONT, "size": 12, "color": "#22262b"},
@@ -44,7 +44,7 @@ AXIS = {
     "exponentformat": "none",
     "separatethousands": True,
 }
-GAP = 0.07  # distance of panels as a share of the height
+PANEL_GAP = 0.07  # distance of panels as a share of the height
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,7 @@ def chart(spec: ChartSpec) -> Chart:
     """Return a chart of the page."""
     kinds = {type(trace) for panel in spec.panels for trace in panel.traces}
     total = sum(panel.height for panel in spec.panels)
-    unit = (1.0 - GAP * (len(spec.panels) - 1)) / total
+    unit = (1.0 - PANEL_GAP * (len(spec.panels) - 1)) / total
     layout: dict[str, Any] = LAYOUT | {"height": 480 if spec.equal or kinds & {HeatMap, Boxes} else int(110 + 200 * total)}
     if spec.equal or spec.picks is not None or not _lined(spec):
         layout["hovermode"] = "closest"
@@ -91,7 +91,7 @@ def chart(spec: ChartSpec) -> Chart:
         layout["plot_bgcolor"] = "#eceef1"
     if Bars in kinds:
         layout |= {"barmode": "overlay", "bargap": 0.0}
-    layout |= {"shapes": _across(spec)}
+    layout |= {"shapes": _vertical_shapes(spec)}
     data, top, key = [], 1.0, ""
     for number, panel in enumerate(spec.panels, 1):
         key = "" if number == 1 else str(number)
@@ -101,19 +101,19 @@ def chart(spec: ChartSpec) -> Chart:
             layout[f"yaxis{key}"] |= {"scaleanchor": "x", "constrain": "domain"}
         layout[f"legend{key}"] = LEGEND | {"y": top + 0.01} | ({"bgcolor": "#e3e6ea"} if HeatMap in kinds else {})
         data += [trace | {"yaxis": f"y{key}", "legend": f"legend{key}"} for trace in _traces(spec, panel)]
-        top = bottom - GAP
+        top = bottom - PANEL_GAP
     layout["xaxis"] = _axis(spec.x, spec.reach) | {"anchor": f"y{key}", "hoverformat": ".2f"}
     if spec.equal:
         layout["xaxis"] |= {"constrain": "domain"}
     picks = spec.picks
     if picks is not None:
         picks = replace(picks, x=np.round(picks.x, _decimals(picks.x)), y=np.round(picks.y, _decimals(picks.y)))
-        data.append(_picked(picks, "#ffffff" if HeatMap in kinds else TARGET))
+        data.append(_selected_marker(picks, "#ffffff" if HeatMap in kinds else TARGET))
     remark = "; ".join(filter(None, [spec.remark, *(panel.note for panel in spec.panels)]))
     return Chart(spec.title, {"data": data, "layout": layout}, spec.cursor, picks, remark, spec.words)
 
 
-def _picked(picks: Picks, colour: str) -> Trace:
+def _selected_marker(picks: Picks, colour: str) -> Trace:
     """Return the marker of the selected point; the page script expects it as the last trace of a chart."""
     look = {"color": "rgba(0,0,0,0)", "size": 13.0, "line": {"color": colour, "width": 2.2}}
     at = {"x": short(picks.x[[picks.first]]), "y": short(picks.y[[picks.first]]), "yaxis": "y"}
@@ -124,26 +124,26 @@ def _lined(spec: ChartSpec) -> bool:
     return any(isinstance(t, Band) or (isinstance(t, Curve) and "lines" in t.mode) for panel in spec.panels for t in panel.traces)
 
 
-def _axis(one: Axis, reach: tuple[float, float] | None = None) -> dict[str, Any]:
+def _axis(axis: Axis, reach: tuple[float, float] | None = None) -> dict[str, Any]:
     """Return an axis; `reach` are the ends of what is shown without limits."""
-    name = one.name if reach is not None else one.name.replace("\n", " ")
-    found: dict[str, Any] = AXIS | {"title": {"text": escape(name).replace("\n", "<br>"), "font": {"size": 13}, "standoff": 8}}
-    if one.scale == "log":
-        found |= {"type": "log", "exponentformat": "power"} | ({"dtick": 1} if one.limits is None else {})
-    if one.limits is not None:
-        ends = [math.log10(end) for end in one.limits] if one.scale == "log" else list(one.limits)
-        found |= {"range": ends[::-1] if one.reversed else ends}
-    elif one.reversed:
-        found |= {"autorange": "reversed"}
-    if one.ticks:
-        found |= {
+    name = axis.name if reach is not None else axis.name.replace("\n", " ")
+    layout: dict[str, Any] = AXIS | {"title": {"text": escape(name).replace("\n", "<br>"), "font": {"size": 13}, "standoff": 8}}
+    if axis.scale == "log":
+        layout |= {"type": "log", "exponentformat": "power"} | ({"dtick": 1} if axis.limits is None else {})
+    if axis.limits is not None:
+        ends = [math.log10(end) for end in axis.limits] if axis.scale == "log" else list(axis.limits)
+        layout |= {"range": ends[::-1] if axis.reversed else ends}
+    elif axis.reversed:
+        layout |= {"autorange": "reversed"}
+    if axis.ticks:
+        layout |= {
             "tickmode": "array",
-            "tickvals": [at for at, _ in one.ticks],
-            "ticktext": [escape(text).replace("\n", "<br>") for _, text in one.ticks],
+            "tickvals": [at for at, _ in axis.ticks],
+            "ticktext": [escape(text).replace("\n", "<br>") for _, text in axis.ticks],
         }
-    elif one.step and (reach := one.limits or reach) is not None and reach[1] - reach[0] >= 3.0 * one.step:
-        found |= {"dtick": one.step}
-    return found
+    elif axis.step and (reach := axis.limits or reach) is not None and reach[1] - reach[0] >= 3.0 * axis.step:
+        layout |= {"dtick": axis.step}
+    return layout
 
 
 def short(values: Array) -> list[float | None]:
@@ -157,7 +157,7 @@ def _decimals(values: Array) -> int:
     return DIGITS - math.floor(math.log10(size)) if size > 0.0 else DIGITS
 
 
-def thinned(x: Array, y: Array, most: int = LONG) -> tuple[Array, Array]:
+def thinned(x: Array, y: Array, most: int = THIN_ABOVE) -> tuple[Array, Array]:
     """Reduce a long curve to at most about `most` points, keeping the extremes of each portion and all gaps.
 
     A curve that runs back in x, such as an orbit, keeps the extremes in x too.
@@ -171,12 +171,12 @@ def thinned(x: Array, y: Array, most: int = LONG) -> tuple[Array, Array]:
     if len(x) <= most:
         return x, y
     run = np.diff(x[np.isfinite(x)])
-    ways = (y,) if np.all(run >= 0.0) or np.all(run <= 0.0) else (y, x)
-    edges = np.linspace(0, len(x), most // (2 * len(ways)) + 1).astype(int)
+    coordinates = (y,) if np.all(run >= 0.0) or np.all(run <= 0.0) else (y, x)
+    edges = np.linspace(0, len(x), most // (2 * len(coordinates)) + 1).astype(int)
     gaps = np.flatnonzero(np.diff(np.isnan(y).astype(np.int8)) > 0) + 1
     kept: set[int] = {0, len(x) - 1, *gaps.tolist()}
     for first, last in itertools.pairwise(edges.tolist()):
-        for values in ways:
+        for values in coordinates:
             portion = values[first:last]
             if not np.all(np.isnan(portion)):
                 kept |= {first + int(np.nanargmin(portion)), first + int(np.nanargmax(portion))}
@@ -184,70 +184,81 @@ def thinned(x: Array, y: Array, most: int = LONG) -> tuple[Array, Array]:
     return x[rows], y[rows]
 
 
-def _across(spec: ChartSpec) -> list[dict[str, Any]]:
+def _vertical_shapes(spec: ChartSpec) -> list[dict[str, Any]]:
     """Return the vertical lines and shaded ranges of a chart."""
-    whole = {"yref": "paper", "y0": 0, "y1": 1, "layer": "below"}
-    found: list[dict[str, Any]] = []
-    for one in spec.spans:
-        look: dict[str, Any] = {"fillcolor": one.colour, "opacity": one.opacity, "line": {"width": 0}}
-        found.append({"type": "rect", "x0": one.low, "x1": one.high, **look, **whole})
+    full_height = {"yref": "paper", "y0": 0, "y1": 1, "layer": "below"}
+    shapes: list[dict[str, Any]] = []
+    for span in spec.spans:
+        look: dict[str, Any] = {"fillcolor": span.colour, "opacity": span.opacity, "line": {"width": 0}}
+        shapes.append({"type": "rect", "x0": span.low, "x1": span.high, **look, **full_height})
     for line in spec.lines:
         look = {"line": {"color": line.colour, "width": line.width, "dash": line.dash}}
-        found.append({"type": "line", "x0": line.at, "x1": line.at, **look, **whole})
-    return found
+        shapes.append({"type": "line", "x0": line.at, "x1": line.at, **look, **full_height})
+    return shapes
 
 
 def _traces(spec: ChartSpec, panel: Panel) -> list[Trace]:
     """Return the traces of a panel."""
-    found: list[Trace] = []
+    traces: list[Trace] = []
     for trace in panel.traces:
         if isinstance(trace, Curve):
-            found.append(_curve(trace))
+            traces.append(_curve(trace))
         elif isinstance(trace, Band):
-            found += _band(trace)
+            traces += _band(trace)
         elif isinstance(trace, Boxes):
-            found.append(_boxes(trace))
+            traces.append(_boxes(trace))
         elif isinstance(trace, HeatMap):
-            found.append(_heat_map(spec, panel, trace))
+            traces.append(_heat_map(spec, panel, trace))
         else:
-            found.append(_bars(trace))
+            traces.append(_bars(trace))
     ends = np.array(spec.x.limits or spec.reach)
-    for one in panel.lines:
-        found.append(_curve(Curve(ends, np.full(2, one.at), one.name, one.colour, one.width, one.dash, hover=bool(one.name))))
+    for line in panel.lines:
+        traces.append(
+            _curve(Curve(ends, np.full(2, line.at), line.name, line.colour, line.width, line.dash, hover=bool(line.name)))
+        )
     if panel is spec.panels[0]:
         square, entry = {"symbol": "square", "size": 11}, {"x": [None], "y": [None], "hoverinfo": "skip"}
         looks: list[tuple[str, Trace]] = [
-            *((one.name, {"mode": "lines", "line": {"color": one.colour, "dash": one.dash}}) for one in spec.lines),
+            *((line.name, {"mode": "lines", "line": {"color": line.colour, "dash": line.dash}}) for line in spec.lines),
             *(
-                (one.name, {"mode": "markers", "marker": square | {"color": one.colour, "opacity": one.opacity}})
-                for one in spec.spans
+                (span.name, {"mode": "markers", "marker": square | {"color": span.colour, "opacity": span.opacity}})
+                for span in spec.spans
             ),
         ]
-        found += [{"type": "scatter", "name": escape(name)} | entry | look for name, look in looks if name]
-    return found + _marks(spec, panel)
+        traces += [{"type": "scatter", "name": escape(name)} | entry | look for name, look in looks if name]
+    return traces + _marks(spec, panel)
 
 
 def _curve(trace: Curve) -> Trace:
-    most = 3 * LONG if np.any(np.isnan(trace.y)) else LONG  # gaps: several passes over the same width
+    most = 3 * THIN_ABOVE if np.any(np.isnan(trace.y)) else THIN_ABOVE  # gaps: several passes over the same width
     x, y = (trace.x, trace.y) if trace.picks or trace.text else thinned(trace.x, trace.y, most)
-    drawn: Trace = {"type": "scatter", "mode": trace.mode, "name": escape(trace.name), "x": short(x), "y": short(y)}
-    drawn |= {} if trace.legend and trace.name else {"showlegend": False}
+    data: Trace = {"type": "scatter", "mode": trace.mode, "name": escape(trace.name), "x": short(x), "y": short(y)}
+    data |= {} if trace.legend and trace.name else {"showlegend": False}
     if "lines" in trace.mode:
-        drawn["line"] = {"color": trace.colour, "width": round(DOTS * trace.width, 2), "dash": trace.dash, "simplify": False}
+        data["line"] = {
+            "color": trace.colour,
+            "width": round(PIXELS_PER_POINT * trace.width, 2),
+            "dash": trace.dash,
+            "simplify": False,
+        }
     if "markers" in trace.mode:
-        drawn["marker"] = {"color": trace.colour, "size": round(DOTS * trace.size, 1), "symbol": SYMBOLS[trace.symbol][1]}
+        data["marker"] = {
+            "color": trace.colour,
+            "size": round(PIXELS_PER_POINT * trace.size, 1),
+            "symbol": SYMBOLS[trace.symbol][1],
+        }
         if trace.symbol in ("open circle", "plus"):
-            drawn["marker"]["line"] = {"width": 1.7, "color": trace.colour}
+            data["marker"]["line"] = {"width": 1.7, "color": trace.colour}
     if trace.shade is not None:
         bar = {"title": {"text": escape(trace.shade_name), "side": "right"}, "thickness": 16}
-        drawn["marker"] |= {"color": short(trace.shade), "colorscale": "Viridis", "colorbar": bar}
+        data["marker"] |= {"color": short(trace.shade), "colorscale": "Viridis", "colorbar": bar}
     if trace.opacity != 1.0:
-        drawn["opacity"] = trace.opacity
+        data["opacity"] = trace.opacity
     if trace.text:
-        drawn["text"] = [escape(text) for text in trace.text]
+        data["text"] = [escape(text) for text in trace.text]
     if trace.picks:
-        drawn["customdata"] = list(trace.picks)
-    return drawn if trace.hover else drawn | {"hoverinfo": "skip"}
+        data["customdata"] = list(trace.picks)
+    return data if trace.hover else data | {"hoverinfo": "skip"}
 
 
 def _band(trace: Band) -> list[Trace]:
@@ -275,51 +286,55 @@ def _boxes(trace: Boxes) -> Trace:
 
 def _heat_map(spec: ChartSpec, panel: Panel, trace: HeatMap) -> Trace:
     template = f"{escape(spec.x.name)}: %{{x:.6g}}<br>{escape(panel.y.name)}: %{{y:.6g}}<br>%{{z:.6g}}<extra></extra>"
-    rows, columns = (slice(None, None, max(1, -(-size // CELLS))) for size in trace.z.shape)
-    drawn: Trace = {"type": "heatmap", "name": escape(trace.name), "x": short(trace.x[columns]), "y": short(trace.y[rows])}
-    drawn |= {"z": [short(row) for row in trace.z[rows, columns]], "colorscale": "Viridis", "hovertemplate": template}
-    drawn["colorbar"] = {"title": {"text": escape(trace.name), "side": "right"}, "thickness": 16}
+    rows, columns = (slice(None, None, max(1, -(-size // MAX_CELLS))) for size in trace.z.shape)
+    data: Trace = {"type": "heatmap", "name": escape(trace.name), "x": short(trace.x[columns]), "y": short(trace.y[rows])}
+    data |= {"z": [short(row) for row in trace.z[rows, columns]], "colorscale": "Viridis", "hovertemplate": template}
+    data["colorbar"] = {"title": {"text": escape(trace.name), "side": "right"}, "thickness": 16}
     if trace.limits is not None:
-        drawn |= {"zmin": trace.limits[0], "zmax": trace.limits[1]}
-    return drawn | ({"customdata": [list(row)[columns] for row in trace.picks[rows]]} if trace.picks else {})
+        data |= {"zmin": trace.limits[0], "zmax": trace.limits[1]}
+    return data | ({"customdata": [list(row)[columns] for row in trace.picks[rows]]} if trace.picks else {})
 
 
 def _bars(trace: Bars) -> Trace:
     places, sizes = ("y", "x") if trace.horizontal else ("x", "y")
     colour = trace.colours if isinstance(trace.colours, str) else list(trace.colours)
-    drawn: Trace = {"type": "bar", "name": escape(trace.name), places: short(trace.x), sizes: short(trace.y)}
-    drawn |= {"marker": {"color": colour}, "opacity": trace.opacity, "showlegend": trace.legend and bool(trace.name)}
-    drawn["width"] = short(np.broadcast_to(np.asarray(trace.width, dtype=float), np.shape(trace.x)))
-    drawn |= {"orientation": "h"} if trace.horizontal else {}
+    data: Trace = {"type": "bar", "name": escape(trace.name), places: short(trace.x), sizes: short(trace.y)}
+    data |= {"marker": {"color": colour}, "opacity": trace.opacity, "showlegend": trace.legend and bool(trace.name)}
+    data["width"] = short(np.broadcast_to(np.asarray(trace.width, dtype=float), np.shape(trace.x)))
+    data |= {"orientation": "h"} if trace.horizontal else {}
     if trace.text:
-        drawn |= {"text": [escape(text) for text in trace.text], "textposition": "none"}
-        drawn["hovertemplate"] = f"%{{text}}: %{{{sizes}:.4g}}<extra></extra>"
-    return drawn
+        data |= {"text": [escape(text) for text in trace.text], "textposition": "none"}
+        data["hovertemplate"] = f"%{{text}}: %{{{sizes}:.4g}}<extra></extra>"
+    return data
 
 
 def _marks(spec: ChartSpec, panel: Panel) -> list[Trace]:
     """Return the labelled points of a panel, one trace for all of one look."""
     groups: dict[tuple[object, ...], list[Mark]] = {}
-    for one in (one for one in panel.marks if math.isfinite(one.x + one.y)):
-        groups.setdefault((one.colour, one.symbol, one.size, one.written), []).append(one)
+    for mark in (mark for mark in panel.marks if math.isfinite(mark.x + mark.y)):
+        groups.setdefault((mark.colour, mark.symbol, mark.size, mark.written), []).append(mark)
     middle = [0.5 * sum(ends) for ends in (spec.x.limits or spec.reach, panel.y.limits or panel.rise)]
-    found = []
-    for own in groups.values():
-        first = own[0]
-        look: dict[str, Any] = {"color": first.colour, "size": round(DOTS * first.size, 1), "symbol": SYMBOLS[first.symbol][1]}
-        if any(one.angle for one in own):
-            look["angle"] = [-one.angle for one in own]
+    traces = []
+    for group in groups.values():
+        first = group[0]
+        look: dict[str, Any] = {
+            "color": first.colour,
+            "size": round(PIXELS_PER_POINT * first.size, 1),
+            "symbol": SYMBOLS[first.symbol][1],
+        }
+        if any(mark.angle for mark in group):
+            look["angle"] = [-mark.angle for mark in group]
         mode = "markers+text" if first.written else "markers"
-        drawn: Trace = {"type": "scatter", "mode": mode, "name": "", "showlegend": False, "marker": look}
-        drawn |= {"x": [one.x for one in own], "y": [one.y for one in own]}
-        drawn |= {"text": [escape(one.text).replace("\n", "<br>") for one in own], "hovertemplate": "%{text}<extra></extra>"}
+        data: Trace = {"type": "scatter", "mode": mode, "name": "", "showlegend": False, "marker": look}
+        data |= {"x": [mark.x for mark in group], "y": [mark.y for mark in group]}
+        data |= {"text": [escape(mark.text).replace("\n", "<br>") for mark in group], "hovertemplate": "%{text}<extra></extra>"}
         if first.written:
-            ups = [one.prefer[1] or middle[1] - one.y for one in own]  # sideways inwards, so that no label leaves the chart
+            ups = [mark.prefer[1] or middle[1] - mark.y for mark in group]  # sideways inwards, so that no label leaves the chart
             sides = [
-                f"{'top' if up > 0.0 else 'bottom'} {'right' if one.x < middle[0] else 'left'}"
-                for one, up in zip(own, ups, strict=True)
+                f"{'top' if up > 0.0 else 'bottom'} {'right' if mark.x < middle[0] else 'left'}"
+                for mark, up in zip(group, ups, strict=True)
             ]
-            drawn |= {"textposition": sides, "textfont": {"color": readable(first.colour), "size": 11}}
-        seen = first.text and not (first.written and spec.picks is not None)  # else the points below are pointed at
-        found.append(drawn | ({} if seen else {"hoverinfo": "skip", "hovertemplate": None}))
-    return found
+            data |= {"textposition": sides, "textfont": {"color": readable(first.colour), "size": 11}}
+        hoverable = first.text and not (first.written and spec.picks is not None)  # otherwise hovering shows the points below
+        traces.append(data | ({} if hoverable else {"hoverinfo": "skip", "hovertemplate": None}))
+    return traces

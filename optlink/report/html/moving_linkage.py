@@ -20,7 +20,7 @@ from optlink.report.shapes import zigzag
 from optlink.report.style import Scale, scale
 from optlink.tasks.results.analysis import Analysis
 
-FLAT = 0.45  # ratio of height to width below which the quantities are shown below the drawing
+STACKED_RATIO = 0.45  # ratio of height to width below which the quantities are shown below the drawing
 
 
 @dataclass(frozen=True)
@@ -77,14 +77,14 @@ class Moving:
         stops = self.stops
         values = np.round(stops.values, 9).tolist()
         slider = {"values": values, "unit": stops.unit, "decimals": stops.decimals, "turn": stops.turn}
-        listed = [{"values": one.values, "decimals": one.decimals} for one in self.readouts]
+        listed = [{"values": readout.values, "decimals": readout.decimals} for readout in self.readouts]
         return self.scene.to_dict() | {"zigzag": zigzag(self.scene.size), "readouts": listed, "slider": slider}
 
     @property
     def flat(self) -> bool:
         """Whether the quantities are shown below the drawing."""
         _, _, width, height = self.scene.box
-        return height < FLAT * width
+        return height < STACKED_RATIO * width
 
     def svg(self, title: str) -> str:
         """Return the drawing."""
@@ -140,18 +140,18 @@ def readouts(cycle: Analysis, angles: Array) -> list[Readout]:
     machine = cycle.machine
     record = MotionColumns(machine.moving(np.radians(angles), cycle.speed))
     sliders = [f"{name}.s_m" for name in slider_names(machine).values()]
-    listed = [(name, f"slide of {name.removesuffix('.s_m')}", "m") for name in sliders]
-    if not listed:
+    columns = [(name, f"slide of {name.removesuffix('.s_m')}", "m") for name in sliders]
+    if not columns:
         last = machine.mechanism.links[-1].body
-        listed.append((f"{last}.angle_rad", f"angle of {last}", "deg"))
+        columns.append((f"{last}.angle_rad", f"angle of {last}", "deg"))
     for name in record.columns:
         if name.endswith(".transmission_rad"):
-            listed.append((name, f"transmission angle at {name.partition('.')[0]}", "deg"))
+            columns.append((name, f"transmission angle at {name.partition('.')[0]}", "deg"))
     if machine.inertias or machine.loads:
-        listed.append(("input.torque_Nm", "driving torque", "N m"))
-    found = []
-    for column, words, unit in listed:
+        columns.append(("input.torque_Nm", "driving torque", "N m"))
+    result = []
+    for column, label, unit in columns:
         values = record[column]
         shown = scale(float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values))), unit)
-        found.append(Readout(words, shown.unit, finite(np.round(values * shown.factor, 4))))
-    return found
+        result.append(Readout(label, shown.unit, finite(np.round(values * shown.factor, 4))))
+    return result

@@ -19,11 +19,11 @@ from optlink.problem.file import ProblemFile
 from optlink.report.chart_spec import ChartSpec
 from optlink.report.export.svg import svg
 from optlink.report.html.moving_linkage import Moving
-from optlink.report.html.page import moved
+from optlink.report.html.page import animation_of
 from optlink.report.html.shell import asset, fragment, templates
 from optlink.report.registry import schema_of, table_of, view_of
 from optlink.report.report_model import Outcome, report_model_of
-from optlink.report.stored.loader import KNOWN, STUDIES
+from optlink.report.stored.loader import STUDIES, WITH_PAGE
 from optlink.report.table_spec import Part, TableSpec
 from optlink.report.views import analysis_forces, function_tables
 from optlink.studies.toml_keys import Knob, exact_text, knobs
@@ -45,9 +45,9 @@ def notebook_html(result: Any) -> str | None:
     result : any result of `optlink`
     """
     schema = schema_of(type(result).record)
-    if schema not in KNOWN:
+    if schema not in WITH_PAGE:
         return None
-    _, kind = KNOWN[schema]
+    _, kind = WITH_PAGE[schema]
     shown = table_of(kind)(result)
     moving = _moving(kind, result, study=schema in STUDIES)
     linkage = "" if moving is None else moving_html(moving, result.problem.model.title)
@@ -66,8 +66,8 @@ def moving_html(moving: Moving, title: str) -> str:
     """
     motion = json.dumps(moving.to_dict(), separators=(",", ":"), allow_nan=False)
     script = asset("motion.js") + asset("notebook.js")
-    made = templates().get_template("notebook.html").render(moving=moving, title=title, motion=motion, script=script)
-    return made.replace("\n\n", "\n")
+    text = templates().get_template("notebook.html").render(moving=moving, title=title, motion=motion, script=script)
+    return text.replace("\n\n", "\n")
 
 
 def _moving(kind: str, result: Any, *, study: bool) -> Moving | None:
@@ -75,7 +75,7 @@ def _moving(kind: str, result: Any, *, study: bool) -> Moving | None:
     try:
         if study:
             return view_of(kind).page(type(result).record.of(result), result.problem, Path("result.json")).moving(STEPS)
-        return moved(report_model_of(result.problem, result), STEPS) if isinstance(result, Outcome) else None
+        return animation_of(report_model_of(result.problem, result), STEPS) if isinstance(result, Outcome) else None
     except (InputError, Contradiction):  # a design that cannot be assembled, a study without a design
         return None
 
@@ -83,7 +83,7 @@ def _moving(kind: str, result: Any, *, study: bool) -> Moving | None:
 def _chart(kind: str, result: Any) -> str:
     """Return the first chart or drawing of a result as SVG; an empty text if it has none."""
     view = view_of(kind)
-    drawings = (made for drawing in view.drawings.values() if (made := drawing(result)) is not None)
+    drawings = (fig for drawing in view.drawings.values() if (fig := drawing(result)) is not None)
     return chart_svg(view.charts(view.model(result))) or next(map(_svg, drawings), "")
 
 
@@ -99,8 +99,8 @@ def _svg(figure: Figure) -> str:
     from matplotlib.text import Text
 
     text = io.StringIO()
-    for words in figure.findobj(Text):
-        words.set_path_effects([])
+    for text_artist in figure.findobj(Text):
+        text_artist.set_path_effects([])
     with rc_context({"svg.fonttype": "none"}):  # letters as text: a tenth of the size of outlines
         figure.savefig(text, format="svg")
     shown = text.getvalue()[text.getvalue().index("<svg") :]
@@ -108,9 +108,9 @@ def _svg(figure: Figure) -> str:
 
 
 PAUSE = 0.15  # s without a change of a slider before anything is computed
-NOTCHES = 20_000  # steps of a slider: its front end rounds to them, so that they are finer than what is shown
-SHOWN = ("Conflicting limits", "Objective", "Working and return")  # tables of the current design
-QUICK = ("function",)  # kinds of problems that are optimised again in about a tenth of a second
+SLIDER_STEPS = 20_000  # steps of a slider: its front end rounds to them, so that they are finer than what is shown
+SHOWN_TABLES = ("Conflicting limits", "Objective", "Working and return")  # tables of the current design
+LIVE_KINDS = ("function",)  # kinds of problems that are optimised again in about a tenth of a second
 STYLE = "<style>.optlink-bad,.optlink-figures .bad{color:#b3261e}.optlink-figures .good{color:#1e7b34}</style>"
 
 
@@ -169,18 +169,18 @@ class Explorer:
 
     def _slider(self, key: str, knob: Knob) -> Any:
         self._rest[key] = knob.value
-        made = self._widgets.FloatSlider(
+        slider = self._widgets.FloatSlider(
             value=knob.value,
             min=knob.low,
             max=knob.high,
-            step=(knob.high - knob.low) / NOTCHES,
+            step=(knob.high - knob.low) / SLIDER_STEPS,
             description=f"{knob.name} [{knob.unit}]" if knob.unit else knob.name,
             readout_format=".5g",
             style={"description_width": "220px"},
             layout={"width": "490px"},
         )
-        made.observe(lambda change: self._change(key, change["new"]), names="value")
-        return made
+        slider.observe(lambda change: self._change(key, change["new"]), names="value")
+        return slider
 
     def _build(self) -> None:
         widgets, title = self._widgets, self._widgets.HTML
@@ -190,7 +190,7 @@ class Explorer:
         self.play = widgets.Play(max=STEPS, interval=50, repeat=True)
         self.link = widgets.jslink((self.play, "value"), (self.crank, "value"))
         self.live = widgets.Checkbox(
-            value=self._file.task in QUICK,
+            value=self._file.task in LIVE_KINDS,
             description="optimise at every change of a fixed dimension or limit",
             indent=False,
             layout={"width": "auto"},
@@ -246,8 +246,8 @@ class Explorer:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-        again, self._moved = self._moved and self._designed and self.live.value, False
-        if again:
+        moved_meanwhile, self._moved = self._moved and self._designed and self.live.value, False
+        if moved_meanwhile:
             self.optimise()
         else:
             self._compute(self._current)
@@ -285,7 +285,7 @@ class Explorer:
         kind = "analysis" if isinstance(self._result, Analysis) else self._problem.task
         shown = table_of(kind)(self._result)
         self.status.value = f'{STYLE}<div class="optlink-figures">{fragment(shown.status, *self._figures(shown.parts))}</div>'
-        self._moving: Moving | None = moved(report_model_of(self._problem, self._result), STEPS)
+        self._moving: Moving | None = animation_of(report_model_of(self._problem, self._result), STEPS)
         if self._moving is not None:
             self.crank.max = self.play.max = len(self._moving.stops.values) - 1
         self._draw()
@@ -303,7 +303,7 @@ class Explorer:
             title = f"{len(failed)} of {len(checks)} checks fail"
             yield replace(function_tables.checks(failed), title=title, appendix=False)
         for part in parts:
-            if isinstance(part, TableSpec) and part.title.startswith(SHOWN):
+            if isinstance(part, TableSpec) and part.title.startswith(SHOWN_TABLES):
                 yield part
 
     def _draw(self) -> None:
@@ -314,9 +314,9 @@ class Explorer:
             self.angle.value = ""
             return
         k = min(self.crank.value, len(moving.stops.values) - 1)
-        drawn = svg(moving.scene, self._problem.model.title, k=k)
-        self.drawing.value = f'<div style="width:560px;background:#fff;color:#222">{drawn}</div>'
-        values = (f"{one.name} {one.text(k)} {one.shown_unit}" for one in moving.readouts)
+        drawing = svg(moving.scene, self._problem.model.title, k=k)
+        self.drawing.value = f'<div style="width:560px;background:#fff;color:#222">{drawing}</div>'
+        values = (f"{readout.name} {readout.text(k)} {readout.shown_unit}" for readout in moving.readouts)
         self.angle.value = escape(" · ".join((moving.stops.text(k), *values)))
 
 

@@ -26,10 +26,10 @@ from optlink.report.html.moving_linkage import Moving
 from optlink.report.table_spec import Line, Paragraph, Part, TableSpec
 from optlink.version import VERSION
 
-LARGEST = 3_000_000  # largest size of a page [bytes]
+MAX_BYTES = 3_000_000  # largest size of a page [bytes]
 STEPS = (360, 180, 90)  # numbers of positions per revolution, tried in this order
-SHORT = 20  # rows up to which a table is not broken in print
-WHOLE = 36  # length up to which a text is not broken [characters]
+UNBROKEN_ROWS = 20  # rows up to which a table is not broken in print
+UNBROKEN_LENGTH = 36  # length up to which a text is not broken [characters]
 NARROW, WIDE, HUGE = 46, 72, 105  # widths [characters] beyond which a table is too wide for a telephone, a column, paper
 DIGITS = 4  # significant digits of numbers outside the appendix
 _KEY_DOT = re.compile(r"(?<=[a-z_]\.)(?=[a-z_])")  # where a key such as mechanism.frame may be broken
@@ -91,7 +91,7 @@ class PageContent:
     def html(self) -> str:
         """Return the complete document."""
         script, (plotly, packed) = asset("motion.js") + asset("page.js"), _plotly()
-        charts = [_charted(chart) for chart in self.charts]
+        charts = [_chart_data(chart) for chart in self.charts]
         drawings = [part.svg for section in self.sections for part in section.parts if isinstance(part, Drawing)]
         drawn = [json.dumps(charts), "" if self.moving is None else self.moving.svg(""), *drawings]
         colours = theme.palette(drawn)
@@ -115,13 +115,13 @@ class PageContent:
 
 
 def letterhead(file: ProblemFile) -> dict[str, str]:
-    """Return the facts at the head of a page by name, without the empty ones; the date is that of today unless it is stated."""
+    """Return the facts at the head of a page by name, without the empty ones; the default date is today."""
     facts = file.model.report.model_dump()
     facts["date"] = facts["date"] or datetime.datetime.now(tz=datetime.UTC).date().isoformat()
     return {name: " ".join(text.split()) for name, text in facts.items() if text.strip()}
 
 
-def arranged(sections: Iterable[PageSection], closing: Iterable[PageSection]) -> tuple[PageSection, ...]:
+def arrange(sections: Iterable[PageSection], closing: Iterable[PageSection]) -> tuple[PageSection, ...]:
     """Return the sections with numbers of four digits, and the appendix.
 
     The appendix contains the tables marked for it, the tables that lost digits with all their digits, and the closing sections.
@@ -130,40 +130,40 @@ def arranged(sections: Iterable[PageSection], closing: Iterable[PageSection]) ->
     ----------
     sections, closing : iterable of PageSection
     """
-    kept, moved, exact = list[PageSection](), list[Part](), list[Part]()
+    arranged_sections, moved, exact = list[PageSection](), list[Part](), list[Part]()
     for section in sections:
         parts = list[Any]()
-        for one in section.parts:
-            group = one if isinstance(one, list | tuple) else (one,)
+        for item in section.parts:
+            group = item if isinstance(item, list | tuple) else (item,)
             moved += (part for part in group if _appended(part))
             stay = tuple(part for part in group if not _appended(part))
-            brief = tuple(_brief(part) for part in stay)
+            brief = tuple(_rounded_table(part) for part in stay)
             exact += (part for part, short_ in zip(stay, brief, strict=True) if part != short_)
-            parts += [brief] if group is one and brief else brief
-        kept += [replace(section, parts=tuple(parts))] if parts else []
+            parts += [brief] if group is item and brief else brief
+        arranged_sections += [replace(section, parts=tuple(parts))] if parts else []
     tables = [PageSection("Checks and solution", (tuple(moved),))] if moved else []
     tables += [PageSection("All digits", (tuple(exact),))] if exact else []
-    return (*kept, PageSection("Appendix", (*tables, *closing)))
+    return (*arranged_sections, PageSection("Appendix", (*tables, *closing)))
 
 
 def _appended(part: object) -> bool:
     return isinstance(part, Paragraph | TableSpec) and part.appendix
 
 
-def _brief(part: Any) -> Any:
+def _rounded_table(part: Any) -> Any:
     """Return a table with numbers of four digits, unless it needs all; anything else as it is."""
     if not isinstance(part, TableSpec) or part.exact:
         return part
-    return replace(part, rows=tuple(tuple(replace(cell, text=four(cell.text)) for cell in row) for row in part.rows))
+    return replace(part, rows=tuple(tuple(replace(cell, text=four_digits(cell.text)) for cell in row) for row in part.rows))
 
 
-def four(text: str) -> str:
+def four_digits(text: str) -> str:
     """Round the decimal numbers of a text to four significant digits, whole parts to the unit."""
 
-    def rounded(found: re.Match[str]) -> str:
-        digits, power = found[1], found[2] or ""
+    def rounded(match: re.Match[str]) -> str:
+        digits, power = match[1], match[2] or ""
         if len(digits.replace(".", "").lstrip("0")) <= DIGITS:
-            return found[0]
+            return match[0]
         value = float(digits)
         shown = f"{value:z.0f}" if value >= 10**DIGITS else f"{value:#.{DIGITS}g}".rstrip(".")
         return shown + power
@@ -177,7 +177,7 @@ def four(text: str) -> str:
 @cache
 def templates() -> Environment:
     """Return the templates of pages and notebooks."""
-    made = Environment(
+    environment = Environment(
         loader=PackageLoader("optlink.report"),
         autoescape=True,
         trim_blocks=True,
@@ -192,18 +192,18 @@ def templates() -> Environment:
         "drawing": Drawing,
         "section": PageSection,
     }
-    made.tests.update({name: lambda shown, kind=kind: isinstance(shown, kind) for name, kind in kinds.items()})
-    made.tests["short"] = lambda cell: max(map(len, cell.text.split("\n"))) <= WHOLE  # must not be broken
-    made.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
-    made.filters.update(lines=_lines, card_classes=_card_classes, row_header=_row_header)
-    made.filters.update(four=four, coloured=lambda text: Markup(theme.variable(text)))
-    return made
+    environment.tests.update({name: lambda shown, kind=kind: isinstance(shown, kind) for name, kind in kinds.items()})
+    environment.tests["short"] = lambda cell: max(map(len, cell.text.split("\n"))) <= UNBROKEN_LENGTH  # must not be broken
+    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
+    environment.filters.update(lines=_lines, card_classes=_card_classes, row_header=_row_header)
+    environment.filters.update(four=four_digits, coloured=lambda text: Markup(theme.variable(text)))
+    return environment
 
 
 def fragment(*parts: Part) -> str:
     """Return tables and paragraphs as HTML without a page around them."""
-    made = templates().get_template("parts.html").module
-    return "".join(made.part(one) for one in parts)  # type: ignore[attr-defined]
+    module = templates().get_template("parts.html").module
+    return "".join(module.part(part) for part in parts)  # type: ignore[attr-defined]
 
 
 def _lines(text: str) -> Markup:
@@ -217,19 +217,19 @@ def _card_classes(spec: TableSpec) -> str:
         "stack": width > NARROW and spec.header,
         "wide": width > WIDE,
         "huge": width > HUGE,
-        "short": len(spec.rows) <= SHORT,
+        "short": len(spec.rows) <= UNBROKEN_ROWS,
     }
     return " ".join(["card", *(name for name, holds in sizes.items() if holds)])
 
 
 def table_width(spec: TableSpec) -> int:
     """Return the least width of a table in characters, with numbers and short texts unbroken."""
-    found = 0
+    width = 0
     for k, column in enumerate(spec.columns):
         lines = [line for text in (column.name, *(row[k].text for row in spec.rows)) for line in text.split("\n")]
-        pieces = (piece for line in lines for piece in ([line] if column.right or len(line) <= WHOLE else line.split()))
-        found += 2 + max(map(len, pieces), default=0)
-    return found
+        pieces = (piece for line in lines for piece in ([line] if column.right or len(line) <= UNBROKEN_LENGTH else line.split()))
+        width += 2 + max(map(len, pieces), default=0)
+    return width
 
 
 def _row_header(spec: TableSpec) -> int:
@@ -243,19 +243,19 @@ def _row_header(spec: TableSpec) -> int:
     return first if first < len(spec.columns) - 1 else -1
 
 
-def _charted(chart: Chart) -> dict[str, Any]:
+def _chart_data(chart: Chart) -> dict[str, Any]:
     """Return the data of a chart for the page script."""
-    found: dict[str, Any] = {"figure": chart.figure, "cranked": chart.cranked}
+    data: dict[str, Any] = {"figure": chart.figure, "cranked": chart.cranked}
     if chart.picks is not None:
         picks = chart.picks
-        found["drawings"] = {k: one.svg for k, one in chart.drawings.items()}
-        found["picks"] = {
-            "rows": [[four(text) for text in row] for row in picks.rows],
+        data["drawings"] = {k: drawing.svg for k, drawing in chart.drawings.items()}
+        data["picks"] = {
+            "rows": [[four_digits(text) for text in row] for row in picks.rows],
             "x": short(picks.x),
             "y": short(picks.y),
             "first": picks.first,
         }
-    return found
+    return data
 
 
 # --- data for the page script ------------------------------------------------------------------------------------------------

@@ -8,8 +8,8 @@ from collections.abc import Iterable
 
 LIGHT, DARK = "#ffffff", "#15181c"
 """Backgrounds of the two modes."""
-TEXT = 4.6  # least contrast of text (WCAG 2.1, level AA: 4.5)
-TINT = 0.72  # relative luminance from which a colour is a background
+MIN_CONTRAST = 4.6  # least contrast of text (WCAG 2.1, level AA: 4.5)
+BACKGROUND_LUMINANCE = 0.72  # relative luminance from which a colour is a background
 _HEX = re.compile(r"#[0-9a-fA-F]{6}\b")
 
 
@@ -20,15 +20,15 @@ def luminance(colour: str) -> float:
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 
-def contrast(one: str, other: str) -> float:
+def contrast(colour: str, background: str) -> float:
     """Return the contrast ratio of two colours (WCAG 2.1), 1 to 21.
 
     Parameters
     ----------
-    one, other : str
+    colour, background : str
         Colours "#rrggbb".
     """
-    low, high = sorted((luminance(one), luminance(other)))
+    low, high = sorted((luminance(colour), luminance(background)))
     return (high + 0.05) / (low + 0.05)
 
 
@@ -44,7 +44,7 @@ def readable(colour: str, paper: str = LIGHT) -> str:
     """
     hue, light, saturation = _hls(colour)
     step = -0.01 if luminance(paper) > 0.5 else 0.01
-    while contrast(colour, paper) < TEXT and 0.0 <= light <= 1.0:
+    while contrast(colour, paper) < MIN_CONTRAST and 0.0 <= light <= 1.0:
         light += step
         colour = _hex(hue, min(max(light, 0.0), 1.0), saturation)
     return colour
@@ -53,8 +53,8 @@ def readable(colour: str, paper: str = LIGHT) -> str:
 def dark(colour: str) -> str:
     """Return the colour of dark mode: a background tint becomes a dark one, any other colour stays readable."""
     hue, light, saturation = _hls(colour)
-    if luminance(colour) < TINT:
-        ink = saturation < 0.25 and contrast(colour, LIGHT) > 2.0 * TEXT  # nearly black becomes nearly white
+    if luminance(colour) < BACKGROUND_LUMINANCE:
+        ink = saturation < 0.25 and contrast(colour, LIGHT) > 2.0 * MIN_CONTRAST  # nearly black becomes nearly white
         return readable(_hex(hue, 1.0 - 0.7 * light, saturation) if ink else colour, DARK)
     return DARK if colour.lower() == LIGHT else _hex(hue, 0.11 + 0.7 * (1.0 - light), 0.4 * saturation)
 
@@ -66,12 +66,12 @@ def palette(texts: Iterable[str]) -> dict[str, str]:
     ----------
     texts : iterable of str
     """
-    return {colour: dark(colour) for colour in sorted({found for text in texts for found in _HEX.findall(text)})}
+    return {colour: dark(colour) for colour in sorted({match for text in texts for match in _HEX.findall(text)})}
 
 
 def variable(text: str) -> str:
     """Replace every colour "#rrggbb" of a drawing by a CSS variable with this colour as default."""
-    return _HEX.sub(lambda found: f"var(--c{found[0][1:]}, {found[0]})", text)
+    return _HEX.sub(lambda match: f"var(--c{match[0][1:]}, {match[0]})", text)
 
 
 def _hls(colour: str) -> tuple[float, float, float]:

@@ -30,24 +30,24 @@ def _by_schema(commands: Mapping[str, str]) -> dict[str, tuple[str, str]]:
     return {f"optlink/{kind.replace(' ', '-')}/2": (command, kind) for kind, command in commands.items()}
 
 
-COMPARED = "simulate --control compare"
+COMPARISON = "simulate --control compare"
 SOLVED = _by_schema(dict.fromkeys(("function", "path", "cycle"), "solve") | {"analysis": "analyze"})
 SOLVED |= _by_schema({"sensitivity": "study sensitivity"})
 """Schemas of results whose figures are computed anew: the command that writes them, and their kind."""
-STUDIES = _by_schema({"simulation": "simulate", "clearance": "simulate", "control comparison": COMPARED, "balance": "balance"})
+STUDIES = _by_schema({"simulation": "simulate", "clearance": "simulate", "control comparison": COMPARISON, "balance": "balance"})
 STUDIES |= _by_schema({kind: f"study {kind}" for kind in ("sweep", "tolerance", "pareto")})
 """Schemas of results that are shown as stored: the command that writes them, and the kind of their page."""
-KNOWN = {**SOLVED, **STUDIES}
-EARLIER = dict.fromkeys(("optlink/result", "optlink/generation", "optlink/machine-design"), "solve")
-EARLIER |= {"optlink/compensation": COMPARED}
+WITH_PAGE = {**SOLVED, **STUDIES}
+FORMER_SCHEMAS = dict.fromkeys(("optlink/result", "optlink/generation", "optlink/machine-design"), "solve")
+FORMER_SCHEMAS |= {"optlink/compensation": COMPARISON}
 """Names of schemas of earlier versions: the command that writes the present one."""
 DERIVATIVES = "Read the derivatives of an output in the sensitivity.csv beside it"
-PAGELESS = {
+WITHOUT_PAGE = {
     "optlink/output-sensitivity/2": ("study sensitivity --quantity", DERIVATIVES),
     "optlink/tuning/2": ("simulate --tune", "Read the best parameters in it, under best"),
 }
 """Schemas of results that are not drawn: the command that writes them, and where to read them."""
-COMMANDS = {name.rpartition("/")[0]: command for name, (command, _) in (KNOWN | PAGELESS).items()} | EARLIER
+COMMANDS = {name.rpartition("/")[0]: command for name, (command, _) in (WITH_PAGE | WITHOUT_PAGE).items()} | FORMER_SCHEMAS
 """Commands by the names of all schemas."""
 
 
@@ -90,27 +90,29 @@ def load_stored(text: str, problem: str | None = None, changes: Sequence[str] = 
     schema = document.get("schema")
     further = next((view for view in REGISTERED.values() if view.schema and view.schema == schema), None)
     if further is not None:
-        return _further(further, document, path, problem, changes)
-    if not isinstance(schema, str) or schema not in KNOWN:
+        return _extension_model(further, document, path, problem, changes)
+    if not isinstance(schema, str) or schema not in WITH_PAGE:
         raise _unknown(schema, path)
-    _, kind = KNOWN[schema]
+    _, kind = WITH_PAGE[schema]
     record = read_record(records()[kind], document, path)
     file = problem_of(record, path, problem, changes)
     try:
         if schema in SOLVED:
-            found: ReportModel | StoredStudy = read_report_model(record, file, path)
+            report: ReportModel | StoredStudy = read_report_model(record, file, path)
         else:
             with single_units():
-                found = replace(view_of(kind).page(record, file, path), notes=(f"shown as recorded in {path.name}",))
+                report = replace(view_of(kind).page(record, file, path), notes=(f"shown as recorded in {path.name}",))
     except Contradiction as error:
         raise damaged(error, path) from None
     if record.optlink != VERSION:
         note = f"that file was written by optlink {record.optlink}, this page by {VERSION}"
-        found = replace(found, notes=(*found.notes, note))
-    return found
+        report = replace(report, notes=(*report.notes, note))
+    return report
 
 
-def _further(view: View, document: dict[str, Any], path: Path, problem: str | None, changes: Sequence[str]) -> ReportModel:
+def _extension_model(
+    view: View, document: dict[str, Any], path: Path, problem: str | None, changes: Sequence[str]
+) -> ReportModel:
     """Return the report model of a result of a kind from outside the package."""
     about = read_record(_Head, {name: document[name] for name in _Head.model_fields if name in document}, path)
     file = problem_of(about, path, problem, changes)
@@ -124,12 +126,12 @@ def _unknown(schema: object, path: Path) -> InputError:
     """Return the error for a document of an unknown schema."""
     if not isinstance(schema, str) or not schema.startswith("optlink/"):
         return InputError("not a result of optlink", "Give a result.json that --out wrote", str(path), "schema", schema)
-    if schema in PAGELESS:
-        return InputError("a result of this kind has no page", PAGELESS[schema][1], str(path), "schema", schema)
+    if schema in WITHOUT_PAGE:
+        return InputError("a result of this kind has no page", WITHOUT_PAGE[schema][1], str(path), "schema", schema)
     if command := COMMANDS.get(schema.rpartition("/")[0]):
         remedy = f"Run `{command}` again, or use the version that wrote it"
         return InputError("the result has another format version", remedy, str(path), "schema", schema)
-    commands = ", ".join(dict.fromkeys(command for command, _ in KNOWN.values()))
+    commands = ", ".join(dict.fromkeys(command for command, _ in WITH_PAGE.values()))
     remedy = f"Give what --out of one of these wrote: {commands}; or the problem itself"
     return InputError("not a result that can be shown here", remedy, str(path), "schema", schema)
 
@@ -177,6 +179,6 @@ def _places(name: str, path: Path) -> Iterator[str]:
     if name in shipped():
         yield name
     for folder in (path.parent, path.parent.parent, Path()):
-        beside = folder / f"{name}.toml"
-        if "/" not in name and "\\" not in name and os.path.isfile(beside):
-            yield str(beside)
+        sibling = folder / f"{name}.toml"
+        if "/" not in name and "\\" not in name and os.path.isfile(sibling):
+            yield str(sibling)

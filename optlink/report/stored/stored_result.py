@@ -61,11 +61,11 @@ def read_report_model(record: ResultRecord, file: ProblemFile, path: Path) -> Re
     """
     notes = [f"read from {path.name}; kinematics and checks are recomputed from the design in it"]
     if isinstance(record, SensitivitiesRecord):
-        return _sensitive(record, file, tuple(notes))
+        return _sensitivity_model(record, file, tuple(notes))
     outcome = _solved(_certified(_outcome(record, path, file), record))
     if getattr(record, "certificate", None) is not None:
-        kept = isinstance(outcome, FunctionResult | PathResult) and outcome.certificate is not None
-        notes.append(RESTORED if kept else "the certificate of the global optimum in the file is not that of this design")
+        restored = isinstance(outcome, FunctionResult | PathResult) and outcome.certificate is not None
+        notes.append(RESTORED if restored else "the certificate of the global optimum in the file is not that of this design")
     return report_model_of(file, outcome, _limits(record) if _optimal(outcome) else (), tuple(notes))
 
 
@@ -78,10 +78,10 @@ def _certified(outcome: Outcome, record: ResultRecord) -> Outcome:
     objective = outcome.objective if outcome.valid else math.inf
     unknowns = tuple(outcome.problem.model.free)
     try:
-        found = record.certificate.certificate(unknowns, exact=exact(outcome.problem, objective))
+        certificate = record.certificate.certificate(unknowns, exact=exact(outcome.problem, objective))
     except Contradiction as error:
         raise Contradiction(f"certificate.{error.key}", str(error), error.value) from None
-    return replace(outcome, certificate=found if found.belongs_to(objective) else None)
+    return replace(outcome, certificate=certificate if certificate.belongs_to(objective) else None)
 
 
 def _solved(outcome: Outcome) -> Outcome:
@@ -92,20 +92,20 @@ def _solved(outcome: Outcome) -> Outcome:
     return outcome.with_best(solution=optimum(best))
 
 
-def _sensitive(record: SensitivitiesRecord, file: ProblemFile, notes: tuple[str, ...]) -> ReportModel:
+def _sensitivity_model(record: SensitivitiesRecord, file: ProblemFile, notes: tuple[str, ...]) -> ReportModel:
     """Return the optimum of a sensitivity study with recomputed derivatives and stored checks."""
     values = {name: value * _size(file, record.design_units, name) for name, value in record.design.items()}
     check_entries("design", values, file.model.free)
-    given = values if file.task == "path" else {name: values[name] for name in file.model.free}
-    outcome = _solved(validate(file, given).with_best(status=Status.OPTIMAL))
+    design = values if file.task == "path" else {name: values[name] for name in file.model.free}
+    outcome = _solved(validate(file, design).with_best(status=Status.OPTIMAL))
     best = getattr(outcome, "best", None)
     if best is None or best.solution is None:
         raise Contradiction("design", "this is not the optimum of its problem")
 
     checks = {row.key: row.searched_again for row in record.parameters}
-    found = of_solution(best.problem, best.solution)
-    rows = tuple(replace(row, check=checks.get(row.parameter.key)) for row in found.rows)
-    return replace(report_model_of(file, outcome, (), notes), effects=replace(found, rows=rows))
+    sensitivities = of_solution(best.problem, best.solution)
+    rows = tuple(replace(row, check=checks.get(row.parameter.key)) for row in sensitivities.rows)
+    return replace(report_model_of(file, outcome, (), notes), effects=replace(sensitivities, rows=rows))
 
 
 def _size(file: ProblemFile, units: Mapping[str, str], name: str) -> float:
@@ -128,29 +128,29 @@ def _outcome(record: ResultRecord, path: Path, file: ProblemFile) -> Outcome:
     if isinstance(record, PathRecord):
         return _path(record, file)
     assert isinstance(record, SingleRecord)
-    made = validate(file, read_design(file, [str(path)]))
+    result = validate(file, read_design(file, [str(path)]))
     about: dict[str, Any] = {name: getattr(record, name) for name in ("status", "backend", "seed", "starts")}
-    about |= {"validation": _with_stored(made.validation, record.validation), "seconds": {}}
+    about |= {"validation": _with_stored(result.validation, record.validation), "seconds": {}}
     about |= {"conflict": record.conflict or (), "together": record.relax_together or ()}
-    return replace(made, **about | ({"notes": record.notes} if isinstance(made, CycleResult) else {}))
+    return replace(result, **about | ({"notes": record.notes} if isinstance(result, CycleResult) else {}))
 
 
-def _with_stored(fresh: Validation, stored: tuple[Check, ...]) -> Validation:
+def _with_stored(validation: Validation, stored: tuple[Check, ...]) -> Validation:
     """Return a validation with the stored checks that it does not repeat."""
-    known = {check.name for check in fresh.checks}
-    return replace(fresh, checks=(*fresh.checks, *(check for check in stored if check.name not in known)))
+    repeated = {check.name for check in validation.checks}
+    return replace(validation, checks=(*validation.checks, *(check for check in stored if check.name not in repeated)))
 
 
 def _path(record: PathRecord, file: ProblemFile) -> PathResult:
     """Return the best design of a search, or its nearest miss, at the stored crank angles."""
-    found = [_path_design(one, f"designs[{k}]", file) for k, one in enumerate(record.designs)]
+    designs = [_path_design(design_record, f"designs[{k}]", file) for k, design_record in enumerate(record.designs)]
     nearest = None if record.nearest_miss is None else _path_design(record.nearest_miss, "nearest_miss", file)
-    valid = tuple(design for design in found if design.valid)
+    valid = tuple(design for design in designs if design.valid)
     return record.build(
         PathResult,
         problem=file,
         designs=valid,
-        nearest=nearest or next(iter(found), None),
+        nearest=nearest or next(iter(designs), None),
         seconds={},
         conflict=(),
         certificate=None,
@@ -158,7 +158,9 @@ def _path(record: PathRecord, file: ProblemFile) -> PathResult:
 
 
 def _path_design(record: PathDesignRecord, where: str, file: ProblemFile) -> PathDesign:
-    modes = {json.dumps(each.raw["mechanism"].get("assembly", "left"), sort_keys=True): each for each in file.variants()}
+    modes = {
+        json.dumps(candidate.raw["mechanism"].get("assembly", "left"), sort_keys=True): candidate for candidate in file.variants()
+    }
     variant = modes.get(json.dumps(record.assembly, sort_keys=True))
     if variant is None:
         raise Contradiction(f"{where}.assembly", "the problem has no such assembly mode")
@@ -168,8 +170,8 @@ def _path_design(record: PathDesignRecord, where: str, file: ProblemFile) -> Pat
     angles = np.radians(record.points["crank_deg"])
     assert isinstance(variant.model, PathProblem)
     check_length(angles, len(variant.model.data.columns), f"{where}.points.crank_deg")
-    fresh = validate_path(variant.model, values, angles)
-    return PathDesign(variant, values, angles, fresh.objective, record.status, _with_stored(fresh, record.validation))
+    validation = validate_path(variant.model, values, angles)
+    return PathDesign(variant, values, angles, validation.objective, record.status, _with_stored(validation, record.validation))
 
 
 def _limits(record: ResultRecord) -> tuple[LimitState, ...]:
@@ -186,7 +188,7 @@ def _optimal(outcome: Outcome) -> bool:
     return best is not None and best.status is Status.OPTIMAL
 
 
-SAME = 1e-5  # tolerance in scaled units; a larger step leads to a different optimum
+SOLUTION_TOLERANCE = 1e-5  # tolerance in scaled units; a larger step leads to a different optimum
 
 
 def optimum(design: FunctionResult | CycleResult | PathDesign) -> Solution | None:
@@ -199,10 +201,10 @@ def optimum(design: FunctionResult | CycleResult | PathDesign) -> Solution | Non
 def _law_optimum(result: FunctionResult) -> Solution | None:
     file, design = result.problem, result.design
     if not file.spec.everywhere:
-        return _at(build(file.spec), dict(design))
+        return _optimum_at(build(file.spec), dict(design))
     # the positions of the largest errors belong to the nonlinear program: solve from the optimum, which must not move
-    found = solve(file, "ipopt", begin={name: design[name] for name in file.spec.free}).solution
-    return None if found is None else _same(found, found.nlp.x_of(dict(design)))
+    solution = solve(file, "ipopt", begin={name: design[name] for name in file.spec.free}).solution
+    return None if solution is None else _if_unmoved(solution, solution.nlp.x_of(dict(design)))
 
 
 def _machine_optimum(result: CycleResult) -> Solution | None:
@@ -215,13 +217,13 @@ def _machine_optimum(result: CycleResult) -> Solution | None:
     from optlink.studies.cycle_task import with_starting_values
     from optlink.tasks.cycle import solve as solve_cycle
 
-    found = solve_cycle(with_starting_values(result.problem, result.design), CLOSE, starts=1).solution
-    if found is None or found.status is not Status.OPTIMAL:
+    solution = solve_cycle(with_starting_values(result.problem, result.design), CLOSE, starts=1).solution
+    if solution is None or solution.status is not Status.OPTIMAL:
         return None
-    assert isinstance(found.nlp, CycleNLP)
-    count = len(found.nlp.free)
-    away = found.x[:count] - found.nlp.x_of(result.design)[:count]
-    return found if float(np.max(np.abs(away))) <= SAME else None
+    assert isinstance(solution.nlp, CycleNLP)
+    count = len(solution.nlp.free)
+    deviation = solution.x[:count] - solution.nlp.x_of(result.design)[:count]
+    return solution if float(np.max(np.abs(deviation))) <= SOLUTION_TOLERANCE else None
 
 
 def _path_optimum(design: PathDesign) -> Solution | None:
@@ -230,26 +232,26 @@ def _path_optimum(design: PathDesign) -> Solution | None:
 
     angles = design.crank_angles
     nlp = build_path_nlp(design.task, 1 if angles[-1] >= angles[0] else -1)
-    own = {angle_name(k): float(angle) for k, angle in enumerate(angles)}
-    x = nlp.x_of({**design.values, **own})
+    crank_values = {angle_name(k): float(angle) for k, angle in enumerate(angles)}
+    x = nlp.x_of({**design.values, **crank_values})
     start = multistart.solution_at(nlp, x, "read from a result file")
-    return _same(solve_semi_infinite(design.task, start, "ipopt", near=True), x)
+    return _if_unmoved(solve_semi_infinite(design.task, start, "ipopt", near=True), x)
 
 
-def _at(nlp: NLP, values: dict[str, float]) -> Solution | None:
+def _optimum_at(nlp: NLP, values: dict[str, float]) -> Solution | None:
     """Return the optimum at given values, directly or after an optimisation that must not move them."""
     x = nlp.x_of(values)
-    found = multistart.solution_at(nlp, x, "read from a result file")
-    if found.status is not Status.OPTIMAL:
-        found = multistart.solve_from(nlp, x, "ipopt")
-    return _same(found, x)
+    solution = multistart.solution_at(nlp, x, "read from a result file")
+    if solution.status is not Status.OPTIMAL:
+        solution = multistart.solve_from(nlp, x, "ipopt")
+    return _if_unmoved(solution, x)
 
 
-def _same(found: Solution, x: Array) -> Solution | None:
+def _if_unmoved(solution: Solution, x: Array) -> Solution | None:
     """Return a solution if it is optimal and coincides with the stored one at `x`; None otherwise."""
-    away = found.x - x
-    angular = np.array([variable.scale.unit == "deg" for variable in found.nlp.variables])
-    turns = TURN / np.array([variable.size for variable in found.nlp.variables])
-    away -= np.where(angular, turns * np.round(away / turns), 0.0)  # angles are equal modulo a turn
-    near = float(np.max(np.abs(away), initial=0.0)) <= SAME
-    return found if found.status is Status.OPTIMAL and near else None
+    deviation = solution.x - x
+    angular = np.array([variable.scale.unit == "deg" for variable in solution.nlp.variables])
+    turns = TURN / np.array([variable.size for variable in solution.nlp.variables])
+    deviation -= np.where(angular, turns * np.round(deviation / turns), 0.0)  # angles are equal modulo a turn
+    close = float(np.max(np.abs(deviation), initial=0.0)) <= SOLUTION_TOLERANCE
+    return solution if solution.status is Status.OPTIMAL and close else None

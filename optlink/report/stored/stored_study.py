@@ -18,7 +18,7 @@ from optlink.report.format import single_units
 from optlink.report.html import moving_linkage
 from optlink.report.html.chart_plotly import Chart
 from optlink.report.html.moving_linkage import Moving
-from optlink.report.html.shell import LARGEST, STEPS, PageContent, PageSection, StoredStudy, arranged
+from optlink.report.html.shell import MAX_BYTES, STEPS, PageContent, PageSection, StoredStudy, arrange
 from optlink.report.shapes import even
 from optlink.report.table_spec import Paragraph
 from optlink.report.views import problem_tables
@@ -26,20 +26,20 @@ from optlink.tasks.analyze import analyze
 from optlink.tasks.results.analysis import Analysis
 from optlink.version import VERSION
 
-DRAWN = 60  # largest number of selectable points with a drawing of their own
+MAX_DRAWINGS = 60  # largest number of selectable points with a drawing of their own
 
 
 def study_page(studied: StoredStudy) -> str:
-    """Return the HTML page of a result with the most positions per revolution that keep it below `LARGEST`."""
+    """Return the HTML page of a result with the most positions per revolution that keep it below `MAX_BYTES`."""
     for steps in STEPS:
         with single_units():
-            text = _sheet(studied, steps).html()
-        if len(text.encode()) <= LARGEST:
+            text = _page(studied, steps).html()
+        if len(text.encode()) <= MAX_BYTES:
             break
     return text
 
 
-def _sheet(studied: StoredStudy, steps: int) -> PageContent:
+def _page(studied: StoredStudy, steps: int) -> PageContent:
     file, moving = studied.problem, studied.moving(steps)
     sections = list(studied.sections)  # those without parts are left out
     if moving is not None:
@@ -48,7 +48,7 @@ def _sheet(studied: StoredStudy, steps: int) -> PageContent:
         caption = [Paragraph(studied.drawn, lead=True)] if studied.drawn else []
         shown.append(PageSection("Linkage in motion", (*caption, moving)))
         sections[studied.after : studied.after] = shown
-    return PageContent(studied, arranged(sections, closing(file, studied.by)), moving)
+    return PageContent(studied, arrange(sections, closing_sections(file, studied.by)), moving)
 
 
 # --- parts -------------------------------------------------------------------------------------------------------------------
@@ -63,13 +63,13 @@ def named_si(file: ProblemFile, columns: Mapping[str, float]) -> dict[str, float
     columns : mapping of str to float
         In display units; columns that are no quantity are ignored.
     """
-    found = {}
+    values = {}
     for name, quantity in file.model.quantities.items():
         unit = quantity.display[1]
         column = f"{name}_{unit}" if unit else name
         if column in columns:
-            found[name] = columns[column] * quantity.si_per_unit
-    return found
+            values[name] = columns[column] * quantity.si_per_unit
+    return values
 
 
 def cycle_of(file: ProblemFile, design: Mapping[str, float]) -> Analysis | None:
@@ -100,7 +100,7 @@ def with_drawings(chart: Chart, designs: Callable[[int], tuple[ProblemFile, Mapp
     picks = chart.picks
     if picks is None:
         return chart
-    chosen = sorted({picks.first, *even(len(picks.rows), DRAWN).tolist()})
+    chosen = sorted({picks.first, *even(len(picks.rows), MAX_DRAWINGS).tolist()})
 
     def draw() -> Mapping[int, Drawing]:
         cycles = {k: cycle_of(*designs(picks.sources[k])) for k in chosen}
@@ -109,7 +109,7 @@ def with_drawings(chart: Chart, designs: Callable[[int], tuple[ProblemFile, Mapp
     return replace(chart, draw=draw)
 
 
-def turning(file: ProblemFile, design: Mapping[str, float], steps: int) -> Moving | None:
+def turning_linkage(file: ProblemFile, design: Mapping[str, float], steps: int) -> Moving | None:
     """Animate the machine of a problem over its crank angle; None if it cannot be assembled.
 
     Parameters
@@ -124,11 +124,11 @@ def turning(file: ProblemFile, design: Mapping[str, float], steps: int) -> Movin
     return None if cycle is None else moving_linkage.turning(cycle, steps)
 
 
-def still(_: int) -> None:
+def no_animation(_: int) -> None:
     """Return None: there is no linkage to animate."""
 
 
-def closing(file: ProblemFile, by: str) -> Iterable[PageSection]:
+def closing_sections(file: ProblemFile, by: str) -> Iterable[PageSection]:
     """Yield the last sections of the appendix: the problem, and sources, versions and method.
 
     Parameters
@@ -143,11 +143,11 @@ def closing(file: ProblemFile, by: str) -> Iterable[PageSection]:
 
 
 def _sources(file: ProblemFile, by: str) -> list[tuple[str, str]]:
-    found = [("Problem", file.model.source or "no source is given")]
+    rows = [("Problem", file.model.source or "no source is given")]
     if file.model.expected is not None:
-        found.append(("Expected values", file.model.expected.source))
+        rows.append(("Expected values", file.model.expected.source))
     return [
-        *found,
+        *rows,
         ("Problem file", file.file),
         ("Hash of the problem", file.hash),
         ("Found by", by),

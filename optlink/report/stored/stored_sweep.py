@@ -18,7 +18,7 @@ from optlink.studies.sweep_task import OPTIMISE
 FLAGS = ("valid", CHANGED)
 
 
-def read(record: SweepRecord, file: ProblemFile, place: Path) -> Sweep:
+def read(record: SweepRecord, file: ProblemFile, result_file: Path) -> Sweep:
     """Read the table of a stored sweep, beside its file or otherwise where the record locates it.
 
     Parameters
@@ -26,7 +26,7 @@ def read(record: SweepRecord, file: ProblemFile, place: Path) -> Sweep:
     record : SweepRecord
     file : ProblemFile
         The problem of the study.
-    place : Path
+    result_file : Path
         File of the record.
 
     Raises
@@ -36,7 +36,7 @@ def read(record: SweepRecord, file: ProblemFile, place: Path) -> Sweep:
     Contradiction
         If the record does not fit its table.
     """
-    path = place.parent / TABLE
+    path = result_file.parent / TABLE
     path = path if path.is_file() or record.table is None else Path(record.table)
     names, count = record.columns, record.points
     try:
@@ -85,8 +85,8 @@ def _check_numbers(path: Path, name: str, texts: list[str]) -> None:
 
 
 def _axis(record: AxisRecord, k: int, table: Mapping[str, list[str]]) -> Axis:
-    bare = Axis(record.key, record.unit, ())
-    values = tuple(dict.fromkeys(float(text) for text in table.get(bare.column, [])))
+    axis = Axis(record.key, record.unit, ())
+    values = tuple(dict.fromkeys(float(text) for text in table.get(axis.column, [])))
     if len(values) != record.values:
         raise Contradiction(f"axes[{k}].values", f"the table has {len(values)} values of it", record.values)
-    return Axis(bare.key, bare.unit, values)
+    return Axis(axis.key, axis.unit, values)

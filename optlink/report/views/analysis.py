@@ -23,84 +23,84 @@ from optlink.report.style import CRANK, TARGET, degrees, figure, heading, panels
 from optlink.report.view import View
 from optlink.report.views import analysis_charts, analysis_forces
 from optlink.report.views.analysis_charts import output
-from optlink.report.views.analysis_curves import NOTHING, CycleCurves
+from optlink.report.views.analysis_curves import ROUNDING, CycleCurves
 
 FRAMES = 80
 
 
-def charts(course: CycleCurves) -> list[ChartSpec]:
-    """Return the charts of an analysis: motion, transmission angles and, as far as there are any, forces."""
-    return [*analysis_charts.motion(course), *analysis_charts.transmission(course), *analysis_forces.forces(course)]
+def charts(cycle: CycleCurves) -> list[ChartSpec]:
+    """Return the charts of an analysis: motion, transmission angles and any forces."""
+    return [*analysis_charts.motion(cycle), *analysis_charts.transmission(cycle), *analysis_forces.forces(cycle)]
 
 
 # --- mechanism -------------------------------------------------------------------------------------------------------------
 
 
-def positions(course: CycleCurves) -> dict[str, float]:
+def positions(cycle: CycleCurves) -> dict[str, float]:
     """Return the characteristic crank angles [rad] by name.
 
     These are the start (or start, middle and end of a limited range), the dead centres of the output and the torque extremes.
     """
-    result, out = course.result, output(course)
-    found = [("start", course.start)]
+    result, out = cycle.result, output(cycle)
+    angles = [("start", cycle.start)]
     if not result.full:
-        middle = 0.5 * (course.start + course.end)
-        found = [("start of the range", course.start), ("middle of the range", middle), ("end of the range", course.end)]
-    centres = course.in_order(out.travel.dead_centres) if out.travel else []
+        middle = 0.5 * (cycle.start + cycle.end)
+        angles = [("start of the range", cycle.start), ("middle of the range", middle), ("end of the range", cycle.end)]
+    centres = cycle.in_order(out.travel.dead_centres) if out.travel else []
     ends = (out.travel.low_at, out.travel.high_at) if out.travel else ()
     for number, at in enumerate(centres, 1):
         if len(centres) <= 4 or any(abs(math.remainder(at - end, TURN)) < 1e-6 for end in ends):
-            found.append((f"dead centre {number} of {out.name}" if 1 < len(centres) <= 4 else f"limit of {out.name}", at))
+            angles.append((f"dead centre {number} of {out.name}" if 1 < len(centres) <= 4 else f"limit of {out.name}", at))
     torque = result.extremes.get("input.torque_Nm")
-    if torque and course.has("input.torque_Nm") and torque.largest - torque.least > NOTHING * course.peak("input.torque_Nm"):
-        found += [("largest torque", course.inside(torque.largest_at)), ("least torque", course.inside(torque.least_at))]
-    return merged_positions(found, periodic=result.full)
+    if torque and cycle.has("input.torque_Nm") and torque.largest - torque.least > ROUNDING * cycle.peak("input.torque_Nm"):
+        angles += [("largest torque", cycle.inside(torque.largest_at)), ("least torque", cycle.inside(torque.least_at))]
+    return merged_positions(angles, periodic=result.full)
 
 
 @styled
-def mechanism(course: CycleCurves) -> Figure:
+def mechanism(cycle: CycleCurves) -> Figure:
     """Draw the mechanism at its characteristic positions with joint traces, and the joint velocities at one of them."""
-    result = course.result
+    result = cycle.result
     machine = result.machine
-    sketch = Sketch(sweep(machine.mechanism, machine.sizes, course.angles, result.speed), machine)
-    named = positions(course)
-    here = {name: sweep(machine.mechanism, machine.sizes, np.array([at]), result.speed) for name, at in named.items()}
+    sketch = Sketch(sweep(machine.mechanism, machine.sizes, cycle.angles, result.speed), machine)
+    angles = positions(cycle)
+    motions = {name: sweep(machine.mechanism, machine.sizes, np.array([at]), result.speed) for name, at in angles.items()}
     moving = [point for point, bodies in machine.mechanism.owners.items() if FRAME not in bodies]
-    speeds = {name: max(float(np.linalg.norm(there.velocity(point)[0])) for point in moving) for name, there in here.items()}
+    speeds = {name: max(float(np.linalg.norm(motion.velocity(point)[0])) for point in moving) for name, motion in motions.items()}
     # show velocities at the largest torque or, if some are unbounded, where they are smallest
     slow = {name: speed for name, speed in speeds.items() if math.isfinite(speed)}
-    chosen = next((name for name in named if "largest torque" in name), next(iter(named)))
-    if slow and not course.steady:
+    chosen = next((name for name in angles if "largest torque" in name), next(iter(angles)))
+    if slow and not cycle.steady:
         chosen = min(slow, key=lambda name: slow[name])
     longest = 0.2 * float(np.max(sketch.high - sketch.low))
-    drawn_arrows = sketch.arrows(here[chosen], 0, moving, longest)
+    drawn_arrows = sketch.arrows(motions[chosen], 0, moving, longest)
     sketch.widen(np.array([end for _, end in drawn_arrows.values()]).reshape(-1, 2))
-    count = len(named) + bool(drawn_arrows)
+    count = len(angles) + bool(drawn_arrows)
     tall = sketch.ratio > 1.15
     columns = 4 if tall and count > 6 else 3 if count > 4 else 2 if count > 1 else 1
     rows = -(-count // columns)
     panel = 3.3 if tall else 4.0
     width = panel * columns
-    made = figure(width, ((panel - 0.6) * min(max(sketch.ratio, 0.3), 1.6) + 0.95) * rows + 0.8)
-    every = panels(made, count, columns)
+    fig = figure(width, ((panel - 0.6) * min(max(sketch.ratio, 0.3), 1.6) + 0.95) * rows + 0.8)
+    grid = panels(fig, count, columns)
     labels: list[Label] = []
-    for axes, (name, at) in zip(every, named.items(), strict=False):
-        labels += sketch.show(axes, here[name])
-        axes.set_title(f"{heading(name, panel, 9.5)}\n{_state(course, at)}", fontsize=9.5)
+    for axes, (name, at) in zip(grid, angles.items(), strict=False):
+        labels += sketch.show(axes, motions[name])
+        axes.set_title(f"{heading(name, panel, 9.5)}\n{_state(cycle, at)}", fontsize=9.5)
     if drawn_arrows:
-        axes = every[-1]
-        labels += sketch.show(axes, here[chosen], traces=False)
+        axes = grid[-1]
+        labels += sketch.show(axes, motions[chosen], traces=False)
         axes.set_xlabel(axes.get_xlabel(), loc="left")  # the scale of the arrows is drawn on the right
         for point, (begin, end) in drawn_arrows.items():
             _arrow(axes, begin, end, gid=f"velocity {point}")
-        axes.set_title(f"velocities of the joints, φ {degrees(named[chosen])}\n{heading(chosen, panel, 9.5)}", fontsize=9.5)
-    made.suptitle(heading(result.problem.model.title, width), fontsize=11)
-    sketch.add_legend(made, int(1.1 * width))
-    place_labels(made, labels)
+        axes.set_title(f"velocities of the joints, φ {degrees(angles[chosen])}\n{heading(chosen, panel, 9.5)}", fontsize=9.5)
+    fig.suptitle(heading(result.problem.model.title, width), fontsize=11)
+    sketch.add_legend(fig, int(1.1 * width))
+    place_labels(fig, labels)
     if drawn_arrows:
-        top = max(float(np.linalg.norm(here[chosen].velocity(point)[0])) for point in drawn_arrows)
-        _scale_arrow(every[-1], top, longest)
-    return made
+        top = max(float(np.linalg.norm(motions[chosen].velocity(point)[0])) for point in drawn_arrows)
+        _scale_arrow(grid[-1], top, longest)
+    return fig
 
 
 def _scale_arrow(axes: Axes, top: float, longest: float) -> None:
@@ -126,16 +126,16 @@ def _arrow(axes: Axes, begin: NDArray[np.float64], end: NDArray[np.float64], gid
     return drawn
 
 
-def _state(course: CycleCurves, at: float) -> str:
+def _state(cycle: CycleCurves, at: float) -> str:
     """Format crank angle, output position and driving torque at a position."""
-    out = output(course)
+    out = output(cycle)
     parts = [
         f"φ {degrees(at)}",
-        f"{'s' if out.slides else 'θ'} {out.scales(course)[0].text(course.at(at, out.columns[0]))}",
+        f"{'s' if out.slides else 'θ'} {out.scales(cycle)[0].text(cycle.at(at, out.columns[0]))}",
     ]
-    torque = course.at(at, "input.torque_Nm")
-    if course.has("input.torque_Nm") and math.isfinite(torque) and not np.any(np.abs(course.result.jumps - at) < 1e-6):
-        parts.append(f"M {scale(course.peak('input.torque_Nm'), 'N m').text(torque)}")
+    torque = cycle.at(at, "input.torque_Nm")
+    if cycle.has("input.torque_Nm") and math.isfinite(torque) and not np.any(np.abs(cycle.result.jumps - at) < 1e-6):
+        parts.append(f"M {scale(cycle.peak('input.torque_Nm'), 'N m').text(torque)}")
     return "   ".join(parts)
 
 
@@ -143,30 +143,30 @@ def _state(course: CycleCurves, at: float) -> str:
 
 
 @styled
-def frames(course: CycleCurves, count: int = FRAMES) -> list[Image.Image]:
+def frames(cycle: CycleCurves, count: int = FRAMES) -> list[Image.Image]:
     """Draw the frames of the animation: one revolution, or back and forth over a limited crank range.
 
     Beside the mechanism, the driving torque or the output motion is drawn.
 
     Parameters
     ----------
-    course : CycleCurves
+    cycle : CycleCurves
     count : int, optional
         Number of frames.
     """
-    result = course.result
+    result = cycle.result
     machine = result.machine
-    sketch = Sketch(sweep(machine.mechanism, machine.sizes, course.angles), machine)
-    once = course.start + course.way * result.cycle * np.arange(count) / count
-    steps = once if result.full else there_and_back(course.start, course.end, count)
-    out = output(course)
-    name = "input.torque_Nm" if course.has("input.torque_Nm") else out.columns[0]
-    unit = scale(course.peak(name), "N m") if course.has("input.torque_Nm") else out.scales(course)[0]
+    sketch = Sketch(sweep(machine.mechanism, machine.sizes, cycle.angles), machine)
+    once = cycle.start + cycle.way * result.cycle * np.arange(count) / count
+    steps = once if result.full else there_and_back(cycle.start, cycle.end, count)
+    out = output(cycle)
+    name = "input.torque_Nm" if cycle.has("input.torque_Nm") else out.columns[0]
+    unit = scale(cycle.peak(name), "N m") if cycle.has("input.torque_Nm") else out.scales(cycle)[0]
 
     word = "driving torque" if name == "input.torque_Nm" else f"{out.name}: {'slide' if out.slides else 'angle'}"
-    traces = analysis_charts.curves(course, name, unit, "", CRANK)
-    strip = analysis_charts.chart(course, "", "", [analysis_charts.panel(course, f"{word} [{unit.unit}]", traces)])
-    marks = np.array([[math.degrees(at), course.at(at, name) * unit.factor] for at in steps])
+    traces = analysis_charts.curves(cycle, name, unit, "", CRANK)
+    strip = analysis_charts.chart(cycle, "", "", [analysis_charts.panel(cycle, f"{word} [{unit.unit}]", traces)])
+    marks = np.array([[math.degrees(at), cycle.at(at, name) * unit.factor] for at in steps])
     return film(sketch, sweep(machine.mechanism, machine.sizes, steps), strip, marks, result.problem.model.title)
 
 

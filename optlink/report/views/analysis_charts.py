@@ -14,13 +14,13 @@ from optlink.linkage.mechanism import FRAME
 from optlink.linkage.stroke import Travel
 from optlink.linkage.vector2d import TURN
 from optlink.report.chart_spec import Axis, ChartSpec, Curve, Dash, Line, Mark, Panel, Span, crank_angle
-from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, TARGET, Scale, degrees, scale
-from optlink.report.views.analysis_curves import NOTHING, CycleCurves
+from optlink.report.style import BODIES, CRANK, LIMIT, MUTED, RESULT, TARGET, Scale, degrees, scale
+from optlink.report.views.analysis_curves import ROUNDING, CycleCurves
 from optlink.tasks.results.analysis import Extreme
 
-MANY = 12  # largest number of dead centres to draw; a body at rest has spurious ones due to rounding
-SHOWN = 4  # largest number of sliders in motion.png
-ROOM = 0.16  # margin above and below cut values, as a share of the range
+MAX_DEAD_CENTRES = 12  # largest number of dead centres to draw; a body at rest has spurious ones due to rounding
+MAX_SLIDERS = 4  # largest number of sliders in motion.png
+LIMIT_MARGIN = 0.16  # margin above and below cut values, as a share of the range
 
 
 class Output(NamedTuple):
@@ -35,58 +35,58 @@ class Output(NamedTuple):
         """Whether the output is a slider [m] rather than a rotating body [rad]."""
         return self.columns[0].endswith(".s_m")
 
-    def floors(self, course: CycleCurves) -> tuple[float, float, float]:
+    def floors(self, cycle: CycleCurves) -> tuple[float, float, float]:
         """Return the ranges of position, velocity and acceleration [SI] below which variation is rounding error."""
-        size = 1e-8 * (course.peak(self.columns[0]) if self.slides else 1.0)
-        turning = abs(course.result.speed)
+        size = 1e-8 * (cycle.peak(self.columns[0]) if self.slides else 1.0)
+        turning = abs(cycle.result.speed)
         return size, size * turning, size * turning * turning
 
-    def scales(self, course: CycleCurves, others: Sequence[Output] = ()) -> tuple[Scale, Scale, Scale]:
+    def scales(self, cycle: CycleCurves, others: Sequence[Output] = ()) -> tuple[Scale, Scale, Scale]:
         """Return the display units of position, velocity and acceleration, common to all outputs of the same kind.
 
         Parameters
         ----------
-        course : CycleCurves
+        cycle : CycleCurves
         others : sequence of Output, optional
             Other outputs in the same picture.
         """
         units = ("m", "m/s", "m/s²") if self.slides else ("deg", "rad/s", "rad/s²")
-        alike = [out for out in (self, *others) if out.slides == self.slides]
+        similar = [out for out in (self, *others) if out.slides == self.slides]
         s, v, a = (
-            scale(max(max(course.peak(out.columns[k]), out.floors(course)[k]) for out in alike), unit)
+            scale(max(max(cycle.peak(out.columns[k]), out.floors(cycle)[k]) for out in similar), unit)
             for k, unit in enumerate(units)
         )
         return s, v, a
 
 
-def _slider(course: CycleCurves, name: str) -> Output:
-    return Output(name, (f"{name}.s_m", f"{name}.v_m_s", f"{name}.a_m_s2"), course.result.strokes.get(name))
+def _slider(cycle: CycleCurves, name: str) -> Output:
+    return Output(name, (f"{name}.s_m", f"{name}.v_m_s", f"{name}.a_m_s2"), cycle.result.strokes.get(name))
 
 
-def _body(course: CycleCurves, body: str) -> Output:
+def _body(cycle: CycleCurves, body: str) -> Output:
     columns = (f"{body}.angle_rad", f"{body}.omega_rad_s", f"{body}.alpha_rad_s2")
-    return Output(body, columns, course.result.swings.get(body))
+    return Output(body, columns, cycle.result.swings.get(body))
 
 
-def output(course: CycleCurves) -> Output:
+def output(cycle: CycleCurves) -> Output:
     """Return the main output of the machine: its last slider on the frame, otherwise its last oscillating body."""
-    name, slides = last_output(course.result.machine, course.result.swings, course.result.strokes)
-    return _slider(course, name) if slides else _body(course, name)
+    name, slides = last_output(cycle.result.machine, cycle.result.swings, cycle.result.strokes)
+    return _slider(cycle, name) if slides else _body(cycle, name)
 
 
-def outputs(course: CycleCurves) -> list[Output]:
+def outputs(cycle: CycleCurves) -> list[Output]:
     """Return the outputs shown in motion.png: the sliders, those on the frame last, or the main output."""
-    names = slider_names(course.result.machine)
-    ordered = sorted(course.result.machine.mechanism.guides, key=lambda guide: guide.on == FRAME)
-    found = [_slider(course, names[guide.name]) for guide in ordered]
-    return [slider for slider in found if course.has(slider.columns[1])][-SHOWN:] or [output(course)]
+    names = slider_names(cycle.result.machine)
+    ordered = sorted(cycle.result.machine.mechanism.guides, key=lambda guide: guide.on == FRAME)
+    sliders = [_slider(cycle, names[guide.name]) for guide in ordered]
+    return [slider for slider in sliders if cycle.has(slider.columns[1])][-MAX_SLIDERS:] or [output(cycle)]
 
 
 # --- curves ------------------------------------------------------------------------------------------------------------------
 
 
 def curves(
-    course: CycleCurves,
+    cycle: CycleCurves,
     column: str,
     shown: Scale,
     name: str,
@@ -94,13 +94,13 @@ def curves(
     width: float = 1.7,
     dash: Dash = "solid",
     *,
-    given: CycleCurves | None = None,
+    initial: CycleCurves | None = None,
 ) -> list[Curve]:
     """Return a column as a curve, with dotted lines at its jumps; that of the initial machine in grey comes first.
 
     Parameters
     ----------
-    course : CycleCurves
+    cycle : CycleCurves
     column : str
         Column name; also the `gid` of the curve.
     shown : Scale
@@ -110,45 +110,45 @@ def curves(
     colour : str
     width : float [pt], optional
     dash : str, optional
-    given : CycleCurves or None, optional
+    initial : CycleCurves or None, optional
         Initial machine.
     """
-    found = []
-    if given is not None and column in given.columns:
+    traces = []
+    if initial is not None and column in initial.columns:
         words = f"{name}, initial machine" if name else "initial machine"
-        found.append(Curve(*given.line(column, shown.factor), words, QUIET, 1.1, "dot"))
-    found.append(Curve(*course.line(column, shown.factor), name, colour, width, dash, gid=column))
-    for k in course.breaks(column):
-        ends = course.columns[column][k : k + 2] * shown.factor
-        found.append(Curve(np.full(2, course.degrees[k]), ends, "", colour, 0.9, "dot", hover=False, gid=f"jump {column}"))
-    return found
+        traces.append(Curve(*initial.line(column, shown.factor), words, MUTED, 1.1, "dot"))
+    traces.append(Curve(*cycle.line(column, shown.factor), name, colour, width, dash, gid=column))
+    for k in cycle.breaks(column):
+        ends = cycle.columns[column][k : k + 2] * shown.factor
+        traces.append(Curve(np.full(2, cycle.degrees[k]), ends, "", colour, 0.9, "dot", hover=False, gid=f"jump {column}"))
+    return traces
 
 
-def axis(course: CycleCurves, name: str, traces: Iterable[Curve], *, least: float = 0.0) -> Axis:
+def axis(cycle: CycleCurves, name: str, traces: Iterable[Curve], *, least: float = 0.0) -> Axis:
     """Return a y axis; values that grow without bound are cut off, and rounding errors are not enlarged.
 
     Parameters
     ----------
-    course : CycleCurves
+    cycle : CycleCurves
     name : str
     traces : iterable of Curve
     least : float, optional
         Smallest range, in the unit of the axis.
     """
     values = np.concatenate([trace.y for trace in traces])
-    low, high = course.window(values)
-    whole = bool(np.all((values >= low) & (values <= high) | np.isnan(values)))
+    low, high = cycle.window(values)
+    complete = bool(np.all((values >= low) & (values <= high) | np.isnan(values)))
     amount = max(abs(low), abs(high))
-    width = high - low if high - low > NOTHING * amount else amount or 1.0
-    if whole and high - low > max(NOTHING * amount, least):
+    width = high - low if high - low > ROUNDING * amount else amount or 1.0
+    if complete and high - low > max(ROUNDING * amount, least):
         return Axis(name)
     if width < least:
         low, high, width = 0.5 * (low + high - least), 0.5 * (low + high + least), least
-    return Axis(name if whole else f"{name}, cut off", (low - ROOM * width, high + ROOM * width))
+    return Axis(name if complete else f"{name}, cut off", (low - LIMIT_MARGIN * width, high + LIMIT_MARGIN * width))
 
 
 def panel(
-    course: CycleCurves,
+    cycle: CycleCurves,
     name: str,
     traces: list[Curve],
     height: float = 1.0,
@@ -161,7 +161,7 @@ def panel(
 
     Parameters
     ----------
-    course : CycleCurves
+    cycle : CycleCurves
     name : str
         Label of the y axis.
     traces : list of Curve
@@ -172,7 +172,7 @@ def panel(
     least : float, optional
         Least range of the y axis, in its unit.
     """
-    y = axis(course, name, traces, least=least)
+    y = axis(cycle, name, traces, least=least)
     moved = [_held(mark, *y.limits) if y.limits else mark for mark in marks]
     return Panel(y, traces, height, lines, moved)
 
@@ -185,12 +185,12 @@ def _held(mark: Mark, low: float, high: float) -> Mark:
     return Mark(mark.x, high if up else low, mark.text, mark.colour, "triangle", mark.size, prefer, angle=angle, gid=mark.gid)
 
 
-def extremes(course: CycleCurves, name: str, shown: Scale, colour: str = TARGET, extreme: Extreme | None = None) -> list[Mark]:
+def extremes(cycle: CycleCurves, name: str, shown: Scale, colour: str = TARGET, extreme: Extreme | None = None) -> list[Mark]:
     """Return marks at the least and largest value of a column at their exact crank angles.
 
     Parameters
     ----------
-    course : CycleCurves
+    cycle : CycleCurves
     name : str
         Column name.
     shown : Scale
@@ -199,24 +199,24 @@ def extremes(course: CycleCurves, name: str, shown: Scale, colour: str = TARGET,
     extreme : Extreme or None, optional
         Values to mark [SI]; default: the extremes of the column in the analysis.
     """
-    extreme = course.result.extremes.get(name) if extreme is None else extreme
-    if extreme is None or not math.isfinite(extreme.least) or extreme.largest - extreme.least <= NOTHING * course.peak(name):
+    extreme = cycle.result.extremes.get(name) if extreme is None else extreme
+    if extreme is None or not math.isfinite(extreme.least) or extreme.largest - extreme.least <= ROUNDING * cycle.peak(name):
         return []
-    found = []
-    for value, at, way in ((extreme.least, extreme.least_at, -1.0), (extreme.largest, extreme.largest_at, 1.0)):
-        x, words = math.degrees(course.inside(at)), f"{shown.text(value)} at {degrees(at)}"
-        found.append(Mark(x, value * shown.factor, words, colour, prefer=(0.0, way), gid=f"extreme {name}"))
-    return found
+    marks = []
+    for value, at, direction in ((extreme.least, extreme.least_at, -1.0), (extreme.largest, extreme.largest_at, 1.0)):
+        x, words = math.degrees(cycle.inside(at)), f"{shown.text(value)} at {degrees(at)}"
+        marks.append(Mark(x, value * shown.factor, words, colour, prefer=(0.0, direction), gid=f"extreme {name}"))
+    return marks
 
 
 def chart(
-    course: CycleCurves, file: str, title: str, panels: Sequence[Panel], *, lines: Sequence[Line] = (), **more: Any
+    cycle: CycleCurves, file: str, title: str, panels: Sequence[Panel], *, lines: Sequence[Line] = (), **options: Any
 ) -> ChartSpec:
     """Return a chart over the crank angle with its singular positions.
 
     Parameters
     ----------
-    course : CycleCurves
+    cycle : CycleCurves
     file : str
         Name of the picture.
     title : str
@@ -224,111 +224,113 @@ def chart(
     lines : sequence of Line, optional
         Further vertical lines.
     **more
-        Further attributes of `ChartSpec`; default of the heading: that of the machine with the title.
+        Further attributes of `ChartSpec`; the default heading is the title of the machine with that of the chart.
     """
-    ends = sorted((math.degrees(course.start), math.degrees(course.end)))
-    x = crank_angle(clockwise=course.way < 0.0, limits=(ends[0], ends[1]))
-    places = [math.degrees(course.inside(position.crank_angle)) for position in course.result.ranges.singular]
-    found = [Line(at, "" if k else "not determined beyond", LIMIT, 1.2, gid="singular position") for k, at in enumerate(places)]
-    return ChartSpec(file, title, panels, x, **{"heading": titled(course, title), "lines": [*found, *lines], **more})
+    ends = sorted((math.degrees(cycle.start), math.degrees(cycle.end)))
+    x = crank_angle(clockwise=cycle.way < 0.0, limits=(ends[0], ends[1]))
+    places = [math.degrees(cycle.inside(position.crank_angle)) for position in cycle.result.ranges.singular]
+    singular = [
+        Line(at, "" if k else "not determined beyond", LIMIT, 1.2, gid="singular position") for k, at in enumerate(places)
+    ]
+    return ChartSpec(file, title, panels, x, **{"heading": machine_title(cycle, title), "lines": [*singular, *lines], **options})
 
 
-def titled(course: CycleCurves, words: str) -> str:
+def machine_title(cycle: CycleCurves, words: str) -> str:
     """Return the title of the problem with the title of a chart.
 
     Parameters
     ----------
-    course : CycleCurves
+    cycle : CycleCurves
     words : str
         Title of the chart.
     """
-    return f"{course.result.problem.model.title}: {words[:1].lower()}{words[1:]}"
+    return f"{cycle.result.problem.model.title}: {words[:1].lower()}{words[1:]}"
 
 
 # --- motion ------------------------------------------------------------------------------------------------------------------
 
 
-def motion(course: CycleCurves, given: CycleCurves | None = None) -> list[ChartSpec]:
+def motion(cycle: CycleCurves, initial: CycleCurves | None = None) -> list[ChartSpec]:
     """Return displacement, velocity and acceleration of every slider, or of the last oscillating body.
 
     Parameters
     ----------
-    course : CycleCurves
-    given : CycleCurves, optional
-        Those of the initial machine, drawn in grey.
+    cycle : CycleCurves
+    initial : CycleCurves, optional
+        Initial machine, drawn in grey.
     """
-    shown = outputs(course)
-    found = []
+    shown = outputs(cycle)
+    charts = []
     for out in shown:
         words = ("displacement s", "velocity", "acceleration") if out.slides else ("angle θ", "angular velocity", "acceleration")
         panels = []
         for k, (name, unit, word, floor) in enumerate(
-            zip(out.columns, out.scales(course, shown), words, out.floors(course), strict=True)
+            zip(out.columns, out.scales(cycle, shown), words, out.floors(cycle), strict=True)
         ):
-            traces = curves(course, name, unit, "", (FOUND, BODIES[1], CRANK)[k], given=given)
-            limits = _limits(course, out) if name.endswith(".angle_rad") else course.result.extremes.get(name)
-            marks = extremes(course, name, unit, TARGET, limits) if limits and limits.largest - limits.least > 2.0 * floor else []
+            traces = curves(cycle, name, unit, "", (RESULT, BODIES[1], CRANK)[k], initial=initial)
+            limits = _limits(cycle, out) if name.endswith(".angle_rad") else cycle.result.extremes.get(name)
+            marks = extremes(cycle, name, unit, TARGET, limits) if limits and limits.largest - limits.least > 2.0 * floor else []
             word = f"angular {word}" if word == "acceleration" and not out.slides else word
-            panels.append(panel(course, f"{word} [{unit.unit}]", traces, 1.0, marks, least=4.0 * floor * unit.factor))
-        lines, spans = _strokes(course, out.travel)
-        width, heading, caption = 7.6 if len(shown) == 1 else 5.6, titled(course, "motion"), _travelled(course, out)
+            panels.append(panel(cycle, f"{word} [{unit.unit}]", traces, 1.0, marks, least=4.0 * floor * unit.factor))
+        lines, spans = _strokes(cycle, out.travel)
+        width, heading, caption = 7.6 if len(shown) == 1 else 5.6, machine_title(cycle, "motion"), _stroke_text(cycle, out)
         title = f"Motion of {out.name}"
-        found.append(
-            chart(course, "motion", title, panels, heading=heading, remark=caption, lines=lines, spans=spans, width=width)
+        charts.append(
+            chart(cycle, "motion", title, panels, heading=heading, remark=caption, lines=lines, spans=spans, width=width)
         )
-    return found
+    return charts
 
 
-def _strokes(course: CycleCurves, travel: Travel | None) -> tuple[list[Line], list[Span]]:
+def _strokes(cycle: CycleCurves, travel: Travel | None) -> tuple[list[Line], list[Span]]:
     """Return dead centres as lines, and the quick stroke as shaded ranges, named with the crank rotation of both strokes."""
-    centres = [math.degrees(at) for at in course.in_order(travel.dead_centres)] if travel else []
-    drawn = centres if len(centres) <= MANY else []
-    lines = [Line(at, "" if k else "dead centre", QUIET, 1.0, gid="dead centre") for k, at in enumerate(drawn)]
-    if travel is None or not (course.result.full and len(centres) == 2 and travel.time_ratio > 1.0 + 1e-6):
+    centres = [math.degrees(at) for at in cycle.in_order(travel.dead_centres)] if travel else []
+    visible = centres if len(centres) <= MAX_DEAD_CENTRES else []
+    lines = [Line(at, "" if k else "dead centre", MUTED, 1.0, gid="dead centre") for k, at in enumerate(visible)]
+    if travel is None or not (cycle.result.full and len(centres) == 2 and travel.time_ratio > 1.0 + 1e-6):
         return lines, []
-    one = abs(centres[1] - centres[0])
+    rotation = abs(centres[1] - centres[0])
     between = [(centres[0], centres[1])]
-    around = [(math.degrees(course.start), centres[0]), (centres[1], math.degrees(course.end))]
-    quick = between if one < 180.0 else around
-    words = f"quick {min(one, 360.0 - one):z.2f}°, slow {max(one, 360.0 - one):z.2f}°"
+    around = [(math.degrees(cycle.start), centres[0]), (centres[1], math.degrees(cycle.end))]
+    quick = between if rotation < 180.0 else around
+    words = f"quick {min(rotation, 360.0 - rotation):z.2f}°, slow {max(rotation, 360.0 - rotation):z.2f}°"
     return lines, [Span(min(ends), max(ends), "" if k else words, gid="shade") for k, ends in enumerate(quick)]
 
 
-def _limits(course: CycleCurves, out: Output) -> Extreme | None:
+def _limits(cycle: CycleCurves, out: Output) -> Extreme | None:
     travel = out.travel
     if travel is None:
         return None
     turn = TURN * round(
-        (course.at(course.inside(travel.low_at), out.columns[0]) - travel.low) / TURN
+        (cycle.at(cycle.inside(travel.low_at), out.columns[0]) - travel.low) / TURN
     )  # the curve may be shifted by a turn
     return Extreme(travel.low + turn, travel.low_at, travel.high + turn, travel.high_at)
 
 
-def _travelled(course: CycleCurves, out: Output) -> str:
+def _stroke_text(cycle: CycleCurves, out: Output) -> str:
     """Describe stroke or swing, time ratio and dead centres of an output."""
     if out.travel is None:
-        angles = course[out.columns[0]]
-        turns = not out.slides and abs(abs(angles[-1] - angles[0]) - TURN) < 1e-6
-        return f"{out.name}: turns fully" if turns else out.name
+        angles = cycle[out.columns[0]]
+        turns_fully = not out.slides and abs(abs(angles[-1] - angles[0]) - TURN) < 1e-6
+        return f"{out.name}: turns fully" if turns_fully else out.name
     span = scale(out.travel.span, "m" if out.slides else "deg").text(out.travel.span)
     parts = [f"{out.name}: {'stroke' if out.slides else 'swing'} {span}"]
     if math.isfinite(out.travel.time_ratio):
         parts.append(f"time ratio {out.travel.time_ratio:z.4f}")
     if out.travel.dead_centres:
-        some = [degrees(at) for at in course.in_order(out.travel.dead_centres)]
-        parts.append(f"dead centre{'s' if len(some) > 1 else ''} at {', '.join([*some[:8], '...'] if len(some) > 8 else some)}")
+        centres = [degrees(at) for at in cycle.in_order(out.travel.dead_centres)]
+        parts.append(
+            f"dead centre{'s' if len(centres) > 1 else ''} at {', '.join([*centres[:8], '...'] if len(centres) > 8 else centres)}"
+        )
     return ", ".join(parts)
 
 
-def transmission(course: CycleCurves) -> list[ChartSpec]:
+def transmission(cycle: CycleCurves) -> list[ChartSpec]:
     """Return the transmission angles of all two-link groups over the motion, for the page."""
-    names = [name for name in course.columns if name.endswith(".transmission_rad")]
+    names = [name for name in cycle.columns if name.endswith(".transmission_rad")]
     unit = scale(0.0, "deg")
     traces = [
         curve
         for k, name in enumerate(names)
-        for curve in curves(course, name, unit, f"at {name.partition('.')[0]}", BODIES[k % len(BODIES)])
+        for curve in curves(cycle, name, unit, f"at {name.partition('.')[0]}", BODIES[k % len(BODIES)])
     ]
-    return (
-        [chart(course, "", "Transmission angle", [Panel(Axis("angle between the links [deg]"), traces, 1.4)])] if traces else []
-    )
+    return [chart(cycle, "", "Transmission angle", [Panel(Axis("angle between the links [deg]"), traces, 1.4)])] if traces else []

@@ -13,8 +13,8 @@ from optlink.linkage.vector2d import Array
 from optlink.tasks.results.analysis import Analysis
 
 POINTS = 720
-TABLE = 2000  # largest number of analysis rows that are added to the points of the curves
-NOTHING = 1e-9  # share of the largest value below which a value is rounding error
+MAX_TABLE_ROWS = 2000  # largest number of analysis rows that are added to the points of the curves
+ROUNDING = 1e-9  # share of the largest value below which a value is rounding error
 
 
 class CycleCurves:
@@ -32,7 +32,7 @@ class CycleCurves:
         self.end = self.start + self.way * result.cycle if result.full else float(table[-1])
         low, high = sorted((self.start, self.end))
         marks = [self.inside(at) for extreme in result.extremes.values() for at in (extreme.least_at, extreme.largest_at)]
-        grid = np.concatenate([np.linspace(low, high, POINTS + 1), table if len(table) <= TABLE else [], marks])
+        grid = np.concatenate([np.linspace(low, high, POINTS + 1), table if len(table) <= MAX_TABLE_ROWS else [], marks])
         grid = np.unique(grid[(grid >= low) & (grid <= high)])
         jumps = np.asarray(result.jumps, dtype=float)
         if jumps.size:
@@ -72,12 +72,12 @@ class CycleCurves:
 
         At singular positions or ends of the crank range, where values grow without bound, outliers are cut off.
         """
-        known = values[np.isfinite(values)]
-        if known.size == 0:
+        finite_values = values[np.isfinite(values)]
+        if finite_values.size == 0:
             return 0.0, 0.0
-        low, high = float(known.min()), float(known.max())
+        low, high = float(finite_values.min()), float(finite_values.max())
         if not self.steady:
-            first, last = (float(end) for end in np.percentile(known, [8.0, 92.0]))
+            first, last = (float(end) for end in np.percentile(finite_values, [8.0, 92.0]))
             if 0.0 < last - first < (high - low) / 8.0:
                 low, high = max(low, 2.0 * first - last), min(high, 2.0 * last - first)
         return low, high
@@ -92,18 +92,18 @@ class CycleCurves:
         among : sequence of str, optional
             Columns that set the level of rounding.
         """
-        return self.peak(name) > NOTHING * self.peak(name, *among) and self.peak(name) > 0.0
+        return self.peak(name) > ROUNDING * self.peak(name, *among) and self.peak(name) > 0.0
 
     def breaks(self, *names: str) -> list[int]:
         """Return the indices after which one of the columns jumps."""
-        found = []
+        jumps = []
         for k in self._pairs:
             for name in names:
                 values = self.columns[name]
                 if abs(values[k + 1] - values[k]) > 1e-6 * self.peak(name):
-                    found.append(int(k))
+                    jumps.append(int(k))
                     break
-        return found
+        return jumps
 
     def line(self, name: str, factor: float = 1.0) -> tuple[Array, Array]:
         """Return crank angles [deg] and scaled values, with NaN inserted at jumps.
@@ -119,13 +119,13 @@ class CycleCurves:
         return np.insert(self.degrees, at, np.nan), np.insert(self.columns[name] * factor, at, np.nan)
 
     def inside(self, crank_angle: float) -> float:
-        """Return the crank angle [rad] shifted by whole periods into the range of the course."""
+        """Return the crank angle [rad] shifted by whole periods into the range of the motion."""
         low, high = sorted((self.start, self.end))
         within = low <= crank_angle <= high or not self.result.full
         return crank_angle if within else low + (crank_angle - low) % self.result.cycle
 
     def in_order(self, crank_angles: Sequence[float]) -> list[float]:
-        """Return crank angles [rad] shifted into the range of the course, in the order of the motion."""
+        """Return crank angles [rad] shifted into the range of the motion, in the order of the motion."""
         return sorted((self.inside(at) for at in crank_angles), key=lambda at: self.way * at)
 
     def at(self, crank_angle: float, name: str) -> float:
@@ -134,7 +134,7 @@ class CycleCurves:
         Parameters
         ----------
         crank_angle : float [rad]
-            Within the range of the course.
+            Within the range of the motion.
         name : str
             Column name.
         """

@@ -61,8 +61,8 @@ def machine(file: ProblemFile) -> Iterator[TableSpec]:
         drive.append(("torque", f"{model.drive.torque}, for simulate"))
     drive.append(("gravity", f"({built.gravity[0]:g}, {built.gravity[1]:g}) m/s^2" if gravity else "none"))
     for name, section in model.loads.items():
-        stated = {key: getattr(section, key) for key in type(section).model_fields if key in section.model_fields_set}
-        words = ", ".join(f"{key} {'-'.join(value) if isinstance(value, tuple) else value}" for key, value in stated.items())
+        explicit = {key: getattr(section, key) for key in type(section).model_fields if key in section.model_fields_set}
+        words = ", ".join(f"{key} {'-'.join(value) if isinstance(value, tuple) else value}" for key, value in explicit.items())
         stroke = getattr(next(load for load in built.loads if load.name == name), "stroke", "both")
         drive.append((name, words + (f" (the {stroke} one)" if section.by_pace and not model.free else "")))
     drive += [(f"friction in {name}", number(coefficient)) for name, coefficient in built.friction.items()]
@@ -141,12 +141,12 @@ def machine_strokes(machine: Machine, speed: float) -> TableSpec | None:
     return stroke_table(named_travels(machine)[0], speed, acting_loads(machine, speed))
 
 
-def stroke_table(named: Mapping[str, Travel], speed: float, acting: tuple[StrokeLoad, ...]) -> TableSpec | None:
+def stroke_table(travels: Mapping[str, Travel], speed: float, acting: tuple[StrokeLoad, ...]) -> TableSpec | None:
     """Tabulate the forward and return strokes of outputs with their crank ranges; None if no output has two dead centres.
 
     Parameters
     ----------
-    named : mapping of str to Travel
+    travels : mapping of str to Travel
         Strokes or swings by name of the output.
     speed : float [rad/s]
         Crank speed; only its sign matters.
@@ -154,13 +154,13 @@ def stroke_table(named: Mapping[str, Travel], speed: float, acting: tuple[Stroke
         Loads that act in one stroke only.
     """
     rows: list[tuple[str, ...]] = []
-    for name, travel in named.items():
+    for name, travel in travels.items():
         working, loads = working_stroke(travel, speed, acting)
         for stroke in travel.strokes(speed):
             use = use_of(stroke, working) + (f": {', '.join(loads)}" if loads and stroke.name == working else "")
             begin, end, rotation = (f"{math.degrees(angle):z.3f}" for angle in (stroke.begin, stroke.end, stroke.rotation))
             rows.append((name, stroke.name, f"{begin} to {end}", rotation, stroke.pace, use))
-    first = Column(unbroken=all(len(name) <= LONGEST for name in named))
+    first = Column(unbroken=all(len(name) <= LONGEST for name in travels))
     columns: list[str | Column] = [first, "stroke", ">crank range [deg]", ">rotation [deg]", "pace", "use"]
     if not any(row[-1] for row in rows):
         columns, rows = columns[:-1], [row[:-1] for row in rows]

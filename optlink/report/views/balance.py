@@ -22,18 +22,18 @@ from optlink.report.files import verdict
 from optlink.report.format import change, number
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection, StoredStudy
-from optlink.report.stored.stored_study import still, turning
-from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, TARGET, scale
+from optlink.report.stored.stored_study import no_animation, turning_linkage
+from optlink.report.style import BODIES, CRANK, LIMIT, RESULT, TARGET, scale
 from optlink.report.view import View
 from optlink.report.views import balance_drawing, balance_tables, conclusions
 from optlink.tasks.balance import balanced_problem, measure_changes, positions
 from optlink.tasks.machine import machine_of
 from optlink.tasks.results.balance import AddedCounterweight, Balance, BalanceRecord, FittedSpring, MeasureChange, TradeOff
 
-GIVEN = "#8a8a8a"
+INITIAL = "#8a8a8a"
 COMMON = ("shaking force", "shaking moment", "driving torque")
-COLOURS = {"shaking force": FOUND, "shaking moment": BODIES[3], "driving torque": CRANK}
-PANELS = 4  # largest number of stacked panels in a chart of the page
+COLOURS = {"shaking force": RESULT, "shaking moment": BODIES[3], "driving torque": CRANK}
+MAX_PANELS = 4  # largest number of stacked panels in a chart of the page
 
 
 def charts(result: Balance) -> list[ChartSpec]:
@@ -44,10 +44,10 @@ def charts(result: Balance) -> list[ChartSpec]:
     result : Balance
         As computed or as stored.
     """
-    return [*trade_off(result), *courses(result)]
+    return [*trade_off(result), *cycle_charts(result)]
 
 
-def courses(result: Balance) -> list[ChartSpec]:
+def cycle_charts(result: Balance) -> list[ChartSpec]:
     """Return the charts over the crank angle and the hodograph; none without a balanced machine."""
     return [] if result.heavier is None else [*before_after(result), hodograph(result)]
 
@@ -73,14 +73,14 @@ def before_after(result: Balance) -> list[ChartSpec]:
     section = result.problem.model.balance
     measured = [measure for measure, _ in result.goal]
     measured += [] if section is None else [limit.measure for limit in section.limits.values()]
-    common = [one for one in every if one.kind in COMMON]
-    reactions = [one for one in every if one.kind not in COMMON]
-    chosen = [one for one in reactions if any(_same(one, measure, result) for measure in measured)]
-    others = [one for one in reactions if one not in chosen]
+    common = [measure for measure in every if measure.kind in COMMON]
+    reactions = [measure for measure in every if measure.kind not in COMMON]
+    chosen = [reaction for reaction in reactions if any(_of_reaction(reaction, measure, result) for measure in measured)]
+    remaining = [reaction for reaction in reactions if reaction not in chosen]
     groups = [("Shaking and drive", common, "before_after"), ("Joint reactions", chosen, "before_after")]
     groups += [
-        (f"Joint reactions, {k // PANELS + 1}" if k or chosen else "Joint reactions", others[k : k + PANELS], "")
-        for k in range(0, len(others), PANELS)
+        (f"Joint reactions, {k // MAX_PANELS + 1}" if k or chosen else "Joint reactions", remaining[k : k + MAX_PANELS], "")
+        for k in range(0, len(remaining), MAX_PANELS)
     ]
     x, closing = result.columns["crank_angle_deg"], []
     if abs(abs(x[-1] - x[0]) + abs(x[1] - x[0]) - 360.0) < 1e-6:  # a whole revolution is closed
@@ -88,23 +88,23 @@ def before_after(result: Balance) -> list[ChartSpec]:
     angles = np.append(x, closing)
     axis = crank_angle(limits=(float(np.min(angles)), float(np.max(angles))))
     heading = f"{result.problem.model.title}: least {result.measure}"
-    found = []
-    for row, (title, own, file) in enumerate(groups):
-        panels = [_panel(result, measure, angles, BODIES[k]) for k, measure in enumerate(own)]
-        found.append(ChartSpec(file, title, panels, axis, heading, row=row, width=8.2))
-    return [chart for chart in found if chart.panels]
+    specs = []
+    for row, (title, group, file) in enumerate(groups):
+        panels = [_panel(result, measure, angles, BODIES[k]) for k, measure in enumerate(group)]
+        specs.append(ChartSpec(file, title, panels, axis, heading, row=row, width=8.2))
+    return [chart for chart in specs if chart.panels]
 
 
-def _panel(result: Balance, measure: BalanceMeasure, angles: Array, other: str) -> Panel:
+def _panel(result: Balance, measure: BalanceMeasure, angles: Array, default: str) -> Panel:
     old, new = (_amounts(result, measure, when) for when in ("before", "after"))
     unit = scale(float(np.max(np.abs([old, new]))), measure.unit)
     old_rms, new_rms = (float(np.sqrt(np.mean(values * values))) for values in (old, new))
     share = f" ({change(new_rms / old_rms - 1.0)})" if old_rms > 0.0 else ""
     shown = unit.text(new_rms) if new_rms > 1e-12 * old_rms else "0"
-    name, colour = measure.quantity, COLOURS.get(measure.kind, other)
+    name, colour = measure.quantity, COLOURS.get(measure.kind, default)
     before, after = (np.append(values, values[: len(angles) - len(values)]) * unit.factor for values in (old, new))
     curves = [
-        Curve(angles, before, f"initial: rms {unit.text(old_rms)}", GIVEN, 1.3, gid=f"initial {name}"),
+        Curve(angles, before, f"initial: rms {unit.text(old_rms)}", INITIAL, 1.3, gid=f"initial {name}"),
         Curve(angles, after, f"balanced {name}: {shown}{share}", colour, 2.1, gid=f"balanced {name}"),
     ]
     bounds = [limit.bound for limit in result.limits if limit.name == f"largest {name}"]
@@ -115,17 +115,17 @@ def _panel(result: Balance, measure: BalanceMeasure, angles: Array, other: str) 
     return Panel(Axis(f"{name}\n[{unit.unit}]", (0.0, 1.06 * top) if positive and top > 0.0 else None), curves, lines=lines)
 
 
-def _same(bare: BalanceMeasure, measure: BalanceMeasure, result: Balance) -> bool:
+def _of_reaction(reaction: BalanceMeasure, measure: BalanceMeasure, result: Balance) -> bool:
     """Return whether a measure is of a reaction."""
-    if bare.kind != measure.kind or bare.joint != measure.joint:
+    if reaction.kind != measure.kind or reaction.joint != measure.joint:
         return False
-    return not bare.on or bare.on == (measure.on or reported_on(result.machine)[measure.joint])
+    return not reaction.on or reaction.on == (measure.on or reported_on(result.machine)[measure.joint])
 
 
 def hodograph(result: Balance) -> ChartSpec:
     """Plot the hodograph of the shaking force over the motion before and after balancing, with equal scales."""
-    names = (("before", GIVEN, 1.4, "initial"), ("after", FOUND, 2.1, "balanced"))
-    paths = [np.stack([result.columns[f"{when}.shaking_force_{way}_N"] for way in "xy"], axis=-1) for when, *_ in names]
+    names = (("before", INITIAL, 1.4, "initial"), ("after", RESULT, 2.1, "balanced"))
+    paths = [np.stack([result.columns[f"{when}.shaking_force_{axis}_N"] for axis in "xy"], axis=-1) for when, *_ in names]
     largest = float(np.max(np.abs(paths[0])))
     unit = scale(largest, "N")
     centre = Curve(np.zeros(1), np.zeros(1), "", TARGET, mode="markers", symbol="plus", size=10.0, legend=False, hover=False)
@@ -141,9 +141,9 @@ def hodograph(result: Balance) -> ChartSpec:
         for turned in range(0, 360, 60):
             k = int(np.argmin(np.abs(np.mod(result.columns["crank_angle_deg"] - turned + 180.0, 360.0) - 180.0)))
             x, y = (drawn[k] - middle) / max(float(np.linalg.norm(drawn[k] - middle)), 1e-30)
-            there = partial(Mark, float(drawn[k, 0]), float(drawn[k, 1]), size=4.0, written=True)
-            marks.append(there(f"{turned}°", colour, prefer=(float(x), float(y))))
-    x_axis, y_axis = (Axis(f"shaking force in {way} [{unit.unit}]") for way in "xy")
+            mark = partial(Mark, float(drawn[k, 0]), float(drawn[k, 1]), size=4.0, written=True)
+            marks.append(mark(f"{turned}°", colour, prefer=(float(x), float(y))))
+    x_axis, y_axis = (Axis(f"shaking force in {axis} [{unit.unit}]") for axis in "xy")
     heading = f"{result.problem.model.title}: shaking force, crank angle marked"
     panel, title = Panel(y_axis, curves, marks=marks), "Shaking force over the motion, crank angle marked"
     return ChartSpec("hodograph", title, [panel], x_axis, heading, equal=True, cursor=False)
@@ -154,45 +154,45 @@ def hodograph(result: Balance) -> ChartSpec:
 
 def trade_off(result: Balance) -> list[ChartSpec]:
     """Plot the trade-off curve with its end points, its knee and the unbalanced machine; below it the counterweight masses."""
-    found = result.trade
-    if found is None or len(found.points) < 2:
+    trade = result.trade
+    if trade is None or len(trade.points) < 2:
         return []
-    both = (found.first, found.second)
-    units = [scale(max(found.before[k], *(p.realised[k] for p in found.points)), m.unit) for k, m in enumerate(both)]
+    objectives = (trade.first, trade.second)
+    units = [scale(max(trade.before[k], *(p.realised[k] for p in trade.points)), m.unit) for k, m in enumerate(objectives)]
     factors = np.array([unit.factor for unit in units])
-    bound = np.array([[p.first, p.second] for p in found.points]) * factors
-    real, given = np.array([p.realised for p in found.points]) * factors, np.array(found.before) * factors
+    bound = np.array([[p.first, p.second] for p in trade.points]) * factors
+    real, initial = np.array([p.realised for p in trade.points]) * factors, np.array(trade.before) * factors
     below = Band(bound[:, 0], np.full(len(bound), np.min(bound[:, 1])), bound[:, 1], "", "#888888", 0.14, gid="out of reach")
     designs = partial(Curve, mode="markers", size=4.0, picks=range(len(real)), gid="realised")
     curves: list[Curve | Band] = [
         below,
-        Curve(bound[:, 0], bound[:, 1], "lower bound", FOUND, 1.8, gid="bound"),
-        designs(real[:, 0], real[:, 1], "designs, by inverse dynamics", FOUND),
-        Curve(given[:1], given[1:], "initial machine", TARGET, mode="markers", symbol="square", size=6.5, gid="initial"),
+        Curve(bound[:, 0], bound[:, 1], "lower bound", RESULT, 1.8, gid="bound"),
+        designs(real[:, 0], real[:, 1], "designs, by inverse dynamics", RESULT),
+        Curve(initial[:1], initial[1:], "initial machine", TARGET, mode="markers", symbol="square", size=6.5, gid="initial"),
     ]
-    names = {0: f"least {found.first.quantity}", len(found.points) - 1: f"least {found.second.quantity}"}
-    if found.knee is not None:
-        names[found.knee] = "knee"
-    marks = [Mark(float(given[0]), float(given[1]), "initial machine", TARGET, "square", 6.5, font=9.0)]
+    names = {0: f"least {trade.first.quantity}", len(trade.points) - 1: f"least {trade.second.quantity}"}
+    if trade.knee is not None:
+        names[trade.knee] = "knee"
+    marks = [Mark(float(initial[0]), float(initial[1]), "initial machine", TARGET, "square", 6.5, font=9.0)]
     for k, name in names.items():
-        shares = (change(value / before - 1.0) for value, before in zip(found.points[k].realised, found.before, strict=True))
-        text = f"{name}\n{', '.join(f'{_short(m)} {share}' for m, share in zip(both, shares, strict=True))}"
+        shares = (change(value / before - 1.0) for value, before in zip(trade.points[k].realised, trade.before, strict=True))
+        text = f"{name}\n{', '.join(f'{_short(m)} {share}' for m, share in zip(objectives, shares, strict=True))}"
         marks.append(Mark(float(real[k, 0]), float(real[k, 1]), text, LIMIT, size=7.0, prefer=(0.7, 0.7), gid=name))
-    panels = [Panel(Axis(f"{found.second} [{units[1].unit}]"), curves, 2.0, marks=marks)]
+    panels = [Panel(Axis(f"{trade.second} [{units[1].unit}]"), curves, 2.0, marks=marks)]
     crank = result.machine.mechanism.crank.body
-    others = [body for body in result.machine.mechanism.bodies if body != crank]
-    colours = {crank: CRANK} | {body: BODIES[k % len(BODIES)] for k, body in enumerate(others)}
-    masses = {body: [p.masses.get(body, 0.0) for p in found.points] for point in found.points for body in point.masses}
+    bodies = [body for body in result.machine.mechanism.bodies if body != crank]
+    colours = {crank: CRANK} | {body: BODIES[k % len(BODIES)] for k, body in enumerate(bodies)}
+    masses = {body: [p.masses.get(body, 0.0) for p in trade.points] for point in trade.points for body in point.masses}
     if masses:
         mass = partial(Curve, real[:, 0], width=1.3, mode="lines+markers", size=3.0)
-        weights = [mass(np.array(own), body, colours[body], gid=f"mass {body}") for body, own in masses.items()]
-        highest = max(max(own) for own in masses.values())
+        weights = [mass(np.array(values), body, colours[body], gid=f"mass {body}") for body, values in masses.items()]
+        highest = max(max(values) for values in masses.values())
         panels.append(Panel(Axis("mass [kg]", (0.0, 1.06 * highest) if highest > 0.0 else None), weights))
-    title, heading = f"{found.second} against {found.first}", f"{result.problem.model.title}: trade-off"
-    ends = (*real[:, 0], *bound[:, 0], given[0])
+    title, heading = f"{trade.second} against {trade.first}", f"{result.problem.model.title}: trade-off"
+    ends = (*real[:, 0], *bound[:, 0], initial[0])
     room = 0.08 * (max(ends) - min(ends))
-    x = Axis(f"{found.first} [{units[0].unit}]", (float(min(ends) - room), float(max(ends) + room)))
-    return [ChartSpec("trade", title, panels, x, heading, picks=_picks(found, real), cursor=False)]
+    x = Axis(f"{trade.first} [{units[0].unit}]", (float(min(ends) - room), float(max(ends) + room)))
+    return [ChartSpec("trade", title, panels, x, heading, picks=_picks(trade, real), cursor=False)]
 
 
 def _short(measure: BalanceMeasure) -> str:
@@ -220,7 +220,7 @@ def _picks(trade: TradeOff, places: Array) -> Picks:
 
 
 def _tables(result: Balance) -> dict[str, dict[str, Array]]:
-    found: dict[str, dict[str, Array]] = {"balance": result.columns}
+    tables: dict[str, dict[str, Array]] = {"balance": result.columns}
     if result.trade is not None:
         trade, points = result.trade, result.trade.points
         columns = {
@@ -228,8 +228,8 @@ def _tables(result: Balance) -> dict[str, dict[str, Array]]:
         }
         bodies = [weight.specification.body for weight in result.added] + [b for p in points for b in p.masses]
         masses = {f"{body}_kg": [point.masses.get(body, 0.0) for point in points] for body in dict.fromkeys(bodies)}
-        found["trade"] = {**columns, "rate": [p.rate for p in points], "gap": [p.gap for p in points], **masses}  # type: ignore[dict-item]
-    return found
+        tables["trade"] = {**columns, "rate": [p.rate for p in points], "gap": [p.gap for p in points], **masses}  # type: ignore[dict-item]
+    return tables
 
 
 def _design(result: Balance) -> tuple[ProblemFile, str] | None:
@@ -240,7 +240,7 @@ def _design(result: Balance) -> tuple[ProblemFile, str] | None:
     return machine, verdict(result.status, result.valid, result.status)
 
 
-TRUE = 1e-6  # relative tolerance of stored measures, as a share of the value before balancing
+MEASURE_TOLERANCE = 1e-6  # relative tolerance of stored measures, as a share of the value before balancing
 VERDICTS = {
     "optimal": "Globally optimal within the limits",
     "relaxed": "Near the lower bound",
@@ -274,11 +274,11 @@ def read(record: BalanceRecord, file: ProblemFile) -> Balance:
     added, springs = _parts(record, section, machine)
     balanced = balanced_problem(file, machine, added, springs) if record.measures else None
     heavier = None if balanced is None else machine_of(balanced)
-    whole = len(section.goal) > 1 and " + " in record.measure
+    weighted = len(section.goal) > 1 and " + " in record.measure
     return record.build(
         Balance,
         problem=file,
-        goal=section.goal if whole else ((_measure(record.measure), 1.0),),
+        goal=section.goal if weighted else ((_measure(record.measure), 1.0),),
         machine=machine,
         angles=angles,
         added=added,
@@ -304,31 +304,38 @@ def _parts(
     """Return the optimal counterweights and springs."""
     weights, free = section.build(machine)
     bodies, names = {weight.body: weight for weight in weights}, {spring.name: spring for spring in free}
-    for k, one in enumerate(record.counterweights):
-        if one.body not in bodies:
-            raise Contradiction(f"counterweights[{k}].body", "the problem has no such counterweight", one.body)
+    for k, counterweight in enumerate(record.counterweights):
+        if counterweight.body not in bodies:
+            raise Contradiction(f"counterweights[{k}].body", "the problem has no such counterweight", counterweight.body)
     for k, spring in enumerate(record.springs):
         if spring.name not in names:
             raise Contradiction(f"springs[{k}].name", "the problem has no such spring", spring.name)
-    added = [AddedCounterweight(bodies[one.body], one.parameters) for one in record.counterweights]
-    springs = [FittedSpring(names[one.name], one.stiffness_N_m, one.free_length_m) for one in record.springs]
+    added = [AddedCounterweight(bodies[counterweight.body], counterweight.parameters) for counterweight in record.counterweights]
+    springs = [
+        FittedSpring(names[counterweight.name], counterweight.stiffness_N_m, counterweight.free_length_m)
+        for counterweight in record.springs
+    ]
     return tuple(added), tuple(springs)
 
 
 def _rows(record: BalanceRecord, machine: Machine, heavier: Machine, angles: Array) -> tuple[MeasureChange, ...]:
     """Recompute all measures before and after balancing by inverse dynamics; raise if the record differs."""
     measured = quantities(machine)
-    both = [quantities_of(one.moving(angles, record.speed_rad_s), measured, record.moment_about_m) for one in (machine, heavier)]
-    rows = measure_changes(measured, *both)
-    recorded = {str(one.name): (k, one) for k, one in enumerate(record.measures)}
+    values = [
+        quantities_of(stored.moving(angles, record.speed_rad_s), measured, record.moment_about_m) for stored in (machine, heavier)
+    ]
+    rows = measure_changes(measured, *values)
+    recorded = {str(stored.name): (k, stored) for k, stored in enumerate(record.measures)}
     for row in rows:
         if str(row.measure) not in recorded:
             raise Contradiction("measures", f"the {row.measure} is missing")
-        k, one = recorded[str(row.measure)]
+        k, stored = recorded[str(row.measure)]
         for when in ("before", "after"):
-            is_, said = getattr(row, when), getattr(one, when)
-            if abs(is_ - said) > TRUE * max(row.before, abs(is_)):
-                message = f"the {row.measure} {when} is {is_:.6g} {row.measure.unit} with these counterweights, not {said:.6g}"
+            is_, stored_value = getattr(row, when), getattr(stored, when)
+            if abs(is_ - stored_value) > MEASURE_TOLERANCE * max(row.before, abs(is_)):
+                message = (
+                    f"the {row.measure} {when} is {is_:.6g} {row.measure.unit} with these counterweights, not {stored_value:.6g}"
+                )
                 raise Contradiction(f"measures[{k}].{when}", message)
     return rows
 
@@ -350,20 +357,20 @@ def stored_study(record: BalanceRecord, file: ProblemFile, _: Path) -> StoredStu
     InputError
         If the record is damaged or its measures differ from those of its counterweights.
     """
-    found = read(record, file)
-    shown = balance_tables.balance(found)
-    drawn = {"Trade-off": trade_off(found), "Before and after": courses(found)}
-    curves = [PageSection(name, chart_plotly.charts(own)) for name, own in drawn.items()]
+    result = read(record, file)
+    shown = balance_tables.balance(result)
+    chapters = {"Trade-off": trade_off(result), "Before and after": cycle_charts(result)}
+    curves = [PageSection(name, chart_plotly.charts(group)) for name, group in chapters.items()]
     return StoredStudy(
         problem=file,
         kind="balance",
-        verdict=VERDICTS[found.status] if found.valid or found.status == "infeasible" else "Not valid",
-        valid=found.valid,
-        conclusion=conclusions.balance(found),
+        verdict=VERDICTS[result.status] if result.valid or result.status == "infeasible" else "Not valid",
+        valid=result.valid,
+        conclusion=conclusions.balance(result),
         status=shown.status.lines,
         sections=[PageSection("Balance and verification", (shown.parts,)), *curves],
-        moving=still if found.balanced is None else partial(turning, found.balanced, {}),
-        by=f"a convex programme, {found.solver}; verified by the inverse dynamics of the balanced machine",
+        moving=no_animation if result.balanced is None else partial(turning_linkage, result.balanced, {}),
+        by=f"a convex programme, {result.solver}; verified by the inverse dynamics of the balanced machine",
         drawn="The balanced machine: rings mark the centroids of its bodies with their counterweights.",
         after=1,
     )

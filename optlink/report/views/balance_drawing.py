@@ -25,57 +25,66 @@ def mechanism(result: Balance) -> Figure | None:
         return None
     machine = result.heavier
     sketch = Sketch(sweep(machine.mechanism, machine.sizes, result.angles, result.speed), machine)
-    for one in result.added:
-        size = _size(one, sketch)
-        track = sketch.placed(sketch.motion, one.body, _centre(one, sketch))[:, 0]
+    for counterweight in result.added:
+        size = _size(counterweight, sketch)
+        path = sketch.placed(sketch.motion, counterweight.body, _centre(counterweight, sketch))[:, 0]
         corners = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]) * size
-        sketch.widen((track[:, None, :] + corners).reshape(-1, 2))
+        sketch.widen((path[:, None, :] + corners).reshape(-1, 2))
     start = result.problem.model.drive.start.value
     turn = math.copysign(2.0 * math.pi, result.speed)
     full = len(result.angles) == (result.problem.model.balance.positions if result.problem.model.balance else 0)
     places = [start, start + 0.5 * turn] if full else [float(result.angles[0]), float(result.angles[-1])]
     panel = 5.2
-    made = figure(2.0 * panel, (panel - 0.7) * min(max(sketch.ratio, 0.35), 1.4) + 1.4)
+    fig = figure(2.0 * panel, (panel - 0.7) * min(max(sketch.ratio, 0.35), 1.4) + 1.4)
     labels: list[Label] = []
     shown = []
-    for axes, at in zip(made.subplots(1, 2, sharey=True), places, strict=True):
-        here = sweep(machine.mechanism, machine.sizes, np.array([at]), result.speed)
-        labels += sketch.show(axes, here)
-        for one in result.added:
-            shown.append((axes, one, sketch.placed(here, one.body, _centre(one, sketch))[0, 0]))
-            _disc(axes, sketch, one, shown[-1][2])
-            track = sketch.placed(sketch.motion, one.body, _centre(one, sketch))[:, 0]
-            axes.plot(*track.T, color=sketch.colours[one.body], linewidth=0.8, linestyle=":", zorder=1, gid=f"track {one.body}")
+    for axes, at in zip(fig.subplots(1, 2, sharey=True), places, strict=True):
+        position = sweep(machine.mechanism, machine.sizes, np.array([at]), result.speed)
+        labels += sketch.show(axes, position)
+        for counterweight in result.added:
+            shown.append((axes, counterweight, sketch.placed(position, counterweight.body, _centre(counterweight, sketch))[0, 0]))
+            _disc(axes, sketch, counterweight, shown[-1][2])
+            path = sketch.placed(sketch.motion, counterweight.body, _centre(counterweight, sketch))[:, 0]
+            axes.plot(
+                *path.T,
+                color=sketch.colours[counterweight.body],
+                linewidth=0.8,
+                linestyle=":",
+                zorder=1,
+                gid=f"track {counterweight.body}",
+            )
         axes.set_title(f"φ {math.degrees(at) % 360.0:.4g}°", fontsize=9.5)
-    sketch.add_legend(made)
-    made.suptitle(heading(f"{result.problem.model.title}: counterweights to scale", 2.0 * panel), fontsize=11)
-    made.draw_without_rendering()  # computes the layout, so that sizes in the figure are known
-    labels += [_told(axes, sketch, one, centre) for axes, one, centre in shown]
-    place_labels(made, labels)
-    return made
+    sketch.add_legend(fig)
+    fig.suptitle(heading(f"{result.problem.model.title}: counterweights to scale", 2.0 * panel), fontsize=11)
+    fig.draw_without_rendering()  # computes the layout, so that sizes in the figure are known
+    labels += [_mass_label(axes, sketch, counterweight, centre) for axes, counterweight, centre in shown]
+    place_labels(fig, labels)
+    return fig
 
 
-def _centre(one: AddedCounterweight, sketch: Sketch) -> Array:
-    return np.array([one.place]) * sketch.scale.factor
+def _centre(counterweight: AddedCounterweight, sketch: Sketch) -> Array:
+    return np.array([counterweight.place]) * sketch.scale.factor
 
 
-def _size(one: AddedCounterweight, sketch: Sketch) -> float:
+def _size(counterweight: AddedCounterweight, sketch: Sketch) -> float:
     """Return the radius to draw, in the display unit."""
-    return (one.radius if one.radius is not None else one.gyration) * sketch.scale.factor
+    return (counterweight.radius if counterweight.radius is not None else counterweight.gyration) * sketch.scale.factor
 
 
-def _disc(axes: Axes, sketch: Sketch, one: AddedCounterweight, centre: Array) -> None:
+def _disc(axes: Axes, sketch: Sketch, counterweight: AddedCounterweight, centre: Array) -> None:
     """Draw a counterweight."""
-    colour, disc = sketch.colours[one.body], one.radius is not None
+    colour, disc = sketch.colours[counterweight.body], counterweight.radius is not None
     face, place = (*to_rgb(colour), 0.30 if disc else 0.10), (float(centre[0]), float(centre[1]))
-    shape = Circle(place, _size(one, sketch), facecolor=face, edgecolor=colour)
-    shape.set(linewidth=1.6, linestyle="-" if disc else "--", zorder=2.5, gid=f"counterweight {one.body}")
+    shape = Circle(place, _size(counterweight, sketch), facecolor=face, edgecolor=colour)
+    shape.set(linewidth=1.6, linestyle="-" if disc else "--", zorder=2.5, gid=f"counterweight {counterweight.body}")
     axes.add_patch(shape)
 
 
-def _told(axes: Axes, sketch: Sketch, one: AddedCounterweight, centre: Array) -> Label:
+def _mass_label(axes: Axes, sketch: Sketch, counterweight: AddedCounterweight, centre: Array) -> Label:
     """Label a counterweight with its mass and size."""
-    shown = 2.0 * one.radius if one.radius is not None else one.gyration
-    text = f"{one.body}: {one.mass:.4g} kg\n{'∅' if one.radius is not None else 'gyration'} {scale(shown, 'm').text(shown)}"
-    clear = in_points(axes, _size(one, sketch))
-    return Label(axes, (float(centre[0]), float(centre[1])), text, sketch.colours[one.body], 8.5, clear)
+    radius = counterweight.radius
+    shown = counterweight.gyration if radius is None else 2.0 * radius
+    size = f"{'gyration' if radius is None else '∅'} {scale(shown, 'm').text(shown)}"
+    text = f"{counterweight.body}: {counterweight.mass:.4g} kg\n{size}"
+    clear = in_points(axes, _size(counterweight, sketch))
+    return Label(axes, (float(centre[0]), float(centre[1])), text, sketch.colours[counterweight.body], 8.5, clear)

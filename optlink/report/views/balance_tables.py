@@ -24,7 +24,7 @@ from optlink.report.table_spec import (
 from optlink.tasks.results.balance import Balance, TradeOff
 from optlink.units import percent
 
-SHOWN = 15  # largest number of listed points of a trade-off
+MAX_POINTS = 15  # largest number of listed points of a trade-off
 
 WORDS = {
     "optimal": "globally optimal: no counterweights within the limits do better, up to the duality gap",
@@ -53,14 +53,14 @@ def balance(outcome: Balance) -> Summary:
 
 def _objective(outcome: Balance) -> TableSpec:
     unit = outcome.unit or "of the initial machine's"
-    against = f"{change(-outcome.reduction)} against the initial {number(outcome.before)}"
+    comparison = f"{change(-outcome.reduction)} against the initial {number(outcome.before)}"
     remark = f"duality gap {outcome.gap:.1e}, computed from the dual point"
     if outcome.exact:
         remark = "unconstrained least-squares optimum: a lower bound for all counterweights"
     agrees = quiet("inverse dynamics of the balanced machine agrees")
     off = max([outcome.disagreement, *(p.disagreement for p in (outcome.trade.points if outcome.trade else ()))])
     rows: list[Row] = [
-        (outcome.measure, strong(number(outcome.objective, 9)), unit, quiet(against)),
+        (outcome.measure, strong(number(outcome.objective, 9)), unit, quiet(comparison)),
         ("lower bound", number(max(outcome.lower, 0.0), 9), unit, quiet(remark)),
         ("verification", f"{off:.1e}", "", agrees if outcome.verified else bad("inverse dynamics DISAGREES")),
     ]
@@ -69,16 +69,23 @@ def _objective(outcome: Balance) -> TableSpec:
 
 def _added(outcome: Balance) -> TableSpec:
     rows: list[Row] = []
-    for one in outcome.added:
-        x, y = one.place
-        size, what = (one.radius, "disc") if one.radius is not None else (one.gyration, "of gyration")
-        thickness = one.specification.thickness_of(one.mass) if one.specification.kind == "disc" else None
+    for counterweight in outcome.added:
+        x, y = counterweight.place
+        size, what = (
+            (counterweight.radius, "disc") if counterweight.radius is not None else (counterweight.gyration, "of gyration")
+        )
+        thickness = (
+            counterweight.specification.thickness_of(counterweight.mass) if counterweight.specification.kind == "disc" else None
+        )
         if thickness is not None:
             what += f" x {number(thickness * 1e3, 4)} mm"
-        along, across = float(one.parameters.along), _tiny(float(one.parameters.across), float(one.parameters.along))
+        along, across = (
+            float(counterweight.parameters.along),
+            _tiny(float(counterweight.parameters.across), float(counterweight.parameters.along)),
+        )
         moment = number(math.hypot(along, across)), fixed(math.degrees(math.atan2(across, along)), 2)
         place = f"({number(x * 1e3, 5)}, {number(y * 1e3 if abs(y) > 1e-9 * abs(x) else 0.0, 5)})"
-        rows.append((one.body, number(one.mass), place, *moment, number(size * 1e3, 5), quiet(what)))
+        rows.append((counterweight.body, number(counterweight.mass), place, *moment, number(size * 1e3, 5), quiet(what)))
     for spring in outcome.springs:
         ends = "-".join(point for _, point in spring.specification.ends)
         made = f"spring {ends}: {number(spring.stiffness)} N/m, free length {number(spring.free * 1e3)} mm"
@@ -123,24 +130,24 @@ def _limits(outcome: Balance) -> Part:
 def _conflict(outcome: Balance) -> TableSpec:
     rows = []
     for item in outcome.conflict:
-        alone = "never" if not math.isfinite(item.alone) else f"{item.sense} {item.alone:.6g} {item.unit}"
+        single = "never" if not math.isfinite(item.alone) else f"{item.sense} {item.alone:.6g} {item.unit}"
         off = item.together - item.bound
         kept = abs(off) <= 1e-6 * max(abs(item.bound), 1e-9)
         together = "unchanged" if kept else f"{item.together:.6g} {item.unit} ({off:+.4g})"
-        rows.append((item.name, f"{item.sense} {item.bound:.6g} {item.unit}", alone, together))
+        rows.append((item.name, f"{item.sense} {item.bound:.6g} {item.unit}", single, together))
     columns = ["limit", "limit value", "feasible if relaxed alone", "together"]
     return table("Conflicting limits", columns, rows)
 
 
 def _trade(trade: TradeOff) -> TableSpec:
-    one, other = trade.first, trade.second
+    first, second = trade.first, trade.second
     title = f"Trade-off, {len(trade.points)} points"
     if math.isfinite(trade.ratio):
         title += f"; a further point takes {percent(trade.ratio)} of the time of the first"
     if len(trade.points) == 1:
         title = "No trade-off: one machine minimises both"
-    step, rows = max(1, math.ceil(len(trade.points) / SHOWN)), []
-    ends = {len(trade.points) - 1: f"least {other.quantity}", 0: f"least {one.quantity}"}
+    step, rows = max(1, math.ceil(len(trade.points) / MAX_POINTS)), []
+    ends = {len(trade.points) - 1: f"least {second.quantity}", 0: f"least {first.quantity}"}
     for k, point in enumerate(trade.points):
         mark = ends.get(k, "knee" if k == trade.knee else "")
         if k % step and not mark:
@@ -148,7 +155,7 @@ def _trade(trade: TradeOff) -> TableSpec:
         shares = [change(value / before - 1.0) for value, before in zip(point.realised, trade.before, strict=True)]
         price = f"{point.rate:.3g}" if math.isfinite(point.rate) else ""
         rows.append((mark, number(point.realised[0]), shares[0], number(point.realised[1]), shares[1], price, f"{point.gap:.0e}"))
-    return table(title, ["", f">{one} {one.unit}", ">", f">{other} {other.unit}", ">", ">price", ">gap"], rows)
+    return table(title, ["", f">{first} {first.unit}", ">", f">{second} {second.unit}", ">", ">price", ">gap"], rows)
 
 
 def balance_problem(section: BalanceSection) -> TableSpec:
@@ -160,8 +167,8 @@ def balance_problem(section: BalanceSection) -> TableSpec:
         rows.append(("mass of all", str(section.mass)))
     rows.append(("positions", str(section.positions)))
     for weight in section.counterweights:
-        stated = {key: getattr(weight, key) for key in type(weight).model_fields if key != "body"}
-        rows.append((f"on {weight.body}", ", ".join(f"{key} {value}" for key, value in stated.items() if value is not None)))
+        settings = {key: getattr(weight, key) for key in type(weight).model_fields if key != "body"}
+        rows.append((f"on {weight.body}", ", ".join(f"{key} {value}" for key, value in settings.items() if value is not None)))
     for spring in section.springs:
         rows.append((spring.name, f"spring {'-'.join(spring.between)}, stiffness {spring.stiffness or 'free'}"))
     return table("[balance]", "<<", rows)

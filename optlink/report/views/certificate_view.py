@@ -14,7 +14,7 @@ from optlink.report.chart_spec import Axis, Boxes, ChartSpec, Curve, Mark, Panel
 from optlink.report.table_spec import Line, Row, TableSpec, quiet, strong, table
 from optlink.tasks.results.certificate import SHOWN, Certificate, Cover, share_text
 
-INCLUDED = "no design within the bounds has a smaller one; rounding errors are included"
+ROUNDING_NOTE = "no design within the bounds has a smaller one; rounding errors are included"
 CONTINUE = "to continue the proof: --certify with a longer --time-limit or a larger --gap"
 
 
@@ -32,16 +32,16 @@ def certificate_table(certificate: Certificate, factor: float, unit: str, second
         Wall time per stage.
     """
     rows: list[Row] = []
-    known, bound = certificate.objective, certificate.lower_bound
+    objective, bound = certificate.objective, certificate.lower_bound
     digits = 6
-    if math.isfinite(known):
+    if math.isfinite(objective):
         digits = min(14, max(6, 2 - math.floor(math.log10(certificate.gap)))) if 0.0 < certificate.gap < 1.0 else 6
-        rows.append(("best design", strong(f"{known * factor:.{digits}g}"), unit, ""))
+        rows.append(("best design", strong(f"{objective * factor:.{digits}g}"), unit, ""))
     if math.isfinite(bound):
-        rows.append(("lower bound", strong(rounded_down(bound * factor, digits)), unit, quiet(INCLUDED)))
-    if math.isfinite(known) and not certificate.exact:
-        asked = "" if certificate.proven else f", {share_text(certificate.asked)} was required"
-        rows.append(("gap", share_text(certificate.gap), "", quiet(f"largest share by which a design could be better{asked}")))
+        rows.append(("lower bound", strong(rounded_down(bound * factor, digits)), unit, quiet(ROUNDING_NOTE)))
+    if math.isfinite(objective) and not certificate.exact:
+        required = "" if certificate.proven else f", {share_text(certificate.asked)} was required"
+        rows.append(("gap", share_text(certificate.gap), "", quiet(f"largest share by which a design could be better{required}")))
     left = f", {certificate.open_boxes:,} of them left" if certificate.open_boxes else ""
     if certificate.boxes:
         rows.append(("boxes", f"{certificate.boxes:,}", "", quiet(f"parts of the bounds that were examined{left}")))
@@ -92,7 +92,7 @@ def clause(certificate: Certificate | None) -> str:
 Design = Mapping[str, float]
 Display = Callable[[str], tuple[float, str]]
 """Returns factor and display unit of a design variable."""
-FEW = 256  # boxes up to which the bounds are not drawn: about one batch of the search
+MIN_BOXES = 256  # boxes up to which the bounds are not drawn: about one batch of the search
 SCHEME = {
     "limits": ("limit violated", "#c0392b"),
     "objective": ("objective too large", "#2c6fbb"),
@@ -123,15 +123,15 @@ def certificate_charts(
     """
     if certificate is None:
         return []
-    found = []
+    charts = []
     if len(certificate.unknowns) == 2 and 0 < sum(len(cover.test) for cover in certificate.covers) <= SHOWN:
         for k, cover in enumerate(certificate.covers):
             at = design if certificate.proven and str(cover.assembly) == str(assembly) else {}
             mode = f", assembly {cover.assembly}" if len(certificate.covers) > 1 else ""
-            found.append(replace(_boxes(cover, certificate.unknowns, title, mode, at, display), remark=certificate.text, row=k))
-    if certificate.boxes > FEW and np.isfinite(certificate.history[-1:, 2]).any():
-        found.append(_bounds(certificate, title, *scale))
-    return found
+            charts.append(replace(_boxes(cover, certificate.unknowns, title, mode, at, display), remark=certificate.text, row=k))
+    if certificate.boxes > MIN_BOXES and np.isfinite(certificate.history[-1:, 2]).any():
+        charts.append(_bounds(certificate, title, *scale))
+    return charts
 
 
 def _boxes(cover: Cover, unknowns: Sequence[str], about: str, mode: str, design: Design, display: Display) -> ChartSpec:
@@ -142,9 +142,9 @@ def _boxes(cover: Cover, unknowns: Sequence[str], about: str, mode: str, design:
     x, y = (np.stack([low[:, k], high[:, k]], axis=1) for k in range(2))
     traces = []
     for k, (key, (name, colour)) in enumerate(SCHEME.items()):
-        own = cover.test == k
-        if own.any():
-            traces.append(Boxes(x[own], y[own], f"{name} ({int(own.sum())})", colour, gid=f"boxes {key}"))
+        chosen = cover.test == k
+        if chosen.any():
+            traces.append(Boxes(x[chosen], y[chosen], f"{name} ({int(chosen.sum())})", colour, gid=f"boxes {key}"))
     marks = []
     if design:
         at_x, at_y = (design[name] * factor for name, factor in zip(unknowns, factors, strict=True))

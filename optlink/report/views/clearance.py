@@ -21,19 +21,28 @@ from optlink.report.chart_spec import TIME, Array, Axis, ChartSpec, Curve, Dash,
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, in_time
 from optlink.report.html.shell import PageSection, StoredStudy
-from optlink.report.scene import through
+from optlink.report.scene import scene_at
 from optlink.report.shapes import even
 from optlink.report.stored.stored_study import cycle_of
-from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, QUIET, ROCKER, SHADE, TARGET, Scale, scale
+from optlink.report.style import BODIES, CRANK, LIMIT, MUTED, RESULT, ROCKER, SHADE, TARGET, Scale, scale
 from optlink.report.view import View
 from optlink.report.views import clearance_joints, clearance_tables, conclusions, magnified_joints
-from optlink.report.views.revolutions import FULL, TORQUE, WINDOW, RevolutionCurves, from_zero, hold, numbered, rough
+from optlink.report.views.revolutions import (
+    FULL,
+    TORQUE,
+    WINDOW,
+    RevolutionCurves,
+    from_zero,
+    padded_limits,
+    revolution_axis,
+    rough,
+)
 from optlink.report.views.simulation import largest
 from optlink.tasks.machine import machine_of
 from optlink.tasks.results.clearance import ClearanceRecord, ClearanceSimulation
 
-MARKED = 60  # number of revolutions up to which each has a marker
-ZOOM = 4.0  # ratio to the ideal torque beyond which a second panel enlarges the latter
+MAX_MARKERS = 60  # number of revolutions up to which each has a marker
+ENLARGE_RATIO = 4.0  # ratio to the ideal torque beyond which a second panel enlarges the latter
 
 
 def charts(result: ClearanceSimulation) -> list[ChartSpec]:
@@ -60,11 +69,11 @@ def displacement(turns: RevolutionCurves) -> list[ChartSpec]:
     unit = turns.shares(float(np.max(np.abs(value))))
     small = turns.shares(float(np.max(np.abs(deviation[turns.rows(turns.shown)]))))
     time, ideal = turns.time[rows], value - deviation
-    both = [
+    motions = [
         Curve(time, value[rows] * unit.factor, "with clearance", ROCKER, 1.7, gid="output"),
         Curve(time, ideal[rows] * unit.factor, "ideal machine", TARGET, 1.1, "dash", gid="ideal"),
     ]
-    away = Curve(time, deviation[rows] * small.factor, f"deviation of {out.name}", LIMIT, 1.3, gid="error")
+    deviation_curve = Curve(time, deviation[rows] * small.factor, f"deviation of {out.name}", LIMIT, 1.3, gid="error")
     if advance:  # over the crank angle, a fully rotating output is shown within one turn
         lowest = float(np.nanmin(turns.fold(value, turns.rows(1), advance)[1]))
         value, ideal = (part - 2.0 * math.pi * math.floor(lowest / (2.0 * math.pi) + 1e-6) for part in (value, ideal))
@@ -72,19 +81,19 @@ def displacement(turns: RevolutionCurves) -> list[ChartSpec]:
     folded = turns.overlay(value, unit, "with clearance", ROCKER, advance)
     folded.append(Curve(x, y, "ideal machine", TARGET, 1.1, "dash", gid="ideal"))
     moved = Axis(f"{out.name}: {'slide' if out.guide else 'angle'} [{unit.unit}]")
-    lost = Axis(f"deviation [{small.unit}]", hold(deviation[turns.rows(max(turns.shown, WINDOW))] * small.factor))
+    lost = Axis(f"deviation [{small.unit}]", padded_limits(deviation[turns.rows(max(turns.shown, WINDOW))] * small.factor))
     heading = turns.title(f"motion of {out.name}")
-    over_time = [Panel(moved, both, 1.35), Panel(lost, [away])]
+    over_time = [Panel(moved, motions, 1.35), Panel(lost, [deviation_curve])]
     over_angle = [Panel(moved, folded, 1.35), Panel(lost, turns.overlay(deviation, small, f"deviation of {out.name}", LIMIT))]
-    whole, last = f"Motion of {out.name} over time, {turns.span(WINDOW)}", f"Motion of {out.name}, {turns.overlaid}"
+    over_time_title, last = f"Motion of {out.name} over time, {turns.span(WINDOW)}", f"Motion of {out.name}, {turns.overlaid}"
     return [
-        ChartSpec("displacement", whole, over_time, Axis(TIME), heading, lines=turns.ends(rows), width=5.8),
+        ChartSpec("displacement", over_time_title, over_time, Axis(TIME), heading, lines=turns.ends(rows), width=5.8),
         ChartSpec("displacement", last, over_angle, turns.crank_axis, cursor=False, width=5.2),
-        _course(turns, rows),
+        _forces_over_time(turns, rows),
     ]
 
 
-def _course(turns: RevolutionCurves, rows: slice) -> ChartSpec:
+def _forces_over_time(turns: RevolutionCurves, rows: slice) -> ChartSpec:
     """Plot contact forces and driving torque over time."""
     names = [f"{gap.point}.normal_N" for gap in turns.result.gaps]
     force = scale(max(turns.peak(name, WINDOW) for name in names), "N")
@@ -94,8 +103,8 @@ def _course(turns: RevolutionCurves, rows: slice) -> ChartSpec:
         Curve(time, turns.result[name][rows] * force.factor, f"contact force at {gap.point}", BODIES[k % len(BODIES)], 1.2)
         for k, (gap, name) in enumerate(zip(turns.result.gaps, names, strict=True))
     ]
-    own = Curve(time, turns.result[TORQUE][rows] * drive.factor, "driving torque", CRANK, 1.2)
-    panels = [Panel(Axis(f"contact force [{force.unit}]"), forces, 1.3), Panel(Axis(f"torque [{drive.unit}]"), [own])]
+    torque_curve = Curve(time, turns.result[TORQUE][rows] * drive.factor, "driving torque", CRANK, 1.2)
+    panels = [Panel(Axis(f"contact force [{force.unit}]"), forces, 1.3), Panel(Axis(f"torque [{drive.unit}]"), [torque_curve])]
     return ChartSpec("", f"Forces and torque over time, {turns.span(WINDOW)}", panels, Axis(TIME), lines=turns.ends(rows))
 
 
@@ -107,12 +116,12 @@ def error(turns: RevolutionCurves) -> list[ChartSpec]:
         return []
     rms, peak = result.per_revolution[f"rms_{unit}"], result.per_revolution[f"peak_{unit}"]
     shown = turns.shares(float(np.max(peak)))
-    plotted = partial(Curve, numbers, mode="lines+markers" if len(numbers) <= MARKED else "lines", size=3.5)
+    plotted = partial(Curve, numbers, mode="lines+markers" if len(numbers) <= MAX_MARKERS else "lines", size=3.5)
     low, high = float(numbers[0]) - 0.5, float(numbers[-1]) + 0.5
     ends = np.array([max(turns.begin - 0.5, low), high])
     deviations = [
         plotted(peak * shown.factor, "peak", CRANK, 1.1, gid="peak"),
-        plotted(rms * shown.factor, "root mean square", FOUND, 1.5, gid="rms"),
+        plotted(rms * shown.factor, "root mean square", RESULT, 1.5, gid="rms"),
         Curve(ends, np.full(2, turns.rms * shown.factor), f"RMS over {turns.counted}", TARGET, 1.1, "dash", gid="whole"),
     ]
     largest = [result.per_revolution[f"{gap.point}.normal_max_N"] for gap in result.gaps]
@@ -133,7 +142,7 @@ def error(turns: RevolutionCurves) -> list[ChartSpec]:
         caption += f", RMS of single revolutions ±{float(np.std(rms[counted], ddof=1)) * shown.factor:.2g}"
         caption += "°" if si == "deg" else f" {shown.unit}"
     heading = turns.title(f"deviation of {out.name}", turns.counted)
-    x = numbered(numbers)
+    x = revolution_axis(numbers)
     return [ChartSpec("error", "Revolution by revolution", panels, x, heading, caption, spans=spans, cursor=False)]
 
 
@@ -151,15 +160,15 @@ def _ideal_torque(turns: RevolutionCurves) -> tuple[Array, Array] | None:
 
 def torque(turns: RevolutionCurves) -> list[ChartSpec]:
     """Plot the driving torque of the last revolution with and without clearance; a small ideal torque is enlarged below."""
-    own, ideal = turns.result[TORQUE], _ideal_torque(turns)
-    last, largest = own[turns.rows(1)], turns.peak(TORQUE, 1)
+    values, ideal = turns.result[TORQUE], _ideal_torque(turns)
+    last, largest = values[turns.rows(1)], turns.peak(TORQUE, 1)
     rms = math.sqrt(float(np.mean(last[-turns.points :] ** 2)))
     near = 0.0 if ideal is None else float(np.nanmax(np.abs(ideal[1]), initial=0.0))
     crank = turns.result.machine.mechanism.crank.body
-    panels, views = [], (False, True) if 0.0 < ZOOM * near < largest else (False,)
+    panels, views = [], (False, True) if 0.0 < ENLARGE_RATIO * near < largest else (False,)
     for close in views:
         unit = scale(near if close else max(largest, near), "N m")
-        x, y = turns.fold(own * unit.factor, turns.rows(1))
+        x, y = turns.fold(values * unit.factor, turns.rows(1))
         name = f"with clearance: RMS {rough(rms, 'N m')}, largest {rough(largest, 'N m')}"
         curves = [Curve(x, y, name, CRANK, 1.4, legend=not close, gid="last revolution")]
         if ideal is not None:
@@ -183,14 +192,14 @@ def _works(turns: RevolutionCurves) -> tuple[dict[str, Array], dict[str, Array]]
     """Return the work of drive and loads, and the energy lost at the joints, since the first stored row [J]."""
     names = [name.removesuffix(".work_J") for name in turns.result.figures if name.endswith(".work_J")]
     points = {gap.point for gap in turns.result.gaps}
-    fed: dict[str, Array] = {}
+    supplied: dict[str, Array] = {}
     lost: dict[str, Array] = {}
     for name in names:
         work = turns.result[f"work.{name}_J"]
         point, _, kind = name.rpartition(".")
-        into = lost if point in points and kind in ("impact", "friction") else fed
+        into = lost if point in points and kind in ("impact", "friction") else supplied
         into[name] = work - work[0]
-    return fed, lost
+    return supplied, lost
 
 
 def energy(turns: RevolutionCurves) -> list[ChartSpec]:
@@ -201,14 +210,14 @@ def energy(turns: RevolutionCurves) -> list[ChartSpec]:
         return []
     stored = result["energy.kinetic_J"] + result["energy.potential_J"] + result["energy.contact_J"]
     gained = stored - stored[0]
-    fed, lost = _works(turns)
-    unit = scale(max(float(np.max(np.abs(work))) for work in (*fed.values(), gained)), "J")
+    supplied, lost = _works(turns)
+    unit = scale(max(float(np.max(np.abs(work))) for work in (*supplied.values(), gained)), "J")
     above = []
-    for k, (name, work) in enumerate(fed.items()):
+    for k, (name, work) in enumerate(supplied.items()):
         words, colour = ("drive", CRANK) if name == "drive" else (name, BODIES[(k + 1) % len(BODIES)])
         above.append(Curve(time, work * unit.factor, f"work of {words}", colour, 1.3, gid=f"work {name}"))
     above.append(Curve(time, gained * unit.factor, "energy gained", TARGET, 1.0, "dash", gid="gained"))
-    total = sum(fed.values()) - gained
+    total = sum(supplied.values()) - gained
     most = max([float(np.max(np.abs(total))), *(float(np.max(np.abs(work))) for work in lost.values())])
     small, below = scale(most, "J"), []
     points = [gap.point for gap in result.gaps]
@@ -222,7 +231,7 @@ def energy(turns: RevolutionCurves) -> list[ChartSpec]:
     below.append(Curve(time, total * small.factor, "works minus energy gained", TARGET, 1.4, "dot", gid="total"))
     missing = np.abs(total - sum(lost.values())) / largest
     low = 10.0 ** math.floor(math.log10(max(float(np.percentile(missing[1:], 5.0)), 1e-16)) - 1.0)
-    share = Curve(time, np.maximum(missing, 1e-17), "imbalance", QUIET, 1.0, legend=False, gid="imbalance")
+    share = Curve(time, np.maximum(missing, 1e-17), "imbalance", MUTED, 1.0, legend=False, gid="imbalance")
     limits = low, max(1e-8, 10.0 * float(np.max(missing)))
     panels = [
         Panel(Axis(f"energy [{unit.unit}]"), above, 1.5),
@@ -263,31 +272,31 @@ def read(record: ClearanceRecord, file: ProblemFile) -> ClearanceSimulation:
         If the record is not that of the problem, or lacks what the report needs.
     """
     machine = machine_of(file)
-    known, names = outputs(machine), [gap.point for gap in record.gaps]
-    if record.output not in known:
+    available, names = outputs(machine), [gap.point for gap in record.gaps]
+    if record.output not in available:
         raise Contradiction("output", "the problem has no such output", record.output)
-    for k, one in enumerate(record.impacts):
-        if one.gap not in names:
-            raise Contradiction(f"impacts[{k}].gap", "no joint of that name has a clearance", one.gap)
-    impacts = [Impact(**dict(one) | {"gap": names.index(one.gap)}) for one in record.impacts]
+    for k, impact in enumerate(record.impacts):
+        if impact.gap not in names:
+            raise Contradiction(f"impacts[{k}].gap", "no joint of that name has a clearance", impact.gap)
+    impacts = [Impact(**dict(impact) | {"gap": names.index(impact.gap)}) for impact in record.impacts]
     caption = record.prediction
     predicted = None if caption is None else Prediction(caption.parted_revolutions, caption.watched, math.nan)
-    output = known[record.output]
+    output = available[record.output]
     tables = {name: _Table(name, getattr(record, name)) for name in ("columns", "per_revolution", "poincare_map", "figures")}
-    found = record.build(
+    result = record.build(
         ClearanceSimulation, problem=file, machine=machine, output=output, impacts=tuple(impacts), prediction=predicted, **tables
     )
-    _check_keys(found)
-    return found
+    _check_keys(result)
+    return result
 
 
-def _check_keys(found: ClearanceSimulation) -> None:
+def _check_keys(result: ClearanceSimulation) -> None:
     """Check that the simulation can be divided into revolutions."""
-    if found.figures["settled_revolutions"] > found.revolutions:
+    if result.figures["settled_revolutions"] > result.revolutions:
         raise Contradiction("figures.settled_revolutions", "these are more than all revolutions")
-    if not found.revolutions:
+    if not result.revolutions:
         return
-    if len(found.columns["time_s"]) < 2 or not np.all(np.diff(found.columns["time_s"]) > 0.0):
+    if len(result.columns["time_s"]) < 2 or not np.all(np.diff(result.columns["time_s"]) > 0.0):
         raise Contradiction("columns.time_s", "its times do not rise")
 
 
@@ -308,41 +317,41 @@ def stored_study(record: ClearanceRecord, file: ProblemFile, _: Path) -> StoredS
     InputError
         If the record is damaged.
     """
-    found = read(record, file)
-    shown = clearance_tables.simulation(found)
-    curves = chart_plotly.charts(charts(found)) if found.revolutions else ()
-    control = "" if found.control is Control.NONE else f"; control: {found.control}"
+    result = read(record, file)
+    shown = clearance_tables.simulation(result)
+    curves = chart_plotly.charts(charts(result)) if result.revolutions else ()
+    control = "" if result.control is Control.NONE else f"; control: {result.control}"
     return StoredStudy(
         problem=file,
         kind="simulation with clearance",
-        verdict="Finished" if found.finished else f"Not finished: {found.ending.value}",
-        valid=found.finished,
-        conclusion=conclusions.clearance(found),
+        verdict="Finished" if result.finished else f"Not finished: {result.ending.value}",
+        valid=result.finished,
+        conclusion=conclusions.clearance(result),
         status=shown.status.lines,
         sections=[PageSection("Figures", (shown.parts,)), PageSection("Curves", curves)],
-        moving=partial(_moving, found),
-        by=f"event-driven integration of all bodies, tolerance {found.tolerance:g}{control}",
+        moving=partial(_moving, result),
+        by=f"event-driven integration of all bodies, tolerance {result.tolerance:g}{control}",
         drawn="Its last revolutions, drawn without the clearance, which is too small to be seen; journal orbits are below.",
     )
 
 
-def _moving(found: ClearanceSimulation, steps: int) -> Moving | None:
+def _moving(result: ClearanceSimulation, steps: int) -> Moving | None:
     """Animate the machine without clearance over the last revolutions."""
-    cycle = cycle_of(found.problem, {}) if found.revolutions else None
+    cycle = cycle_of(result.problem, {}) if result.revolutions else None
     if cycle is None:
         return None
-    turns = RevolutionCurves(found)
+    turns = RevolutionCurves(result)
     span = turns.rows(WINDOW)
     rows = span.start + even(span.stop - span.start, steps + 1)
-    crank = found["crank_angle_deg"][rows]
+    crank = result["crank_angle_deg"][rows]
     shown = [("crank angle", Scale(1.0, "deg"), np.mod(crank, 360.0))]
-    shown.append((f"deviation of {found.output.name}", turns.shares(turns.rms), turns.error[rows]))
-    unit = scale(largest(found.columns, [TORQUE]), "N m")
-    shown.append(("driving torque", unit, found[TORQUE][rows]))
-    names = {gap.point: f"{gap.point}.normal_N" for gap in found.gaps}
-    force = scale(largest(found.columns, names.values()), "N")
-    shown += [(f"contact force at {point}", force, found[name][rows]) for point, name in names.items()]
-    return in_time(cycle, through(cycle, np.radians(crank)), found["time_s"][rows], shown)
+    shown.append((f"deviation of {result.output.name}", turns.shares(turns.rms), turns.error[rows]))
+    unit = scale(largest(result.columns, [TORQUE]), "N m")
+    shown.append(("driving torque", unit, result[TORQUE][rows]))
+    names = {gap.point: f"{gap.point}.normal_N" for gap in result.gaps}
+    force = scale(largest(result.columns, names.values()), "N")
+    shown += [(f"contact force at {point}", force, result[name][rows]) for point, name in names.items()]
+    return in_time(cycle, scene_at(cycle, np.radians(crank)), result["time_s"][rows], shown)
 
 
 VIEW = View(

@@ -40,15 +40,15 @@ def _status(outcome: ClearanceSimulation) -> Iterator[Line]:
 
 
 def _error(outcome: ClearanceSimulation) -> TableSpec:
-    found, unit = outcome.figures, outcome.output.unit
+    figures, unit = outcome.figures, outcome.output.unit
     factor, displayed = DISPLAYED[unit]
-    last, counted = outcome.revolutions, int(found["settled_revolutions"]) or outcome.revolutions
+    last, counted = outcome.revolutions, int(figures["settled_revolutions"]) or outcome.revolutions
     first = last - counted + 1
     span = f"revolutions {first} ... {last}" if last > first else f"revolution {last}"
     rows = [
-        ("root mean square", fixed(found[f"rms_{unit}"] * factor, 6), displayed),
-        ("mean square", number(found[f"mean_square_{unit}2"] * factor * factor), f"{displayed}^2"),
-        ("largest", fixed(found[f"peak_{unit}"] * factor, 6), displayed),
+        ("root mean square", fixed(figures[f"rms_{unit}"] * factor, 6), displayed),
+        ("mean square", number(figures[f"mean_square_{unit}2"] * factor * factor), f"{displayed}^2"),
+        ("largest", fixed(figures[f"peak_{unit}"] * factor, 6), displayed),
     ]
     rms = outcome.per_revolution[f"rms_{unit}"][-counted:]
     if len(rms) > 1:
@@ -57,35 +57,35 @@ def _error(outcome: ClearanceSimulation) -> TableSpec:
 
 
 def _contacts(outcome: ClearanceSimulation) -> TableSpec:
-    found = outcome.figures
+    figures = outcome.figures
     rows = []
     for gap in outcome.gaps:
-        count = str(int(found[f"{gap.point}.contacts"]))
+        count = str(int(figures[f"{gap.point}.contacts"]))
         share = percent(float(np.mean(outcome.per_revolution[f"{gap.point}.contact_share"])))
-        most = number(found[f"{gap.point}.normal_max_N"], 5), fixed(found[f"{gap.point}.penetration_max_m"] * 1e6, 2)
+        most = number(figures[f"{gap.point}.normal_max_N"], 5), fixed(figures[f"{gap.point}.penetration_max_m"] * 1e6, 2)
         rows.append((gap.point, gap.journal, gap.bearing, number(gap.clearance * 1e3), count, share, *most))
     columns = ["joint", "journal", "bearing", ">gap\n[mm]", ">contacts", ">share", ">force\n[N]", ">depth\n[µm]"]
     return table("Contacts of all revolutions: share of the time, largest force and penetration", columns, rows)
 
 
 def _account(outcome: ClearanceSimulation) -> TableSpec:
-    found = outcome.figures
+    figures = outcome.figures
     rows = [
-        ("torque, root mean square", number(found["torque_rms_Nm"]), "N m"),
-        ("torque, largest", number(found["torque_max_Nm"]), "N m"),
+        ("torque, root mean square", number(figures["torque_rms_Nm"]), "N m"),
+        ("torque, largest", number(figures["torque_max_Nm"]), "N m"),
     ]
-    if found["correction_max_rad"] > 0.0:
-        rms, most = (math.degrees(found[name]) for name in ("correction_rms_rad", "correction_max_rad"))
+    if figures["correction_max_rad"] > 0.0:
+        rms, most = (math.degrees(figures[name]) for name in ("correction_rms_rad", "correction_max_rad"))
         rows.append(("correction, root mean square", fixed(rms, 4), f"deg, largest {most:.4g} deg"))
-    for name in [key for key in found if key.endswith(".work_J")]:
+    for name in [key for key in figures if key.endswith(".work_J")]:
         what, _, _ = name.rpartition(".")
         words = {"drive": "work of the drive"}.get(what, f"work of {what}")
         point, _, kind = what.rpartition(".")
         if point:
             words = f"lost at {point} {'in the contact' if kind == 'impact' else 'by friction'}"
-        rows.append((words, number(found[name]), "J"))
-    share = found["imbalance_J"] / found["largest_energy_J"] if found["largest_energy_J"] > 0.0 else 0.0
-    rows.append(("largest imbalance during the run", f"{found['imbalance_J']:.1e}", f"J, {share:.1e} of the largest energy"))
+        rows.append((words, number(figures[name]), "J"))
+    share = figures["imbalance_J"] / figures["largest_energy_J"] if figures["largest_energy_J"] > 0.0 else 0.0
+    rows.append(("largest imbalance during the run", f"{figures['imbalance_J']:.1e}", f"J, {share:.1e} of the largest energy"))
     return table("Drive and energy account", "<><", rows)
 
 

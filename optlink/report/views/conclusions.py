@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from optlink.validation import Check
 
 NO_BREAK = "\N{NO-BREAK SPACE}"
-SMALL = 1e-9  # share of the given value below which what is left is rounding
+ROUNDING = 1e-9  # share of the initial value below which the remainder is rounding error
 
 
 # --- designs -----------------------------------------------------------------------------------------------------------------
@@ -101,24 +101,24 @@ def _cycle(outcome: CycleResult) -> str:
     from optlink.problem.cycle.model import REQUIRED, StrokeProblem
 
     stroke = isinstance(outcome.task, StrokeProblem)
-    goals = [one for one in outcome.figures if one.limit in ("minimised", "maximised")] or outcome.figures[:1]
+    goals = [goal for goal in outcome.figures if goal.limit in ("minimised", "maximised")] or outcome.figures[:1]
     words = []
-    for one in goals:
-        compared = one.initial and math.isfinite(one.initial) and (not stroke or outcome.initial.valid)
-        change = one.result / one.initial - 1.0 if compared else math.nan
-        before = f" instead of {figure(one.initial, one.unit)} ({100.0 * change:+z.1f} %)" if math.isfinite(change) else ""
-        words.append(f"{one.words} {figure(one.result, one.unit)}{before.replace('-', '−')}")
-    words += [f"{one.words} {figure(one.result, one.unit)}" for one in outcome.figures if stroke and one.name in REQUIRED]
+    for goal in goals:
+        compared = goal.initial and math.isfinite(goal.initial) and (not stroke or outcome.initial.valid)
+        change = goal.result / goal.initial - 1.0 if compared else math.nan
+        before = f" instead of {figure(goal.initial, goal.unit)} ({100.0 * change:+z.1f} %)" if math.isfinite(change) else ""
+        words.append(f"{goal.words} {figure(goal.result, goal.unit)}{before.replace('-', '−')}")
+    words += [f"{goal.words} {figure(goal.result, goal.unit)}" for goal in outcome.figures if stroke and goal.name in REQUIRED]
     text = joined(words)
     return f"{text[:1].upper()}{text[1:]}."
 
 
 def _limiting(limits: Iterable[LimitState]) -> str:
     """Name the active constraint with the largest effect of one unit, and count the others."""
-    active = [one for one in limits if one.active]
+    active = [limit for limit in limits if limit.active]
     if not active:
         return ""
-    first = max(active, key=lambda one: abs(one.multiplier))
+    first = max(active, key=lambda limit: abs(limit.multiplier))
     bound = f"{first.sense} {figure(first.bound, first.unit)}".strip()
     others = len(active) - 1
     more = f"; {others} more limits are active" if others > 1 else "; one more limit is active" * others
@@ -128,7 +128,7 @@ def _limiting(limits: Iterable[LimitState]) -> str:
 
 def _failed(checks: Sequence[Check]) -> str:
     """Name the failed checks with value and limit."""
-    failed = [one for one in checks if not one.passed]
+    failed = [check for check in checks if not check.passed]
     if not failed:
         return ""
     first = failed[0]
@@ -136,15 +136,15 @@ def _failed(checks: Sequence[Check]) -> str:
     return text + (f"; {len(failed) - 1} more checks fail." if len(failed) > 1 else ".")
 
 
-def sensitivities(found: Sensitivities) -> str:
+def sensitivities(result: Sensitivities) -> str:
     """Return the conclusion of a sensitivity analysis."""
     from optlink.report.views import study_tables
 
-    if not found.moving:
+    if not result.moving:
         return "No prescribed value has an effect on this optimum, to first order."
-    first, base = found.moving[0], found.solution.objective
+    first, base = result.moving[0], result.solution.objective
     step = study_tables.step(first).replace(" deg", "°")
-    change = percent(first.effect / base, 2, signed=True) if base else figure(first.effect, found.unit)
+    change = percent(first.effect / base, 2, signed=True) if base else figure(first.effect, result.unit)
     return f"The optimum reacts most to {first.parameter.name}: {step} more changes the objective by {change.replace('-', '−')}."
 
 
@@ -161,12 +161,14 @@ def analysis(outcome: Analysis) -> str:
         words.append(f"the drive needs up to {si(abs(value), 'N m')} (at a crank angle of {figure(math.degrees(at), 'deg')})")
     forces = {name.removesuffix(".f_N"): extreme.largest for name, extreme in extremes.items() if name.endswith(".f_N")}
     if max(forces.values(), default=0.0) > 0.0 and not outcome.unbounded:
-        pin = max(forces, key=lambda one: forces[one])
+        pin = max(forces, key=lambda name: forces[name])
         words.append(f"the largest joint reaction is {si(forces[pin], 'N')} at {pin.replace('.', ' on ')}")
     if not words:
-        words = [f"the stroke of {name} is {si(one.high - one.low, 'm')}" for name, one in list(outcome.strokes.items())[:2]]
+        words = [
+            f"the stroke of {name} is {si(travel.high - travel.low, 'm')}" for name, travel in list(outcome.strokes.items())[:2]
+        ]
         words = words or [
-            f"the swing of {name} is {si(one.high - one.low, 'rad')}" for name, one in list(outcome.swings.items())[:2]
+            f"the swing of {name} is {si(travel.high - travel.low, 'rad')}" for name, travel in list(outcome.swings.items())[:2]
         ]
     text = joined(words) if words else "the motion was computed"
     if not outcome.sound:
@@ -197,97 +199,105 @@ def simulation(figures: Mapping[str, float], finished: bool, message: str) -> st
     return f"{text}." if finished else f"Not finished: {message}. {text}."
 
 
-def clearance(found: ClearanceSimulation) -> str:
+def clearance(result: ClearanceSimulation) -> str:
     """Return the conclusion of a simulation with joint clearance."""
-    if not found.revolutions:
-        return f"No complete revolution was simulated: {found.message}."
-    unit, figures = found.output.unit, found.figures
-    text = f"Joint clearance makes the {found.output.name} deviate by {si(figures[f'rms_{unit}'], unit)} (root mean square), "
+    if not result.revolutions:
+        return f"No complete revolution was simulated: {result.message}."
+    unit, figures = result.output.unit, result.figures
+    text = f"Joint clearance makes the {result.output.name} deviate by {si(figures[f'rms_{unit}'], unit)} (root mean square), "
     text += f"at most {si(figures[f'peak_{unit}'], unit)}"
     counted = int(figures["settled_revolutions"])
-    last = {gap.point: float(np.max(found.per_revolution[f"{gap.point}.normal_max_N"][-counted:])) for gap in found.gaps}
-    point = max(last, key=lambda one: last[one])
-    first = max(figures[f"{gap.point}.normal_max_N"] for gap in found.gaps)
+    last = {gap.point: float(np.max(result.per_revolution[f"{gap.point}.normal_max_N"][-counted:])) for gap in result.gaps}
+    point = max(last, key=lambda name: last[name])
+    first = max(figures[f"{gap.point}.normal_max_N"] for gap in result.gaps)
     text += f"; the contact force reaches {si(last[point], 'N')} at {point}"
     text += f" ({si(first, 'N')} while it runs in)." if first > last[point] else "."
-    return text if found.finished else f"Not finished: {found.message}. {text}"
+    return text if result.finished else f"Not finished: {result.message}. {text}"
 
 
-def comparison(found: Comparison) -> str:
+def comparison(result: Comparison) -> str:
     """Return the conclusion of a control comparison: the best control, and its gain."""
-    done = {name: one for name, one in found.trials.items() if one.finished}
-    if not done:
+    finished = {name: trials for name, trials in result.trials.items() if trials.finished}
+    if not finished:
         return "No controller completed its runs."
-    best = min(done, key=lambda name: done[name].mean)
-    tail = "" if len(done) == len(found.trials) else " Not every run was completed."
+    best = min(finished, key=lambda name: finished[name].mean)
+    tail = "" if len(finished) == len(result.trials) else " Not every run was completed."
     if best == "none":
-        rms = si(done[best].mean, found.unit)
+        rms = si(finished[best].mean, result.unit)
         return f"Best without control: root mean square deviation {rms}; every controller that completed increases it.{tail}"
-    less = f", {100.0 * (1.0 - done[best].mean / done['none'].mean):z.1f} % less than without control" if "none" in done else ""
-    rms, peak = (si(value, found.unit) for value in (done[best].mean, float(np.max(done[best].peak))))
+    less = (
+        f", {100.0 * (1.0 - finished[best].mean / finished['none'].mean):z.1f} % less than without control"
+        if "none" in finished
+        else ""
+    )
+    rms, peak = (si(value, result.unit) for value in (finished[best].mean, float(np.max(finished[best].peak))))
     return f"The best control is {best}: root mean square deviation {rms}{less}; peak {peak}.{tail}"
 
 
-def balance(found: Balance) -> str:
+def balance(result: Balance) -> str:
     """Return the conclusion of a balancing: change of the objective, and active limits."""
-    if found.conflict:
-        names = joined([f"{one.name} ({one.sense} {figure(one.bound, one.unit)})" for one in found.conflict][:4])
-        eased = [one for one in found.conflict if math.isfinite(one.alone)]
-        remedy = " or ".join(f"{one.name} to {figure(one.alone, one.unit)}" for one in eased[:3]) or "several of them together"
+    if result.conflict:
+        names = joined([f"{limit.name} ({limit.sense} {figure(limit.bound, limit.unit)})" for limit in result.conflict][:4])
+        eased = [limit for limit in result.conflict if math.isfinite(limit.alone)]
+        remedy = (
+            " or ".join(f"{limit.name} to {figure(limit.alone, limit.unit)}" for limit in eased[:3]) or "several of them together"
+        )
         return f"No counterweights meet all limits: {names} conflict. To make it feasible, relax {remedy}."
-    if not found.rows:
+    if not result.rows:
         return "No balancing was found."
-    left = found.objective if abs(found.objective) > SMALL * abs(found.before) else 0.0
-    mass = sum(one.mass for one in found.added)
-    text = f"The {found.measure} decreases by {100.0 * found.reduction:.4g} % to {figure(left, found.unit or '')}"
+    left = result.objective if abs(result.objective) > ROUNDING * abs(result.before) else 0.0
+    mass = sum(counterweight.mass for counterweight in result.added)
+    text = f"The {result.measure} decreases by {100.0 * result.reduction:.4g} % to {figure(left, result.unit or '')}"
     text = text.rstrip() + f" with {figure(mass, 'kg')} of counterweights"
-    active = [one.name for one in found.limits if one.active]
+    active = [limit.name for limit in result.limits if limit.active]
     limiting = f" Active limits: {joined(active[:3])}." if active else ""
-    return f"{text}.{limiting}" if found.valid else f"Not valid. {text}.{limiting}"
+    return f"{text}.{limiting}" if result.valid else f"Not valid. {text}.{limiting}"
 
 
 # --- studies -----------------------------------------------------------------------------------------------------------------
 
 
-def sweep(found: Sweep) -> str:
+def sweep(result: Sweep) -> str:
     """Return the conclusion of a sweep: number of valid points, and the best of them."""
-    total = found.grid.count
-    if found.evaluated or found.best is None:
-        done = found.statuses.get("analysed", found.valid) if found.evaluated else found.valid
-        tail = "" if found.evaluated else " No point has a valid design: relax the limits or change the range."
+    total = result.grid.count
+    if result.evaluated or result.best is None:
+        done = result.statuses.get("analysed", result.valid) if result.evaluated else result.valid
+        tail = "" if result.evaluated else " No point has a valid design: relax the limits or change the range."
         return f"{done:,} of {total:,} points have valid results.{tail}"
-    name = next(one for one in found.best if one.startswith("objective"))
+    name = next(column for column in result.best if column.startswith("objective"))
     _, _, unit = name.partition("_")
-    where = [f"{axis.key} = {figure(float(found.best[axis.column]), axis.unit)}" for axis in found.grid.axes]
-    value = figure(float(found.best[name]), unit.replace("2", "²"))
-    text = f"The objective is least, {value}, at {joined(where)}; {found.valid:,} of {total:,} points have a verified design."
-    active = str(found.best.get("active", ""))
+    where = [f"{axis.key} = {figure(float(result.best[axis.column]), axis.unit)}" for axis in result.grid.axes]
+    value = figure(float(result.best[name]), unit.replace("2", "²"))
+    text = f"The objective is least, {value}, at {joined(where)}; {result.valid:,} of {total:,} points have a verified design."
+    active = str(result.best.get("active", ""))
     return text + (f" Active limits of the best: {active}." if active else "")
 
 
-def pareto(found: Pareto) -> str:
+def pareto(result: Pareto) -> str:
     """Return the conclusion of a Pareto front: ranges of the objectives, and the knee."""
-    if not found.points:
+    if not result.points:
         return "No point of the front has a verified design: relax the limits or widen the ranges of the objectives."
-    if found.single_point:
-        return f"{found.single_point}."
+    if result.single_point:
+        return f"{result.single_point}."
     spans = []
-    for k, aim in enumerate(found.objectives):
-        values = [point.values[k] for point in found.points]
-        spans.append(f"{aim.name} {figure(min(values))} ... {figure(max(values), aim.unit)}")
-    text = f"{len(found.points)} verified designs trade {' against '.join(spans)}."
-    if found.knee is not None:
-        at = found.points[found.knee[0]].values
-        knee = joined([f"{aim.name} {figure(value, aim.unit)}" for aim, value in zip(found.objectives, at, strict=True)])
-        text += f" The knee of the front is point {found.knee[0] + 1}: {knee}."
-    return text if found.complete else f"{text} Not every point is verified."
+    for k, objective in enumerate(result.objectives):
+        values = [point.values[k] for point in result.points]
+        spans.append(f"{objective.name} {figure(min(values))} ... {figure(max(values), objective.unit)}")
+    text = f"{len(result.points)} verified designs trade {' against '.join(spans)}."
+    if result.knee is not None:
+        at = result.points[result.knee[0]].values
+        knee = joined(
+            [f"{objective.name} {figure(value, objective.unit)}" for objective, value in zip(result.objectives, at, strict=True)]
+        )
+        text += f" The knee of the front is point {result.knee[0] + 1}: {knee}."
+    return text if result.complete else f"{text} Not every point is verified."
 
 
 def tolerance(record: ToleranceRecord) -> str:
     """Return the conclusion of a tolerance analysis: yield or worst case, and the tolerance with the largest share."""
     k, unit, sampled = record.scale, record.display_unit, record.monte_carlo
     worst = float(np.max(np.maximum(-record.linear.worst_low, record.linear.worst_high)))
-    part = max(record.tolerances, key=lambda one: float(one.contribution_percent[record.where]))
+    part = max(record.tolerances, key=lambda part_tolerance: float(part_tolerance.contribution_percent[record.where]))
     most = f"{part.name} contributes {float(part.contribution_percent[record.where]):.3g} % of the variance"
     if sampled is not None and math.isfinite(sampled.share):
         low, high = sampled.interval

@@ -14,8 +14,8 @@ from optlink.problem.file import ProblemFile
 from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line, Panel
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection, StoredStudy
-from optlink.report.stored.stored_study import still
-from optlink.report.style import BODIES, COUPLER, CRANK, FOUND, QUIET, ROCKER, TARGET, scale
+from optlink.report.stored.stored_study import no_animation
+from optlink.report.style import BODIES, COUPLER, CRANK, MUTED, RESULT, ROCKER, TARGET, scale
 from optlink.report.view import View
 from optlink.report.views import clearance_tables, conclusions
 from optlink.report.views.revolutions import FULL, RevolutionCurves, fold
@@ -24,14 +24,14 @@ from optlink.tasks.results.control_comparison import Comparison, ComparisonRecor
 from optlink.units import percent
 
 
-def charts(found: Comparison) -> list[ChartSpec]:
+def charts(comparison: Comparison) -> list[ChartSpec]:
     """Return the charts of a control comparison, of the kinds whose runs finished; those of single runs where these are known."""
-    done = {name: one for name, one in found.trials.items() if one.finished}
-    examples = {name: run for name, run in found.examples.items() if name in done}
-    return [*compensation(examples), *([trials(replace(found, trials=done))] if done else [])]
+    finished = {name: runs for name, runs in comparison.trials.items() if runs.finished}
+    examples = {name: run for name, run in comparison.examples.items() if name in finished}
+    return [*compensation(examples), *([trials(replace(comparison, trials=finished))] if finished else [])]
 
 
-def _mean_turn(turns: RevolutionCurves, values: Array) -> tuple[Array, Array, Array, Array]:
+def _mean_revolution(turns: RevolutionCurves, values: Array) -> tuple[Array, Array, Array, Array]:
     """Return crank angles [deg] and the mean, least and largest values over the revolutions after the running-in."""
     count = max(1, min(turns.whole // turns.points, turns.last - turns.begin + 1))
     rows = slice(turns.whole - count * turns.points, turns.whole)
@@ -45,7 +45,7 @@ def _mean_turn(turns: RevolutionCurves, values: Array) -> tuple[Array, Array, Ar
 
 def _standstills(turns: RevolutionCurves) -> list[float]:
     """Return the crank angles [deg] at which the ideal output reverses, where crank corrections have no effect."""
-    angles, ideal, _, _ = _mean_turn(turns, turns.output - turns.error)
+    angles, ideal, _, _ = _mean_revolution(turns, turns.output - turns.error)
     if turns.advance:
         return []
     slope, at = np.diff(ideal), 0.5 * (angles[1:] + angles[:-1])
@@ -61,24 +61,24 @@ def compensation(results: Mapping[str, ClearanceSimulation]) -> list[ChartSpec]:
     if not every:
         return []
     first = next(iter(every.values()))
-    means = {name: _mean_turn(turns, turns.error) for name, turns in every.items()}
-    shown = first.shares(max(float(np.max(np.abs(course[1:]))) for course in means.values()))
-    colours = dict(zip(every, (QUIET, COUPLER, BODIES[2], ROCKER, *BODIES[3:]), strict=False)) | {"none": TARGET}
+    means = {name: _mean_revolution(turns, turns.error) for name, turns in every.items()}
+    shown = first.shares(max(float(np.max(np.abs(mean[1:]))) for mean in means.values()))
+    colours = dict(zip(every, (MUTED, COUPLER, BODIES[2], ROCKER, *BODIES[3:]), strict=False)) | {"none": TARGET}
     before = every["none"].rms if "none" in every else None
     deviations: list[Curve | Band] = []
     corrections: list[Curve | Band] = []
     for name, turns in every.items():
         gain = "" if name == "none" or not before else f" ({percent(turns.rms / before - 1.0, 0, signed=True)})".replace("-", "−")
         label = f"{_kind(name)}: RMS {turns.rms * shown.factor:.4g} {shown.unit}{gain}"
-        deviations += _scatter(means[name], shown.factor, label, colours[name], f"mean {name}")
+        deviations += _mean_with_range(means[name], shown.factor, label, colours[name], f"mean {name}")
         if turns.result.figures["correction_max_rad"] > 0.0:
-            correction = _mean_turn(turns, turns.result["command.correction_rad"])
-            corrections += _scatter(correction, math.degrees(1.0), "", colours[name], f"correction {name}")
+            correction = _mean_revolution(turns, turns.result["command.correction_rad"])
+            corrections += _mean_with_range(correction, math.degrees(1.0), "", colours[name], f"correction {name}")
     panels = [Panel(Axis(f"deviation of {first.result.output.name} [{shown.unit}]"), deviations, 1.5)]
     if corrections:
         panels.append(Panel(Axis("correction of the\ncrank's command [deg]"), corrections))
     lines = [
-        Line(at, "" if k else "the output reverses", QUIET, 1.0, gid="standstill") for k, at in enumerate(_standstills(first))
+        Line(at, "" if k else "the output reverses", MUTED, 1.0, gid="standstill") for k, at in enumerate(_standstills(first))
     ]
     rpm = f"{abs(first.result.speed) * 30.0 / math.pi:.5g} rpm{'' if first.way > 0.0 else ' clockwise'}"
     heading = f"{first.result.problem.model.title}: compensation of the clearance\n{rpm}, means of {first.counted}"
@@ -91,30 +91,32 @@ def _kind(name: str) -> str:
     return "no control" if name == "none" else name
 
 
-def _scatter(courses: tuple[Array, Array, Array, Array], factor: float, name: str, colour: str, gid: str) -> list[Curve | Band]:
+def _mean_with_range(
+    statistics: tuple[Array, Array, Array, Array], factor: float, name: str, colour: str, gid: str
+) -> list[Curve | Band]:
     """Return the mean over the revolutions as a curve on the band from the least to the largest value."""
-    angles, *values = courses
+    angles, *values = statistics
     x, mean = fold(angles, values[0] * factor)
-    low, high = (fold(angles, one * factor)[1] for one in values[1:])
+    low, high = (fold(angles, row * factor)[1] for row in values[1:])
     return [Band(x, low, high, "", colour, 0.12), Curve(x, mean, name, colour, 1.6, legend=bool(name), gid=gid)]
 
 
-def trials(found: Comparison) -> ChartSpec:
+def trials(comparison: Comparison) -> ChartSpec:
     """Plot the RMS and peak deviation of every start under each kind of control, and their means."""
-    kinds = list(found.trials)
-    shown = scale(float(max(np.max(one.peak) for one in found.trials.values())), "m" if found.unit == "m" else "deg")
+    kinds = list(comparison.trials)
+    shown = scale(float(max(np.max(runs.peak) for runs in comparison.trials.values())), "m" if comparison.unit == "m" else "deg")
     curves = []
-    for k, (name, one) in enumerate(found.trials.items(), 1):
-        for values, colour, word, off in ((one.rms, FOUND, "root mean square", -0.12), (one.peak, CRANK, "peak", 0.12)):
+    for k, (name, runs) in enumerate(comparison.trials.items(), 1):
+        for values, colour, word, off in ((runs.rms, RESULT, "root mean square", -0.12), (runs.peak, CRANK, "peak", 0.12)):
             dots = partial(Curve, mode="markers", size=5.0, opacity=0.55, text=[_kind(name)] * len(values), gid=word)
             curves.append(dots(values * shown.factor, np.full(len(values), k + off), word, colour, legend=k == 1))
         ends = np.array([k - 0.34, k + 0.1])
-        curves.append(Curve(np.full(2, one.mean * shown.factor), ends, "mean", TARGET, legend=k == 1, gid="mean"))
+        curves.append(Curve(np.full(2, runs.mean * shown.factor), ends, "mean", TARGET, legend=k == 1, gid="mean"))
     y = Axis("", (0.4, len(kinds) + 0.6), reversed=True, ticks=[(float(k), _kind(name)) for k, name in enumerate(kinds, 1)])
     furthest = max(float(np.max(curve.x)) for curve in curves)
     x = Axis(f"deviation [{shown.unit}]", (0.0, 1.05 * furthest))
-    count = f"{found.revolutions} revolutions from each of {len(found.starts)} starts"
-    heading = f"{found.problem.model.title}: kinds of control\n{count}"
+    count = f"{comparison.revolutions} revolutions from each of {len(comparison.starts)} starts"
+    heading = f"{comparison.problem.model.title}: kinds of control\n{count}"
     panel = Panel(y, curves, 0.27 * len(kinds) + 0.3)
     return ChartSpec("trials", f"Deviation under each kind of control, {count}", [panel], x, heading, cursor=False)
 
@@ -136,19 +138,19 @@ def stored_study(record: ComparisonRecord, file: ProblemFile, _: Path) -> Stored
     InputError
         If the record is damaged.
     """
-    trials = {name: one.build(Trials) for name, one in record.trials.items()}
-    found = record.build(Comparison, problem=file, trials=trials, examples={})
-    shown = clearance_tables.comparison(found)
+    trials = {name: trial_record.build(Trials) for name, trial_record in record.trials.items()}
+    comparison = record.build(Comparison, problem=file, trials=trials, examples={})
+    shown = clearance_tables.comparison(comparison)
     return StoredStudy(
         problem=file,
         kind="comparison of control",
-        verdict="Finished" if found.finished else "Not every run was finished",
-        valid=found.finished,
-        conclusion=conclusions.comparison(found),
+        verdict="Finished" if comparison.finished else "Not every run was finished",
+        valid=comparison.finished,
+        conclusion=conclusions.comparison(comparison),
         status=shown.status.lines,
-        sections=[PageSection("Figures", (shown.parts,)), PageSection("Chart", chart_plotly.charts(charts(found)))],
-        moving=still,
-        by=f"event-driven integration from {len(found.starts)} crank angles, seed {found.seed}",
+        sections=[PageSection("Figures", (shown.parts,)), PageSection("Chart", chart_plotly.charts(charts(comparison)))],
+        moving=no_animation,
+        by=f"event-driven integration from {len(comparison.starts)} crank angles, seed {comparison.seed}",
     )
 
 

@@ -18,7 +18,7 @@ from optlink.problem.cycle.terms import Term
 from optlink.report import chart_spec
 from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Panel, crank_angle
 from optlink.report.drawing import Sketch
-from optlink.report.style import FOUND, GROUND, LIMIT, QUIET, Scale, figure, heading, scale, styled
+from optlink.report.style import GROUND, LIMIT, MUTED, RESULT, Scale, figure, heading, scale, styled
 from optlink.report.view import View
 from optlink.report.views.path_view import with_verdict
 from optlink.tasks.results.analysis import Analysis
@@ -26,7 +26,7 @@ from optlink.tasks.results.cycle import CycleResult
 from optlink.units import KINDS
 from optlink.validation.cycle import Cycle
 
-GIVEN = QUIET
+INITIAL = MUTED
 STEPS = 720
 
 
@@ -54,34 +54,34 @@ def _line(cycle: Cycle, term: Term) -> Line:
     return Line(np.insert(x, gaps, np.nan), np.insert(y, gaps, np.nan), cycle.figure(term))
 
 
-def _shown(result: CycleResult) -> Iterable[tuple[Term, float | None, float | None]]:
+def _distinct_terms(result: CycleResult) -> Iterable[tuple[Term, float | None, float | None]]:
     """Yield every cyclic term once, with its limits [SI]."""
-    found: dict[tuple[object, ...], tuple[Term, float | None, float | None]] = {}
+    terms: dict[tuple[object, ...], tuple[Term, float | None, float | None]] = {}
     objectives = [(goal, None, None) for goal in result.task.goals]
     for term, low, high in [*objectives, *((b.term, b.interval.low, b.interval.high) for b in result.task.bounds)]:
         if term.nature.cyclic:
             key = (term.quantity, term.of, term.on, term.static)
-            first, *known = found.get(key, (term, None, None))
-            own = (low, high) if term.extreme else (None, None)
-            found[key] = (first, own[0] if known[0] is None else known[0], own[1] if known[1] is None else known[1])
-    yield from found.values()
+            first, *merged = terms.get(key, (term, None, None))
+            bounds = (low, high) if term.extreme else (None, None)
+            terms[key] = (first, bounds[0] if merged[0] is None else merged[0], bounds[1] if merged[1] is None else merged[1])
+    yield from terms.values()
 
 
 def charts(result: CycleResult) -> list[ChartSpec]:
     """Return the minimised and limited quantities over the revolution: initial machine grey, optimal in colour, limits red."""
-    shown = list(_shown(result))
-    given, found = Cycle(result.task, {}), Cycle(result.task, result.design)
-    if not shown or not found.full:
+    shown = list(_distinct_terms(result))
+    initial, optimal = Cycle(result.task, {}), Cycle(result.task, result.design)
+    if not shown or not optimal.full:
         return []
-    cycles = {"initial": given, "result": found} if given.full else {"result": found}
+    cycles = {"initial": initial, "result": optimal} if initial.full else {"result": optimal}
     panels = [_panel(result, term, cycles, (low, high)) for term, low, high in shown]
     jumps = [
-        chart_spec.Line(math.degrees(at % TURN), colour=FOUND if name == "result" else GIVEN, width=0.8)
+        chart_spec.Line(math.degrees(at % TURN), colour=RESULT if name == "result" else INITIAL, width=0.8)
         for name, cycle in cycles.items()
         for at in cycle.work.jumps
     ]
     x = crank_angle(limits=(0.0, 360.0))
-    if found.speed < 0.0:
+    if optimal.speed < 0.0:
         x = Axis(f"{x.name}, turned clockwise: from right to left", x.limits, step=x.step)
     title = "Objectives and limits over the revolution"
     return [ChartSpec("courses", title, panels, x, heading=result.task.title, lines=jumps)]
@@ -90,9 +90,9 @@ def charts(result: CycleResult) -> list[ChartSpec]:
 def _panel(result: CycleResult, term: Term, cycles: dict[str, Cycle], limits: tuple[float | None, float | None]) -> Panel:
     lines = {name: _line(cycle, term) for name, cycle in cycles.items()}
     shown = scale(max(float(np.nanmax(np.abs(line.values))) for line in lines.values()), _unit(result.task.kind(term)))
-    looks = {"initial": (GIVEN, 1.3), "result": (FOUND, 1.8)}
+    styles = {"initial": (INITIAL, 1.3), "result": (RESULT, 1.8)}
     curves = [
-        Curve(line.angles, line.values * shown.factor, f"{name}: {term.how} {shown.text(line.figure)}", *looks[name], gid=name)
+        Curve(line.angles, line.values * shown.factor, f"{name}: {term.how} {shown.text(line.figure)}", *styles[name], gid=name)
         for name, line in lines.items()
     ]
     low = min(float(np.nanmin(line.values)) for line in lines.values())
@@ -107,10 +107,10 @@ def _unit(kind: str) -> str:
 
 def _limits(term: Term, limits: tuple[float | None, float | None], shown: Scale, low: float) -> Iterable[chart_spec.Line]:
     """Yield the limits as red lines; a peak is limited on both sides of zero."""
-    found = [limit for limit in limits if limit is not None]
-    if term.how == "peak" and found and not term.nature.vector and low < -0.6 * found[0]:
-        found.append(-found[0])
-    for k, limit in enumerate(found):
+    lines = [limit for limit in limits if limit is not None]
+    if term.how == "peak" and lines and not term.nature.vector and low < -0.6 * lines[0]:
+        lines.append(-lines[0])
+    for k, limit in enumerate(lines):
         yield chart_spec.Line(limit * shown.factor, "" if k else "limit", LIMIT, dash="dashdot")
 
 
@@ -122,30 +122,30 @@ def _named(term: Term) -> str:
 @styled
 def mechanisms(result: CycleResult) -> Figure | None:
     """Draw the initial machine grey and the optimal one in colour, with joint paths, at the crank angle of the largest torque."""
-    given, found = result.initial_analysis, result.analysis
-    if found is None:
+    initial, optimal = result.initial_analysis, result.analysis
+    if optimal is None:
         return None
-    at = np.array([_telling(result, found)])
-    sketches = [(a, Sketch(_revolution(a), a.machine)) for a in (given, found) if a is not None]
+    at = np.array([_largest_torque_angle(result, optimal)])
+    sketches = [(a, Sketch(_revolution(a), a.machine)) for a in (initial, optimal) if a is not None]
     main = sketches[-1][1]
-    for _, other in sketches[:-1]:
-        factor = main.scale.factor / other.scale.factor
-        main.widen(np.array([other.low, other.high]) * factor)
+    for _, sketch in sketches[:-1]:
+        factor = main.scale.factor / sketch.scale.factor
+        main.widen(np.array([sketch.low, sketch.high]) * factor)
     width = 7.4
-    drawn = figure(width, min(9.0, max(3.6, 0.9 * width * main.ratio + 1.1)))
-    axes = drawn.subplots()
-    if given is not None:
-        _ghost(axes, given, main.scale, at)
-    main.show(axes, sweep(found.machine.mechanism, found.machine.sizes, at))
-    grey = {} if given is None else {"initial_machine": Line2D([], [], color=GIVEN, linewidth=3.0)}
-    main.add_legend(drawn, 5, **grey)
-    drawn.suptitle(heading(f"{result.task.title}: at crank angle {math.degrees(float(at[0])):z.1f}°", width))
-    return drawn
+    fig = figure(width, min(9.0, max(3.6, 0.9 * width * main.ratio + 1.1)))
+    axes = fig.subplots()
+    if initial is not None:
+        _draw_initial(axes, initial, main.scale, at)
+    main.show(axes, sweep(optimal.machine.mechanism, optimal.machine.sizes, at))
+    grey = {} if initial is None else {"initial_machine": Line2D([], [], color=INITIAL, linewidth=3.0)}
+    main.add_legend(fig, 5, **grey)
+    fig.suptitle(heading(f"{result.task.title}: at crank angle {math.degrees(float(at[0])):z.1f}°", width))
+    return fig
 
 
-def _telling(result: CycleResult, found: Analysis) -> float:
+def _largest_torque_angle(result: CycleResult, optimal: Analysis) -> float:
     """Return the crank angle [rad] at which the absolute driving torque of the optimal machine is largest."""
-    extreme = found.extremes.get("input.torque_Nm")
+    extreme = optimal.extremes.get("input.torque_Nm")
     if extreme is None or not math.isfinite(extreme.largest):
         return 0.0
     return extreme.largest_at if extreme.largest >= -extreme.least else extreme.least_at
@@ -155,19 +155,19 @@ def _revolution(analysis: Analysis) -> Value:
     return sweep(analysis.machine.mechanism, analysis.machine.sizes, np.linspace(0.0, TURN, STEPS + 1))
 
 
-def _ghost(axes: Axes, given: Analysis, shown: Scale, at: Array) -> None:
+def _draw_initial(axes: Axes, initial: Analysis, shown: Scale, at: Array) -> None:
     """Draw the initial machine in grey: joint paths and bodies as lines."""
-    mechanism = given.machine.mechanism
-    whole_turn, here = _revolution(given), sweep(mechanism, given.machine.sizes, at)
+    mechanism = initial.machine.mechanism
+    whole_turn, position = _revolution(initial), sweep(mechanism, initial.machine.sizes, at)
     for name, bodies in mechanism.owners.items():
         if set(bodies) != {"frame"}:
             path = whole_turn.position(name) * shown.factor
-            axes.plot(path[:, 0], path[:, 1], color=GIVEN, linewidth=0.9, alpha=0.6, zorder=0.8, linestyle="--")
+            axes.plot(path[:, 0], path[:, 1], color=INITIAL, linewidth=0.9, alpha=0.6, zorder=0.8, linestyle="--")
     for link in mechanism.links:
         if link.end:
-            ends = np.array([here.position(point)[0] for point in (link.start, link.end)]) * shown.factor
-            axes.plot(ends[:, 0], ends[:, 1], color=GIVEN, linewidth=3.0, alpha=0.55, zorder=1.2, solid_capstyle="round")
-    pins = np.array([here.position(name)[0] for name in mechanism.pins]) * shown.factor
+            ends = np.array([position.position(point)[0] for point in (link.start, link.end)]) * shown.factor
+            axes.plot(ends[:, 0], ends[:, 1], color=INITIAL, linewidth=3.0, alpha=0.55, zorder=1.2, solid_capstyle="round")
+    pins = np.array([position.position(name)[0] for name in mechanism.pins]) * shown.factor
     axes.plot(pins[:, 0], pins[:, 1], linestyle="none", marker="o", markersize=5, mfc="white", mec=GROUND, alpha=0.6, zorder=1.4)
 
 

@@ -9,7 +9,7 @@ from optlink.problem.cycle.model import CycleProblem, StrokeProblem
 from optlink.report.format import change, dimension, number
 from optlink.report.table_spec import Row, Summary, TableSpec, quiet, strong, table
 from optlink.report.views.analysis_tables import machine_strokes
-from optlink.report.views.function_tables import NEAREST, searched
+from optlink.report.views.function_tables import NEAREST_DESIGN, search_summary
 from optlink.tasks.results.cycle import CycleResult
 
 
@@ -17,7 +17,7 @@ def cycle_result(outcome: CycleResult) -> Summary:
     """Summarise a cycle optimisation: design, cycle quantities, active constraints, validation, optima."""
     strokes = None if outcome.built is None else machine_strokes(outcome.built, outcome.task.drive.speed.value)
     tail = f"; {outcome.comparison}" if outcome.comparison else ""
-    return searched(outcome, (_sizes(outcome), _figures(outcome), strokes), tail=tail)
+    return search_summary(outcome, (_sizes(outcome), _figures(outcome), strokes), tail=tail)
 
 
 def cycle_problem(task: CycleProblem) -> TableSpec:
@@ -48,15 +48,17 @@ def _sizes(outcome: CycleResult) -> TableSpec:
                 quiet(f"{low:g} ... {high:g}" if quantity.free else "fixed"),
             )
         )
-    title = "Design" if outcome.status is not Status.INFEASIBLE else NEAREST
+    title = "Design" if outcome.status is not Status.INFEASIBLE else NEAREST_DESIGN
     return table(title, ["", ">result", "", ">initial", ""], rows)
 
 
 def _figures(outcome: CycleResult) -> TableSpec:
     rows: list[Row] = []
-    for one in outcome.figures:
-        shown = change(one.result / one.initial - 1.0 if one.initial and math.isfinite(one.initial) else math.nan)
-        rows.append((one.words, number(one.initial), strong(number(one.result)), one.unit, shown, quiet(one.limit)))
+    for figure in outcome.figures:
+        shown = change(figure.result / figure.initial - 1.0 if figure.initial and math.isfinite(figure.initial) else math.nan)
+        rows.append(
+            (figure.words, number(figure.initial), strong(number(figure.result)), figure.unit, shown, quiet(figure.limit))
+        )
     if not outcome.task.single:
         rows.append(("weighted sum", "", strong(number(outcome.objective, 8)), "", "", quiet("minimised")))
     return table("Objective and limits, measured over the cycle", ["", ">initial", ">result", "", ">change", "limit"], rows)

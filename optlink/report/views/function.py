@@ -23,7 +23,7 @@ from optlink.report.chart_spec import Array, Axis, Band, ChartSpec, Curve, Line,
 from optlink.report.drawing import Sketch, merged_positions
 from optlink.report.format import dimension
 from optlink.report.labels import place_labels
-from optlink.report.style import FOUND, LIMIT, QUIET, ROCKER, TARGET, figure, figure as new_figure, heading, panels, styled
+from optlink.report.style import LIMIT, MUTED, RESULT, ROCKER, TARGET, figure, figure as new_figure, heading, panels, styled
 from optlink.report.view import View
 from optlink.report.views.certificate_view import certificate_charts
 from optlink.report.views.path_view import with_verdict
@@ -69,15 +69,15 @@ def _transmission(motion: Motion) -> Array:
 def positions(result: FunctionResult) -> dict[str, float]:
     """Return the characteristic crank angles [rad] by name: start and end of the span, dead centres, transmission extremes."""
     problem, sizes = result.problem.spec, result.sizes
-    found: dict[str, float] = {"start": result.design["phi0"], "end of the span": result.design["phi0"] + problem.span}
+    angles: dict[str, float] = {"start": result.design["phi0"], "end of the span": result.design["phi0"] + problem.span}
     whole_turn = [(low, high) for low, high in reachable(*lengths_of(sizes)) if high - low > 2.0 * np.pi - 1e-9]
     if whole_turn:
         for name, outer in (("outer dead centre", True), ("inner dead centre", False)):
             limit = dead_centre(*lengths_of(sizes), problem.side, outer=outer)
             if limit.margin >= 0.0:
-                found[name] = float(limit.phi)
-        found["smallest transmission angle"], found["largest transmission angle"] = 0.0, math.pi
-    return merged_positions(found.items())
+                angles[name] = float(limit.phi)
+        angles["smallest transmission angle"], angles["largest transmission angle"] = 0.0, math.pi
+    return merged_positions(angles.items())
 
 
 @styled
@@ -90,19 +90,19 @@ def mechanism(result: FunctionResult) -> Figure | None:
     named = positions(result)
     columns = 3 if len(named) > 4 else 2 if len(named) > 1 else 1
     rows = -(-len(named) // columns)
-    drawn = figure(3.9 * columns, (3.3 * min(max(sketch.ratio, 0.45), 1.3) + 0.95) * rows + 0.55)
+    fig = figure(3.9 * columns, (3.3 * min(max(sketch.ratio, 0.45), 1.3) + 0.95) * rows + 0.55)
     letters = []
-    for axes, (name, phi) in zip(panels(drawn, len(named), columns), named.items(), strict=True):
-        here = _moved(result, np.array([phi]))
-        letters += sketch.show(axes, here)
-        gamma = float(_transmission(here)[0])
-        psi = math.degrees(float(here.body_angle("rocker").value[0]))
+    for axes, (name, phi) in zip(panels(fig, len(named), columns), named.items(), strict=True):
+        position = _moved(result, np.array([phi]))
+        letters += sketch.show(axes, position)
+        gamma = float(_transmission(position)[0])
+        psi = math.degrees(float(position.body_angle("rocker").value[0]))
         axes.set_title(f"{name}\nφ {math.degrees(phi) % 360.0:z.2f}°   ψ {psi:z.2f}°   γ {gamma:z.2f}°", fontsize=9.5)
     lengths = "   ".join(f"{name} {value * sketch.scale.factor:z.3f}" for name, value in result.sizes.items())
     title = heading(result.problem.spec.title, 3.9 * columns)
-    drawn.suptitle(f"{title}\n{heading(f'{lengths} {sketch.scale.unit}', 3.9 * columns)}", fontsize=11)
-    place_labels(drawn, letters)
-    return drawn
+    fig.suptitle(f"{title}\n{heading(f'{lengths} {sketch.scale.unit}', 3.9 * columns)}", fontsize=11)
+    place_labels(fig, letters)
+    return fig
 
 
 # --- output ----------------------------------------------------------------------------------------------------------
@@ -141,14 +141,14 @@ def law(result: FunctionResult) -> list[ChartSpec]:
     begin = math.degrees(_start(result))
     crank, marked = begin + np.degrees(offsets), begin + np.degrees(at)
     target, marks = (np.degrees(problem.law.curve(places, design["phi0"], design["psi0"])) for places in (offsets, at))
-    found = np.degrees(np.asarray(_moved(result, design["phi0"] + offsets).body_angle("rocker").value))
-    found = found + 360.0 * np.round((target[0] - found[0]) / 360.0)
-    if not np.any(np.isfinite(found)):
+    generated = np.degrees(np.asarray(_moved(result, design["phi0"] + offsets).body_angle("rocker").value))
+    generated = generated + 360.0 * np.round((target[0] - generated[0]) / 360.0)
+    if not np.any(np.isfinite(generated)):
         return []
     error, at_marks = np.degrees(result.error(offsets)), np.degrees(result.error())
     above = [
         Curve(crank, target, "target", TARGET, 1.4, "dash", gid="target"),
-        Curve(crank, found, "generated", FOUND, 1.8, gid="generated"),
+        Curve(crank, generated, "generated", RESULT, 1.8, gid="generated"),
         Curve(marked, marks, "design positions", TARGET, mode="markers", size=3.0, gid="positions"),
     ]
     robust, worst = problem.requirement.robust, int(np.nanargmax(np.abs(error)))
@@ -173,8 +173,8 @@ def transmission(result: FunctionResult) -> list[ChartSpec]:
     problem, angles = result.problem.spec, _range(result)
     if angles.size == 0:
         return []
-    turns = math.pi * np.arange(-4.0, 5.0)  # with the extremes of a full revolution
-    angles = np.union1d(angles, turns[(turns > angles[0]) & (turns < angles[-1])])
+    half_turns = math.pi * np.arange(-4.0, 5.0)  # with the extremes of a full revolution
+    angles = np.union1d(angles, half_turns[(half_turns > angles[0]) & (half_turns < angles[-1])])
     gamma, crank = _transmission(_moved(result, angles)), np.degrees(angles)
     start, span = math.degrees(_start(result)), math.degrees(problem.span)
     spans: list[Span] = []
@@ -182,8 +182,8 @@ def transmission(result: FunctionResult) -> list[ChartSpec]:
         low, high = sorted((start + turn, start + turn + span))
         low, high = max(low, float(crank[0])), min(high, float(crank[-1]))
         if low < high - 1e-9:
-            spans.append(Span(low, high, "" if spans else "span of the requirement", FOUND, 0.08))
-    traces = [Curve(crank, gamma, "transmission angle γ", FOUND, 1.9, gid="transmission")]
+            spans.append(Span(low, high, "" if spans else "span of the requirement", RESULT, 0.08))
+    traces = [Curve(crank, gamma, "transmission angle γ", RESULT, 1.9, gid="transmission")]
     lines = []
     for bound, low in transmission_limits(result):
         name = f"{'at least' if low else 'at most'} {bound:.5g}°"
@@ -192,8 +192,8 @@ def transmission(result: FunctionResult) -> list[ChartSpec]:
         else:
             traces.append(Curve(np.sort([start, start + span]), np.full(2, bound), name, LIMIT, 1.3, "dash"))
     marks = [
-        Mark(float(crank[k]), float(gamma[k]), f"{word} {gamma[k]:z.2f}°", FOUND, prefer=(0.0, way))
-        for k, word, way in ((int(np.argmin(gamma)), "least", -1.0), (int(np.argmax(gamma)), "largest", 1.0))
+        Mark(float(crank[k]), float(gamma[k]), f"{word} {gamma[k]:z.2f}°", RESULT, prefer=(0.0, direction))
+        for k, word, direction in ((int(np.argmin(gamma)), "least", -1.0), (int(np.argmax(gamma)), "largest", 1.0))
     ]
     x = crank_angle(clockwise=_clockwise(result), limits=(float(crank[0]), float(crank[-1])))
     shown = Panel(Axis("γ [deg]"), traces, 1.4, lines, marks)
@@ -202,9 +202,9 @@ def transmission(result: FunctionResult) -> list[ChartSpec]:
 
 def transmission_limits(result: FunctionResult) -> list[tuple[float, bool]]:
     """Return the limits of the transmission angle [deg], each with whether it is the lower one."""
-    stated = result.problem.spec.limits.transmission_at()
-    both = () if stated is None else (stated.low, stated.high)
-    return [(math.degrees(bound), k == 0) for k, bound in enumerate(both) if bound is not None]
+    limit = result.problem.spec.limits.transmission_at()
+    bounds = () if limit is None else (limit.low, limit.high)
+    return [(math.degrees(bound), k == 0) for k, bound in enumerate(bounds) if bound is not None]
 
 
 # --- animation -------------------------------------------------------------------------------------------------------
@@ -241,7 +241,7 @@ def frames(result: FunctionResult, count: int = 90) -> list[Image.Image]:
     def required(axes: Axes) -> None:
         ends = {"theta1": min(begin, begin + span), "theta2": max(begin, begin + span)}
         size = 1.1 * result.design["crank"] * sketch.scale.factor
-        axes.add_patch(Arc((0.0, 0.0), size, size, color=QUIET, linewidth=1.3, **ends))
+        axes.add_patch(Arc((0.0, 0.0), size, size, color=MUTED, linewidth=1.3, **ends))
 
     marks = np.stack([at, np.interp(at, crank, psi)], axis=-1)
     return film(sketch, _moved(result, steps), strip, marks, result.problem.spec.title, more=required)
@@ -264,26 +264,26 @@ def function_chart(function: Function, offsets: Array, error: Array, title: str,
     least, largest = function.ends
     x = function.low + (function.high - function.low) * offsets / function.input
     target = np.asarray(function.expression({"x": x}) + 0.0 * x, dtype=float)
-    away = error * (largest - least) / function.output
-    worst = int(np.nanargmax(np.abs(away)))
+    deviation = error * (largest - least) / function.output
+    worst = int(np.nanargmax(np.abs(deviation)))
     above = [
         Curve(x, target, "target", TARGET, 1.4, "dash", gid="target y"),
-        Curve(x, target - away, "generated", FOUND, 1.8, gid="generated y"),
+        Curve(x, target - deviation, "generated", RESULT, 1.8, gid="generated y"),
     ]
     mark = Mark(
         float(x[worst]),
-        float(away[worst]),
-        f"largest {away[worst]:+.3g}".replace("-", "−"),
+        float(deviation[worst]),
+        f"largest {deviation[worst]:+.3g}".replace("-", "−"),
         size=1.0,
-        prefer=(0.0, np.sign(away[worst])),
+        prefer=(0.0, np.sign(deviation[worst])),
     )
-    below = Panel(Axis("target minus generated"), [Curve(x, away, "", LIMIT, 1.5, gid="error in y")], marks=[mark])
+    below = Panel(Axis("target minus generated"), [Curve(x, deviation, "", LIMIT, 1.5, gid="error in y")], marks=[mark])
     panels = [Panel(Axis("y"), above, 1.7), below]
     return ChartSpec("function", "Function y(x)", panels, Axis("x"), title, cursor=False, warning=warning)
 
 
 COLOURS = ("#e67e22", "#8e44ad", "#16a085", "#c0392b")  # of back ends, by their position in the registry
-RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def unit_of(result: FunctionResult) -> str:
@@ -337,7 +337,7 @@ def objective_map(result: FunctionResult) -> Figure | None:
     axes.legend(frameon=True, framealpha=0.9, fontsize=8.5, loc="upper right")
     bar = figure.colorbar(filled, ax=axes, pad=0.02)
     ticks = [t for t in range(math.floor(np.log10(low)), math.ceil(np.log10(high)) + 1) if np.log10(low) <= t <= np.log10(high)]
-    bar.set_ticks(ticks, labels=[f"10{str(t).translate(RAISED)}" for t in ticks])
+    bar.set_ticks(ticks, labels=[f"10{str(t).translate(SUPERSCRIPTS)}" for t in ticks])
     bar.set_label(f"{result.measure} [{unit_of(result)}]")
     place = ", ".join(
         f"{name} {dimension(value)} {problem.display(name)[1]}" for name, value in zip(problem.free, at, strict=True)
@@ -349,9 +349,9 @@ def objective_map(result: FunctionResult) -> Figure | None:
 
 def _iterations(axes: Axes, result: FunctionResult, scale_x: float, scale_y: float) -> None:
     colors = dict(zip(selectable(), itertools.cycle(COLOURS), strict=False))
-    found = result.backends or ({result.backend: result.solution} if result.solution else {})
+    solutions = result.backends or ({result.backend: result.solution} if result.solution else {})
     sizes = [result.problem.spec.quantities["frame"].value if n in LENGTHS else 1.0 for n in result.problem.spec.free]
-    for name, solution in found.items():
+    for name, solution in solutions.items():
         if solution.path is not None and len(solution.path) > 1:
             path = solution.path[:, :2] * sizes * [scale_x, scale_y]
             axes.plot(path[:, 0], path[:, 1], "-o", markersize=3, linewidth=1.1, color=colors[name], label=f"{name}, iterations")

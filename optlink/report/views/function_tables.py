@@ -43,9 +43,9 @@ if TYPE_CHECKING:
 
     SearchedResult = FunctionResult | CycleResult
 
-LISTED, WIDEST = 12, 6  # largest number of optima listed, and of their design variables
-NEAREST = "Nearest design found (it does not meet the limits)"
-RELAXED = "; <=, >=: its improvement if the bound is relaxed by one unit"
+MAX_OPTIMA, MAX_VARIABLES = 12, 6  # largest number of optima listed, and of their design variables
+NEAREST_DESIGN = "Nearest design found (it does not meet the limits)"
+RELAXED_NOTE = "; <=, >=: its improvement if the bound is relaxed by one unit"
 
 
 def result(outcome: FunctionResult) -> Summary:
@@ -55,18 +55,18 @@ def result(outcome: FunctionResult) -> Summary:
     spec = outcome.problem.spec
     machine = turning_machine(outcome.problem, outcome.design)
     strokes = None if machine is None else machine_strokes(machine, spec.span)
-    own = (_design(outcome), strokes, None if outcome.conflict else _objective(outcome))
-    found, hits = outcome.evidence, None
-    if found is not None and not certified(outcome.certificate):
-        different = f"{found.optima} distinct value{'s' * (found.optima > 1)}"
-        reached = f"{found.hits} of {found.starts} random starts reached the best value, {different}"
-        hits = Paragraph(strong("Multistart search"), f"{reached}; {found.chance}", appendix=True)
-    return searched(outcome, own, hits, over=", largest error over the whole range" * spec.everywhere)
+    tables = (_design(outcome), strokes, None if outcome.conflict else _objective(outcome))
+    evidence, hits = outcome.evidence, None
+    if evidence is not None and not certified(outcome.certificate):
+        different = f"{evidence.optima} distinct value{'s' * (evidence.optima > 1)}"
+        reached = f"{evidence.hits} of {evidence.starts} random starts reached the best value, {different}"
+        hits = Paragraph(strong("Multistart search"), f"{reached}; {evidence.chance}", appendix=True)
+    return search_summary(outcome, tables, hits, over=", largest error over the whole range" * spec.everywhere)
 
 
-def searched(
+def search_summary(
     outcome: SearchedResult,
-    own: Iterable[Part | None],
+    tables: Iterable[Part | None],
     hits: Part | None = None,
     tail: str = "",
     over: str = "",
@@ -76,7 +76,7 @@ def searched(
     Parameters
     ----------
     outcome : FunctionResult or CycleResult
-    own : iterable of Part
+    tables : iterable of Part
         Design and objective.
     hits : Part, optional
         Statistics of the starting points.
@@ -96,7 +96,7 @@ def searched(
     return summary(
         model.title,
         _status(outcome, tail),
-        *own,
+        *tables,
         conflict(outcome.conflict, outcome.together) if outcome.conflict else priced,
         None if proof is None else certificate_table(proof, *model.objective_display, outcome.seconds),
         checks(outcome.validation.checks),
@@ -109,7 +109,7 @@ def searched(
 
 def _status(outcome: SearchedResult, tail: str) -> Iterator[Line]:
     line = search_verdict(outcome.status, "valid" if outcome.valid else "not valid", outcome.valid, outcome.certificate)
-    yield from graded(line, outcome.fit if outcome.valid else None, tail)
+    yield from graded_status(line, outcome.fit if outcome.valid else None, tail)
     yield from noted(outcome.notes)
     text = outcome.message
     yield quiet(text + " (use --starts N for a multistart search)" * (text == Status.OPTIMAL.text and outcome.starts == 1))
@@ -135,7 +135,7 @@ def search_verdict(status: Status, word: str, positive: bool, certificate: Certi
     return [f"{ended}, ", verdict(word, positive)]
 
 
-def graded(line: Sequence[Inline], fit: Fit | None, tail: str = "") -> Iterator[Line]:
+def graded_status(line: Sequence[Inline], fit: Fit | None, tail: str = "") -> Iterator[Line]:
     """Yield a line with the grade of a fit and a tail, then the likely reasons of a poor fit with remedies.
 
     Parameters
@@ -149,8 +149,8 @@ def graded(line: Sequence[Inline], fit: Fit | None, tail: str = "") -> Iterator[
         yield [*line, tail]
         return
     yield [*line, ", ", bad(fit.text) if fit.grade == "poor" else fit.text, tail]
-    for each in fit.reasons:
-        yield f"{fit.text.partition(':')[0].capitalize()}, likely reason: {each.reason}. Remedy: {each.remedy}."
+    for reason in fit.reasons:
+        yield f"{fit.text.partition(':')[0].capitalize()}, likely reason: {reason.reason}. Remedy: {reason.remedy}."
 
 
 def _design(outcome: FunctionResult) -> TableSpec:
@@ -158,7 +158,7 @@ def _design(outcome: FunctionResult) -> TableSpec:
     derived = {"phi0": f"at the {start}", "psi0": "the rocker angle there"}
     rows = dimension_rows(outcome.problem.spec, outcome.design, derived)
     rows.append(("assembly", outcome.assembly, "", quiet(f"joint C lies to the {outcome.assembly} of B -> D")))
-    return table("Design" if not outcome.conflict else NEAREST, "<><<", rows)
+    return table("Design" if not outcome.conflict else NEAREST_DESIGN, "<><<", rows)
 
 
 def dimension_rows(
@@ -237,7 +237,11 @@ def active(model: Problem, objective: float, limits: Iterable[LimitState]) -> Pa
         rows.append((limit.name, f"{limit.sense} {limit.bound:g} {limit.unit}".rstrip(), effect))
     if not rows:
         return Paragraph(strong("Active constraints"), "none: only the requirement determines this design")
-    notes = [quiet(f"=: change of the objective if the value is raised by one unit{RELAXED * (len(rows) > 1)}")] if raised else []
+    notes = (
+        [quiet(f"=: change of the objective if the value is raised by one unit{RELAXED_NOTE * (len(rows) > 1)}")]
+        if raised
+        else []
+    )
     return table("Active constraints and their shadow prices", "<<<", rows, notes=notes)
 
 
@@ -251,9 +255,9 @@ def checks(selected: Sequence[Check], gathered: Sequence[Check] = ()) -> TableSp
         Passed bounds of dimensions that share one row.
     """
     rows: list[Row] = [
-        (verdict("ok" if one.passed else "FAIL", one.passed), one.name, number(one.value), quiet(one.unit), one.limit)
-        for one in selected
-        if one not in gathered
+        (verdict("ok" if item.passed else "FAIL", item.passed), item.name, number(item.value), quiet(item.unit), item.limit)
+        for item in selected
+        if item not in gathered
     ]
     if gathered:
         rows.append((good("ok"), f"{len(gathered)} dimensions within bounds", "all", "", ""))
@@ -263,8 +267,8 @@ def checks(selected: Sequence[Check], gathered: Sequence[Check] = ()) -> TableSp
 
 def _optima(outcome: SearchedResult, over: str) -> TableSpec:
     """Tabulate the distinct optima of a multistart search."""
-    model, listed = outcome.problem.model, outcome.optima[:LISTED]
-    free, modes = list(model.free)[:WIDEST], len({optimum.assembly for optimum in outcome.optima}) > 1
+    model, listed = outcome.problem.model, outcome.optima[:MAX_OPTIMA]
+    free, modes = list(model.free)[:MAX_VARIABLES], len({optimum.assembly for optimum in outcome.optima}) > 1
     rows, (scale, unit) = [], model.objective_display
     for optimum in listed:
         values = [dimension(optimum.design[name] * model.display(name)[0]) for name in free]
@@ -287,29 +291,29 @@ def _optima(outcome: SearchedResult, over: str) -> TableSpec:
 
 
 def _backends(outcome: SearchedResult) -> TableSpec:
-    model, found = outcome.problem.model, outcome.backends.values()
+    model, solutions = outcome.problem.model, outcome.backends.values()
     scale, shown = model.objective_display
-    rows = [("status", *(one.status.value for one in found), "")]
-    rows.append(("objective", *(number(scale * one.objective, 9) for one in found), shown))
+    rows = [("status", *(solution.status.value for solution in solutions), "")]
+    rows.append(("objective", *(number(scale * solution.objective, 9) for solution in solutions), shown))
     for name in model.free:
         factor, unit = model.display(name)
-        rows.append((name, *(fixed(one.design[name] * factor, 5) for one in found), unit))
-    rows.append(("steps", *(str(one.iterations) for one in found), ""))
-    rows.append(("KKT residual", *(f"{one.kkt:.1e}" for one in found), ""))
+        rows.append((name, *(fixed(solution.design[name] * factor, 5) for solution in solutions), unit))
+    rows.append(("steps", *(str(solution.iterations) for solution in solutions), ""))
+    rows.append(("KKT residual", *(f"{solution.kkt:.1e}" for solution in solutions), ""))
     return table("Back ends", ["", *(f">{name}" for name in outcome.backends), ""], rows, appendix=True)
 
 
-def certificate_check(found: CertificateCheck) -> Summary:
+def certificate_check(outcome: CertificateCheck) -> Summary:
     """Summarise the check of a certificate: the verdict, and every check."""
-    if not found.valid:
-        failed = next(check for check in found.checks if not check.passed)
+    if not outcome.valid:
+        failed = next(check for check in outcome.checks if not check.passed)
         verdict = bad(f"certificate does not hold: {failed.name}")
-    elif math.isfinite(found.objective):
-        verdict = good(f"certificate holds: no design is better by more than {share_text(found.gap)}")
+    elif math.isfinite(outcome.objective):
+        verdict = good(f"certificate holds: no design is better by more than {share_text(outcome.gap)}")
     else:
         verdict = good("certificate holds: no design within the bounds meets all limits")
-    bounded = f"{found.pieces:,} parts of {found.boxes:,} boxes bounded in ball arithmetic"
+    bounded = f"{outcome.pieces:,} parts of {outcome.boxes:,} boxes bounded in ball arithmetic"
     status: list[Line] = [verdict, bounded]
-    if math.isfinite(found.objective):
-        status.append(f"objective {number(found.objective, 9)}, lower bound {number(found.lower_bound, 9)} (SI)")
-    return summary(found.problem.model.title, status, checks(found.checks))
+    if math.isfinite(outcome.objective):
+        status.append(f"objective {number(outcome.objective, 9)}, lower bound {number(outcome.lower_bound, 9)} (SI)")
+    return summary(outcome.problem.model.title, status, checks(outcome.checks))

@@ -21,25 +21,25 @@ from optlink.clearance.joint import Gap
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import Array
-from optlink.report.animation import WIDE, film
+from optlink.report.animation import STACKED_RATIO, film
 from optlink.report.chart_mpl import FONT, TITLE
 from optlink.report.drawing import Sketch
 from optlink.report.format import round_below
 from optlink.report.labels import Label, in_points, place_labels
-from optlink.report.style import GROUND, QUIET, TARGET, degrees, figure, heading, styled
-from optlink.report.views.revolutions import FULL, RevolutionCurves, named, rough
+from optlink.report.style import GROUND, MUTED, TARGET, degrees, figure, heading, styled
+from optlink.report.views.revolutions import FULL, RevolutionCurves, joint_name, rough
 from optlink.tasks.results.clearance import ClearanceSimulation
 
 FRAMES = 80
-TRACE = 361  # number of positions of the ideal machine in the traces
-OFFSET = 0.55  # largest magnified eccentricity of a journal, in heights of a ground pivot
-TURNED = 0.1  # largest magnified rotation error of a body [rad]; beyond it, joints without clearance would appear open
-JOURNAL = 0.25  # radius of a drawn journal, in heights of a ground pivot
-SHARE = 0.25  # clearance in the close-up, as a share of the bearing radius
-CELL, LINES = 3.5, 1.1  # width of a close-up and height of its caption, in bearing radii
-WRITTEN = 14  # line length of the captions in an animation [characters]
-LONGEST = 0.62  # length of the longest force arrow, in bearing radii
-FELT = 0.02  # share of the largest force above which a force is drawn
+TRACE_POSITIONS = 361  # number of positions of the ideal machine in the traces
+MAX_OFFSET = 0.55  # largest magnified eccentricity of a journal, in heights of a ground pivot
+MAX_ROTATION = 0.1  # largest magnified rotation error of a body [rad]; beyond it, joints without clearance would appear open
+JOURNAL_RADIUS = 0.25  # radius of a drawn journal, in heights of a ground pivot
+CLEARANCE_SHARE = 0.25  # clearance in the close-up, as a share of the bearing radius
+CLOSE_UP_WIDTH, CAPTION_HEIGHT = 3.5, 1.1  # width of a close-up and height of its caption, in bearing radii
+CAPTION_LENGTH = 14  # line length of the captions in an animation [characters]
+MAX_ARROW = 0.62  # length of the longest force arrow, in bearing radii
+MIN_FORCE_SHARE = 0.02  # share of the largest force above which a force is drawn
 
 
 class MagnifiedMachine(Sketch):
@@ -56,7 +56,7 @@ class MagnifiedMachine(Sketch):
     def __init__(self, turns: RevolutionCurves, rows: NDArray[np.intp]) -> None:
         result = turns.result
         machine, speed = result.machine, result.speed
-        turn = np.radians(turns.angle[rows[-1]]) + np.linspace(0.0, 2.0 * math.pi, TRACE)
+        turn = np.radians(turns.angle[rows[-1]]) + np.linspace(0.0, 2.0 * math.pi, TRACE_POSITIONS)
         super().__init__(sweep(machine.mechanism, machine.sizes, turn, speed), machine)
         self.turns, self.rows, self.gaps = turns, rows, {gap.point: gap for gap in result.gaps}
         self.steps = sweep(machine.mechanism, machine.sizes, np.radians(turns.angle[rows]), speed)
@@ -64,14 +64,14 @@ class MagnifiedMachine(Sketch):
         self.middles: dict[str, Array] = {}
         ideal = {body: self.steps.body_angle(body).value for body in self.mechanism.bodies}
         bends = {
-            body: np.remainder(self.columns(f"{body}.angle_rad") - own + math.pi, 2.0 * math.pi) - math.pi
-            for body, own in ideal.items()
+            body: np.remainder(self.columns(f"{body}.angle_rad") - ideal_angle + math.pi, 2.0 * math.pi) - math.pi
+            for body, ideal_angle in ideal.items()
         }
         play = max(gap.clearance for gap in self.gaps.values()) * self.scale.factor
         bent = max(float(np.nanmax(np.abs(bend), initial=0.0)) for bend in bends.values())
-        self.factor = max(1.0, round_below(min(OFFSET * self.size / play, TURNED / max(bent, 1e-9))))
+        self.factor = max(1.0, round_below(min(MAX_OFFSET * self.size / play, MAX_ROTATION / max(bent, 1e-9))))
         self.angles = {body: ideal[body] + self.factor * bends[body] for body in ideal}
-        self.radius = JOURNAL * self.size
+        self.radius = JOURNAL_RADIUS * self.size
         self.strongest = max(float(np.max(self.force(gap))) for gap in self.gaps.values())
         reach = self.radius + self.factor * play
         self.low, self.high = self.low - reach, self.high + reach
@@ -100,14 +100,14 @@ class MagnifiedMachine(Sketch):
         body : str
             Body to which the point belongs; matters at a joint with clearance.
         """
-        ideal, known = super().position(self.steps, point), self.turns.result.columns
-        name = f"{point}.{body}" if f"{point}.{body}.x_m" in known else point
+        ideal, columns = super().position(self.steps, point), self.turns.result.columns
+        name = f"{point}.{body}" if f"{point}.{body}.x_m" in columns else point
         if name == point and point in self.gaps:  # a third body shares the bearing
             name = f"{point}.{self.gaps[point].bearing}"
-        if f"{name}.x_m" not in known:
+        if f"{name}.x_m" not in columns:
             return ideal
-        there = np.stack([self.columns(f"{name}.{axis}_m") for axis in "xy"], axis=-1) * self.scale.factor
-        return np.asarray(ideal + self.factor * (there - ideal))
+        actual = np.stack([self.columns(f"{name}.{axis}_m") for axis in "xy"], axis=-1) * self.scale.factor
+        return np.asarray(ideal + self.factor * (actual - ideal))
 
     def position(self, motion: Motion, name: str) -> Array:
         """Return the positions of a point in the display unit; at a joint with clearance, those of the bearing centre.
@@ -154,9 +154,9 @@ class MagnifiedMachine(Sketch):
         k : int, optional
             Index of the row.
         """
-        found = super().pose(axes, motion, k)
+        artists = super().pose(axes, motion, k)
         ideal = [name for name in self.mechanism.pins if name not in self.gaps]
-        for artist in found:
+        for artist in artists:
             if isinstance(artist, Line2D) and artist.get_gid() == "pins":
                 artist.set_data(*np.array([self.position(motion, name)[k] for name in ideal]).reshape(-1, 2).T)
         more = [(axes, artist) for gap in self.gaps.values() for artist in self._joint(gap, k)]
@@ -164,7 +164,7 @@ class MagnifiedMachine(Sketch):
             more += [(self.close_up, artist) for gap in self.gaps.values() for artist in self._magnified(gap, k)]
         for place, artist in more:
             place.add_artist(artist)
-        return found + [artist for _, artist in more]
+        return artists + [artist for _, artist in more]
 
     def _colour(self, body: str) -> str:
         return GROUND if body == FRAME else self.colours[body]
@@ -175,16 +175,16 @@ class MagnifiedMachine(Sketch):
         radius = self.radius + self.factor * gap.clearance * self.scale.factor
         ring = _circle(centre, radius, "white", self._colour(gap.bearing), 1.6, 4.1, f"bearing {gap.point}")
         disc = _circle(journal, self.radius, self._colour(gap.journal), "none", 0.0, 4.3, f"journal {gap.point}")
-        found: list[Artist] = [ring, disc]
-        others = [name for name, bodies in self.mechanism.owners.items() if gap.journal in bodies and name != gap.point]
-        if others and gap.journal != FRAME:
-            way = np.mean([self.at(name, gap.journal)[k] for name in others], axis=0) - journal
-            way, off = way / max(float(np.linalg.norm(way)), 1e-30), journal - centre
-            inside = radius * radius - float(off @ off) + float(off @ way) ** 2
-            end = journal + way * max(math.sqrt(max(inside, 0.0)) - float(off @ way), 0.0)
+        artists: list[Artist] = [ring, disc]
+        joints = [name for name, bodies in self.mechanism.owners.items() if gap.journal in bodies and name != gap.point]
+        if joints and gap.journal != FRAME:
+            direction = np.mean([self.at(name, gap.journal)[k] for name in joints], axis=0) - journal
+            direction, off = direction / max(float(np.linalg.norm(direction)), 1e-30), journal - centre
+            inside = radius * radius - float(off @ off) + float(off @ direction) ** 2
+            end = journal + direction * max(math.sqrt(max(inside, 0.0)) - float(off @ direction), 0.0)
             line = 3.8 if gap.journal == self.mechanism.crank.body else 3.0
-            found.append(Line2D(*np.array([journal, end]).T, color=self._colour(gap.journal), linewidth=line, zorder=4.2))
-        return found
+            artists.append(Line2D(*np.array([journal, end]).T, color=self._colour(gap.journal), linewidth=line, zorder=4.2))
+        return artists
 
     def letters(self, axes: Axes, motion: Motion, k: int = 0) -> list[Label]:
         """Return the labels of all points, clear of the bearing rings; the axes must have their final size.
@@ -217,21 +217,23 @@ class MagnifiedMachine(Sketch):
         """
         self.close_up = axes
         for i, gap in enumerate(self.gaps.values()):
-            self.middles[gap.point] = middle = np.array([CELL * (i % columns), -(CELL + LINES) * (i // columns)])
+            self.middles[gap.point] = middle = np.array(
+                [CLOSE_UP_WIDTH * (i % columns), -(CLOSE_UP_WIDTH + CAPTION_HEIGHT) * (i // columns)]
+            )
             share = self._share(gap)
             axes.add_patch(_circle(middle, 1.0, "white", self._colour(gap.bearing), 3.0, 2.0, f"bearing {gap.point}"))
             last = self.turns.rows(1)
             x, y = (self.turns.result[f"{gap.point}.e{axis}_m"][last] / gap.clearance * share for axis in "xy")
-            axes.plot(middle[0] + x, middle[1] + y, color=QUIET, linewidth=0.8, zorder=5, gid=f"path {gap.point}")
-            lines = textwrap.wrap(named(gap), WRITTEN if at_row is None else 2 * WRITTEN)
+            axes.plot(middle[0] + x, middle[1] + y, color=MUTED, linewidth=0.8, zorder=5, gid=f"path {gap.point}")
+            lines = textwrap.wrap(joint_name(gap), CAPTION_LENGTH if at_row is None else 2 * CAPTION_LENGTH)
             if at_row is not None:
                 lines += [self._state(gap, at_row), f"gap drawn {share * (gap.radius + gap.clearance) / gap.clearance:.2g}-fold"]
-            axes.text(middle[0], middle[1] - 0.52 * CELL, "\n".join(lines), ha="center", va="top", fontsize=FONT)
+            axes.text(middle[0], middle[1] - 0.52 * CLOSE_UP_WIDTH, "\n".join(lines), ha="center", va="top", fontsize=FONT)
         if at_row is None:
             axes.set_title("joints, not to scale", fontsize=FONT)
         every = np.array(list(self.middles.values()))
-        (x0, y0), (x1, y1) = every.min(axis=0) - 0.5 * CELL, every.max(axis=0) + 0.5 * CELL
-        axes.set(xlim=(x0, x1), ylim=(y0 - LINES, y1))
+        (x0, y0), (x1, y1) = every.min(axis=0) - 0.5 * CLOSE_UP_WIDTH, every.max(axis=0) + 0.5 * CLOSE_UP_WIDTH
+        axes.set(xlim=(x0, x1), ylim=(y0 - CAPTION_HEIGHT, y1))
         axes.set_aspect("equal")
         axes.set_axis_off()
 
@@ -243,7 +245,7 @@ class MagnifiedMachine(Sketch):
 
     def _share(self, gap: Gap) -> float:
         """Return the share of the bearing radius that the clearance takes in the close-up."""
-        return max(SHARE, gap.clearance / (gap.radius + gap.clearance))
+        return max(CLEARANCE_SHARE, gap.clearance / (gap.radius + gap.clearance))
 
     def _magnified(self, gap: Gap, k: int) -> list[Artist]:
         """Draw the journal, the rotation marks of both bodies and the contact force on the journal."""
@@ -251,22 +253,22 @@ class MagnifiedMachine(Sketch):
         e = self.eccentricity(gap)[k]
         centre, colour = middle + e / gap.clearance * share, self._colour(gap.journal)
         tint = tuple(1.0 - 0.35 * (1.0 - part) for part in to_rgb(colour))
-        found: list[Artist] = [_circle(centre, 1.0 - share, tint, colour, 1.4, 3.0, f"journal {gap.point}")]
+        artists: list[Artist] = [_circle(centre, 1.0 - share, tint, colour, 1.4, 3.0, f"journal {gap.point}")]
         for body, at, begin, end in ((gap.journal, centre, 0.6 * (1.0 - share), 1.0 - share), (gap.bearing, middle, 1.0, 1.14)):
             angle = 0.0 if body == FRAME else float(self.columns(f"{body}.angle_rad")[k])
             ends = at + np.outer([begin, end], [math.cos(angle), math.sin(angle)])
-            found.append(Line2D(ends[:, 0], ends[:, 1], color=self._colour(body), linewidth=2.0, zorder=4, gid=f"mark {body}"))
-        found.append(Line2D([centre[0]], [centre[1]], marker="o", markersize=3.0, color=TARGET, linestyle="none", zorder=6))
-        if float(self.force(gap)[k]) > FELT * self.strongest:
+            artists.append(Line2D(ends[:, 0], ends[:, 1], color=self._colour(body), linewidth=2.0, zorder=4, gid=f"mark {body}"))
+        artists.append(Line2D([centre[0]], [centre[1]], marker="o", markersize=3.0, color=TARGET, linestyle="none", zorder=6))
+        if float(self.force(gap)[k]) > MIN_FORCE_SHARE * self.strongest:
             x, y = e / max(float(np.hypot(*e)), 1e-300)
             normal, rub = (float(self.columns(f"{gap.point}.{name}_N")[k]) for name in ("normal", "rub"))
             tip = middle + np.array([x, y])
-            tail = tip + np.array([normal * x + rub * y, normal * y - rub * x]) * LONGEST / self.strongest
+            tail = tip + np.array([normal * x + rub * y, normal * y - rub * x]) * MAX_ARROW / self.strongest
             arrow = FancyArrowPatch((tail[0], tail[1]), (tip[0], tip[1]), arrowstyle="-|>", mutation_scale=10.0, color=TARGET)
             arrow.set(linewidth=1.6, zorder=7, gid=f"force {gap.point}")
             arrow.shrinkA = arrow.shrinkB = 0.0
-            found.append(arrow)
-        return found
+            artists.append(arrow)
+        return artists
 
 
 def _circle(at: Array, radius: float, face: Any, edge: str, width: float, above: float, gid: str) -> Circle:
@@ -283,29 +285,29 @@ def mechanism(result: ClearanceSimulation) -> Figure | None:
     last = np.arange(max(0, len(turns.time) - turns.points), len(turns.time))
     row = int(last[np.argmax(np.max([result[f"{gap.point}.normal_N"][last] for gap in result.gaps], axis=0))])
     sketch, count = MagnifiedMachine(turns, np.array([row])), len(result.gaps)
-    if sketch.ratio < (0.75 if count > 1 else WIDE):  # close-ups below the mechanism
+    if sketch.ratio < (0.75 if count > 1 else STACKED_RATIO):  # close-ups below the mechanism
         width, columns = 8.4, min(count, 4)
         low = 2.35 if count > 1 else 2.7
         tall = 7.6 * sketch.ratio + 0.6
-        made = figure(width, tall + low * -(-count // columns) + 1.4)
-        stage, strip = made.subplots(2, 1, height_ratios=(tall, low * -(-count // columns)))
+        fig = figure(width, tall + low * -(-count // columns) + 1.4)
+        stage, strip = fig.subplots(2, 1, height_ratios=(tall, low * -(-count // columns)))
     else:
         width, columns = 9.6, 1 if count < 3 else 2
-        made = figure(width, max(4.4, min(5.4 * sketch.ratio + 1.6, 7.0)))
-        stage, strip = made.subplots(1, 2, width_ratios=(2.0, 1.0))
+        fig = figure(width, max(4.4, min(5.4 * sketch.ratio + 1.6, 7.0)))
+        stage, strip = fig.subplots(1, 2, width_ratios=(2.0, 1.0))
     sketch.lay(strip, columns, 0)
     sketch.show(stage, sketch.steps)
     place = f"φ {degrees(math.radians(float(turns.angle[row]) % FULL))}, largest contact force of {turns.span(1)}"
     words = turns.title("joint clearance, magnified", place).split("\n")
-    made.suptitle("\n".join(heading(line, width - 0.4, TITLE) for line in words), fontsize=TITLE)
+    fig.suptitle("\n".join(heading(line, width - 0.4, TITLE) for line in words), fontsize=TITLE)
     drawn = f"drawn {sketch.factor:g}-fold" if sketch.factor > 1.0 else "as they are"
     stage.set_title(f"deviations of the bodies {drawn}", fontsize=9.5)
     caption = heading("journals, their paths, contact forces on them", width if strip.get_position().x0 < 0.5 else 3.0, 9.5)
     strip.set_title(caption, fontsize=9.5)
-    sketch.add_legend(made, int(width))
-    made.draw_without_rendering()
-    place_labels(made, sketch.letters(stage, sketch.steps))
-    return made
+    sketch.add_legend(fig, int(width))
+    fig.draw_without_rendering()
+    place_labels(fig, sketch.letters(stage, sketch.steps))
+    return fig
 
 
 @styled
@@ -324,6 +326,6 @@ def frames(result: ClearanceSimulation, count: int = FRAMES) -> list[Image.Image
     begin, end = max(-1, len(turns.time) - 1 - turns.points), len(turns.time) - 1
     rows = np.unique(np.linspace(begin, end, min(count, end - begin) + 1).round().astype(np.intp)[1:])
     sketch, gaps = MagnifiedMachine(turns, rows), len(result.gaps)
-    columns = gaps if sketch.ratio < WIDE else 1 if gaps < 3 else 2
+    columns = gaps if sketch.ratio < STACKED_RATIO else 1 if gaps < 3 else 2
     title = f"{result.problem.model.title}: clearance drawn {sketch.factor:g}-fold"
     return film(sketch, sketch.steps, lambda axes: sketch.lay(axes, columns), np.full((len(rows), 2), np.nan), title)

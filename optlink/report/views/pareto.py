@@ -16,15 +16,15 @@ from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Mark, Panel
 from optlink.report.format import number
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection, StoredStudy
-from optlink.report.stored.stored_study import named_si, still, turning, with_drawings
-from optlink.report.style import FOUND, LIMIT, QUIET, TARGET
+from optlink.report.stored.stored_study import named_si, no_animation, turning_linkage, with_drawings
+from optlink.report.style import LIMIT, MUTED, RESULT, TARGET
 from optlink.report.view import View
 from optlink.report.views import conclusions, study_tables
 from optlink.studies import grid
 from optlink.studies.pareto.epsilon_constraint import Pareto, ParetoPoint, ParetoRecord
 from optlink.studies.pareto.objective import ParetoObjective
 
-OTHERS = {"initial machine": "the initial machine", "limits of the file": "the optimum for the limits of the file"}
+REFERENCE_NAMES = {"initial machine": "the initial machine", "limits of the file": "the optimum for the limits of the file"}
 SENSES = {"minimise": 1, "maximise": -1}
 
 
@@ -44,11 +44,18 @@ def read(record: ParetoRecord, file: ProblemFile, path: Path) -> Pareto:
     Contradiction
         If its parts do not belong together.
     """
-    aims = tuple(ParetoObjective(one.name, one.name, one.unit, SENSES[one.sense]) for one in record.objectives)
-    columns = [aim.column for aim in aims]
-    for k, (aim, one) in enumerate(zip(aims, record.objectives, strict=True)):
-        if aim.column != one.column:
-            raise Contradiction(f"objectives[{k}].column", f"this is not the column of {aim.name} [{aim.unit}]", one.column)
+    objectives = tuple(
+        ParetoObjective(objective_record.name, objective_record.name, objective_record.unit, SENSES[objective_record.sense])
+        for objective_record in record.objectives
+    )
+    columns = [objective.column for objective in objectives]
+    for k, (objective, objective_record) in enumerate(zip(objectives, record.objectives, strict=True)):
+        if objective.column != objective_record.column:
+            raise Contradiction(
+                f"objectives[{k}].column",
+                f"this is not the column of {objective.name} [{objective.unit}]",
+                objective_record.column,
+            )
     if record.minimised not in columns:
         raise Contradiction("minimised", "this is none of the objectives", record.minimised)
     if len({tuple(point.design) for point in record.front}) > 1:
@@ -67,22 +74,34 @@ def read(record: ParetoRecord, file: ProblemFile, path: Path) -> Pareto:
     for k, axis_ in enumerate(record.constrained):
         if not 0 < axis_.values <= grid.MAX_POINTS:
             raise Contradiction(f"constrained[{k}].values", "there are too many", axis_.values)
-    spans = [(one.key, one.unit, np.linspace(one.first, one.last, one.values)) for one in record.constrained]
-    points = [
-        ParetoPoint(tuple(one.objectives[name] for name in columns), one.design, "; ".join(one.active), one.mark or "")
-        for one in record.front
+    spans = [
+        (
+            objective_record.key,
+            objective_record.unit,
+            np.linspace(objective_record.first, objective_record.last, objective_record.values),
+        )
+        for objective_record in record.constrained
     ]
-    given = record.reference or {}
+    points = [
+        ParetoPoint(
+            tuple(objective_record.objectives[name] for name in columns),
+            objective_record.design,
+            "; ".join(objective_record.active),
+            objective_record.mark or "",
+        )
+        for objective_record in record.front
+    ]
+    reference = record.reference or {}
     return record.build(
         Pareto,
         problem=file,
-        objectives=aims,
+        objectives=objectives,
         minimised=columns.index(record.minimised),
         points=tuple(points),
         ends=ends,
         knee=knee,
-        reference=tuple(float(given[name]) for name in columns) if given else None,
-        reference_label=str(given.get("what", "")),
+        reference=tuple(float(reference[name]) for name in columns) if reference else None,
+        reference_label=str(reference.get("what", "")),
         grid=grid.Grid(tuple(grid.Axis(key, unit, tuple(values.tolist())) for key, unit, values in spans)),
         path=path,
     )
@@ -107,34 +126,34 @@ def stored_study(record: ParetoRecord, file: ProblemFile, path: Path) -> StoredS
     InputError
         If the record is damaged.
     """
-    found = read(record, file, path)
-    shown = study_tables.pareto_front(found)
-    chosen = _chosen(found)
-    words = f"The design of point {chosen + 1}: {found.points[chosen].mark or 'the first'}." if chosen is not None else ""
-    drawn = [
-        with_drawings(chart, lambda k: (file, named_si(file, found.points[k].design)))
-        for chart in chart_plotly.charts(charts(found))
+    front = read(record, file, path)
+    shown = study_tables.pareto_front(front)
+    chosen = _initial_point(front)
+    words = f"The design of point {chosen + 1}: {front.points[chosen].mark or 'the first'}." if chosen is not None else ""
+    figures = [
+        with_drawings(chart, lambda k: (file, named_si(file, front.points[k].design)))
+        for chart in chart_plotly.charts(charts(front))
     ]
     return StoredStudy(
         problem=file,
-        kind=f"front of {len(found.objectives)} objectives",
-        verdict="Every point of the front is a verified local optimum" if found.complete else "Not every point is verified",
-        valid=found.complete,
-        conclusion=conclusions.pareto(found),
+        kind=f"front of {len(front.objectives)} objectives",
+        verdict="Every point of the front is a verified local optimum" if front.complete else "Not every point is verified",
+        valid=front.complete,
+        conclusion=conclusions.pareto(front),
         status=shown.status.lines,
-        sections=[PageSection("Front", drawn), PageSection("Points and designs", (shown.parts,))],
-        moving=still if chosen is None else partial(turning, file, named_si(file, found.points[chosen].design)),
+        sections=[PageSection("Front", figures), PageSection("Points and designs", (shown.parts,))],
+        moving=no_animation if chosen is None else partial(turning_linkage, file, named_si(file, front.points[chosen].design)),
         by="local optima with limits on all objectives but one (epsilon-constraint method), each verified by the validator",
         drawn=words,
         after=1,
     )
 
 
-def _chosen(found: Pareto) -> int | None:
+def _initial_point(front: Pareto) -> int | None:
     """Return the index of the point whose machine is drawn: the knee, otherwise the best point of the first objective."""
-    if not found.points:
+    if not front.points:
         return None
-    return found.ends[0] if found.knee is None else found.knee[0]
+    return front.ends[0] if front.knee is None else front.knee[0]
 
 
 # --- charts ------------------------------------------------------------------------------------------------------------------
@@ -152,23 +171,23 @@ def charts(result: Pareto) -> list[ChartSpec]:
 def _front(result: Pareto, values: Array, x: int, y: int) -> ChartSpec:
     """Plot two objectives as a curve, or as points coloured by the third objective."""
     two, first = len(result.objectives) == 2, (x, y) == (0, 1)
-    along, up = values[:, x], values[:, y]
+    across, up = values[:, x], values[:, y]
     numbers = range(len(values)) if first else ()
     if two:
         ends = list(result.ends)
         traces = [
-            Curve(along, up, "front", FOUND, mode="lines+markers", picks=numbers, gid="front"),
-            Curve(along[ends], up[ends], "chord of the ends", QUIET, 1.0, "dash", hover=False, gid="chord"),
+            Curve(across, up, "front", RESULT, mode="lines+markers", picks=numbers, gid="front"),
+            Curve(across[ends], up[ends], "chord of the ends", MUTED, 1.0, "dash", hover=False, gid="chord"),
         ]
     else:
         third = 3 - x - y
-        shade: dict[str, Any] = {"shade": values[:, third], "shade_name": _named(result.objectives[third])}
-        traces = [Curve(along, up, "front", FOUND, mode="markers", picks=numbers, legend=False, **shade, gid="front")]
+        shade: dict[str, Any] = {"shade": values[:, third], "shade_name": _objective_label(result.objectives[third])}
+        traces = [Curve(across, up, "front", RESULT, mode="markers", picks=numbers, legend=False, **shade, gid="front")]
     outward = (0.7 * result.objectives[x].sense, 0.7 * result.objectives[y].sense)  # away from the unattainable side of the front
-    look: dict[str, Any] = {"symbol": "circle" if two else "open circle", "size": 7.0, "prefer": outward}
-    look |= {"font": 8.5 if two else 7.5, "written": True}
+    style: dict[str, Any] = {"symbol": "circle" if two else "open circle", "size": 7.0, "prefer": outward}
+    style |= {"font": 8.5 if two else 7.5, "written": True}
     marks = [
-        Mark(float(along[k]), float(up[k]), _words(result, point), LIMIT, gid=point.mark, **look)
+        Mark(float(across[k]), float(up[k]), _point_label(result, point), LIMIT, gid=point.mark, **style)
         for k, point in enumerate(result.points)
         if point.mark
     ]
@@ -176,10 +195,10 @@ def _front(result: Pareto, values: Array, x: int, y: int) -> ChartSpec:
         place = result.reference[x], result.reference[y]
         marks.append(Mark(*place, result.reference_label, TARGET, "square", 6.0, written=True, gid="reference"))
     every = values if result.reference is None else np.vstack([values, result.reference])
-    axes = [Axis(_named(result.objectives[k]), _widened(every[:, k].tolist())) for k in (x, y)]
+    axes = [Axis(_objective_label(result.objectives[k]), _widened(every[:, k].tolist())) for k in (x, y)]
     title = f"{result.objectives[x].name} against {result.objectives[y].name}"
-    panel, picks = Panel(axes[1], traces, 2.0, marks=marks), _picks(result, along, up) if first else None
-    heading = f"{result.problem.model.title}: {', '.join(aim.name for aim in result.objectives)}"
+    panel, picks = Panel(axes[1], traces, 2.0, marks=marks), _picks(result, across, up) if first else None
+    heading = f"{result.problem.model.title}: {', '.join(objective.name for objective in result.objectives)}"
     title, width = title[0].upper() + title[1:], 7.6 if two else 4.4
     return ChartSpec("front", title, [panel], axes[0], heading, picks=picks, cursor=False, width=width)
 
@@ -190,38 +209,44 @@ def _widened(values: Sequence[float]) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _words(result: Pareto, point: ParetoPoint) -> str:
+def _point_label(result: Pareto, point: ParetoPoint) -> str:
     """Return the label of a marked point with its change from the reference design."""
     words = point.mark.replace(", ", ",\n")
     if len(result.objectives) == 2 and result.reference is not None:
-        changes = [study_tables.against(value, before) for value, before in zip(point.values, result.reference, strict=True)]
+        changes = [
+            study_tables.relative_change(value, before) for value, before in zip(point.values, result.reference, strict=True)
+        ]
         words += f"\n{', '.join(filter(None, changes))}"
     return words
 
 
-def _named(aim: ParetoObjective) -> str:
-    unit = f" [{aim.unit.replace('*', ' ').replace('^2', '²')}]" if aim.unit else ""
-    return f"{aim.name}{unit}{'' if aim.sense > 0 else ' (more is better)'}"
+def _objective_label(objective: ParetoObjective) -> str:
+    unit = f" [{objective.unit.replace('*', ' ').replace('^2', '²')}]" if objective.unit else ""
+    return f"{objective.name}{unit}{'' if objective.sense > 0 else ' (more is better)'}"
 
 
-def _picks(found: Pareto, x: Array, y: Array) -> Picks:
+def _picks(front: Pareto, x: Array, y: Array) -> Picks:
     """Tabulate the design of every point."""
     names: list[str] = []
-    for aim in found.objectives:
-        names += [_named(aim), f"{aim.name}: change"] if found.reference is not None else [_named(aim)]
-    names += ["{} [{}]".format(*name.rpartition("_")[::2]) for name in found.points[0].design]
+    for objective in front.objectives:
+        names += (
+            [_objective_label(objective), f"{objective.name}: change"]
+            if front.reference is not None
+            else [_objective_label(objective)]
+        )
+    names += ["{} [{}]".format(*name.rpartition("_")[::2]) for name in front.points[0].design]
     rows = []
-    for point in found.points:
+    for point in front.points:
         texts: list[str] = []
         for k, value in enumerate(point.values):
             texts.append(number(value, 7))
-            if found.reference is not None:
-                texts.append(study_tables.against(value, found.reference[k]))
+            if front.reference is not None:
+                texts.append(study_tables.relative_change(value, front.reference[k]))
         texts += [number(value, 7) for value in point.design.values()]
         rows.append((*texts, point.active or "nothing", point.mark or "–"))
-    against = OTHERS.get(found.reference_label, found.reference_label)
-    what = f"point (changes relative to {against})" if found.reference else "point"
-    return Picks(what, (*names, "active constraints", "mark"), tuple(rows), x, y, _chosen(found) or 0, range(len(rows)))
+    reference = REFERENCE_NAMES.get(front.reference_label, front.reference_label)
+    what = f"point (changes relative to {reference})" if front.reference else "point"
+    return Picks(what, (*names, "active constraints", "mark"), tuple(rows), x, y, _initial_point(front) or 0, range(len(rows)))
 
 
 VIEW = View(charts=charts, tables=lambda result: {"front": result.columns}, page=stored_study)

@@ -25,49 +25,62 @@ from optlink.report.labels import place_labels
 from optlink.report.style import CRANK, LIMIT, TARGET, degrees, figure, heading, styled
 from optlink.report.view import View
 from optlink.report.views.certificate_view import certificate_charts
-from optlink.report.views.path_charts import Close, dots, errors, points_on, small_frames
-from optlink.report.views.path_drawings import BESIDE, HIGH, curve, designs, function_values, initial_pose, output_film, trim
-from optlink.report.views.path_view import LINE, SMALL, TITLE, PathView, assembly, best, headed, with_verdict, wrapped
+from optlink.report.views.path_charts import CloseUp, dots, errors, points_on, small_frames
+from optlink.report.views.path_drawings import (
+    LABEL_WIDTH,
+    MAX_HEIGHT,
+    curve,
+    designs,
+    function_values,
+    initial_pose,
+    output_film,
+    trim,
+)
+from optlink.report.views.path_view import LINE, SMALL, TITLE, PathView, assembly, best, mechanism_title, with_verdict, wrapped
 from optlink.tasks.results.path import PathDesign, PathResult
 
 FRAMES = 90
-LIT = "#ffc20a"
+HIGHLIGHT = "#ffc20a"
 
 
 def charts(result: PathResult) -> list[ChartSpec]:
     """Return curve and deviations at every point, or the output of a law and y(x), or transmission angles; the global search."""
-    track = best(result)
-    if track is None:
+    view = best(result)
+    if view is None:
         return []
-    own = [Close(track).chart(), errors(track)] if track.task.pointed else [curve(track), *function_values(track)]
-    task, design = track.task, track.design
+    specs = [CloseUp(view).chart(), errors(view)] if view.task.pointed else [curve(view), *function_values(view)]
+    task, design = view.task, view.design
     values, scale = design.values if design.valid else {}, task.objective_display
-    return own + certificate_charts(result.certificate, task.title, scale, values, design.assembly, task.display)
+    return specs + certificate_charts(result.certificate, task.title, scale, values, design.assembly, task.display)
 
 
 def columns(design: PathDesign) -> dict[str, Array]:
     """Return prescribed and generated values at every position, by column name with SI unit."""
     task, data, measured = design.task, design.task.data, design.measured
-    found: dict[str, Array] = {"point": np.arange(1.0, len(data.columns) + 1.0)}
+    table: dict[str, Array] = {"point": np.arange(1.0, len(data.columns) + 1.0)}
     if task.requirement.kind == "transmission":
         joints = [group.joint for group in transmitting(task.linkage)]
         angles = {f"{joint}.transmission_rad": measured.generated[:, k] for k, joint in enumerate(joints)}
-        return {**found, "crank_angle_rad": design.crank_angles, **angles}
+        return {**table, "crank_angle_rad": design.crank_angles, **angles}
     if task.requirement.kind == "function":
         target = task.prescribed_outputs(design.values)
-        found |= {f"target_{task.unit}": target, f"generated_{task.unit}": measured.generated[:, 0]}
-        return {**found, f"distance_{task.unit}": measured.distances, "crank_angle_rad": design.crank_angles}
+        table |= {f"target_{task.unit}": target, f"generated_{task.unit}": measured.generated[:, 0]}
+        return {**table, f"distance_{task.unit}": measured.distances, "crank_angle_rad": design.crank_angles}
     for name, places in (("target", data.columns), ("generated", measured.generated)):
-        found |= {f"{name}.{axis}_m": places[:, k] for k, axis in enumerate("xy")}
-    found |= {"distance_m": measured.distances, "crank_angle_rad": design.crank_angles}
+        table |= {f"{name}.{axis}_m": places[:, k] for k, axis in enumerate("xy")}
+    table |= {"distance_m": measured.distances, "crank_angle_rad": design.crank_angles}
     if np.any(np.isfinite(data.tolerances)):
-        found["tolerance_m"] = data.tolerances
+        table["tolerance_m"] = data.tolerances
     if task.target_points.weights is not None:
-        found["weight"] = data.roots**2
+        table["weight"] = data.roots**2
     if measured.turned is not None:
-        aim = np.arctan2(data.columns[:, 3], data.columns[:, 2])
-        found |= {"target.angle_rad": aim, "generated.angle_rad": aim + measured.turned, "turned_rad": measured.turned}
-    return found
+        target_angle = np.arctan2(data.columns[:, 3], data.columns[:, 2])
+        table |= {
+            "target.angle_rad": target_angle,
+            "generated.angle_rad": target_angle + measured.turned,
+            "turned_rad": measured.turned,
+        }
+    return table
 
 
 @styled
@@ -80,43 +93,43 @@ def drawing(result: PathResult, *, pointed: bool) -> Figure | None:
     pointed : bool
         Whether to draw a path or a motion, or else a function or a transmission; None if it is not of that kind.
     """
-    track = best(result)
-    if track is None or track.task.pointed != pointed:
+    view = best(result)
+    if view is None or view.task.pointed != pointed:
         return None
-    close = Close(track) if pointed else None
-    ratios = [track.sketch.ratio] if close is None else [track.sketch.ratio, close.ratio]
+    close = CloseUp(view) if pointed else None
+    ratios = [view.sketch.ratio] if close is None else [view.sketch.ratio, close.ratio]
     least, most, below = (5.0, 7.6, 1.0) if close is None else (3.6, 6.2, 1.3)
-    widths = [min(max(HIGH / ratio + BESIDE, least), most) for ratio in ratios]
-    height = min(HIGH, max((width - BESIDE) * ratio for width, ratio in zip(widths, ratios, strict=True)))
+    widths = [min(max(MAX_HEIGHT / ratio + LABEL_WIDTH, least), most) for ratio in ratios]
+    height = min(MAX_HEIGHT, max((width - LABEL_WIDTH) * ratio for width, ratio in zip(widths, ratios, strict=True)))
     width = sum(widths)
-    title = headed(track, width - 0.4)
-    made = figure(width, height + below + LINE * (title.count("\n") + 1))
-    made.suptitle(title, fontsize=TITLE, color=TARGET if track.design.valid else LIMIT)
-    left, *others = made.subplots(1, len(ratios), width_ratios=widths, squeeze=False)[0]
-    labels = initial_pose(left, track)
-    crank = f"crank at {degrees(float(track.design.crank_angles[track.first]))}"
+    title = mechanism_title(view, width - 0.4)
+    fig = figure(width, height + below + LINE * (title.count("\n") + 1))
+    fig.suptitle(title, fontsize=TITLE, color=TARGET if view.design.valid else LIMIT)
+    left, *others = fig.subplots(1, len(ratios), width_ratios=widths, squeeze=False)[0]
+    labels = initial_pose(left, view)
+    crank = f"crank at {degrees(float(view.design.crank_angles[view.first]))}"
     if close is not None:
         right, what = others[0], "pose" if close.motion else "point"
-        crank = f"{what} {track.first + 1}: {crank}"
-        labels += close.draw(right, track.factor)
+        crank = f"{what} {view.first + 1}: {crank}"
+        labels += close.draw(right, view.factor)
         right.set_title(heading(f"{what}s and generated curve", widths[1] - 0.6, SMALL), fontsize=SMALL)
         handles, names = right.get_legend_handles_labels()
         long = sum(0.55 + 0.068 * len(name) for name in names)  # inch
         ncols = len(names) if long < width else -(-len(names) // 2)
-        made.legend(handles, names, loc="outside lower center", ncols=ncols, frameon=False, fontsize=8.5)
-    left.set_title(wrapped([crank, *assembly(track.design)], widths[0] - 0.6, ", ", SMALL), fontsize=SMALL)
-    trim(made)
-    place_labels(made, labels)
-    return made
+        fig.legend(handles, names, loc="outside lower center", ncols=ncols, frameon=False, fontsize=8.5)
+    left.set_title(wrapped([crank, *assembly(view.design)], widths[0] - 0.6, ", ", SMALL), fontsize=SMALL)
+    trim(fig)
+    place_labels(fig, labels)
+    return fig
 
 
 class Passing(Sketch):
     """Sketch of a mechanism that highlights the precision points it has passed."""
 
-    def __init__(self, track: PathView) -> None:
-        super().__init__(track.motion)
-        self.widen(track.targets * self.scale.factor)
-        self.track, self.close = track, Close(track)
+    def __init__(self, view: PathView) -> None:
+        super().__init__(view.motion)
+        self.widen(view.targets * self.scale.factor)
+        self.track, self.close = view, CloseUp(view)
         self.strip: Axes | None = None
 
     def lay(self, axes: Axes) -> None:
@@ -134,23 +147,25 @@ class Passing(Sketch):
         k : int, optional
             Index of the position.
         """
-        found = super().pose(axes, motion, k)
-        track = self.track
+        artists = super().pose(axes, motion, k)
+        view = self.track
         assert self.strip is not None
-        passed = track.way * (motion.crank_angle[k] - track.design.crank_angles) >= -1e-9
+        passed = view.way * (motion.crank_angle[k] - view.design.crank_angles) >= -1e-9
         for place, factor in ((axes, self.scale.factor), (self.strip, self.close.unit.factor)):
-            x, y = (track.targets[passed] * factor).T
-            size = dots(len(track.targets)) + 1.0
-            lit = Line2D(x, y, linestyle="none", marker="o", markersize=size, color=LIT, mec=TARGET, mew=0.6, zorder=6, gid="lit")
+            x, y = (view.targets[passed] * factor).T
+            size = dots(len(view.targets)) + 1.0
+            lit = Line2D(
+                x, y, linestyle="none", marker="o", markersize=size, color=HIGHLIGHT, mec=TARGET, mew=0.6, zorder=6, gid="lit"
+            )
             more = [lit]
             if self.close.motion:
                 length = self.close.length * factor / self.close.unit.factor
-                frame = small_frames(track.position(motion)[k : k + 1] * factor, track.angles(motion)[k : k + 1], length)
+                frame = small_frames(view.position(motion)[k : k + 1] * factor, view.angles(motion)[k : k + 1], length)
                 more.append(Line2D(*frame.T, color=CRANK, linewidth=1.8, zorder=7, gid="pose"))
             for artist in more:
                 place.add_artist(artist)
-            found += more
-        return found
+            artists += more
+        return artists
 
 
 @styled
@@ -165,20 +180,20 @@ def frames(result: PathResult, count: int = FRAMES) -> list[Image.Image]:
     count : int, optional
         Number of frames.
     """
-    track = best(result)
-    if track is None:
+    view = best(result)
+    if view is None:
         return []
-    title = track.task.title if track.design.valid else f"NOT VALID: {track.task.title}"
-    steps = track.begin + track.way * np.linspace(0.0, TURN, count, endpoint=False)
-    if track.task.requirement.kind == "function" or (track.task.pointed and not track.design.crank_turns):
-        steps = there_and_back(track.begin, track.end, count)
-    if not track.task.pointed:
-        return output_film(track, steps, title)
-    sketch, motion = Passing(track), track.sweep(steps)
-    marks = track.position(motion) * sketch.close.unit.factor
+    title = view.task.title if view.design.valid else f"NOT VALID: {view.task.title}"
+    steps = view.begin + view.way * np.linspace(0.0, TURN, count, endpoint=False)
+    if view.task.requirement.kind == "function" or (view.task.pointed and not view.design.crank_turns):
+        steps = there_and_back(view.begin, view.end, count)
+    if not view.task.pointed:
+        return output_film(view, steps, title)
+    sketch, motion = Passing(view), view.sweep(steps)
+    marks = view.position(motion) * sketch.close.unit.factor
 
     def points(axes: Axes) -> None:
-        points_on(axes, track.targets * sketch.scale.factor)
+        points_on(axes, view.targets * sketch.scale.factor)
 
     return film(sketch, motion, sketch.lay, marks, title, more=points)
 

@@ -14,24 +14,24 @@ from optlink.problem.path import PathProblem
 from optlink.report.format import fixed, number, precise, significant, times
 from optlink.report.table_spec import Line, Paragraph, Row, Summary, TableSpec, bad, noted, quiet, strong, summary, table
 from optlink.report.views.certificate_view import certificate_lines, certificate_table, certified
-from optlink.report.views.function_tables import active, checks, dimension_rows, graded, search_verdict
+from optlink.report.views.function_tables import active, checks, dimension_rows, graded_status, search_verdict
 from optlink.report.views.relaxations import conflict
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.path import LEVEL, PathDesign, PathResult
 from optlink.units import DISPLAYED
 
-ALIKE = 1e-3  # relative tolerance for equal four-bars
+LINKAGE_TOLERANCE = 1e-3  # relative tolerance for equal four-bars
 BOUNDED = " within its bounds"
-SHORTEST = 1e-8  # m, least length that is shown
-SHOWN = 12  # largest number of points listed on a terminal; result.json and points.csv contain all
+MIN_LENGTH = 1e-8  # m, least length that is shown
+MAX_POINTS = 12  # largest number of points listed on a terminal; result.json and points.csv contain all
 
 
 def path_result(outcome: PathResult) -> Summary:
     """Summarise a synthesis result: best design, deviations, active constraints, validation, alternatives, cognates."""
     from optlink.report.views.analysis_tables import machine_strokes
 
-    model, best, found = outcome.problem.model, outcome.best, outcome.certificate
-    certificate = None if found is None else certificate_table(found, *model.objective_display, outcome.seconds)
+    model, best, search_proof = outcome.problem.model, outcome.best, outcome.certificate
+    certificate = None if search_proof is None else certificate_table(search_proof, *model.objective_display, outcome.seconds)
     impossible = conflict(outcome.conflict, outcome.together) if outcome.conflict else None
     if best is None:
         remark = "no start could be assembled at all points within the bounds; widen them, or give more starts"
@@ -61,9 +61,9 @@ def path_result(outcome: PathResult) -> Summary:
 
 def _status(outcome: PathResult, best: PathDesign) -> Iterator[Line]:
     count = len(outcome.designs)
-    many = f"; {count} distinct design{'s' * (count != 1)} verified" if best.valid else "; the nearest design found"
+    suffix = f"; {count} distinct design{'s' * (count != 1)} verified" if best.valid else "; the nearest design found"
     line = search_verdict(best.status, "valid" if best.valid else "not valid", best.valid, outcome.certificate)
-    yield from graded(line, best.fit, "" if outcome.starts == 0 else many)
+    yield from graded_status(line, best.fit, "" if outcome.starts == 0 else suffix)
     yield from noted(outcome.notes)
     yield from certificate_lines(outcome.certificate)
 
@@ -82,8 +82,8 @@ def words(design: PathDesign) -> str:
 
 def modes(design: PathDesign) -> dict[str, str]:
     """Return the assembly modes by joint; a four-bar has one mode with an empty name."""
-    stated = design.assembly
-    return {str(joint): str(mode) for joint, mode in stated.items()} if isinstance(stated, dict) else {"": str(stated)}
+    assembly = design.assembly
+    return {str(joint): str(mode) for joint, mode in assembly.items()} if isinstance(assembly, dict) else {"": str(assembly)}
 
 
 def _objective(design: PathDesign) -> TableSpec:
@@ -92,7 +92,7 @@ def _objective(design: PathDesign) -> TableSpec:
     rms, largest = math.sqrt(float((measured.distances**2).mean())), float(measured.distances.max())
     what = {"m": "distance", "rad": "error", "": "cosine"}[task.unit]
     remark = f"{what}: rms {number(factor * rms, 4)}, largest {number(factor * largest, 4)} {unit}".rstrip()
-    if design.between is not None and np.nanmax(design.between, initial=0.0) > SHORTEST:
+    if design.between is not None and np.nanmax(design.between, initial=0.0) > MIN_LENGTH:
         remark += f"; between the points up to {number(1e3 * float(np.nanmax(design.between)), 3)} mm"
     if measured.turned is not None:
         remark += f"; angle: largest {number(math.degrees(float(abs(measured.turned).max())), 4)} deg"
@@ -114,7 +114,7 @@ def measure(task: PathProblem) -> str:
 
 def _points(design: PathDesign) -> TableSpec:
     measured, targets = design.measured, design.task.data.columns
-    step = max(1, math.ceil(len(targets) / SHOWN))
+    step = max(1, math.ceil(len(targets) / MAX_POINTS))
     digits = decimals(1e3 * float(abs(targets[:, :2]).max()))
     rows, between = [], design.between
     for i in range(0, len(targets), step):
@@ -146,11 +146,11 @@ def decimals(largest: float) -> int:
 
 def _alternatives(outcome: PathResult) -> TableSpec:
     """Tabulate the distinct designs side by side."""
-    designs, related, task = outcome.designs, kin(outcome.designs), outcome.designs[0].task
+    designs, related, task = outcome.designs, cognate_sources(outcome.designs), outcome.designs[0].task
     columns = [_column(design, related.get(k)) for k, design in enumerate(designs)]
     names = [(measure(task), task.objective_display[1]), ("least transmission angle", "deg"), ("same curve as", "")]
     names += [(name, quantity.display[1]) for name, quantity in task.quantities.items() if quantity.free]
-    names += [(joint, "") for joint in dict.fromkeys(f"assembly {one}".rstrip() for design in designs for one in modes(design))]
+    names += [(joint, "") for joint in dict.fromkeys(f"assembly {mode}".rstrip() for design in designs for mode in modes(design))]
     rows: list[Row] = [
         (name, quiet(unit), *(column.get(name, "") for column in columns))
         for name, unit in names
@@ -162,15 +162,15 @@ def _alternatives(outcome: PathResult) -> TableSpec:
 
 def _column(design: PathDesign, related: int | None) -> dict[str, str]:
     """Return the cells of a design by row; `related` is the design whose cognate it is."""
-    found = {measure(design.task): "exact" if exact(design) else precise(design.task.objective_display[0] * design.objective, 5)}
+    cells = {measure(design.task): "exact" if exact(design) else precise(design.task.objective_display[0] * design.objective, 5)}
     if math.isfinite(design.least_transmission):
-        found["least transmission angle"] = fixed(math.degrees(design.least_transmission), 1)
+        cells["least transmission angle"] = fixed(math.degrees(design.least_transmission), 1)
     if related is not None:
-        found["same curve as"] = f"cognate of {related + 1}"
+        cells["same curve as"] = f"cognate of {related + 1}"
     for name, quantity in design.task.quantities.items():
         if quantity.free:
-            found[name] = significant(design.values[name] * quantity.display[0])
-    return found | {f"assembly {joint}".rstrip(): mode for joint, mode in modes(design).items()}
+            cells[name] = significant(design.values[name] * quantity.display[0])
+    return cells | {f"assembly {joint}".rstrip(): mode for joint, mode in modes(design).items()}
 
 
 def _cognates(outcome: PathResult, best: PathDesign) -> TableSpec:
@@ -179,19 +179,19 @@ def _cognates(outcome: PathResult, best: PathDesign) -> TableSpec:
         linkage = cognate.linkage
         lengths = [significant(1e3 * length) for length in (linkage.crank, linkage.coupler, linkage.rocker, linkage.frame)]
         full = cognate.crank_turns and cognate.keeps_side
-        turns = "turns fully" if full else "does not turn fully"
-        listed = "".join(f"; design {k}" for k, design in enumerate(outcome.designs[1:], start=2) if _is(cognate, design))
-        rows.append((*lengths, cognate.inversion.value, f"{turns}, follows the {cognate.turns_as}{listed}"))
+        rotation = "turns fully" if full else "does not turn fully"
+        same = "".join(f"; design {k}" for k, design in enumerate(outcome.designs[1:], start=2) if _is_cognate(cognate, design))
+        rows.append((*lengths, cognate.inversion.value, f"{rotation}, follows the {cognate.turns_as}{same}"))
     title = "Cognates of the best: four-bars with the same coupler curve [mm]"
     return table(title, [">crank", ">coupler", ">rocker", ">frame", "", "its crank"], rows, unbroken=True)
 
 
 def _times(outcome: PathResult) -> Paragraph:
-    shown, found = times(outcome.seconds), outcome.evidence
+    shown, evidence = times(outcome.seconds), outcome.evidence
     if not outcome.starts:
         return Paragraph(quiet(shown), appendix=True)
     statistical = outcome.designs and not certified(outcome.certificate)
-    reached = f"{found.hits} of {outcome.starts} starts reached the best value; {found.chance}; " if statistical else ""
+    reached = f"{evidence.hits} of {outcome.starts} starts reached the best value; {evidence.chance}; " if statistical else ""
     method = f"{reached}batch of least squares, then {outcome.backend}"
     return Paragraph(quiet("; ".join(filter(None, (method, shown)))), appendix=True)
 
@@ -215,25 +215,27 @@ def exact(design: PathDesign) -> bool:
     return bool(design.task.unit) and exact_places(design) and exact_angles(design)
 
 
-def kin(designs: Sequence[PathDesign]) -> dict[int, int]:
+def cognate_sources(designs: Sequence[PathDesign]) -> dict[int, int]:
     """Return, by index of a design, the earlier design whose cognate it is: another four-bar with the same coupler curve."""
-    found: dict[int, int] = {}
+    originals: dict[int, int] = {}
     for j, design in enumerate(designs):
         for i in range(j):
-            if any(_is(cognate, design) for cognate in designs[i].cognates):
-                found[j] = i
+            if any(_is_cognate(cognate, design) for cognate in designs[i].cognates):
+                originals[j] = i
                 break
-    return found
+    return originals
 
 
-def _is(cognate: Cognate, design: PathDesign) -> bool:
+def _is_cognate(cognate: Cognate, design: PathDesign) -> bool:
     """Return whether a design is this cognate, driven at either of its fixed pivots."""
-    own = design.coupler_linkage
-    return own is not None and any(_alike(own, each.linkage) for each in (cognate, cognate.driven_from_rocker))
+    linkage = design.coupler_linkage
+    return linkage is not None and any(_same_linkage(linkage, driven.linkage) for driven in (cognate, cognate.driven_from_rocker))
 
 
-def _alike(one: CouplerLinkage, other: CouplerLinkage) -> bool:
+def _same_linkage(first: CouplerLinkage, second: CouplerLinkage) -> bool:
     names = ("crank", "coupler", "rocker", "frame", "along", "across", "x", "y")
-    size = max(*one.lengths, abs(one.along), abs(one.across))
-    turned = math.remainder(one.direction - other.direction, TURN)
-    return abs(turned) <= ALIKE and all(abs(getattr(one, name) - getattr(other, name)) <= ALIKE * size for name in names)
+    size = max(*first.lengths, abs(first.along), abs(first.across))
+    turned = math.remainder(first.direction - second.direction, TURN)
+    return abs(turned) <= LINKAGE_TOLERANCE and all(
+        abs(getattr(first, name) - getattr(second, name)) <= LINKAGE_TOLERANCE * size for name in names
+    )

@@ -22,8 +22,8 @@ from optlink.tasks.function import FunctionResult
 from optlink.tasks.results.cycle import CycleResult
 from optlink.tasks.results.path import PathDesign, PathResult
 
-FINE = 721  # positions per revolution
-STICK = 0.07  # length of the largest magnified deviation, as a share of the extent of the points
+POSITIONS = 721  # positions per revolution
+DEVIATION_LENGTH = 0.07  # length of the largest magnified deviation, as a share of the extent of the points
 
 
 class PathView:
@@ -43,7 +43,7 @@ class PathView:
         self.first = int(np.argmax(self.at.assembled))
         around = self.task.closed and design.crank_turns
         span = TURN if around else abs(self.end - self.begin)
-        count = max(61, math.ceil(span / TURN * (FINE - 1)) + 1)
+        count = max(61, math.ceil(span / TURN * (POSITIONS - 1)) + 1)
         self.run = self.sweep(self.begin + self.way * np.linspace(0.0, span, count))
         self.motion = self.sweep(self._whole())
         self.here = self.sweep(angles[self.first : self.first + 1])
@@ -53,33 +53,33 @@ class PathView:
         return sweep(self.task.linkage, self.design.values, angles)
 
     def _whole(self) -> Array:
-        once = self.begin + self.way * np.linspace(0.0, TURN, FINE)
+        once = self.begin + self.way * np.linspace(0.0, TURN, POSITIONS)
         if self.design.crank_turns:
             return once
         low, high = sorted((self.begin, self.end))
         if self._farthest(high, low + TURN) == low + TURN:
             return once
         ends = self._farthest(low, high - TURN), self._farthest(high, low + TURN)
-        return np.linspace(*(ends if self.way > 0.0 else ends[::-1]), FINE)
+        return np.linspace(*(ends if self.way > 0.0 else ends[::-1]), POSITIONS)
 
     def _farthest(self, start: float, stop: float) -> float:
         """Return the last angle from `start` towards `stop` at which the mechanism is assembled."""
         for _ in range(4):
-            grid = np.linspace(start, stop, FINE)
-            apart = np.flatnonzero(~self.sweep(grid).assembled)
-            if not apart.size:
+            grid = np.linspace(start, stop, POSITIONS)
+            unassembled = np.flatnonzero(~self.sweep(grid).assembled)
+            if not unassembled.size:
                 return stop
-            if apart[0] == 0:
+            if unassembled[0] == 0:
                 return start
-            start, stop = float(grid[apart[0] - 1]), float(grid[apart[0]])
+            start, stop = float(grid[unassembled[0] - 1]), float(grid[unassembled[0]])
         return start
 
     @cached_property
     def sketch(self) -> Sketch:
         """Sketch of the mechanism, with room for the points."""
-        found = Sketch(self.motion)
-        found.widen(self.targets * found.scale.factor)
-        return found
+        sketch = Sketch(self.motion)
+        sketch.widen(self.targets * sketch.scale.factor)
+        return sketch
 
     @property
     def targets(self) -> Array:
@@ -124,11 +124,11 @@ class PathView:
     def factor(self) -> float:
         """Magnification of deviations and tolerances in the figures."""
         largest = 0.0 if self.exact else float(np.nanmax(self.design.measured.distances))
-        limit = STICK * self.size / largest if largest > 0.0 else math.inf
+        limit = DEVIATION_LENGTH * self.size / largest if largest > 0.0 else math.inf
         tolerances = self.tolerances[np.isfinite(self.tolerances)]
         if tolerances.size:
-            apart = np.linalg.norm(np.diff(self.targets, axis=0), axis=1)
-            limit = min(limit, 0.45 * float(np.median(apart)) / float(np.max(tolerances)))
+            distances = np.linalg.norm(np.diff(self.targets, axis=0), axis=1)
+            limit = min(limit, 0.45 * float(np.median(distances)) / float(np.max(tolerances)))
         return max(1.0, round_below(limit))
 
 
@@ -136,11 +136,11 @@ def best(result: PathResult) -> PathView | None:
     """Return the best design or the nearest miss; None if there is nothing to draw."""
     if result.best is None:
         return None
-    track = PathView(result.best)
-    return track if track.reached else None
+    view = PathView(result.best)
+    return view if view.reached else None
 
 
-SIZES = 14  # largest number of dimensions below a title
+MAX_DIMENSIONS = 14  # largest number of dimensions below a title
 DIGITS = 5  # significant digits of a dimension
 TITLE = 10.0  # font size of a figure title [pt]
 SMALL = 9.5  # font size of a panel title [pt]
@@ -183,7 +183,7 @@ def squares(value: float, unit: Scale) -> str:
     """
     small = Scale(1e3, "mm"), Scale(1e6, "µm"), Scale(1e9, "nm")
     units = [unit, *(smaller for smaller in small if smaller.factor > unit.factor)]
-    shown = next((each for each in units if value * each.factor**2 >= 1e-4), units[-1])
+    shown = next((item for item in units if value * item.factor**2 >= 1e-4), units[-1])
     return f"{_digits(value * shown.factor**2, 4)} {shown.unit}²"
 
 
@@ -220,9 +220,9 @@ def with_verdict(
     return machine, verdict(design.status.value, design.valid, failed(design))
 
 
-def objective(track: PathView) -> str:
+def objective(view: PathView) -> str:
     """Format the objective with its measure."""
-    design, unit, task = track.design, track.sketch.scale, track.task
+    design, unit, task = view.design, view.sketch.scale, view.task
     if exact(design):
         return "exact to rounding"
     what = measure(task)
@@ -231,14 +231,14 @@ def objective(track: PathView) -> str:
         return f"{what} {squares(design.objective, unit) if squared else length(design.objective, unit)}"
     if task.unit == "rad":
         return f"{what} {_digits(design.objective * math.degrees(1.0) ** (1 + squared), 4)} deg{'²' if squared else ''}"
-    named = "largest cosine of a transmission angle" if task.measure == "max" else f"cosines of the transmission angles: {what}"
-    return f"{named} {design.objective:.4g}"
+    label = "largest cosine of a transmission angle" if task.measure == "max" else f"cosines of the transmission angles: {what}"
+    return f"{label} {design.objective:.4g}"
 
 
 def assembly(design: PathDesign) -> list[str]:
     """Return the assembly modes, one text for each joint."""
-    first, *others = words(design).split(", ")
-    return [f"assembly {first}", *others]
+    first, *rest = words(design).split(", ")
+    return [f"assembly {first}", *rest]
 
 
 def transmission(design: PathDesign) -> str:
@@ -247,12 +247,12 @@ def transmission(design: PathDesign) -> str:
     return f"least transmission angle {math.degrees(least):z.1f}°" if math.isfinite(least) else ""
 
 
-def figures(track: PathView) -> list[str]:
+def figures(view: PathView) -> list[str]:
     """Return the captions of objective, deviations and transmission angle."""
-    design, task, unit = track.design, track.task, track.sketch.scale
+    design, task, unit = view.design, view.task, view.sketch.scale
     distances, turned = design.measured.distances, design.measured.turned
     if not task.pointed:
-        return [objective(track), *_error(track), *filter(None, [transmission(design)])]
+        return [objective(view), *_error(view), *filter(None, [transmission(design)])]
     texts = []
     if exact(design):
         many = f"all {len(distances)}" if len(distances) > 2 else "both"
@@ -261,35 +261,35 @@ def figures(track: PathView) -> list[str]:
         plain = turned is None and task.target_points.weights is None
         rms, largest = math.sqrt(float(np.nanmean(distances**2))), float(np.nanmax(distances))
         if not (plain and task.measure in ("rms", "max")):
-            texts.append(objective(track))
+            texts.append(objective(view))
         shown = fitting(rms, unit)
         texts.append(f"distances: rms {length(rms, shown)}, largest {length(largest, shown)}")
         if turned is not None:
             texts.append(f"angles: largest {_digits(math.degrees(float(np.nanmax(np.abs(turned)))), 4)}°")
-        if np.any(np.isfinite(track.tolerances)):
-            used = float(np.nanmax(distances / track.tolerances))
+        if np.any(np.isfinite(view.tolerances)):
+            used = float(np.nanmax(distances / view.tolerances))
             texts.append(f"at most {f'{100.0 * used:.3g} % of' if used < 10.0 else f'{used:.3g} times'} the tolerance")
     return [*texts, *filter(None, [transmission(design)])]
 
 
-def _error(track: PathView) -> list[str]:
+def _error(view: PathView) -> list[str]:
     """Return the caption of the output error of a function."""
-    task, errors = track.task, track.design.measured.distances
-    if not task.unit or track.exact:
+    task, errors = view.task, view.design.measured.distances
+    if not task.unit or view.exact:
         return []
     rms, largest = math.sqrt(float(np.nanmean(errors**2))), float(np.nanmax(errors))
-    unit = fitting(rms, track.sketch.scale) if task.slides else Scale(math.degrees(1.0), "deg")
+    unit = fitting(rms, view.sketch.scale) if task.slides else Scale(math.degrees(1.0), "deg")
     shown = (f"{_digits(value * unit.factor, 4)} {unit.unit}" for value in (rms, largest))
     return ["error: rms {}, largest {}".format(*shown)]
 
 
-def sizes(track: PathView) -> list[str]:
+def sizes(view: PathView) -> list[str]:
     """Return the captions of all dimensions, or of the design variables only if there are too many."""
-    task, unit, values = track.task, track.sketch.scale, track.design.values
+    task, unit, values = view.task, view.sketch.scale, view.design.values
     names = [*task.mechanism.quantities, *([MARK] if MARK in task.quantities else [])]
-    if len(names) > SIZES:
+    if len(names) > MAX_DIMENSIONS:
         names = [name for name in names if task.quantities[name].free]
-    if not names or len(names) > SIZES:
+    if not names or len(names) > MAX_DIMENSIONS:
         return []
     angles = [task.quantities[name].kind == "angle" for name in names]
     largest = max([abs(values[name]) for name, angle in zip(names, angles, strict=True) if not angle], default=0.0)
@@ -316,46 +316,46 @@ def wrapped(items: Sequence[str], width: float, gap: str, size: float = TITLE) -
     most = max(16, int(72.0 * width / (0.56 * size)))
 
     def lines(limit: int) -> list[str]:
-        found = [""]
+        wrapped_lines = [""]
         for item in items:
-            longer = f"{found[-1]}{gap if found[-1] else ''}{item}"
-            if found[-1] and len(longer) > limit:
-                found.append(item)
+            longer = f"{wrapped_lines[-1]}{gap if wrapped_lines[-1] else ''}{item}"
+            if wrapped_lines[-1] and len(longer) > limit:
+                wrapped_lines.append(item)
             else:
-                found[-1] = longer
-        return found
+                wrapped_lines[-1] = longer
+        return wrapped_lines
 
     count = len(lines(most))
-    best = next(found for limit in range(1, most + 1) if len(found := lines(limit)) == count)
+    best = next(wrapped_lines for limit in range(1, most + 1) if len(wrapped_lines := lines(limit)) == count)
     return f"{gap.rstrip()}\n".join(best)
 
 
-def title_of(track: PathView, width: float, title: str, *more: str) -> str:
+def title_of(view: PathView, width: float, title: str, *more: str) -> str:
     """Compose a title with further lines below it; an invalid design is marked as not valid.
 
     Parameters
     ----------
-    track : PathView
+    view : PathView
     width : float [inch]
     title : str
     *more : str
         Further lines; empty ones are left out.
     """
     text = [heading(title, width, TITLE)]
-    if not track.design.valid:
-        text.append(wrapped(f"NOT VALID: {failed(track.design)}".split(", "), width, ", "))
-    elif track.design.fit is not None and track.design.fit.grade == "poor":
-        text.append(heading(track.design.fit.text.capitalize(), width, TITLE))
+    if not view.design.valid:
+        text.append(wrapped(f"NOT VALID: {failed(view.design)}".split(", "), width, ", "))
+    elif view.design.fit is not None and view.design.fit.grade == "poor":
+        text.append(heading(view.design.fit.text.capitalize(), width, TITLE))
     return "\n".join([*text, *filter(None, more)])
 
 
-def headed(track: PathView, width: float) -> str:
+def mechanism_title(view: PathView, width: float) -> str:
     """Compose the title of a mechanism with its deviations and dimensions.
 
     Parameters
     ----------
-    track : PathView
+    view : PathView
     width : float [inch]
     """
-    texts = wrapped(figures(track), width, "; "), wrapped(sizes(track), width, "   ")
-    return title_of(track, width, track.task.title, *texts)
+    texts = wrapped(figures(view), width, "; "), wrapped(sizes(view), width, "   ")
+    return title_of(view, width, view.task.title, *texts)

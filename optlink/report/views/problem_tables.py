@@ -21,7 +21,7 @@ from optlink.report.table_spec import Part, Summary, TableSpec, quiet, summary, 
 if TYPE_CHECKING:
     from optlink.problem.path import PathProblem
 
-MOST = 8  # largest number of points listed
+MAX_POINTS = 8  # largest number of points listed
 
 
 def problem(file: ProblemFile) -> Summary:
@@ -36,10 +36,12 @@ def problem(file: ProblemFile) -> Summary:
         parts.append(_section("mechanism", model.mechanism))
     if isinstance(model, DesignProblem | PathProblem):
         over = {"transmission_over": model.limits.transmission_range}
-        task, others = (holding(model), _inapplicable(model)) if isinstance(model, PathProblem) else (_effective(model), ((), ()))
+        task, hidden = (
+            (effective_values(model), _inapplicable(model)) if isinstance(model, PathProblem) else (_effective(model), ((), ()))
+        )
         parts += [
-            _section("requirement", model.requirement, task, leave_out=others[0]),
-            _section("limits", model.limits, over, leave_out=others[1]),
+            _section("requirement", model.requirement, task, leave_out=hidden[0]),
+            _section("limits", model.limits, over, leave_out=hidden[1]),
         ]
     if isinstance(model, CycleProblem):
         from optlink.report.views.cycle_tables import cycle_problem
@@ -51,9 +53,9 @@ def problem(file: ProblemFile) -> Summary:
         parts += machine(file)
     if model.tolerances:
         rows = []
-        for deviation, said in zip(model.deviations, model.tolerances.values(), strict=True):
-            default = "" if said.shape or said.measured else f"default: {deviation.shape}"
-            rows.append((deviation.name, str(said), quiet(default)))
+        for deviation, text in zip(model.deviations, model.tolerances.values(), strict=True):
+            default = "" if text.shape or text.measured else f"default: {deviation.shape}"
+            rows.append((deviation.name, str(text), quiet(default)))
         parts.append(table("[tolerances]", "<<<", rows))
     if model.report.model_fields_set:
         parts.append(_section("report", model.report, only_stated=True))
@@ -65,9 +67,11 @@ def problem(file: ProblemFile) -> Summary:
 def _effective(model: DesignProblem) -> dict[str, str]:
     """Return the effective values of optional keys of a motion law or function of a four-bar."""
     task = model.requirement
-    found = {"span": f"{math.degrees(model.span):g} deg", "points": _positions(task.law)}
-    found |= {key: str(model.quantities[name]) for key, name in (("start", "phi0"), ("psi0", "psi0")) if name in model.quantities}
-    return {key: text for key, text in found.items() if key not in task.model_fields_set}
+    values = {"span": f"{math.degrees(model.span):g} deg", "points": _positions(task.law)}
+    values |= {
+        key: str(model.quantities[name]) for key, name in (("start", "phi0"), ("psi0", "psi0")) if name in model.quantities
+    }
+    return {key: text for key, text in values.items() if key not in task.model_fields_set}
 
 
 def _inapplicable(model: PathProblem) -> tuple[Collection[str], Collection[str]]:
@@ -81,22 +85,22 @@ def _inapplicable(model: PathProblem) -> tuple[Collection[str], Collection[str]]
     return task, inapplicable_keys("limits", kind, four_bar=four_bar)
 
 
-def holding(model: PathProblem) -> dict[str, str]:
+def effective_values(model: PathProblem) -> dict[str, str]:
     """Return the effective values of optional keys of a path or motion synthesis problem."""
     from optlink.problem.path import MARK, START, ZERO
 
-    found = {"timing": model.timing, "measure": model.measure, "closed": str(model.closed).lower()}
+    values = {"timing": model.timing, "measure": model.measure, "closed": str(model.closed).lower()}
     if model.requirement.kind == "motion":
-        found["angle_length"] = f"{1e3 * model.radian:.6g} mm"
+        values["angle_length"] = f"{1e3 * model.radian:.6g} mm"
     else:
-        found["angle_length"] = "none"
+        values["angle_length"] = "none"
     added = {key: str(model.quantities[key]) for key in (START, MARK) if key in model.quantities}
     if model.requirement.kind == "function":
-        found["span"] = f"{math.degrees(model.rotation_of_law):g} deg"
-        found["points"] = _positions(model.requirement.law)
+        values["span"] = f"{math.degrees(model.rotation_of_law):g} deg"
+        values["points"] = _positions(model.requirement.law)
     if ZERO in model.quantities:
         added["zero" if model.slides else "psi0"] = str(model.quantities[ZERO])
-    return {key: text for key, text in (found | added).items() if key not in model.requirement.model_fields_set}
+    return {key: text for key, text in (values | added).items() if key not in model.requirement.model_fields_set}
 
 
 def _positions(law: object) -> str:
@@ -114,10 +118,10 @@ def _section(
 ) -> TableSpec:
     rows = []
     for key, field in type(section).model_fields.items():
-        stated = key in section.model_fields_set
-        if stated or not (only_stated or key in leave_out):
+        explicit = key in section.model_fields_set
+        if explicit or not (only_stated or key in leave_out):
             text = (instead or {}).get(key) or _plain(key, getattr(section, key))
-            rows.append((field.alias or key, text, quiet("" if stated else "default")))
+            rows.append((field.alias or key, text, quiet("" if explicit else "default")))
     return table(f"[{name}]", "<<<", rows)
 
 
@@ -159,7 +163,7 @@ def _plain(name: str, value: object) -> str:
     phi, psi = getattr(value, "phi", ()), getattr(value, "psi", ())
     size, unit = (1e3, "mm") if getattr(value, "kind", "angle") == "coordinate" else (math.degrees(1.0), "deg")
     rows = (f"{np.degrees(a):g} deg -> {size * b:g} {unit}" for a, b in zip(phi, psi, strict=True))
-    return "table: " + ", ".join(list(rows)[:MOST]) + (f", ... ({len(phi)} rows)" if len(phi) > MOST else "")
+    return "table: " + ", ".join(list(rows)[:MAX_POINTS]) + (f", ... ({len(phi)} rows)" if len(phi) > MAX_POINTS else "")
 
 
 def _listed(targets: TargetPoints) -> str:
@@ -170,11 +174,11 @@ def _listed(targets: TargetPoints) -> str:
         for (x, y), angle in zip(targets.points, angles, strict=True)
     )
     count, what = len(targets.points), "poses" if targets.angles else "points"
-    return f"{count} {what} [mm]: {', '.join(list(written)[:MOST])}{', ...' if count > MOST else ''}"
+    return f"{count} {what} [mm]: {', '.join(list(written)[:MAX_POINTS])}{', ...' if count > MAX_POINTS else ''}"
 
 
 def listing(files: Iterable[ProblemFile]) -> TableSpec:
     """List the shipped problems, one per row."""
-    rows = ((one.name, f"{one.model.title} ({one.kind})") for one in files)
+    rows = ((file.name, f"{file.model.title} ({file.kind})") for file in files)
     note = "Next: optlink show NAME; then optlink solve NAME (design, balancing) or optlink analyze NAME (analysis)"
     return table("Shipped problems", ["name", "description"], rows, notes=[note])

@@ -30,12 +30,12 @@ def conflict(limits: Sequence[Relaxation], together: Sequence[Relaxation]) -> Ta
     together : sequence of Relaxation
         Limits relaxed simultaneously; shown if one of `limits` does not suffice alone.
     """
-    rows = [(_name(one), _limit(one), _relaxed(one) or "never: see below") for one in _ranges(limits)]
-    alone = len(rows)
-    if any(not math.isfinite(one.amount) for one in limits):
-        rows += [(_name(one), _limit(one), f"together: {_relaxed(one) or 'dropped'}") for one in _ranges(together)]
+    rows = [(_name(pair), _limit(pair), _relaxed(pair) or "never: see below") for pair in _ranges(limits)]
+    single = len(rows)
+    if any(not math.isfinite(limit.amount) for limit in limits):
+        rows += [(_name(pair), _limit(pair), f"together: {_relaxed(pair) or 'dropped'}") for pair in _ranges(together)]
     columns = ["limit", "limit value", "feasible if relaxed alone"]
-    return table("Conflicting limits", columns, rows, sections=[alone], notes=_exact_values(_ranges(limits)))
+    return table("Conflicting limits", columns, rows, sections=[single], notes=_exact_values(_ranges(limits)))
 
 
 def contradiction(conflict: Sequence[Relaxation], together: Sequence[Relaxation]) -> str:
@@ -49,13 +49,13 @@ def contradiction(conflict: Sequence[Relaxation], together: Sequence[Relaxation]
     if not conflict:
         return ""
     limits = list(_ranges(conflict))
-    options = [_option(one) for one in limits if math.isfinite(one[0].amount)]
+    options = [_option(pair) for pair in limits if math.isfinite(pair[0].amount)]
     if options:
         remedy = f"relax {' or '.join(options[:3])}"
     else:
-        shared = [_option(one) for one in _ranges(together) if math.isfinite(one[0].amount)]
+        shared = [_option(pair) for pair in _ranges(together) if math.isfinite(pair[0].amount)]
         remedy = f"relax together {joined(shared[:3])}" if shared else "drop one of them"
-    names = joined([_name(one) for one in limits][:4])
+    names = joined([_name(pair) for pair in limits][:4])
     subject = f"the limits {names} conflict" if len(limits) > 1 else f"the limit {names} cannot be met"
     sentence = f"No design was found that meets all limits: {subject}. To make it feasible, {remedy}."
     return " ".join([sentence, *_exact_values(limits)])
@@ -63,8 +63,8 @@ def contradiction(conflict: Sequence[Relaxation], together: Sequence[Relaxation]
 
 def _exact_values(limits: Sequence[tuple[Relaxation, ...]]) -> list[str]:
     """Return how to state a least or a greatest value, for each limit whose two sides are the same."""
-    found = [(_name(one), _value(one[0])) for one in limits if _exact(one)]
-    return [f'A single value is exact: write ">= {x}" for the smallest or "<= {x}" for the largest {name}.' for name, x in found]
+    values = [(_name(one), _value(one[0])) for one in limits if _exact(one)]
+    return [f'A single value is exact: write ">= {x}" for the smallest or "<= {x}" for the largest {name}.' for name, x in values]
 
 
 def _value(side: Relaxation) -> str:
@@ -77,17 +77,17 @@ def _exact(sides: tuple[Relaxation, ...]) -> bool:
 
 def _ranges(items: Sequence[Relaxation]) -> list[tuple[Relaxation, ...]]:
     """Group the two sides of each range that is relaxed as one."""
-    found: list[tuple[Relaxation, ...]] = []
+    groups: list[tuple[Relaxation, ...]] = []
     for item in items:
-        pair = item.both_sides and found and len(found[-1]) == 1 and found[-1][0].both_sides and found[-1][0].key == item.key
-        found[-1:] = [(*found[-1], item)] if pair else [*found[-1:], (item,)]
-    return found
+        pair = item.both_sides and groups and len(groups[-1]) == 1 and groups[-1][0].both_sides and groups[-1][0].key == item.key
+        groups[-1:] = [(*groups[-1], item)] if pair else [*groups[-1:], (item,)]
+    return groups
 
 
 def _name(sides: tuple[Relaxation, ...]) -> str:
     """Return the name of a limit; of a range the last words that the names of both sides share."""
     words = [side.name.split()[::-1] for side in sides]
-    shared = [one for one, *others in itertools.takewhile(lambda pair: len(set(pair)) == 1, zip(*words, strict=False))]
+    shared = [word_pair for word_pair, *rest in itertools.takewhile(lambda pair: len(set(pair)) == 1, zip(*words, strict=False))]
     return " ".join(shared[::-1]) or sides[0].name
 
 

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from optlink.clearance.joint import Gap
 from optlink.report.chart_spec import CRANK_ANGLE, Array, Axis, Curve, Line, Span
 from optlink.report.format import round_below
-from optlink.report.style import FOUND, QUIET, SHADE, Scale, scale
+from optlink.report.style import MUTED, RESULT, SHADE, Scale, scale
 from optlink.tasks.results.clearance import ClearanceSimulation
 
 Mask = NDArray[np.bool_]
 FULL = 360.0
 TORQUE = "input.torque_Nm"
 WINDOW = 3  # number of revolutions drawn over time
-BULK = 99.8  # percentile of the values that the limits of y include
+LIMITS_PERCENTILE = 99.8  # percentile of the values that the limits of y include
 CIRCLE = np.linspace(0.0, 2.0 * math.pi, 181)
 
 
@@ -133,11 +133,11 @@ class RevolutionCurves:
             Number of revolutions.
         """
         values = self.result[name][self.rows(count)]
-        found = float(np.nanmax(np.abs(values) if name == TORQUE else values, initial=0.0))
+        peak = float(np.nanmax(np.abs(values) if name == TORQUE else values, initial=0.0))
         stem, _, unit = name.rpartition("_")
         exact = self.result.per_revolution[f"{stem}_max_{unit}".removeprefix("input.")] if self.last else np.zeros(0)
-        whole = min(count - self.broken, len(exact))
-        return max(found, float(np.max(exact[-whole:]))) if whole else found
+        complete = min(count - self.broken, len(exact))
+        return max(peak, float(np.max(exact[-complete:]))) if complete else peak
 
     # --- titles --------------------------------------------------------------------------------------------------------
 
@@ -181,7 +181,7 @@ class RevolutionCurves:
         name = CRANK_ANGLE + ("" if self.way > 0.0 else ", clockwise to the right")
         return Axis(name, (0.0, FULL), reversed=self.way < 0.0, step=60.0)
 
-    def overlay(self, values: Array, unit: Scale, name: str, colour: str = FOUND, advance: float = 0.0) -> list[Curve]:
+    def overlay(self, values: Array, unit: Scale, name: str, colour: str = RESULT, advance: float = 0.0) -> list[Curve]:
         """Return every revolution after the running-in as a thin curve and the last one as a bold curve.
 
         Parameters
@@ -202,7 +202,7 @@ class RevolutionCurves:
             opacity = min(0.9, max(0.25, 6.0 / self.shown))
             x, y = self.fold(values * unit.factor, rows, advance * unit.factor)
             thin = partial(Curve, width=0.6, opacity=opacity, legend=False, hover=False, gid="revolutions")
-            curves.append(thin(x, y, "earlier revolutions", QUIET))
+            curves.append(thin(x, y, "earlier revolutions", MUTED))
         x, y = self.fold(values * unit.factor, self.rows(1), advance * unit.factor)
         return [*curves, Curve(x, y, name, colour, 1.7, gid="last revolution")]
 
@@ -218,16 +218,16 @@ class RevolutionCurves:
             Entry in the legend.
         """
         x, touching = self.fold(contact, rows)
-        found: list[Span] = []
+        spans: list[Span] = []
         for piece in np.split(np.arange(len(x)), np.flatnonzero(np.isnan(x))):
-            own = piece[np.isfinite(x[piece])]
-            at = x[own]
-            for a, b in runs(touching[own] > 0.5):
+            finite_rows = piece[np.isfinite(x[piece])]
+            at = x[finite_rows]
+            for a, b in runs(touching[finite_rows] > 0.5):
                 begin, end = 0.5 * (at[a] + at[max(0, a - 1)]), 0.5 * (at[b] + at[min(len(at) - 1, b + 1)])
                 if begin != end:
                     low, high = sorted((float(begin), float(end)))
-                    found.append(Span(low, high, "" if found else name, SHADE, 0.75, gid="contact"))
-        return found
+                    spans.append(Span(low, high, "" if spans else name, SHADE, 0.75, gid="contact"))
+        return spans
 
     # --- time as abscissa ----------------------------------------------------------------------------------------------
 
@@ -235,7 +235,7 @@ class RevolutionCurves:
         """Return the ends of the revolutions [s] within rows as vertical lines."""
         first, last = (float(self.time[rows][k]) for k in (0, -1))
         times = [k * self.period for k in range(math.ceil(first / self.period - 1e-9), self.last + 1)]
-        return [Line(at, "", QUIET, 0.9, "dot", gid="revolution") for at in times if first < at < last - 1e-6 * (last - first)]
+        return [Line(at, "", MUTED, 0.9, "dot", gid="revolution") for at in times if first < at < last - 1e-6 * (last - first)]
 
 
 def fold(angle: Array, values: Array, advance: float = 0.0) -> tuple[Array, Array]:
@@ -256,11 +256,11 @@ def fold(angle: Array, values: Array, advance: float = 0.0) -> tuple[Array, Arra
         return x, y
     border = FULL * np.maximum(turn[at], turn[at + 1])
     share = (border - angle[at]) / (angle[at + 1] - angle[at])
-    there = values[at] + share * (values[at + 1] - values[at])
-    nothing = np.full(len(at), np.nan)
-    at_ends = [(border - FULL * turn[at + side], there - advance * turn[at + side]) for side in (0, 1)]
+    border_values = values[at] + share * (values[at + 1] - values[at])
+    gaps = np.full(len(at), np.nan)
+    at_ends = [(border - FULL * turn[at + side], border_values - advance * turn[at + side]) for side in (0, 1)]
     places = np.repeat(at + 1, 3)
-    xs, ys = (np.stack([before, nothing, after], axis=1).ravel() for before, after in zip(*at_ends, strict=True))
+    xs, ys = (np.stack([before, gaps, after], axis=1).ravel() for before, after in zip(*at_ends, strict=True))
     return np.insert(x, places, xs), np.insert(y, places, ys)
 
 
@@ -283,14 +283,14 @@ def runs(mask: Mask) -> list[tuple[int, int]]:
     return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]
 
 
-def numbered(numbers: Array) -> Axis:
+def revolution_axis(numbers: Array) -> Axis:
     """Return the axis of revolution numbers, with whole numbers as ticks."""
     step = max(1, int(round_below(len(numbers) / 8.0)))
     ticks = [(float(number), f"{number:g}") for number in numbers if number % step == 0.0]
     return Axis("revolution", (float(numbers[0]) - 0.5, float(numbers[-1]) + 0.5), ticks=ticks)
 
 
-def named(gap: Gap) -> str:
+def joint_name(gap: Gap) -> str:
     """Format the name of a joint with clearance."""
     return f"{gap.point}: {gap.journal} in {gap.bearing}"
 
@@ -303,7 +303,7 @@ def from_zero(largest: float) -> tuple[float, float]:
     return 0.0, 1.08 * largest if 0.0 < largest < math.inf else 1.0
 
 
-def crown(turns: RevolutionCurves, values: Array, low: float, high: float) -> tuple[tuple[float, float], str]:
+def clipped_limits(turns: RevolutionCurves, values: Array, low: float, high: float) -> tuple[tuple[float, float], str]:
     """Return limits of the last revolution and most of the others, and ", cut off" if values exceed them.
 
     Parameters
@@ -317,12 +317,12 @@ def crown(turns: RevolutionCurves, values: Array, low: float, high: float) -> tu
         Largest value to include, in the unit of the axis.
     """
     every = values[turns.rows(turns.shown)]
-    top = max(high, float(np.max(values[turns.rows(1)])), float(np.percentile(every, BULK)))
+    top = max(high, float(np.max(values[turns.rows(1)])), float(np.percentile(every, LIMITS_PERCENTILE)))
     top = top if top > 0.0 else 1.0
     return (1.08 * low, 1.08 * top), ", cut off" if float(np.max(every)) > 1.08 * top else ""
 
 
-def hold(values: Array, least: float = 0.0) -> tuple[float, float]:
+def padded_limits(values: Array, least: float = 0.0) -> tuple[float, float]:
     """Return limits of all finite values with a margin.
 
     Parameters
@@ -332,7 +332,7 @@ def hold(values: Array, least: float = 0.0) -> tuple[float, float]:
     least : float, optional
         Smallest range, as a share of the largest absolute value.
     """
-    known = values[np.isfinite(values)]
-    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    finite_values = values[np.isfinite(values)]
+    low, high = (float(finite_values.min()), float(finite_values.max())) if finite_values.size else (0.0, 0.0)
     width = max(high - low, least * max(abs(low), abs(high))) or 1.0
     return 0.5 * (low + high) - 0.58 * width, 0.5 * (low + high) + 0.58 * width

@@ -8,35 +8,35 @@ from typing import Any
 import numpy as np
 
 from optlink.report.chart_spec import Axis, Bars, ChartSpec, Line, Panel
-from optlink.report.style import FOUND, LIMIT, QUIET
+from optlink.report.style import LIMIT, MUTED, RESULT
 from optlink.report.view import View
 from optlink.report.views.study_tables import step
 from optlink.studies.sensitivity import Sensitivities
 
-MANY, SEEN = 14, 1e-3  # largest number of bars, and smallest bar as a share of the largest
-NOTHING = 5e-5  # share of the objective below which a change is shown as zero
+MAX_BARS, MIN_BAR = 14, 1e-3  # largest number of bars, and smallest bar as a share of the largest
+ZERO_CHANGE = 5e-5  # share of the objective below which a change is shown as zero
 
 
 def charts(result: Sensitivities) -> list[ChartSpec]:
     """Return the tornado chart: the change of the objective by one step of each parameter up and down, largest on top."""
     base = result.solution.objective
     largest = max((abs(row.effect) for row in result.moving), default=0.0)
-    if largest <= NOTHING * base:
+    if largest <= ZERO_CHANGE * base:
         return []
-    rows = [row for row in result.moving if abs(row.effect) >= SEEN * largest][:MANY]
+    rows = [row for row in result.moving if abs(row.effect) >= MIN_BAR * largest][:MAX_BARS]
     factor, unit = (100.0 / base, "%") if base > 0.0 else (1.0, result.unit)
     effects = np.array([factor * row.effect for row in rows])
     places = np.arange(len(rows), 0.0, -1.0)
     shown = [(row, f"{row.parameter.value:.5g} {row.parameter.unit}".rstrip()) for row in rows]
     bars = []
     for sign, words, width, opacity in ((1.0, "one step more", 0.34, 1.0), (-1.0, "one step less", 0.26, 0.45)):
-        colours = [LIMIT if sign * effect > 0.0 else FOUND for effect in effects]
+        colours = [LIMIT if sign * effect > 0.0 else RESULT for effect in effects]
         text = [f"{row.parameter.name}: {value} {'+' if sign > 0.0 else '−'} {step(row)}" for row, value in shown]
-        look: dict[str, Any] = {"horizontal": True, "opacity": opacity, "legend": False, "text": text}
-        bars.append(Bars(places - (1.0 - sign) * 0.17, sign * effects, words, colours, width, **look))
+        style: dict[str, Any] = {"horizontal": True, "opacity": opacity, "legend": False, "text": text}
+        bars.append(Bars(places - (1.0 - sign) * 0.17, sign * effects, words, colours, width, **style))
     names = [f"{row.parameter.name}\n{value}, {step(row)}" for row, value in shown]
     y = Axis(ticks=[(float(place) - 0.15, name) for place, name in zip(places, names, strict=True)])
-    x, zero = Axis(f"change of the objective [{unit}]"), Line(0.0, colour=QUIET, width=1.0, dash="solid")
+    x, zero = Axis(f"change of the objective [{unit}]"), Line(0.0, colour=MUTED, width=1.0, dash="solid")
     title, heading = (
         "Effect of one step more or less: 1 deg of an angle, else 1 %",
         f"{result.problem.model.title}: sensitivities",
@@ -50,11 +50,11 @@ def table(result: Sensitivities) -> Mapping[str, list[float | str]]:
     """Return one row for each parameter by column."""
     parameters = [row.parameter for row in result.rows]
     return {
-        "key": [one.key for one in parameters],
-        "name": [one.name for one in parameters],
-        "value": [one.value for one in parameters],
-        "unit": [one.unit for one in parameters],
-        "step": [one.step for one in parameters],
+        "key": [parameter.key for parameter in parameters],
+        "name": [parameter.name for parameter in parameters],
+        "value": [parameter.value for parameter in parameters],
+        "unit": [parameter.unit for parameter in parameters],
+        "step": [parameter.step for parameter in parameters],
         "objective_per_unit": [row.objective for row in result.rows],
         **{f"{name}_{unit}_per_unit": [row.design[name] for row in result.rows] for name, unit in result.units.items()},
         "valid_from": [row.below.value for row in result.rows],

@@ -17,10 +17,10 @@ from optlink.report.chart_spec import TIME, Array, Axis, ChartSpec, Curve, Dash,
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, in_time
 from optlink.report.html.shell import PageSection, StoredStudy
-from optlink.report.scene import through
+from optlink.report.scene import scene_at
 from optlink.report.shapes import even
-from optlink.report.stored.stored_study import cycle_of, still
-from optlink.report.style import BODIES, CRANK, QUIET, TARGET, Scale, scale
+from optlink.report.stored.stored_study import cycle_of, no_animation
+from optlink.report.style import BODIES, CRANK, MUTED, TARGET, Scale, scale
 from optlink.report.view import View
 from optlink.report.views import analysis_tables, conclusions
 from optlink.tasks.machine import machine_of
@@ -29,7 +29,7 @@ from optlink.tasks.simulate import Simulation, SimulationRecord
 from optlink.units import percent
 
 RPM = 30.0 / math.pi
-LINES = 10  # largest number of joint reactions
+MAX_REACTIONS = 10  # largest number of joint reactions
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def largest(columns: Mapping[str, Array], names: Iterable[str]) -> float:
         Columns to consider.
     """
     every = [np.abs(columns[name]) for name in names]
-    return max((float(np.max(one, initial=0.0, where=np.isfinite(one))) for one in every), default=0.0)
+    return max((float(np.max(values, initial=0.0, where=np.isfinite(values))) for values in every), default=0.0)
 
 
 def charts(run: History) -> list[ChartSpec]:
@@ -99,12 +99,14 @@ def drive(run: History) -> list[ChartSpec]:
         values = run.columns[speed] * RPM
         curves, note, mean = [run.curve(speed, RPM, "crank speed", CRANK, legend=False)], "", 0.0
         if "last_turn.mean_speed_rad_s" in run.figures:
-            own, share = run.figures["last_turn.mean_speed_rad_s"], run.figures.get("last_turn.fluctuation", math.nan)
-            mean, crank = math.copysign(own, values[-1]) * RPM, run.columns["crank_angle_deg"]
+            mean_speed, share = run.figures["last_turn.mean_speed_rad_s"], run.figures.get("last_turn.fluctuation", math.nan)
+            mean, crank = math.copysign(mean_speed, values[-1]) * RPM, run.columns["crank_angle_deg"]
             turned = np.abs(crank - crank[-1]) <= 360.0 * (1.0 + 1e-12)
             over = run.columns["time_s"][turned]
             curves.append(Curve(over, np.full(len(over), mean), "mean", TARGET, 1.2, "dash", legend=False, gid="mean"))
-            note = f"last turn: mean over time {own:.4g} rad/s ({own * RPM:.4g} rpm), fluctuation {percent(share, 2)}"
+            note = (
+                f"last turn: mean over time {mean_speed:.4g} rad/s ({mean_speed * RPM:.4g} rpm), fluctuation {percent(share, 2)}"
+            )
         room = 0.16 * float(np.ptp(values)) or 0.1 * abs(mean) or 1.0
         limits = float(np.min(values)) - room, float(np.max(values)) + 0.4 * room
         panels.append(Panel(Axis("crank speed [rpm]", limits), curves, 1.4, note=note))
@@ -147,7 +149,7 @@ def reactions(run: History) -> list[ChartSpec]:
     forces = {name: values for name, values in run.columns.items() if name.partition(".")[0] in joints}
     for name in [name for name in forces if name.endswith(".fx_N") and name.replace(".fx_N", ".fy_N") in forces]:
         forces[name.replace(".fx_N", ".f_N")] = np.hypot(forces[name], forces[name.replace(".fx_N", ".fy_N")])
-    names = [name for name in forces if name.endswith((".f_N", ".normal_N")) and largest(forces, [name]) > 0.0][:LINES]
+    names = [name for name in forces if name.endswith((".f_N", ".normal_N")) and largest(forces, [name]) > 0.0][:MAX_REACTIONS]
     if not names:
         return []
     shown = scale(largest(forces, names), "N")
@@ -179,7 +181,7 @@ def energy(run: History) -> list[ChartSpec]:
     if all(name in columns for name in run.figures if name.endswith(".work_J")):
         above.append(run.curve("energy.gained_J", shown.factor, "gain of kinetic and potential energy", TARGET, 1.4, "dash"))
         missing = np.abs(columns["energy.gained_J"] - sum(columns[name] for name in works)) / turnover
-        share = Curve(columns["time_s"], np.maximum(missing, 1e-17), "imbalance", QUIET, 1.2, legend=False, gid="imbalance")
+        share = Curve(columns["time_s"], np.maximum(missing, 1e-17), "imbalance", MUTED, 1.2, legend=False, gid="imbalance")
         limits = 1e-17, max(1e-8, 10.0 * float(np.max(missing)))
         panels.append(Panel(Axis("imbalance / largest", limits, "log"), [share]))
     return [ChartSpec("energy", "Energy", panels, Axis(TIME), f"{run.title}: energy account")]
@@ -190,7 +192,7 @@ def _history(result: Simulation) -> History:
     return History(title, result.machine, result.driven, ending, result.columns, result.figures)
 
 
-AGREES = 1e-6  # tolerance of stored positions, as a share of the size of the machine
+POSITION_TOLERANCE = 1e-6  # tolerance of stored positions, as a share of the size of the machine
 VERDICTS = {Ending.FINISHED: "Finished", Ending.AT_REST: "Came to rest"}
 
 
@@ -221,7 +223,7 @@ def stored_study(record: SimulationRecord, file: ProblemFile, _: Path) -> Stored
         conclusion=conclusions.simulation(figures, record.finished, record.message),
         status=[f"{ending.value}, driven by {record.driven}; {record.message}", *record.notes],
         sections=[PageSection("Figures", (tuple(tables),)), PageSection("Over time", curves)],
-        moving=partial(_moving, file, record) if curves else still,
+        moving=partial(_moving, file, record) if curves else no_animation,
         by=f"integration in time; driven by {record.driven}",
         drawn="As the crank turned in time: the slider goes from row to row of the simulation.",
     )
@@ -237,17 +239,17 @@ def _moving(file: ProblemFile, record: SimulationRecord, steps: int) -> Moving |
         return None
     body = cycle.machine.mechanism.crank.body
     rows = even(len(columns["time_s"]), steps + 1)
-    drawn = through(cycle, np.radians(columns["crank_angle_deg"][rows]))
-    for name, places in drawn.points.items():
+    scene = scene_at(cycle, np.radians(columns["crank_angle_deg"][rows]))
+    for name, places in scene.points.items():
         if {f"{name}.x_m", f"{name}.y_m"} <= columns.keys():
-            own = np.stack([columns[f"{name}.x_m"][rows], -columns[f"{name}.y_m"][rows]], axis=1) * 1e3
-            if np.nanmax(np.abs(own - places), initial=0.0) > AGREES * max(drawn.box[2:]):
+            stored = np.stack([columns[f"{name}.x_m"][rows], -columns[f"{name}.y_m"][rows]], axis=1) * 1e3
+            if np.nanmax(np.abs(stored - places), initial=0.0) > POSITION_TOLERANCE * max(scene.box[2:]):
                 return None  # the stored positions belong to a different machine
     shown = [("crank angle", Scale(1.0, "deg"), columns["crank_angle_deg"][rows])]
     for name, words, unit in ((f"{body}.omega_rad_s", "crank speed", "rad/s"), ("input.torque_Nm", "driving torque", "N m")):
         if name in columns:
             shown.append((words, scale(largest(columns, [name]), unit), columns[name][rows]))
-    return in_time(cycle, drawn, columns["time_s"][rows], shown)
+    return in_time(cycle, scene, columns["time_s"][rows], shown)
 
 
 VIEW = View(charts=lambda result: charts(_history(result)), tables=lambda result: {"course": result.columns}, page=stored_study)

@@ -32,12 +32,12 @@ from optlink.studies.sensitivity import Sensitivities, Sensitivity
 from optlink.studies.sweep import TEXT, Sweep
 from optlink.units import percent
 
-AGREES = 1e-5  # relative tolerance between exact derivatives and those from solving again
-SHOWN = 12  # largest number of active-set changes and of points listed
-ACROSS = 5  # largest number of quantities side by side
-TINY = 5e-6  # relative change that vanishes with three decimals of a percentage
-FEW = 3  # largest number of design variables with their own columns
-MOVERS = 2  # number of design variables listed otherwise
+DERIVATIVE_TOLERANCE = 1e-5  # relative tolerance between exact derivatives and those from solving again
+MAX_ROWS = 12  # largest number of active-set changes and of points listed
+MAX_COLUMNS = 5  # largest number of quantities side by side
+MIN_CHANGE = 5e-6  # relative change that vanishes with three decimals of a percentage
+MAX_VARIABLES = 3  # largest number of design variables with their own columns
+LISTED_VARIABLES = 2  # number of design variables listed otherwise
 _UNIT = re.compile(r"(.+)_((?:rad|m)_s2?|(?:rad|mm|m|deg)2?|N|Nm|W|J)")
 
 
@@ -66,33 +66,33 @@ def sensitivity_parts(result: Sensitivities) -> Iterator[Part]:
     if still:
         yield Paragraph(quiet(f"No effect to first order: {'; '.join(dict.fromkeys(still))}."))
     if result.gap is not None:
-        gap = verdict(f"largest difference {result.gap:.1e}", result.gap <= AGREES)
+        gap = verdict(f"largest difference {result.gap:.1e}", result.gap <= DERIVATIVE_TOLERANCE)
         yield Paragraph((quiet("Re-optimised on both sides of each: "), gap))
 
 
 def _effects(result: Sensitivities) -> TableSpec:
     """Tabulate the effect of one step of every parameter on the objective and the design."""
     names, objective, rows = list(result.units), result.solution.objective, []
-    few = len(names) <= FEW
+    narrow = len(names) <= MAX_VARIABLES
     for row in result.moving:
         p = row.parameter
         share = _percent(row.effect / objective if objective else math.nan)
-        responses = [signed(row.design[name] * p.step) for name in names] if few else [_movers(result, row)]
+        responses = [signed(row.design[name] * p.step) for name in names] if narrow else [_largest_responses(result, row)]
         changed = f"{number(p.value)} {p.unit}".rstrip() + f" + {step(row)}"
         rows.append((p.name, changed, good(share) if row.effect < 0.0 else share, *responses))
-    each = [f">{name}\n[{result.units[name]}]" for name in names] if few else ["moves most"]
-    columns = ["parameter", ">change", ">objective", *each]
+    effect_columns = [f">{name}\n[{result.units[name]}]" for name in names] if narrow else ["moves most"]
+    columns = ["parameter", ">change", ">objective", *effect_columns]
     return table("Sensitivity to prescribed values, largest effect first", columns, rows)
 
 
-def _movers(result: Sensitivities, row: Sensitivity) -> str:
+def _largest_responses(result: Sensitivities, row: Sensitivity) -> str:
     """Format the design variables with the largest relative response to a parameter."""
     sizes = {name: abs(result.values[name]) or 1.0 for name in row.design}
     order = sorted(row.design, key=lambda name: -abs(row.design[name]) / sizes[name])
     responses = [
         f"{name} {signed(row.design[name] * row.parameter.step)}\u00a0{result.units[name]}" for name in order if row.design[name]
     ]
-    return ", ".join(responses[:MOVERS])
+    return ", ".join(responses[:LISTED_VARIABLES])
 
 
 def _prices(result: Sensitivities) -> TableSpec:
@@ -115,21 +115,21 @@ def _events(result: Sensitivities) -> TableSpec:
 
 
 def _percent(share: float) -> str:
-    return f"{100.0 * share:+.1e} %" if 0.0 < abs(share) < TINY else percent(share, 3, signed=True)
+    return f"{100.0 * share:+.1e} %" if 0.0 < abs(share) < MIN_CHANGE else percent(share, 3, signed=True)
 
 
-def outputs(found: OutputSensitivity) -> TableSpec:
+def outputs(sensitivity: OutputSensitivity) -> TableSpec:
     """Tabulate the derivatives of an output with respect to every dimension, one row for each crank angle."""
-    angular = found.unit == "rad"
+    angular = sensitivity.unit == "rad"
     per, unit = ("deg per mm", "deg") if angular else ("mm per mm", "mm")
     factor = math.degrees(1.0) / 1e3 if angular else 1.0
-    shown = np.degrees(found.value) if angular else 1e3 * found.value
+    shown = np.degrees(sensitivity.value) if angular else 1e3 * sensitivity.value
     rows = [
-        (f"{angle:g}", fixed(shown[i], 4), *(fixed(factor * column[i], 6) for column in found.by.values()))
-        for i, angle in enumerate(np.degrees(found.crank_angles))
+        (f"{angle:g}", fixed(shown[i], 4), *(fixed(factor * column[i], 6) for column in sensitivity.by.values()))
+        for i, angle in enumerate(np.degrees(sensitivity.crank_angles))
     ]
-    columns = [">crank [deg]", f">{found.name} [{unit}]", *(f">{name}" for name in found.by)]
-    return table(f"{found.name}: derivative with respect to each dimension at constant crank angle [{per}]", columns, rows)
+    columns = [">crank [deg]", f">{sensitivity.name} [{unit}]", *(f">{name}" for name in sensitivity.by)]
+    return table(f"{sensitivity.name}: derivative with respect to each dimension at constant crank angle [{per}]", columns, rows)
 
 
 def sweep(result: Sweep) -> Summary:
@@ -137,7 +137,7 @@ def sweep(result: Sweep) -> Summary:
     every = " x ".join(f"{len(axis.values):,}" for axis in result.grid.axes)
     counted = points(result.grid.count) + (f" ({every})" if len(result.grid.axes) > 1 else "")
     conflict = "Conflicting limits at a point without a design: `optlink solve` with --set at that point"
-    status = [(f"{counted}, ", verdict(_counted(result), result.complete)), *([conflict] if result.infeasible else [])]
+    status = [(f"{counted}, ", verdict(_point_counts(result), result.complete)), *([conflict] if result.infeasible else [])]
     axes = [
         (axis.key, f"{axis.values[0]:g} ... {axis.values[-1]:g} {axis.unit}".rstrip(), quiet(f"{len(axis.values):,} values"))
         for axis in result.grid.axes
@@ -162,7 +162,7 @@ def sweep(result: Sweep) -> Summary:
     return summary(result.problem.model.title, status, *parts, Paragraph(quiet(line), appendix=True))
 
 
-def _counted(result: Sweep) -> str:
+def _point_counts(result: Sweep) -> str:
     """Count the points by outcome."""
     if not result.evaluated:
         if result.complete:
@@ -179,25 +179,25 @@ def _rows(result: Sweep) -> Iterator[TableSpec]:
     axes = result.grid.axes
     names = [name for name in result.names[len(axes) :] if name not in TEXT and name != "valid"]
     columns = result.columns
-    few = result.grid.count <= SHOWN and len(names) <= ACROSS
-    if not few and result.valid:
+    all_points = result.grid.count <= MAX_ROWS and len(names) <= MAX_COLUMNS
+    if not all_points and result.valid:
         valid, rows = np.flatnonzero(columns["valid"]), []
         for name in names:
             ends = [int(valid[of(columns[name][valid])]) for of in (np.nanargmin, np.nanargmax)]
             rows.append((name, *(text for k in ends for text in (number(columns[name][k]), _place(result, k)))))
         yield table("Extremes over all valid points", ["", ">least", ">at", ">largest", ">at"], rows)
     varied = [f">{_short(axis.key, axis.unit)}" for axis in axes]
-    if few:
+    if all_points:
         heads = [">" + name.replace(".", ".\n") for name in names]
-        listed: list[Row] = []
+        table_rows: list[Row] = []
         for k in range(result.grid.count):
             status = columns["status"][k] if columns["valid"][k] else bad(columns["status"][k])
-            listed.append((*_values(result, k), *(number(float(columns[name][k])) for name in names), status))
-        yield table("Points", [*varied, *heads, "status"], listed)
+            table_rows.append((*_values(result, k), *(number(float(columns[name][k])) for name in names), status))
+        yield table("Points", [*varied, *heads, "status"], table_rows)
     invalid = np.flatnonzero(~columns["valid"])
     if invalid.size:
-        failed = [(*_values(result, k), columns["reason"][k]) for k in map(int, invalid[:SHOWN])]
-        more = invalid.size - SHOWN
+        failed = [(*_values(result, k), columns["reason"][k]) for k in map(int, invalid[:MAX_ROWS])]
+        more = invalid.size - MAX_ROWS
         notes = [quiet(f"and {more:,} more; the table of the sweep has all")] if more > 0 else []
         yield table(f"Points that are not valid: {invalid.size:,}", [*varied, "reason"], failed, notes=notes)
 
@@ -244,14 +244,14 @@ def _place(result: Sweep, point: int) -> str:
 def _changes(result: Sweep) -> TableSpec:
     rows = [
         (*(f"{value:g}" for value in change.at.values()), change.before or "none", change.after or "none")
-        for change in result.changes[:SHOWN]
+        for change in result.changes[:MAX_ROWS]
     ]
     columns = [*(f">{_short(axis.key, axis.unit)}" for axis in result.grid.axes), "before", "from there on"]
     return table(f"Changes of the active constraints: {result.changed}", columns, rows)
 
 
-MANY = 3.0  # ratio above which a change is not given in per cent
-POINTS = 24  # largest number of listed points, besides the end points and the knee
+RATIO_ABOVE = 3.0  # ratio above which a change is not given in per cent
+MAX_POINTS = 24  # largest number of listed points, besides the end points and the knee
 
 
 def pareto_front(result: Pareto) -> Summary:
@@ -266,13 +266,18 @@ def pareto_front(result: Pareto) -> Summary:
 
 
 def _status(result: Pareto) -> Iterator[Line]:
-    names = [aim.name for aim in result.objectives]
+    names = [objective.name for objective in result.objectives]
     yield f"Front of {', '.join(names[:-1])} and {names[-1]}"
     missed = result.solved - result.valid - result.infeasible
     empty = f", {result.infeasible} without a feasible design" if result.infeasible else ""
     counted = f": {result.solved} solved, {result.dominated} dominated by others{empty}"
-    found = f"{points(len(result.points))}, "
-    yield found, good("each a verified local optimum"), counted, bad(f", {missed} not verified and left out" if missed else "")
+    counted_points = f"{points(len(result.points))}, "
+    yield (
+        counted_points,
+        good("each a verified local optimum"),
+        counted,
+        bad(f", {missed} not verified and left out" if missed else ""),
+    )
     if result.single_point:
         yield result.single_point
     elif result.points and result.knee is None:
@@ -281,7 +286,7 @@ def _status(result: Pareto) -> Iterator[Line]:
 
 def _shown(result: Pareto) -> list[int]:
     """Return the indices of the listed points."""
-    step = max(1, math.ceil(len(result.points) / POINTS))
+    step = max(1, math.ceil(len(result.points) / MAX_POINTS))
     return [k for k, point in enumerate(result.points) if k % step == 0 or point.mark]
 
 
@@ -291,8 +296,11 @@ def _points(result: Pareto) -> TableSpec:
     if result.reference is not None:
         rows.append(("", *_cells(result, result.reference), quiet(result.reference_label)))
     columns = [">"]
-    for aim in result.objectives:
-        columns += [f">{aim.name}\n[{aim.unit}]" if aim.unit else f">{aim.name}", *([">change"] if _compared(result) else [])]
+    for objective in result.objectives:
+        columns += [
+            f">{objective.name}\n[{objective.unit}]" if objective.unit else f">{objective.name}",
+            *([">change"] if _compared(result) else []),
+        ]
     return table("Front", [*columns, ""], rows, unbroken=True)
 
 
@@ -312,10 +320,10 @@ def _cells(result: Pareto, values: tuple[float, ...]) -> Iterator[Inline]:
     for k, value in enumerate(values):
         yield number(value, 6)
         if result.reference is not None and _compared(result):
-            yield quiet("" if values is result.reference else against(value, result.reference[k]))
+            yield quiet("" if values is result.reference else relative_change(value, result.reference[k]))
 
 
-def against(value: float, before: float) -> str:
+def relative_change(value: float, before: float) -> str:
     """Format the change of a value: in per cent, or as a ratio if it is large.
 
     Parameters
@@ -327,4 +335,4 @@ def against(value: float, before: float) -> str:
     if not before:
         return ""
     ratio = value / before
-    return f"x {ratio:.3g}" if ratio >= MANY else change(ratio - 1.0)
+    return f"x {ratio:.3g}" if ratio >= RATIO_ABOVE else change(ratio - 1.0)

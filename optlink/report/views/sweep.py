@@ -18,9 +18,9 @@ from optlink.report.format import number
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection, StoredStudy
 from optlink.report.shapes import even
-from optlink.report.stored.stored_study import named_si, still, turning, with_drawings
+from optlink.report.stored.stored_study import named_si, no_animation, turning_linkage, with_drawings
 from optlink.report.stored.stored_sweep import read
-from optlink.report.style import BODIES, FOUND, LIMIT, QUIET, beside
+from optlink.report.style import BODIES, LIMIT, MUTED, RESULT, charts_per_row
 from optlink.report.view import View
 from optlink.report.views import conclusions, study_tables
 from optlink.report.views.revolutions import runs
@@ -28,19 +28,19 @@ from optlink.studies.analysis_task import FIGURES
 from optlink.studies.grid import Axis
 from optlink.studies.sweep import CHANGED, TEXT, Sweep, SweepRecord
 
-LARGE = 200_000  # largest number of points drawn
-MOST = 4000  # largest number of points of a curve; larger sweeps are thinned evenly
-PICKED = 1500  # largest number of selectable points
-SLICES = 6  # largest number of maps for three parameters
-PANELS = 4  # largest number of stacked panels
-LINES = 200  # largest number of active-set changes drawn
+MAX_POINTS = 200_000  # largest number of points drawn
+MAX_CURVE_POINTS = 4000  # largest number of points of a curve; larger sweeps are thinned evenly
+MAX_SELECTABLE = 1500  # largest number of selectable points
+MAX_MAPS = 6  # largest number of maps for three parameters
+MAX_PANELS = 4  # largest number of stacked panels
+MAX_LINES = 200  # largest number of active-set changes drawn
 ACTIVE, OTHER = "active constraints", "other constraints become active"
-EMPTY = "#e4e4e4"  # colour of points without a design
+NO_DESIGN = "#e4e4e4"  # colour of points without a design
 WORDS = dict(zip(FIGURES, ("least", "largest", "rms"), strict=True))
 
 
 @dataclass(frozen=True)
-class Table:
+class SweepTable:
     """Table of a sweep over the parameters with several values, each in rising order; `fixed` are the other parameters."""
 
     axes: tuple[Axis, ...]
@@ -49,19 +49,19 @@ class Table:
     result: Sweep
 
     @classmethod
-    def of(cls, result: Sweep) -> Table:
+    def of(cls, result: Sweep) -> SweepTable:
         """Return the table of a sweep."""
         axes = [axis for axis in result.grid.axes if len(axis.values) > 1]
-        given = [f"{axis.key} {axis.values[0]:g} {axis.unit}".rstrip() for axis in result.grid.axes if len(axis.values) == 1]
+        fixed = [f"{axis.key} {axis.values[0]:g} {axis.unit}".rstrip() for axis in result.grid.axes if len(axis.values) == 1]
         numbers = np.arange(result.grid.count).reshape([len(axis.values) for axis in axes])
         for k, axis in enumerate(axes):
             numbers = np.take(numbers, np.argsort(axis.values), axis=k)
-        return cls(tuple(Axis(a.key, a.unit, tuple(sorted(a.values))) for a in axes), tuple(given), numbers, result)
+        return cls(tuple(Axis(a.key, a.unit, tuple(sorted(a.values))) for a in axes), tuple(fixed), numbers, result)
 
     def column(self, name: str) -> NDArray[Any]:
         """Return a column of the table, shaped like the grid."""
-        found: NDArray[Any] = self.result.columns[name][self.order]
-        return found
+        values: NDArray[Any] = self.result.columns[name][self.order]
+        return values
 
     @property
     def states(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -116,68 +116,68 @@ def stored_study(record: SweepRecord, file: ProblemFile, path: Path) -> StoredSt
     InputError
         If the record is damaged, or its table is missing or belongs to another sweep.
     """
-    found = read(record, file, path)
-    table, shown, drawn = Table.of(found), study_tables.sweep(found), chart_plotly.charts(charts(found))
-    drawn = [with_drawings(chart, lambda k: _design(file, table, k)) for chart in drawn]
-    if found.evaluated:
-        counted = ", ".join(f"{count:,} {status}" for status, count in found.statuses.items()) or "analysed"
-        by = f"{'simulation' if found.mode == 'simulate' else 'analysis'} of every point"
+    sweep = read(record, file, path)
+    table, shown, figures = SweepTable.of(sweep), study_tables.sweep(sweep), chart_plotly.charts(charts(sweep))
+    figures = [with_drawings(chart, lambda k: _design(file, table, k)) for chart in figures]
+    if sweep.evaluated:
+        counted = ", ".join(f"{count:,} {status}" for status, count in sweep.statuses.items()) or "analysed"
+        by = f"{'simulation' if sweep.mode == 'simulate' else 'analysis'} of every point"
     else:
-        some = f"{found.valid:,} points verified, {found.grid.count - found.valid:,} not"
-        counted = "every point a verified local optimum" if found.complete else some
+        counted_points = f"{sweep.valid:,} points verified, {sweep.grid.count - sweep.valid:,} not"
+        counted = "every point a verified local optimum" if sweep.complete else counted_points
         by = "a local optimum at every point, verified by the validator; "
-        by += f"{found.searched:,} by a search, the others from a neighbouring optimum"
+        by += f"{sweep.searched:,} by a search, the others from a neighbouring optimum"
     return StoredStudy(
         problem=file,
         kind="sweep",
         verdict=counted[0].upper() + counted[1:],
-        valid=found.successful,
-        conclusion=conclusions.sweep(found),
+        valid=sweep.successful,
+        conclusion=conclusions.sweep(sweep),
         status=shown.status.lines,
-        sections=[PageSection("Sweep", drawn), PageSection("Figures", (shown.parts,))],
-        moving=still if table.best is None else partial(turning, *_design(file, table, table.best)),
+        sections=[PageSection("Sweep", figures), PageSection("Figures", (shown.parts,))],
+        moving=no_animation if table.best is None else partial(turning_linkage, *_design(file, table, table.best)),
         by=by,
         drawn="The best point of the sweep.",
         after=1,
     )
 
 
-def _design(file: ProblemFile, table: Table, row: int) -> tuple[ProblemFile, dict[str, float]]:
+def _design(file: ProblemFile, table: SweepTable, row: int) -> tuple[ProblemFile, dict[str, float]]:
     """Return the problem and the design [SI] of a row."""
-    there = file.override(table.result.grid.changes(row))
-    return there, named_si(there, {name: float(table.result.columns[name][row]) for name in table.designs})
+    problem = file.override(table.result.grid.changes(row))
+    return problem, named_si(problem, {name: float(table.result.columns[name][row]) for name in table.designs})
 
 
 # --- labels ----------------------------------------------------------------------------------------------------------------
 
 
-def _words(column: str) -> str:
+def _column_text(column: str) -> str:
     """Return the display name of a column with its measure and unit."""
-    stem, kind = _parted(column)
+    stem, kind = _column_and_measure(column)
     return " ".join(filter(None, [WORDS.get(kind, ""), study_tables.column_label(stem)]))
 
 
 def _axis_of(axis: Axis, limits: tuple[float, float] | None = None) -> chart_spec.Axis:
-    return chart_spec.Axis(study_tables.with_unit(axis.key, axis.unit), limits, _spread(axis))
+    return chart_spec.Axis(study_tables.with_unit(axis.key, axis.unit), limits, _axis_scale(axis))
 
 
-def _spread(axis: Axis) -> Literal["linear", "log"]:
+def _axis_scale(axis: Axis) -> Literal["linear", "log"]:
     """Return the scale of an axis: logarithmic if the ratios of its values are constant."""
     values = np.array(axis.values)
     even = len(values) > 2 and values[0] > 0.0 and np.allclose(np.diff(np.log(values)), np.log(values[1] / values[0]), rtol=1e-6)
     return "log" if even and not np.allclose(np.diff(values), values[1] - values[0], rtol=1e-6) else "linear"
 
 
-def _analysed(table: Table) -> dict[str, tuple[str, ...]]:
+def _measures_by_column(table: SweepTable) -> dict[str, tuple[str, ...]]:
     """Return the analysed columns, each with the names of its measures."""
-    found: dict[str, tuple[str, ...]] = {}
+    columns: dict[str, tuple[str, ...]] = {}
     for name in table.shown:
-        column = _parted(name)[0]
-        found[column] = (*found.get(column, ()), name)
-    return dict(list(found.items())[:PANELS])
+        column = _column_and_measure(name)[0]
+        columns[column] = (*columns.get(column, ()), name)
+    return dict(list(columns.items())[:MAX_PANELS])
 
 
-def _parted(name: str) -> tuple[str, str]:
+def _column_and_measure(name: str) -> tuple[str, str]:
     """Split a name into column and measure; the measure is empty if there is none."""
     stem, _, kind = name.rpartition(".")
     return (stem, kind) if kind in FIGURES else (name, "")
@@ -188,22 +188,22 @@ def _parted(name: str) -> tuple[str, str]:
 
 def charts(result: Sweep) -> list[ChartSpec]:
     """Return the charts over the parameters that have several values."""
-    table = Table.of(result)
-    if not table.axes or result.grid.count > LARGE:
-        return [] if not table.axes else _page_only(table)
+    table = SweepTable.of(result)
+    if not table.axes or result.grid.count > MAX_POINTS:
+        return [] if not table.axes else _extreme_charts(table)
     if len(table.axes) == 1:
         return [_curves(table)]
     if len(table.axes) == 2:
         return _maps(table)
-    return [*(_slices(table) if len(table.axes) == 3 else []), *_page_only(table)]
+    return [*(_slices(table) if len(table.axes) == 3 else []), *_extreme_charts(table)]
 
 
-def _heading(table: Table, what: str) -> str:
-    given = f", {', '.join(table.fixed)}" if table.fixed else ""
-    return f"{table.result.problem.model.title}: {what}{given}"
+def _heading(table: SweepTable, what: str) -> str:
+    fixed = f", {', '.join(table.fixed)}" if table.fixed else ""
+    return f"{table.result.problem.model.title}: {what}{fixed}"
 
 
-def _picks(table: Table, rows: NDArray[np.intp], x: Array, y: Array) -> Picks:
+def _picks(table: SweepTable, rows: NDArray[np.intp], x: Array, y: Array) -> Picks:
     """Tabulate the design of every selectable row.
 
     Parameters
@@ -217,7 +217,7 @@ def _picks(table: Table, rows: NDArray[np.intp], x: Array, y: Array) -> Picks:
     columns, result = table.result.columns, table.result
     names = [*(axis.column for axis in result.grid.axes), *table.shown, *table.designs]
     heads = [study_tables.with_unit(axis.key, axis.unit) for axis in result.grid.axes] + [
-        _words(name) for name in (*table.shown, *table.designs)
+        _column_text(name) for name in (*table.shown, *table.designs)
     ]
     words = {"status": "status", "reason": "reason"} if result.evaluated else {ACTIVE: "active", "status": "status"}
     blank = np.full(result.grid.count, "")
@@ -225,7 +225,7 @@ def _picks(table: Table, rows: NDArray[np.intp], x: Array, y: Array) -> Picks:
     point_texts = [
         (
             *(number(float(columns[name][k]), 7) for name in names),
-            *(str(one[k]) or "none" * (ACTIVE in words) for one in texts),
+            *(str(column[k]) or "none" * (ACTIVE in words) for column in texts),
         )
         for k in rows
     ]
@@ -233,59 +233,59 @@ def _picks(table: Table, rows: NDArray[np.intp], x: Array, y: Array) -> Picks:
     return Picks("point", (*heads, *words), tuple(point_texts), x, y, first, [int(k) for k in rows])
 
 
-def _picked(table: Table, rows: NDArray[np.intp]) -> NDArray[np.intp]:
+def _selectable(table: SweepTable, rows: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return the selectable rows: all, or an even selection with the best."""
-    if len(rows) <= PICKED:
+    if len(rows) <= MAX_SELECTABLE:
         return np.sort(rows)
-    some = np.sort(rows)[even(len(rows), PICKED)]
-    return np.unique([*some, *([] if table.best is None else [table.best])]).astype(np.intp)
+    selection = np.sort(rows)[even(len(rows), MAX_SELECTABLE)]
+    return np.unique([*selection, *([] if table.best is None else [table.best])]).astype(np.intp)
 
 
 # --- one parameter -----------------------------------------------------------------------------------------------------------
 
 
-def _curves(table: Table) -> ChartSpec:
+def _curves(table: SweepTable) -> ChartSpec:
     """Plot the objective and below it the design variables, one panel per unit; or the analysed quantities."""
     (axis,), x = table.axes, np.array(table.axes[0].values)
     kept = np.arange(len(x))
-    changed, missed = table.states
+    changed, unverified = table.states
     values = table.column(table.shown[0])
-    if len(x) > MOST:
+    if len(x) > MAX_CURVE_POINTS:
         marked = np.flatnonzero(changed | (table.order == table.best))
-        kept = np.unique([*even(len(x), MOST), *marked[:MOST]]).astype(np.intp)
-    picked = _picked(table, table.order[kept])
+        kept = np.unique([*even(len(x), MAX_CURVE_POINTS), *marked[:MAX_CURVE_POINTS]]).astype(np.intp)
+    picked = _selectable(table, table.order[kept])
     places = np.searchsorted(picked, table.order[kept]).clip(max=len(picked) - 1)
     picks = [int(k) if picked[k] == row else None for k, row in zip(places, table.order[kept], strict=True)]
     at = np.argsort(table.order)[picked]
-    there = np.isfinite(values)
+    valid = np.isfinite(values)
     panels: list[Panel] = []
     for label, curves in _analysis_panels(table) if table.result.evaluated else _design_panels(table):
-        colours = (FOUND, *BODIES[1:]) * len(curves)
-        look: dict[str, Any] = {"mode": "lines+markers" if len(x) <= 30 else "lines", "picks": () if panels else picks}
-        look["legend"] = len(curves) > 1
-        own = zip(curves.items(), colours, strict=False)
-        traces = [Curve(x[kept], column[kept], name, colour, **look) for (name, column), colour in own]
+        colours = (RESULT, *BODIES[1:]) * len(curves)
+        style: dict[str, Any] = {"mode": "lines+markers" if len(x) <= 30 else "lines", "picks": () if panels else picks}
+        style["legend"] = len(curves) > 1
+        coloured = zip(curves.items(), colours, strict=False)
+        traces = [Curve(x[kept], column[kept], name, colour, **style) for (name, column), colour in coloured]
         panels.append(Panel(chart_spec.Axis(label), traces, 1.2))
-    if np.any(missed & there):
-        crosses = _marked(x, values, missed & there, "not verified", LIMIT, symbol="cross")
+    if np.any(unverified & valid):
+        crosses = _marked(x, values, unverified & valid, "not verified", LIMIT, symbol="cross")
         panels[0] = replace(panels[0], traces=[*panels[0].traces, crosses])
-    lines = [Line(at, "" if k else OTHER, QUIET, 1.0, "dot") for k, at in enumerate(x[there & changed][:LINES].tolist())]
-    edges = cells(x, log=_spread(axis) == "log")
-    empty = [(edges[first], edges[last + 1], "" if k else table.empty) for k, (first, last) in enumerate(runs(~there))]
-    spans = [Span(*ends, EMPTY, 1.0, "no design") for ends in empty]
+    lines = [Line(at, "" if k else OTHER, MUTED, 1.0, "dot") for k, at in enumerate(x[valid & changed][:MAX_LINES].tolist())]
+    edges = cells(x, log=_axis_scale(axis) == "log")
+    empty = [(edges[first], edges[last + 1], "" if k else table.empty) for k, (first, last) in enumerate(runs(~valid))]
+    spans = [Span(*ends, NO_DESIGN, 1.0, "no design") for ends in empty]
     across, picks_ = _axis_of(axis, (edges[0], edges[-1]) if spans else None), _picks(table, picked, x[at], values[at])
     heading, more = _heading(table, f"over {axis.key}"), dict[str, Any](lines=lines, spans=spans, picks=picks_)
     return ChartSpec("sweep", f"Over {axis.key}", panels, across, heading, cursor=False, width=8.0, **more)
 
 
-def _marked(x: Array, y: Array, mask: NDArray[np.bool_], name: str, colour: str, **look: Any) -> Curve:
+def _marked(x: Array, y: Array, mask: NDArray[np.bool_], name: str, colour: str, **style: Any) -> Curve:
     """Return markers at the places of a mask."""
-    return Curve(x[mask][:MOST], y[mask][:MOST], name, colour, mode="markers", gid=name, **look)
+    return Curve(x[mask][:MAX_CURVE_POINTS], y[mask][:MAX_CURVE_POINTS], name, colour, mode="markers", gid=name, **style)
 
 
-def _design_panels(table: Table) -> Iterator[tuple[str, dict[str, Array]]]:
+def _design_panels(table: SweepTable) -> Iterator[tuple[str, dict[str, Array]]]:
     """Yield the label of each panel with its curves by name."""
-    yield _words(table.shown[0]), {"objective": table.column(table.shown[0])}
+    yield _column_text(table.shown[0]), {"objective": table.column(table.shown[0])}
     by_unit: dict[str, dict[str, Array]] = {}
     for column in table.designs:
         name, unit = study_tables.named(column)
@@ -294,40 +294,42 @@ def _design_panels(table: Table) -> Iterator[tuple[str, dict[str, Array]]]:
         yield study_tables.with_unit("design variables" if len(curves) > 1 else next(iter(curves)), unit), curves
 
 
-def _analysis_panels(table: Table) -> Iterator[tuple[str, dict[str, Array]]]:
-    for column, names in _analysed(table).items():
+def _analysis_panels(table: SweepTable) -> Iterator[tuple[str, dict[str, Array]]]:
+    for column, names in _measures_by_column(table).items():
         yield (
             study_tables.column_label(column),
-            {WORDS.get(_parted(name)[1], name): table.column(name) for name in names},
+            {WORDS.get(_column_and_measure(name)[1], name): table.column(name) for name in names},
         )
 
 
 # --- two and three parameters ------------------------------------------------------------------------------------------------
 
 
-def _maps(table: Table) -> list[ChartSpec]:
+def _maps(table: SweepTable) -> list[ChartSpec]:
     """Return maps of all columns; the picture has the objective, or the measures of the first analysed column."""
-    drawn = next(iter(_analysed(table).values())) if table.result.evaluated else table.shown
+    in_picture = next(iter(_measures_by_column(table).values())) if table.result.evaluated else table.shown
     up, side = table.axes
     heading = _heading(table, f"over {up.key} and {side.key}")
-    found = []
+    specs = []
     for name in (*table.shown, *table.designs):
         picks = None
         if name == table.shown[0]:
-            rows = _picked(table, table.order.ravel())
+            rows = _selectable(table, table.order.ravel())
             i, j = np.unravel_index(np.argsort(table.order.ravel())[rows], table.order.shape)
             picks = _picks(table, rows, np.array(side.values)[j], np.array(up.values)[i])
-            known = {int(row): k for k, row in enumerate(rows)}
-        pick = [[known.get(int(row)) for row in line] for line in table.order] if picks else ()
-        width, height = (8.0, 2.2) if len(drawn) == 1 else (4.4, 1.7)
-        panel = _map(table, name, ..., _words(name), height, picks=pick)
-        file = "sweep" if name in drawn else ""
-        found.append(ChartSpec(file, _words(name), [panel], _axis_of(side), heading, picks=picks, cursor=False, width=width))
-    return found
+            positions = {int(row): k for k, row in enumerate(rows)}
+        pick = [[positions.get(int(row)) for row in line] for line in table.order] if picks else ()
+        width, height = (8.0, 2.2) if len(in_picture) == 1 else (4.4, 1.7)
+        panel = _map(table, name, ..., _column_text(name), height, picks=pick)
+        file = "sweep" if name in in_picture else ""
+        specs.append(
+            ChartSpec(file, _column_text(name), [panel], _axis_of(side), heading, picks=picks, cursor=False, width=width)
+        )
+    return specs
 
 
 def _map(
-    table: Table,
+    table: SweepTable,
     name: str,
     at: Any,
     words: str,
@@ -338,61 +340,61 @@ def _map(
     """Return a map of a column over the last two parameters with its marks."""
     up, side = table.axes[-2:]
     values, rows = np.asarray(table.column(name), dtype=float)[at], table.order[at]
-    there = np.isfinite(values)
+    valid = np.isfinite(values)
     x, y = np.meshgrid(side.values, up.values)
-    changed, missed = (there & mask[at] for mask in table.states)
-    best = there & (rows == (-1 if table.best is None else table.best))
+    changed, unverified = (valid & mask[at] for mask in table.states)
+    best = valid & (rows == (-1 if table.best is None else table.best))
     traces: list[Any] = [HeatMap(np.array(side.values), np.array(up.values), values, words, limits, picks)]
-    looks: tuple[tuple[Any, str, str, Any, Any], ...] = (
+    mark_styles: tuple[tuple[Any, str, str, Any, Any], ...] = (
         (changed, OTHER, "#ffffff", "circle", 1.5 if max(values.shape) > 30 else 2.5),
-        (missed, "not verified", LIMIT, "cross", 5.0),
+        (unverified, "not verified", LIMIT, "cross", 5.0),
         (best, "best", LIMIT, "star", 9.0),
     )
-    for mask, word, colour, symbol, size in looks:
+    for mask, word, colour, symbol, size in mark_styles:
         if np.any(mask):
             traces.append(_marked(x, y, mask, word, colour, symbol=symbol, size=size, hover=False))
-    if not np.all(there):
-        traces.append(Curve.entry(table.empty, EMPTY, mode="markers", symbol="square", size=7.0, hover=False))
+    if not np.all(valid):
+        traces.append(Curve.entry(table.empty, NO_DESIGN, mode="markers", symbol="square", size=7.0, hover=False))
     return Panel(_axis_of(up), traces, height)
 
 
-def _slices(table: Table) -> list[ChartSpec]:
+def _slices(table: SweepTable) -> list[ChartSpec]:
     """Return maps over the second and third parameter for some values of the first, with a common colour scale."""
     slow, up, side = table.axes
-    chosen = even(len(slow.values), SLICES)
-    columns = beside(len(chosen))
-    names = next(iter(_analysed(table).values())) if table.result.evaluated else table.shown
+    chosen = even(len(slow.values), MAX_MAPS)
+    columns = charts_per_row(len(chosen))
+    names = next(iter(_measures_by_column(table).values())) if table.result.evaluated else table.shown
     name = next((name for name in names if name.endswith(".rms")), names[0])
-    known = np.asarray(table.column(name), dtype=float)[chosen]
-    limits = (float(np.nanmin(known)), float(np.nanmax(known))) if np.any(np.isfinite(known)) else (0.0, 1.0)
-    some = "" if len(chosen) == len(slow.values) else f" ({len(chosen)} of its {len(slow.values)} values)"
-    heading = _heading(table, f"{_words(name)} over {slow.key}{some}, {up.key} and {side.key}")
-    found = []
+    values = np.asarray(table.column(name), dtype=float)[chosen]
+    limits = (float(np.nanmin(values)), float(np.nanmax(values))) if np.any(np.isfinite(values)) else (0.0, 1.0)
+    selection = "" if len(chosen) == len(slow.values) else f" ({len(chosen)} of its {len(slow.values)} values)"
+    heading = _heading(table, f"{_column_text(name)} over {slow.key}{selection}, {up.key} and {side.key}")
+    specs = []
     for k, at in enumerate(chosen):
         last = (k + 1) % columns == 0  # with the colour bar of its row
-        panel = _map(table, name, int(at), _words(name) if last else "", 1.3, limits)
+        panel = _map(table, name, int(at), _column_text(name) if last else "", 1.3, limits)
         title = f"{slow.key} {slow.values[at]:.6g} {slow.unit}".rstrip()
         width = 12.0 / columns + 1.0 * last
-        found.append(ChartSpec("sweep", title, [panel], _axis_of(side), heading, page=False, row=k // columns, width=width))
-    return found
+        specs.append(ChartSpec("sweep", title, [panel], _axis_of(side), heading, page=False, row=k // columns, width=width))
+    return specs
 
 
-def _page_only(table: Table) -> list[ChartSpec]:
+def _extreme_charts(table: SweepTable) -> list[ChartSpec]:
     """Return the least and largest value of each quantity over each of many parameters, taken over the others."""
-    found = []
+    specs = []
     for k, axis in enumerate(table.axes):
-        others = tuple(i for i in range(len(table.axes)) if i != k)
+        other_axes = tuple(i for i in range(len(table.axes)) if i != k)
         panels: list[Panel] = []
-        for name in table.shown[:PANELS]:
+        for name in table.shown[:MAX_PANELS]:
             values = np.asarray(table.column(name), dtype=float)
-            known = np.any(np.isfinite(values), axis=others)
-            x, own = np.array(axis.values)[known], np.compress(known, values, axis=k)
-            low, high = np.nanmin(own, axis=others), np.nanmax(own, axis=others)
-            least = Curve(x, low, "least of all points with that value", FOUND, mode="lines+markers", legend=not panels)
-            largest = Curve(x, high, "largest of them", QUIET, 1.0, "dash", legend=not panels)
-            panels.append(Panel(chart_spec.Axis(_words(name)), [least, largest]))
-        found.append(ChartSpec("", f"Over {axis.key}", panels, _axis_of(axis), cursor=False))
-    return found
+            valid = np.any(np.isfinite(values), axis=other_axes)
+            x, extremes = np.array(axis.values)[valid], np.compress(valid, values, axis=k)
+            low, high = np.nanmin(extremes, axis=other_axes), np.nanmax(extremes, axis=other_axes)
+            least = Curve(x, low, "least of all points with that value", RESULT, mode="lines+markers", legend=not panels)
+            largest = Curve(x, high, "largest of them", MUTED, 1.0, "dash", legend=not panels)
+            panels.append(Panel(chart_spec.Axis(_column_text(name)), [least, largest]))
+        specs.append(ChartSpec("", f"Over {axis.key}", panels, _axis_of(axis), cursor=False))
+    return specs
 
 
 VIEW = View(charts=charts, page=stored_study)

@@ -13,8 +13,8 @@ from optlink.problem.file import ProblemFile
 from optlink.report.chart_spec import Array, Axis, Band, Bars, ChartSpec, Curve, Line, Panel, Trace, crank_angle
 from optlink.report.html import chart_plotly
 from optlink.report.html.shell import PageSection, StoredStudy
-from optlink.report.stored.stored_study import turning
-from optlink.report.style import BODIES, CRANK, FOUND, LIMIT, SHADE, TARGET
+from optlink.report.stored.stored_study import turning_linkage
+from optlink.report.style import BODIES, CRANK, LIMIT, RESULT, SHADE, TARGET
 from optlink.report.view import View
 from optlink.report.views import conclusions, tolerance_tables
 from optlink.report.views.tolerance_tables import judged_value
@@ -23,8 +23,8 @@ from optlink.studies.tolerance.monte_carlo import MonteCarloRecord
 from optlink.units import percent
 
 COLOURS = (CRANK, *BODIES)
-NEAR = 2.5  # the limit is drawn up to this multiple of the drawn range
-BARS = 60  # largest number of bars in a histogram
+LIMIT_RATIO = 2.5  # the limit is drawn up to this multiple of the drawn range
+MAX_BINS = 60  # largest number of bars in a histogram
 
 
 # --- the page ----------------------------------------------------------------------------------------------------------------
@@ -59,7 +59,9 @@ def stored_study(record: ToleranceRecord, file: ProblemFile, _: Path) -> StoredS
         status=shown.status.lines,
         sections=[PageSection("Scatter", chart_plotly.charts(charts(record))), PageSection("Figures", (shown.parts,))],
         moving=partial(
-            turning, file, {name: value for name, value in record.sizes_SI.items() if name in file.model.mechanism.quantities}
+            turning_linkage,
+            file,
+            {name: value for name, value in record.sizes_SI.items() if name in file.model.mechanism.quantities},
         ),
         by=by,
         drawn="The linkage with nominal dimensions.",
@@ -118,17 +120,17 @@ def _band(record: ToleranceRecord) -> ChartSpec:
     wide = x if len(x) > 1 else x + np.array([-0.5, 0.5])  # a single angle has a visible band too
     low, high = (np.broadcast_to(k * (base + column), wide.shape) for column in (linear.worst_low, linear.worst_high))
     traces: list[Trace] = [Band(wide, low, high, "worst case", SHADE, 1.0)]
-    traces += [Curve(x, k * base, "nominal", FOUND, 2.0, mode=mode)] if error else []
+    traces += [Curve(x, k * base, "nominal", RESULT, 2.0, mode=mode)] if error else []
     for sign in (1.0, -1.0):
         three = k * (base + linear.shift + 3.0 * sign * linear.sigma)
-        traces.append(Curve(x, three, "three standard deviations", FOUND, 1.2, "dash", mode, legend=sign > 0.0))
+        traces.append(Curve(x, three, "three standard deviations", RESULT, 1.2, "dash", mode, legend=sign > 0.0))
     if record.monte_carlo is not None:
         ends = f"ends of {record.monte_carlo.samples:,} samples"
         for column, legend in ((record.monte_carlo.most, True), (record.monte_carlo.least, False)):
             traces.append(Curve(x, k * (base + column), ends, TARGET, 1.1, "dot", mode, legend=legend))
-    reach = 1.05 * max(float(np.nanmax(np.abs(y))) for one in traces for y in _heights(one))
+    reach = 1.05 * max(float(np.nanmax(np.abs(y))) for trace in traces for y in _heights(trace))
     words, lines, ends_of_y = f"limit ±{limit:.5g} {record.display_unit}", list[Line](), None
-    if limit <= NEAR * reach:
+    if limit <= LIMIT_RATIO * reach:
         lines = [Line(limit, words, LIMIT, 1.6, "solid"), Line(-limit, "", LIMIT, 1.6, "solid")]
         ends_of_y = -max(reach, 1.1 * limit), max(reach, 1.1 * limit)
     elif math.isfinite(limit):
@@ -147,7 +149,7 @@ def _heights(trace: Trace) -> tuple[Array, ...]:
 def _histogram(record: ToleranceRecord, sampled: MonteCarloRecord) -> ChartSpec:
     """Plot the histogram of the largest error or change of each sample, and the limit."""
     counts, edges = sampled.histogram.counts, record.scale * sampled.histogram.edges
-    merged = max(1, -(-len(counts) // BARS))
+    merged = max(1, -(-len(counts) // MAX_BINS))
     starts = np.arange(0, len(counts), merged)
     left, right = edges[starts], edges[np.minimum(starts + merged, len(counts))]
     heights = 100.0 * np.add.reduceat(counts, starts) / sampled.samples
@@ -155,12 +157,12 @@ def _histogram(record: ToleranceRecord, sampled: MonteCarloRecord) -> ChartSpec:
     limited = math.isfinite(limit)
     over = middle > limit
     bars = [
-        Bars(middle[own], heights[own], words, colour, (right - left)[own], legend=limited)
-        for own, words, colour in ((~over, "within the limit" if limited else "samples", FOUND), (over, "beyond it", LIMIT))
-        if np.any(own)
+        Bars(middle[mask], heights[mask], words, colour, (right - left)[mask], legend=limited)
+        for mask, words, colour in ((~over, "within the limit" if limited else "samples", RESULT), (over, "beyond it", LIMIT))
+        if np.any(mask)
     ]
     low, high = sampled.interval
-    share, least, most = (percent(one, 3) for one in (sampled.share, low, high))
+    share, least, most = (percent(value, 3) for value in (sampled.share, low, high))
     remark = f"Yield {share}, with 95 % confidence {least} ... {most}." if limited else ""
     what = judged_value(record) if np.any(record.judged_as_drawn) else f"change of {record.output}"
     title = f"{sampled.samples:,} linkages with their tolerances"

@@ -90,12 +90,14 @@ def _redesigned(file: ProblemFile, record: ToleranceRecord, robust: RobustRecord
     largest = (robust.largest_of_the_nominal_design_rad, robust.largest_rad)
     words = "largest, nominal" if counted == YIELD else "largest"
     rows.append((words, *(fixed(math.degrees(value), 4) for value in largest), "deg"))
-    best, own = robust.monte_carlo_of_the_nominal_design, record.monte_carlo
-    if best is not None and own is not None and math.isfinite(record.limit):
+    best, redesign = robust.monte_carlo_of_the_nominal_design, record.monte_carlo
+    if best is not None and redesign is not None and math.isfinite(record.limit):
         limit = f"within {number(math.degrees(record.limit))} deg"
-        rows.append(("yield", percent(best.share, 3), strong(percent(own.share, 3)), quiet(limit)))
+        rows.append(("yield", percent(best.share, 3), strong(percent(redesign.share, 3)), quiet(limit)))
         for end, name in enumerate(("at least", "at most")):
-            rows.append([quiet(text) for text in (name, *(percent(one.interval[end], 3) for one in (best, own)), INTERVAL)])
+            rows.append(
+                [quiet(text) for text in (name, *(percent(sample.interval[end], 3) for sample in (best, redesign)), INTERVAL)]
+            )
     passed = "verified; no design with a higher yield was found" if counted == YIELD else "verified"
     failed = ": ".join(filter(None, ("not verified", ", ".join(robust.failed_checks or ()))))
     notes = [good(passed) if robust.valid else bad(failed)]
