@@ -24,7 +24,7 @@ from optlink.optimization.nlp import NLP
 from optlink.solvers.contract import BACKENDS, backend
 from optlink.solvers.elastic_programme import FEASIBLE_SLACK, FREE, Limit, elastic_programme, limit_sides, limits_of
 from optlink.solvers.multistart import starts
-from optlink.solvers.solution import Relaxation
+from optlink.solvers.solution import FEASIBLE, Relaxation, violation
 
 STARTS, LOOKED_AT = 6, 256  # starting points used, of those sampled: the first at which every limit is finite
 FIRST_ORDER, EVEN, ROUNDS = 1e-4, 1e-4, 4
@@ -73,6 +73,11 @@ class _Search:
         self.last: list[Array] = []  # end of the previous search
         self.solvers = [backend(name) for name in reversed(names)]
         self.enough, self.amount, self.exchange_converged = ENOUGH, False, True
+        self.tight, self.feasible = False, FEASIBLE_SLACK
+
+    def tighten(self) -> None:
+        """Search with the tightest tolerances, for limits that are missed by little more than a solver's violation."""
+        self.tight, self.feasible = True, FEASIBLE
 
     def least(self, weights: Array, most_slack: Array) -> tuple[float, Array]:
         """Return the least weighted slack, and x with the slacks; `most_slack` (k,) are the upper bounds of the slacks.
@@ -84,7 +89,7 @@ class _Search:
         total, x = self._searched(weights, most_slack, self.enough)
         self.exchange_converged = self.follow is None
         for _ in range(EXCHANGES):
-            if self.follow is None or not math.isfinite(total) or (total > FEASIBLE_SLACK and not self.amount):
+            if self.follow is None or not math.isfinite(total) or (total > self.feasible and not self.amount):
                 break
             self.p = self.follow(x[: self.n]).copy()
             self.exchange_converged = self._violation(x, weights) <= FOLLOWED
@@ -144,8 +149,8 @@ class _Search:
         for point, solver in [(point, self.solvers[(i + k) % len(turns)]) for k in turns for i, point in enumerate(points)]:
             x = self._slackened(point, weights, most_slack)
             for run in (None, solver):  # the point itself may be feasible
-                end = x if run is None else run(nlp, x, p).x
-                total = float(weights @ end[self.n :]) if self._violation(end, weights) <= FEASIBLE_SLACK else math.inf
+                end = x if run is None else run(nlp, x, p, tight=self.tight).x
+                total = float(weights @ end[self.n :]) if self._violation(end, weights) <= self.feasible else math.inf
                 if total < best:
                     best, best_x, self.last = total, end, [end[: self.n]]
                 if best <= 1e-9:
@@ -199,18 +204,21 @@ def explain(
     free = np.full(k, FREE)
     search.enough = AGREEING if quick else ENOUGH
     total, x = search.least(np.ones(k), free)
+    if total <= search.feasible and not (quick or _feasible(nlp, x[: search.n], search.p)):
+        search.tighten()
+        total, x = search.least(np.ones(k), free)
     search.enough = 1 if quick else ENOUGH
-    if total <= FEASIBLE_SLACK:
+    if total <= search.feasible:
         return np.clip(x[: search.n], nlp.x_low, nlp.x_high)
     if not math.isfinite(total):
         return Explanation(search.points[0], (), ())
     search.points, slacks = [x[: search.n], *search.points], x[search.n :]
     together: list[Relaxation] = []
     for limit, slack in zip(limits, slacks, strict=True):
-        if slack > FEASIBLE_SLACK:
+        if slack > search.feasible:
             together += limit.relaxations(slack * limit.shares(FIRST_ORDER), nlp, x[: search.n], search.p, follow is not None)
     conflict: list[Relaxation] = []
-    conflicting = _irreducible(search, free, slacks > FEASIBLE_SLACK)
+    conflicting = _irreducible(search, free, slacks > search.feasible)
     search.enough, search.amount = AGREEING if quick else ENOUGH, True
     for i in conflicting:
         least, end = search.alone(i)
@@ -262,6 +270,12 @@ def tightest(nlp: NLP, key: str, sense: str, point: Array) -> float:
     return limits[0].sides[0].relaxation(float(search.alone(0)[0][0])).relaxed
 
 
+def _feasible(nlp: NLP, x: Array, p: Array) -> bool:
+    """Return whether a point meets all limits as accurately as a solution must."""
+    inside = np.clip(x, nlp.x_low, nlp.x_high)
+    return violation(nlp, inside, nlp.values(inside, p)[1]) <= FEASIBLE
+
+
 def _begin(nlp: NLP, seed: int) -> list[Array]:
     points = starts(nlp, LOOKED_AT, seed)
     return sorted(points, key=lambda point: not np.all(np.isfinite(nlp.values(point, nlp.p)[1])))[:STARTS]
@@ -271,12 +285,12 @@ def _irreducible(search: _Search, free: Array, giving: NDArray[np.bool_]) -> lis
     """Return indices of an irreducible infeasible set of limits; `giving` (k,): limits with positive slack at first."""
     k = len(free)
     for i in np.argsort(~giving, kind="stable").tolist():  # a limit that is infeasible on its own is the simplest conflict
-        if FEASIBLE_SLACK < search.least(np.eye(k)[i], free)[0] < math.inf:
+        if search.feasible < search.least(np.eye(k)[i], free)[0] < math.inf:
             return [i]
     conflict = _conflicting(search, free, giving)
     for i in map(int, np.flatnonzero(conflict)):
         conflict[i] = 0.0
-        if not FEASIBLE_SLACK < search.least(conflict, free)[0] < math.inf:
+        if not search.feasible < search.least(conflict, free)[0] < math.inf:
             conflict[i] = 1.0
     return [int(i) for i in np.flatnonzero(conflict)]
 
@@ -284,9 +298,9 @@ def _irreducible(search: _Search, free: Array, giving: NDArray[np.bool_]) -> lis
 def _conflicting(search: _Search, free: Array, giving: NDArray[np.bool_]) -> Array:
     """Return 1 for limits of an infeasible set, 0 for the others (elastic filter); 1 for all if a search fails."""
     conflicting = np.where(giving, 1.0, 0.0)
-    while search.least(conflicting, free)[0] <= FEASIBLE_SLACK:
+    while search.least(conflicting, free)[0] <= search.feasible:
         _, x = search.least(1.0 - conflicting, np.where(conflicting > 0.0, 0.0, free))
-        giving = (x[search.n :] > FEASIBLE_SLACK) & (conflicting == 0.0)
+        giving = (x[search.n :] > search.feasible) & (conflicting == 0.0)
         if not np.all(np.isfinite(x)) or not np.any(giving):
             return np.ones(len(free))
         conflicting[giving] = 1.0

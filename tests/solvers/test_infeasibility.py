@@ -68,6 +68,21 @@ def test_what_has_no_part_in_a_limit_cannot_conflict() -> None:
     assert "phi0" in {side.name for side in limit_sides(build(narrow.spec))}
 
 
+@pytest.mark.parametrize("miss", [2e-5, 2e-6])
+def test_limits_missed_by_little_more_than_the_tolerance_of_a_solver_are_named(miss: float) -> None:
+    """Of crank-rockers with crank r, frame d and coupler a, that of equal strokes has the best worst transmission angle.
+
+    Its rocker is b with d^2 + r^2 = a^2 + b^2, and its worst cosine r d / (a b).
+    """
+    r, d, a = 0.1, 0.5, 0.4  # m
+    best = math.degrees(math.acos(r * d / (a * math.sqrt(d**2 + r**2 - a**2))))
+    limit = [f"{best + miss!r} deg", f"{180.0 - best - miss!r} deg"]
+    found = solve(optlink.load("crank-rocker", {"mechanism.coupler": "400 mm", "limits.transmission_angle": limit}))
+    assert found.status.value == "infeasible"
+    assert {item.key for item in found.conflict} == {"limits.transmission_angle"}
+    assert all(item.amount == pytest.approx(miss, abs=math.degrees(2e-8)) for item in found.conflict)
+
+
 @pytest.mark.slow
 def test_both_sides_of_a_range_are_relaxed_as_one() -> None:
     """A wiper with 45..135 deg: either side gives to the best transmission angle of its swing.
