@@ -310,20 +310,28 @@ def _check_form(text: str, kind: str) -> None:
         raise UnitProblem(f"{_a(kind)} must be finite", f'Write a number and a unit: "{expected_kind.example}"')
     if split_range(text) is not None:
         raise UnitProblem(f"one {kind} is needed here, not a range", f'Write one value: "{expected_kind.example}"')
-    comma, groups = re.fullmatch(_COMMA, text), re.fullmatch(_GROUPS, text)
-    if comma is not None:
+    numbers, unit = respelled(text)
+    if numbers:
+        unit = unit or expected_kind.display
+        parse(f"{numbers[0]} {unit}", kind)
+        written = " or ".join(f'"{number} {unit}"' for number in numbers)
+        if len(numbers) > 1:
+            raise UnitProblem("the comma may separate decimals or thousands", f"Write {written}")
+        if re.fullmatch(_COMMA, text):
+            raise UnitProblem("this has a decimal comma", f"Write a decimal point: {written}")
+        raise UnitProblem("thousands separators are not read", f"Write {written}")
+
+
+def respelled(text: str) -> tuple[tuple[str, ...], str]:
+    """Return the numbers that a text with a decimal comma or thousands separators may mean, none for any other, and its unit."""
+    if comma := re.fullmatch(_COMMA, text):
         sign, whole, decimals, unit = comma.groups()
-        clear = f"{sign}{whole}.{decimals} {unit or expected_kind.display}"
-        parse(clear, kind)
-        if len(decimals) != 3 or len(whole) > 3 or whole.startswith("0"):
-            raise UnitProblem("this has a decimal comma", f'Write a decimal point: "{clear}"')
-        other = f"{sign}{whole}{decimals} {unit or expected_kind.display}"
-        raise UnitProblem("the comma may separate decimals or thousands", f'Write "{clear}" or "{other}"')
-    if groups is not None:
+        sure = len(decimals) != 3 or len(whole) > 3 or whole.startswith("0")
+        return (f"{sign}{whole}.{decimals}", *(() if sure else (f"{sign}{whole}{decimals}",))), unit or ""
+    if groups := re.fullmatch(_GROUPS, text):
         whole, decimals, unit = groups.groups()
-        clear = f"{re.sub('[^-+0-9]', '', whole)}{f'.{decimals}' if decimals else ''} {unit or expected_kind.display}"
-        parse(clear, kind)
-        raise UnitProblem("thousands separators are not read", f'Write "{clear}"')
+        return (f"{re.sub('[^-+0-9]', '', whole)}{f'.{decimals}' if decimals else ''}",), unit or ""
+    return (), ""
 
 
 def split_range(text: str) -> dict[str, str | float] | None:

@@ -34,7 +34,7 @@ def gauss_points(a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def jumps(machine: Machine, low: float, high: float) -> Array:
-    """Return the crank angles [rad] between `low` and `high` at which a load or friction may jump, rising.
+    """Return the crank angles [rad] from `low` to below `high` at which a load or friction may jump, rising.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def _panels(low: float, high: float) -> int:
 
 def _rising(lists: list[Array], low: float, high: float) -> Array:
     angles = distinct(np.concatenate([*lists, np.empty(0)]))
-    inside = angles[(angles > low) & (angles < high)]
+    inside = angles[(angles >= low) & (angles < high)]
     keep = np.concatenate([np.ones(min(1, len(inside)), dtype=bool), np.diff(inside) > 1e-12])
     return np.asarray(inside[keep])
 

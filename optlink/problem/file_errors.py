@@ -20,6 +20,7 @@ from optlink.problem.function import DesignProblem
 from optlink.problem.machine.model import Problem
 from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.quantity import Unusable, nearest
+from optlink.problem.targets.target_points import file_kind
 from optlink.units import split
 
 
@@ -290,22 +291,7 @@ def similar_name(text: str, names: Iterable[str]) -> str:
     return f"{guess}`optlink list` names the shipped ones; or give the path of a .toml file"
 
 
-BINARY = {
-    b"PK\x03\x04": "a ZIP archive, such as an Excel or Word file",
-    b"%PDF": "a PDF file",
-    b"\x89PNG": "a picture",
-    b"\xff\xd8\xff": "a picture",
-    b"GIF8": "a picture",
-    b"\xd0\xcf\x11\xe0": "an Office file",
-}
-"""Kinds of files that are no text, by their first bytes."""
-
-
 TOML_FILE = "Give the path of a problem file, a .toml text file"
-
-
-def _kind(data: bytes) -> str:
-    return next((words for start, words in BINARY.items() if data.startswith(start)), "")
 
 
 def text_fault(data: bytes, error: UnicodeDecodeError, file: str) -> Fault:
@@ -321,7 +307,7 @@ def text_fault(data: bytes, error: UnicodeDecodeError, file: str) -> Fault:
     """
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         return Fault(f"not UTF-8 text: byte {error.start} (it is UTF-16)", "Save the file as UTF-8", file)
-    if (kind := _kind(data)) or b"\0" in data:
+    if (kind := file_kind(data)) or b"\0" in data:
         return Fault(f"this is {kind or 'not a text file'}", TOML_FILE, file)
     line = data.count(b"\n", 0, error.start) + 1
     return Fault(f"not UTF-8 text: byte 0x{data[error.start]:02X} in line {line}", "Save the file as UTF-8", file)
@@ -342,7 +328,7 @@ def toml_fault(message: str, file: str, text: str = "") -> Fault:
     if text.lstrip().startswith("{"):
         remedy = "Give the problem, with --design FILE or --certificate FILE; only `report` and `export` read a result itself"
         return Fault("this is JSON, not a problem file in TOML", remedy, file)
-    if kind := _kind(text[:8].encode()):
+    if kind := file_kind(text[:8].encode()):
         return Fault(f"this is {kind}", TOML_FILE, file)
     if "\0" in text:
         return Fault("not UTF-8 text: it contains NUL characters", "Save the file as UTF-8", file)

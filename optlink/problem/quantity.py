@@ -212,13 +212,18 @@ def check_range(key: str, value: float, low: float, high: float) -> None:
         raise InputError("out of range", f"Give a number from {low:,} to {high:,}", key=key, value=value)
 
 
+def largest(kind: str) -> float:
+    """Return the largest value [SI] of a physical kind that is read."""
+    return LARGEST_ANGLE if kind == "angle" else LARGEST
+
+
 def _possible(value: float, text: object, kind: str, key: str = "") -> float:
     if kind == "length" and value <= 0.0:
         raise Unusable("a length must be positive", f'Give one above zero, for example "{KINDS[kind].example}"', key, text)
     if kind == "length" and not SHORTEST <= value <= LONGEST:
         raise Unusable("no linkage has such a length", "Give one between 1e-9 m and 1000 km, and check its unit", key, text)
-    if abs(value) > (largest := LARGEST_ANGLE if kind == "angle" else LARGEST):
-        remedy = f'Give at most {largest:.0e} {KINDS[kind].si}, for example "{KINDS[kind].example}", and check its unit'
+    if abs(value) > largest(kind):
+        remedy = f'Give at most {largest(kind):.0e} {KINDS[kind].si}, for example "{KINDS[kind].example}", and check its unit'
         raise Unusable("the value is too large", remedy, key, text)
     return value
 

@@ -16,7 +16,7 @@ from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import in_folder
 from optlink.problem.mechanism import DyadsSection, FourBarSection
 from optlink.problem.quantity import Quantity, Unusable, below, check_keys, check_name, nearest
-from optlink.problem.targets.law import read_columns
+from optlink.problem.targets.csv_table import read_columns
 from optlink.units import parse, plain
 
 NORMAL, CONTACT, MEASURED = "normal", "contact", "measured"
@@ -319,8 +319,6 @@ def _deviation(entry: ToleranceEntry, name: str, size: str, kind: str, shape: st
         except Unusable as error:
             remedy = error.remedy.replace("the problem file", "the working folder") if entry.folder == Path() else error.remedy
             raise Unusable(error.message, remedy, name, entry.text if error.value is None else error.value) from None
-        if len(values) < 2:
-            raise Unusable("one deviation is no distribution", "Give at least two rows", name, entry.text)
         return Deviation(name, size, kind, max(map(abs, values)), MEASURED, tuple(values), entry.cost)
     with below(name, entry.text):
         value, _ = parse(entry.text, kind)

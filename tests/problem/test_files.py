@@ -14,6 +14,8 @@ import optlink
 from optlink.errors import InputError
 from optlink.problem.assignment import parse_assignment
 from optlink.problem.file import load, read
+from optlink.problem.quantity import Unusable
+from optlink.problem.targets.law import read_output_law
 
 LONG = "1+" * 5000 + "1"
 DEEP = "(" * 1000 + "1" + ")" * 1000
@@ -318,7 +320,9 @@ def test_table_from_csv(crank_rocker, tmp_path):
         ("phi_deg;psi_deg\n0;0\n15;2,5\n", "row 3 of law.csv has a decimal comma in column psi_deg"),
         ("x,y\n0,0\n", "no column phi_deg"),
         ("", "no column phi_deg"),
-        ("phi_deg,psi_deg\n0,0\n0,1\n", "row 2"),
+        ("phi_deg,psi_deg\n0,0\n0,1\n", "row 3 of law.csv has phi_deg = 0 after 0"),
+        ("phi_deg,psi_deg\n0,0\n5,1e300\n", "row 3 of law.csv has too large a value in column psi_deg"),
+        ("phi_deg,psi_deg\n0,0\n3.1416,1\n6.2832,2\n", "this is one revolution in radians. Name the column phi_rad"),
         ("phi_deg,psi_deg\n" + "0,0\n" * 10_001, "more than 10,000"),
     ],
 )
@@ -326,6 +330,12 @@ def test_bad_csv_names_the_row(crank_rocker, tmp_path, content, words):
     (tmp_path / "law.csv").write_text(content)
     with pytest.raises(InputError, match=words):
         read({**crank_rocker.raw, "requirement": {"law": {"csv": "law.csv"}}}, folder=tmp_path)
+
+
+def test_a_table_of_two_outputs_is_ambiguous(tmp_path):
+    (tmp_path / "law.csv").write_text("phi_deg,s_in,psi_deg\n0,0,0\n5,1,1\n")
+    with pytest.raises(Unusable, match="columns of two outputs, s_in and psi_deg"):
+        read_output_law({"csv": "law.csv"}, tmp_path)
 
 
 def test_table_rows_or_points_between_them(crank_rocker):

@@ -386,7 +386,7 @@ def test_numbers_that_break_the_arithmetic_do_not_warn(name, changes):
         ("angle,force_N\n0,0\n15,1\n", "no column phi_deg or phi_rad"),
         ("", "no column phi_deg"),
         ("phi_deg,force_N\n0,0\n", "two or more"),
-        ("phi_deg,force_N\n0,0\n10,1\n5,2\n", "must rise"),
+        ("phi_deg,force_N\n0,0\n10,1\n5,2\n", "row 4 of force.csv has phi_deg = 5 after 10, which must rise"),
         ("phi_deg,force_N\n0,0\n361,1\n", "longer than one revolution"),
         ("phi_deg,force_N\n" + "0,0\n" * 10_001, "more than 10,000"),
         ("\0,\n", "csv|column"),

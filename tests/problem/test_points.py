@@ -205,6 +205,27 @@ def test_csv_in_any_order_with_gaps(tmp_path):
     assert wanted.note == ""
 
 
+@pytest.mark.parametrize(
+    "content",
+    [
+        "x_mm\ty_mm\n1\t-2\n3\t4\n".encode("utf-16"),  # the "Unicode text" of Excel
+        "# Länge in mm\nx_mm,y_mm\n1,-2\n3,4\n".encode("latin-1"),
+        "x_mm,y_mm\n1,\u22122\n3,4\n".encode(),
+        b'"x_mm", "y_mm"\n"1", "-2"\n"3", "4"\n',
+        b'% from a drawing: "A, \r\nx_mm,y_mm\r\n1,-2\r\n  # the last one\r\n3,4',
+    ],
+    ids=["UTF-16", "Latin-1", "minus sign", "blanks before quotes", "comments"],
+)
+def test_csv_in_other_spellings_is_the_same(tmp_path, content):
+    (tmp_path / "c.csv").write_bytes(content)
+    np.testing.assert_allclose(mm(read_points({"csv": "c.csv"}, tmp_path)), [[1, -2], [3, 4]])
+
+
+def test_comments_count_as_rows_of_the_file(tmp_path):
+    (tmp_path / "c.csv").write_text("# a\nx_mm,y_mm\n% b\n1,2\n3,x\n")
+    refused({"csv": "c.csv"}, tmp_path, "csv", "row 5 of c.csv")
+
+
 @pytest.mark.parametrize("sign", [";", "\t"])
 def test_csv_with_other_delimiters_is_the_same(tmp_path, sign):
     (tmp_path / "c.csv").write_text(f"x_mm{sign}y_mm\r\n1{sign}2\r\n3{sign}4\r\n")
@@ -251,7 +272,7 @@ def test_repeated_rows_do_no_harm_where_the_curve_is_reduced(tmp_path):
         (b"x_deg,y_mm\n3,4\n", 'unknown column "x_deg"'),
         (b"x_mm,weight\n3,4\n", "has no column y_mm"),
         (b"x_mm,y_mm,x_m\n3,4,5\n", "has two columns of x"),
-        (b"x_mm,,y_mm\n3,4,5\n", 'unknown column ""'),
+        (b"x_mm,,y_mm\n3,4,5\n", "column 2 of c.csv has no title"),
         (b"x_mm,y_mm\n1,2\n\n3,abc\n", "row 4 of c.csv has no finite number in column y_mm"),
         (b"x_mm,y_mm\n1,2\n3\n", "row 3 of c.csv has no finite number in column y_mm"),
         (b"x_mm,y_mm\n1,2\nnan,1\n", "row 3 of c.csv has no finite number in column x_mm"),
@@ -264,13 +285,21 @@ def test_repeated_rows_do_no_harm_where_the_curve_is_reduced(tmp_path):
         (b"x_mm,y_mm\n1,2\n3,4\n\n3,4\n", "rows 3 and 5 of c.csv coincide"),
         (b"x_mm,y_mm\n" + b"3,4\n" * 1000, "all points coincide"),
         (b"x_mm,y_mm\n1,5,2,5\n", "row 2 of c.csv has 4 cells, the title row has 2"),
+        (b'x_mm,y_mm\n"1,234",2\n', "row 2 of c.csv has a comma that may separate decimals or thousands in column x_mm"),
+        (b"x_mm;y_mm\n1 234;2\n", "row 2 of c.csv has thousands separators in column x_mm"),
+        (b"x_mm,y_mm\n1,2 mm\n", "row 2 of c.csv has a unit in column y_mm"),
+        (b"x_mm,y_mm\n1,2\n#N/A,2\n#DIV/0!,3\n", "row 3 of c.csv has no finite number in column x_mm"),  # no comments
+        (b"x_mm y_mm\n1 2\n", "c.csv has a single column"),
+        (b"x_mm,y_mm,crank_deg\n1,2,0\n3,4,3.1\n5,6,6.2832\n", "this is one revolution in radians"),
         (b"x_mm,y_mm\n1,1_0\n", "row 2 of c.csv has no finite number in column y_mm"),
         ("x_mm,y_mm\n1,\u0663\n".encode(), "row 2 of c.csv has no finite number in column y_mm"),
         (b"x_mm;y_mm\n1,5;2,5\n", "row 2 of c.csv has a decimal comma in column x_mm"),
         (b'x_mm,y_mm\n"1.000,5",2\n', "row 2 of c.csv has a decimal comma in column x_mm"),
         (b"sep=;\r\nx_mm;y_mm\r\n1;2\r\n3;4,5\r\n", "row 4 of c.csv has a decimal comma in column y_mm"),
         (b"x_mm,y_mm\n1,1e300\n", "row 2 of c.csv lies too far away"),
-        (b"\xff\xfe\x00x", "not a CSV text file"),
+        (b"\xff\xfex", "not a CSV text file: it is damaged UTF-16"),
+        ("x_mm,y_mm\n1,2\n".encode("utf-16-le"), "not a CSV text file: it is UTF-16 without its mark"),
+        (b"PK\x03\x04\x14\0", "it is a ZIP archive, such as an Excel"),
         (b"x_mm,y_mm\n1,\x002\n", "c.csv"),
         (b'x_mm,y_mm\n1,"2\n' + b"3,4\n" * 40_000, "not a CSV text file"),
     ],

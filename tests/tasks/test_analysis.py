@@ -9,6 +9,7 @@ import os
 import re
 import tracemalloc
 
+import casadi
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -24,6 +25,7 @@ from optlink.linkage.fourbar import four_bar, grashof, reachable as four_bar_rea
 from optlink.linkage.zeros import zeros
 from optlink.problem.function import DesignProblem
 from optlink.studies.sweep import sweep
+from optlink.symbolic import symbols_in_numpy
 from optlink.tasks.machine import machine_of
 from tests.clearance.test_joint_clearance import ending_after
 
@@ -609,6 +611,31 @@ def test_work_and_extremes_of_a_load_with_corners_jumps_and_peaks(torque, integr
     assert result.work == pytest.approx(-integral, rel=1e-11)
     if largest is not None:
         assert result.extremes["brake.torque_Nm"].largest == pytest.approx(largest, rel=1e-9)
+
+
+@pytest.mark.parametrize("start", ["0 deg", "30 deg"])
+@pytest.mark.parametrize(
+    ("at", "values", "work"),
+    [
+        ((0, 360), (0, 100), 100 * math.pi),  # a sawtooth
+        ((0, 90, 360), (0, 5, 10), 2.5 * math.pi / 2 + 7.5 * math.pi * 3 / 2),
+        ((-180, 180), (-30, 50), 20 * math.pi),
+        ((20, 100, 380), (-50, 30, 40), -10 * math.radians(80) + 35 * math.radians(280)),
+        ((0, 359.9, 360), (0, 1, 300), 0.5 * math.radians(359.9) + 150.5 * math.radians(0.1)),
+    ],
+)
+def test_a_load_table_of_a_revolution_may_jump_at_its_end(start, at, values, work):
+    table = {"over": "phi", "at": [f"{angle} deg" for angle in at], "values": [f"{value} N*m" for value in values]}
+    changes = {"loads.brake": {"on": "crank", "torque": table}, "bodies": {}, "drive.start": start}
+    problem = optlink.load("slider-crank").override(changes)
+    result = optlink.analyze(problem, points=8)
+    assert result.work == pytest.approx(-work, rel=1e-11)
+    found = result.extremes["brake.torque_Nm"]
+    assert (found.least, found.largest) == pytest.approx((min(values), max(values)), rel=1e-6)
+    load, phi, angle = problem.model.loads["brake"].torque, np.linspace(-7.0, 14.0, 500), casadi.SX.sym("angle")
+    with symbols_in_numpy():
+        traced = casadi.Function("table", [angle], [load({"phi": angle})])
+    np.testing.assert_allclose(load({"phi": phi}), np.asarray(traced(phi[None, :]))[0], atol=1e-9)
 
 
 def si(x):

@@ -6,19 +6,21 @@ import itertools
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
-from optlink.linkage.vector2d import Value
+from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.quantity import Unusable, below, check_keys, read_scalar
+from optlink.problem.targets.csv_table import read_columns
 from optlink.problem.targets.expression import Expression, parse
-from optlink.problem.targets.law import read_columns
 from optlink.units import factor, show
 
 OVER = {"phi": "angle", "s": "coordinate", "omega": "angular velocity"}
 """Independent variables of a table of forces: crank angle, slider position, crank speed."""
+REPEATED = 1e-12  # share of a revolution by which a row that repeats the first one may miss it
 
 
 @dataclass(frozen=True)
@@ -75,23 +77,24 @@ class LoadTable:
 
     def __call__(self, variables: Mapping[str, Value]) -> Value:
         """Return the value [SI]."""
-        x, period = variables[self.over], 2.0 * np.pi if self.over == "phi" else None
+        x, (at, values) = variables[self.over], self._rows
+        if self.over == "phi":
+            x = x - TURN * np.floor((x - at[0]) / TURN)
         if isinstance(x, float | int | np.ndarray | np.generic):
-            return np.interp(np.asarray(x, dtype=float), self.at, self.values, period=period)
-        return self._ramps(x, period)
-
-    def _ramps(self, x: Value, period: float | None) -> Value:
-        """Return the value for symbols, as a sum of ramps that begin at the rows."""
-        at, values = list(self.at), list(self.values)
-        if period is not None:
-            x = x - period * np.floor((x - at[0]) / period)
-            if at[-1] < at[0] + period:
-                at, values = [*at, at[0] + period], [*values, values[0]]
-        slopes = [0.0, *np.diff(values) / np.diff(at), 0.0]
-        value: Value = values[0]
-        for begin, change in zip(at, np.diff(slopes), strict=True):
+            return np.interp(np.asarray(x, dtype=float), at, values)
+        slopes = np.concatenate([[0.0], np.diff(values) / np.diff(at), [0.0]])
+        value: Value = float(values[0])
+        for begin, change in zip(at.tolist(), np.diff(slopes).tolist(), strict=True):
             value = value + change * np.maximum(x - begin, 0.0)
         return value
+
+    @cached_property
+    def _rows(self) -> tuple[Array, Array]:
+        """The rows; over the crank angle those of one whole revolution, at whose end the value may jump to the first."""
+        at, values = np.array(self.at), np.array(self.values)
+        if self.over == "phi" and at[-1] < at[0] + TURN * (1.0 - REPEATED):
+            return np.append(at, at[0] + TURN), np.append(values, values[0])
+        return at, values
 
 
 Size = Constant | Formula | LoadTable
@@ -142,7 +145,7 @@ def read_size(raw: object, folder: Path, kind: str, names: Iterable[str]) -> Siz
     if "csv" in raw and ("at" in raw or "values" in raw):
         raise Unusable("the table is given twice", "Give csv, or at and values, not both", "csv", raw["csv"])
     if "csv" in raw:
-        at, values = read_columns(raw, folder, {str(over): OVER[str(over)], kind: kind})
+        at, values = read_columns(raw, folder, {str(over): OVER[str(over)], kind: kind}, ordered="rising")
     else:
         columns = []
         for key, of in (("at", OVER[str(over)]), ("values", kind)):
@@ -155,6 +158,9 @@ def read_size(raw: object, folder: Path, kind: str, names: Iterable[str]) -> Siz
     falls = next((row for row, (a, b) in enumerate(itertools.pairwise(at), start=2) if b <= a), None)
     if falls:
         raise Unusable(f"the rows must rise, and row {falls} does not", "Sort them and remove repeated ones", "at")
-    if over == "phi" and at[-1] - at[0] > 2.0 * math.pi * (1.0 + 1e-12):
-        raise Unusable("the table is longer than one revolution", "A table repeats every revolution: give one revolution", "at")
+    if over == "phi" and at[-1] - at[0] > TURN * (1.0 + REPEATED):
+        message = f"the table is longer than one revolution: {math.degrees(at[-1] - at[0]):.8g} deg"
+        raise Unusable(
+            message, "A table repeats every revolution: leave out the rows beyond the first one", "csv" if "csv" in raw else "at"
+        )
     return LoadTable(str(over), tuple(at), tuple(values))

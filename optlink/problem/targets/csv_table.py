@@ -4,18 +4,25 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from optlink.problem.quantity import Unusable
-from optlink.problem.targets.target_points import read_file, shortened
-from optlink.units import read_number
+from optlink.problem.quantity import Unusable, largest
+from optlink.problem.targets.target_points import file_kind, read_file, shortened
+from optlink.units import KINDS, factor, plain, read_number, respelled
 
 DECIMALS = "decimals have a point"
+MAX_ROWS = 10_000  # of a table; points have their own
+SAVE = "Save it as CSV, UTF-8"
+COMMENTS = re.compile(
+    r"(?:^|(?<=[\r\n]))[ \t]*(?:%|#(?![A-Z]+[/!?,;\t]))[^\r\n]*"
+)  # "#N/A" and "#DIV/0!" are faults of a spreadsheet
+REVOLUTION = (2.0 * math.pi * (1.0 - 1e-3), 2.0 * math.pi * (1.0 + 1e-3))  # degrees that were radians
 
 
 @dataclass(frozen=True)
@@ -44,18 +51,56 @@ class CsvTable:
             If the cell is missing or contains no finite number.
         """
         cell = cells[index] if index < len(cells) else ""
-        value = read_number(cell)
-        if math.isnan(value) and re.fullmatch(r"\s*[-+]?[\d.]*\d,\d+\s*", cell):
-            message = f"row {row} of {self.name} has a decimal comma in column {self.titles[index]}"
-            raise Unusable(message, "Replace the decimal commas of the file by points", "csv", shortened(cell))
-        if math.isnan(value):
-            message = f"row {row} of {self.name} has no finite number in column {self.titles[index]}"
-            raise Unusable(message, remedy, "csv", shortened(cell) or "nothing")
-        return value
+        value = read_number(plain(cell))
+        if not math.isnan(value):
+            return value
+        fault, remedy = _fault(cell.strip(), remedy)
+        message = f"row {row} of {self.name} has {fault} in column {self.titles[index]}"
+        raise Unusable(message, remedy, "csv", shortened(cell) or "nothing")
+
+    def check_unit(self, index: int, least: float, largest: float) -> None:
+        """Refuse angles in degrees that run through one revolution in radians.
+
+        Parameters
+        ----------
+        index : int
+            Of the column.
+        least, largest : float [deg]
+
+        Raises
+        ------
+        Unusable
+            If the column does so.
+        """
+        title = self.titles[index]
+        if title.endswith("_deg") and REVOLUTION[0] < largest - least < REVOLUTION[1]:
+            raise Unusable(
+                f"column {title} of {self.name} runs from {least:.6g} to {largest:.6g}: this is one revolution in radians",
+                f"Name the column {title.removesuffix('_deg')}_rad, or give its values in degrees",
+                "csv",
+                title,
+            )
+
+
+def _fault(cell: str, remedy: str) -> tuple[str, str]:
+    """Return what a cell has in place of a finite number, and a remedy, by default that of the argument."""
+    (numbers, rest), written = respelled(plain(cell)), re.fullmatch(r"([-+]?[.\d]+)\s*[^\W\d]+", cell)
+    if len(numbers) > 1 and not rest:
+        return "a comma that may separate decimals or thousands", f"Write {' or '.join(numbers)} in all such cells"
+    if re.fullmatch(r"[-+]?[\d.]*\d,\d+", cell):
+        return "a decimal comma", "Replace the decimal commas of the file by points" + (f": {numbers[0]}" if "." in cell else "")
+    if numbers and not rest:
+        return "thousands separators", f"Write {numbers[0]}, and the other numbers of the file in this way"
+    if written and not math.isnan(read_number(written[1])):
+        return "a unit", f"Write {written[1]} alone; the title of the column has the unit"
+    return "no finite number", remedy
 
 
 def read_csv(raw: Mapping[str, Any], folder: Path, most: int) -> CsvTable:
     """Read a CSV file with a title row; its delimiter is a comma, or a semicolon or tab of the title row.
+
+    Lines that begin with # or % are comments. Text is UTF-8, UTF-16 with its byte order mark, or an 8-bit code, in which numbers
+    and the titles of optlink are the same.
 
     Parameters
     ----------
@@ -69,22 +114,37 @@ def read_csv(raw: Mapping[str, Any], folder: Path, most: int) -> CsvTable:
     Raises
     ------
     Unusable
-        If the file cannot be read or is not UTF-8; on reading its rows, if there are too many or one has more cells than titles.
+        If the file cannot be read or is not text; on reading its rows, if there are too many or one has more cells than titles.
     """
     name, data = read_file(raw, "csv", folder)
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise Unusable(f"{name} is not a CSV text file: {error.reason}", "Save it as CSV, UTF-8", "csv", name) from None
+    text = _text(data, name)
     separator_line = re.match(r"sep=([;,\t])[;,\t\s]*?\r?\n", text, re.IGNORECASE)  # Excel's own first line
     text = text[separator_line.end() :] if separator_line else text
+    text = COMMENTS.sub("", text)
     first = text[:10_000].lstrip().partition("\n")[0]
     delimiter = next((sign for sign in ";\t" if sign in first and "," not in first), ",")
-    rows = _filled(csv.reader(io.StringIO(text, newline=""), delimiter=delimiter), name, 2 if separator_line else 1)
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, skipinitialspace=True)
+    rows = _filled(reader, name, 2 if separator_line else 1)
     titles = [cell.strip() for cell in next(rows, (0, []))[1]]
     while titles and not titles[-1]:
         titles.pop()
+    if len(titles) == 1 and re.search(r"_\w+[\s|:]+\w", titles[0]):
+        raise Unusable(
+            f"{name} has a single column", "Separate its columns by commas, semicolons or tabs", "csv", shortened(titles[0])
+        )
     return CsvTable(name, titles, _checked(rows, name, len(titles), most))
+
+
+def _text(data: bytes, name: str) -> str:
+    wide = data.startswith((b"\xff\xfe", b"\xfe\xff"))
+    if not wide and ((kind := file_kind(data)) or b"\0" in data):
+        raise Unusable(f"{name} is not a CSV text file: it is {kind or 'UTF-16 without its mark, or no text'}", SAVE, "csv", name)
+    try:
+        return data.decode("utf-16" if wide else "utf-8-sig")
+    except UnicodeDecodeError:
+        if wide:
+            raise Unusable(f"{name} is not a CSV text file: it is damaged UTF-16", SAVE, "csv", name) from None
+        return data.decode("latin-1")
 
 
 def _filled(reader: Iterator[list[str]], name: str, first: int) -> Iterator[tuple[int, list[str]]]:
@@ -92,7 +152,7 @@ def _filled(reader: Iterator[list[str]], name: str, first: int) -> Iterator[tupl
     try:
         yield from ((number, cells) for number, cells in enumerate(reader, start=first) if "".join(cells).strip())
     except csv.Error as error:
-        raise Unusable(f"{name} is not a CSV text file: {error}", "Save it as CSV, UTF-8", "csv", name) from None
+        raise Unusable(f"{name} is not a CSV text file: {error}", SAVE, "csv", name) from None
 
 
 def _checked(rows: Iterator[tuple[int, list[str]]], name: str, width: int, most: int) -> Iterator[tuple[int, list[str]]]:
@@ -104,3 +164,81 @@ def _checked(rows: Iterator[tuple[int, list[str]]], name: str, width: int, most:
             message = f"row {number} of {name} has {len(cells)} cells, the title row has {width}"
             raise Unusable(message, f"Correct the row; {DECIMALS}", "csv", shortened(cells[width]))
         yield number, cells
+
+
+COLUMN_UNITS = {
+    "angle": {"deg": "deg", "rad": "rad"},
+    "coordinate": {"mm": "mm", "m": "m", "cm": "cm", "in": "in"},
+    "force": {"N": "N", "kN": "kN"},
+    "torque": {"Nm": "N*m"},
+    "angular velocity": {"rpm": "rpm", "rad_s": "rad/s"},
+}
+"""Units by the suffix of a column name, for each kind."""
+
+
+def read_columns(
+    raw: Mapping[str, Any], folder: Path, kinds: Mapping[str, str], *, ordered: Literal["", "rising", "either way"] = ""
+) -> list[list[float]]:
+    """Read columns of a CSV file whose header names them with their units: phi_deg, s_mm, force_N.
+
+    Parameters
+    ----------
+    raw : mapping
+        Its key csv names the file. Devices, pipes and files that are too large are refused.
+    folder : Path
+        Folder to which the name is relative.
+    kinds : mapping of str to str
+        Physical kind for each column name.
+    ordered : "", "rising" or "either way"
+        Whether the first of them must rise from row to row, or rise or fall.
+
+    Returns
+    -------
+    lists in the order of `kinds` [SI]
+
+    Raises
+    ------
+    Unusable
+        with the file, and the row of the error.
+    """
+    table = read_csv(raw, folder, MAX_ROWS)
+    columns = [(*_column(table, name, kind), kind) for name, kind in kinds.items()]
+    numbers, values = [], []
+    for number, cells in table.rows:
+        numbers.append(number)
+        values.append([table.number(number, cells, index) for index, *_ in columns])
+        for value, (index, size, kind) in zip(values[-1], columns, strict=True):
+            if abs(value * size) > largest(kind):
+                message = f"row {number} of {table.name} has too large a value in column {table.titles[index]}"
+                raise Unusable(message, f"Give at most {largest(kind):.0e} {KINDS[kind].si}", "csv", shortened(cells[index]))
+    if len(values) < 2:
+        message = f"{table.name} has {'a single row' if values else 'no row'} below its titles"
+        raise Unusable(message, "Give two or more", "csv", table.name)
+    if ordered:
+        first = [row[0] for row in values]
+        table.check_unit(columns[0][0], min(first), max(first))
+        _check_order(table.titles[columns[0][0]], table.name, numbers, first, ordered == "rising")
+    return [[row[place] * size for row in values] for place, (_, size, _) in enumerate(columns)]
+
+
+def _check_order(title: str, name: str, numbers: Sequence[int], values: Sequence[float], rising: bool) -> None:
+    """Refuse the first row whose value is not beyond that of the row before."""
+    way = 1.0 if rising or values[-1] > values[0] else -1.0
+    for number, (before, value) in zip(numbers[1:], itertools.pairwise(values), strict=True):
+        if not way * (value - before) > 0.0:
+            must = "rise" if rising else "rise (or fall)"
+            message = f"row {number} of {name} has {title} = {value:.6g} after {before:.6g}, which must {must} from row to row"
+            raise Unusable(message, f"Sort the rows by {title}, and remove repeated ones", "csv", f"{value:.6g}")
+
+
+def _column(table: CsvTable, name: str, kind: str) -> tuple[int, float]:
+    """Return the index of a column and its unit [SI]."""
+    units = {f"{name}_{ending}": unit for ending, unit in COLUMN_UNITS[kind].items()}
+    indices = [index for index, title in enumerate(table.titles) if title in units]
+    if not indices:
+        message = f"{table.name} has no column {' or '.join(units)}"
+        remedy = f"Name the columns in the first row, one of them {next(iter(units))}"
+        raise Unusable(message, remedy, "csv", shortened(", ".join(table.titles)) or "nothing")
+    if len(indices) > 1:
+        raise Unusable(f"{table.name} has two columns of {name}", "Keep one of them", "csv")
+    return indices[0], factor(units[table.titles[indices[0]]], kind)

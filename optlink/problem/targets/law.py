@@ -13,7 +13,7 @@ import numpy as np
 
 from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.quantity import Quantity, Unusable, below, check_keys, read_scalar
-from optlink.problem.targets.csv_table import CsvTable, read_csv
+from optlink.problem.targets.csv_table import COLUMN_UNITS, MAX_ROWS, read_columns, read_csv
 from optlink.problem.targets.expression import Expression, parse
 from optlink.problem.targets.function import Function, read_function
 from optlink.units import factor
@@ -21,7 +21,6 @@ from optlink.units import factor
 NAMES = ("phi", "phi0", "psi0")
 SLIDE_NAMES = ("phi", "phi0", "s0")
 SLIDE = 'law = { slide = "s0 + 40*(1 - cos(phi - phi0))", unit = "mm" }'
-MAX_ROWS = 10_000
 STARTS = np.array([[0.3, 1.9, -2.2], [-0.8, 2.5, 0.6]])  # phi0, psi0 [rad] at which a law is tested
 SAME_ANGLE = 1e-12  # rad
 
@@ -306,10 +305,24 @@ def read_output_law(raw: object, folder: Path) -> Source:
 
 
 def _has_slide(raw: Mapping[str, Any], folder: Path) -> bool:
-    """Return whether the CSV file of a table has a column of a slide."""
+    """Return whether the CSV file of a table has a column of a slide.
+
+    Raises
+    ------
+    Unusable
+        If it has one of an angle, too.
+    """
     if "csv" not in raw:
         return False
-    return not {f"s_{ending}" for ending in _UNITS["coordinate"]}.isdisjoint(read_csv(raw, folder, MAX_ROWS).titles)
+    table = read_csv(raw, folder, MAX_ROWS)
+    slides, angles = (
+        [title for title in table.titles if title in {f"{name}_{unit}" for unit in COLUMN_UNITS[kind]}]
+        for name, kind in (("s", "coordinate"), ("psi", "angle"))
+    )
+    if slides and angles:
+        message = f"{table.name} has columns of two outputs, {slides[0]} and {angles[0]}"
+        raise Unusable(message, "Keep the one that the law prescribes", "csv", table.name)
+    return bool(slides)
 
 
 def _read_slide(raw: Mapping[str, Any]) -> SlideExpression:
@@ -335,7 +348,7 @@ def _read_table(raw: Mapping[str, Any], folder: Path, output: str = "psi") -> Ta
     elif "phi" in raw or output in raw:
         raise Unusable("the table is given twice", f"Give csv, or phi and {output}, not both", "csv", raw["csv"])
     else:
-        phi, psi = read_columns(raw, folder, {"phi": "angle", output: kind})
+        phi, psi = read_columns(raw, folder, {"phi": "angle", output: kind}, ordered="either way")
     return Table(tuple(phi), tuple(psi), origin == "start", kind)
 
 
@@ -347,51 +360,3 @@ def _read_cells(column: object, name: str, kind: str) -> list[float]:
     if len(column) > MAX_ROWS:
         raise Unusable(f"the table has {len(column):,} rows, more than {MAX_ROWS:,}", "Reduce their number", name)
     return [read_scalar(cell, kind, f"{name}[{row}]")[0] for row, cell in enumerate(column)]
-
-
-def read_columns(raw: Mapping[str, Any], folder: Path, kinds: Mapping[str, str]) -> list[list[float]]:
-    """Read columns of a CSV file whose header names them with their units: phi_deg, s_mm, force_N.
-
-    Parameters
-    ----------
-    raw : mapping
-        Its key csv names the file. Devices, pipes and files that are too large are refused.
-    folder : Path
-        Folder to which the name is relative.
-    kinds : mapping of str to str
-        Physical kind for each column name.
-
-    Returns
-    -------
-    lists in the order of `kinds` [SI]
-
-    Raises
-    ------
-    Unusable
-        with the file, and the row of the error.
-    """
-    table = read_csv(raw, folder, MAX_ROWS)
-    columns = [_column(table, name, kind) for name, kind in kinds.items()]
-    values = [[table.number(number, cells, index) * size for index, size in columns] for number, cells in table.rows]
-    return [list(column) for column in zip(*values, strict=True)] or [[] for _ in kinds]
-
-
-_UNITS = {
-    "angle": {"deg": "deg", "rad": "rad"},
-    "coordinate": {"mm": "mm", "m": "m"},
-    "force": {"N": "N", "kN": "kN"},
-    "torque": {"Nm": "N*m"},
-    "angular velocity": {"rpm": "rpm", "rad_s": "rad/s"},
-}  # suffixes of column names
-
-
-def _column(table: CsvTable, name: str, kind: str) -> tuple[int, float]:
-    """Return the index of a column and its unit [SI]."""
-    units = {f"{name}_{ending}": unit for ending, unit in _UNITS[kind].items()}
-    indices = [index for index, title in enumerate(table.titles) if title in units]
-    if not indices:
-        message = f"{table.name} has no column {' or '.join(units)}"
-        raise Unusable(message, f"Name the columns in the first row, one of them {next(iter(units))}", "csv")
-    if len(indices) > 1:
-        raise Unusable(f"{table.name} has two columns of {name}", "Keep one of them", "csv")
-    return indices[0], factor(units[table.titles[indices[0]]], kind)

@@ -182,6 +182,9 @@ def read_csv_rows(raw: Mapping[str, Any], folder: Path) -> PointRows:
                 values.append(_LEFT_OUT[column])
     if not numbers:
         raise Unusable(f"{name} has no rows", "Give the columns x_mm and y_mm, and at least one row below them", "csv", name)
+    for column, _, index, values in read:
+        if column == "crank":
+            table.check_unit(index, min(values), max(values))
     columns = {column: np.array(values) * (factor(unit, _COLUMNS[column]) if unit else 1.0) for column, unit, _, values in read}
     unit = next(unit for column, unit, *_ in read if column == "x")
     return PointRows(columns, unit, name, numbers, "csv")
@@ -191,12 +194,17 @@ def _check_titles(table: CsvTable) -> None:
     """Check that each column is known and unique."""
     name, titles = table.name, table.titles
     for title in titles:
+        if not title:
+            message = f"column {titles.index(title) + 1} of {name} has no title"
+            raise Unusable(
+                message, "Name it, or remove it, such as the index that pandas writes without index=False", "csv", name
+            )
         if title not in _TITLES:
             examples = [allowed for allowed in _TITLES if not allowed.endswith(("_cm", "_in"))]
             with_unit = [allowed for allowed in examples if allowed.startswith(f"{title.lower()}_")]
             remedy = nearest(title, examples, with_unit[:1])
             if not math.isnan(read_number(title)):
-                remedy = "Name the columns in a first row, for example x_mm,y_mm"
+                remedy = "Name the columns in a first row, for example x_mm,y_mm (lines that begin with # or % are comments)"
             raise Unusable(f'{name} has an unknown column "{shortened(title)}"', remedy, "csv", shortened(title))
     columns = [_TITLES[title][0] for title in titles]
     for column in ("x", "y"):

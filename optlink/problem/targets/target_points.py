@@ -19,6 +19,15 @@ MAX_BYTES = 50_000_000
 DEFAULT_POINTS = 60  # for a drawing or an expression
 COINCIDENT = 1e-9  # share of the size of the whole path
 HEAVIEST = 1e9  # largest plain number, such as a weight
+BINARY = {
+    b"PK\x03\x04": "a ZIP archive, such as an Excel or Word file",
+    b"%PDF": "a PDF file",
+    b"\x89PNG": "a picture",
+    b"\xff\xd8\xff": "a picture",
+    b"GIF8": "a picture",
+    b"\xd0\xcf\x11\xe0": "an Office file",
+}
+"""Kinds of files that are no text, by their first bytes."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +101,11 @@ def shortened(value: object) -> str:
     text = str(value)
     printable = "".join(sign if sign.isprintable() else " " for sign in text[:60])
     return printable if len(text) <= 60 else f"{printable}..."
+
+
+def file_kind(data: bytes) -> str:
+    """Return the kind of a file that is no text, by its first bytes; empty for any other file."""
+    return next((words for start, words in BINARY.items() if data.startswith(start)), "")
 
 
 def read_file(raw: Mapping[str, Any], key: str, folder: Path) -> tuple[str, bytes]:
