@@ -93,10 +93,11 @@ class SolverError(OptlinkError):
     exit_code = 3
 
 
-class Status(enum.Enum):
+class Status(enum.StrEnum):
     """Status of an optimisation; `text` describes it and the next step."""
 
     OPTIMAL = "optimal"
+    RELAXED = "relaxed"
     STALLED = "stalled"
     INFEASIBLE = "infeasible"
     NON_FINITE = "non-finite"
@@ -111,6 +112,7 @@ class Status(enum.Enum):
 
 _STATUS_TEXT = {
     Status.OPTIMAL: "a local optimum: feasible, and no small change of the design improves the objective",
+    Status.RELAXED: "a design near the proven bound, which no design was found to reach",
     Status.STALLED: "the search stopped at a feasible design that is not an optimum; try another start or --starts 20",
     Status.INFEASIBLE: "no design was found that meets all limits",
     Status.NON_FINITE: "the objective or a limit has no finite value or derivative at the design found; "

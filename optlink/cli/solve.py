@@ -193,7 +193,7 @@ def _interrupted(result: FunctionResult | PathResult | CycleResult | Balance) ->
 
 def _show(result: FunctionResult | PathResult | CycleResult | Balance, as_json: bool, out: Path | None) -> None:
     """Show a result, and exit with the code of its status."""
-    failed = result.status in (Status.STALLED, Status.NON_FINITE, "stalled") and result.problem.task != "path"
+    failed = result.status in (Status.STALLED, Status.NON_FINITE) and result.problem.task != "path"
     code = 3 if failed else 0 if result.valid else 1  # of the several designs of a path one may stall
     console.deliver(result, result.problem.task, as_json, out, code=code)
 
@@ -248,4 +248,4 @@ def balance(
     console.places(out, "balance", problem, csv)
     with console.share("balancing") as progress:
         result = run(file, minimise, trade, points, progress, values)
-    console.deliver(result, "balance", as_json, out, csv, code=0 if result.valid else 3 if result.status == "stalled" else 1)
+    console.deliver(result, "balance", as_json, out, csv, code=0 if result.valid else 3 if result.status is Status.STALLED else 1)

@@ -18,7 +18,7 @@ from optlink.dynamics.counterweights import BalanceMeasure, Effects, quantities,
 from optlink.dynamics.inertia import Inertia, Parameters
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.poles import poles
-from optlink.errors import InputError
+from optlink.errors import InputError, Status
 from optlink.linkage.vector2d import Array
 from optlink.optimization.pareto_front import knee
 from optlink.problem.arguments import typed
@@ -202,10 +202,10 @@ def balance(
     common["iterations"] = found.certificate.iterations
     if found.certificate.status == "infeasible":
         return Balance(
-            status="infeasible", conflict=tuple(relaxed_limit(item) for item in search.conflict(task.programme)), **common
+            status=Status.INFEASIBLE, conflict=tuple(relaxed_limit(item) for item in search.conflict(task.programme)), **common
         )
     if found.certificate.status != "optimal":
-        return Balance(status="stalled", **common)
+        return Balance(status=Status.STALLED, **common)
     best = search.realised_discs(programme, goal, found.x)
     added, springs = task.parts(best)
     after = search.evaluate(programme, goal, best)
@@ -213,7 +213,8 @@ def balance(
     size = max(found.value, 1e-3)  # a negligible value is related to the initial machine
     gap, slack = max(found.gap, 0.0) / size, max(after - found.value, 0.0) / size
     excess = programme.excess(best)
-    status = "stalled" if gap > GAP else "relaxed" if slack > GAP or excess > ACTIVE else "optimal"
+    within = slack <= GAP and excess <= ACTIVE
+    status = Status.STALLED if gap > GAP else Status.OPTIMAL if within else Status.RELAXED
     begin = time.perf_counter()
     balanced, heavier, rows, disagreement = _verified(task, added, springs)
     seconds["verification"] = time.perf_counter() - begin
@@ -401,7 +402,7 @@ def _heavier(machine: Machine, added: Sequence[AddedCounterweight], springs: Seq
 def _notes(
     task: _Task,
     goal: Sequence[tuple[BalanceMeasure, float]],
-    status: str,
+    status: Status,
     slack: float,
     heavier: Machine,
     added: Sequence[AddedCounterweight],
@@ -412,7 +413,7 @@ def _notes(
         relaxed_note = "the moments of inertia of discs were relaxed to a convex cone"
         end = (
             "the optimum satisfies the equation of a disc, so it is also the optimum of real discs"
-            if status == "optimal"
+            if status is Status.OPTIMAL
             else f"discs come within {percent(slack, 2)} of the bound"
             if excess <= ACTIVE
             else "no discs were found that meet all limits"

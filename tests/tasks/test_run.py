@@ -8,7 +8,7 @@ import math
 import pytest
 
 import optlink
-from optlink.errors import InputError
+from optlink.errors import InputError, Status
 from tests.cli.test_cli import run
 from tests.solved import solution
 
@@ -26,6 +26,9 @@ def test_every_kind_of_question_is_shipped() -> None:
 def test_every_shipped_design_problem_is_solved(name: str) -> None:
     result = solution(name)
     assert result.valid
+    assert result.status in (Status.OPTIMAL, Status.FEASIBLE)
+    assert result.status == result.to_dict()["status"]
+    assert "optimal" in result.message or "optimum" in result.message
     assert result.design
     assert math.isfinite(result.objective)
     assert result.to_dict()["problem"] == name
@@ -50,6 +53,8 @@ def test_a_solved_design_validates() -> None:
 def test_balancing_is_solved_and_has_no_starting_points() -> None:
     result = solution("balance-four-bar")
     assert result.valid
+    assert result.status is Status.OPTIMAL
+    assert result.message.startswith("globally optimal")
     assert result.objective == optlink.balance(SOLVED["balance-four-bar"]).objective
     assert {name.partition(".")[0] for name in result.design} <= set(SOLVED["balance-four-bar"].model.linkage.bodies)
     with pytest.raises(InputError, match="convex programme"):

@@ -11,6 +11,7 @@ import numpy as np
 from optlink.dynamics.counterweights import BalanceMeasure, quantities, quantities_of
 from optlink.dynamics.inverse import reported_on
 from optlink.dynamics.machine import Machine
+from optlink.errors import Status
 from optlink.problem.base_model import Contradiction
 from optlink.problem.file import ProblemFile
 from optlink.problem.fixed_design import fixed_design
@@ -242,10 +243,10 @@ def _design(result: Balance) -> tuple[ProblemFile, str] | None:
 
 MEASURE_TOLERANCE = 1e-6  # relative tolerance of stored measures, as a share of the value before balancing
 VERDICTS = {
-    "optimal": "Globally optimal within the limits",
-    "relaxed": "Near the lower bound",
-    "infeasible": "No counterweights meet all limits",
-    "stalled": "Not verified as an optimum",
+    Status.OPTIMAL: "Globally optimal within the limits",
+    Status.RELAXED: "Near the lower bound",
+    Status.INFEASIBLE: "No counterweights meet all limits",
+    Status.STALLED: "Not verified as an optimum",
 }
 
 
@@ -364,7 +365,7 @@ def stored_study(record: BalanceRecord, file: ProblemFile, _: Path) -> StoredStu
     return StoredStudy(
         problem=file,
         kind="balance",
-        verdict=VERDICTS[result.status] if result.valid or result.status == "infeasible" else "Not valid",
+        verdict=VERDICTS[result.status] if result.valid or result.status is Status.INFEASIBLE else "Not valid",
         valid=result.valid,
         conclusion=conclusions.balance(result),
         status=shown.status.lines,

@@ -26,18 +26,10 @@ from optlink.units import percent
 
 MAX_POINTS = 15  # largest number of listed points of a trade-off
 
-WORDS = {
-    "optimal": "globally optimal: no counterweights within the limits do better, up to the duality gap",
-    "relaxed": "near the lower bound: no discs were found that reach it",
-    "infeasible": "no counterweights meet all limits",
-    "stalled": "the duality gap stayed too large: not verified as an optimum; relax a limit or scale the problem",
-}
-
 
 def balance(outcome: Balance) -> Summary:
     """Summarise a balancing result."""
-    words = WORDS[outcome.status]
-    ended = good(words) if outcome.valid and outcome.proven else Span(words) if outcome.valid else bad(words)
+    styled = good if outcome.valid and outcome.proven else Span if outcome.valid else bad
     parts: list[Part] = []
     if outcome.conflict:
         parts.append(_conflict(outcome))
@@ -48,7 +40,12 @@ def balance(outcome: Balance) -> Summary:
         if outcome.trade is not None:
             parts.append(_trade(outcome.trade))
     effort = f"{outcome.solver}, {outcome.iterations} iterations, {len(outcome.angles)} positions; {times(outcome.seconds)}"
-    return summary(outcome.problem.model.title, [ended, *noted(outcome.notes)], *parts, Paragraph(quiet(effort), appendix=True))
+    return summary(
+        outcome.problem.model.title,
+        [styled(outcome.message), *noted(outcome.notes)],
+        *parts,
+        Paragraph(quiet(effort), appendix=True),
+    )
 
 
 def _objective(outcome: Balance) -> TableSpec:

@@ -15,6 +15,7 @@ from pydantic import Field, PlainSerializer, PlainValidator, WithJsonSchema, mod
 from optlink.dynamics.counterweights import BalanceMeasure, Counterweight, FreeSpring, quantities, quantities_of
 from optlink.dynamics.inertia import Parameters
 from optlink.dynamics.machine import Machine
+from optlink.errors import Status
 from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import Contradiction, Never, Number, Record, Recorded, ResultRecord, absent
 from optlink.problem.file import ProblemFile
@@ -249,11 +250,19 @@ class TradeRecord(Record):
         return self
 
 
+MESSAGES = {
+    Status.OPTIMAL: "globally optimal: no counterweights within the limits do better, up to the duality gap",
+    Status.RELAXED: "near the lower bound: no discs were found that reach it",
+    Status.INFEASIBLE: "no counterweights meet all limits",
+    Status.STALLED: "the duality gap stayed too large: not verified as an optimum; relax a limit or scale the problem",
+}
+
+
 class BalanceRecord(ResultRecord):
     """Document of a balanced machine (SI)."""
 
     format: Literal["optlink/balance/2"] = Field(alias="schema")
-    status: Literal["optimal", "relaxed", "infeasible", "stalled"]
+    status: Literal[Status.OPTIMAL, Status.RELAXED, Status.INFEASIBLE, Status.STALLED]
     valid: bool
     proven: bool
     notes: tuple[str, ...]
@@ -286,8 +295,8 @@ class BalanceRecord(ResultRecord):
 class Balance(Recorded):
     """A balanced machine, or the limits that conflict.
 
-    `status`: "optimal", "relaxed" (discs approach the proven bound without reaching it), "infeasible" or "stalled". `objective`
-    and `before` in the unit of the measure, or as weighted ratios to the original machine; `lower`: proven lower bound; `gap`:
+    `status`: optimal, relaxed (discs approach the proven bound without reaching it), infeasible or stalled. `objective` and
+    `before` in the unit of the measure, or as weighted ratios to the original machine; `lower`: proven lower bound; `gap`:
     relative duality gap; `slack`: relative excess of the realisable design over the bound. `disagreement`: difference of the
     programme from the inverse dynamics of `balanced`, the problem with the new bodies.
     """
@@ -300,7 +309,7 @@ class Balance(Recorded):
 
     problem: ProblemFile
     goal: tuple[tuple[BalanceMeasure, float], ...]
-    status: str
+    status: Status
     machine: Machine
     angles: Array
     speed: float
@@ -346,13 +355,18 @@ class Balance(Recorded):
     @property
     def proven(self) -> bool:
         """Whether the design is proven to be the optimum."""
-        return self.status == "optimal"
+        return self.status is Status.OPTIMAL
+
+    @property
+    def message(self) -> str:
+        """What the status means, in one sentence."""
+        return MESSAGES[self.status]
 
     @property
     def valid(self) -> bool:
         """Whether a design satisfies all limits and is verified, and one does at every point of a trade-off."""
         excess = max([self.excess, *(p.excess for p in (self.trade.points if self.trade else ()))])
-        return self.status in ("optimal", "relaxed") and self.verified and excess <= ACTIVE
+        return self.status in (Status.OPTIMAL, Status.RELAXED) and self.verified and excess <= ACTIVE
 
     @cached_property
     def columns(self) -> dict[str, Array]:
