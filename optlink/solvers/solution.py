@@ -17,6 +17,7 @@ from optlink.errors import Status
 from optlink.io import Summary
 from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import Number
+from optlink.problem.function import EPIGRAPH
 
 if TYPE_CHECKING:
     from optlink.optimization.constraints import Scale
@@ -229,7 +230,8 @@ def stationarity(nlp: NLP, x: Array, point: NLPValues, within: float = ACTIVE) -
     """Return multipliers of the active bounds and rows by least squares, and the remaining KKT residual.
 
     A multiplier is positive at an upper bound and negative at a lower bound; multipliers of the wrong sign are dropped, worst
-    first, and the rest solved again (an active-set nonnegative least-squares method). Those of an angle that may be any are none.
+    first, and the rest solved again (an active-set nonnegative least-squares method). Those of an angle that may be any are none,
+    nor is that of the largest error of a minimax problem: its rows keep it above zero, near which it lies for a good design.
 
     Parameters
     ----------
@@ -246,6 +248,7 @@ def stationarity(nlp: NLP, x: Array, point: NLPValues, within: float = ACTIVE) -
     jacobian = np.concatenate([np.eye(len(x)), point.jacobian])
     sign = (high - values <= within) * 1.0 - (values - low <= within)
     sign[: len(x)][nlp.around] = 0.0
+    sign[[k for k, variable in enumerate(nlp.variables) if variable.name == EPIGRAPH]] = 0.0
     equal = low == high
     active = np.flatnonzero((sign != 0.0) | equal).tolist()
     estimate: Array = np.zeros(0)

@@ -63,6 +63,15 @@ def smallest_radius(points: Array) -> float:
     return min(around)
 
 
+def test_a_small_largest_deviation_is_no_optimum_because_it_is_small() -> None:
+    """The bound of the largest deviation at zero is not active, however near it is: the deviation can still be halved."""
+    points = 1e-7 * np.array([[-1.0, 0.0], [1.0, 0.0]])
+    nlp = circle(points)
+    ends = [multistart.solution_at(nlp, nlp.lifted(np.array([x, 0.0, 0.0])), "") for x in (1e-7, 0.0)]
+    assert [end.objective for end in ends] == pytest.approx([2e-7, 1e-7])
+    assert [end.status for end in ends] == [Status.STALLED, Status.OPTIMAL]
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_smallest_circle(seed):
     points = np.random.default_rng(seed).normal(size=(7, 2))
