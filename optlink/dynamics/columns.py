@@ -203,7 +203,7 @@ def joint_forces(
 
 def _transmission(moving: Moving, group: RRR) -> Value:
     j = moving.position(group.joint)
-    p, q = (minus(moving.position(pin), j) for pin in group.pins)
+    p, q = (minus(moving.position(pin), j) for pin in group.outer)
     return np.arctan2(magnitude(cross(p, q)), dot(p, q))
 
 

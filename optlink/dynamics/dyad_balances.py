@@ -1,18 +1,20 @@
-"""Force balances of each type of dyad: the pin force that two balances determine, and the forces that follow from it."""
+"""Force balances of dyads: the pin force that two balances determine, and the forces that follow from it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import partial
+from functools import reduce
+from operator import add
+from typing import get_args
 
 import numpy as np
 
 from optlink.dynamics.inertia import Wrench
 from optlink.dynamics.machine import Moving
 from optlink.io import Registry
-from optlink.linkage.dyad_types import PRP, RPP, RPR, RRP, RRR
-from optlink.linkage.mechanism import Dyad, Guide, Link
+from optlink.linkage.dyad_types import JointedDyad, Transmitting
+from optlink.linkage.mechanism import Dyad, Guide, Joint, Link
 from optlink.linkage.vector2d import Value, Vector, cross, dot, minus, plus
 
 
@@ -90,9 +92,9 @@ class RemainingWrenches:
         tilt = tilts[guide.name]
         return x - tilt * y, y + tilt * x
 
-    def at(self, guide: Guide) -> Vector:
-        """Return the point of the slider that slides along the line."""
-        return self.moving.position(guide.at or self.mechanism.bodies[guide.slider].start)
+    def at(self, joint: Joint) -> Vector:
+        """Return the position of a pin, or of the point of the slider that slides along the line of a guide."""
+        return self.moving.position(joint if isinstance(joint, str) else joint.at or self.mechanism.bodies[joint.slider].start)
 
     def about(self, link: Link, point: Vector) -> Value:
         """Return the moment about a point that the joints exert on a body.
@@ -105,91 +107,87 @@ class RemainingWrenches:
         """
         return self.needed[link.body].about(self.moving.state(link.body).start, point)
 
+    def component(self, joint: Joint, row: Vector, *links: Link) -> Value:
+        """Return row . force for the force, at the other end of its lever, that holds bodies beside an outer joint of theirs.
+
+        Parameters
+        ----------
+        joint : Joint
+        row : pair of Value
+            Direction of a guide without force along it, or `moment_row` of the lever to a pin.
+        *links : Link
+            The bodies.
+        """
+        if isinstance(joint, Guide):
+            return reduce(add, (dot(row, self.needed[link.body].force) for link in links))
+        return -reduce(add, (self.about(link, self.at(joint)) for link in links))
+
     def total(self, group: Dyad) -> Vector:
         """Return the force that the outer joints exert on both bodies of a group."""
         first, second = (self.needed[link.body].force for link in group.links)
         return plus(first, second)
 
 
+def directions(moving: Moving, group: JointedDyad, line: Callable[[Guide], Vector]) -> tuple[Vector, Vector]:
+    """Return the two directions between which a group has its transmission angle; it is singular where they are parallel.
+
+    They are those of two of its joints, seen from the third one, a pin: its inner joint or, if that is a guide, the outer one of
+    the first body. A guide has the direction of its line, another pin that normal to the lever between the two pins.
+
+    Parameters
+    ----------
+    moving : Moving
+    group : JointedDyad
+    line : function of a guide to pair of Value [-]
+        Direction of a guide.
+    """
+    joints = group.outer if isinstance(group.inner, str) else (group.inner, group.outer[1])
+    point = moving.position(str(group.inner if isinstance(group.inner, str) else group.outer[0]))
+    one, other = (
+        line(joint) if isinstance(joint, Guide) else moment_row(minus(moving.position(joint), point)) for joint in joints
+    )
+    return one, other
+
+
+def jointed_forces(balance: RemainingWrenches, group: JointedDyad, tilts: Mapping[str, Value]) -> GroupForces:
+    """Return the forces of a group from its three joints: a pin exerts no moment about itself, a guide no force along its line.
+
+    With an inner pin its force follows from one balance of each body, with an inner guide that of the first body's outer pin from
+    one balance of this body and one of both.
+
+    Parameters
+    ----------
+    balance : RemainingWrenches
+    group : JointedDyad
+    tilts : mapping of str to Value [-]
+        Tangents of the friction angles of guides with friction.
+    """
+    (first, second), (joint, other) = group.links, group.outer
+    own, others = (balance.needed[link.body].force for link in group.links)
+    row, across = directions(balance.moving, group, lambda guide: balance.across(guide, tilts))
+    at, moment = balance.at(group.inner), 0.0
+    pins: list[tuple[str, str, Vector]] = []
+    guides: list[tuple[Guide, str, Vector, Value]] = []
+    if isinstance(group.inner, Guide):
+        pin = solve_two_by_two(row, dot(row, own), across, balance.component(other, across, first, second))
+        inner, moment = minus(own, pin), balance.about(first, at) - cross(minus(balance.at(joint), at), pin)
+        guides.append((group.inner, first.body, inner, moment))
+    else:
+        inner = solve_two_by_two(row, balance.component(joint, row, first), across, -balance.component(other, across, second))
+        pins.append((group.inner, first.body, inner))
+    outer = minus(own, inner), plus(others, inner)
+    for link, joint, force in zip(group.links, group.outer, outer, strict=True):
+        if isinstance(joint, Guide):
+            place = balance.at(joint)
+            whole, passed = balance.about(link, place), cross(minus(at, place), inner) + moment
+            guides.append((joint, link.body, force, whole - passed if link is first else whole + passed))
+        else:
+            pins.append((joint, link.body, force))
+    return GroupForces(pins, guides, (row, across))
+
+
 BALANCES: Registry[Callable[..., GroupForces]] = Registry()
 """By the kind of the group: (remaining wrenches, group, tangents of friction angles of guides) -> forces."""
 
-
-@partial(BALANCES.add, "RRR")
-def _rrr(balance: RemainingWrenches, group: RRR, tilts: Mapping[str, Value]) -> GroupForces:
-    """Moments of the first link about the inner joint, of both about the other outer joint."""
-    first, second = group.links
-    p, q, j = (balance.moving.position(name) for name in (*group.pins, group.joint))
-    one, other = minus(p, j), minus(q, j)
-    right = balance.about(first, q) + balance.about(second, q)
-    outer = solve_two_by_two(moment_row(one), balance.about(first, j), moment_row(minus(p, q)), right)
-    inner = minus(balance.needed[first.body].force, outer)
-    pins = [(group.pins[0], first.body, outer), (group.joint, first.body, inner)]
-    return GroupForces([*pins, (group.pins[1], second.body, plus(balance.needed[second.body].force, inner))], [], (one, other))
-
-
-@partial(BALANCES.add, "RRP")
-def _rrp(balance: RemainingWrenches, group: RRP, tilts: Mapping[str, Value]) -> GroupForces:
-    """Moment of the link about the joint, force of both along the guide."""
-    link, slider = group.links
-    p, j, across = balance.moving.position(group.outer), balance.moving.position(group.joint), balance.across(group.guide, tilts)
-    total = balance.total(group)
-    lever = moment_row(minus(p, j))
-    outer = solve_two_by_two(lever, balance.about(link, j), across, dot(across, total))
-    inner = minus(balance.needed[link.body].force, outer)  # on the link
-    at = balance.at(group.guide)
-    moment = balance.about(slider, at) + cross(minus(j, at), inner)
-    return GroupForces(
-        [(group.outer, link.body, outer), (group.joint, link.body, inner)],
-        [(group.guide, slider.body, minus(total, outer), moment)],
-        (lever, across),
-    )
-
-
-@partial(BALANCES.add, "RPR")
-def _rpr(balance: RemainingWrenches, group: RPR, tilts: Mapping[str, Value]) -> GroupForces:
-    """Force of the slider along the guide, moment of both about the other outer joint."""
-    slider, second = group.links
-    p, q = (balance.moving.position(name) for name in group.outer)
-    across, needed = balance.across(group.guide, tilts), balance.needed[slider.body].force
-    lever = moment_row(minus(p, q))
-    outer = solve_two_by_two(lever, balance.about(slider, q) + balance.about(second, q), across, dot(across, needed))
-    inner, at = minus(needed, outer), balance.at(group.guide)
-    moment = balance.about(slider, at) - cross(minus(p, at), outer)
-    return GroupForces(
-        [(group.outer[0], slider.body, outer), (group.outer[1], second.body, minus(balance.total(group), outer))],
-        [(group.guide, slider.body, inner, moment)],
-        (lever, across),
-    )
-
-
-@partial(BALANCES.add, "RPP")
-def _rpp(balance: RemainingWrenches, group: RPP, tilts: Mapping[str, Value]) -> GroupForces:
-    """Force of the first body along its guide, of both along the rail."""
-    first, yoke = group.links
-    p, needed, total = balance.moving.position(group.outer), balance.needed[first.body].force, balance.total(group)
-    across, rail = (balance.across(guide, tilts) for guide in (group.guide, group.rail))
-    outer = solve_two_by_two(across, dot(across, needed), rail, dot(rail, total))
-    inner, at, rest = minus(needed, outer), balance.at(group.guide), balance.at(group.rail)
-    moment = balance.about(first, at) - cross(minus(p, at), outer)
-    reaction_moment = balance.about(yoke, rest) + cross(minus(at, rest), inner) + moment
-    return GroupForces(
-        [(group.outer, first.body, outer)],
-        [(group.guide, first.body, inner, moment), (group.rail, yoke.body, minus(total, outer), reaction_moment)],
-        (across, rail),
-    )
-
-
-@partial(BALANCES.add, "PRP")
-def _prp(balance: RemainingWrenches, group: PRP, tilts: Mapping[str, Value]) -> GroupForces:
-    """Forces of both sliders along their guides determine the pin between them."""
-    first, second = group.links
-    j = balance.moving.position(group.joint)
-    one, other = (balance.needed[link.body].force for link in group.links)
-    along, across = (balance.across(guide, tilts) for guide in group.guides)
-    inner = solve_two_by_two(along, dot(along, one), across, -dot(across, other))  # on the first
-    guides = []
-    for link, guide, needed, sign in ((first, group.guides[0], one, 1.0), (second, group.guides[1], other, -1.0)):
-        at, pin = balance.at(guide), (sign * inner[0], sign * inner[1])
-        guides.append((guide, link.body, minus(needed, pin), balance.about(link, at) - cross(minus(j, at), pin)))
-    return GroupForces([(group.joint, first.body, inner)], guides, (along, across))
+for kind in get_args(Transmitting):
+    BALANCES.add(kind.kind, jointed_forces)

@@ -386,12 +386,12 @@ DYADS: Registry[Former] = Registry()
 
 @partial(DYADS.add, "RRR")
 def _rrr(assembly: Assembly, first: Link, second: Link, p: str, joint: str, q: str) -> Dyad:
-    return RRR(first, second, assembly.side(joint, p, q), (p, q), joint, follow=assembly.follows(joint))
+    return RRR(first, second, (p, q), joint, assembly.side(joint, p, q), follow=assembly.follows(joint))
 
 
 @partial(DYADS.add, "RRP")
 def _rrp(assembly: Assembly, first: Link, second: Link, p: str, joint: str, guide: Guide) -> Dyad:
-    return RRP(first, second, guide, p, joint, assembly.way(joint, guide), follow=assembly.follows(joint))
+    return RRP(first, second, (p, guide), joint, assembly.way(joint, guide), follow=assembly.follows(joint))
 
 
 @partial(DYADS.add, "RPR")
@@ -399,12 +399,12 @@ def _rpr(assembly: Assembly, first: Link, second: Link, p: str, guide: Guide, q:
     way, follow = assembly.way(guide.name, guide), assembly.follows(guide.name)
     if guide.slider != first.body:
         first, second, p, q = second, first, q, p
-    return RPR(first, second, guide, (p, q), way, follow=follow)
+    return RPR(first, second, (p, q), guide, way, follow=follow)
 
 
 @partial(DYADS.add, "RPP")
 def _rpp(assembly: Assembly, first: Link, second: Link, p: str, guide: Guide, rail: Guide) -> Dyad:
-    return RPP(first, second, guide, p, rail)
+    return RPP(first, second, (p, rail), guide)
 
 
 @partial(DYADS.add, "PRP")

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.alignment import AlignedPosition, least_alignments
-from optlink.linkage.dyad_types import RPR, RRP, RRR
+from optlink.linkage.dyad_types import RPR, ModalDyad
 from optlink.linkage.mechanism import Mechanism
 from optlink.linkage.passage import GroupPassages, Passage
 from optlink.linkage.stroke import reachable
@@ -69,7 +69,7 @@ def continue_through_singularities(
     singular position is left unchanged
     """
     for k, group in enumerate(mechanism.groups):
-        if isinstance(group, RRR | RRP | RPR) and (every or group.follow):
+        if isinstance(group, ModalDyad) and (every or group.follow):
             bodies = {link.body for g in mechanism.groups[: k + 1] for link in g.links} | {mechanism.crank.body}
             points = tuple(point for point in mechanism.points if point.body in bodies)
             part = replace(mechanism, groups=mechanism.groups[: k + 1], points=points)
@@ -80,7 +80,7 @@ def continue_through_singularities(
     return mechanism
 
 
-def _course(part: Mechanism, sizes: Mapping[str, Value], group: RRR | RRP | RPR, start: float) -> GroupPassages | None:
+def _course(part: Mechanism, sizes: Mapping[str, Value], group: ModalDyad, start: float) -> GroupPassages | None:
     """Sides and passages of the last group of a mechanism, from the crank angle at which its mode applies."""
     ranges, cycle = reachable(part, sizes), part.cycle
     aligned = [p for p in least_alignments(part, sizes) if p.group is group and p.singular]
@@ -115,7 +115,7 @@ def _ahead(at: float, origin: float, cycle: float, *, closed: bool) -> float:
     return cycle if closed and (distance < SAME_ANGLE or distance > cycle - SAME_ANGLE) else distance
 
 
-def _crossing(part: Mechanism, sizes: Mapping[str, Value], group: RRR | RRP | RPR, at: AlignedPosition) -> _Crossing | None:
+def _crossing(part: Mechanism, sizes: Mapping[str, Value], group: ModalDyad, at: AlignedPosition) -> _Crossing | None:
     """Continue a group through a singular position, on the largest circle on which its motion is a power series."""
     theta = math.pi + TURN * np.arange(NODES) / NODES
     circle = np.exp(1j * theta)
@@ -142,13 +142,13 @@ def _crossing(part: Mechanism, sizes: Mapping[str, Value], group: RRR | RRP | RP
 
 
 def _places(
-    part: Mechanism, sizes: Mapping[str, Value], group: RRR | RRP | RPR, angles: NDArray[np.complex128]
+    part: Mechanism, sizes: Mapping[str, Value], group: ModalDyad, angles: NDArray[np.complex128]
 ) -> NDArray[np.complex128]:
     """Solution of the group at complex crank angles: the coordinates of its joint, or the direction of its guide."""
     with np.errstate(all="ignore"):
         pose = replace(part, groups=(*part.groups[:-1], group)).at(sizes, angles)
         if isinstance(group, RPR):
-            coordinates = turn(pose.direction(group.first.body), pose.local_line(group.guide, group.first.body)[1])
+            coordinates = turn(pose.direction(group.first.body), pose.local_line(group.inner, group.first.body)[1])
         else:
             coordinates = pose.point(group.joint)
     return np.array([np.broadcast_to(x, angles.shape) for x in coordinates], dtype=complex)

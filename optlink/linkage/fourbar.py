@@ -60,7 +60,7 @@ def four_bar(
         name="four-bar",
         ground={"A": ("A.x", "A.y"), "D": Arm("A", "frame", "direction")} if placed else {"A": (0.0, 0.0), "D": ("frame", 0.0)},
         crank=Link("crank", "A", "B", "crank"),
-        groups=(RRR(coupler, rocker, side, follow=follow, holds_at=holds_at),),
+        groups=(RRR(coupler, rocker, ("B", "D"), "C", side, follow=follow, holds_at=holds_at),),
         points=tuple(BodyPoint(name, "coupler", f"{name}.along", f"{name}.across") for name in points),
         datum="direction" if placed else 0.0,
     )

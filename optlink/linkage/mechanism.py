@@ -87,6 +87,10 @@ class Guide:
         return self.on if body == self.slider else self.slider
 
 
+Joint = str | Guide
+"""A joint between two bodies: the name of a pin, or a guide."""
+
+
 @dataclass(frozen=True)
 class Dyad:
     """Base class of all dyads: two bodies that can be placed once their neighbours are.

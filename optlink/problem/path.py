@@ -393,7 +393,7 @@ def transmission_cosine(pose: Pose, group: Transmitting) -> Value:
     if not isinstance(group, RRR):
         return group.cosine(pose)
     joint = pose.point(group.joint)
-    one, other = (minus(pose.point(pin), joint) for pin in group.pins)
+    one, other = (minus(pose.point(pin), joint) for pin in group.outer)
     return dot(one, other) / np.sqrt(dot(one, one) * dot(other, other))
 
 

@@ -114,7 +114,7 @@ def _pantograph(task: PathProblem, loop: InnerFourBar) -> tuple[Link, Link] | No
     for group in mechanism.groups:
         if not isinstance(group, RRR) or group is loop.group:
             continue
-        for (arm, e), (leg, f) in (pair := tuple(zip(group.links, group.pins, strict=True)), pair[::-1]):
+        for (arm, e), (leg, f) in (pair := tuple(zip(group.links, group.outer, strict=True)), pair[::-1]):
             marked = (loop.coupler.body, e) in mechanism.marks and (loop.rocker.body, f) in mechanism.marks
             whole = {arm.start, arm.end} == {e, group.joint} and {leg.start, leg.end} == {f, group.joint}
             if leg.body == task.body and (leg.body, task.requirement.point) in mechanism.marks and marked and whole:

@@ -47,7 +47,7 @@ def inner_four_bars(mechanism: Mechanism) -> Iterator[InnerFourBar]:
     for group in mechanism.groups:
         if not isinstance(group, RRR):
             continue
-        pins = tuple(zip(group.links, group.pins, strict=True))
+        pins = tuple(zip(group.links, group.outer, strict=True))
         for (coupler, pin), (rocker, ground_pin) in (pins, pins[::-1]):
             if crank.body in owners[pin] and FRAME not in owners[pin] and FRAME in owners[ground_pin]:
                 yield InnerFourBar(crank, coupler, rocker, group, pin, ground_pin)

@@ -88,7 +88,7 @@ def squared_sines(motion: Motion) -> Array:
         if not isinstance(group, RRR):
             sines.append(motion.margin(group.joint))
             continue
-        p, q = (motion.position(name) for name in group.pins)
+        p, q = (motion.position(name) for name in group.outer)
         one, other = (_median(np.linalg.norm(motion.position(group.joint) - pin, axis=-1)) for pin in (p, q))
         cosine = included_cosine(one, other, np.sum((q - p) ** 2, axis=-1))
         sines.append(1.0 - cosine * cosine)

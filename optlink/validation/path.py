@@ -119,13 +119,13 @@ def transmission_angles(motion: Motion, mechanism: Mechanism) -> Array:
     angles = []
     for group in transmitting(mechanism):
         if isinstance(group, RRR):
-            p, q, c = (motion.position(name) for name in (*group.pins, group.joint))
+            p, q, c = (motion.position(name) for name in (*group.outer, group.inner))
             one, other = p - c, q - c
         elif isinstance(group, RRP):
-            one = _normal(_direction(motion, group.guide))
-            other = motion.position(group.joint) - motion.position(group.outer)
+            one = _normal(_direction(motion, group.outer[1]))
+            other = motion.position(group.inner) - motion.position(group.outer[0])
         elif isinstance(group, RPR):
-            one = _normal(_direction(motion, group.guide))
+            one = _normal(_direction(motion, group.inner))
             other = motion.position(group.outer[0]) - motion.position(group.outer[1])
         else:
             one, other = (_direction(motion, guide) for guide in group.prismatic)
@@ -264,7 +264,7 @@ def _least_height(tested: _Tested, groups: Sequence[RRR]) -> float:
     """Return the least distance [m] of a joint from the line of its outer pins: negative on the wrong side, NaN if open."""
     motion, least = tested.required, math.inf
     for group in groups:
-        p, q, c = (motion.position(name) for name in (*group.pins, group.joint))
+        p, q, c = (motion.position(name) for name in (*group.outer, group.inner))
         line, arm = q - p, c - p
         height = group.side * (line[:, 0] * arm[:, 1] - line[:, 1] * arm[:, 0]) / np.linalg.norm(line, axis=-1)
         least = min(least, float(np.min(height))) if np.all(np.isfinite(height)) else math.nan

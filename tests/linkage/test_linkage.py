@@ -228,7 +228,7 @@ def test_length_check_sees_a_defective_dyad(defect, monkeypatch):
 def test_length_check_sees_swapped_links():
     honest, sizes = four_bar(1), sized((0.1, 0.41, 0.23, 0.5))
     group = honest.groups[0]
-    swapped = RRR(replace(group.first, length="rocker"), replace(group.second, length="coupler"), 1)
+    swapped = replace(group, first=replace(group.first, length="rocker"), second=replace(group.second, length="coupler"))
     points = replace(honest, groups=(swapped,)).pose(sizes, unit(1.0)).points
     with pytest.raises(AssertionError, match="coupler"):
         check_lengths(honest, points, sizes)
@@ -321,7 +321,7 @@ def test_six_bar_of_two_groups_closes():
     """Dyads are solved one after the other: a second one may stand on a body of the first."""
     base = four_bar(1)
     lever, rod = Link("rod", "C", "F", 0.3), Link("lever", "G", "F", 0.25)
-    six = replace(base, ground={**base.ground, "G": (0.7, 0.1)}, groups=(*base.groups, RRR(lever, rod, -1)))
+    six = replace(base, ground={**base.ground, "G": (0.7, 0.1)}, groups=(*base.groups, RRR(lever, rod, ("C", "G"), "F", -1)))
     sizes = sized((0.1, 0.41, 0.23, 0.5))
     motion = sweep(six, sizes, REVOLUTION)
     assert (motion.margin("F") > 0.0).all()

@@ -238,7 +238,7 @@ def exchanged(rule: DesignProblem) -> Mechanism:
     """Coupler and rocker swapped."""
     (group,) = rule.linkage.groups
     first, second = replace(group.first, length="rocker"), replace(group.second, length="coupler")
-    return replace(rule.linkage, groups=(RRR(first, second, group.side),))
+    return replace(rule.linkage, groups=(replace(group, first=first, second=second),))
 
 
 @dataclass(frozen=True)
@@ -254,7 +254,7 @@ class Flipping(RRR):
 
 def flipping(rule: DesignProblem) -> Mechanism:
     (group,) = rule.linkage.groups
-    return replace(rule.linkage, groups=(Flipping(group.first, group.second, group.side),))
+    return replace(rule.linkage, groups=(Flipping(**vars(group)),))
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,13 @@ from typing import Protocol
 import numpy as np
 
 from optlink.dynamics.columns import MotionColumns
+from optlink.dynamics.dyad_balances import directions
 from optlink.dynamics.inverse import Reactions, reported_on, shaking
 from optlink.dynamics.machine import Moving, slider_names
 from optlink.io import Registry
 from optlink.linkage.dyad_types import RPR, RRP, RRR, Transmitting, transmitting
 from optlink.linkage.mechanism import FRAME, Mechanism
-from optlink.linkage.vector2d import Array, Value, cross, dot, magnitude, minus
+from optlink.linkage.vector2d import Array, Value, cross, dot, magnitude
 
 
 class ElementTerm(Protocol):
@@ -161,14 +162,7 @@ def _pressure(moving: Moving, reactions: Reactions, term: ElementTerm) -> tuple[
 
 def _transmission_angle(moving: Moving, group: Transmitting) -> Value:
     """Return the transmission angle of a dyad [rad], see `optlink.linkage.dyad_types.Transmitting`; 90 deg is best."""
-    if isinstance(group, RRR):
-        p, q = (minus(moving.position(pin), moving.position(group.joint)) for pin in group.pins)
-    elif isinstance(group, RRP | RPR):
-        ends = (group.joint, group.outer) if isinstance(group, RRP) else group.outer
-        line, q = moving.line(group.guide.name), minus(*(moving.position(end) for end in ends))
-        p = (-line[1], line[0])
-    else:
-        p, q = (moving.line(guide.name) for guide in group.prismatic)
+    p, q = directions(moving, group, lambda guide: moving.line(guide.name))
     return np.arctan2(magnitude(cross(p, q)), dot(p, q))
 
 
@@ -183,7 +177,7 @@ def _measured(record: MotionColumns, group: Transmitting) -> Array:
         return record[f"{group.joint}.transmission_rad"]
     lines = [record.moving.line(guide.name) for guide in group.prismatic]
     if isinstance(group, RRP | RPR):
-        ends = (group.joint, group.outer) if isinstance(group, RRP) else group.outer
+        ends = (group.joint, group.outer[0]) if isinstance(group, RRP) else group.outer
         arm = np.asarray(motion.position(ends[0]) - motion.position(ends[1]))
         cosine = (lines[0][0] * arm[:, 1] - lines[0][1] * arm[:, 0]) / np.linalg.norm(arm, axis=1)
     else:
