@@ -82,7 +82,7 @@ def solve(
         console.refuse({"--certify": certify} | limits | where, "a given design is validated, not optimised", "Leave it out")
         _validate(problem, design, changes, as_json, out)
         return
-    from optlink.tasks.results.certificate import STRICT, share_text
+    from optlink.tasks.results.certificate import GLOBAL_GAP, share_text
     from optlink.tasks.run import design_task, solve as search
 
     file = console.load(problem, changes)
@@ -98,7 +98,7 @@ def solve(
         )
     seconds = console.quantity(time_limit, "time", "--time-limit")
     with console.share("searching") as progress, console.share("proving") as proving:
-        certificate_options: dict[str, Any] = {"certify": certify, "gap": STRICT if gap is None else gap, "resume": resume}
+        certificate_options: dict[str, Any] = {"certify": certify, "gap": GLOBAL_GAP if gap is None else gap, "resume": resume}
         certificate_options |= {"time_limit": math.inf if seconds is None else seconds, "folder": out if certify else None}
         certificate_options |= console.given(engine=engine, workers=workers, scheduler=scheduler)
         certificate_options["proving"] = proving and (lambda share, gap: proving(share, f", gap {share_text(gap)}"))

@@ -108,7 +108,7 @@ class Curve:
         colour : str, optional
         width : float, optional
             Line width [pt].
-        **more
+        **options
             Further attributes of the curve.
         """
         return cls(places[:, 0], places[:, 1], name, colour, width, **options)
@@ -121,7 +121,7 @@ class Curve:
         ----------
         name : str
         colour : str
-        **more
+        **options
         """
         return cls(np.full(1, np.nan), np.full(1, np.nan), name, colour, **options)
 

@@ -373,7 +373,7 @@ class Sketch:
         fig : Figure
         columns : int, optional
             Largest number of columns.
-        **more : Artist
+        **extra : Artist
             Further entries; underscores in their names stand for spaces.
         """
         entries: dict[str, Any] = {body: Line2D([], [], color=self.colours[body], linewidth=3.0) for body in self.parts}

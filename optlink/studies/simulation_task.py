@@ -11,7 +11,7 @@ from optlink.dynamics.ending import Ending
 from optlink.errors import InputError
 from optlink.problem.file import ProblemFile
 from optlink.studies.sweep_task import FiguresTask, MachineFigures
-from optlink.tasks.clearance import checked, simulate_clearance
+from optlink.tasks.clearance import check_simulations, simulate_clearance
 from optlink.tasks.simulate import simulate
 
 
@@ -83,7 +83,7 @@ def with_integrator(
         Number of simulations.
     """
     settings = {"control": "none", "revolutions": 20, "points": 360, "tolerance": 1e-10, **options}
-    _, integrator = checked(problem, design=design, runs=runs, **settings)
+    _, integrator = check_simulations(problem, design=design, runs=runs, **settings)
     return {**options, "integrator": integrator} if integrator != "cvodes" else dict(options)
 
 

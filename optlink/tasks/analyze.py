@@ -27,8 +27,8 @@ from optlink.tasks.results.analysis import Analysis, Extreme
 
 MAX_POINTS = 1_000_000
 GRID = 720  # positions among which extremes are bracketed
-ROUNDED = 1e-5  # rad from a passed change point: reactions are inaccurate there
-BESIDE = 1e-6  # rad from a singular position: rates and forces are rounding errors there
+CHANGE_POINT_WIDTH = 1e-5  # rad from a passed change point: reactions are inaccurate there
+SINGULAR_WIDTH = 1e-6  # rad from a singular position: rates and forces are rounding errors there
 
 
 @typed
@@ -88,7 +88,7 @@ def analyze(
         low, high = start - cycle, start
     work = Work(machine, start, low, high, speed)
     columns, meanings, (singular, jammed, undefined) = _table(machine, angles, speed, work)
-    found: dict[str, Extreme] = {}
+    column_extremes: dict[str, Extreme] = {}
     swings: dict[str, Travel] = {}
     strokes: dict[str, Travel] = {}
     unbounded: tuple[str, ...] = ()
@@ -102,8 +102,8 @@ def analyze(
         jammed, undefined = (
             rows if rows.size else even[between] for rows, between in ((jammed, scanned.jammed), (undefined, scanned.undefined))
         )
-        found = _extremes(machine, scanned, even, ranges, speed, work, np.concatenate([jammed, undefined]))
-        found = {name: extreme for name, extreme in found.items() if name not in unbounded}
+        column_extremes = _extremes(machine, scanned, even, ranges, speed, work, np.concatenate([jammed, undefined]))
+        column_extremes = {name: extreme for name, extreme in column_extremes.items() if name not in unbounded}
         swings, strokes = travels(machine.mechanism, machine.sizes, low, high, ranges.full)
     names = slider_names(machine)
     unsound = bool(ranges.singular or jammed.size or undefined.size or work.poles)
@@ -118,7 +118,7 @@ def analyze(
         high,
         columns,
         meanings,
-        found,
+        column_extremes,
         swings,
         {names[guide]: travel for guide, travel in strokes.items()},
         work.jumps,
@@ -129,7 +129,7 @@ def analyze(
         (
             *_notes(problem, ranges, design, machine, singular),
             *_missing_notes(machine, jammed, undefined, speed, work.poles),
-            *_followed_notes(machine, ranges, unbounded),
+            *_continuation_notes(machine, ranges, unbounded),
             *(quick_stroke_notes(problem, machine, speed) if ranges.full else ()),
         ),
         flywheel(machine, speed, share, low) if share is not None and ranges.full else None,
@@ -170,22 +170,22 @@ def _undetermined(columns: dict[str, Array], rows: Array, positions: Iterable[Al
     """Remove values without a meaning at singular positions from the table; return the crank angles [rad] of these positions."""
     angles = np.radians(columns["crank_angle_deg"])
     exact = np.array([low + (position.crank_angle - low) % TURN for position in positions])
-    exact = np.where(exact - low > TURN - BESIDE, low, exact)
-    apart = np.abs(np.remainder(angles[:, None] - exact + math.pi, TURN) - math.pi)
-    beside = np.any(apart <= BESIDE, axis=1)
+    exact = np.where(exact - low > TURN - SINGULAR_WIDTH, low, exact)
+    distances = np.abs(np.remainder(angles[:, None] - exact + math.pi, TURN) - math.pi)
+    singular = np.any(distances <= SINGULAR_WIDTH, axis=1)
     for name, column in columns.items():
         if name == "input.work_J":
             columns[name] = np.full(column.shape, np.nan)
         elif not name.endswith(PLACES):
-            columns[name] = np.where(beside, np.nan, column)
-    others = rows[np.all(np.abs(rows[:, None] - exact) > BESIDE, axis=1)] if rows.size else rows
-    return distinct(np.concatenate([others, exact[exact <= high + BESIDE]]))
+            columns[name] = np.where(singular, np.nan, column)
+    remaining = rows[np.all(np.abs(rows[:, None] - exact) > SINGULAR_WIDTH, axis=1)] if rows.size else rows
+    return distinct(np.concatenate([remaining, exact[exact <= high + SINGULAR_WIDTH]]))
 
 
 def _beyond(rows: Array, positions: Iterable[AlignedPosition], cycle: float) -> Array:
     """Return crank angles [rad] of rows without finite reactions other than positions through which the motion is continued."""
     for position in positions:
-        rows = rows[np.abs(np.remainder(rows - position.crank_angle + 0.5 * cycle, cycle) - 0.5 * cycle) > BESIDE]
+        rows = rows[np.abs(np.remainder(rows - position.crank_angle + 0.5 * cycle, cycle) - 0.5 * cycle) > SINGULAR_WIDTH]
     return rows
 
 
@@ -208,8 +208,8 @@ def _extremes(
 
     def values(angles: Array, side: int = 1, machine: Machine = machine) -> Array:
         record = MotionColumns(machine.moving(angles, speed, side=side))
-        apart = np.abs(np.remainder(angles[:, None] - passed + 0.5 * cycle, cycle) - 0.5 * cycle)
-        singular = record.singular | np.any(apart < ROUNDED, axis=1)
+        distances = np.abs(np.remainder(angles[:, None] - passed + 0.5 * cycle, cycle) - 0.5 * cycle)
+        singular = record.singular | np.any(distances < CHANGE_POINT_WIDTH, axis=1)
         rows = [
             np.where(singular, np.nan, column.values) if name in record.reaction_names else column.values
             for name, column in record.columns.items()
@@ -230,21 +230,21 @@ def _extremes(
         for k, sign in ((0, 1.0), (1, -1.0)):
             scored = np.where(np.isfinite(before), before * sign, np.inf)
             place = np.argmin(scored, axis=1)
-            other = before[np.arange(len(before)), place]
-            better = np.isfinite(other) & ~(best[:, k] * sign <= other * sign)
-            best[:, k], at[:, k] = np.where(better, other, best[:, k]), np.where(better, work.jumps[place], at[:, k])
+            one_sided = before[np.arange(len(before)), place]
+            better = np.isfinite(one_sided) & ~(best[:, k] * sign <= one_sided * sign)
+            best[:, k], at[:, k] = np.where(better, one_sided, best[:, k]), np.where(better, work.jumps[place], at[:, k])
 
     def placed(angle: float) -> float:
         return within_cycle(angle, cycle) if full and math.isfinite(angle) else float(angle)
 
-    found = {
+    result = {
         name: Extreme(float(best[i, 0]), placed(at[i, 0]), float(best[i, 1]), placed(at[i, 1])) for i, name in enumerate(names)
     }
     if without.size or work.poles:
-        known = np.all(np.isfinite(values(without)), axis=1)
+        defined = np.all(np.isfinite(values(without)), axis=1)
         if work.poles:
-            known &= np.isfinite(values(low[None], machine=without_values(machine, work.poles)))[:, 0]
-        return {name: found[name] for name, whole in zip(names, known, strict=True) if whole}
+            defined &= np.isfinite(values(low[None], machine=without_values(machine, work.poles)))[:, 0]
+        return {name: result[name] for name, valid in zip(names, defined, strict=True) if valid}
     inside = grid[(grid >= low) & (grid <= high)]
     turning = zeros(lambda angles: work.torque(angles)[None, :], inside)[0]
     places = distinct(np.concatenate([[low, high], turning, work.jumps]))
@@ -256,8 +256,8 @@ def _extremes(
         at_least, at_largest = (
             float(end) if full and places[k] == end and abs(amounts[k]) > rounding else placed(places[k]) for k in (i, j)
         )
-        found["input.work_J"] = Extreme(float(amounts[i]), at_least, float(amounts[j]), at_largest)
-    return found
+        result["input.work_J"] = Extreme(float(amounts[i]), at_least, float(amounts[j]), at_largest)
+    return result
 
 
 def _least_forces(record: MotionColumns, angles: Array, pins: Iterable[tuple[str, str, str]]) -> Array:
@@ -265,12 +265,12 @@ def _least_forces(record: MotionColumns, angles: Array, pins: Iterable[tuple[str
 
     The magnitude has a minimum there that may be too sharp for the positions to show which of several minima is the least.
     """
-    found = [np.empty(0)]
+    places = [np.empty(0)]
     for _, point, body in pins:
         share = chord_shares(np.array([record.full(part) for part in record.reactions.pins[point][body]]))
         inside = (share > 1e-3) & (share < 1.0 - 1e-3)
-        found.append((angles[:-1] + share * np.diff(angles))[inside])
-    return distinct(np.concatenate(found).round(9))
+        places.append((angles[:-1] + share * np.diff(angles))[inside])
+    return distinct(np.concatenate(places).round(9))
 
 
 def chord_shares(force: Array) -> Array:
@@ -324,13 +324,13 @@ def _notes(
     if not ranges.full:
         notes.append(f"the crank cannot turn fully; reachable: {ranges.text} (without the last 0.1 % at either end)")
         for low, high in ranges.ranges[:1]:
-            for end, way in ((low, -1.0), (high, 1.0)):
-                reason = range_end_reason(machine.mechanism, machine.sizes, end, way)
+            for end, direction in ((low, -1.0), (high, 1.0)):
+                reason = range_end_reason(machine.mechanism, machine.sizes, end, direction)
                 if reason:
                     notes.append(reason)
     for position in ranges.aligned:
         if not position.singular:
-            notes.append(_near(machine, position))
+            notes.append(_alignment_note(machine, position))
     if ranges.singular:
         notes.append(
             f"singular position at crank angle {positions_text(ranges.singular)}: the assembly modes meet, and the motion "
@@ -371,13 +371,13 @@ def _missing_notes(machine: Machine, jammed: Array, undefined: Array, speed: flo
         yield "extremes of the forces that have no value there, and works, are left out"
 
 
-def _followed_notes(machine: Machine, ranges: Ranges, unbounded: tuple[str, ...]) -> Iterator[str]:
+def _continuation_notes(machine: Machine, ranges: Ranges, unbounded: tuple[str, ...]) -> Iterator[str]:
     """Yield notes on the continuation of the motion through change points, and on what it leaves undetermined."""
-    turns = round(machine.mechanism.cycle / TURN)
+    revolutions = round(machine.mechanism.cycle / TURN)
     if ranges.followed:
         yield f"the motion is followed smoothly through the change points at crank angle {positions_text(ranges.followed)}"
-    if turns > 1:
-        yield f"the motion repeats after {turns} revolutions of the crank, which are one cycle here"
+    if revolutions > 1:
+        yield f"the motion repeats after {revolutions} revolutions of the crank, which are one cycle here"
     if unbounded:
         names = ", ".join(dict.fromkeys(name.split(".")[0] for name in unbounded))
         yield (
@@ -386,14 +386,14 @@ def _followed_notes(machine: Machine, ranges: Ranges, unbounded: tuple[str, ...]
         )
 
 
-def _near(machine: Machine, position: AlignedPosition) -> str:
+def _alignment_note(machine: Machine, position: AlignedPosition) -> str:
     """Return a note on a joint whose near-alignment causes force peaks."""
     joint, amount = position.group.joint, f"{math.degrees(position.angle):.3g} deg"
     where = f"at crank angle {math.degrees(position.crank_angle):.6g} deg"
     name = f"{joint}.transmission_rad"
-    found = MotionColumns(machine.moving(np.array([position.crank_angle])))
-    if name in found.columns:
-        what = f"the transmission angle at {joint} is {math.degrees(float(found[name][0])):.6g} deg,"
+    columns = MotionColumns(machine.moving(np.array([position.crank_angle])))
+    if name in columns.columns:
+        what = f"the transmission angle at {joint} is {math.degrees(float(columns[name][0])):.6g} deg,"
     else:
         what = f"the {position.group.kind} group of {joint} is"
     return f"{where} {what} {amount} from alignment: accelerations and forces peak there"

@@ -46,7 +46,7 @@ Progress = Callable[[float], None]
 
 
 def positions(problem: ProblemFile, machine: Machine, speed: float) -> Array:
-    """Return the crank angles [rad] at which a machine is balanced; a revolution without its last, which equals the first.
+    """Return the crank angles [rad] at which a machine is balanced; a revolution without its end, which equals its start.
 
     Parameters
     ----------
@@ -125,17 +125,17 @@ class _Task:
 
     def parameters(self, added: Sequence[AddedCounterweight], springs: Sequence[FittedSpring]) -> Array:
         """Return parameters [SI] of counterweights and springs, zero for omitted ones."""
-        found = np.zeros(self.effects.count)
+        x = np.zeros(self.effects.count)
         for k, weight in enumerate(self.counterweights):
-            for one in added:
-                if one.specification is weight:
-                    found[4 * k : 4 * k + 4] = one.parameters
+            for counterweight in added:
+                if counterweight.specification is weight:
+                    x[4 * k : 4 * k + 4] = counterweight.parameters
         for k, spring in enumerate(self.springs):
-            for own in springs:
-                if own.specification is spring:
+            for fitted in springs:
+                if fitted.specification is spring:
                     place = 4 * len(self.counterweights) + 2 * k
-                    found[place : place + 2] = own.stiffness, own.stiffness * own.free
-        return found
+                    x[place : place + 2] = fitted.stiffness, fitted.stiffness * fitted.free
+        return x
 
 
 # --- the result ---------------------------------------------------------------------------------------------------------------
@@ -194,24 +194,24 @@ def balance(
     pair = () if trade is None else _pair(trade, task)
     _check(task, goal, pair, points)
     programme = task.programme
-    found = search.optimum(programme, goal)
+    solution = search.optimum(programme, goal)
     seconds["optimum"] = time.perf_counter() - begin
     before = _before(task, goal)
     common: dict[str, Any] = {name: getattr(task, name) for name in ("problem", "machine", "angles", "speed", "about")}
     common |= {"goal": tuple(goal), "before": before, "solver": version(), "seconds": seconds}
-    common["iterations"] = found.certificate.iterations
-    if found.certificate.status == "infeasible":
+    common["iterations"] = solution.certificate.iterations
+    if solution.certificate.status == "infeasible":
         return Balance(
             status=Status.INFEASIBLE, conflict=tuple(relaxed_limit(item) for item in search.conflict(task.programme)), **common
         )
-    if found.certificate.status != "optimal":
+    if solution.certificate.status != "optimal":
         return Balance(status=Status.STALLED, **common)
-    best = search.realised_discs(programme, goal, found.x)
+    best = search.realised_discs(programme, goal, solution.x)
     added, springs = task.parts(best)
     after = search.evaluate(programme, goal, best)
     scale = before if len(goal) == 1 else 1.0
-    size = max(found.value, 1e-3)  # a negligible value is related to the initial machine
-    gap, slack = max(found.gap, 0.0) / size, max(after - found.value, 0.0) / size
+    size = max(solution.value, 1e-3)  # a negligible value is related to the initial machine
+    gap, slack = max(solution.gap, 0.0) / size, max(after - solution.value, 0.0) / size
     excess = programme.excess(best)
     within = slack <= GAP and excess <= ACTIVE
     status = Status.STALLED if gap > GAP else Status.OPTIMAL if within else Status.RELAXED
@@ -226,7 +226,7 @@ def balance(
     return Balance(
         status=status,
         objective=after * scale,
-        lower=found.lower * scale,
+        lower=solution.lower * scale,
         gap=gap,
         slack=slack,
         added=added,
@@ -235,10 +235,10 @@ def balance(
         heavier=heavier,
         rows=rows,
         disagreement=disagreement,
-        limits=tuple(active_limit(price, after, scale) for price in found.prices),
+        limits=tuple(active_limit(price, after, scale) for price in solution.prices),
         trade=curve,
         notes=(*_notes(task, goal, status, slack, heavier, added, excess), *(curve.notes if curve else ())),
-        exact=found.exact,
+        exact=solution.exact,
         excess=excess,
         **common,
     )
@@ -292,12 +292,12 @@ def balanced_problem(
     springs : sequence of FittedSpring
     """
     changes: dict[str, object] = {"balance": None}
-    for one in added:
-        whole = with_counterweight(machine.inertias.get(one.body, Inertia()), one.parameters)
-        changes[f"bodies.{one.body}"] = {
-            "mass": f"{float(whole.mass)!r} kg",
-            "centroid": [f"{float(whole.along)!r} m", f"{float(whole.across)!r} m"],
-            "inertia": f"{float(whole.moment)!r} kg*m^2",
+    for counterweight in added:
+        inertia = with_counterweight(machine.inertias.get(counterweight.body, Inertia()), counterweight.parameters)
+        changes[f"bodies.{counterweight.body}"] = {
+            "mass": f"{float(inertia.mass)!r} kg",
+            "centroid": [f"{float(inertia.along)!r} m", f"{float(inertia.across)!r} m"],
+            "inertia": f"{float(inertia.moment)!r} kg*m^2",
         }
     for spring in springs:
         changes[f"loads.{spring.specification.name}"] = {
@@ -316,14 +316,14 @@ def _verified(
     balanced = balanced_problem(task.problem, task.machine, added, springs)
     machine = machine_of(balanced)
     observed = quantities(task.machine)
-    given = quantities_of(task.moving, observed, task.about)
+    initial = quantities_of(task.moving, observed, task.about)
     now = quantities_of(machine.moving(task.angles, task.speed), observed, task.about)
     disagreement = _disagreement(task, observed, now, task.parameters(added, springs))
-    return balanced, machine, measure_changes(observed, given, now), disagreement
+    return balanced, machine, measure_changes(observed, initial, now), disagreement
 
 
 def measure_changes(
-    observed: Sequence[BalanceMeasure], given: Sequence[Array], now: Sequence[Array]
+    observed: Sequence[BalanceMeasure], before: Sequence[Array], after: Sequence[Array]
 ) -> tuple[MeasureChange, ...]:
     """Return the root mean square and the largest value of quantities before and after balancing.
 
@@ -331,12 +331,14 @@ def measure_changes(
     ----------
     observed : sequence of BalanceMeasure
         Quantities.
-    given, now : sequence of array (positions, 1 or 2) [SI]
+    before, after : sequence of array (positions, 1 or 2) [SI]
         Their values before and after.
     """
-    measures = ([BalanceMeasure(one.kind, how, one.joint, one.on) for how in ("rms", "largest")] for one in observed)
-    every = zip(measures, given, now, strict=True)
-    return tuple(MeasureChange(one, one.value(old), one.value(new)) for pair, old, new in every for one in pair)
+    measures = (
+        [BalanceMeasure(measure.kind, how, measure.joint, measure.on) for how in ("rms", "largest")] for measure in observed
+    )
+    every = zip(measures, before, after, strict=True)
+    return tuple(MeasureChange(measure, measure.value(old), measure.value(new)) for pair, old, new in every for measure in pair)
 
 
 def _disagreement(task: _Task, measured: Sequence[BalanceMeasure], amounts: Sequence[Array], parameters: Array) -> float:
@@ -355,17 +357,17 @@ def _disagreement(task: _Task, measured: Sequence[BalanceMeasure], amounts: Sequ
 
 def _trade(task: _Task, first: BalanceMeasure, second: BalanceMeasure, count: int, progress: Progress | None) -> TradeOff:
     programme = task.programme
-    found = search.curve(programme, first, second, count)
+    front = search.curve(programme, first, second, count)
     scales = programme.before(first), programme.before(second)
     points = []
-    for k, point in enumerate(found.points):
+    for k, point in enumerate(front.points):
         x = min(map(programme.realised, (point.x, programme.with_mass(point.x))), key=lambda y: max(programme.excess(y), ACTIVE))
         added, springs = task.parts(x)
         machine = _heavier(task.machine, added, springs)
         observed = [first, second]
         now = quantities_of(machine.moving(task.angles, task.speed), observed, task.about)
         rows = [measure.rows(task.angles) for measure in observed]
-        made = tuple(m.value(amount[row]) for m, amount, row in zip(observed, now, rows, strict=True))
+        realised = tuple(m.value(amount[row]) for m, amount, row in zip(observed, now, rows, strict=True))
         off = _disagreement(task, observed, [a[row] for a, row in zip(now, rows, strict=True)], task.parameters(added, springs))
         points.append(
             TradePoint(
@@ -373,25 +375,25 @@ def _trade(task: _Task, first: BalanceMeasure, second: BalanceMeasure, count: in
                 point.second * scales[1],
                 max(point.gap, 0.0),
                 point.rate * scales[0] / scales[1],
-                (made[0], made[1]),
+                (realised[0], realised[1]),
                 off,
-                {one.body: one.mass for one in added},
+                {counterweight.body: counterweight.mass for counterweight in added},
                 programme.excess(x),
             )
         )
         if progress is not None:
-            progress((k + 1) / len(found.points))
+            progress((k + 1) / len(front.points))
     bend = knee(np.array([[point.first, point.second] for point in points]))
     return TradeOff(
-        first, second, scales, tuple(points), None if bend is None else bend[0], found.first_seconds, found.further_seconds
+        first, second, scales, tuple(points), None if bend is None else bend[0], front.first_seconds, front.further_seconds
     )
 
 
 def _heavier(machine: Machine, added: Sequence[AddedCounterweight], springs: Sequence[FittedSpring]) -> Machine:
     """Return the machine with counterweights and springs."""
     inertias = dict(machine.inertias)
-    for one in added:
-        inertias[one.body] = with_counterweight(inertias.get(one.body, Inertia()), one.parameters)
+    for counterweight in added:
+        inertias[counterweight.body] = with_counterweight(inertias.get(counterweight.body, Inertia()), counterweight.parameters)
     loads = (*machine.loads, *(spring.specification.spring(spring.stiffness, spring.free) for spring in springs))
     return machine.with_(inertias=inertias, loads=loads)
 
@@ -419,7 +421,7 @@ def _notes(
             else "no discs were found that meet all limits"
         )
         notes.append(f"{relaxed_note}: {end}")
-    idle = [weight.body for weight in task.counterweights if weight.body not in [one.body for one in added]]
+    idle = [weight.body for weight in task.counterweights if weight.body not in [counterweight.body for counterweight in added]]
     if idle:
         notes.append(f"no counterweight is of use on {', '.join(idle)}")
     notes += start_value_notes(task.problem)
@@ -438,8 +440,8 @@ def _between(task: _Task, goal: Sequence[tuple[BalanceMeasure, float]], heavier:
     coarse = quantities_of(heavier.moving(task.angles, task.speed), largest, task.about)
     dense = quantities_of(heavier.moving(fine, task.speed), largest, task.about)
     notes = []
-    for measure, one, other in zip(largest, coarse, dense, strict=True):
-        at, between = measure.value(one[measure.rows(task.angles)]), measure.value(other[measure.rows(fine)])
+    for measure, coarse_values, fine_values in zip(largest, coarse, dense, strict=True):
+        at, between = measure.value(coarse_values[measure.rows(task.angles)]), measure.value(fine_values[measure.rows(fine)])
         if between > at * (1.0 + 1e-4):
             higher = percent(between / at - 1.0, 2)
             notes.append(f"between the positions the {measure} is up to {higher} higher: use more positions")

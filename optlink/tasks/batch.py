@@ -25,18 +25,18 @@ from optlink.problem.quantity import check_choice
 from optlink.tasks.analyze import GRID, chord_shares
 from optlink.tasks.machine import crank_speed, machine_of
 
-PORTION = 12_000
-"""Positions that are worked on at a time: a few dozen intermediate arrays of them stay in the processor's cache."""
+BLOCK_SIZE = 12_000
+"""Positions per block: a few dozen intermediate arrays of this size fit in the processor's cache."""
 
-LARGE = 60_000
-"""The same for extremes, whose refinement takes many short calls."""
+LARGE_BATCH = 60_000
+"""Positions per block of `batch_extremes`, whose refinement takes many short calls."""
 
-CLEAR = 0.1
-"""Least sine of every group (of a transmission angle 5.7 deg) by which a design keeps clear of singular positions, also between
+MIN_SINE = 0.1
+"""Least sine of every group (of a transmission angle 5.7 deg) above which a design is far from singular positions, also between
 the samples."""
 
 
-ROUNDING = 1e-9
+CHORD_TOLERANCE = 1e-9
 """Share of the largest force below which a difference of its least values is rounding error."""
 
 SAMPLES = 360
@@ -99,68 +99,68 @@ def analyze_batch(
     arrays = _read(problem, designs)
     count = len(next(iter(arrays.values())))
     drive = problem.model.drive
-    way = crank_speed(problem, speed)
+    direction = crank_speed(problem, speed)
     follows = problem.model.mechanism.follows
-    turns = _most_turns(problem, arrays) if follows else 1
-    angles = drive.start.value + np.copysign(TURN, way) * np.arange(turns * points) / points
-    known = MotionColumns(machine_of(problem).moving(angles[:1], way)).columns
+    revolutions = _longest_cycle(problem, arrays) if follows else 1
+    angles = drive.start.value + np.copysign(TURN, direction) * np.arange(revolutions * points) / points
+    available = MotionColumns(machine_of(problem).moving(angles[:1], direction)).columns
     for name in columns:
-        check_choice("columns", name, known, "no such column", problem.file)
-    found = Columns()
-    found.update({name: np.empty((count, len(angles))) for name in columns})
-    samples = angles if points >= SAMPLES else drive.start.value + TURN * np.arange(turns * SAMPLES) / SAMPLES
-    step = 1 if follows else max(1, PORTION // points)
+        check_choice("columns", name, available, "no such column", problem.file)
+    result = Columns()
+    result.update({name: np.empty((count, len(angles))) for name in columns})
+    samples = angles if points >= SAMPLES else drive.start.value + TURN * np.arange(revolutions * SAMPLES) / SAMPLES
+    step = 1 if follows else max(1, BLOCK_SIZE // points)
     for first in range(0, count, step):
-        for part, defined in _alike(problem, arrays, np.arange(first, min(first + step, count)), alone=follows):
+        for part, defined in _by_slow_stroke(problem, arrays, np.arange(first, min(first + step, count)), single=follows):
             if not defined:
                 for name in columns:
-                    found[name][part] = np.nan
+                    result[name][part] = np.nan
                 continue
-            machine = machine_of(problem, _designs(arrays, part, alone=follows))
-            record = MotionColumns(machine.moving(angles, way))
+            machine = machine_of(problem, _designs(arrays, part, single=follows))
+            record = MotionColumns(machine.moving(angles, direction))
             for name in columns:
-                found[name][part] = record[name]
-            found.singular |= _singular(machine, part, samples)
+                result[name][part] = record[name]
+            result.singular |= _singular(machine, part, samples)
     for name in columns:
-        found[name][list(found.singular)] = np.nan
-    return found
+        result[name][list(result.singular)] = np.nan
+    return result
 
 
 def _singular(machine: Machine, part: NDArray[np.intp], angles: Array) -> dict[int, str]:
     """Return for designs whose motion is not determined, by index, the reason."""
     suspects = near_singular(sweep(machine.mechanism, machine.sizes, angles).pose, angles)
-    found = {}
+    reasons = {}
     for k in np.flatnonzero(suspects):
         sizes = {name: float(np.ravel(size)[k if np.size(size) > 1 else 0]) for name, size in machine.sizes.items()}
         singular = reachable(machine.mechanism, sizes).singular
         if singular:
-            found[int(part[k])] = (
+            reasons[int(part[k])] = (
                 f"singular position at crank angle {positions_text(singular)}: the motion beyond it is not determined"
             )
-    return found
+    return reasons
 
 
-def _designs(arrays: Mapping[str, Array], part: NDArray[np.intp], *, alone: bool) -> dict[str, Value]:
+def _designs(arrays: Mapping[str, Array], part: NDArray[np.intp], *, single: bool) -> dict[str, Value]:
     """Return the quantities of a block of designs as arrays (designs, 1), or as numbers of its only design."""
-    return {name: float(values[part[0]]) if alone else values[part, None] for name, values in arrays.items()}
+    return {name: float(values[part[0]]) if single else values[part, None] for name, values in arrays.items()}
 
 
-def _most_turns(problem: ProblemFile, arrays: Mapping[str, Array]) -> int:
+def _longest_cycle(problem: ProblemFile, arrays: Mapping[str, Array]) -> int:
     """Return the number of revolutions of the longest cycle of all designs."""
     model, count = problem.model, len(next(iter(arrays.values())))
     sizes, start = sizes_of(model.mechanism.quantities), model.drive.start.value
-    each = ({**sizes, **_designs(arrays, np.array([k]), alone=True)} for k in range(count))
-    return max(round(continue_through_singularities(model.linkage, design, start).cycle / TURN) for design in each)
+    design_sizes = ({**sizes, **_designs(arrays, np.array([k]), single=True)} for k in range(count))
+    return max(round(continue_through_singularities(model.linkage, design, start).cycle / TURN) for design in design_sizes)
 
 
-def _alike(
-    problem: ProblemFile, arrays: Mapping[str, Array], part: NDArray[np.intp], *, alone: bool
+def _by_slow_stroke(
+    problem: ProblemFile, arrays: Mapping[str, Array], part: NDArray[np.intp], *, single: bool
 ) -> Iterator[tuple[NDArray[np.intp], bool]]:
     """Group the designs of a block by the direction of their slow strokes, with whether every load that needs one has one."""
     if not any(load.by_pace for load in problem.model.loads.values()):
         yield part, True
         return
-    senses = problem.model.slow_senses(_designs(arrays, part, alone=alone))
+    senses = problem.model.slow_senses(_designs(arrays, part, single=single))
     senses = np.broadcast_to(senses, (len(senses), len(part)))
     keys, group = np.unique(senses, axis=1, return_inverse=True)
     for k, key in enumerate(keys.T):
@@ -196,43 +196,43 @@ def batch_extremes(
     arrays = _read(problem, designs)
     count = len(next(iter(arrays.values())))
     drive = problem.model.drive
-    way, start = crank_speed(problem), drive.start.value
+    direction, start = crank_speed(problem), drive.start.value
     step = TURN / GRID
-    grid = np.asarray(min(start, start + math.copysign(TURN, way)) + step * np.arange(GRID + 1), dtype=float)
-    found = {name: np.full((count, 2), np.nan) for name in columns}
+    grid = np.asarray(min(start, start + math.copysign(TURN, direction)) + step * np.arange(GRID + 1), dtype=float)
+    extremes = {name: np.full((count, 2), np.nan) for name in columns}
     clear = np.zeros(count, dtype=bool)
-    portion = max(1, LARGE // GRID)
+    portion = max(1, LARGE_BATCH // GRID)
     for first in range(0, count, portion):
         machine = machine_of(problem, {name: values[first : first + portion, None] for name, values in arrays.items()})
-        moving = machine.moving(grid, way)
+        moving = machine.moving(grid, direction)
         record = MotionColumns(moving)
         with np.errstate(all="ignore"):
-            apart = [np.min(np.abs(record.full(sine)), axis=1) > CLEAR for sine in record.reactions.singularity.values()]
-            apart.append(np.all(moving.motion.assembled, axis=1))
-        apart += [np.all(np.isfinite(record[part]), axis=1) for name in columns for part in reaction_parts(name)]
-        numbers = first + np.flatnonzero(np.all(apart, axis=0))
+            regular = [np.min(np.abs(record.full(sine)), axis=1) > MIN_SINE for sine in record.reactions.singularity.values()]
+            regular.append(np.all(moving.motion.assembled, axis=1))
+        regular += [np.all(np.isfinite(record[part]), axis=1) for name in columns for part in reaction_parts(name)]
+        numbers = first + np.flatnonzero(np.all(regular, axis=0))
         clear[numbers] = True
         if numbers.size:
-            own = machine_of(problem, {name: values[numbers, None] for name, values in arrays.items()})
+            batch_machine = machine_of(problem, {name: values[numbers, None] for name, values in arrays.items()})
             for name in columns:
-                found[name][numbers] = extremes_of_rows(functools.partial(_column, own, way, name), grid)
+                extremes[name][numbers] = extremes_of_rows(functools.partial(_column, batch_machine, direction, name), grid)
                 if len(parts := reaction_parts(name)) == 2:
                     force = np.array([record[part][numbers - first] for part in parts])
-                    clear[numbers] &= ~_smaller_elsewhere(force, found[name][numbers, 0])
-    return found, clear
+                    clear[numbers] &= ~_smaller_elsewhere(force, extremes[name][numbers, 0])
+    return extremes, clear
 
 
 def _smaller_elsewhere(force: Array, least: Array) -> NDArray[np.bool_]:
     """Return the designs whose force (2, designs, n) almost vanishes between samples, but not beside its smallest one.
 
-    Its least magnitude (designs,) is then another one than the refined one beside that sample.
+    Its least magnitude (designs,) then lies elsewhere than the refined minimum at that sample.
     """
     size, last = np.hypot(*force), force.shape[-1] - 1
     share = np.nan_to_num(np.clip(chord_shares(force), 0.0, 1.0))
     chord = np.hypot(*(force[..., :-1] + share * np.diff(force, axis=-1)))
     lowest, smallest = np.argmin(chord, axis=1), np.argmin(size[:, :last], axis=1)  # the last sample is the first one again
-    beside = (lowest == smallest) | (lowest == (smallest - 1) % last)
-    return np.asarray(~beside & (np.min(chord, axis=1) < least - ROUNDING * np.max(size, axis=1)))
+    at_smallest = (lowest == smallest) | (lowest == (smallest - 1) % last)
+    return np.asarray(~at_smallest & (np.min(chord, axis=1) < least - CHORD_TOLERANCE * np.max(size, axis=1)))
 
 
 def reaction_parts(name: str) -> tuple[str, ...]:
@@ -248,18 +248,18 @@ def _column(machine: Machine, speed: float, name: str, angles: Array) -> Array:
 
 
 def _read(problem: ProblemFile, designs: Mapping[str, ArrayLike]) -> dict[str, Array]:
-    known = problem.model.mechanism.quantities
+    quantities = problem.model.mechanism.quantities
     try:
         arrays = {name: np.atleast_1d(np.asarray(values, dtype=float)) for name, values in designs.items()}
     except (TypeError, ValueError) as error:
         raise InputError(f"not an array of numbers: {error}", "Give SI values by name", problem.file, "designs") from None
     if not arrays:
-        raise InputError("no quantity is varied", f"Name one of: {', '.join(known)}", problem.file, "designs")
+        raise InputError("no quantity is varied", f"Name one of: {', '.join(quantities)}", problem.file, "designs")
     sizes = {len(values) for values in arrays.values()}
     for name, values in arrays.items():
-        check_choice("designs", name, known, "unknown quantity", problem.file)
+        check_choice("designs", name, quantities, "unknown quantity", problem.file)
         if values.ndim != 1 or len(sizes) > 1:
             raise InputError("one value per design is needed", "Give arrays of one length", problem.file, name)
-        if not np.all(np.isfinite(values)) or (known[name].kind == "length" and np.any(values <= 0.0)):
+        if not np.all(np.isfinite(values)) or (quantities[name].kind == "length" and np.any(values <= 0.0)):
             raise InputError("not a size", "Give finite values, lengths above zero", problem.file, name)
     return arrays

@@ -27,7 +27,7 @@ from optlink.solvers.global_search.quadratic import least_squares
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.function_search import certified_by_default
 from optlink.tasks.protocol import completed
-from optlink.tasks.results.certificate import GLOBAL, INFEASIBLE, NOT_CLOSED, STRICT, WITHIN_GAP, Certificate, Cover, exact
+from optlink.tasks.results.certificate import GLOBAL, GLOBAL_GAP, INFEASIBLE, NOT_CLOSED, WITHIN_GAP, Certificate, Cover, exact
 from optlink.version import VERSION
 
 if TYPE_CHECKING:
@@ -39,13 +39,13 @@ Progress = Callable[[float, float], None]
 """Receives the share of the bounds that is done, and the present gap (NaN without a design)."""
 
 ACTIVE = 1e-6  # slack of a limit, and share of the bounds from one, below which it counts as active at the best design
-TOP = 1e-3  # share below the largest deviation within which others are as large
-NEAR = 1e-8  # half width of the box about the best design in which derivatives are taken, as a share of the bounds
-SAME = 1e-7  # share of the objective by which a design must be smaller to be better
-INSIDE = 0.999  # share of the gap that the search uses, so that rounding does not decide whether it is kept
-LARGE = 1024  # boxes of a timed path that are bounded together
-FAILURES = 20  # searches for a better timed path that may fail
-BUDGET = 2_000  # boxes of a certificate that is made by default; they take about a second
+NEAR_LARGEST = 1e-3  # share below the largest deviation within which others are as large
+DERIVATIVE_WIDTH = 1e-8  # half width of the box about the best design in which derivatives are taken, as a share of the bounds
+MIN_IMPROVEMENT = 1e-7  # share of the objective by which a design must be smaller to be better
+GAP_SHARE = 0.999  # share of the gap that the search uses, so that rounding does not decide whether it is kept
+PATH_BOXES = 1024  # boxes of a timed path that are bounded together
+MAX_FAILURES = 20  # searches for a better timed path that may fail
+AUTOMATIC_BOXES = 2_000  # boxes of a certificate that is made by default; they take about a second
 
 
 def automatic(problem: ProblemFile) -> bool:
@@ -98,12 +98,12 @@ def check_options(gap: float, time_limit: float) -> None:
 
 def certify(
     result: Certified,
-    gap: float = STRICT,
+    gap: float = GLOBAL_GAP,
     time_limit: float = math.inf,
     progress: Progress | None = None,
     seed: int = 0,
     boxes: float = math.inf,
-    stated: ProblemFile | None = None,
+    original: ProblemFile | None = None,
     folder: Path | None = None,
     *,
     resume: bool = False,
@@ -123,7 +123,7 @@ def certify(
         Seed of searches for a better design.
     boxes : float
         Largest number of boxes.
-    stated : ProblemFile, optional
+    original : ProblemFile, optional
         The problem whose open assembly modes are searched too; `result` has the best ones. Default: that of `result`.
     folder : Path, optional
         Folder for the state of a long search, from which an interrupted search resumes.
@@ -143,7 +143,7 @@ def certify(
         can be resumed.
     """
     check_options(gap, time_limit)
-    model, problem = result.problem.model, stated or result.problem
+    model, problem = result.problem.model, original or result.problem
     of_function = isinstance(model, DesignProblem) and model.error_bounded and result.valid and result.objective < MOST
     of_function = of_function and not exact(problem, result.objective)
     kind = _ErrorSearch if of_function else _PathSearch if _of_path(result.problem) else _Search
@@ -160,7 +160,7 @@ class _Search:
     """Branch and bound over every assembly mode, with the best design of all."""
 
     result: Any
-    stated: ProblemFile
+    original: ProblemFile
     gap: float
     seed: int
     checkpoint: Checkpoint | None = None
@@ -171,7 +171,7 @@ class _Search:
     def run(self, seconds: float, boxes: float, progress: Progress | None) -> Any:
         """Search every assembly mode, each with the best design found so far."""
         begin = time.perf_counter()
-        variants = self.stated.variants()
+        variants = self.original.variants()
         searches: list[BranchAndBound] = []
         interrupted = False
         try:
@@ -183,14 +183,14 @@ class _Search:
             for k, search in enumerate(searches):
                 if self._exact or search.closed:  # nothing is smaller than zero
                     continue
-                guess = self._guess(problems[k])
+                guess = self._multiplier_estimate(problems[k])
                 search.bounder = LagrangianBounds(problems[k], guess)
                 if guess is not None and not search.boxes:
                     search.begin_about(guess.point)
                 search.best = min(search.best, self._squared)
                 left = seconds - (time.perf_counter() - begin)
                 report = functools.partial(self._report, progress, searches, k)
-                search.run(left, boxes - sum(one.boxes for one in searches), report)
+                search.run(left, boxes - sum(item.boxes for item in searches), report)
         except KeyboardInterrupt:
             interrupts.handled()
             interrupted = True
@@ -199,12 +199,12 @@ class _Search:
 
     def _with(self, certificate: Certificate | None, begin: float, *, interrupted: bool) -> Any:
         """Return the result with its certificate and the time since the start of the proof."""
-        taken = self.result.seconds | {"certify": time.perf_counter() - begin}
-        return replace(self.result, certificate=certificate, seconds=taken, interrupted=self.result.interrupted or interrupted)
+        seconds = self.result.seconds | {"certify": time.perf_counter() - begin}
+        return replace(self.result, certificate=certificate, seconds=seconds, interrupted=self.result.interrupted or interrupted)
 
     def _branches(self, bounds: Bounder, best: float, better: Callable[[Array], float], batch: int = BATCH) -> BranchAndBound:
         """Return a search in terms of squared deviations."""
-        share = INSIDE * self.gap
+        share = GAP_SHARE * self.gap
         share = share * (2.0 - share) if self._square else share
         return BranchAndBound(bounds, best, share, better, batch, 2 * FEW, divisible=True, runs=self.runs)
 
@@ -229,7 +229,7 @@ class _Search:
         return exact(self.result.problem, self._known)
 
     def _keep(self, searches: list[BranchAndBound]) -> None:
-        """Write the state of searches that are not closed where it is kept, unless it is still to be read; else remove it."""
+        """Save the state of open searches, or remove the file if all are closed; do nothing before the state is restored."""
         if self.checkpoint is None or not searches or self.resume:
             return
         if self._exact or all(search.closed for search in searches):
@@ -238,34 +238,34 @@ class _Search:
             self.checkpoint.write(searches, self.result.design)
 
     def _resume(self, searches: list[BranchAndBound]) -> None:
-        """Restore interrupted searches, and take the better design that they had found; `resume` holds until that is complete."""
+        """Restore interrupted searches and their best design; `resume` is true until this is complete."""
         design = self.checkpoint.read(searches) if self.resume and self.checkpoint is not None else {}
-        for variant in self.stated.variants() if design else ():
+        for variant in self.original.variants() if design else ():
             if all(name in design for name in variant.model.free):
-                self._try(variant, {name: design[name] for name in variant.model.free})
+                self._search_locally(variant, {name: design[name] for name in variant.model.free})
         self.resume = False
 
-    def _try(self, variant: ProblemFile, start: dict[str, float]) -> bool:
-        """Search locally from a design [SI]; return whether the answer is a better one now."""
-        found = _local(self.result, variant, start, self.seed)
-        if found is None or not found.valid or not found.objective < (1.0 - SAME) * self._known:
+    def _search_locally(self, variant: ProblemFile, start: dict[str, float]) -> bool:
+        """Search locally from a design [SI]; return whether the result improved."""
+        candidate = _local(self.result, variant, start, self.seed)
+        if candidate is None or not candidate.valid or not candidate.objective < (1.0 - MIN_IMPROVEMENT) * self._known:
             return False
-        self.result, self.improved = found, True
+        self.result, self.improved = candidate, True
         return True
 
     def _improve(self, variant: ProblemFile, boxes: DesignBoxes, x: Array) -> float:
         """Search from a point for a better design; return the objective (squared) of the best known one."""
-        self._try(variant, dict(zip(boxes.problem.free, (float(value) for value in x), strict=True)))
+        self._search_locally(variant, dict(zip(boxes.problem.free, (float(value) for value in x), strict=True)))
         return self._squared
 
-    def _guess(self, problem: DesignBoxes) -> Guess | None:
-        """Return multipliers and weights from the conditions of optimality at the best design; None without one."""
+    def _multiplier_estimate(self, problem: DesignBoxes) -> Guess | None:
+        """Estimate multipliers and weights from the optimality conditions at the best design; None without a design."""
         if not self.result.valid or self._exact:
             return None
-        known = self.result.definite.model.quantities
-        x = np.array([self.result.design.get(name, quantity.value) for name, quantity in known.items() if quantity.free])
+        quantities = self.result.definite.model.quantities
+        x = np.array([self.result.design.get(name, quantity.value) for name, quantity in quantities.items() if quantity.free])
         width = problem.high - problem.low
-        models = problem.over((x - NEAR * width)[None], (x + NEAR * width)[None])
+        models = problem.over((x - DERIVATIVE_WIDTH * width)[None], (x + DERIVATIVE_WIDTH * width)[None])
         inside = np.minimum(x - problem.low, problem.high - x) > ACTIVE * width
         slopes, slacks = models.slacks.linear[:, 0], models.slacks.value[0]
         squares = (models.residuals * models.residuals).sum()
@@ -277,14 +277,14 @@ class _Search:
             multipliers[active] = least_squares(slopes[:, active][inside], gradient[inside])
             return Guess(x, multipliers, weights)
         sizes = squares.value[0]
-        top = np.flatnonzero(sizes >= (1.0 - TOP) * np.max(sizes))
+        top = np.flatnonzero(sizes >= (1.0 - NEAR_LARGEST) * np.max(sizes))
         rows = np.hstack([squares.linear[:, 0][:, top], -slopes[:, active]])[inside]
         scale = 1e3 * max(float(np.max(np.abs(rows), initial=0.0)), 1e-300)
         total = np.concatenate([np.full(len(top), scale), np.zeros(len(active))])
-        found = least_squares(np.vstack([rows, total]), np.append(np.zeros(len(rows)), scale))
+        solution = least_squares(np.vstack([rows, total]), np.append(np.zeros(len(rows)), scale))
         weights[:] = 0.0
-        weights[top] = found[: len(top)] / max(float(found[: len(top)].sum()), 1e-300) * (1.0 - 1e-14 * len(weights))
-        multipliers[active] = found[len(top) :]
+        weights[top] = solution[: len(top)] / max(float(solution[: len(top)].sum()), 1e-300) * (1.0 - 1e-14 * len(weights))
+        multipliers[active] = solution[len(top) :]
         return Guess(x, multipliers, weights)
 
     # --- the finding -----------------------------------------------------------------------------------------------
@@ -294,8 +294,8 @@ class _Search:
             self.checkpoint.write(searches, self.result.design)
         if progress is None:
             return
-        whole = float(np.prod(search.bounder.high - search.bounder.low))
-        left = float(np.sum(np.prod(search.open.high - search.open.low, axis=1))) / whole if whole > 0.0 else 0.0
+        volume = float(np.prod(search.bounder.high - search.bounder.low))
+        left = float(np.sum(np.prod(search.open.high - search.open.low, axis=1))) / volume if volume > 0.0 else 0.0
         gap = (self._known - self._value(search.lower)) / self._known if math.isfinite(self._known) else math.nan
         progress((k + 1.0 - left) / len(searches), gap)
 
@@ -304,13 +304,13 @@ class _Search:
         return math.sqrt(max(squared, 0.0)) * (1.0 - 1e-15) if self._square else squared
 
     def _status(self, closed: bool, lower: float) -> str:
-        known = self._known
+        best = self._known
         if not closed:
             return NOT_CLOSED
-        if not math.isfinite(known):
+        if not math.isfinite(best):
             return INFEASIBLE
-        share = (known - lower) / known if known > 0.0 else 0.0
-        return GLOBAL if self._exact or share <= STRICT * (1.0 + 1e-9) else WITHIN_GAP
+        share = (best - lower) / best if best > 0.0 else 0.0
+        return GLOBAL if self._exact or share <= GLOBAL_GAP * (1.0 + 1e-9) else WITHIN_GAP
 
     def _certificate(self, searches: list[BranchAndBound], variants: list[ProblemFile]) -> Certificate | None:
         """Return what the searches prove; None if interrupted before they began, or restored in part."""
@@ -320,8 +320,8 @@ class _Search:
         closed = self._exact or all(search.closed for search in searches)
         kept = all(search.leaves.test and isinstance(search.bounder, LagrangianBounds) for search in searches)
         rows = [(boxes, self._value(low), self._value(best)) for boxes, low, best in joint_history(searches)]
-        boxes, left = sum(one.boxes for one in searches), sum(len(one.open) + len(one.tiny) for one in searches)
-        covers = tuple(_cover(one, file) for one, file in zip(searches, variants, strict=True)) if kept and closed else ()
+        boxes, left = sum(item.boxes for item in searches), sum(len(item.open) + len(item.tiny) for item in searches)
+        covers = tuple(_cover(item, file) for item, file in zip(searches, variants, strict=True)) if kept and closed else ()
         return self._proven(closed, lower, boxes, 0 if self._exact else left, rows, covers)
 
     def _proven(
@@ -354,16 +354,16 @@ class _ErrorSearch(_Search):
     def run(self, seconds: float, boxes: float, progress: Progress | None) -> Any:
         """Search all assembly modes."""
         begin = time.perf_counter()
-        model, share = self.stated.model, INSIDE * self.gap
+        model, share = self.original.model, GAP_SHARE * self.gap
         assert isinstance(model, DesignProblem)
-        found = certify_function(model, self._known, self.result.design, share, seconds, boxes, progress, self._from_candidate)
-        certificate = self._proven(found.status == CLOSED, found.lower, found.boxes, len(found.open), found.history)
-        return self._with(certificate, begin, interrupted=found.status == INTERRUPTED)
+        proof = certify_function(model, self._known, self.result.design, share, seconds, boxes, progress, self._from_candidate)
+        certificate = self._proven(proof.status == CLOSED, proof.lower, proof.boxes, len(proof.open), proof.history)
+        return self._with(certificate, begin, interrupted=proof.status == INTERRUPTED)
 
     def _from_candidate(self, design: dict[str, float], side: int) -> float:
         """Search from a candidate [m, rad] of an assembly mode; return the objective of the best known design."""
-        variant = next(one for one in self.stated.variants() if one.spec.side == side)
-        self._try(variant, {name: design[name] for name in self.stated.model.free})
+        variant = next(file for file in self.original.variants() if file.spec.side == side)
+        self._search_locally(variant, {name: design[name] for name in self.original.model.free})
         return self._known
 
 
@@ -378,9 +378,9 @@ class _PathSearch(_Search):
         from optlink.solvers.global_search.timed_path import TimedPathBounds
 
         begin, interrupted = time.perf_counter(), False
-        assert isinstance(self.stated.model, PathProblem)
-        bounds = TimedPathBounds(self.stated.model)
-        search = self._branches(bounds, self._squared, functools.partial(self._from_box, bounds), LARGE)
+        assert isinstance(self.original.model, PathProblem)
+        bounds = TimedPathBounds(self.original.model)
+        search = self._branches(bounds, self._squared, functools.partial(self._from_box, bounds), PATH_BOXES)
         try:
             self._resume([search])
             if not self._exact:  # else nothing is smaller
@@ -389,18 +389,18 @@ class _PathSearch(_Search):
             interrupts.handled()
             interrupted = True
         self._keep([search])
-        return self._with(self._certificate([search], [self.stated]), begin, interrupted=interrupted)
+        return self._with(self._certificate([search], [self.original]), begin, interrupted=interrupted)
 
     def _from_box(self, bounds: TimedPathBounds, x: Array) -> float:
         """Search from the four-bar at a point, if it is within the bounds and searches for better ones have not failed often."""
         values, free = bounds.design(x), bounds.problem.free
         quantities = bounds.problem.quantities
         inside = all(quantities[name].bounds[0] <= values[name] <= quantities[name].bounds[1] for name in free)
-        if inside and self.failed < FAILURES:
-            variants, left = self.stated.variants(), bounds.left(x)
-            sides = [getattr(one.model, "side", 0) > 0 for one in variants]
+        if inside and self.failed < MAX_FAILURES:
+            variants, left = self.original.variants(), bounds.left(x)
+            sides = [getattr(file.model, "side", 0) > 0 for file in variants]
             variant = variants[sides.index(left) if left in sides else 0]
-            self.failed += not self._try(variant, {name: values[name] for name in free})
+            self.failed += not self._search_locally(variant, {name: values[name] for name in free})
         return self._squared
 
 
@@ -425,8 +425,8 @@ def _local(result: FunctionResult | PathResult, variant: ProblemFile, start: dic
         from optlink.tasks import function
 
         backend = result.backend if result.backend != "none" else "ipopt"
-        found = completed(function.solve(variant, backend, seed=seed, begin=start))
-        return replace(found, starts=result.starts, optima=result.optima, counts=result.counts)
+        candidate = completed(function.solve(variant, backend, seed=seed, begin=start))
+        return replace(candidate, starts=result.starts, optima=result.optima, counts=result.counts)
     from optlink.solvers import multistart
     from optlink.solvers.contract import BACKENDS
     from optlink.solvers.path_exchange import solve_semi_infinite

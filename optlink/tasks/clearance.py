@@ -46,8 +46,8 @@ from optlink.tasks.results.clearance import RUNNING_IN, ClearanceSimulation
 EVERY = 5.0
 """Seconds between checkpoints."""
 
-COARSER = 30.0
-"""Ratio of the tolerances of a run and of its twin, which shows how long the motion can be predicted."""
+TOLERANCE_RATIO = 30.0
+"""Ratio of the tolerances of the second run of the predictability check and of the run itself."""
 
 
 @dataclass(frozen=True)
@@ -65,12 +65,12 @@ class _Setting:
     nominal: float
     points: int
 
-    def plant(self, tolerance: float) -> ClosedLoop:
+    def closed_loop(self, tolerance: float) -> ClosedLoop:
         """Return the machine in its initial state, with its controller."""
         section = self.file.model.control
         sampled = self.control.fed_back and section is not None
         try:
-            plant = ClosedLoop(
+            closed_loop = ClosedLoop(
                 self.machine,
                 self.gaps,
                 self.drive,
@@ -87,12 +87,12 @@ class _Setting:
             remedy = f'Give it a mass{" and a moment of inertia" if bar else ""}: {error.body} = {{ mass = "0.2 kg"{bar} }}'
             raise InputError(str(error), remedy, self.file.file, f"bodies.{error.body}") from None
         if section is not None and sampled:
-            angles = self.start + math.copysign(TURN, self.nominal) * np.arange(plant.samples) / plant.samples
+            angles = self.start + math.copysign(TURN, self.nominal) * np.arange(closed_loop.samples) / closed_loop.samples
             ideal = np.broadcast_to(np.asarray(self.output.ideal(self.machine.moving(angles))[0]), angles.shape)
             gains = Gains(section.proportional, section.integral, section.derivative, section.limit.value)
             lever = leverage(self.machine, self.output, angles, self.regularisation)
-            plant.controller = Controller(PID(gains, plant.sample_time), ideal, lever, not self.output.guide)
-        return plant
+            closed_loop.controller = Controller(PID(gains, closed_loop.sample_time), ideal, lever, not self.output.guide)
+        return closed_loop
 
     @cached_property
     def drive(self) -> Drive:
@@ -102,10 +102,10 @@ class _Setting:
         section = self.file.model.control
         command = constant_speed(self.start, self.nominal)
         if self.control.inverted and section is not None:
-            known = [gap for gap in self.gaps if section.known is None or gap.point in section.known]
+            modelled = [gap for gap in self.gaps if section.known is None or gap.point in section.known]
             bandwidth = 0.5 * self.servo.bandwidth if section.bandwidth is None else section.bandwidth.value
-            if known:
-                inverse = Inverse(self.machine, known, self.output, self.start, self.nominal)
+            if modelled:
+                inverse = Inverse(self.machine, modelled, self.output, self.start, self.nominal)
                 command = inverse.reference_signal(self.regularisation, self.servo, bandwidth)
         return Drive(self.servo, command)
 
@@ -196,15 +196,15 @@ def simulate_clearance(
     """
     setting = _setting(problem, points, speed, control, start, design, flywheel)
     _check(revolutions, points, tolerance)
-    plant = setting.plant(tolerance)
-    integrator = chosen(resumed(integrator, resume), plant, revolutions + min(revolutions, WATCHED) * twin)
-    pair = PredictabilityCheck(setting.plant(tolerance * COARSER)) if twin else None
-    plants = [plant] if pair is None else [plant, pair.closed_loop]
+    closed_loop = setting.closed_loop(tolerance)
+    integrator = chosen(resumed(integrator, resume), closed_loop, revolutions + min(revolutions, WATCHED) * twin)
+    pair = PredictabilityCheck(setting.closed_loop(tolerance * TOLERANCE_RATIO)) if twin else None
+    closed_loops = [closed_loop] if pair is None else [closed_loop, pair.closed_loop]
     if integrator is IntegratorKind.COMPILED:
         with compiling():
-            for one in plants:
-                one.compile()
-    account = Statistics(plant)
+            for member in closed_loops:
+                member.compile()
+    account = Statistics(closed_loop)
     skipped = revolutions - revolutions_counted(revolutions)
     options = {
         "problem_hash": problem.hash,
@@ -224,13 +224,13 @@ def simulate_clearance(
         if begun.revolutions > revolutions:
             message = f"{begun.revolutions} revolutions are already complete"
             raise InputError(message, "Request more", key="revolutions", value=revolutions)
-        plant.restore(begun.closed_loop)
+        closed_loop.restore(begun.closed_loop)
         account.restore(begun.statistics)
         if pair is not None and begun.predictability is not None:
             pair.restore(begun.predictability)
 
     def save() -> dict[str, Any]:
-        return {"closed_loop": plant.save(), "predictability": None if pair is None else pair.save()}
+        return {"closed_loop": closed_loop.save(), "predictability": None if pair is None else pair.save()}
 
     def keep() -> None:
         if checkpoint is not None and account.count:
@@ -238,14 +238,14 @@ def simulate_clearance(
             checkpoint(state.document())
 
     if progress is not None:
-        plant.advanced = lambda done: progress(done / revolutions)
+        closed_loop.advanced = lambda completed: progress(completed / revolutions)
     kept_at, saved = time.monotonic(), save()
     ending, message = Ending.FINISHED, f"{revolutions} revolution{' was' if revolutions == 1 else 's were'} simulated"
-    notes = [*start_value_notes(problem, design), *_sample_time_note(setting, plant)]
+    notes = [*start_value_notes(problem, design), *_sample_time_note(setting, closed_loop)]
     try:
         with interrupts.watched() as stop:
-            for one in plants:
-                one.integration.stop = stop
+            for member in closed_loops:
+                member.integration.stop = stop
             for k in range(account.count, revolutions):
                 rows = account.add(k >= skipped)
                 if stream is not None:
@@ -259,10 +259,8 @@ def simulate_clearance(
     except Stalled as error:
         account.add_partial()
         ending = Ending.STALLED
-        angle = float(plant.integration.state[plant.equations.tree.driven])
-        message = (
-            f"{error.reason}, at {plant.time:.9g} s, crank angle {math.degrees(angle):.6g} deg, revolution {account.count + 1}"
-        )
+        angle = math.degrees(float(closed_loop.integration.state[closed_loop.equations.tree.driven]))
+        message = f"{error.reason}, at {closed_loop.time:.9g} s, crank angle {angle:.6g} deg, revolution {account.count + 1}"
     except KeyboardInterrupt:
         interrupts.handled()
         account.add_partial()
@@ -270,7 +268,7 @@ def simulate_clearance(
     if ending is not Ending.FINISHED:
         keep()
     if ending is Ending.STALLED:
-        notes.append(f"The state then: {_state(plant)}")
+        notes.append(f"The state then: {_state(closed_loop)}")
         notes.append(
             "Results up to that time are kept. Another contact stiffness, a higher restitution, masses or a lower speed may help"
         )
@@ -293,16 +291,16 @@ def simulate_clearance(
         setting.control,
         setting.nominal,
         setting.start,
-        plant.sample_time if plant.controller else None,
+        closed_loop.sample_time if closed_loop.controller else None,
         kept,
         account.meanings,
         table(account.per_revolution),
-        (*account.impacts, *plant.integration.lasting),
+        (*account.impacts, *closed_loop.integration.lasting),
         table(account.poincare_map),
         account.figures(),
         prediction,
         ending,
-        plant.time,
+        closed_loop.time,
         message,
         tuple(notes),
         tolerance,
@@ -316,7 +314,7 @@ def revolutions_counted(revolutions: int) -> int:
 
 
 @typed
-def checked(
+def check_simulations(
     problem: ProblemFile,
     control: str,
     *,
@@ -347,11 +345,11 @@ def checked(
     """
     setting = _setting(problem, points, speed, control, None, design, 0.0)
     _check(revolutions, points, tolerance)
-    plant = setting.plant(tolerance)
-    integrator = chosen(integrator, plant, revolutions * runs)
+    closed_loop = setting.closed_loop(tolerance)
+    integrator = chosen(integrator, closed_loop, revolutions * runs)
     if integrator is IntegratorKind.COMPILED:
         with compiling():
-            plant.compile()
+            closed_loop.compile()
     return setting.output, str(integrator)
 
 
@@ -417,9 +415,9 @@ def _setting(
     first = nominal
     if drive.torque is not None:
         first = drive.initial_speed.value if drive.initial_speed is not None else 0.0
-    known = outputs(machine)
-    said = model.control.output if model.control is not None else None
-    output = known[said] if said is not None else default_output(machine)
+    available = outputs(machine)
+    requested = model.control.output if model.control is not None else None
+    output = available[requested] if requested is not None else default_output(machine)
     return _Setting(problem, machine, gaps, output, kind, servo, begin, first, nominal, points)
 
 
@@ -433,16 +431,16 @@ def _check(revolutions: int, points: int, tolerance: float) -> None:
         raise InputError("out of range", "Give a number from 1e-13 to 1e-4", key="tolerance", value=tolerance)
 
 
-def _state(plant: ClosedLoop) -> str:
+def _state(closed_loop: ClosedLoop) -> str:
     """Return the coordinates and their rates as text."""
-    cut, state = plant.equations.tree, plant.integration.state
+    tree, state = closed_loop.equations.tree, closed_loop.integration.state
     units = {"angle": "rad", "x": "m", "y": "m", "slide": "m"}
-    pairs = zip(cut.coordinates, state[: plant.equations.size], state[plant.equations.size :], strict=True)
+    pairs = zip(tree.coordinates, state[: closed_loop.equations.size], state[closed_loop.equations.size :], strict=True)
     return "; ".join(f"{c.name} {q:.6g} {units[c.kind]}, {v:.6g} {units[c.kind]}/s" for c, q, v in pairs)
 
 
-def _sample_time_note(setting: _Setting, plant: ClosedLoop) -> list[str]:
+def _sample_time_note(setting: _Setting, closed_loop: ClosedLoop) -> list[str]:
     section = setting.file.model.control
-    if plant.controller and section is not None and abs(plant.sample_time / section.sample_time.value - 1.0) > 1e-9:
-        return [f"The sample time is {plant.sample_time * 1e3:.6g} ms, so that it fits the revolution and its rows"]
+    if closed_loop.controller and section is not None and abs(closed_loop.sample_time / section.sample_time.value - 1.0) > 1e-9:
+        return [f"The sample time is {closed_loop.sample_time * 1e3:.6g} ms, so that it fits the revolution and its rows"]
     return []

@@ -19,7 +19,7 @@ from optlink.problem.arguments import typed
 from optlink.problem.base_model import SPELLINGS
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range
-from optlink.tasks.clearance import checked
+from optlink.tasks.clearance import check_simulations
 from optlink.tasks.machine import machine_of
 from optlink.tasks.parallel_runs import RunJob, RunResult, run_jobs
 from optlink.tasks.results.checkpoint import ComparisonCheckpoint, RunRecord, TuningCheckpoint, read_checkpoint
@@ -145,7 +145,7 @@ def compare(
     common["design"] = design
     integrator = resumed(integrator, resume)
     for kind in kinds:  # refuse options that no run accepts, before any process starts; and compile, once for all
-        _, integrator = checked(
+        _, integrator = check_simulations(
             problem, control=kind, integrator=integrator, runs=starts * len(kinds), compiling=compiling, **common
         )
     label["integrator"] = common["integrator"] = integrator
@@ -177,7 +177,7 @@ def _run(key: tuple[str, int], ran: RunResult) -> RunRecord:
 
 def _runs(begun: ComparisonCheckpoint) -> dict[tuple[str, int], RunResult]:
     """Return the runs of a checkpoint."""
-    return {(one.control, one.start): RunResult(one.figures, one.unit, one.finished) for one in begun.runs}
+    return {(run.control, run.start): RunResult(run.figures, run.unit, run.finished) for run in begun.runs}
 
 
 RANGES: dict[str, tuple[float, float]] = {
@@ -273,7 +273,7 @@ def tune(
     if unknown or not names:
         raise InputError("no such parameter", f"Known: {', '.join(RANGES)}", key="--tune", value=", ".join(unknown))
     check_range("evaluations", evaluations, 4, 100_000)
-    angles, others = random_crank_angles(starts, seed), random_crank_angles(starts, seed + 1)
+    angles, verification_angles = random_crank_angles(starts, seed), random_crank_angles(starts, seed + 1)
     low, high = (np.log([RANGES[name][side] for name in names]) for side in (0, 1))
     generator = np.random.default_rng(seed)
     sobol = qmc.Sobol(len(names), seed=seed).random(1 << int(np.ceil(np.log2(max(2, evaluations // 2)))))
@@ -281,53 +281,55 @@ def tune(
     common["design"] = design
     integrator = resumed(integrator, resume)
     runs = starts * (evaluations + 1)
-    output, integrator = checked(problem, control=control, integrator=integrator, runs=runs, compiling=compiling, **common)
+    output, integrator = check_simulations(
+        problem, control=control, integrator=integrator, runs=runs, compiling=compiling, **common
+    )
     common["integrator"] = integrator
-    idle = next((name for name in names if not _acts(name, Control(control))), None)
+    idle = next((name for name in names if not _has_effect(name, Control(control))), None)
     if idle is not None:
         raise InputError(f"the parameter has no effect with control {control}", "Tune inverse+pid", key="--tune", value=idle)
     label = {**common, "problem_hash": problem.hash, "control": control, "names": list(names)}
     label |= {"evaluations": evaluations, "starts": starts, "seed": seed, "design": None if design is None else dict(design)}
     kept = [] if resume is None else read_checkpoint(TuningCheckpoint, resume, label).costs
-    done: list[tuple[float, float]] = []  # cost and scatter: of the parameters of the problem, then of every evaluation
+    scores: list[tuple[float, float]] = []  # cost and scatter: of the parameters of the problem, then of every evaluation
 
-    tried: list[Array] = []
+    tested: list[Array] = []
     costs: list[float] = []
     together = workers or (1 if engine == "local" else starts)
 
     def outcome(changed: ProblemFile, work: Runs) -> tuple[float, float]:
         """Return mean and scatter; infinite if a run stalls or the mean exceeds the best one, which stops it early."""
-        most, room = starts * min((one for one, _ in done), default=np.inf), starts * min(costs, default=np.inf)
+        most, room = starts * min((mean for mean, _ in scores), default=np.inf), starts * min(costs, default=np.inf)
         ran: dict[int, RunResult] = {}
         for first in range(0, starts, together):
             spent = sum(ran[k].figures[f"rms_{output.unit}"] for k in range(first))
             limit = min(most, room * (1.0 + ROUNDING) - spent)
-            own = angles[first : first + together] if limit > 0.0 else angles[:0]
-            jobs = [RunJob(changed, control=control, start=float(start), limit=limit, **common) for start in own]
+            chunk = angles[first : first + together] if limit > 0.0 else angles[:0]
+            jobs = [RunJob(changed, control=control, start=float(start), limit=limit, **common) for start in chunk]
             ran |= {first + k: run for k, run in run_jobs(jobs, work)}
             if not jobs or any(run.hopeless or not run.finished for run in ran.values()):
                 return np.inf, np.nan
-        found = _trials([ran[k] for k in range(starts)])
-        return (np.inf, np.nan) if found.mean > min(costs, default=np.inf) else (found.mean, found.scatter)
+        trials = _trials([ran[k] for k in range(starts)])
+        return (np.inf, np.nan) if trials.mean > min(costs, default=np.inf) else (trials.mean, trials.scatter)
 
     def cost(changed: ProblemFile, work: Runs) -> float:
-        if len(done) < len(kept):
-            done.append(kept[len(done)])
+        if len(scores) < len(kept):
+            scores.append(kept[len(scores)])
         else:
-            done.append(outcome(changed, work))
+            scores.append(outcome(changed, work))
             if checkpoint is not None:
-                checkpoint(TuningCheckpoint(**label, complete=len(done) - 1, total=evaluations, costs=done).document())
+                checkpoint(TuningCheckpoint(**label, complete=len(scores) - 1, total=evaluations, costs=scores).document())
         if progress is not None:
-            progress(len(done) / (evaluations + 3))
-        return done[-1][0]
+            progress(len(scores) / (evaluations + 3))
+        return scores[-1][0]
 
     def verified(changed: ProblemFile, work: Runs) -> Trials:
         """Return the figures from the starts that the search does not use."""
-        jobs = [RunJob(changed, control=control, start=float(start), **common) for start in others]
+        jobs = [RunJob(changed, control=control, start=float(start), **common) for start in verification_angles]
         ran = dict(run_jobs(jobs, work))
         return _trials([ran[k] for k in range(starts)])
 
-    size = _sizes(problem, output, design)
+    size = _reference_values(problem, output, design)
     with pool(engine, workers or (1 if engine == "local" else None), scheduler) as work:
         before = cost(problem, work)
         for k in range(evaluations):
@@ -335,27 +337,27 @@ def tune(
                 share = sobol[k]
             else:
                 width = 0.3 * 0.5 ** (4.0 * (k - evaluations // 2) / max(1, evaluations - evaluations // 2))
-                share = np.clip(tried[int(np.argmin(costs))] + width * generator.standard_normal(len(names)), 0.0, 1.0)
-            tried.append(share)
+                share = np.clip(tested[int(np.argmin(costs))] + width * generator.standard_normal(len(names)), 0.0, 1.0)
+            tested.append(share)
             costs.append(cost(problem.override(_values(names, np.exp(low + share * (high - low)), size, output.unit)), work))
         best = int(np.argmin(costs))
         better = costs[best] < before
-        chosen = _values(names, np.exp(low + tried[best] * (high - low)), size, output.unit) if better else {}
-        found = problem.override(chosen) if better else problem
-        check = (verified(problem, work), verified(found, work)) if better else None
+        chosen = _values(names, np.exp(low + tested[best] * (high - low)), size, output.unit) if better else {}
+        best_problem = problem.override(chosen) if better else problem
+        check = (verified(problem, work), verified(best_problem, work)) if better else None
     if progress is not None:
         progress(1.0)
-    values = np.exp(low + np.array(tried) * (high - low)) * np.array([size.get(name, 1.0) for name in names])
-    cost_of_best, scatter = done[best + 1 if better else 0]
+    values = np.exp(low + np.array(tested) * (high - low)) * np.array([size.get(name, 1.0) for name in names])
+    cost_of_best, scatter = scores[best + 1 if better else 0]
     return Tuning(
-        found,
+        best_problem,
         {key.partition(".")[2]: value for key, value in chosen.items()},
         cost_of_best,
         scatter,
         before,
         dict(zip(names, values.T, strict=True)),
         np.array(costs),
-        np.array([scatter for _, scatter in done[1:]]),
+        np.array([scatter for _, scatter in scores[1:]]),
         control,
         starts,
         seed,
@@ -365,12 +367,12 @@ def tune(
     )
 
 
-def _acts(name: str, kind: Control) -> bool:
+def _has_effect(name: str, kind: Control) -> bool:
     """Return whether a parameter has an effect on a kind of control."""
     return {"regularisation": kind is not Control.NONE, "bandwidth": kind.inverted}.get(name, kind.fed_back)
 
 
-def _sizes(problem: ProblemFile, output: Output, design: Mapping[str, float] | None) -> dict[str, float]:
+def _reference_values(problem: ProblemFile, output: Output, design: Mapping[str, float] | None) -> dict[str, float]:
     """Return the reference values of relative parameters [SI]."""
     servo = problem.model.drive.servo
     return {
@@ -382,8 +384,8 @@ def _sizes(problem: ProblemFile, output: Output, design: Mapping[str, float] | N
 def _values(names: Sequence[str], values: Array, size: Mapping[str, float], unit: str) -> dict[str, str | float]:
     """Return parameters in the form of a problem file."""
     units = {"regularisation": unit, "bandwidth": "rad/s"}
-    found: dict[str, str | float] = {}
+    settings: dict[str, str | float] = {}
     for name, value in zip(names, values, strict=True):
-        stated = float(f"{value * size.get(name, 1.0):.4g}")
-        found[f"control.{name}"] = f"{stated!r} {units[name]}" if name in units else stated
-    return found
+        rounded = float(f"{value * size.get(name, 1.0):.4g}")
+        settings[f"control.{name}"] = f"{rounded!r} {units[name]}" if name in units else rounded
+    return settings

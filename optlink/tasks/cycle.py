@@ -33,10 +33,11 @@ if TYPE_CHECKING:
     from optlink.solvers.cycle_starts import StartGroup, StartSequence
 
 
-ALIKE = 1e-6  # relative, of the objectives of two designs of one continuum
-COARSE, TRIED = 24, 2  # positions per revolution, and starts, of the infeasibility analysis
-MANY = 200  # starting points that several processes share by default; fewer take no longer than the start of the processes
-MOST_NODES, EXACT = 400, 1e-7  # positions per revolution, and relative accuracy of integrals against the fine sweep
+EQUAL_OBJECTIVE = 1e-6  # relative difference of the objectives of two designs of one continuum
+COARSE_NODES, COARSE_STARTS = 24, 2  # positions per revolution, and starts, of the infeasibility analysis
+SHARED_STARTS = 200
+"""Starting points that several processes share by default; fewer take no longer than the start of the processes."""
+MAX_NODES, INTEGRAL_TOLERANCE = 400, 1e-7  # positions per revolution, and relative accuracy of integrals against the fine sweep
 
 
 class CycleTask(DesignTask[CycleResult]):
@@ -70,33 +71,33 @@ class CycleTask(DesignTask[CycleResult]):
             trace = TracedCycle(task, slow=task.slow_assumed)
         samples = StartSequence(trace, seed)
 
-        firsts = _firsts(problem, samples, count)
+        firsts = _first_starts(problem, samples, count)
         if not firsts:
             timer.lap("solve")
-            return _nowhere(problem, seed, count, timer.seconds)
+            return _no_rotatable_design(problem, seed, count, timer.seconds)
         interrupts.check()
         timer.lap("build")
         result = search_all(
             trace,
             firsts,
             names,
-            lambda done: progress(min(done / count, 1.0)) if progress else None,
+            lambda completed: progress(min(completed / count, 1.0)) if progress else None,
             lambda: further_start_groups(samples, firsts, count),
             lambda order: start_groups(samples, count, order),
-            search.runs if search.shared or count >= MANY else None,
+            search.runs if search.shared or count >= SHARED_STARTS else None,
         )
         if not result.usable:
             result = _explained(result, names)
-        nlp, found = _dense(result.nlp, result.best)
-        winner = min(found.values(), key=rank)
-        chosen = next(name for name, solution in found.items() if solution is winner)
+        nlp, solutions = _refined(result.nlp, result.best)
+        winner = min(solutions.values(), key=rank)
+        chosen = next(name for name, solution in solutions.items() if solution is winner)
         equal = continuum(nlp, winner, chosen) if result.usable else None
         timer.lap("solve")
         measured = analysis_of(task, winner.design)
         verification = validate_cycle(task, winner.design, winner.objective, measured)
-        checks = (*verification.checks, *optimality(winner), *(_agreement(found) if len(found) > 1 else ()))
+        checks = (*verification.checks, *optimality(winner), *(_agreement(solutions) if len(solutions) > 1 else ()))
         timer.lap("validate")
-        made = CycleResult(
+        cycle_result = CycleResult(
             problem=problem,
             status=winner.status,
             backend=chosen,
@@ -107,15 +108,15 @@ class CycleTask(DesignTask[CycleResult]):
             seed=seed,
             starts=result.starts,
             solution=winner,
-            backends=found,
+            backends=solutions,
             optima=_optima(task, winner, result.solutions, equal) if result.usable else (),
             conflict=result.conflict,
             together=result.together,
             notes=tuple(_notes(problem, result, winner, count, equal)),
             interrupted=result.interrupted,
         )
-        vars(made)["measured"] = measured  # its figures are shown too
-        return made
+        vars(cycle_result)["measured"] = measured  # cached, as its figures are shown too
+        return cycle_result
 
     def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> CycleResult:
         """Validate given dimensions; those not named have their value in the file.
@@ -128,18 +129,18 @@ class CycleTask(DesignTask[CycleResult]):
         design : mapping of str to float [SI]
         """
         task, begin = task_of(problem), time.perf_counter()
-        named = (*task.free, *(name for name in task.quantities if name in design and name not in task.free))
-        own = {name: design.get(name, task.quantities[name].value) for name in named}
-        verification = validate_cycle(task, own)
+        names = (*task.free, *(name for name in task.quantities if name in design and name not in task.free))
+        values = {name: design.get(name, task.quantities[name].value) for name in names}
+        verification = validate_cycle(task, values)
         seconds = {"build": 0.0, "solve": 0.0, "validate": time.perf_counter() - begin}
-        return CycleResult(problem, Status.NOT_SEARCHED, "none", own, verification.objective, verification, seconds, 0, 0)
+        return CycleResult(problem, Status.NOT_SEARCHED, "none", values, verification.objective, verification, seconds, 0, 0)
 
 
 TASK = CycleTask()
 solve, validate = TASK.solve, TASK.validate
 
 
-def _explained(found: CycleSearchResult, names: Sequence[str]) -> CycleSearchResult:
+def _explained(result: CycleSearchResult, names: Sequence[str]) -> CycleSearchResult:
     """Return the conflicting limits and the nearest design of an infeasible problem, or a feasible design if one is found.
 
     The conflict among [limits] is analysed on an NLP with fewer positions; the bounds of the design variables are kept.
@@ -149,12 +150,12 @@ def _explained(found: CycleSearchResult, names: Sequence[str]) -> CycleSearchRes
     from optlink.solvers.infeasibility import Explanation, explain
     from optlink.solvers.semi_infinite import exchange, peaks, reconcile_backends
 
-    nlp, order = found.orders[0].nlp, found.orders[0]
-    coarse = build_cycle(nlp.traced, nlp.structure, nlp.design(nlp.x_start), nodes=COARSE)
+    nlp, order = result.orders[0].nlp, result.orders[0]
+    coarse = build_cycle(nlp.traced, nlp.structure, nlp.design(nlp.x_start), nodes=COARSE_NODES)
     required = {bound.key for bound in coarse.traced.problem.bounds}
     kept = coarse.states.union(coarse.free, {row.limit for row in coarse.rows} - required - {EPIGRAPH})
-    ends = [nlp.design(solution.x) for solution in next(iter(order.runs.values()))[:TRIED]]
-    points = [coarse.x_of(values) for values in (*order.begin.starts[:TRIED], *ends)]
+    ends = [nlp.design(solution.x) for solution in next(iter(order.runs.values()))[:COARSE_STARTS]]
+    points = [coarse.x_of(values) for values in (*order.begin.starts[:COARSE_STARTS], *ends)]
 
     def follow(x: Array) -> Array:
         coarse.set_exchange_points(peaks(coarse, x).shares)
@@ -163,13 +164,13 @@ def _explained(found: CycleSearchResult, names: Sequence[str]) -> CycleSearchRes
     reason = explain(replace(coarse, states=kept), points=points, quick=True, follow=follow)
     if isinstance(reason, Explanation):
         miss = multistart.infeasible_at(nlp, nlp.x_of(coarse.design(reason.x)), "nearest design")
-        return replace(found, nlp=nlp, best=dict.fromkeys(names, miss), conflict=reason.conflict, together=reason.together)
+        return replace(result, nlp=nlp, best=dict.fromkeys(names, miss), conflict=reason.conflict, together=reason.together)
     x = nlp.x_of(coarse.design(reason))
-    again = {name: exchange(nlp, multistart.solve_from(nlp, x, name)) for name in names}
-    return replace(found, nlp=nlp, best=reconcile_backends(nlp, again))
+    repeated = {name: exchange(nlp, multistart.solve_from(nlp, x, name)) for name in names}
+    return replace(result, nlp=nlp, best=reconcile_backends(nlp, repeated))
 
 
-def _firsts(problem: ProblemFile, samples: StartSequence, count: int) -> list[StartGroup]:
+def _first_starts(problem: ProblemFile, samples: StartSequence, count: int) -> list[StartGroup]:
     """Return starting points: dimensions that move like the first ones in which every output with a stroke reciprocates.
 
     Raises
@@ -179,13 +180,13 @@ def _firsts(problem: ProblemFile, samples: StartSequence, count: int) -> list[St
     """
     from optlink.solvers.cycle_starts import start_groups
 
-    found = start_groups(samples, count)
-    if not found and samples.fault is not None:
+    groups = start_groups(samples, count)
+    if not groups and samples.fault is not None:
         key, term, reversals = samples.fault
         message = f"{term.of} reverses {reversals} times in a revolution" if reversals else f"{term.of} never reverses"
         remedy = "Name an output with two reversals, or change the starting point"
         raise InputError(message, remedy, problem.file, f"{key}.of", term.of)
-    return found
+    return groups
 
 
 def _notes(
@@ -206,9 +207,9 @@ def _notes(
             yield f"its motions {what} in another order than those of the initial machine"
         if equal is not None:
             yield _continuum_note(equal)
-        made = analysis_of(task, winner.design)
-        if made is not None and made.full:
-            yield from quick_stroke_notes(problem, made.machine, task.drive.speed.value)
+        analysis = analysis_of(task, winner.design)
+        if analysis is not None and analysis.full:
+            yield from quick_stroke_notes(problem, analysis.machine, task.drive.speed.value)
 
 
 def _continuum_note(equal: Continuum) -> str:
@@ -226,9 +227,9 @@ def _optima(task: CycleProblem, winner: Solution, solutions: list[Solution], equ
 
     free = len(task.free)
 
-    def alike(known: Solution, other: Solution) -> bool:
-        near = bool(np.max(np.abs(known.x[:free] - other.x[:free])) <= 10.0 * SAME_DESIGN)
-        equally_good = abs(known.objective - other.objective) <= ALIKE * max(abs(known.objective), 1e-300)
+    def alike(first: Solution, second: Solution) -> bool:
+        near = bool(np.max(np.abs(first.x[:free] - second.x[:free])) <= 10.0 * SAME_DESIGN)
+        equally_good = abs(first.objective - second.objective) <= EQUAL_OBJECTIVE * max(abs(first.objective), 1e-300)
         return near or (equally_good and equal is not None)
 
     optimal = sorted((s for s in solutions if s.status is Status.OPTIMAL), key=lambda s: s.objective)
@@ -236,7 +237,7 @@ def _optima(task: CycleProblem, winner: Solution, solutions: list[Solution], equ
     return tuple(Optimum(solution.design, solution.objective, max(hits, 1)) for solution, hits in kept)
 
 
-def _nowhere(problem: ProblemFile, seed: int, starts: int, seconds: dict[str, float]) -> CycleResult:
+def _no_rotatable_design(problem: ProblemFile, seed: int, starts: int, seconds: dict[str, float]) -> CycleResult:
     """Return the result for a problem without dimensions within the bounds for which the crank turns fully."""
     from optlink.solvers.cycle_starts import SAMPLES
 
@@ -253,7 +254,7 @@ def _nowhere(problem: ProblemFile, seed: int, starts: int, seconds: dict[str, fl
     )
 
 
-def _dense(nlp: CycleNLP, found: dict[str, Solution]) -> tuple[CycleNLP, dict[str, Solution]]:
+def _refined(nlp: CycleNLP, solutions: dict[str, Solution]) -> tuple[CycleNLP, dict[str, Solution]]:
     """Double the positions until integrals agree with those of the validation, and continue the search."""
     from optlink.optimization.cycle_nlp import NODES, build_cycle
     from optlink.solvers import multistart
@@ -261,8 +262,8 @@ def _dense(nlp: CycleNLP, found: dict[str, Solution]) -> tuple[CycleNLP, dict[st
 
     trace = nlp.traced
     task, nodes = trace.problem, NODES
-    while any(term.integral for term in trace.terms) and nodes < MOST_NODES:
-        winner = multistart.best(list(found.values()))
+    while any(term.integral for term in trace.terms) and nodes < MAX_NODES:
+        winner = multistart.best(list(solutions.values()))
         cycle = analysis_of(task, winner.design) if winner.usable else None
         if cycle is None:
             break
@@ -271,17 +272,18 @@ def _dense(nlp: CycleNLP, found: dict[str, Solution]) -> tuple[CycleNLP, dict[st
         for bound in task.bounds:
             if bound.term.integral:
                 size = factor(bound.interval.unit, bound.interval.kind or "")
-                stated = values[bound.key] * size
-                gaps.append(abs(cycle.figure(bound.term) - stated) / max(abs(stated), *map(abs, _ends(bound))))
-        if max(gaps) <= EXACT:
+                validated = values[bound.key] * size
+                gaps.append(abs(cycle.figure(bound.term) - validated) / max(abs(validated), *map(abs, _ends(bound))))
+        if max(gaps) <= INTEGRAL_TOLERANCE:
             break
         nodes *= 2
         nlp = build_cycle(trace, nlp.structure, winner.design, nodes)
         nlp.set_exchange_points(peaks(nlp, nlp.x_start).shares)
-        found = {
-            name: exchange(nlp, multistart.solve_from(nlp, nlp.x_of(solution.design), name)) for name, solution in found.items()
+        solutions = {
+            name: exchange(nlp, multistart.solve_from(nlp, nlp.x_of(solution.design), name))
+            for name, solution in solutions.items()
         }
-    return nlp, found
+    return nlp, solutions
 
 
 def _ends(bound: Bound) -> list[float]:
@@ -289,11 +291,11 @@ def _ends(bound: Bound) -> list[float]:
     return [value for value in (bound.interval.low, bound.interval.high) if value] or [1e-300]
 
 
-def _agreement(found: Mapping[str, Solution]) -> tuple[Check, ...]:
+def _agreement(solutions: Mapping[str, Solution]) -> tuple[Check, ...]:
     """Check that both solvers found the same objective, and the same dimensions unless several are equally good."""
     from optlink.solvers.multistart import SAME_DESIGN, compare
 
-    one, other = found.values()
-    same, count = compare(one, other), len(one.design)
-    gap = float(np.max(np.abs(one.x[:count] - other.x[:count])))
+    first, second = solutions.values()
+    same, count = compare(first, second), len(first.design)
+    gap = float(np.max(np.abs(first.x[:count] - second.x[:count])))
     return agreement("sizes", same.same, (same.objective, gap), SAME_DESIGN, f"<= {SAME_DESIGN:.0e}", "of the size")

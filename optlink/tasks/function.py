@@ -43,9 +43,9 @@ if TYPE_CHECKING:
     from optlink.synthesis.freudenstein import FirstStep
 
 Start = NDArray[np.float64]
-SAME_DESIGN = 1e-6  # of the frame
-LEVEL = 0.99  # fraction of the largest error that counts as an extreme value
-FLAT = 1e-7  # least curvature, for an objective scaled to 1, of a unique optimum
+SAME_DESIGN = 1e-6  # difference of equal designs, as a share of the frame
+EXTREME_SHARE = 0.99  # fraction of the largest error that counts as an extreme value
+MIN_CURVATURE = 1e-7  # least curvature, for an objective scaled to 1, of a unique optimum
 
 
 class FunctionObjectiveRecord(Record):
@@ -92,7 +92,7 @@ class FunctionResult(SingleResult):
         free = set(self.problem.spec.free)
         if self.conflict:
             return shortest_link(self.problem.spec.quantities, self.problem.spec.limits.crank)
-        if self.solution is None or not free.issuperset(LENGTHS) or self.solution.curvature > FLAT:
+        if self.solution is None or not free.issuperset(LENGTHS) or self.solution.curvature > MIN_CURVATURE:
             return ()
         return (
             "all four lengths are free and only their ratios matter here: any multiple within the bounds is as good; fix one",
@@ -142,8 +142,8 @@ class FunctionResult(SingleResult):
         problem = self.problem.spec
         if not isinstance(problem.requirement.law, Expression):
             return None
-        there, span = (float(np.max(np.abs(self.error(at)))) for at in (None, problem.span * np.linspace(0.0, 1.0, 721)))
-        return span if math.isfinite(span) and span > there * (1.0 + 5e-4) else None
+        at_positions, span = (float(np.max(np.abs(self.error(at)))) for at in (None, problem.span * np.linspace(0.0, 1.0, 721)))
+        return span if math.isfinite(span) and span > at_positions * (1.0 + 5e-4) else None
 
     @property
     def fit(self) -> Fit | None:
@@ -160,7 +160,7 @@ class FunctionResult(SingleResult):
         """
         begin, end = self.problem.spec.law.offsets[[0, -1]]
         error = error_function(self.problem.spec)(self.design, np.linspace(begin, end, ALONG))
-        peaks = error[np.abs(error) >= LEVEL * np.max(np.abs(error))]
+        peaks = error[np.abs(error) >= EXTREME_SHARE * np.max(np.abs(error))]
         return 1 + int(np.sum(np.diff(np.sign(peaks)) != 0.0)) if len(peaks) else 0
 
     @property
@@ -217,12 +217,12 @@ class FunctionTask(DesignTask[FunctionResult]):
         search : Search
         """
         variants = problem.variants()
-        found: list[FunctionResult] = []
+        results: list[FunctionResult] = []
         for k, variant in enumerate(variants):
-            found.append(_search(variant, replace(search, timer=Timer(), progress=part(search.progress, k, len(variants)))))
-            if found[-1].interrupted:
+            results.append(_search(variant, replace(search, timer=Timer(), progress=part(search.progress, k, len(variants)))))
+            if results[-1].interrupted:
                 break
-        return _merged(found) if len(variants) > 1 else found[0]
+        return _merged(results) if len(variants) > 1 else results[0]
 
     def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> FunctionResult:
         """Validate a given design, in the better assembly mode if the file leaves it open; see `DesignTask.validate`.
@@ -248,7 +248,7 @@ solve, validate = TASK.solve, TASK.validate
 
 def _search(problem: ProblemFile, search: Search) -> FunctionResult:
     """Return the best design in one assembly mode."""
-    from optlink.tasks.function_search import MANY, FunctionSearch, start_sequence
+    from optlink.tasks.function_search import SHARED_STARTS, FunctionSearch, start_sequence
 
     spec = problem.spec
     nlp = build(spec)
@@ -260,18 +260,18 @@ def _search(problem: ProblemFile, search: Search) -> FunctionResult:
     reason = functools.cache(lambda: _explained(nlp, search.seed))
     searches = {name: FunctionSearch(spec, nlp, name, track=search.track) for name in search.names}
     count, interrupted = search.starts, False
-    runs = search.runs if search.shared or (count or 0) >= MANY else None
-    for k, one in enumerate(searches.values()):
-        if one.run(points, count, lambda: reason()[0], part(search.progress, k, len(searches)), runs):
-            count, interrupted = one.starts, True  # the other solver then uses as many starting points
+    runs = search.runs if search.shared or (count or 0) >= SHARED_STARTS else None
+    for k, item in enumerate(searches.values()):
+        if item.run(points, count, lambda: reason()[0], part(search.progress, k, len(searches)), runs):
+            count, interrupted = item.starts, True  # the other solver then uses as many starting points
     conflict: Conflict = ((), ())
-    chosen = min(searches.values(), key=lambda one: one.result.rank)
+    chosen = min(searches.values(), key=lambda item: item.result.rank)
     winner = chosen.result
     if not chosen.usable:
         _, miss, conflict = reason()
         winner = winner if miss is None else chosen.judge(miss)
     nlp.p[1:] = winner.solution.p[1:]
-    backends = {name: one.result.solution if one.usable else winner.solution for name, one in searches.items()}
+    backends = {name: item.result.solution if item.usable else winner.solution for name, item in searches.items()}
     checks: tuple[Check, ...] = ()
     if len(search.names) > 1:
         backends = multistart.reconcile(nlp, backends)
@@ -279,11 +279,11 @@ def _search(problem: ProblemFile, search: Search) -> FunctionResult:
         gaps = multistart.compare(*backends.values())
         checks = agreement("design", gaps.same, (gaps.objective, gaps.design), SAME_DESIGN, "<= 1e-06 frame")
     search.timer.lap("solve")
-    validating = sum(one.validating for one in searches.values())
+    validating = sum(item.validating for item in searches.values())
     return FunctionResult(
         problem=problem,
         status=winner.solution.status,
-        backend=next(name for name, one in searches.items() if one is chosen),
+        backend=next(name for name, item in searches.items() if item is chosen),
         design=winner.design,
         objective=winner.solution.objective,
         validation=replace(winner.validation, checks=(*winner.validation.checks, *checks)),
@@ -293,7 +293,7 @@ def _search(problem: ProblemFile, search: Search) -> FunctionResult:
         solution=winner.solution,
         backends=backends if len(search.names) > 1 else {},
         optima=chosen.distinct_optima(spec.mechanism.assembly) if search.begin is None else (),
-        counts=tuple(chosen.counts) if chosen.drawn else (),
+        counts=tuple(chosen.counts) if chosen.random else (),
         interrupted=interrupted,
         conflict=conflict[0],
         together=conflict[1],
@@ -321,17 +321,17 @@ def _better(result: FunctionResult) -> tuple[bool, bool, float]:
     return not result.valid, result.status in (Status.INFEASIBLE, Status.NON_FINITE), result.objective
 
 
-def _merged(found: list[FunctionResult]) -> FunctionResult:
+def _merged(results: list[FunctionResult]) -> FunctionResult:
     """Return the best result over the assembly modes, with the evidence of all."""
-    best = min(found, key=_better)
-    optima = sorted((optimum for result in found for optimum in result.optima), key=lambda optimum: optimum.objective)
+    best = min(results, key=_better)
+    optima = sorted((optimum for result in results for optimum in result.optima), key=lambda optimum: optimum.objective)
     return replace(
         best,
-        starts=sum(result.starts for result in found),
-        interrupted=any(result.interrupted for result in found),
-        seconds={key: sum(result.seconds[key] for result in found) for key in best.seconds},
+        starts=sum(result.starts for result in results),
+        interrupted=any(result.interrupted for result in results),
+        seconds={key: sum(result.seconds[key] for result in results) for key in best.seconds},
         optima=tuple(optima),
-        counts=best.counts + tuple(count for result in found if result is not best for count in result.counts),
+        counts=best.counts + tuple(count for result in results if result is not best for count in result.counts),
     )
 
 
@@ -370,19 +370,19 @@ def read_design(problem: ProblemFile, assignments: list[str], varied: Collection
         For unknown or missing names, or values that are no quantities.
     """
     quantities = problem.model.quantities
-    given: dict[str, float] = {}
+    design: dict[str, float] = {}
     stored = [pair for text in assignments if text.endswith(".json") for pair in _stored(text, quantities)]
-    stated = parse_assignments([text for text in assignments if not text.endswith(".json")], "--design")
-    for key, value in (*stored, *stated.items()):
+    assigned = parse_assignments([text for text in assignments if not text.endswith(".json")], "--design")
+    for key, value in (*stored, *assigned.items()):
         name = key.removeprefix("mechanism.")
         check_names(problem, [name], quantities)
         if isinstance(value, dict | list):
             remedy = f'Give one value, such as {name}="{show(quantities[name].value, quantities[name].kind)}"'
             raise InputError("a given design has no bounds", remedy, problem.file, f"--design {name}", value)
         with input_of(problem.file, f"--design {name}", value):
-            given[name] = float(read_quantity(value, quantities[name].kind).value)
-    check_complete(problem, {*given, *varied})
-    return given
+            design[name] = float(read_quantity(value, quantities[name].kind).value)
+    check_complete(problem, {*design, *varied})
+    return design
 
 
 def check_complete(problem: ProblemFile, names: Collection[str]) -> None:

@@ -36,17 +36,21 @@ if TYPE_CHECKING:
 
 Progress = Callable[[float], None] | None
 
-ROUND, MOST = 24, 144  # random starts between evaluations of the evidence, and their largest number by default
-MANY = 500  # starting points that several processes share by default; fewer take no longer than the start of the processes
-PIECE, BLOCK = 6, 240  # random starts of a piece for one process, and of all pieces at a time if their number is prescribed
-MISSED = 0.025  # estimated chance of a missed better optimum at which a search ends by default
-CERTIFIED = 2  # design variables of a motion law up to which the global optimum is certified by default, without random starts
-NEARBY = 2.0  # times the best objective, up to which an optimum at the design positions is refined over the whole range
+STARTS_PER_ROUND = 24  # random starts between evaluations of the evidence
+MAX_RANDOM_STARTS = 144  # their largest number by default
+SHARED_STARTS = 500
+"""Starting points that several processes share by default; fewer take no longer than the start of the processes."""
+CHUNK = 6  # random starts in a chunk of work for one process
+BLOCK = 240  # random starts of all chunks at a time, if the number of starts is prescribed
+MISSED_CHANCE = 0.025  # estimated chance of a missed better optimum at which a search ends by default
+MAX_CERTIFIED_VARIABLES = 2
+"""Design variables of a motion law up to which the global optimum is certified by default, without random starts."""
+REFINE_RATIO = 2.0  # times the best objective, up to which an optimum at the design positions is refined over the whole range
 
 
 def certified_by_default(problem: DesignProblem) -> bool:
     """Return whether the optimum is certified by default: that of a motion law of few design variables."""
-    return problem.requirement.robust is None and 0 < len(problem.free) <= CERTIFIED
+    return problem.requirement.robust is None and 0 < len(problem.free) <= MAX_CERTIFIED_VARIABLES
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,7 @@ class SearchStart:
     """Starting point `x` of a local search, whether it is random, and whether it is close to an optimum."""
 
     x: Array
-    drawn: bool
+    random: bool
     close: bool
 
 
@@ -79,13 +83,13 @@ class FunctionCandidate:
 class DistinctOptimum:
     """A distinct optimum at the design positions, and the resulting candidate over the whole range.
 
-    `count`: searches that ended there; `drawn`: those of them with a random start.
+    `count`: searches that ended there; `random`: those of them with a random start.
     """
 
     coarse: Solution
     candidate: FunctionCandidate | None
     count: int
-    drawn: int
+    random: int
 
 
 @dataclass(frozen=True)
@@ -110,39 +114,39 @@ def start_sequence(problem: DesignProblem, nlp: NLP, seed: int, begin: Mapping[s
         Design variables of the only starting point.
     """
     if begin is not None:
-        return StartSequence([SearchStart(nlp.x_of(dict(begin)), drawn=False, close=False)], lambda: iter(()), None)
-    given = SearchStart(multistart.starts(nlp, 1, seed)[0], drawn=False, close=False)
+        return StartSequence([SearchStart(nlp.x_of(dict(begin)), random=False, close=False)], lambda: iter(()), None)
+    start = SearchStart(multistart.starts(nlp, 1, seed)[0], random=False, close=False)
 
     def bounds() -> Iterator[SearchStart]:
-        return (SearchStart(x, drawn=True, close=False) for x in multistart.sobol(nlp.x_low, nlp.x_high, seed))
+        return (SearchStart(x, random=True, close=False) for x in multistart.sobol(nlp.x_low, nlp.x_high, seed))
 
     from optlink.synthesis import function_starts
 
     if not function_starts.fittable(problem):
-        return StartSequence([given], bounds, None)
+        return StartSequence([start], bounds, None)
     steps = function_starts.steps(problem)
-    first = [SearchStart(nlp.x_of(function_starts.values(problem, step)), drawn=False, close=True) for step in steps]
+    first = [SearchStart(nlp.x_of(function_starts.values(problem, step)), random=False, close=True) for step in steps]
 
     def rest() -> Iterator[SearchStart]:
         for sizes in function_starts.fits(problem, seed):
-            yield SearchStart(nlp.x_of(sizes), drawn=True, close=True)
+            yield SearchStart(nlp.x_of(sizes), random=True, close=True)
         yield from bounds()
 
-    return StartSequence([*first, given], rest, steps[0] if steps else None)
+    return StartSequence([*first, start], rest, steps[0] if steps else None)
 
 
-def _alike(one: Solution, other: Solution) -> bool:
+def _alike(first: Solution, second: Solution) -> bool:
     """Return whether two solutions are one design, up to whole turns of its angles, and up to scale if only ratios matter."""
-    if not (other.usable and multistart.compare(one, other).same):
+    if not (second.usable and multistart.compare(first, second).same):
         return False
-    away = one.x - other.x
-    names = [variable.name for variable in one.nlp.variables]
+    difference = first.x - second.x
+    names = [variable.name for variable in first.nlp.variables]
     if set(LENGTHS) <= set(names):
-        own = [names.index(name) for name in LENGTHS]
-        away[own] = one.x[own] / one.x[own[-1]] - other.x[own] / other.x[own[-1]]
+        lengths = [names.index(name) for name in LENGTHS]
+        difference[lengths] = first.x[lengths] / first.x[lengths[-1]] - second.x[lengths] / second.x[lengths[-1]]
     turning = [names.index(name) for name in ("phi0", "psi0") if name in names]
-    away[turning] -= TURN * np.round(away[turning] / TURN)
-    return float(np.max(np.abs(away), initial=0.0)) <= multistart.SAME_DESIGN
+    difference[turning] -= TURN * np.round(difference[turning] / TURN)
+    return float(np.max(np.abs(difference), initial=0.0)) <= multistart.SAME_DESIGN
 
 
 @dataclass(frozen=True)
@@ -168,37 +172,37 @@ class FunctionSearch:
         self.starts = 0
         self.validating = 0.0  # s
 
-    def advance(self, start: SearchStart, found: Solution | None = None) -> None:
+    def advance(self, start: SearchStart, solution: Solution | None = None) -> None:
         """Search from a start, refine the solution over the whole range and validate it.
 
         Parameters
         ----------
         start : SearchStart
-        found : Solution, optional
+        solution : Solution, optional
             The solution at the design positions, if it is known already.
         """
         nlp = self.nlp
         nlp.set_exchange_points(np.zeros(nlp.exchange_count))
         method = self._method(start)
-        if found is None:
-            found = multistart.solve_from(nlp, nlp.lifted(start.x), method, track=self.track and self.starts == 0)
-        known = next((one for one in self.optima if _alike(one.coarse, found)), None)
-        if known is None:
-            if method == CLOSE and self.backend != "ipopt" and found.usable:
-                again = multistart.solve_from(nlp, found.x, self.backend)
-                found = again if again.status is Status.OPTIMAL else found
-            candidate = self._followed(found)
-            if found.status is Status.OPTIMAL:
-                self.optima.append(DistinctOptimum(found, candidate, 1, int(start.drawn)))
+        if solution is None:
+            solution = multistart.solve_from(nlp, nlp.lifted(start.x), method, track=self.track and self.starts == 0)
+        optimum = next((item for item in self.optima if _alike(item.coarse, solution)), None)
+        if optimum is None:
+            if method == CLOSE and self.backend != "ipopt" and solution.usable:
+                repeated = multistart.solve_from(nlp, solution.x, self.backend)
+                solution = repeated if repeated.status is Status.OPTIMAL else solution
+            candidate = self._followed(solution)
+            if solution.status is Status.OPTIMAL:
+                self.optima.append(DistinctOptimum(solution, candidate, 1, int(start.random)))
             if candidate is not None and (self.best is None or candidate.rank < self.best.rank):
                 self.best = candidate
         else:
-            known.count += 1
-            known.drawn += start.drawn
+            optimum.count += 1
+            optimum.random += start.random
         self.starts += 1
 
-    def _advance(self, start: SearchStart, progress: Progress, total: int, found: Solution | None = None) -> None:
-        self.advance(start, found)
+    def _advance(self, start: SearchStart, progress: Progress, total: int, solution: Solution | None = None) -> None:
+        self.advance(start, solution)
         if progress is not None:
             progress(min(self.starts / total, 1.0))
 
@@ -213,21 +217,21 @@ class FunctionSearch:
 
     def _method(self, start: SearchStart) -> str:
         """Return the solver: IPOPT near a close start, also before SLSQP, which is slow with the many rows of a largest error."""
-        if start.close and (self.backend == "ipopt" or (start.drawn and self.problem.everywhere)):
+        if start.close and (self.backend == "ipopt" or (start.random and self.problem.everywhere)):
             return CLOSE
         return self.backend
 
-    def _followed(self, found: Solution) -> FunctionCandidate | None:
+    def _followed(self, solution: Solution) -> FunctionCandidate | None:
         """Return the candidate of a new solution; None if it is clearly worse than the best one."""
         best = self.best
-        if not found.usable:
-            return None if best is not None and best.solution.usable else self.judge(found)
+        if not solution.usable:
+            return None if best is not None and best.solution.usable else self.judge(solution)
         valid = best is not None and verified(best.solution.status, best.validation)
         if self.problem.everywhere:
-            if best is not None and valid and found.objective > NEARBY * best.solution.objective + multistart.SAME_ERROR:
+            if best is not None and valid and solution.objective > REFINE_RATIO * best.solution.objective + multistart.SAME_ERROR:
                 return None
-            found = add_peak_errors(self.problem, self.nlp, found, self.backend)
-        return self.judge(found)
+            solution = add_peak_errors(self.problem, self.nlp, solution, self.backend)
+        return self.judge(solution)
 
     @property
     def result(self) -> FunctionCandidate:
@@ -236,15 +240,15 @@ class FunctionSearch:
         return self.best
 
     @property
-    def drawn(self) -> bool:
+    def random(self) -> bool:
         """Whether a random start led to an optimum."""
-        return any(one.drawn for one in self.optima)
+        return any(optimum.random for optimum in self.optima)
 
     def distinct_optima(self, assembly: str) -> tuple[Optimum, ...]:
         """Return distinct optima over the whole range, best first, without those far above the best."""
-        ends = sorted(((c, one.count) for one in self.optima if (c := one.candidate)), key=lambda one: one[0].rank)
-        found = tally(ends, lambda known, candidate: _alike(known.solution, candidate.solution))
-        return tuple(Optimum(c.design, c.solution.objective, count, assembly) for c, count in found)
+        ends = sorted(((c, item.count) for item in self.optima if (c := item.candidate)), key=lambda item: item[0].rank)
+        distinct = tally(ends, lambda first, candidate: _alike(first.solution, candidate.solution))
+        return tuple(Optimum(c.design, c.solution.objective, count, assembly) for c, count in distinct)
 
     @property
     def usable(self) -> bool:
@@ -258,13 +262,13 @@ class FunctionSearch:
         Designs of equal value count as one: where only ratios matter there are as many designs as starts.
         """
 
-        def equal(one: DistinctOptimum, other: DistinctOptimum) -> bool:
-            return multistart.compare(one.coarse, other.coarse).same
+        def equal(optimum: DistinctOptimum, other: DistinctOptimum) -> bool:
+            return multistart.compare(optimum.coarse, other.coarse).same
 
-        groups = tally(((one, one.drawn) for one in self.optima), equal)
-        best = [one for one in self.optima if one.candidate is not None and one.candidate is self.best]
-        groups.sort(key=lambda group: (not any(equal(group[0], one) for one in best), group[0].coarse.objective))
-        return [max(1, drawn) for _, drawn in groups]
+        groups = tally(((optimum, optimum.random) for optimum in self.optima), equal)
+        best = [optimum for optimum in self.optima if optimum.candidate is not None and optimum.candidate is self.best]
+        groups.sort(key=lambda group: (not any(equal(group[0], optimum) for optimum in best), group[0].coarse.objective))
+        return [max(1, random) for _, random in groups]
 
     def run(
         self,
@@ -298,16 +302,16 @@ class FunctionSearch:
                 self._advance(start, progress, total)
             x = None if self.usable else rescue()
             if x is not None:
-                self.advance(SearchStart(x, drawn=False, close=False))
+                self.advance(SearchStart(x, random=False, close=False))
                 self.starts -= 1
             rest = starts.rest() if self.usable or count is not None else iter(())
-            while not self._enough(drawn := self.starts - len(starts.first), len(starts.first), count):
-                block = ROUND if count is None else min(BLOCK, count - len(starts.first) - drawn)
-                some = list(itertools.islice(rest, 1 if runs is None else block))
-                if not some:
+            while not self._enough(random := self.starts - len(starts.first), len(starts.first), count):
+                block = STARTS_PER_ROUND if count is None else min(BLOCK, count - len(starts.first) - random)
+                chunk = list(itertools.islice(rest, 1 if runs is None else block))
+                if not chunk:
                     break
-                for start, found in zip(some, self.coarse(some, runs), strict=True):
-                    self._advance(start, progress, total, found)
+                for start, solution in zip(chunk, self.coarse(chunk, runs), strict=True):
+                    self._advance(start, progress, total, solution)
         except KeyboardInterrupt:
             interrupts.handled()
             if self.best is None:
@@ -328,7 +332,7 @@ class FunctionSearch:
             yield from itertools.repeat(None, len(starts))
             return
         points = [(start.x, self._method(start)) for start in starts]
-        task = LocalSearchTask(self.nlp, tuple(points[k : k + PIECE] for k in range(0, len(points), PIECE)))
+        task = LocalSearchTask(self.nlp, tuple(points[k : k + CHUNK] for k in range(0, len(points), CHUNK)))
         for piece in ordered(task, len(task.pieces), runs):
             yield from (Solution(nlp=self.nlp, **part) for part in piece)
 
@@ -336,12 +340,12 @@ class FunctionSearch:
     def _most(self) -> int:
         """Largest number of random starts by default; none for a law that is certified instead."""
         certified = certified_by_default(self.problem) and not isinstance(self.problem.requirement.law, Function)
-        return 0 if certified else MOST
+        return 0 if certified else MAX_RANDOM_STARTS
 
-    def _enough(self, drawn: int, first: int, count: int | None) -> bool:
+    def _enough(self, random: int, first: int, count: int | None) -> bool:
         """Return whether so many random starts suffice: the prescribed number, else by the evidence."""
         if count is not None:
-            return drawn >= count - first
-        if drawn >= self._most:
+            return random >= count - first
+        if random >= self._most:
             return True
-        return drawn > 0 and drawn % ROUND == 0 and evidence(self.counts).missed <= MISSED
+        return random > 0 and random % STARTS_PER_ROUND == 0 and evidence(self.counts).missed <= MISSED_CHANCE

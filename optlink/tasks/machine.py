@@ -21,9 +21,9 @@ from optlink.problem.quantity import check_choice, input_of
 _machines: dict[int, Machine] = {}
 """Machines at fixed and starting values by the identity of their problem, with their ranges and compiled functions."""
 
-SLOWEST, FASTEST = 1e-9, 1e6  # rad/s
-SHORTEST, LONGEST = 1e-9, 1e7  # s
-MOST_PERIODS = 200_000  # of the fastest process within a revolution: minutes of computing time
+MIN_SPEED, MAX_SPEED = 1e-9, 1e6  # rad/s
+MIN_DURATION, MAX_DURATION = 1e-9, 1e7  # s
+MAX_PERIODS = 200_000  # of the fastest process within a revolution: minutes of computing time
 MARGIN = 1e-3  # fraction of a limited range omitted at either end: speeds are infinite at a dead position
 
 
@@ -44,14 +44,14 @@ def turning_machine(problem: ProblemFile, design: Mapping[str, float]) -> Machin
     return machine if machine.ranges.full else None
 
 
-def check_names(problem: ProblemFile, names: Iterable[str], known: Collection[str]) -> None:
+def check_names(problem: ProblemFile, names: Iterable[str], valid: Collection[str]) -> None:
     """Refuse names that are no quantities of a design.
 
     Parameters
     ----------
     problem : ProblemFile
     names : iterable of str
-    known : collection of str
+    valid : collection of str
         The valid names.
 
     Raises
@@ -60,7 +60,7 @@ def check_names(problem: ProblemFile, names: Iterable[str], known: Collection[st
         If a name is unknown.
     """
     for name in names:
-        check_choice("--design", name, known, "unknown quantity of the design", problem.file)
+        check_choice("--design", name, valid, "unknown quantity of the design", problem.file)
 
 
 def check_design(problem: ProblemFile, design: Mapping[str, float] | None) -> None:
@@ -134,7 +134,7 @@ def crank_speed(problem: ProblemFile, speed: float | None = None, key: str = "sp
         If it is zero, as in a file that is simulated from rest, or out of range.
     """
     value: float = getattr(problem.model.drive, key).value if speed is None else speed
-    if not SLOWEST <= abs(value) <= FASTEST:
+    if not MIN_SPEED <= abs(value) <= MAX_SPEED:
         message = "the crank speed is zero" if value == 0.0 else "out of range"
         remedy = 'Give one between 1e-9 and 1e6 rad/s, for statics a low one such as "0.01 rpm"'
         if speed is not None:
@@ -157,9 +157,9 @@ def duration_of(problem: ProblemFile, duration: float | None = None) -> float | 
     InputError
         If it is out of range.
     """
-    stated = problem.model.drive.duration
-    value = duration if duration is not None or stated is None else stated.value
-    if value is not None and not SHORTEST <= value <= LONGEST:
+    of_problem = problem.model.drive.duration
+    value = duration if duration is not None or of_problem is None else of_problem.value
+    if value is not None and not MIN_DURATION <= value <= MAX_DURATION:
         remedy = "Give a time from 1e-9 s to 1e7 s"
         if duration is not None:
             raise InputError("out of range", remedy, key="duration", value=f"{duration:.6g} s")
@@ -184,10 +184,10 @@ def check_pace(problem: ProblemFile, speed: float, processes: Mapping[str, tuple
     """
     turn = TURN / abs(speed)
     for key, (process, period) in processes.items():
-        if turn > MOST_PERIODS * period:
+        if turn > MAX_PERIODS * period:
             message = f"{process} takes {period:.3g} s, so that a revolution of {turn:.3g} s contains {turn / period:.2g}"
             raise _of_drive(
-                problem, key, message, f"Give another value or another speed, so that there are at most {MOST_PERIODS:,}"
+                problem, key, message, f"Give another value or another speed, so that there are at most {MAX_PERIODS:,}"
             )
 
 
@@ -214,8 +214,8 @@ def with_flywheel(machine: Machine, inertia: float) -> Machine:
     if inertia == 0.0:
         return machine
     crank = machine.mechanism.crank.body
-    own = machine.inertias.get(crank, Inertia())
-    return machine.with_(inertias={**machine.inertias, crank: replace(own, moment=own.moment + inertia)})
+    crank_inertia = machine.inertias.get(crank, Inertia())
+    return machine.with_(inertias={**machine.inertias, crank: replace(crank_inertia, moment=crank_inertia.moment + inertia)})
 
 
 def motion_range(problem: ProblemFile, machine: Machine, start: float) -> tuple[Ranges, float, float]:
@@ -294,14 +294,14 @@ def table_angles(start: float, low: float, high: float, speed: float, full: bool
     step : float [rad], optional
         Step instead of `points`.
     """
-    way = 1.0 if speed > 0.0 else -1.0
+    direction = 1.0 if speed > 0.0 else -1.0
     if not full:
         edge = MARGIN * (high - low)
-        first, last = (low + edge, high - edge) if way > 0.0 else (high - edge, low + edge)
+        first, last = (low + edge, high - edge) if direction > 0.0 else (high - edge, low + edge)
         count = points if step is None else max(1, round((high - low) / step))
         return np.asarray(first + (last - first) * (np.arange(count + 1) / count), dtype=float)
     if step is None:
         rows = points * max(1, round((high - low) / TURN))
-        return np.asarray(start + way * TURN * np.arange(rows + 1) / points, dtype=float)
+        return np.asarray(start + direction * TURN * np.arange(rows + 1) / points, dtype=float)
     count = math.floor((high - low) / step * (1.0 + 1e-12))
-    return np.asarray(start + way * step * np.arange(count + 1), dtype=float)
+    return np.asarray(start + direction * step * np.arange(count + 1), dtype=float)

@@ -116,7 +116,7 @@ def run_job(job: RunJob) -> RunResult:
         return RunResult({}, "", finished=False, hopeless=True)
     if run.ending is Ending.INTERRUPTED:
         raise KeyboardInterrupt
-    parts = {one.name: getattr(run, one.name) for one in fields(run) if one.name not in ("problem", "machine")}
+    parts = {item.name: getattr(run, item.name) for item in fields(run) if item.name not in ("problem", "machine")}
     return RunResult(dict(run.figures), run.output.unit, run.finished, parts=parts if job.whole else None)
 
 

@@ -25,13 +25,14 @@ from optlink.validation.path import validate_path
 if TYPE_CHECKING:
     from optlink.solvers.infeasibility import Explanation
 
-SMALL = 0.02  # estimated chance that a better design was missed at which a search ends
-SMALL_IN_ORDER = 0.005  # the same if the order of the points decides: it divides the designs into many small regions
-LEAST_ROUNDS, MOST_ROUNDS = 3, 20
-FAR_ROUNDS = 40  # largest number, while the best design fits poorly
-AHEAD, SHARED_AHEAD = 2, 4  # rounds computed together, or by several processes, after the first one and while no design is exact
-WIDE = 12  # design variables of a linkage of several dyads from which on its refinements take seconds
-LONG = 6  # round from which on several processes share a search of four-bars, of which most are at an end by then
+MISSED_CHANCE = 0.02  # estimated chance that a better design was missed at which a search ends
+MISSED_CHANCE_IN_ORDER = 0.005  # the same if the order of the points decides: it divides the designs into many small regions
+MIN_ROUNDS, MAX_ROUNDS = 3, 20
+MAX_ROUNDS_POOR_FIT = 40  # largest number, while the best design fits poorly
+BATCH_ROUNDS = 2  # rounds computed together after the first one, while no design is exact
+SHARED_BATCH_ROUNDS = 4  # the same for several processes
+SLOW_VARIABLES = 12  # design variables of a linkage of several dyads from which on its refinements take seconds
+SHARED_FROM_ROUND = 6  # round from which on several processes share a search of four-bars, of which most are at an end by then
 COMPOUND_ROUNDS = 3  # largest number for a linkage of several dyads, whose starts and limits take longer
 PART_STARTS = 400  # of the four-bar that a linkage contains
 NO_FOUR_BAR = "no four-bar within this linkage carries {}: the search had random starts only, no starts from four-bar designs"
@@ -39,8 +40,8 @@ FOUR_BAR_BETTER = (
     "the four-bar within this linkage misses the points by {:.4g} mm (rms) within the same limits: no linkage that repeats its "
     "coupler curve was found within all limits, and no other design is as good"
 )
-MOST_IN_VAIN = 12  # rounds without a valid design
-OFTEN = 3  # starts per exact design after which no other one is expected
+MAX_FAILED_ROUNDS = 12  # rounds without a valid design
+STARTS_PER_EXACT = 3  # starts per exact design after which no other one is expected
 
 
 class PathTask(DesignTask[PathResult]):
@@ -65,29 +66,29 @@ class PathTask(DesignTask[PathResult]):
         search : Search
         """
         backend, seed, timer = search.backend, search.seed, search.timer
-        rounds = _Search(problem, search)
+        rounds = SearchRounds(problem, search)
         timer.lap("build")
         rounds.run()
         timer.lap("search, polish and validate")
-        found = rounds.collection
+        collection = rounds.collection
         task = path_model(problem)
         notes = [*([task.target_points.note] if task.target_points.note else []), *rounds.notes]
-        reason = None if found.designs or rounds.interrupted else rounds.explained(seed)
+        reason = None if collection.designs or rounds.interrupted else rounds.explained(seed)
         limits = () if reason is None else reason.conflict
-        coverage = found.evidence()
-        if rounds.better is not None and not found.no_worse(rounds.better):
+        coverage = collection.evidence()
+        if rounds.better is not None and not collection.no_worse(rounds.better):
             error = math.sqrt(float(np.mean(rounds.better.measured.distances**2)))
             notes.append(FOUR_BAR_BETTER.format(1e3 * error))
-        notes += () if found.designs else shortest_link(task.quantities, task.limits.crank)
-        if found.designs and coverage.missed > SMALL:
+        notes += () if collection.designs else shortest_link(task.quantities, task.limits.crank)
+        if collection.designs and coverage.missed > MISSED_CHANCE:
             count = rounds.searcher.exploration.starts
             notes.append(
                 f"search incomplete: {count} starts, {coverage.chance}; use --starts {min(4 * count, PathTask.most_starts)}"
             )
         return PathResult(
             problem=problem,
-            designs=tuple(found.designs),
-            nearest=found.nearest,
+            designs=tuple(collection.designs),
+            nearest=collection.nearest,
             backend=MINIMAX if task.measure == "max" else backend,
             seed=seed,
             starts=rounds.searcher.exploration.starts,
@@ -102,7 +103,7 @@ class PathTask(DesignTask[PathResult]):
     def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> PathResult:
         """Validate a given design; with free timing, at the crank angles with the least deviation.
 
-        Of assembly modes that the problem leaves open, a valid one is taken before others, then the one with the least objective.
+        If the problem leaves the assembly mode open, valid designs come first, then the one with the least objective.
 
         Parameters
         ----------
@@ -113,14 +114,14 @@ class PathTask(DesignTask[PathResult]):
         from optlink.validation.timing import passing
 
         clock = time.perf_counter()
-        found = []
+        designs = []
         for file in problem.variants():
             task = path_model(file)
             values = {name: float(design.get(name, quantity.value)) for name, quantity in task.quantities.items()}
             angles = passing(task, values)
             checked = validate_path(task, values, angles)
-            found.append(PathDesign(file, values, angles, checked.objective, Status.NOT_SEARCHED, checked))
-        best = min(found, key=lambda each: (not each.valid, each.objective if math.isfinite(each.objective) else math.inf))
+            designs.append(PathDesign(file, values, angles, checked.objective, Status.NOT_SEARCHED, checked))
+        best = min(designs, key=lambda item: (not item.valid, item.objective if math.isfinite(item.objective) else math.inf))
         return PathResult(
             problem=problem,
             designs=(best,) if best.valid else (),
@@ -138,7 +139,7 @@ TASK = PathTask()
 solve, validate = TASK.solve, TASK.validate
 
 
-class _Search:
+class SearchRounds:
     """Rounds of starts, each followed by refinement, until the stopping criterion holds."""
 
     def __init__(self, problem: ProblemFile, options: Search) -> None:
@@ -152,19 +153,19 @@ class _Search:
 
     def run(self) -> None:
         """Search until the number of starts is complete; without one, until a better design is unlikely."""
-        found, exact = self.searcher.exploration, -1
+        exploration, exact = self.searcher.exploration, -1
         starts, progress = self.options.starts, self.options.progress
         try:
-            while found.starts < starts if starts else not self._enough(exact):
+            while exploration.starts < starts if starts else not self._enough(exact):
                 self._share()
                 exact = self.collection.exact
                 self.searcher.advance(self._ahead(exact))
                 self._share()
-                self.collection.add(found)
-                if found.rounds == 1 and self.compound and not self.collection.exact:
+                self.collection.add(exploration)
+                if exploration.rounds == 1 and self.compound and not self.collection.exact:
                     self._grow()
                 if progress:
-                    progress(min(found.starts / starts if starts else found.rounds / self._most, 1.0))
+                    progress(min(exploration.starts / starts if starts else exploration.rounds / self._most, 1.0))
         except KeyboardInterrupt:
             interrupts.handled()
             if not self.collection.designs:
@@ -173,23 +174,23 @@ class _Search:
 
     def _share(self) -> None:
         """Let several processes share the search from where it is long enough to pay for their start."""
-        found, polisher = self.searcher.exploration, self.collection.polisher
-        if self.compound and len(path_model(self.problem).free) >= WIDE:  # a long search, unless a design is exact
-            long = found.rounds > 0 and not any(candidate.cost <= PERFECT for candidate in found.candidates[:1])
+        exploration, polisher = self.searcher.exploration, self.collection.polisher
+        if self.compound and len(path_model(self.problem).free) >= SLOW_VARIABLES:  # a long search, unless a design is exact
+            long = exploration.rounds > 0 and not any(candidate.cost <= PERFECT for candidate in exploration.candidates[:1])
         else:
-            long = found.rounds >= LONG
+            long = exploration.rounds >= SHARED_FROM_ROUND
         if self.options.shared or long:
             self.searcher.runs = polisher.runs = self.options.runs
 
     def _ahead(self, exact: int) -> int:
         """Return the number of rounds to compute together."""
-        found, starts = self.searcher.exploration, self.options.starts
-        if found.rounds == 0 or exact:
+        exploration, starts = self.searcher.exploration, self.options.starts
+        if exploration.rounds == 0 or exact:
             return 1
         if self.searcher.runs is None:
-            return AHEAD
-        left = math.ceil((starts - found.starts) / PER_ROUND) if starts else self._most - found.rounds
-        return max(1, min(left, SHARED_AHEAD))
+            return BATCH_ROUNDS
+        left = math.ceil((starts - exploration.starts) / PER_ROUND) if starts else self._most - exploration.rounds
+        return max(1, min(left, SHARED_BATCH_ROUNDS))
 
     def explained(self, seed: int) -> Explanation | None:
         """Return limits of the linkage that conflict, or refine a design that meets all of them, whatever its deviations.
@@ -203,22 +204,22 @@ class _Search:
         task = path_model(self.problem)
         senses = {"counter-clockwise": (1,), "clockwise": (-1,)}.get(task.requirement.rotation or "", (1, -1))
         keys = [(k, sense) for sense in (senses if task.data.offsets is None else (1,)) for k in range(len(polisher.files))]
-        known = None if near is None or near.solution is None else near.solution
-        if known is not None:
-            keys.sort(key=lambda key: polisher.programmes.get(key) is not known.nlp)
+        nearest = None if near is None or near.solution is None else near.solution
+        if nearest is not None:
+            keys.sort(key=lambda key: polisher.programmes.get(key) is not nearest.nlp)
         reason: Explanation | None = None
         possible = False
         for k, sense in keys:
             nlp = polisher.programme(k, sense)
             nlp.set_exchange_points((np.arange(nlp.exchange_count) + 0.5) / nlp.exchange_count)
             kept = replace(nlp, states=nlp.states | {"requirement.points"})
-            points = [known.x, nlp.x_start] if known is not None and known.nlp is nlp else None
-            found = explain(kept, seed, points) if reason is None and not possible else feasible_point(kept, seed)
-            if isinstance(found, Explanation):
-                reason = found
-            elif found is not None:
+            points = [nearest.x, nlp.x_start] if nearest is not None and nearest.nlp is nlp else None
+            outcome = explain(kept, seed, points) if reason is None and not possible else feasible_point(kept, seed)
+            if isinstance(outcome, Explanation):
+                reason = outcome
+            elif outcome is not None:
                 possible = True
-                near_it = polisher.from_feasible(k, nlp, found)
+                near_it = polisher.from_feasible(k, nlp, outcome)
                 valid = next((design for design in near_it if design.valid), None)
                 if valid is not None:
                     self.collection.insert(valid)
@@ -236,8 +237,8 @@ class _Search:
             return
         options, polisher = self.options, self.collection.polisher
         shared = polisher.runs is not None
-        found = solve(part.file, options.backend, PART_STARTS, options.seed, runs=options.runs, shared=shared)
-        four_bars = completed(found).designs
+        result = solve(part.file, options.backend, PART_STARTS, options.seed, runs=options.runs, shared=shared)
+        four_bars = completed(result).designs
         for design in designs_from_four_bar(part, four_bars, polisher, options.seed):
             self.collection.insert(design)
         if four_bars and not self.collection.no_worse(four_bars[0]):
@@ -249,16 +250,16 @@ class _Search:
         if self.compound and not self.collection.exact:
             return COMPOUND_ROUNDS
         if not self.collection.designs:
-            return MOST_IN_VAIN
-        return FAR_ROUNDS if self.collection.poor_fit else MOST_ROUNDS
+            return MAX_FAILED_ROUNDS
+        return MAX_ROUNDS_POOR_FIT if self.collection.poor_fit else MAX_ROUNDS
 
     def _enough(self, exact: int) -> bool:
         """Return whether to stop; `exact` is the number of exact designs before the latest round."""
         rounds, collection = self.searcher.exploration.rounds, self.collection
         if collection.exact:
-            often = collection.evidence().hits >= OFTEN * collection.exact
+            often = collection.evidence().hits >= STARTS_PER_EXACT * collection.exact
             return collection.exact >= self.options.designs or collection.exact == exact or often or rounds >= self._most
-        if rounds < LEAST_ROUNDS:
+        if rounds < MIN_ROUNDS:
             return False
-        small = SMALL_IN_ORDER if collection.ordered else SMALL
+        small = MISSED_CHANCE_IN_ORDER if collection.ordered else MISSED_CHANCE
         return rounds >= self._most or collection.evidence().missed <= small

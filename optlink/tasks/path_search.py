@@ -34,12 +34,12 @@ if TYPE_CHECKING:
 
 TRIES = 6  # candidates refined in the first round per requested design, while too few are valid
 PER_ROUND = 10  # candidates refined in a later round
-REPAIRED = 2  # reordered candidates of a round, and unsuccessful refinements of a later round
+REORDERED = 2  # reordered candidates of a round, and unsuccessful refinements of a later round
 COMPOUND_TRIES = 4  # unsuccessful refinements of the first round for a linkage of several dyads: each takes seconds
 IDLE_ROUNDS = 3  # rounds in a row whose reordered candidates improve no design: the last with any, unless the fit is poor
-FAR_TRIES = 3  # candidates and reordered candidates of a later round refined at any cost, while the fit is poor
-COMPARABLE = 1.5  # largest error of counted optima, relative to the least one: a better one would be among them
-SAME = 1e-6  # relative difference of equal objectives
+POOR_FIT_TRIES = 3  # candidates and reordered candidates of a later round refined at any cost, while the fit is poor
+COUNTED_RATIO = 1.5  # largest error of counted optima, relative to the least one: a better one would be among them
+OBJECTIVE_TOLERANCE = 1e-6  # relative difference of equal objectives
 ROUNDING = 1e-9  # relative difference of equal errors of one coupler curve
 
 
@@ -56,16 +56,16 @@ def has_several_dyads(task: PathProblem) -> bool:
 
 @dataclass(frozen=True)
 class PolishTask:
-    """Candidates to refine; each one is a chunk for the runner. `stated`: the polisher, packed."""
+    """Candidates to refine; each one is a chunk for the runner. `polisher`: the polisher, packed."""
 
-    stated: bytes
+    polisher: bytes
     candidates: tuple[Candidate, ...]
     near: bool
 
     def __call__(self, index: int) -> dict[str, Any]:
         """Return the fields of a refined and validated design, without problem and programme."""
-        design = built(Polisher, self.stated).polish(self.candidates[index], near=self.near)
-        parts = {one.name: getattr(design, one.name) for one in fields(design) if one.name != "problem"}
+        design = built(Polisher, self.polisher).polish(self.candidates[index], near=self.near)
+        parts = {field.name: getattr(design, field.name) for field in fields(design) if field.name != "problem"}
         return parts | {"solution": None if design.solution is None else design.solution.parts}
 
 
@@ -107,7 +107,7 @@ class Polisher:
         from optlink.solvers import multistart as local
         from optlink.solvers.path_exchange import best_slow_stroke, solve_semi_infinite
 
-        file, start = self.files[candidate.variant], self._given(candidate)
+        file, start = self.files[candidate.variant], self._scaled_point(candidate)
         task, minimax = path_model(file), path_model(file).measure == "max"
         solution = solve_semi_infinite(task, start, MINIMAX if minimax else self.backend, near=near)
         if minimax and solution.status is not Status.OPTIMAL:
@@ -138,7 +138,7 @@ class Polisher:
 
     def unpolished(self, candidate: Candidate) -> PathDesign:
         """Return the candidate itself, validated: a feasible design if it satisfies its limits everywhere."""
-        start = self._given(candidate)
+        start = self._scaled_point(candidate)
         return feasible(validated_design(self.files[candidate.variant], start))
 
     def from_feasible(self, variant: int, nlp: NLP, x: Array) -> Iterator[PathDesign]:
@@ -159,13 +159,13 @@ class Polisher:
         yield validated_design(file, solve_semi_infinite(path_model(file), start, self.backend))
         yield feasible(validated_design(file, start))
 
-    def _given(self, candidate: Candidate) -> Solution:
+    def _scaled_point(self, candidate: Candidate) -> Solution:
         """Return a candidate as a point of its NLP."""
         from optlink.solvers import multistart as local
 
         nlp = self.programme(candidate.variant, candidate.direction)
-        own = path_model(self.files[candidate.variant]).data.offsets is None
-        x = np.concatenate([candidate.x, candidate.t]) if own else candidate.x
+        timed = path_model(self.files[candidate.variant]).data.offsets is None
+        x = np.concatenate([candidate.x, candidate.t]) if timed else candidate.x
         if len(nlp.variables) > len(x):
             x = np.append(x, 0.0)  # the largest deviation; `given` sets it
         return local.solution_at(nlp, np.clip(x, nlp.x_low, nlp.x_high), "found by least squares")
@@ -213,7 +213,9 @@ class DesignCollection:
         self.nearest: PathDesign | None = None
         self._ends: dict[Candidate, PathDesign] = {}
         self._tries = COMPOUND_TRIES if has_several_dyads(path_model(polisher.files[0])) else PER_ROUND
-        self._vain = (COMPOUND_TRIES, 1) if has_several_dyads(path_model(polisher.files[0])) else (TRIES * requested, REPAIRED)
+        self._failures = (
+            (COMPOUND_TRIES, 1) if has_several_dyads(path_model(polisher.files[0])) else (TRIES * requested, REORDERED)
+        )
         self._first = True
         self._idle = 0  # rounds in a row whose reordered candidates improved no design
 
@@ -222,15 +224,15 @@ class DesignCollection:
         """Number of distinct exact designs."""
         return sum(design.exact for design in self.designs)
 
-    def add(self, found: Exploration) -> None:
+    def add(self, exploration: Exploration) -> None:
         """Refine the candidates of the latest round."""
-        vain = self._vain[0] if self._first else self._vain[1]
-        far = FAR_TRIES if self.poor_fit and not self._first else 0
-        self._follow(found.candidates, vain if self._first else self._tries, max(vain, far), far)
+        failures = self._failures[0] if self._first else self._failures[1]
+        far = POOR_FIT_TRIES if self.poor_fit and not self._first else 0
+        self._follow(exploration.candidates, failures if self._first else self._tries, max(failures, far), far)
         if far:
-            self._follow(found.repaired[:: max(1, len(found.repaired) // far)], far, far, far)
+            self._follow(exploration.repaired[:: max(1, len(exploration.repaired) // far)], far, far, far)
         elif not self.exact and self._idle < IDLE_ROUNDS:
-            self._follow_reordered(found.repaired, self._vain[1] if self.designs else vain, vain)
+            self._follow_reordered(exploration.repaired, self._failures[1] if self.designs else failures, failures)
         self._first = False
 
     @property
@@ -251,58 +253,58 @@ class DesignCollection:
         """Whether the order of the points decides which optima exist: they have no timing, and the best design misses them."""
         return self.grade in ("fair", "poor") and path_model(self.polisher.files[0]).data.offsets is None
 
-    def _follow_reordered(self, candidates: list[Candidate], tries: int, vain: int) -> None:
+    def _follow_reordered(self, candidates: list[Candidate], tries: int, failures: int) -> None:
         """Refine reordered candidates as in `_follow`, and count the rounds in which this improves no design."""
         before, refined = [design.error for design in self.designs], len(self._ends)
-        self._follow(candidates, tries, vain)
+        self._follow(candidates, tries, failures)
         after = [design.error for design in self.designs]
-        better = len(after) > len(before) or any(b < a * (1.0 - SAME) for a, b in zip(before, after, strict=True))
+        better = len(after) > len(before) or any(b < a * (1.0 - OBJECTIVE_TOLERANCE) for a, b in zip(before, after, strict=True))
         self._idle = 0 if better or not after else self._idle + (len(self._ends) > refined)
 
-    def _follow(self, candidates: list[Candidate], tries: int, vain: int, dear: int = 0) -> None:
-        """Refine candidates in order: `tries` at most, `vain` of them without a valid design, `dear` beyond the largest cost."""
+    def _follow(self, candidates: list[Candidate], tries: int, failures: int, costly: int = 0) -> None:
+        """Refine candidates in order: `tries` at most, `failures` without a valid design, `costly` above the largest cost."""
         left = [candidate for candidate in candidates if candidate not in self._ends][:tries]
-        designs = self.polisher.each(left[: self._worth(left, dear)])
-        while vain and self._worth(left, dear):
-            candidate, dear = left[0], dear - (left[0].cost > self._dearest())
+        designs = self.polisher.each(left[: self._worth_refining(left, costly)])
+        while failures and self._worth_refining(left, costly):
+            candidate, costly = left[0], costly - (left[0].cost > self._largest_cost())
             design = self._ends[candidate] = next(designs, None) or self.polisher.polish(candidate)
             del left[0]
             if design.valid:
                 self.insert(design)
             else:
-                vain -= 1
+                failures -= 1
                 self.nearest = min(filter(None, (self.nearest, design)), key=_failing)
 
-    def _worth(self, candidates: list[Candidate], dear: int) -> int:
-        """Return how many of the first candidates are worth refining, `dear` of them beyond the largest cost.
+    def _worth_refining(self, candidates: list[Candidate], costly: int) -> int:
+        """Return how many of the first candidates are worth refining, `costly` of them above the largest cost.
 
-        A better design only makes it fewer, and inexact candidates are irrelevant beside an exact design.
+        A better design only reduces their number, and inexact candidates are irrelevant beside an exact design.
         """
-        most, exact = self._dearest(), self.exact
+        most, exact = self._largest_cost(), self.exact
         for number, candidate in enumerate(candidates):
             beyond = candidate.cost > most
-            if (beyond and not dear) or (exact and candidate.cost > PERFECT):
+            if (beyond and not costly) or (exact and candidate.cost > PERFECT):
                 return number
-            dear -= beyond
+            costly -= beyond
         return len(candidates)
 
-    def _dearest(self) -> float:
+    def _largest_cost(self) -> float:
         """Return the largest cost of a candidate worth refining: limits only increase it."""
         if len(self.designs) < self.requested:
             return math.inf
-        return max(_cost(self.designs[0]) * COMPARABLE**2, _cost(self.designs[-1]))
+        return max(_cost(self.designs[0]) * COUNTED_RATIO**2, _cost(self.designs[-1]))
 
-    def no_worse(self, other: PathDesign) -> bool:
+    def no_worse(self, reference: PathDesign) -> bool:
         """Return whether the best design is as good as another design of the same curve, within rounding."""
-        return any(no_worse_fit(design, other) for design in self.designs[:1])
+        return any(no_worse_fit(design, reference) for design in self.designs[:1])
 
     def insert(self, design: PathDesign) -> None:
         """Add a valid design, unless a better one is practically the same."""
-        alike = next((known for known in self.designs if design.alike(known)), None)
-        if alike is not None:
-            if _rank(design) >= _rank(alike):
+        duplicate = next((existing for existing in self.designs if design.alike(existing)), None)
+        if duplicate is not None:
+            if _rank(design) >= _rank(duplicate):
                 return
-            self.designs.remove(alike)
+            self.designs.remove(duplicate)
         self.designs.append(design)
         self.designs.sort(key=_rank)
         del self.designs[self.requested :]
@@ -310,32 +312,34 @@ class DesignCollection:
     def evidence(self) -> Evidence:
         """Return how many starts reached the best optimum, and how likely a better one was missed.
 
-        Only starts whose refined designs are valid and come near the best one (`COMPARABLE`) are counted: a better optimum would
-        be one of these.
+        Only starts whose refined designs are valid and come near the best one (`COUNTED_RATIO`) are counted: a better optimum
+        would be one of these.
         """
         ends = sorted(((d.error, c.count) for c, d in self._ends.items() if d.valid), key=lambda end: end[0])
         if not ends:
             return evidence(())
         best = self.designs[0]
         level = 0.0 if best.exact else best.error
-        found = [(0.0 if best.exact and error <= best.level else error, count) for error, count in ends]
-        if found[0][0] > level * (1.0 + SAME):
-            found.insert(0, (level, 1))  # no random start reached the best design: it was derived from a four-bar
-        near = (one for one in found if one[0] <= COMPARABLE * level)
-        found_evidence = evidence([count for _, count in tally(near, lambda known, error: error <= known * (1.0 + SAME))])
+        errors = [(0.0 if best.exact and error <= best.level else error, count) for error, count in ends]
+        if errors[0][0] > level * (1.0 + OBJECTIVE_TOLERANCE):
+            errors.insert(0, (level, 1))  # no random start reached the best design: it was derived from a four-bar
+        near = (one for one in errors if one[0] <= COUNTED_RATIO * level)
+        found_evidence = evidence(
+            [count for _, count in tally(near, lambda known, error: error <= known * (1.0 + OBJECTIVE_TOLERANCE))]
+        )
         return replace(found_evidence, missed=0.0) if best.exact else found_evidence  # no design is better than an exact one
 
 
-def no_worse_fit(design: PathDesign, other: PathDesign) -> bool:
+def no_worse_fit(design: PathDesign, reference: PathDesign) -> bool:
     """Return whether a design is no worse than another one for the same points, within rounding.
 
     Parameters
     ----------
     design : PathDesign
-    other : PathDesign
+    reference : PathDesign
         Reference.
     """
-    return design.exact or design.error <= other.error * (1.0 + ROUNDING)
+    return design.exact or design.error <= reference.error * (1.0 + ROUNDING)
 
 
 def _cost(design: PathDesign) -> float:
@@ -358,7 +362,8 @@ def _rank(design: PathDesign) -> tuple[float, float]:
 
 
 STARTS = 12  # per design of the four-bar and combination of assembly modes
-POLISHED, ENOUGH = 4, 2  # candidates refined, and designs with the same error, no worse than the four-bar, that suffice
+POLISHED = 4  # candidates refined
+SUFFICIENT_DESIGNS = 2  # designs with the same error, no worse than the four-bar, that suffice
 STEPS = 120
 
 
@@ -391,8 +396,10 @@ def designs_from_four_bar(
         assert isinstance(task, PathProblem)
         batch = Batch(task)
         grown = [
-            grow_from_four_bar(replace(part, file=one.problem), batch, one.values, one.crank_angles, STARTS, rng)
-            for one in four_bars
+            grow_from_four_bar(
+                replace(part, file=part_design.problem), batch, part_design.values, part_design.crank_angles, STARTS, rng
+            )
+            for part_design in four_bars
         ]
         x, t = np.concatenate([x for x, _ in grown]), np.concatenate([t for _, t in grown])
         if not len(x):
@@ -409,22 +416,22 @@ def designs_from_four_bar(
                 polished.append(design)
                 if _agree([design for design in polished if design.valid and no_worse_fit(design, best)]):
                     break
-    found = [design for design in polished if design.valid]
-    if not any(no_worse_fit(design, best) for design in found):
-        found += [design for end in polished if (design := feasible(end)).valid]
-        found += itertools.islice(filter(lambda start: start.valid, map(polisher.unpolished, begun)), 1)
-    return sorted(found, key=lambda design: design.objective)
+    valid = [design for design in polished if design.valid]
+    if not any(no_worse_fit(design, best) for design in valid):
+        valid += [design for end in polished if (design := feasible(end)).valid]
+        valid += itertools.islice(filter(lambda start: start.valid, map(polisher.unpolished, begun)), 1)
+    return sorted(valid, key=lambda design: design.objective)
 
 
 def _agree(designs: Sequence[PathDesign]) -> bool:
     """Return whether the best of some designs was reached several times."""
     least = min((design.error for design in designs), default=math.inf)
-    return sum(design.error <= least * (1.0 + SAME) for design in designs) >= ENOUGH
+    return sum(design.error <= least * (1.0 + OBJECTIVE_TOLERANCE) for design in designs) >= SUFFICIENT_DESIGNS
 
 
 def _candidates(variant: int, batch: Batch, x: np.ndarray, t: np.ndarray) -> list[Candidate]:
     angles = batch.crank_angles(x, t)
     r = batch.residuals(x, angles)[0]
     cost = np.einsum("bpk,bpk->b", r, r)
-    way = np.where(angles[:, -1] >= angles[:, 0], 1, -1)
-    return [Candidate(variant, x[i], t[i], float(cost[i]), int(way[i])) for i in range(len(x))]
+    direction = np.where(angles[:, -1] >= angles[:, 0], 1, -1)
+    return [Candidate(variant, x[i], t[i], float(cost[i]), int(direction[i])) for i in range(len(x))]

@@ -18,7 +18,7 @@ from optlink.solvers import contract
 from optlink.validation.check import Check
 
 R = TypeVar("R")
-MOST_DESIGNS = 50
+MAX_DESIGNS = 50
 Progress = Callable[[float], None] | None
 """Receives the share of the work that is done, from 0 to 1."""
 
@@ -56,11 +56,11 @@ def agreement(
     unit : str
         Unit of the difference of the designs.
     """
-    alike = gaps[1] <= nearest_design
-    words = "" if alike or not same else " (two of equal value)"
+    equal = gaps[1] <= nearest_design
+    words = "" if equal or not same else " (two of equal value)"
     return (
         Check("both back ends agree: objective", same, gaps[0], "<= 1e-06", ""),
-        Check(f"both back ends agree: {what}{words}", same, gaps[1], limit if alike else "-", unit),
+        Check(f"both back ends agree: {what}{words}", same, gaps[1], limit if equal else "-", unit),
     )
 
 
@@ -160,7 +160,7 @@ class DesignTask(ABC, Generic[R]):
         """
 
     def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> R:
-        """Validate a given design; of a kind without design variables, the result of `solve`.
+        """Validate a given design; kinds without design variables return the result of `solve`.
 
         Parameters
         ----------
@@ -171,7 +171,7 @@ class DesignTask(ABC, Generic[R]):
         Raises
         ------
         InputError
-            If a design is given of a kind that has no check of one.
+            If a design is given for a kind that cannot be validated.
         """
         if design:
             message = "a given design of this kind of problem cannot be validated"
@@ -229,7 +229,7 @@ class DesignTask(ABC, Generic[R]):
         if designs is not None and self.designs is None:
             remedy = "Leave it out; --starts N lists the distinct optima of a law"
             raise InputError("only points and poses have several designs", remedy, problem.file, "--designs", designs)
-        check_range("designs", 1 if designs is None else designs, 1, MOST_DESIGNS)
+        check_range("designs", 1 if designs is None else designs, 1, MAX_DESIGNS)
         names = self._back_ends(problem, backend, starts, seed)
         count = designs or self.designs or 1
         return self.search(problem, Search(names, backend, starts, seed, progress, count, track, begin, runs, shared))
@@ -240,8 +240,8 @@ class DesignTask(ABC, Generic[R]):
             if starts is not None:
                 raise InputError(self.no_starts, "Leave it out", problem.file, "--starts", starts)
             return ()
-        known = [*contract.selectable(), *(["both"] if self.compares else [])]
-        check_choice("backend", backend, known, "unknown back end")
+        valid = [*contract.selectable(), *(["both"] if self.compares else [])]
+        check_choice("backend", backend, valid, "unknown back end")
         check_range("starts", 1 if starts is None else starts, 1, self.most_starts)
         if seed < 0:
             raise InputError("a seed must not be negative", "Give 0 or more", key="seed", value=seed)

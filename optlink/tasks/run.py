@@ -139,18 +139,18 @@ def solve(
         proof.check_options(gap, time_limit)
     if certify:
         proof.check_problem(problem)
-    found: FunctionResult | PathResult | CycleResult | Balance
+    result: FunctionResult | PathResult | CycleResult | Balance
     shared = workers is not None or engine != "local"
     check(engine, workers, scheduler)
     with contextlib.ExitStack() as ends:
         runs = ends.enter_context(pool(engine, workers, scheduler)) if task.divisible else None
         kept: dict[str, Any] = {"designs": designs, "track": track, "runs": runs, "shared": shared}
-        found = task.solve(problem, backend, starts, seed, progress, **kept)
-        if not task.certified or certify is False or found.interrupted or (certify is None and not proof.automatic(problem)):
-            return found
-        boxes = proof.BUDGET if certify is None else math.inf
+        result = task.solve(problem, backend, starts, seed, progress, **kept)
+        if not task.certified or certify is False or result.interrupted or (certify is None and not proof.automatic(problem)):
+            return result
+        boxes = proof.AUTOMATIC_BOXES if certify is None else math.inf
         return proof.certify(  # type: ignore[type-var]
-            found, gap, time_limit, proving, seed, boxes, problem, folder, resume=resume, runs=runs
+            result, gap, time_limit, proving, seed, boxes, problem, folder, resume=resume, runs=runs
         )
 
 
@@ -189,8 +189,8 @@ def validate(problem: ProblemFile, design: Mapping[str, float]) -> FunctionResul
     if task.most_starts is not None:  # a kind with design variables
         check_design(problem, design)
         check_complete(problem, design)
-    found: FunctionResult | PathResult | CycleResult = task.validate(problem, design)
-    return found
+    result: FunctionResult | PathResult | CycleResult = task.validate(problem, design)
+    return result
 
 
 # --- the kinds of problems -------------------------------------------------------------------------------------------------

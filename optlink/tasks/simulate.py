@@ -24,7 +24,7 @@ from optlink.problem.base_model import Columns, Contradiction, Number, ResultRec
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range
 from optlink.tasks.machine import (
-    LONGEST,
+    MAX_DURATION,
     check_design,
     crank_speed,
     duration_of,
@@ -89,7 +89,7 @@ class Simulation(Tabled):
     @property
     def figures(self) -> dict[str, float]:
         """Summary figures by name (SI)."""
-        found = {
+        figures = {
             "end.time_s": float(self.run.time[-1]),
             "end.crank_angle_rad": float(self.run.crank_angle[-1]),
             "end.speed_rad_s": float(self.run.speed[-1]),
@@ -100,8 +100,8 @@ class Simulation(Tabled):
             "turnover_J": self.run.turnover,
         }
         if self.run.last_turn is not None:
-            found["last_turn.mean_speed_rad_s"], found["last_turn.fluctuation"] = self.run.last_turn
-        return found
+            figures["last_turn.mean_speed_rad_s"], figures["last_turn.fluctuation"] = self.run.last_turn
+        return figures
 
     @property
     def sizes(self) -> dict[str, float]:
@@ -165,7 +165,7 @@ def simulate(
         speed = crank_speed(problem, speed, "speed" if torque is None else "initial_speed")
     duration = duration_of(problem, duration)
     if duration is None:
-        if LONGEST * abs(drive.speed.value) < TURN:
+        if MAX_DURATION * abs(drive.speed.value) < TURN:
             message = "the duration is missing, and the speed is too low for a default"
             raise InputError(message, 'Give drive.duration = "2 s"', problem.file, "drive.duration")
         duration = TURN / abs(drive.speed.value)
@@ -186,34 +186,34 @@ def simulate(
         )
         singular = [at + k * cycle for at in singular for k in range(round(mechanism.cycle / cycle))]
         machine = machine.with_(mechanism=mechanism)
-    found = run(
+    run_result = run(
         machine, np.linspace(0.0, duration, rows + 1), start, speed, torque, limits, progress, singular, interrupts.handled
     )
-    if found.ending is not Ending.FINISHED:
-        last, cycle = float(found.crank_angle[-1]), machine.mechanism.cycle
-        if found.ending is Ending.SINGULAR:
+    if run_result.ending is not Ending.FINISHED:
+        last, cycle = float(run_result.crank_angle[-1]), machine.mechanism.cycle
+        if run_result.ending is Ending.SINGULAR:
             last = min((at + cycle * round((last - at) / cycle) for at in singular), key=lambda at: abs(at - last))
-        notes.append(f"{found.ending.text} (at {found.stopped:.9g} s, crank angle {math.degrees(last):.6g} deg)")
-    columns, meanings = _columns(machine, found)
+        notes.append(f"{run_result.ending.text} (at {run_result.stopped:.9g} s, crank angle {math.degrees(last):.6g} deg)")
+    columns, meanings = _columns(machine, run_result)
     driven = "torque" if torque is not None else "constant speed"
-    return Simulation(problem, machine, found, columns, meanings, driven, tuple(notes))
+    return Simulation(problem, machine, run_result, columns, meanings, driven, tuple(notes))
 
 
-def _columns(machine: Machine, found: Run) -> tuple[dict[str, Array], dict[str, str]]:
+def _columns(machine: Machine, run_result: Run) -> tuple[dict[str, Array], dict[str, str]]:
     """Return the table: the columns of `analyze` over time."""
-    moving = machine.moving(found.crank_angle, found.speed, found.acceleration, direction=found.direction)
+    moving = machine.moving(run_result.crank_angle, run_result.speed, run_result.acceleration, direction=run_result.direction)
     record = MotionColumns(moving)
     crank = machine.mechanism.crank.body
-    columns = {"time_s": found.time, "crank_angle_deg": np.degrees(found.crank_angle)}
+    columns = {"time_s": run_result.time, "crank_angle_deg": np.degrees(run_result.crank_angle)}
     meanings = {"time_s": "time", "crank_angle_deg": "crank angle"}
     for name, column in record.columns.items():
         columns[name], meanings[name] = column.values, column.meaning
         if name == "input.power_W":
-            columns["input.work_J"], meanings["input.work_J"] = found.works["input"], "work of the drive, integrated"
-    for name, work in found.works.items():
+            columns["input.work_J"], meanings["input.work_J"] = run_result.works["input"], "work of the drive, integrated"
+    for name, work in run_result.works.items():
         if name != "input":
             columns[f"{name}.work_J"], meanings[f"{name}.work_J"] = work, f"work of {name}, integrated"
-    columns["energy.gained_J"] = found.energy - found.energy[0]
+    columns["energy.gained_J"] = run_result.energy - run_result.energy[0]
     meanings["energy.gained_J"] = "kinetic energy and potential energy of gravity, gained since the start"
-    columns[f"{crank}.angle_rad"] = found.crank_angle
+    columns[f"{crank}.angle_rad"] = run_result.crank_angle
     return columns, meanings

@@ -208,7 +208,7 @@ def test_operation_without_a_counterpart_is_named():
 
 
 def plant_of(name: str, **changes) -> ClosedLoop:
-    return _setting(optlink.load(name, changes), 36, None, "none", None, None, 0.0).plant(1e-8)
+    return _setting(optlink.load(name, changes), 36, None, "none", None, None, 0.0).closed_loop(1e-8)
 
 
 def test_designs_of_a_machine_share_their_source():
@@ -216,7 +216,7 @@ def test_designs_of_a_machine_share_their_source():
     one = machine.code_of(plant_of(SHIPPED[0]).equations)
     changes = {"mechanism.links.rod.length": "133 mm", "bodies.rod.mass": "0.3 kg", "joints.C.modulus": "150 GPa"}
     other = machine.code_of(plant_of(SHIPPED[0], **changes).equations)
-    controlled = _setting(optlink.load(SHIPPED[0]), 36, None, "inverse", None, None, 0.0).plant(1e-8).equations
+    controlled = _setting(optlink.load(SHIPPED[0]), 36, None, "inverse", None, None, 0.0).closed_loop(1e-8).equations
     assert one.text == other.text == machine.code_of(controlled).text
     assert not np.array_equal(one.constants, other.constants)
     loads = {"loads.push": {"on": "slider", "force": "30 N", "direction": "180 deg"}}

@@ -19,7 +19,7 @@ from optlink.report.registry import table_of, view_of
 from optlink.report.stored.loader import load_stored
 from optlink.report.views import certificate_view, conclusions
 from optlink.tasks.certify import certify
-from optlink.tasks.results.certificate import SHOWN, Certificate
+from optlink.tasks.results.certificate import MAX_SHOWN_BOXES, Certificate
 from optlink.tasks.results.common import Optimum
 from tests.report.test_function_tables import words
 
@@ -155,7 +155,9 @@ def test_pictures_only_of_what_is_there(solved, unfinished):
     assert "boxes" not in charts(unfinished)
     assert "bounds" not in charts(unfinished)
     [cover] = solved.certificate.covers
-    many = {name: np.repeat(getattr(cover, name), SHOWN // len(cover.test) + 1, axis=0) for name in ("low", "high", "test")}
+    many = {
+        name: np.repeat(getattr(cover, name), MAX_SHOWN_BOXES // len(cover.test) + 1, axis=0) for name in ("low", "high", "test")
+    }
     large = replace(solved, certificate=replace(solved.certificate, covers=(replace(cover, **many),)))
     assert "boxes" not in charts(large)
     assert not {"boxes", "bounds"} & set(charts(replace(solved, certificate=None)))

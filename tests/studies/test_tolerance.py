@@ -545,7 +545,7 @@ def run(*arguments):
 
 
 def test_the_command_writes_everything(tmp_path, monkeypatch):
-    monkeypatch.setattr(allocation, "SEARCHED", 1 << 12)
+    monkeypatch.setattr(allocation, "SEARCH_SAMPLES", 1 << 12)
     tolerances = [word for text in FOUR for word in ("--tolerance", text)]
     words = ["crank-rocker", *tolerances, *GIVEN, "--limit", "2.32 deg", "--samples", "4096", "--out", str(tmp_path)]
     result = run(*words, "--allocate", "97 %", "--json")

@@ -391,8 +391,8 @@ def test_a_function_without_convex_first_designs_is_searched_from_the_start_of_t
     problem = optlink.load("function-sin", change).spec
     starts = start_sequence(problem, build(problem), 0, None)
     assert starts.step is None
-    assert [(start.drawn, start.close) for start in starts.first] == [(False, False)]
-    assert next(starts.rest()).drawn
+    assert [(start.random, start.close) for start in starts.first] == [(False, False)]
+    assert next(starts.rest()).random
 
 
 @pytest.mark.parametrize("psi", [[0.0, 1e-13, 0.0, 1e-13, 0.0], [0.0, 1.0, 0.0, 1.0, 0.0], [0.0, 3.0, -3.0, 2.0, 9.0]])

@@ -16,7 +16,7 @@ def test_the_certificate_of_a_local_optimum_finds_the_global_one_in_the_other_as
     local = function.solve(right, "ipopt", begin=WORSE)
     assert local.valid
     assert local.objective == pytest.approx(0.00567908, rel=1e-5)
-    found = certify(local, gap=1e-3, stated=problem)
+    found = certify(local, gap=1e-3, original=problem)
     assert found.valid
     assert found.assembly == "left"
     assert found.objective == pytest.approx(problem.spec.expected.objective, rel=1e-6)
@@ -26,5 +26,5 @@ def test_the_certificate_of_a_local_optimum_finds_the_global_one_in_the_other_as
     one_mode = certify(local, gap=1e-3).certificate  # the other mode is no part of this problem
     assert (one_mode.status, one_mode.improved) == ("within gap", False)
     assert one_mode.lower_bound > found.objective
-    stopped = certify(local, gap=1e-3, boxes=200, stated=problem)
+    stopped = certify(local, gap=1e-3, boxes=200, original=problem)
     assert (stopped.certificate.status, stopped.certificate.lower_bound) == ("not closed", 0.0)

@@ -43,7 +43,7 @@ def test_starts_of_a_smaller_number_are_the_first_ones_of_a_larger_one(file: opt
     many = [*other.first, *itertools.islice(other.rest(), 200)]
     for a, b in zip(few, many, strict=False):
         np.testing.assert_array_equal(a.x, b.x)
-    assert not any(start.drawn for start in one.first)
+    assert not any(start.random for start in one.first)
     assert len({tuple(start.x[:3]) for start in many}) > 190
 
 
@@ -100,7 +100,7 @@ def test_a_valid_answer_is_not_lost_to_a_better_one_that_fails_validation() -> N
         )
 
     one.judge, one.optima = flattering, []  # type: ignore[method-assign,assignment]
-    one.advance(SearchStart(points.first[0].x, drawn=True, close=True))
+    one.advance(SearchStart(points.first[0].x, random=True, close=True))
     assert one.starts == 2
     assert one.result is kept
 

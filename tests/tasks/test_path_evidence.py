@@ -11,8 +11,8 @@ import pytest
 
 import optlink
 from optlink.synthesis.batch_search import Exploration, Searcher
-from optlink.tasks.path import SMALL, solve
-from optlink.tasks.path_search import IDLE_ROUNDS, SAME, DesignCollection, Polisher, path_model
+from optlink.tasks.path import MISSED_CHANCE, solve
+from optlink.tasks.path_search import IDLE_ROUNDS, OBJECTIVE_TOLERANCE, DesignCollection, Polisher, path_model
 from optlink.tasks.results.evidence import percent
 from tests import synthesis_oracle as oracle
 from tests.stated import document, four_bar_section, free
@@ -55,7 +55,7 @@ def test_seeds_agree_far_from_an_exact_fit_and_say_that_the_search_is_incomplete
     assert found[0].designs[0].error == pytest.approx(found[1].designs[0].error, rel=1e-3)
     for each in found:
         assert MM * each.designs[0].error > 1e-6 * size
-        assert each.evidence.missed > SMALL
+        assert each.evidence.missed > MISSED_CHANCE
         notes = [note for note in each.notes if note.startswith("search incomplete: ")]
         assert len(notes) == 1
         assert f"use --starts {4 * each.starts}" in notes[0]
@@ -95,8 +95,8 @@ def test_reordered_candidates_are_refined_until_several_rounds_of_them_improve_n
     collection._idle = IDLE_ROUNDS - 1
     kept, collection.designs = collection.designs[0], [replace(collection.designs[-1], objective=1.0)]
     collection.add(Exploration(repaired=found.repaired))
-    assert collection.designs[0].objective < 1.0 - SAME
-    assert collection.designs[0].objective >= kept.objective * (1.0 - SAME)
+    assert collection.designs[0].objective < 1.0 - OBJECTIVE_TOLERANCE
+    assert collection.designs[0].objective >= kept.objective * (1.0 - OBJECTIVE_TOLERANCE)
     assert collection._idle == 0
 
 
@@ -156,7 +156,7 @@ def test_hits_are_counted_after_polishing_with_limits() -> None:
 def test_a_search_says_what_it_may_have_missed() -> None:
     task = optlink.read(random_points(1))
     short = solve(task, starts=1, designs=1)
-    assert short.evidence.missed > SMALL
+    assert short.evidence.missed > MISSED_CHANCE
     assert any("chance that a better optimum was missed" in note for note in short.notes)
     whole = solve(task, designs=1)
     assert whole.evidence.missed < short.evidence.missed

@@ -213,11 +213,11 @@ def _machine_optimum(result: CycleResult) -> Solution | None:
     The crank angles of the peaks belong to the nonlinear program, which is therefore solved from the design; it must not move.
     """
     from optlink.optimization.cycle_nlp import CycleNLP
-    from optlink.studies.cycle_parameters import CLOSE
+    from optlink.studies.cycle_parameters import BACK_END
     from optlink.studies.cycle_task import with_starting_values
     from optlink.tasks.cycle import solve as solve_cycle
 
-    solution = solve_cycle(with_starting_values(result.problem, result.design), CLOSE, starts=1).solution
+    solution = solve_cycle(with_starting_values(result.problem, result.design), BACK_END, starts=1).solution
     if solution is None or solution.status is not Status.OPTIMAL:
         return None
     assert isinstance(solution.nlp, CycleNLP)

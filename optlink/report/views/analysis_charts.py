@@ -223,7 +223,7 @@ def chart(
     panels : sequence of Panel
     lines : sequence of Line, optional
         Further vertical lines.
-    **more
+    **options
         Further attributes of `ChartSpec`; the default heading is the title of the machine with that of the chart.
     """
     ends = sorted((math.degrees(cycle.start), math.degrees(cycle.end)))

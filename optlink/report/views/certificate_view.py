@@ -12,7 +12,7 @@ import numpy as np
 
 from optlink.report.chart_spec import Axis, Boxes, ChartSpec, Curve, Mark, Panel
 from optlink.report.table_spec import Line, Row, TableSpec, quiet, strong, table
-from optlink.tasks.results.certificate import SHOWN, Certificate, Cover, share_text
+from optlink.tasks.results.certificate import MAX_SHOWN_BOXES, Certificate, Cover, share_text
 
 ROUNDING_NOTE = "no design within the bounds has a smaller one; rounding errors are included"
 CONTINUE = "to continue the proof: --certify with a longer --time-limit or a larger --gap"
@@ -124,7 +124,7 @@ def certificate_charts(
     if certificate is None:
         return []
     charts = []
-    if len(certificate.unknowns) == 2 and 0 < sum(len(cover.test) for cover in certificate.covers) <= SHOWN:
+    if len(certificate.unknowns) == 2 and 0 < sum(len(cover.test) for cover in certificate.covers) <= MAX_SHOWN_BOXES:
         for k, cover in enumerate(certificate.covers):
             at = design if certificate.proven and str(cover.assembly) == str(assembly) else {}
             mode = f", assembly {cover.assembly}" if len(certificate.covers) > 1 else ""

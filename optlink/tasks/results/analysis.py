@@ -180,17 +180,17 @@ class Analysis(Tabled):
     @property
     def figures(self) -> dict[str, float]:
         """Summary figures by name: extremes, strokes, swings, time ratios, work."""
-        found = {}
+        figures = {}
         for name, extreme in self.extremes.items():
-            found[f"{name}.min"], found[f"{name}.max"] = extreme.least, extreme.largest
+            figures[f"{name}.min"], figures[f"{name}.max"] = extreme.least, extreme.largest
         for name, travel in self.strokes.items():
-            found[f"{name}.stroke_m"] = travel.span
-            found[f"{name}.time_ratio"] = travel.time_ratio
+            figures[f"{name}.stroke_m"] = travel.span
+            figures[f"{name}.time_ratio"] = travel.time_ratio
         for name, travel in self.swings.items():
-            found[f"{name}.swing_rad"] = travel.span
-            found[f"{name}.swing_time_ratio" if name in self.strokes else f"{name}.time_ratio"] = travel.time_ratio
-        found[f"input.work_{self.extent.replace('the ', '').replace(' ', '_')}_J"] = self.work
-        return {name: value for name, value in found.items() if math.isfinite(value)}
+            figures[f"{name}.swing_rad"] = travel.span
+            figures[f"{name}.swing_time_ratio" if name in self.strokes else f"{name}.time_ratio"] = travel.time_ratio
+        figures[f"input.work_{self.extent.replace('the ', '').replace(' ', '_')}_J"] = self.work
+        return {name: value for name, value in figures.items() if math.isfinite(value)}
 
     @cached_property
     def acting(self) -> tuple[StrokeLoad, ...]:
@@ -270,13 +270,13 @@ def stroke_document(machine: Machine, speed: float) -> dict[str, Any]:
 
 def reaction_conventions(machine: Machine) -> dict[str, str]:
     """Return for every joint which body acts on which, as defined for the columns."""
-    found = {}
+    conventions = {}
     for point, (by, on) in acting_on(machine).items():
         bodies = machine.mechanism.pins[point]
         if len(bodies) == 2:
-            found[point] = f"{by} on {on}"
+            conventions[point] = f"{by} on {on}"
         else:
-            found |= {f"{point}.{body}": f"pin on {body}" for body in (on, *(b for b in bodies if b != on))}
+            conventions |= {f"{point}.{body}": f"pin on {body}" for body in (on, *(b for b in bodies if b != on))}
     for guide in machine.mechanism.guides:
-        found[guide.name] = f"{guide.on} on {guide.slider}, normal to the left of the line"
-    return found
+        conventions[guide.name] = f"{guide.on} on {guide.slider}, normal to the left of the line"
+    return conventions

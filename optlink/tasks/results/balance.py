@@ -216,15 +216,15 @@ class TradeOff:
     @property
     def monotone(self) -> bool:
         """Whether the first measure rises and the second falls from point to point."""
-        one, other = (np.array([getattr(p, key) for p in self.points]) for key in ("first", "second"))
-        return bool(np.all(np.diff(one) >= -AGREES * self.before[0]) and np.all(np.diff(other) <= AGREES * self.before[1]))
+        first, second = (np.array([getattr(p, key) for p in self.points]) for key in ("first", "second"))
+        return bool(np.all(np.diff(first) >= -AGREES * self.before[0]) and np.all(np.diff(second) <= AGREES * self.before[1]))
 
     @property
     def notes(self) -> list[str]:
         """A note on points whose discs miss a limit."""
         missed = [f"{k}" for k, point in enumerate(self.points, 1) if point.excess > ACTIVE]
-        found = f"points {', '.join(missed)} of {len(self.points)} of the trade-off are bounds only"
-        return [f"{found}: no discs were found there that meet all limits"] if missed else []
+        text = f"points {', '.join(missed)} of {len(self.points)} of the trade-off are bounds only"
+        return [f"{text}: no discs were found there that meet all limits"] if missed else []
 
 
 Above = Annotated[float, Gt(0)]
@@ -342,7 +342,7 @@ class Balance(Recorded):
 
     @property
     def measure(self) -> str:
-        """The minimised measure, in words."""
+        """Name of the minimised measure."""
         if len(self.goal) == 1:
             return str(self.goal[0][0])
         return " + ".join(f"{weight:g} {measure}" for measure, weight in self.goal)
@@ -371,7 +371,7 @@ class Balance(Recorded):
     @cached_property
     def columns(self) -> dict[str, Array]:
         """All measured values over the positions, before and after balancing, by name with unit."""
-        found = {"crank_angle_deg": np.degrees(self.angles)}
+        columns = {"crank_angle_deg": np.degrees(self.angles)}
         machines = {"before": self.machine} | ({"after": self.heavier} if self.heavier is not None else {})
         for when, machine in machines.items():
             measures = quantities(machine)
@@ -380,22 +380,26 @@ class Balance(Recorded):
             ):
                 unit = quantity.unit.replace(" ", "")
                 for axis, part in zip(("",) if values.shape[1] == 1 else ("_x", "_y"), values.T, strict=True):
-                    found[f"{when}.{quantity.quantity.replace(' at ', '_').replace(' ', '_')}{axis}_{unit}"] = part
-        return found
+                    columns[f"{when}.{quantity.quantity.replace(' at ', '_').replace(' ', '_')}{axis}_{unit}"] = part
+        return columns
 
     @property
     def design(self) -> dict[str, float]:
         """Masses and centres of the counterweights [kg, m] and stiffnesses of the springs [N/m], by name."""
-        found: dict[str, float] = {}
-        for one in self.added:
-            along, across = one.place
-            found |= {f"{one.body}.mass": one.mass, f"{one.body}.along": along, f"{one.body}.across": across}
+        design: dict[str, float] = {}
+        for counterweight in self.added:
+            along, across = counterweight.place
+            design |= {
+                f"{counterweight.body}.mass": counterweight.mass,
+                f"{counterweight.body}.along": along,
+                f"{counterweight.body}.across": across,
+            }
         for spring in self.springs:
-            found |= {
+            design |= {
                 f"{spring.specification.name}.stiffness": spring.stiffness,
                 f"{spring.specification.name}.free_length": spring.free,
             }
-        return found
+        return design
 
     @property
     def reduction(self) -> float:

@@ -17,7 +17,7 @@ SHOWN: dict[str, tuple[str, float, float]] = {
 
 
 def _shown(limit: Price | Bound) -> tuple[str, str, float, float]:
-    """Return sense, display unit, value in it of one in SI, and step [SI] of a limit."""
+    """Return sense, display unit, factor from SI to it, and step [SI] of a limit."""
     unit, factor, step = SHOWN[limit.kind]
     if limit.kind == "measure":
         unit = "N m" if "moment" in limit.name or "torque" in limit.name else "N"
@@ -53,5 +53,5 @@ def active_limit(price: Price, after: float, scale: float) -> ActiveLimit:
 def relaxed_limit(item: Conflict) -> RelaxedLimit:
     """Return a limit that conflicts with others, with the values that it would need."""
     sense, unit, factor, _ = _shown(item.bound)
-    bound, alone, together = (value * factor for value in (item.bound.bound, item.alone, item.together))
-    return RelaxedLimit(item.bound.name, sense, bound, alone, together, unit)
+    bound, single, together = (value * factor for value in (item.bound.bound, item.alone, item.together))
+    return RelaxedLimit(item.bound.name, sense, bound, single, together, unit)

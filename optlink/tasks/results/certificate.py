@@ -19,9 +19,9 @@ from optlink.version import VERSION
 
 GLOBAL, WITHIN_GAP, NOT_CLOSED, INFEASIBLE = "global", "within gap", "not closed", "infeasible"
 EXACT = 1e-9  # rms deviation [rad], or share of the curve, below which a design is exact: none can be better
-STRICT = 1e-6  # largest relative gap of a design that is called globally optimal
-SHOWN = 3_000  # discarded boxes up to which the result document has them
-SAME = 1e-6  # relative difference of the same objective, once computed and once read
+GLOBAL_GAP = 1e-6  # largest relative gap of a design that is called globally optimal
+MAX_SHOWN_BOXES = 3_000  # discarded boxes up to which the result document has them
+OBJECTIVE_TOLERANCE = 1e-6  # relative difference of the same objective, once computed and once read
 TINY = 1e-16  # objective [SI] below which the difference of two values is rounding
 SCHEMA = "optlink/certificate/1"
 
@@ -116,7 +116,7 @@ class Certificate:
     @property
     def shown(self) -> tuple[Cover, ...] | None:
         """The covers if their boxes are few enough for the result document."""
-        return self.covers if 0 < sum(len(cover.test) for cover in self.covers) <= SHOWN else None
+        return self.covers if 0 < sum(len(cover.test) for cover in self.covers) <= MAX_SHOWN_BOXES else None
 
     @property
     def closed(self) -> bool:
@@ -131,7 +131,7 @@ class Certificate:
     @property
     def exact(self) -> bool:
         """Whether the objective is zero to rounding, so that no design can be better."""
-        return self.status == GLOBAL and (self.objective == 0.0 or self.gap > STRICT * (1.0 + 1e-6))
+        return self.status == GLOBAL and (self.objective == 0.0 or self.gap > GLOBAL_GAP * (1.0 + 1e-6))
 
     @property
     def gap(self) -> float:
@@ -165,7 +165,7 @@ class Certificate:
 
     def belongs_to(self, objective: float) -> bool:
         """Return whether it is the certificate of a design with this objective (infinite without a valid design)."""
-        return self.objective == objective or abs(self.objective - objective) <= SAME * max(abs(objective), TINY)
+        return self.objective == objective or abs(self.objective - objective) <= OBJECTIVE_TOLERANCE * max(abs(objective), TINY)
 
 
 def message(status: Status, certificate: Certificate | None, *, conflicting: bool) -> str:
@@ -256,26 +256,26 @@ class CertificateRecord(Record):
         Contradiction
             If it does not fit the problem or itself.
         """
-        covers = tuple(one.cover(len(unknowns)) for one in self.discarded or ())
+        covers = tuple(record.cover(len(unknowns)) for record in self.discarded or ())
         history = np.where(np.isnan(self.history), math.inf, self.history) if self.history.size else np.zeros((0, 3))
-        found = self.build(Certificate, covers=covers, history=history)
+        certificate = self.build(Certificate, covers=covers, history=history)
         if self.unknowns != unknowns:
             raise Contradiction("unknowns", f"the design variables of the problem are {', '.join(unknowns)}")
-        if found.history.shape != (len(found.history), 3):
+        if certificate.history.shape != (len(certificate.history), 3):
             raise Contradiction("history", "its rows are not boxes, lower bound and objective")
-        if min(self.boxes, self.open_boxes) < 0 or found.closed != (self.open_boxes == 0):
+        if min(self.boxes, self.open_boxes) < 0 or certificate.closed != (self.open_boxes == 0):
             raise Contradiction("open_boxes", "it does not fit the status of the proof", self.open_boxes)
         if not 1e-12 <= self.asked < 1.0:
             raise Contradiction("asked", "expected a number from 1e-12 to less than 1", self.asked)
-        if found.status == INFEASIBLE:
+        if certificate.status == INFEASIBLE:
             if math.isfinite(min(self.objective, self.lower_bound)):
                 raise Contradiction("status", "there is an objective or a bound of it", self.status)
-        elif not 0.0 <= self.lower_bound <= self.objective or (found.proven and not math.isfinite(self.objective)):
+        elif not 0.0 <= self.lower_bound <= self.objective or (certificate.proven and not math.isfinite(self.objective)):
             raise Contradiction("lower_bound", "this is not between zero and the objective", self.lower_bound)
-        share = {GLOBAL: STRICT, WITHIN_GAP: self.asked}.get(found.status, 1.0)
-        if found.proven and not found.gap <= share * (1.0 + 1e-6) and not exact:
+        share = {GLOBAL: GLOBAL_GAP, WITHIN_GAP: self.asked}.get(certificate.status, 1.0)
+        if certificate.proven and not certificate.gap <= share * (1.0 + 1e-6) and not exact:
             raise Contradiction("lower_bound", "the gap is too large for the status of the proof", self.lower_bound)
-        return found
+        return certificate
 
 
 def _cover_document(cover: Cover) -> dict[str, Any]:

@@ -51,7 +51,7 @@ class ClearanceCheckpoint(Checkpoint):
         return with_check_sum(self.model_dump(warnings=False))
 
 
-class ManyRuns(Checkpoint):
+class RunsCheckpoint(Checkpoint):
     """Options of many runs, and how many of them are `complete`."""
 
     speed: float | None
@@ -73,7 +73,7 @@ class RunRecord(Record):
     figures: dict[str, float]
 
 
-class ComparisonCheckpoint(ManyRuns):
+class ComparisonCheckpoint(RunsCheckpoint):
     """Complete runs of a comparison of control."""
 
     format: Literal["optlink/comparison-checkpoint/3"] = Field("optlink/comparison-checkpoint/3", alias="schema")
@@ -81,7 +81,7 @@ class ComparisonCheckpoint(ManyRuns):
     runs: list[RunRecord]
 
 
-class TuningCheckpoint(ManyRuns):
+class TuningCheckpoint(RunsCheckpoint):
     """Cost and scatter of the parameters of the problem, then of every complete evaluation."""
 
     format: Literal["optlink/tuning-checkpoint/3"] = Field("optlink/tuning-checkpoint/3", alias="schema")
@@ -115,7 +115,7 @@ def read_checkpoint(kind: type[C], document: Mapping[str, Any], options: Mapping
             message = f"the checkpoint {whose}: its {name} is {document.get(name)!r}, not {value!r}"
             remedy = "Resume with the command and version of optlink that wrote it, or start again without --resume"
             raise InputError(message, remedy, key="resume")
-    found = checked(document)
-    if found is None:
+    content = checked(document)
+    if content is None:
         raise InputError("the checkpoint was changed since it was written", "Start again without --resume", key="resume")
-    return kind.model_validate(found)
+    return kind.model_validate(content)

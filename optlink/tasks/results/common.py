@@ -104,7 +104,7 @@ class SingleResult(Recorded):
     optima: tuple[Optimum, ...] = ()
     conflict: tuple[Relaxation, ...] = ()
     together: tuple[Relaxation, ...] = ()
-    interrupted: bool = False  # the search ended before its last starting point
+    interrupted: bool = False  # whether the search ended before its last starting point
     certificate: Certificate | None = None
 
     @property
@@ -179,12 +179,14 @@ class SearchRecord(ResultRecord):
 
 def _backends(result: SingleResult) -> dict[str, SolutionRecord] | None:
     """Return the solutions of the back ends in display units."""
-    return {name: SolutionRecord.of(one, design=result.displayed(one.design)) for name, one in result.backends.items()} or None
+    return {
+        name: SolutionRecord.of(solution, design=result.displayed(solution.design)) for name, solution in result.backends.items()
+    } or None
 
 
 def _optima(result: SingleResult) -> tuple[OptimumRecord, ...] | None:
     """Return the distinct optima in display units."""
-    return tuple(OptimumRecord.of(one, design=result.displayed(one.design)) for one in result.optima) or None
+    return tuple(OptimumRecord.of(optimum, design=result.displayed(optimum.design)) for optimum in result.optima) or None
 
 
 class SingleRecord(SearchRecord):

@@ -137,16 +137,20 @@ class CycleResult(SingleResult):
         if self.solution is None or self.status is not Status.OPTIMAL or not self.figures:
             return ""
         goal, first = self.figures[0], self.initial
-        given, found, unit = (goal.initial, goal.result, goal.unit) if self.task.single else (first.objective, self.objective, "")
-        if not math.isfinite(given) and not isinstance(self.task, StrokeProblem):
+        initial, optimal, unit = (
+            (goal.initial, goal.result, goal.unit) if self.task.single else (first.objective, self.objective, "")
+        )
+        if not math.isfinite(initial) and not isinstance(self.task, StrokeProblem):
             return "the crank of the initial design does not turn fully"
         if isinstance(self.task, StrokeProblem) and not first.valid:  # the middle of the bounds is not an initial design
-            return f"objective {found:.5g} {unit}".rstrip()
-        ours, theirs = (f"{value:.5g} {unit}".rstrip() for value in (found, given))
-        change = percent(found / given - 1.0, signed=True) if given else ""
+            return f"objective {optimal:.5g} {unit}".rstrip()
+        text, initial_text = (f"{value:.5g} {unit}".rstrip() for value in (optimal, initial))
+        change = percent(optimal / initial - 1.0, signed=True) if initial else ""
         if not first.valid:
-            return f"objective {ours} ({change}; the initial design, {theirs}, does not meet the limits)".replace("(; ", "(")
-        return f"objective {ours}, initial design {theirs}" + (f" ({change})" if change else "")
+            return f"objective {text} ({change}; the initial design, {initial_text}, does not meet the limits)".replace(
+                "(; ", "("
+            )
+        return f"objective {text}, initial design {initial_text}" + (f" ({change})" if change else "")
 
     @cached_property
     def fit(self) -> Fit | None:

@@ -9,19 +9,19 @@ from typing import TypeVar
 Item = TypeVar("Item")
 
 
-def tally(found: Iterable[tuple[Item, int]], alike: Callable[[Item, Item], bool]) -> list[tuple[Item, int]]:
+def tally(items: Iterable[tuple[Item, int]], alike: Callable[[Item, Item], bool]) -> list[tuple[Item, int]]:
     """Return distinct items in order, each with the sum of the counts of all items like it.
 
     Parameters
     ----------
-    found : iterable of (item, count)
+    items : iterable of (item, count)
     alike : function of two items
     """
     distinct: list[tuple[Item, int]] = []
-    for item, count in found:
-        for k, (known, already) in enumerate(distinct):
-            if alike(known, item):
-                distinct[k] = known, already + count
+    for item, count in items:
+        for k, (first, total) in enumerate(distinct):
+            if alike(first, item):
+                distinct[k] = first, total + count
                 break
         else:
             distinct.append((item, count))

@@ -40,13 +40,18 @@ if TYPE_CHECKING:
 EXACT, GOOD, FAIR = 1e-9, 0.01, 0.05  # largest relative errors of these grades; beyond, a fit is poor
 GOOD_ANGLE, FAIR_ANGLE = math.radians(45.0), math.radians(40.0)  # least transmission angles of these grades
 ROUNDING = 1e-6  # rad: rounding tolerance, so that an active limit of 40 deg counts as satisfied
-GAIN = 0.9  # fraction of the error below which a displaced linkage counts as a reason
-NEAR = 0.5  # fraction of the error below which the distance of the curve makes the crank angles a reason
-PRICED = 1e-2  # least share of a limit in the sum of multiplier times bound that counts as a reason
-GRADED = ("transmission_", "pressure_angle", "transmission angle", "pressure angle")  # limits of the transmission angle
-ALONG = 721  # positions along a motion
+MAX_DISPLACED_ERROR = 0.9  # fraction of the error below which a displaced linkage counts as a reason
+MAX_TIMED_ERROR = 0.5  # fraction of the error below which the distance of the curve makes the crank angles a reason
+MIN_LIMIT_SHARE = 1e-2  # least share of a limit in the sum of multiplier times bound that counts as a reason
+TRANSMISSION_KEYS = (
+    "transmission_",
+    "pressure_angle",
+    "transmission angle",
+    "pressure angle",
+)  # limits of the transmission angle
+POSITIONS = 721  # positions along a motion
 GRADES = ("exact", "good", "fair", "poor")
-MOST = 2  # largest number of active limits given as reasons
+MAX_ACTIVE_LIMITS = 2  # largest number of active limits given as reasons
 
 
 @dataclass(frozen=True)
@@ -189,8 +194,8 @@ def transmission_fit(
     fit = TransmissionFit(right - least, right, "rad", "a right angle")
     if fit.grade != "poor":
         return fit
-    others = [limit for limit in limits if not any(words in f"{limit.key} {limit.name}" for words in GRADED)]
-    return replace(fit, reasons=(*active_reasons(others), *fixed_reasons(quantities, values)))
+    remaining = [limit for limit in limits if not any(words in f"{limit.key} {limit.name}" for words in TRANSMISSION_KEYS)]
+    return replace(fit, reasons=(*active_reasons(remaining), *fixed_reasons(quantities, values)))
 
 
 def _rms(values: Array) -> float:
@@ -225,16 +230,16 @@ def path_fit(
         return None
     if task.pointed:
         places = targets[:, 0] + 1j * targets[:, 1]
-        found = [Fit(_rms(distances), _diameter(places), "m", "the size of the path")]
+        fits = [Fit(_rms(distances), _diameter(places), "m", "the size of the path")]
         if measured.turned is not None:
-            found[0] = Fit(_rms(distances), _diameter(places), "m", "the distance of the poses")
-            found.append(Fit(_rms(measured.turned), _rotation(task), "rad", "the rotation of the poses"))
+            fits[0] = Fit(_rms(distances), _diameter(places), "m", "the distance of the poses")
+            fits.append(Fit(_rms(measured.turned), _rotation(task), "rad", "the rotation of the poses"))
     else:
-        found = [Fit(_rms(distances), float(np.ptp(task.prescribed_outputs(values))), task.unit, "the output range")]
-    found = [fit for fit in found if fit.size > 0.0]
-    if not found:
+        fits = [Fit(_rms(distances), float(np.ptp(task.prescribed_outputs(values))), task.unit, "the output range")]
+    fits = [fit for fit in fits if fit.size > 0.0]
+    if not fits:
         return None
-    worst = max(found, key=lambda fit: fit.share)
+    worst = max(fits, key=lambda fit: fit.share)
     if between is not None and np.any(np.isfinite(between)):
         after = int(np.nanargmax(between))
         path = PathFit(worst.error, worst.size, worst.unit, worst.of, (), float(between[after]), after, len(targets))
@@ -299,15 +304,17 @@ def _rotating(task: PathProblem, values: Mapping[str, float]) -> Iterator[PoorFi
     """Detect poses that rotate farther than the body over its whole motion."""
     if task.requirement.kind != "motion" or task.limits.crank == "span":
         return
-    angle = np.asarray(sweep(task.linkage, values, np.linspace(0.0, TURN, ALONG)).body_angle(task.body).value, dtype=float)
+    angle = np.asarray(sweep(task.linkage, values, np.linspace(0.0, TURN, POSITIONS)).body_angle(task.body).value, dtype=float)
     if not np.all(np.isfinite(angle)):
         return
     turned, needed = float(np.ptp(np.unwrap(angle))), _rotation(task)
     if needed > turned:
         kind = _four_bar(task, values) or "linkage"
         reason = f"the poses turn through {_degrees(needed)}, the {task.body} of this {kind} through {_degrees(turned)} at most"
-        other = 'allow double-cranks, whose coupler turns fully (limits.crank = "double-crank"), or ' * (kind == "crank-rocker")
-        yield PoorFitReason(reason, f'{other}drive it over a part of a turn (limits.crank = "span")')
+        suggestion = 'allow double-cranks, whose coupler turns fully (limits.crank = "double-crank"), or ' * (
+            kind == "crank-rocker"
+        )
+        yield PoorFitReason(reason, f'{suggestion}drive it over a part of a turn (limits.crank = "span")')
 
 
 def _timed(
@@ -317,11 +324,11 @@ def _timed(
     if task.requirement.kind != "path" or task.data.offsets is None:
         return
     end = angles[0] + TURN if task.limits.crank != "span" else angles[-1]
-    motion = sweep(task.linkage, values, np.linspace(float(angles[0]), float(end), ALONG))
+    motion = sweep(task.linkage, values, np.linspace(float(angles[0]), float(end), POSITIONS))
     curve = motion.position(task.requirement.point)
     gaps = np.array([np.min(np.hypot(*(curve - place).T)) for place in task.data.columns[:, :2]])
     near, error = _rms(gaps), _rms(measured.distances)
-    if near < NEAR * error:
+    if near < MAX_TIMED_ERROR * error:
         reason = f"the curve passes the points at an rms distance of {_length(near)}, but at other crank angles"
         yield PoorFitReason(reason, 'free the timing: requirement.timing = "free"')
 
@@ -348,11 +355,11 @@ def _placed(task: PathProblem, values: Mapping[str, float], measured: MeasuredDe
     if not (pivot or turn):
         return
     generated, targets = (rows[:, 0] + 1j * rows[:, 1] for rows in (measured.generated, task.data.columns))
-    one, other = generated - np.mean(generated), targets - np.mean(targets)
-    way = np.sum(other * one.conj())
-    turned = one * (way / abs(way)) if turn and abs(way) > 0.0 and task.requirement.kind == "path" else one
-    moved, error = _rms(other - turned), _rms(measured.distances)
-    if moved < GAIN * error:
+    path, goal = generated - np.mean(generated), targets - np.mean(targets)
+    rotation = np.sum(goal * path.conj())
+    turned = path * (rotation / abs(rotation)) if turn and abs(rotation) > 0.0 and task.requirement.kind == "path" else path
+    moved, error = _rms(goal - turned), _rms(measured.distances)
+    if moved < MAX_DISPLACED_ERROR * error:
         place = f"({_length(values.get('A.x', 0.0))}, {_length(values.get('A.y', 0.0))})"
         fixed = [f"the crank pivot is fixed at {place}"] * pivot
         fixed += [f"the frame's direction is fixed at {_degrees(values.get('direction', 0.0))}"] * turn
@@ -370,12 +377,12 @@ def active_reasons(limits: Sequence[LimitState]) -> Iterator[PoorFitReason]:
     priced = [limit for limit in limits if limit.active and limit.multiplier and not limit.key.startswith("requirement.points")]
     priced.sort(key=weight, reverse=True)
     total = sum(weight(limit) for limit in priced)
-    seen: set[str] = set()
+    keys: set[str] = set()
     for limit in priced:
-        if len(seen) == MOST or weight(limit) < PRICED * total:
+        if len(keys) == MAX_ACTIVE_LIMITS or weight(limit) < MIN_LIMIT_SHARE * total:
             break
-        if limit.key not in seen:
-            seen.add(limit.key)
+        if limit.key not in keys:
+            keys.add(limit.key)
             bound = f"{limit.sense} {limit.bound:.4g} {limit.unit}".rstrip()
             word, remedy = ("at its prescribed value", "change") if limit.sense == "=" else ("at its limit", "widen")
             yield PoorFitReason(f"{limit.name} is {word} ({bound})", f"{remedy} {limit.key}")
@@ -403,17 +410,17 @@ def fixed_reasons(quantities: Mapping[str, Quantity], values: Mapping[str, float
 def _quantities(task: PathProblem) -> dict[str, Quantity]:
     """Return the dimensions of a mechanism, including the default frame position of a four-bar."""
     nowhere = {f"A.{axis}": Quantity(0.0, "coordinate", "mm") for axis in "xy"} | {"direction": Quantity(0.0, "angle", "deg")}
-    own = task.mechanism.quantities
-    return own if not (task.pointed and isinstance(task.mechanism, FourBarSection)) else nowhere | own
+    dimensions = task.mechanism.quantities
+    return dimensions if not (task.pointed and isinstance(task.mechanism, FourBarSection)) else nowhere | dimensions
 
 
 def _kind(task: PathProblem, values: Mapping[str, float]) -> Iterator[PoorFitReason]:
     """Detect a restriction to four-bars of one kind."""
     kind, crank = _four_bar(task, values), task.limits.crank
     if kind and crank != "span":
-        other = "full rotation" if crank == "double-crank" else "double-crank"
+        suggestion = "full rotation" if crank == "double-crank" else "double-crank"
         reason = f'only four-bars of one kind were allowed: {kind} (limits.crank = "{crank}")'
-        yield PoorFitReason(reason, f'try limits.crank = "{other}" or "span", or a six-bar')
+        yield PoorFitReason(reason, f'try limits.crank = "{suggestion}" or "span", or a six-bar')
 
 
 def _length(value: float) -> str:

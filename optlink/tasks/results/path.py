@@ -149,10 +149,10 @@ class PathDesign(Summary):
         if linkage is None:
             return ()
         try:
-            found = [c for c in cognates(linkage, at=float(self.crank_angles[0])) if c is not None]
+            others = [c for c in cognates(linkage, at=float(self.crank_angles[0])) if c is not None]
         except InputError:  # a miss that cannot be assembled at its first point
             return ()
-        return tuple(sorted(found, key=lambda c: not (c.crank_turns and c.keeps_side)))
+        return tuple(sorted(others, key=lambda c: not (c.crank_turns and c.keeps_side)))
 
     @property
     def coupler_linkage(self) -> CouplerLinkage | None:
