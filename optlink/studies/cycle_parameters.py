@@ -40,7 +40,7 @@ SINGLE_KEYS = ("drive.speed", "gravity")
 STEP = 1e-4  # relative step of central differences: most parameters enter linearly, the speed by its square
 TURNED = 0.01  # step of an angle of 0, in its unit
 ELSEWHERE = 0.02  # of the longest dimension: beyond this and ten times the prediction, an optimum is a different one
-CLOSE = "slsqp"  # continues from its starting point
+BACK_END = "slsqp"  # continues from its starting point
 WHOLE = "%"  # unit of a table whose values are scaled together
 
 
@@ -106,7 +106,7 @@ class CycleParameters(OptimumParameters):
         """
         try:
             start = with_starting_values(with_parameter(self.problem, parameter, value), solution.design)
-            optimum = completed(solve_cycle(start, CLOSE, starts=1)).solution
+            optimum = completed(solve_cycle(start, BACK_END, starts=1)).solution
         except InputError:
             return None
         if optimum is None or optimum.status is not Status.OPTIMAL:
