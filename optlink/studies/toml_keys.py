@@ -85,7 +85,7 @@ def _limits(problem: ProblemFile) -> Iterator[Knob]:
         pair = zip(("min", "max"), raw, strict=True) if isinstance(raw, list) else [("", raw)]
         for side, text in raw.items() if isinstance(raw, dict) else pair:
             value, unit = read_figure(text)
-            if side not in ("", "min", "max", "exactly") or not value:
+            if side not in ("", "min", "max", "exactly") or not (value or unit == "deg"):
                 continue
             words = f"{name} {side}".rstrip().replace("_", " ")
             low, high = sorted((0.5 * value, 1.5 * value))

@@ -24,6 +24,9 @@ from optlink.validation.check import Check
 UNVERIFIED = "not verified"
 ANALYSED = "Only the machine is analysed; `optlink solve` checks the requirements of the file."
 MOVING = "Optimised from the last design; it is verified when the handle is released."
+MACHINE = "The motion of the machine with these dimensions."
+LIMITED = f"{MACHINE} The crank cannot turn fully."
+APART = "With these dimensions the linkage cannot be assembled at any crank angle. The last one stays drawn."
 
 
 @dataclass(frozen=True)
@@ -111,8 +114,24 @@ def carried(problem: ProblemFile, last: Design) -> Design:
     """
     quantities = problem.model.quantities
     values = {name: last.values.get(name, q.value) if q.free else q.value for name, q in quantities.items()}
-    words = MOVING if problem.model.free else "The motion of the machine with these dimensions."
+    words = MOVING if problem.model.free else MACHINE
     return Design(problem, values, UNVERIFIED, crank_angles=last.crank_angles, conclusion=words)
+
+
+def moved_machine(design: Design, full: bool | None) -> Design:
+    """Return a machine without design variables, moved by hand, with what its positions say.
+
+    Parameters
+    ----------
+    design : Design
+    full : bool or None
+        Whether it can be assembled at every crank angle; None at none.
+    """
+    if design.status != UNVERIFIED or full:
+        return design
+    if full is None:
+        return replace(design, status="infeasible", conclusion=APART, conflicts=(APART,))
+    return replace(design, conclusion=LIMITED)
 
 
 def design_of(result: Any) -> Design:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeGuard
 
 from optlink.errors import InputError
 from optlink.io import finite
@@ -54,6 +54,11 @@ class Handle:
         if self.kind == "point":
             return list(self.shown["at"])
         return list(self.value) if self.kind == "range" else [self.value]
+
+    @property
+    def placed(self) -> bool:
+        """Whether the handle lies on the drawing."""
+        return "at" in self.shown or "centre" in self.shown
 
     def place_of(self, request: Mapping[str, Any]) -> list[float] | None:
         """Return the numbers of a drag; None if it has none."""
@@ -133,6 +138,17 @@ def _moved(problem: ProblemFile, index: int, values: Mapping[str, float]) -> lis
     else:
         rows[index] = [exact_text(values["x"], "mm"), exact_text(values["y"], "mm"), *row[2:]]
     return rows
+
+
+def like(one: Handle | None, other: Handle) -> TypeGuard[Handle]:
+    """Return whether a handle is there, and is dragged like another one.
+
+    Parameters
+    ----------
+    one : Handle or None
+    other : Handle
+    """
+    return one is not None and (one.kind, one.keys, one.placed) == (other.kind, other.keys, other.placed)
 
 
 def handles(problem: ProblemFile, picture: Picture | None) -> dict[str, Handle]:

@@ -13,11 +13,23 @@ from optlink.problem.file import ProblemFile, load
 from optlink.problem.fixed_design import references
 from optlink.report.format import pretty
 from optlink.studio import state
-from optlink.studio.design import Design, carried, checked, failure, from_solution, in_modes, sentence, solved, started, verdict
+from optlink.studio.design import (
+    Design,
+    carried,
+    checked,
+    failure,
+    from_solution,
+    in_modes,
+    moved_machine,
+    sentence,
+    solved,
+    started,
+    verdict,
+)
 from optlink.studio.document import Document, from_template, from_text, named, shipped_problem
 from optlink.studio.files import deflated, exported, inflated
 from optlink.studio.follow import Follower
-from optlink.studio.handles import Handle, handles
+from optlink.studio.handles import Handle, handles, like
 from optlink.studio.history import History
 from optlink.studio.kinds import follower, kind_of, structure
 from optlink.studio.picture import Picture
@@ -326,14 +338,20 @@ class Session:
     def _show(self, design: Design, problem: ProblemFile, *, moving: bool, searching: bool = False) -> None:
         """Send the state of a design; `searching`: whether the full search for a better one runs."""
         assert self._history is not None
-        problem = in_modes(problem, design)
-        done, self._verdict, self._last = time.perf_counter(), design.status, (design, problem)
+        problem, done = in_modes(problem, design), time.perf_counter()
         try:
             picture: Picture | None = Picture(design.machine, design.start, design.speed)
         except (ArithmeticError, InputError, ValueError):
             picture = None
+        if moving and not problem.model.free:
+            design = moved_machine(design, None if picture is None else picture.closed)
+        self._verdict, self._last = design.status, (design, problem)
         self._handles = handles(problem, picture)
-        if not moving:
+        if moving:  # no handle vanishes, or becomes another one, under the hand
+            self._handles = {
+                name: new if like(new := self._handles.get(name), rest) else rest for name, rest in self._rest.items()
+            }
+        else:
             self._rest = self._handles
         undo, redo = self._history.ends
         document = self._document

@@ -191,6 +191,36 @@ def test_a_drag_to_an_impossible_value_keeps_the_linkage_and_says_why(page: Page
     assert values(states[-1]) == pytest.approx(values(before), rel=1e-9)
 
 
+def test_a_limit_that_is_dragged_to_zero_keeps_its_handle(page: Page) -> None:
+    page.ask("drag", handle="limits.transmission_angle.min", value=0.0, moving=True)
+    back = page.state("drag", handle="limits.transmission_angle.min", value=40.0, moving=True)
+    assert back["status"] == "not verified"
+    page.patient = False
+    zero = page.state("drag", handle="limits.transmission_angle.min", value=0.0, moving=False)
+    page.patient = True
+    assert next(one["value"] for one in zero["handles"] if one["id"] == "limits.transmission_angle.min") == 0.0
+    page.state("undo")
+
+
+def test_handles_keep_their_kind_while_one_is_dragged() -> None:
+    """Also a pivot that is dragged over another joint, and links that no longer meet."""
+    page = Page()
+    rest = {one["id"]: (one["kind"], "at" in one) for one in page.state("open", name="six-bar")["handles"]}
+    for x in (1500.0, 1200.0, 400.0, 0.0, -300.0):
+        state = page.state("drag", handle="mechanism.ground.D.x", at=[x, 0.0], moving=True)
+        assert {one["id"]: (one["kind"], "at" in one) for one in state["handles"]} == rest
+    page.ask("drag", handle="mechanism.ground.D.x", at=[1500.0, 0.0], moving=True)
+    for length, status, words in (
+        (1100.0, "not verified", "these dimensions."),
+        (900.0, "not verified", "The crank cannot turn fully."),
+        (100.0, "infeasible", "cannot be assembled at any crank angle."),
+        (1150.0, "not verified", "these dimensions."),
+    ):
+        state = page.state("drag", handle="mechanism.links.link2.length", value=length, moving=True)
+        assert {one["id"]: (one["kind"], "at" in one) for one in state["handles"]} == rest
+        assert (state["status"], words in state["conclusion"]) == (status, True), (length, state["conclusion"])
+
+
 def test_a_text_from_the_page_cannot_read_files(tmp_path: Any) -> None:
     secret = tmp_path / "secret.csv"
     secret.write_text("x,y\n1,2\n3,4\n5,6\n", encoding="utf-8")

@@ -136,7 +136,7 @@ function drag(fields, stamp) {
   if (state?.status === "verified") {
     state.status = "not verified";
     verdict(state.status);
-    panel.verdict({ ...state, moving: true, conclusion: "The optimum is being computed." });
+    panel.verdict({ ...state, moving: true, conclusion: `The ${state.kind === "analysis" ? "motion" : "optimum"} is being computed.` });
   }
   live.drag(fields, stamp);
 }
