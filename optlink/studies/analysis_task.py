@@ -30,7 +30,7 @@ from optlink.tasks.machine import crank_speed, machine_of
 from optlink.tasks.results.analysis import Analysis
 from optlink.units import factor
 
-MANY = 2000  # designs per chunk
+CHUNK = 2000  # designs per chunk
 FIGURES = ("min", "max", "rms")
 ANALYSED = "analysed"
 ANGLE = ".angle_rad"  # its extremes are those of the swing
@@ -111,7 +111,7 @@ class AnalysisTask(FiguresTask):
         numbers = np.flatnonzero(clear)
         if not numbers.size:
             return {}
-        values = {f"{name}.{kind}": both[numbers, k] for name, both in extremes.items() for k, kind in enumerate(FIGURES[:2])}
+        values = {f"{name}.{kind}": bounds[numbers, k] for name, bounds in extremes.items() for k, kind in enumerate(FIGURES[:2])}
         for name in {name.removesuffix(".rms") for name in self.figures if name.endswith(".rms")}:
             parts = reaction_parts(name)
             sampled = analyze_batch(self.problem, {key: sizes[numbers] for key, sizes in designs.items()}, parts, self.points)

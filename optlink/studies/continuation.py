@@ -14,8 +14,8 @@ from optlink.solvers.newton import newton
 from optlink.solvers.solution import Attempt, Solution, verified_solution
 
 MAX_STEPS = 8
-LONGEST = 0.3  # scaled units; largest distance of a neighbour
-CONVERGED = 1e-10
+MAX_DISTANCE = 0.3  # scaled units; largest distance of a neighbour
+MAX_RESIDUAL = 1e-10
 FOLLOWED = "followed from a neighbour"
 
 
@@ -39,15 +39,15 @@ def follow_optimum(nlp: NLP, near: Solution) -> Solution | None:
         return None
     unit, steps = np.eye(n), 0
     while steps < MAX_STEPS:
-        here = nlp.at(x, p)
-        if not here.finite or np.max(np.abs(x - near.x), initial=0.0) > LONGEST:
+        values = nlp.at(x, p)
+        if not values.finite or np.max(np.abs(x - near.x), initial=0.0) > MAX_DISTANCE:
             return None
-        jacobian = np.vstack([unit, here.jacobian])[active]
-        missing = np.concatenate([x, here.g])[active] - bound
-        residual = np.concatenate([here.gradient + jacobian.T @ multipliers, missing])
-        if np.max(np.abs(residual), initial=0.0) <= CONVERGED:
+        jacobian = np.vstack([unit, values.jacobian])[active]
+        missing = np.concatenate([x, values.g])[active] - bound
+        residual = np.concatenate([values.gradient + jacobian.T @ multipliers, missing])
+        if np.max(np.abs(residual), initial=0.0) <= MAX_RESIDUAL:
             break
-        weights = np.zeros(len(here.g))
+        weights = np.zeros(len(values.g))
         weights[rows] = multipliers[len(active) - len(rows) :]
         step = newton(nlp.hessian(x, p, weights), jacobian, residual)
         if step is None:

@@ -38,10 +38,10 @@ from optlink.units import UnitProblem, factor
 SECTIONS = ("bodies", "loads")  # joint parameters do not affect an ideal machine
 SINGLE_KEYS = ("drive.speed", "gravity")
 STEP = 1e-4  # relative step of central differences: most parameters enter linearly, the speed by its square
-TURNED = 0.01  # step of an angle of 0, in its unit
-ELSEWHERE = 0.02  # of the longest dimension: beyond this and ten times the prediction, an optimum is a different one
+ANGLE_STEP = 0.01  # step of an angle of 0, in its unit
+SAME_OPTIMUM = 0.02  # of the longest dimension: beyond this and ten times the prediction, an optimum is a different one
 BACK_END = "slsqp"  # continues from its starting point
-WHOLE = "%"  # unit of a table whose values are scaled together
+TABLE_UNIT = "%"  # unit of a table whose values are scaled together
 
 
 class CycleParameters(OptimumParameters):
@@ -81,8 +81,10 @@ class CycleParameters(OptimumParameters):
         """
         if parameter.constant >= 0 or parameter.entries:
             return self.system.push(parameter)
-        step = STEP * abs(parameter.value) or TURNED
-        (low, below, under), (high, above, over) = (self._perturbed(parameter, parameter.value + way) for way in (-step, step))
+        step = STEP * abs(parameter.value) or ANGLE_STEP
+        (low, below, under), (high, above, over) = (
+            self._perturbed(parameter, parameter.value + change) for change in (-step, step)
+        )
         still = np.zeros(len(self.system.values))
         entries = still.copy()
         entries[self.system.free :] = (over - under) / (2.0 * step)
@@ -111,10 +113,12 @@ class CycleParameters(OptimumParameters):
             return None
         if optimum is None or optimum.status is not Status.OPTIMAL:
             return None
-        away = max(abs(optimum.design[name] - start_value) for name, start_value in solution.design.items()) / self.nlp.scales[0]
+        distance = (
+            max(abs(optimum.design[name] - start_value) for name, start_value in solution.design.items()) / self.nlp.scales[0]
+        )
         start_at = design_variables(self.nlp, self.nlp.x_start)
         predicted = max(abs(change[v.name] / v.scale.slope(x)) for v, x in start_at)
-        if away > 10.0 * predicted and away > ELSEWHERE:
+        if distance > 10.0 * predicted and distance > SAME_OPTIMUM:
             return None
         end = self.refined(optimum)
         return end.objective, displayed(optimum.nlp, end.x)
@@ -140,14 +144,16 @@ class CycleParameters(OptimumParameters):
         system, nlp = self.system, self.nlp
         trace = TracedCycle(task_of(with_parameter(self.problem, parameter, value)), slow=self.nlp.traced.slow)
         slots = nlp.slots // nlp.strokes
-        other = build_cycle(trace, nlp.structure, nlp.design(system.x), nlp.nodes, slots, nlp.scales)
-        if [row.label for row in other.rows] != [row.label for row in nlp.rows]:
+        perturbed = build_cycle(trace, nlp.structure, nlp.design(system.x), nlp.nodes, slots, nlp.scales)
+        if [row.label for row in perturbed.rows] != [row.label for row in nlp.rows]:
             message = "at a neighbouring value the motions reverse in another order"
             raise InputError(message, "Change it with --set", self.problem.file, parameter.key)
         prices = casadi.DM(system.multipliers[system.free :])
-        whole = other.f_expression + casadi.dot(prices, other.g_expression)
-        both = casadi.vertcat(other.x_symbol, other.p_symbol)
-        functions = CompiledFunction([other.x_symbol, other.p_symbol], [whole, casadi.gradient(whole, both), other.g_expression])
+        lagrangian = perturbed.f_expression + casadi.dot(prices, perturbed.g_expression)
+        variables = casadi.vertcat(perturbed.x_symbol, perturbed.p_symbol)
+        functions = CompiledFunction(
+            [perturbed.x_symbol, perturbed.p_symbol], [lagrangian, casadi.gradient(lagrangian, variables), perturbed.g_expression]
+        )
         value_, gradient, rows = functions(system.x, system.p)
         return float(value_[0]), gradient, rows
 
@@ -161,7 +167,7 @@ def _figures(problem: ProblemFile) -> list[Parameter]:
     keys += [(f"mechanism.guides.{name}.friction", guide.get("friction")) for name, guide in guides.items()]
     figures = []
     for key, raw in keys:
-        value, unit = (100.0, WHOLE) if isinstance(raw, list) else read_figure(raw)
+        value, unit = (100.0, TABLE_UNIT) if isinstance(raw, list) else read_figure(raw)
         if value or _angular(unit):  # other zeros have no relative step
             name = key.removeprefix("mechanism.guides.").split(".", 1)
             short = name[-1] if name[0] in (*SECTIONS, "drive") else ".".join(name)
@@ -201,8 +207,8 @@ def with_parameter(problem: ProblemFile, parameter: Parameter, value: float) -> 
     parameter : Parameter
     value : float [parameter.unit]
     """
-    if parameter.unit == WHOLE:
-        pairs = [read_figure(each) for each in problem.at(parameter.key)]
+    if parameter.unit == TABLE_UNIT:
+        pairs = [read_figure(text) for text in problem.at(parameter.key)]
         return problem.override(
             {parameter.key: [exact_text(component * value / parameter.value, unit) for component, unit in pairs]}
         )

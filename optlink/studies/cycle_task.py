@@ -62,22 +62,22 @@ class CycleTask(OptimumTask):
 
     def lines(self, index: int) -> list[list[str]]:
         """Return the rows of a chunk."""
-        done: dict[int, CycleResult] = {}
+        results: dict[int, CycleResult] = {}
         rows = []
         for point in self.span(index):
             task = self.problem.override(self.grid.changes(point))
-            near = done.get(point - 1 if point % self.grid.row else point - self.grid.row)
+            near = results.get(point - 1 if point % self.grid.row else point - self.grid.row)
             begin = [*([] if near is None else [near.design]), *map(dict, self.anchors)]
             result = min(
                 (self.searched_from(point, task, sizes) for sizes in begin),
-                key=lambda one: (not one.valid, one.objective),
+                key=lambda candidate: (not candidate.valid, candidate.objective),
                 default=None,
             )
             how = FOLLOWED
             if result is None or not result.valid:
                 result, how = self.searched(task), SEARCHED
             if result.valid:
-                done[point] = result
+                results[point] = result
             rows.append(self._row(point, result, how))
         return rows
 
@@ -104,8 +104,8 @@ class CycleTask(OptimumTask):
         result = completed(solve_cycle(task, self.backend))
         if result.valid or result.status is not Status.OPTIMAL:
             return result
-        again = completed(solve_cycle(with_starting_values(task, result.design), self.backend, starts=1))
-        return again if again.valid else result
+        repeated = completed(solve_cycle(with_starting_values(task, result.design), self.backend, starts=1))
+        return repeated if repeated.valid else result
 
     def _row(self, point: int, result: CycleResult, how: str) -> list[str]:
         usable = result.solution is not None and result.status in (Status.OPTIMAL, Status.STALLED)
@@ -180,7 +180,7 @@ class CycleProgramme:
         self.nlp.cache.update(nlp.cache)
         if at_edge(solution):
             return None
-        done = time.perf_counter()
+        solved = time.perf_counter()
         checked = validate_cycle(task_of(problem), solution.design, solution.objective)
         return CycleResult(
             problem=problem,
@@ -189,7 +189,7 @@ class CycleProgramme:
             design=dict(solution.design),
             objective=solution.objective,
             validation=Validation((*checked.checks, *optimality(solution)), checked.objective),
-            seconds={"build": built - begin, "solve": done - built, "validate": time.perf_counter() - done},
+            seconds={"build": built - begin, "solve": solved - built, "validate": time.perf_counter() - solved},
             seed=0,
             starts=1,
             solution=solution,

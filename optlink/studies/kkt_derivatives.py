@@ -27,10 +27,10 @@ from optlink.solvers.solution import STATIONARY, Solution, stationarity
 from optlink.studies.parameters import Parameter
 from optlink.symbolic import CompiledFunction
 
-TIGHT = 1e-9  # scaled units; tolerance of active limits, less than the distance of neighbours in a finely divided span
-STRONG = 1e-8  # relative to the scale of the objective; smaller multipliers count as zero
-STILL = 1e-11  # scaled units; slower changes are rounding errors
-CURVED = 1e-10  # relative to the largest second derivative; smaller ones are rounding errors
+ACTIVE_TOLERANCE = 1e-9  # scaled units; tolerance of active limits, less than the distance of neighbours in a finely divided span
+MIN_MULTIPLIER = 1e-8  # relative to the scale of the objective; smaller multipliers count as zero
+MIN_RATE = 1e-11  # scaled units; slower changes are rounding errors
+MIN_CURVATURE = 1e-10  # relative to the largest second derivative; smaller ones are rounding errors
 DUPLICATE_SLOPE = 1e-6  # relative difference of the slopes of duplicate rows
 LIMIT_EVENTS = "is no longer active", "is reached"
 PEAK_EVENTS = "no longer determines the objective", "determines the objective"
@@ -72,11 +72,11 @@ class KKTResponse:
 def _lagrangian(nlp: NLP, x: Array, p: Array, prices: Array) -> tuple[Array, Array, Array]:
     """Return Hessian and gradient of f + prices . g by (x, p), and the Jacobian of g; compiled once for a programme."""
     if "lagrangian" not in nlp.cache:
-        both = casadi.vertcat(nlp.x_symbol, nlp.p_symbol)
+        variables = casadi.vertcat(nlp.x_symbol, nlp.p_symbol)
         symbols = casadi.SX.sym("prices", len(nlp.rows))
-        hessian, gradient = casadi.hessian(nlp.f_expression + casadi.dot(symbols, nlp.g_expression), both)
+        hessian, gradient = casadi.hessian(nlp.f_expression + casadi.dot(symbols, nlp.g_expression), variables)
         inputs = [nlp.x_symbol, nlp.p_symbol, symbols]
-        nlp.cache["lagrangian"] = CompiledFunction(inputs, [hessian, gradient, casadi.jacobian(nlp.g_expression, both)])
+        nlp.cache["lagrangian"] = CompiledFunction(inputs, [hessian, gradient, casadi.jacobian(nlp.g_expression, variables)])
     hessian, gradient, jacobian = nlp.cache["lagrangian"](x, p, prices)
     size = len(gradient)
     return hessian.reshape(size, size), gradient, jacobian.reshape((len(prices), size), order="F")
@@ -93,28 +93,28 @@ class KKTSystem:
         self.nlp, self.x, self.p, self.price = nlp, x, p, solution.price
         n, m = len(x), len(nlp.rows)
         point = nlp.at(x, p)
-        conditions = stationarity(nlp, x, point, TIGHT)
+        conditions = stationarity(nlp, x, point, ACTIVE_TOLERANCE)
         if conditions.kkt > max(STATIONARY, solution.kkt):
             conditions = solution.conditions
         self.equal = nlp.lower == nlp.upper
-        strong = [i for i in conditions.active if self.equal[i] or abs(conditions.multipliers[i]) > STRONG]
+        strong = [i for i in conditions.active if self.equal[i] or abs(conditions.multipliers[i]) > MIN_MULTIPLIER]
         self.multipliers = np.zeros(n + m)
         self.multipliers[strong] = conditions.multipliers[strong]
         self.values = np.concatenate([x, point.g])
         hessian, gradient, rows = _lagrangian(nlp, x, p, self.multipliers[n:])
-        whole = np.vstack([np.eye(n, n + len(p)), rows])  # derivatives of x and the rows by x and p
-        self.active = self._distinct(strong, whole[:, :n])
+        slopes = np.vstack([np.eye(n, n + len(p)), rows])  # derivatives of x and the rows by x and p
+        self.active = self._distinct(strong, slopes[:, :n])
         if len(self.active) < len(strong):
             hessian, gradient, _ = _lagrangian(nlp, x, p, self.multipliers[n:])
         self.by_p = gradient[n:]
         # such positions are determined by the vanishing slope of the quantity that is largest there
         first, bend = len(p) - nlp.exchange_count, float(np.max(np.abs(hessian), initial=1.0))
-        exchange = [n + k for k in range(first, len(p)) if abs(hessian[n + k, n + k]) > CURVED * bend and p[k] != 0.0]
+        exchange = [n + k for k in range(first, len(p)) if abs(hessian[n + k, n + k]) > MIN_CURVATURE * bend and p[k] != 0.0]
         exchange = [k for k in exchange if abs(gradient[k]) <= 1e-4 * abs(hessian[k, k])]
         self.unknown = np.array([*range(n), *exchange], dtype=int)
         self.free, self.count = n, len(self.unknown)
-        self.jacobian, self.hessian = whole, hessian
-        jacobian_active = whole[self.active][:, self.unknown]
+        self.jacobian, self.hessian = slopes, hessian
+        jacobian_active = slopes[self.active][:, self.unknown]
         self.matrix = np.block(
             [
                 [hessian[np.ix_(self.unknown, self.unknown)], jacobian_active.T],
@@ -140,8 +140,8 @@ class KKTSystem:
         n = len(self.x)
         if entry < n or other < n:
             return False
-        one, two = self.nlp.rows[entry - n], self.nlp.rows[other - n]
-        if (one.limit, one.low, one.high) != (two.limit, two.low, two.high):
+        first, second = self.nlp.rows[entry - n], self.nlp.rows[other - n]
+        if (first.limit, first.low, first.high) != (second.limit, second.low, second.high):
             return False
         return bool(np.max(np.abs(slopes[entry] - slopes[other])) <= DUPLICATE_SLOPE * np.max(np.abs(slopes[entry])))
 
@@ -202,12 +202,12 @@ class KKTSystem:
             leaves, arrives = PEAK_EVENTS if peak else LIMIT_EVENTS
             if entry in rows:
                 change = response.multipliers[entry]
-                if not self.equal[entry] and abs(change) > STILL * abs(self.multipliers[entry]):
+                if not self.equal[entry] and abs(change) > MIN_RATE * abs(self.multipliers[entry]):
                     events.append((-self.multipliers[entry] / change, leaves))
             else:
                 changes = push.upper[entry] - rates[entry], rates[entry] - push.lower[entry]
                 for room, change in zip(rooms[:, entry], changes, strict=True):
-                    if math.isfinite(room) and abs(change) > STILL:
+                    if math.isfinite(room) and abs(change) > MIN_RATE:
                         events.append((-max(room, 0.0) / change, arrives))
             for at, what in events:
                 if at == 0.0 and what == arrives:  # a limit at its bound with a zero multiplier is not counted as an end
@@ -220,7 +220,7 @@ class KKTSystem:
 
     @cached_property
     def turning(self) -> set[int]:
-        """Angles that may be any: their bounds, a revolution apart, are one position and no limit."""
+        """Unrestricted angles: their bounds, one revolution apart, are the same position and do not limit."""
         indices = set()
         for k, (variable, low, high) in enumerate(zip(self.nlp.variables, self.nlp.x_low, self.nlp.x_high, strict=True)):
             width = variable.size * (high - low)
@@ -230,9 +230,9 @@ class KKTSystem:
 
     @cached_property
     def rooms(self) -> Array:
-        """Distances (2, n + rows) to the upper and lower bounds; infinite beside the peaks of a limit over a motion.
+        """Distances (2, n + rows) to the upper and lower bounds; infinite away from the peaks of a limit over a motion.
 
-        To first order such a limit changes with its peaks alone: beside a peak that moves a linear prediction exceeds it.
+        To first order such a limit changes with its peaks only: near a moving peak a linear prediction exceeds it.
         """
         rooms = np.array([self.nlp.upper - self.values, self.values - self.nlp.lower])
         limits: dict[tuple[str, str, float, float], list[int]] = {}
@@ -246,8 +246,8 @@ class KKTSystem:
             order = np.argsort(places[peak_rows] % TURN if periodic else places[peak_rows])
             entries = self.free + np.array(peak_rows)[order]
             near = np.pad(rooms[:, entries], ((0, 0), (1, 1)), "wrap" if periodic else "edge")
-            beside = rooms[:, entries] > np.minimum(near[:, :-2], near[:, 2:]) + STILL
-            rooms[:, entries] = np.where(beside, math.inf, rooms[:, entries])
+            off_peak = rooms[:, entries] > np.minimum(near[:, :-2], near[:, 2:]) + MIN_RATE
+            rooms[:, entries] = np.where(off_peak, math.inf, rooms[:, entries])
         return rooms
 
     def _name(self, entry: int) -> str:

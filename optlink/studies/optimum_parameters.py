@@ -1,4 +1,4 @@
-"""The parameters of an optimum, and the optima beside it: searched again with another value, or in a file read anew."""
+"""The parameters of an optimum, and the optima at changed values, found by a new search or from a changed file."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Optimum = tuple[float, dict[str, float]]
 
 
 class OptimumParameters:
-    """The parameters of an optimum, which are those of its programme, and the optima beside it.
+    """The parameters of an optimum, which are those of its programme, and the optima at changed values.
 
     `share`, `most`: step of central differences relative to the value, and its largest share of the range of validity.
     """
@@ -97,7 +97,7 @@ class FunctionParameters(OptimumParameters):
 
         if not parameter.in_file:
             return super().optimum_at(solution, parameter, value, change, backend)
-        other = self.problem.override({parameter.key: exact_text(value, parameter.unit)})
-        result = completed(solve(other, backend, begin=solution.design))
+        changed = self.problem.override({parameter.key: exact_text(value, parameter.unit)})
+        result = completed(solve(changed, backend, begin=solution.design))
         assert result.solution is not None
         return result.objective, displayed(result.solution.nlp, result.solution.x)

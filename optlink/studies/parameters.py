@@ -127,9 +127,9 @@ def parameters(nlp: NLP) -> list[Parameter]:
                 continue
             prescribed = entry < n or (key.startswith("limits.") and key not in ("limits.crank", *MARGIN_KEYS))
             bounds = f"{name}, {'largest' if side == 'max' else 'smallest'} allowed" if entry < n else name
-            whole = f"{key}.{side}" if side and prescribed else key
+            limit_key = f"{key}.{side}" if side and prescribed else key
             limits[mark] = Parameter(
-                whole, bounds, _displayed(bound, scale), scale.unit, scale, -1, (entry,), upper, not side, prescribed
+                limit_key, bounds, _displayed(bound, scale), scale.unit, scale, -1, (entry,), upper, not side, prescribed
             )
     return result + list(limits.values())
 

@@ -44,11 +44,11 @@ from optlink.validation import validate, validate_batch
 Index = NDArray[np.intp]
 CHUNK, SLOW_CHUNK = 100, 4  # points per chunk; the second if every point needs a separate search
 LARGEST_CHUNK, CHUNKS = 10_000, 10  # points of the chunks of a large grid, and the least number of chunks
-BATCH = 2_000  # points that are worked on at a time
+BATCH = 2_000  # points per batch
 STARTS, SEED = 6, 0  # searches in each of the few large blocks of a grid, from random points
 SMALL_GRID = 1000  # points of a grid up to which a point that Newton's method does not reach has such searches of its own
 SEARCHED = "searched"
-OTHER = 3.0  # ratio of sizes beyond which the scaling of the programme is unsuitable
+MAX_SIZE_RATIO = 3.0  # ratio of sizes beyond which the scaling of the programme is unsuitable
 
 
 def check_backend(name: str) -> None:
@@ -87,7 +87,7 @@ class ReoptimiseTask(OptimumTask):
     def fast_override(self) -> FastOverride | None:
         """Sets values in the model; None if the file has to be read again for each.
 
-        Tolerances of a robust design are checked against each size, so that its problems are read one by one.
+        Tolerances of a robust design are checked against each dimension, so each of its problems is read from the file.
         """
         if self.programme is None or self.template.spec.requirement.robust is not None:
             return None
@@ -111,7 +111,7 @@ class ReoptimiseTask(OptimumTask):
         """Return the rows of a chunk."""
         if self.programme is None:
             results = (_separately(self.problem.override(self.grid.changes(point)), self.backend) for point in self.span(index))
-            return [self.optimum(point, one) for point, one in zip(self.span(index), results, strict=True)]
+            return [self.optimum(point, result) for point, result in zip(self.span(index), results, strict=True)]
         rows: dict[int, list[str]] = {}
         points = np.array(self.span(index))
         for first in range(0, len(points), BATCH):
@@ -129,8 +129,8 @@ class ReoptimiseTask(OptimumTask):
         assert self.programme is not None
         if self.fast_override is not None:
             return self.programme.parameters(self.fast_override.model(self.grid.columns(points)), len(points))
-        each = [self.programme.parameters(self.model(point)) for point in points.tolist()]
-        return BatchProblem(*(np.concatenate([vars(one)[name] for one in each]) for name in ("p", "lower", "upper")))
+        parts = [self.programme.parameters(self.model(point)) for point in points.tolist()]
+        return BatchProblem(*(np.concatenate([vars(part)[name] for part in parts]) for name in ("p", "lower", "upper")))
 
     def _search(self, point: int) -> Solution:
         """Return the best result of the searches at a point, the first of which begins at the starting point of the problem."""
@@ -152,16 +152,16 @@ class ReoptimiseTask(OptimumTask):
         high = np.where(np.isfinite(nlp.x_high), nlp.x_high, 1.0)
         for x in itertools.islice(multistart.latin_hypercubes(nlp.x_low, high, SEED), STARTS):
             end = multistart.solve_from(nlp, nlp.lifted(x), self.backend, resume_infeasible=False)
-            if end.status is Status.OPTIMAL and not any(multistart.compare(end, other).same for other in solutions):
+            if end.status is Status.OPTIMAL and not any(multistart.compare(end, solution).same for solution in solutions):
                 solutions.append(end)
-        return sorted(solutions, key=lambda one: one.objective)
+        return sorted(solutions, key=lambda solution: solution.objective)
 
     def _followed(self, points: Index) -> dict[int, list[str]]:
         """Return the rows of the points at which Newton's method from a neighbouring optimum ends at a verified optimum."""
         assert self.programme is not None
         nlp, optima = self.programme.nlp, self.grid_search.optima(points)
-        done = np.flatnonzero(optima.optimal)
-        points, x, sides, objective = points[done], optima.x[done], optima.sides[done], optima.objective[done]
+        solved = np.flatnonzero(optima.optimal)
+        points, x, sides, objective = points[solved], optima.x[solved], optima.sides[solved], optima.objective[solved]
         if not len(points):
             return {}
         values = {v.name: v.origin + x[:, i] * v.size for i, v in enumerate(nlp.variables) if v.name not in nlp.helpers}
@@ -172,12 +172,15 @@ class ReoptimiseTask(OptimumTask):
             failed = {k: validations.of(k).failed for k in np.flatnonzero(~valid).tolist()}
         else:
             tasks = [self.model(point) for point in points.tolist()]
-            designs = [task.design({name: own[k] for name, own in values.items()}) for k, task in enumerate(tasks)]
-            single = [validate(task, *own) for task, *own in zip(tasks, designs, objective.tolist(), strict=True)]
-            valid, failed = np.array([one.valid for one in single]), {k: one.failed for k, one in enumerate(single)}
+            designs = [task.design({name: entries[k] for name, entries in values.items()}) for k, task in enumerate(tasks)]
+            single = [validate(task, *entries) for task, *entries in zip(tasks, designs, objective.tolist(), strict=True)]
+            valid, failed = (
+                np.array([outcome.valid for outcome in single]),
+                {k: outcome.failed for k, outcome in enumerate(single)},
+            )
         keys = list(map(tuple, sides.tolist()))
         labels = {key: "; ".join(_labels(nlp, np.flatnonzero(key), np.array(key))) for key in set(keys)}
-        methods = np.where(optima.searched[done], SEARCHED, FOLLOWED).tolist()
+        methods = np.where(optima.searched[solved], SEARCHED, FOLLOWED).tolist()
         sizes = [values[name] / quantity.si_per_unit for name, quantity in self.free.items()]
         figures, status = np.array([*self.grid.columns(points), *sizes, objective]).T.tolist(), Status.OPTIMAL.value
         return {
@@ -193,7 +196,7 @@ class ReoptimiseTask(OptimumTask):
         }
 
     def _again(self, point: int) -> FoundOptimum:
-        """Return the optimum at a point that is searched, from that of a neighbour if there is one."""
+        """Search for the optimum at a point, starting from a neighbour if there is one."""
         assert self.programme is not None
         programme, near, corners = self.programme, self.grid_search.nearest(point), self.grid_search.branches(point)
         task = self.model(point)
@@ -201,13 +204,13 @@ class ReoptimiseTask(OptimumTask):
         solution, how = programme.solve(near, self.backend)
         if solution.usable and self.grid.count <= SMALL_GRID:
             corners.append(self._search_many(point))
-        for rank, other in (pair for corner in corners for pair in enumerate(corner)):
-            end = follow_optimum(programme.nlp, other)
+        for rank, neighbour in (pair for corner in corners for pair in enumerate(corner)):
+            end = follow_optimum(programme.nlp, neighbour)
             if end is None and rank == 0:
-                end = multistart.solve_from(programme.nlp, programme.within(other.x), self.backend)
+                end = multistart.solve_from(programme.nlp, programme.within(neighbour.x), self.backend)
             if end is not None and multistart.best([solution, end]) is end and not multistart.compare(solution, end).same:
                 solution, how = end, SEARCHED
-        if not solution.usable and not 1.0 / OTHER <= task.quantities["frame"].value / programme.size <= OTHER:
+        if not solution.usable and not 1.0 / MAX_SIZE_RATIO <= task.quantities["frame"].value / programme.size <= MAX_SIZE_RATIO:
             nlp = build(task)
             solution = multistart.best([solution, multistart.solve_from(nlp, nlp.x_start, self.backend)])
         if solution.status is not Status.OPTIMAL and (self.starts > 1 or solution.status is not Status.INFEASIBLE):
@@ -219,8 +222,8 @@ class ReoptimiseTask(OptimumTask):
         failed = validation.failed
         valid = solution.status is Status.OPTIMAL and not failed
         if solution.status is Status.INFEASIBLE:
-            violated, against = conflicting(solution)
-            return FoundOptimum(solution.design, solution.objective, solution.status, valid, violated or failed, against, how)
+            violated, at_bound = conflicting(solution)
+            return FoundOptimum(solution.design, solution.objective, solution.status, valid, violated or failed, at_bound, how)
         return FoundOptimum(solution.design, solution.objective, solution.status, valid, failed, active(solution), how)
 
 
@@ -266,8 +269,10 @@ class ParametricProgramme:
         bounds += zip(nlp.low[len(rows) :], nlp.high[len(rows) :], strict=True)
         lower, upper = zip(*bounds, strict=True)
         if count is None:
-            return BatchProblem(*(np.array([own], dtype=float) for own in (p, lower, upper)))
-        return BatchProblem(*(np.array([np.broadcast_to(one, count) for one in own], dtype=float).T for own in (p, lower, upper)))
+            return BatchProblem(*(np.array([array], dtype=float) for array in (p, lower, upper)))
+        return BatchProblem(
+            *(np.array([np.broadcast_to(array, count) for array in arrays], dtype=float).T for arrays in (p, lower, upper))
+        )
 
     def bind(self, task: DesignProblem) -> None:
         """Set fixed quantities, bounds and limits from a problem of the same structure."""

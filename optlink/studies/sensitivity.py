@@ -26,8 +26,8 @@ from optlink.tasks.protocol import completed
 from optlink.tasks.results.balance import Balance
 from optlink.tasks.run import solve
 
-SMALL = 1e-2  # least reference of relative differences: of the objective, per parameter change of its own value
-SLIGHT = 1e-3  # the same for the design
+MIN_OBJECTIVE_REFERENCE = 1e-2  # least reference of relative differences: of the objective, per parameter change of its own value
+MIN_DESIGN_REFERENCE = 1e-3  # the same for the design
 NEGLIGIBLE = 1e-10  # of the objective, or of a scaled design variable: smaller changes by one step of a parameter count as zero
 
 
@@ -251,11 +251,11 @@ def of_solution(
     rows.sort(key=lambda row: -float(f"{abs(row.effect):.6g}"))  # equal effects in the order of the parameters
     if check:
         moving = [row for row in rows if row.moves]
-        for done, row in enumerate(moving):
+        for checked, row in enumerate(moving):
             result = _searched_again(optimum_parameters, solution, row, backend, degenerate=system.singular)
             rows[rows.index(row)] = replace(row, check=result)
             if progress is not None:
-                progress((done + 1) / len(moving))
+                progress((checked + 1) / len(moving))
         missing = [row.parameter.name for row in rows if row.moves and row.check is None]
         if missing:
             notes.append(f"re-optimisation found no optimum to compare with: {', '.join(missing)}")
@@ -288,15 +288,15 @@ def _searched_again(
         return None
     change = {name: step * rate for name, rate in row.design.items()}
     sides = (parameter.value - step, parameter.value + step)
-    here, there = (optimum_parameters.optimum_at(solution, parameter, value, change, backend) for value in sides)
-    if here is None or there is None:
+    lower, upper = (optimum_parameters.optimum_at(solution, parameter, value, change, backend) for value in sides)
+    if lower is None or upper is None:
         return None
-    (low, below), (high, above) = here, there
+    (low, below), (high, above) = lower, upper
     objective = (high - low) / (2.0 * step)
     design = {name: (above[name] - below[name]) / (2.0 * step) for name in row.design}
-    small = SMALL * abs(solution.objective) / size
+    small = MIN_OBJECTIVE_REFERENCE * abs(solution.objective) / size
     gaps = [abs(objective - row.objective) / max(abs(objective), abs(row.objective), small, 1e-300)]
-    slight = SLIGHT * max(abs(v.scale.to_display(x)) for v, x in design_variables(solution.nlp, solution.x)) / size
+    slight = MIN_DESIGN_REFERENCE * max(abs(v.scale.to_display(x)) for v, x in design_variables(solution.nlp, solution.x)) / size
     largest = max(*(abs(d) for d in (*design.values(), *row.design.values())), slight, 1e-300)
     gaps += [abs(design[name] - row.design[name]) / largest for name in design if not degenerate]
     return DifferenceCheck(step, objective, design, max(gaps))

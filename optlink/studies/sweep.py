@@ -27,7 +27,7 @@ from optlink.execution.store import Progress, Store
 from optlink.problem.arguments import typed
 from optlink.problem.base_model import Recorded, ResultRecord, absent
 from optlink.problem.file import ProblemFile
-from optlink.studies.analysis_task import MANY, AnalysisTask, quantity_of
+from optlink.studies.analysis_task import CHUNK, AnalysisTask, quantity_of
 from optlink.studies.cycle_task import optimum_task
 from optlink.studies.grid import AxisRecord, Grid, read_grid
 from optlink.studies.reoptimise_task import SEARCHED, check_backend, chunk_of
@@ -35,8 +35,8 @@ from optlink.studies.simulation_task import SimulationTask, has_clearance, simul
 from optlink.studies.sweep_task import OPTIMISE, SweepTask
 
 CHANGED = "active_set_changed"
-MOST_ANGLES = 10_000  # largest number of crank angles of an analysis
-PORTION = 10_000  # rows of a table that are read at a time
+MAX_ANGLES = 10_000  # largest number of crank angles of an analysis
+BLOCK_ROWS = 10_000  # rows of a table that are read at a time
 LISTED_CHANGES = 200  # active-set changes listed in a result; the table marks all
 TEXT = ("status", "failed", "active", "method", "reason")
 
@@ -149,7 +149,7 @@ class Sweep(GridStudy):
         with self.path.open(encoding="utf-8", newline="") as file:
             rows = csv.reader(file)
             names, parts = next(rows), []
-            while portion := list(itertools.islice(rows, PORTION)):
+            while portion := list(itertools.islice(rows, BLOCK_ROWS)):
                 columns = zip(names, zip(*portion, strict=True), strict=True)
                 parts.append([_column(name, values) for name, values in columns])
         return {name: np.concatenate(column) for name, column in zip(names, zip(*parts, strict=True), strict=True)}
@@ -309,14 +309,14 @@ def _task(
     backend: str,
 ) -> SweepTask:
     if analyze:
-        if not 2 <= points <= MOST_ANGLES:
-            raise InputError("out of range", f"Give 2 to {MOST_ANGLES:,} crank angles", key="--points", value=points)
+        if not 2 <= points <= MAX_ANGLES:
+            raise InputError("out of range", f"Give 2 to {MAX_ANGLES:,} crank angles", key="--points", value=points)
         quantities = tuple(quantity_of(problem, axis) for axis in grid.axes)
         design_values = tuple((name, value) for name, value in (design or {}).items() if name not in quantities)
-        whole = AnalysisTask(problem, grid, MANY, quantities, tuple(columns), points, design_values)
+        sweep_task = AnalysisTask(problem, grid, CHUNK, quantities, tuple(columns), points, design_values)
         first = Grid(tuple(replace(axis, values=axis.values[:1]) for axis in grid.axes))
-        replace(whole, grid=first).lines(0)  # detects invalid columns or dimensions early
-        return whole
+        replace(sweep_task, grid=first).lines(0)  # detects invalid columns or dimensions early
+        return sweep_task
     if design is not None:
         raise InputError("--design has no effect on an optimisation", "Leave --design out, or add --analyze", key="--design")
     check_backend(backend)

@@ -61,7 +61,7 @@ class SweepTask(ABC):
         return len(self.span(index))
 
     def __getstate__(self) -> dict[str, Any]:
-        return {one.name: getattr(self, one.name) for one in fields(self)}  # without cached values
+        return {item.name: getattr(self, item.name) for item in fields(self)}  # without cached values
 
     @cached_property
     def problem(self) -> ProblemFile:
@@ -83,7 +83,7 @@ class SweepTask(ABC):
     @cached_property
     def mark(self) -> str:
         """Key that distinguishes tasks."""
-        text = repr([type(self).__name__, *(getattr(self, one.name) for one in fields(self))])
+        text = repr([type(self).__name__, *(getattr(self, item.name) for item in fields(self))])
         return hashlib.sha256(text.encode()).hexdigest()
 
     @property
@@ -94,7 +94,7 @@ class SweepTask(ABC):
     @property
     @abstractmethod
     def options(self) -> dict[str, Any]:
-        """What distinguishes the study beyond problem and grid, for its definition."""
+        """Options that define the study besides problem and grid."""
 
     @abstractmethod
     def lines(self, index: int) -> list[list[str]]:
@@ -205,7 +205,7 @@ class OptimumTask(SweepTask):
         return column("objective", self.template.model.objective_unit)
 
     def optimum(self, point: int, outcome: FoundOptimum) -> list[str]:
-        """Return the row of an optimum; design and objective of other than optimal and stalled searches are left out.
+        """Return the row of an optimum; design and objective are empty unless the search is optimal or stalled.
 
         Parameters
         ----------

@@ -13,9 +13,9 @@ from optlink.studies.grid import Grid
 
 Index = NDArray[np.intp]
 MAX_BLOCK_POINTS = 100
-"""Points of a block, at most."""
-FEWEST = 3
-"""Blocks of a grid, about: each has a search of its own, so that a small grid does not depend on a single one."""
+"""Largest number of points of a block."""
+MIN_BLOCKS = 3
+"""Approximate least number of blocks, so that a small grid does not depend on a single search."""
 
 
 def coarse_block(count: int) -> int:
@@ -30,15 +30,15 @@ class Blocks:
     ----------
     grid : Grid
     most : int, optional
-        Points of a block, at most. Default: `MAX_BLOCK_POINTS`.
+        Largest number of points of a block. Default: `MAX_BLOCK_POINTS`.
     """
 
     def __init__(self, grid: Grid, most: int | None = None) -> None:
         self.shape = tuple(len(axis.values) for axis in grid.axes)
-        left = max(1, min(MAX_BLOCK_POINTS if most is None else most, math.prod(self.shape) // FEWEST))
+        left = max(1, min(MAX_BLOCK_POINTS if most is None else most, math.prod(self.shape) // MIN_BLOCKS))
         edges = dict.fromkeys(range(len(self.shape)), 1)
-        for done, axis in enumerate(sorted(edges, key=lambda k: self.shape[k])):
-            edge = math.floor(left ** (1.0 / (len(edges) - done)) + 1e-9)
+        for divided, axis in enumerate(sorted(edges, key=lambda k: self.shape[k])):
+            edge = math.floor(left ** (1.0 / (len(edges) - divided)) + 1e-9)
             edges[axis] = max(1, min(self.shape[axis], edge))
             left //= edges[axis]
         self.counts = tuple(-(-size // edges[k]) for k, size in enumerate(self.shape))
@@ -74,10 +74,14 @@ class Blocks:
         return int(np.ravel_multi_index(places, self.shape))
 
     def neighbours(self, block: int) -> list[int]:
-        """Return the blocks beside a block, before and after it along every axis."""
+        """Return the neighbours of a block along every axis."""
         indices = [int(place) for place in np.unravel_index(block, self.counts)]
-        beside = ([*indices[:k], indices[k] + way, *indices[k + 1 :]] for k in range(len(indices)) for way in (-1, 1))
-        return [int(np.ravel_multi_index(one, self.counts)) for one in beside if self._inside(one)]
+        neighbours = ([*indices[:k], indices[k] + step, *indices[k + 1 :]] for k in range(len(indices)) for step in (-1, 1))
+        return [
+            int(np.ravel_multi_index(indices_of_block, self.counts))
+            for indices_of_block in neighbours
+            if self._inside(indices_of_block)
+        ]
 
     def _inside(self, places: list[int]) -> bool:
         return all(0 <= place < count for place, count in zip(places, self.counts, strict=True))

@@ -16,7 +16,7 @@ from optlink.linkage.vector2d import Array
 from optlink.optimization.batch_nlp import BatchNLP, BatchValues
 from optlink.solvers.newton import newton
 from optlink.solvers.solution import ACTIVE, FEASIBLE
-from optlink.studies.continuation import CONVERGED, LONGEST, MAX_STEPS
+from optlink.studies.continuation import MAX_DISTANCE, MAX_RESIDUAL, MAX_STEPS
 
 Bools = NDArray[np.bool_]
 Index = NDArray[np.intp]
@@ -24,7 +24,7 @@ Index = NDArray[np.intp]
 ACTIVE_SETS = 5  # that are tried at each point
 LARGEST_STEP = 1.0  # of variables and multipliers; a larger one may come from dependent limits
 ROUNDING = 1e-12  # residual of the optimality conditions at which the iterations end
-SLOWER = 0.1  # ratio of successive residuals above which a small one is rounding error
+MAX_RATIO = 0.1  # ratio of successive residuals above which a small one is rounding error
 DUPLICATE_LIMIT = 1e-9  # difference of the derivatives of limits that are the same one
 INDEPENDENT = 1e-9  # least diagonal element of the triangular factor of independent limits
 
@@ -52,8 +52,8 @@ class BatchProblem:
         problems = []
         for begin, end in ((self.p, other.p), (self.lower, other.lower), (self.upper, other.upper)):
             with np.errstate(invalid="ignore"):
-                way = end - begin
-            problems.append(end - (1.0 - share) * np.where(np.isfinite(way), way, 0.0))
+                change = end - begin
+            problems.append(end - (1.0 - share) * np.where(np.isfinite(change), change, 0.0))
         problems[0][:, 0] = other.p[:, 0]
         return BatchProblem(*problems)
 
@@ -79,8 +79,8 @@ def active_set_groups(sides: NDArray[np.int8]) -> list[tuple[Index, Index]]:
         return []
     packed = np.packbits(sides != 0, axis=1)
     keys = packed.view(f"V{packed.shape[1]}").ravel() if packed.shape[1] > 1 else packed.ravel()
-    _, first, which = np.unique(keys, return_index=True, return_inverse=True)
-    return [(np.flatnonzero(which == k), np.flatnonzero(sides[one])) for k, one in enumerate(first)]
+    _, first, group = np.unique(keys, return_index=True, return_inverse=True)
+    return [(np.flatnonzero(group == k), np.flatnonzero(sides[row])) for k, row in enumerate(first)]
 
 
 def batch_newton(nlp: BatchNLP, problem: BatchProblem, x: Array, multipliers: Array, sides: NDArray[np.int8]) -> BatchOptima:
@@ -113,15 +113,15 @@ def batch_newton(nlp: BatchNLP, problem: BatchProblem, x: Array, multipliers: Ar
         right = ended.converged & ~np.any(wrong | violated, axis=1)
         objective[todo[right]] = ended.objective[right]
         optimal[todo[right]] = _second_order(ended, part, sides[todo], right)[right]
-        again = ended.converged & ~right
+        changed_set = ended.converged & ~right
         changed, multiplier = sides[todo], multipliers[todo]
         row, at = _worst(wrong, np.abs(multiplier))
         changed[row, at], multiplier[row, at] = 0, 0.0
         row, at = _worst(violated, beyond)
         changed[row, at] = np.where(ended.values[row, at] > part.upper[row, at], 1, -1)
         changed[(changed != 0) & (part.lower == part.upper)] = 2
-        sides[todo[again]], multipliers[todo[again]] = changed[again], multiplier[again]
-        todo = todo[again]
+        sides[todo[changed_set]], multipliers[todo[changed_set]] = changed[changed_set], multiplier[changed_set]
+        todo = todo[changed_set]
     return BatchOptima(x, multipliers, sides, objective, optimal)
 
 
@@ -160,47 +160,47 @@ def _iterated(
     for step in range(MAX_STEPS + 1):
         if not todo.size:
             break
-        here = nlp(x[todo], problem.p[todo], multipliers[todo])
+        values_at = nlp(x[todo], problem.p[todo], multipliers[todo])
         size = np.zeros(len(todo))
         moves: list[tuple[Index, Index, Array, Array]] = []
         for points, active in active_set_groups(sides[todo]):
-            slope = here.jacobian[points][:, active]
+            slope = values_at.jacobian[points][:, active]
             pull = np.sum(slope * multipliers[todo[points]][:, active, None], axis=1)
-            missing = here.values[points][:, active] - bound[todo[points]][:, active]
-            residual = np.concatenate([here.gradient[points] + pull, missing], axis=1)
+            missing = values_at.values[points][:, active] - bound[todo[points]][:, active]
+            residual = np.concatenate([values_at.gradient[points] + pull, missing], axis=1)
             size[points] = np.max(np.abs(residual), axis=1)
             moves.append((points, active, slope, residual))
-        ends = (size <= CONVERGED) & ((size <= ROUNDING) | (size > SLOWER * last[todo]))
+        ends = (size <= MAX_RESIDUAL) & ((size <= ROUNDING) | (size > MAX_RATIO * last[todo]))
         at, last[todo] = todo[ends], size
-        converged[at], values[at], objective[at] = True, here.values[ends], here.objective[ends]
-        jacobian[at], hessian[at] = here.jacobian[ends], here.hessian[ends]
-        far = np.max(np.abs(x[todo] - start[todo]), axis=1) > LONGEST
+        converged[at], values[at], objective[at] = True, values_at.values[ends], values_at.objective[ends]
+        jacobian[at], hessian[at] = values_at.jacobian[ends], values_at.hessian[ends]
+        far = np.max(np.abs(x[todo] - start[todo]), axis=1) > MAX_DISTANCE
         on = ~ends & np.isfinite(size) & ~far
         if step == MAX_STEPS:
             break
         for points, active, slope, residual in moves:
             group = on[points]
-            which = todo[points[group]]
-            step_x = _steps(here, points[group], slope[group], residual[group])
-            x[which] += step_x[:, :n]
-            multipliers[np.ix_(which, active)] += step_x[:, n:]
+            entries = todo[points[group]]
+            step_x = _steps(values_at, points[group], slope[group], residual[group])
+            x[entries] += step_x[:, :n]
+            multipliers[np.ix_(entries, active)] += step_x[:, n:]
             fixed = active[active < n]  # exactly, without the rounding of the linear system
-            x[np.ix_(which, fixed)] = bound[np.ix_(which, fixed)]
+            x[np.ix_(entries, fixed)] = bound[np.ix_(entries, fixed)]
         todo = todo[on]
     return _Ended(x, multipliers, values, jacobian, hessian, objective, converged)
 
 
-def _steps(here: BatchValues, points: Index, slope: Array, residual: Array) -> Array:
+def _steps(values: BatchValues, points: Index, slope: Array, residual: Array) -> Array:
     """Return the Newton steps (points, n + active) of the optimality conditions of one active set."""
     count, active, n = slope.shape
     system = np.zeros((count, n + active, n + active))
-    system[:, :n, :n], system[:, n:, :n], system[:, :n, n:] = here.hessian[points], slope, np.swapaxes(slope, 1, 2)
+    system[:, :n, :n], system[:, n:, :n], system[:, :n, n:] = values.hessian[points], slope, np.swapaxes(slope, 1, 2)
     finite = np.all(np.isfinite(system), axis=(1, 2))
     steps = np.full(residual.shape, np.nan)
     with contextlib.suppress(np.linalg.LinAlgError):
         steps[finite] = np.linalg.solve(system[finite], -residual[finite, :, None])[..., 0]
     for k in np.flatnonzero(finite & ~(np.max(np.abs(steps), axis=1) < LARGEST_STEP)):
-        change = newton(here.hessian[points[k]], slope[k], residual[k])
+        change = newton(values.hessian[points[k]], slope[k], residual[k])
         steps[k] = np.nan if change is None else change
     return steps
 
@@ -218,8 +218,10 @@ def _second_order(ended: _Ended, problem: BatchProblem, sides: NDArray[np.int8],
         optimal_points = points[optimal[points]]
         slopes = ended.jacobian[optimal_points]
         for entry in np.flatnonzero(np.any(near[optimal_points], axis=0) & ~np.isin(np.arange(near.shape[1]), active)):
-            away = np.max(np.abs(slopes[:, active] - slopes[:, [entry]]), axis=2, initial=0.0)
-            optimal[optimal_points] &= ~near[optimal_points, entry] | (np.min(away, axis=1, initial=np.inf) <= DUPLICATE_LIMIT)
+            difference = np.max(np.abs(slopes[:, active] - slopes[:, [entry]]), axis=2, initial=0.0)
+            optimal[optimal_points] &= ~near[optimal_points, entry] | (
+                np.min(difference, axis=1, initial=np.inf) <= DUPLICATE_LIMIT
+            )
         optimal_points = optimal_points[optimal[optimal_points]]
         if not optimal_points.size:
             continue

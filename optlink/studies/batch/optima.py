@@ -29,10 +29,11 @@ Bools = NDArray[np.bool_]
 
 SHARES = (0.25, 0.5, 0.75, 1.0)  # of the way to a problem that Newton's method does not reach at once
 CACHED_SEARCHES = 4096  # searches that are kept for further blocks
-ASTRAY = 1e-2  # scaled distance from its prediction at which an optimum may be another one
-BETTER = 1e-9  # share of the objective by which another optimum must be smaller
-BRANCHES = 8  # optima of a large block, the best ones
-NEARBY = 2.0  # optima of a large block up to this many times the objective in a block's middle are continued to its points
+MAX_DEVIATION = 1e-2  # scaled distance from its prediction at which an optimum may be another one
+MIN_IMPROVEMENT = 1e-9  # share of the objective by which another optimum must be smaller
+MAX_BRANCHES = 8  # optima of a large block, the best ones
+CONTINUED_RATIO = 2.0
+"""Optima of a large block up to this many times the objective in a block's middle are continued to its points."""
 
 
 @dataclass(frozen=True)
@@ -95,27 +96,29 @@ class GridSearch:
 
     def _many(self, point: int) -> list[tuple[Solution, NDArray[np.int8]]]:
         if point not in self._branches:
-            _keep(self._branches, point, [(solution, active_sides(solution)) for solution in self.search_many(point)[:BRANCHES]])
+            _keep(
+                self._branches, point, [(solution, active_sides(solution)) for solution in self.search_many(point)[:MAX_BRANCHES]]
+            )
         return self._branches[point]
 
     def _further(self, block: int) -> list[int]:
         """Return the numbers of the optima of the large blocks around a block."""
         large_block = int(self.large.of(np.array([self.blocks.middle(block)]))[0])
         return [
-            self.blocks.count + one * BRANCHES + rank
-            for one in (large_block, *self.large.neighbours(large_block))
-            for rank in range(len(self._many(self.large.middle(one))))
+            self.blocks.count + neighbour * MAX_BRANCHES + rank
+            for neighbour in (large_block, *self.large.neighbours(large_block))
+            for rank in range(len(self._many(self.large.middle(neighbour))))
         ]
 
     def _middle(self, block: int) -> int:
         """Return the point of an optimum."""
         further = block - self.blocks.count
-        return self.blocks.middle(block) if further < 0 else self.large.middle(further // BRANCHES)
+        return self.blocks.middle(block) if further < 0 else self.large.middle(further // MAX_BRANCHES)
 
     def _searched(self, block: int) -> tuple[Solution, NDArray[np.int8]]:
         if block >= self.blocks.count:
-            one, rank = divmod(block - self.blocks.count, BRANCHES)
-            return self._many(self.large.middle(one))[rank]
+            large_block, rank = divmod(block - self.blocks.count, MAX_BRANCHES)
+            return self._many(self.large.middle(large_block))[rank]
         if block not in self._searches:
             solution = self.search(self.blocks.middle(block))
             _keep(self._searches, block, (solution, active_sides(solution)))
@@ -132,23 +135,25 @@ class GridSearch:
         if self.coarse is None:
             return self._optima(points)
         of_point = self.coarse.blocks.of(points)
-        each, which = np.unique(of_point, return_inverse=True)
-        some = np.flatnonzero(self.coarse.calm(each)[which])
-        coarse = self.coarse._optima(points[some])
-        others = np.setdiff1d(np.arange(len(points)), some[coarse.optimal])
-        order = np.argsort(np.concatenate([some[coarse.optimal], others]))
-        further = vars(self._optima(points[others]))
+        blocks, block_of_point = np.unique(of_point, return_inverse=True)
+        calm_points = np.flatnonzero(self.coarse.calm(blocks)[block_of_point])
+        coarse = self.coarse._optima(points[calm_points])
+        remaining = np.setdiff1d(np.arange(len(points)), calm_points[coarse.optimal])
+        order = np.argsort(np.concatenate([calm_points[coarse.optimal], remaining]))
+        further = vars(self._optima(points[remaining]))
         return GridOptima(
-            **{name: np.concatenate([own[coarse.optimal], further[name]])[order] for name, own in vars(coarse).items()}
+            **{name: np.concatenate([values[coarse.optimal], further[name]])[order] for name, values in vars(coarse).items()}
         )
 
     def calm(self, blocks: Index) -> Bools:
-        """Return for each block (blocks,) whether its search and those beside it lead to one optimum in its middle."""
-        beside = [self.blocks.neighbours(block) for block in blocks.tolist()]
+        """Return for each block (blocks,) whether its search and those of its neighbours lead to one optimum in its middle."""
+        neighbours_of_block = [self.blocks.neighbours(block) for block in blocks.tolist()]
         return np.array(
             [
-                others.isdisjoint(neighbours) and all(self.at_middle(one).usable for one in (block, *neighbours))
-                for block, neighbours, others in zip(blocks.tolist(), beside, self._differing(blocks), strict=True)
+                differing.isdisjoint(neighbours) and all(self.at_middle(number).usable for number in (block, *neighbours))
+                for block, neighbours, differing in zip(
+                    blocks.tolist(), neighbours_of_block, self._differing(blocks), strict=True
+                )
             ],
             dtype=bool,
         )
@@ -165,33 +170,41 @@ class GridSearch:
             searched=np.zeros(count, dtype=bool),
         )
         self._follow(optima, problem, np.arange(count), of_point, points)
-        blocks, which = np.unique(of_point, return_inverse=True)
-        at_middle = points == np.array([self.blocks.middle(int(block)) for block in blocks])[which]
+        blocks, block_of_point = np.unique(of_point, return_inverse=True)
+        at_middle = points == np.array([self.blocks.middle(int(block)) for block in blocks])[block_of_point]
         optima.searched[:] = optima.optimal & at_middle
-        beside, others = [self._around(block) for block in blocks.tolist()], self._differing(blocks)
-        for rank in range(max(map(len, beside), default=0)):
-            begin = np.array([middle[rank] if rank < len(middle) else -1 for middle in beside])
-            differs = np.array([one in other for one, other in zip(begin.tolist(), others, strict=True)])
+        nearby, differing = [self._around(block) for block in blocks.tolist()], self._differing(blocks)
+        for rank in range(max(map(len, nearby), default=0)):
+            begin = np.array([middle[rank] if rank < len(middle) else -1 for middle in nearby])
+            differs = np.array(
+                [start_block in different for start_block, different in zip(begin.tolist(), differing, strict=True)]
+            )
             beyond = begin >= self.blocks.count
-            some = np.flatnonzero((begin[which] >= 0) & (differs[which] | (~optima.optimal & ~beyond[which])))
-            self._follow(optima, problem, some, begin[which[some]])
-        for k in np.flatnonzero(at_middle & optima.optimal):  # an optimum of a search that Newton's method left is not given up
+            selected = np.flatnonzero(
+                (begin[block_of_point] >= 0) & (differs[block_of_point] | (~optima.optimal & ~beyond[block_of_point]))
+            )
+            self._follow(optima, problem, selected, begin[block_of_point[selected]])
+        for k in np.flatnonzero(at_middle & optima.optimal):  # keep the optimum of a search that Newton's method left
             middle = self.at_middle(int(of_point[k]))
-            optima.optimal[k] = not (middle.usable and middle.objective < optima.objective[k] - BETTER * abs(middle.objective))
+            optima.optimal[k] = not (
+                middle.usable and middle.objective < optima.objective[k] - MIN_IMPROVEMENT * abs(middle.objective)
+            )
         return optima
 
-    def _follow(self, optima: GridOptima, problem: BatchProblem, some: Index, blocks: Index, points: Index | None = None) -> None:
+    def _follow(
+        self, optima: GridOptima, problem: BatchProblem, indices: Index, blocks: Index, points: Index | None = None
+    ) -> None:
         """Continue the optima in the middle of blocks to some points, and keep those that are better.
 
         With the points of the grid, which lie in these blocks, the iterations begin at the predictions of the blocks.
         """
-        each, which = np.unique(blocks, return_inverse=True)
-        usable = np.array([self.at_middle(block).usable for block in each.tolist()], dtype=bool)[which]
-        some, blocks = some[usable], blocks[usable]
-        ended = self._continued(problem.part(some), blocks, None if points is None else points[some])
+        distinct, block_of_point = np.unique(blocks, return_inverse=True)
+        usable = np.array([self.at_middle(block).usable for block in distinct.tolist()], dtype=bool)[block_of_point]
+        indices, blocks = indices[usable], blocks[usable]
+        ended = self._continued(problem.part(indices), blocks, None if points is None else points[indices])
         with np.errstate(invalid="ignore"):
-            better = ended.optimal & (ended.objective < optima.objective[some] - BETTER * np.abs(ended.objective))
-        at = some[better]
+            better = ended.optimal & (ended.objective < optima.objective[indices] - MIN_IMPROVEMENT * np.abs(ended.objective))
+        at = indices[better]
         optima.x[at], optima.sides[at], optima.objective[at] = ended.x[better], ended.sides[better], ended.objective[better]
         optima.optimal[at], optima.searched[at] = True, False
 
@@ -208,32 +221,37 @@ class GridSearch:
             _keep(self._others_of, block, neighbours[block])
         return [neighbours[block] for block in blocks.tolist()]
 
-    def _others(self, blocks: Index, beside: list[list[int]]) -> list[set[int]]:
-        """Return for every block the blocks beside it whose optimum, continued to its middle, is another than its own.
+    def _others(self, blocks: Index, neighbours_of_block: list[list[int]]) -> list[set[int]]:
+        """Return for every block the neighbours whose optimum, continued to its middle, differs from its own.
 
-        Optima of large blocks count once each, where they are reached and not far worse.
+        Each optimum of a large block counts once, if it is reached and not much worse.
         """
-        pairs = [(k, one) for k, neighbours in enumerate(beside) for one in neighbours if self.at_middle(one).usable]
-        others: list[set[int]] = [set() for _ in beside]
+        pairs = [
+            (k, start_block)
+            for k, neighbours in enumerate(neighbours_of_block)
+            for start_block in neighbours
+            if self.at_middle(start_block).usable
+        ]
+        differing: list[set[int]] = [set() for _ in neighbours_of_block]
         if not pairs:
-            return others
-        which, begin = np.array(pairs).T
+            return differing
+        source, begin = np.array(pairs).T
         middles = np.array([self.blocks.middle(int(block)) for block in blocks])
-        ended = self._continued(self.problem(middles).part(which), begin)
+        ended = self._continued(self.problem(middles).part(source), begin)
         at_middles = [self.at_middle(int(block)) for block in blocks]
-        objective = np.array([one.objective if one.usable else np.inf for one in at_middles])[which]
+        objective = np.array([start_block.objective if start_block.usable else np.inf for start_block in at_middles])[source]
         with np.errstate(invalid="ignore"):
             same = ended.optimal & (np.abs(ended.objective - objective) <= SAME_OBJECTIVE * np.abs(objective))
-            near = (begin < self.blocks.count) | (ended.optimal & (ended.objective <= NEARBY * objective))
-        objectives: list[list[float]] = [[] for _ in beside]
+            near = (begin < self.blocks.count) | (ended.optimal & (ended.objective <= CONTINUED_RATIO * objective))
+        objectives: list[list[float]] = [[] for _ in neighbours_of_block]
         for at in np.flatnonzero(~same & near).tolist():
-            k, one, value = int(which[at]), int(begin[at]), float(ended.objective[at])
-            if one >= self.blocks.count:
-                if any(abs(value - other) <= SAME_OBJECTIVE * abs(value) for other in objectives[k]):
+            k, start_block, value = int(source[at]), int(begin[at]), float(ended.objective[at])
+            if start_block >= self.blocks.count:
+                if any(abs(value - known) <= SAME_OBJECTIVE * abs(value) for known in objectives[k]):
                     continue
                 objectives[k].append(value)
-            others[k].add(one)
-        return others
+            differing[k].add(start_block)
+        return differing
 
     def _predictions_of(self, blocks: Index) -> dict[int, Prediction]:
         """Return the predictions of blocks (blocks,) that have one."""
@@ -245,42 +263,42 @@ class GridSearch:
             sizes = [len(nodes_of_block) for nodes_of_block in points]
             ended = self._continued(self.problem(np.concatenate(points)), np.repeat([*nodes], sizes))
             for (block, nodes_of_block), last, size in zip(nodes.items(), np.cumsum(sizes), sizes, strict=True):
-                part = BatchOptima(**{name: one[last - size : last] for name, one in vars(ended).items()})
+                part = BatchOptima(**{name: values[last - size : last] for name, values in vars(ended).items()})
                 predictions[block] = Prediction.through(nodes_of_block, part)
         for block in new:
             _keep(self._predictions, block, predictions[block])
-        return {block: one for block, one in predictions.items() if one is not None}
+        return {block: prediction for block, prediction in predictions.items() if prediction is not None}
 
     def _continued(self, problem: BatchProblem, blocks: Index, points: Index | None = None) -> BatchOptima:
         """Continue the optima in the middle of blocks (points,) to the problem of each point.
 
         With the points of the grid, which lie in these blocks, the iterations begin at the predictions of the blocks.
         """
-        each, which = np.unique(blocks, return_inverse=True)
-        begin = [self.at_middle(int(block)) for block in each]
+        distinct, block_of_point = np.unique(blocks, return_inverse=True)
+        begin = [self.at_middle(int(block)) for block in distinct]
         if not begin:
             return batch_newton(self.nlp, problem, np.zeros((0, self.nlp.size)), problem.lower, problem.lower.astype(np.int8))
-        sides = np.array([self._searched(int(block))[1] for block in each])[which]
-        multipliers = np.array([one.conditions.multipliers for one in begin])[which]
-        scale = np.array([one.p[0] for one in begin])
+        sides = np.array([self._searched(int(block))[1] for block in distinct])[block_of_point]
+        multipliers = np.array([optimum.conditions.multipliers for optimum in begin])[block_of_point]
+        scale = np.array([optimum.p[0] for optimum in begin])
         p = problem.p.copy()
-        p[:, 0] = scale[which]
-        x = np.array([one.x for one in begin])[which]
+        p[:, 0] = scale[block_of_point]
+        x = np.array([optimum.x for optimum in begin])[block_of_point]
         first, predicted = (x.copy(), multipliers.copy(), sides.copy()), np.zeros(len(x), dtype=bool)
         if points is not None:
-            for block, prediction in self._predictions_of(each).items():
+            for block, prediction in self._predictions_of(distinct).items():
                 part = blocks == block
                 first[0][part], first[1][part] = prediction.at(np.unravel_index(points[part], self.blocks.shape))
                 first[2][part], predicted[part] = prediction.sides, True
         batch = BatchProblem(p, problem.lower, problem.upper)
         equal = problem.lower == problem.upper
-        for one in (sides, first[2]):
-            one[(one != 0) & equal] = 2
+        for array in (sides, first[2]):
+            array[(array != 0) & equal] = 2
         direct = batch_newton(self.nlp, batch, *first)
-        direct.optimal[predicted & ~(np.max(np.abs(direct.x - first[0]), axis=1) <= ASTRAY)] = False
+        direct.optimal[predicted & ~(np.max(np.abs(direct.x - first[0]), axis=1) <= MAX_DEVIATION)] = False
         far = np.flatnonzero(~direct.optimal)
         if far.size:
-            middles = self.problem(np.array([self._middle(int(block)) for block in each])).part(which[far])
+            middles = self.problem(np.array([self._middle(int(block)) for block in distinct])).part(block_of_point[far])
             start = BatchOptima(x[far], multipliers[far], sides[far], direct.objective[far], direct.optimal[far])
             for share in SHARES:
                 between = middles.towards(batch.part(far), share)

@@ -16,7 +16,7 @@ from optlink.studies.batch.newton import BatchOptima
 Index = NDArray[np.intp]
 
 NODES = (7, 6, 5)  # along each axis, the first number for which a block has enough points
-SPARSE = 6  # least number of points of a block for each of its nodes
+POINTS_PER_NODE = 6  # least number of points of a block for each of its nodes
 
 
 def block_nodes(ends: list[tuple[int, int]]) -> list[Index] | None:
@@ -30,7 +30,7 @@ def block_nodes(ends: list[tuple[int, int]]) -> list[Index] | None:
     sizes = [last - first + 1 for first, last in ends]
     for most in NODES:
         counts = [min(most, size) for size in sizes]
-        if math.prod(sizes) >= SPARSE * math.prod(counts):
+        if math.prod(sizes) >= POINTS_PER_NODE * math.prod(counts):
             shares = [0.5 - 0.5 * np.cos(np.pi * np.arange(count) / max(1, count - 1)) for count in counts]
             return [
                 first + np.rint(share * (last - first)).astype(np.intp) for share, (first, last) in zip(shares, ends, strict=True)
@@ -84,6 +84,9 @@ class Prediction:
 def _lagrange(nodes: Index, places: Index) -> list[Array]:
     """Return the value of each Lagrange polynomial of the nodes at places (points,)."""
     return [
-        np.prod([(places - other) / (node - other) for other in nodes if other != node] or [np.ones(len(places))], axis=0)
+        np.prod(
+            [(places - other_node) / (node - other_node) for other_node in nodes if other_node != node] or [np.ones(len(places))],
+            axis=0,
+        )
         for node in nodes
     ]

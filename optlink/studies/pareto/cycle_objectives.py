@@ -120,48 +120,52 @@ def epsilon_problem(
     """
     raw = {key: copy.deepcopy(value) for key, value in problem.raw.items() if key != "expected"}
     task = task_of(problem)
-    way = {name for name, limit in task.limits.named.items() if any(_gives_way(limit, objective) for objective in objectives)}
-    limits = {name: value for name, value in raw.get("limits", {}).items() if name not in way}
-    for name in way:
-        rest = _rest(problem, name, objectives)
+    removed = {
+        name for name, limit in task.limits.named.items() if any(_is_replaced(limit, objective) for objective in objectives)
+    }
+    limits = {name: value for name, value in raw.get("limits", {}).items() if name not in removed}
+    for name in removed:
+        rest = _remaining_side(problem, name, objectives)
         if rest is not None:
             limits[name] = rest
     for k, value in bounds.items():
         limits[objectives[k].key.split(".")[1]] = {**dict(objectives[k].term), objectives[k].side: value}
     raw["limits"] = limits
-    terms = [term for k, one in goals.items() for term in _goals(problem, objectives[k], one)]
+    terms = [term for k, reference in goals.items() for term in _objective_terms(problem, objectives[k], reference)]
     single = [k for k in goals if len(goals) == 1 and objectives[k].key]
     raw["objective"] = {key: v for key, v in terms[0].items() if key != "scale"} if single else {"terms": terms}
     return read(raw, problem.name, problem.file, problem.folder)
 
 
-def _goals(problem: ProblemFile, objective: ParetoObjective, one: float) -> list[dict[str, Any]]:
-    """Return the terms of an objective, with the reference value `one` [its unit]."""
+def _objective_terms(problem: ProblemFile, objective: ParetoObjective, reference: float) -> list[dict[str, Any]]:
+    """Return the terms of an objective, with the reference value `reference` [its unit]."""
     if objective.key:
         sense = "maximise" if objective.sense < 0 else "minimise"
-        return [{**dict(objective.term), "sense": sense, "scale": exact_text(one, objective.unit)}]
-    return [{**term, "weight": term.get("weight", 1.0) / one} for term in problem.raw["objective"]["terms"]]
+        return [{**dict(objective.term), "sense": sense, "scale": exact_text(reference, objective.unit)}]
+    return [{**term, "weight": term.get("weight", 1.0) / reference} for term in problem.raw["objective"]["terms"]]
 
 
-def _same(one: Term, other: Term) -> bool:
+def _same_quantity(first: Term, second: Term) -> bool:
     keys = ("quantity", "of", "on", "how", "static", "stroke")
-    ways = [None if term.direction is None else term.direction.value for term in (one, other)]
-    return ways[0] == ways[1] and all(getattr(one, key) == getattr(other, key) for key in keys)
+    directions = [None if term.direction is None else term.direction.value for term in (first, second)]
+    return directions[0] == directions[1] and all(getattr(first, key) == getattr(second, key) for key in keys)
 
 
-def _gives_way(limit: Limit, objective: ParetoObjective) -> bool:
+def _is_replaced(limit: Limit, objective: ParetoObjective) -> bool:
     """Return whether a limit constrains the term of an objective on the side that is varied."""
     if not objective.key:
         return False
-    return _same(limit, objective.cycle_term) and (limit.exactly is not None or getattr(limit, objective.side) is not None)
+    return _same_quantity(limit, objective.cycle_term) and (
+        limit.exactly is not None or getattr(limit, objective.side) is not None
+    )
 
 
-def _rest(problem: ProblemFile, name: str, objectives: Sequence[ParetoObjective]) -> dict[str, Any] | None:
+def _remaining_side(problem: ProblemFile, name: str, objectives: Sequence[ParetoObjective]) -> dict[str, Any] | None:
     """Return the other side of a limit that is removed, or None."""
     limit, raw = task_of(problem).limits.named[name], dict(problem.raw["limits"][name])
     raw.pop("exactly", None)
     for objective in objectives:
-        if _gives_way(limit, objective):
+        if _is_replaced(limit, objective):
             raw.pop(objective.side, None)
     return raw if any(side in raw for side in SIDES) else None
 

@@ -45,12 +45,11 @@ T = TypeVar("T")
 
 POINTS = {1: 15, 2: 7}  # per constrained objective, by their number
 ENDS = "ends.json"  # results of the searches for the ends, kept in the folder
-RANGE_MARGIN = (
-    1e-3  # share of an objective by which a design is better than the tightest limit of a range that does not restrict it
-)
+RANGE_MARGIN = 1e-3
+"""Share of an objective by which a design is better than the tightest limit of a range that does not restrict it."""
 MAX_POINTS = 100_000  # largest number of points of a grid
 STARTS = 8  # starting points of each search of a law
-SEARCHES = 100  # about the number of searches of a law's front: one at each point of most fronts
+SEARCHES = 100  # approximate number of searches of a law's front: one per point of most fronts
 
 
 @dataclass(frozen=True)
@@ -256,7 +255,7 @@ def pareto(
     place = keep.path if keep is not None else Path(str(out))
     with Store(place, _about(problem, objective_list, count, backend), resume=resume) as store:
         ahead = ranges.searches
-        once = _Once(store, None if progress is None else lambda done: progress(done, ahead + math.prod(ranges.shape)))
+        once = _Once(store, None if progress is None else lambda completed: progress(completed, ahead + math.prod(ranges.shape)))
         try:
             base, grid, anchors = ranges.search(once)
         except NoExtreme:
@@ -272,7 +271,7 @@ def pareto(
             engine,
             workers,
             scheduler,
-            None if progress is None else lambda done, total: progress(ahead + done, ahead + total),
+            None if progress is None else lambda completed, total: progress(ahead + completed, ahead + total),
         )
         if not store.finished:
             store.finish(task.columns, store.rows())
@@ -339,7 +338,7 @@ def _about(problem: ProblemFile, objectives: tuple[ParetoObjective, ...], count:
 
 
 class _Once:
-    """Searches that are done once per study: their results are kept in its folder."""
+    """Searches performed once per study: their results are stored in its folder."""
 
     def __init__(self, store: Store, progress: Callable[[int], None] | None) -> None:
         self.store, self.progress, self.done = store, progress, 0

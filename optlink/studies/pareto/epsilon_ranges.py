@@ -31,7 +31,7 @@ Once = Callable[[str, Callable[[], Mapping[str, Any]]], Mapping[str, Any]]
 """(name, search) -> what the search finds, fit for JSON, done now or before"""
 
 END_RELAXATION = 1e-4  # relative relaxation of an objective at its own end, where the others could not change otherwise
-NONE = 1e-6  # relative; an objective that varies less has no trade-off
+MIN_RANGE = 1e-6  # relative; an objective that varies less has no trade-off
 
 
 class NoExtreme(InputError):
@@ -349,7 +349,7 @@ RANGES: dict[str, type[EpsilonRanges]] = {"function": _LawRanges, "cycle": _Cycl
 def _axis(objective: ParetoObjective, tight: float, relaxed_end: float, count: int) -> Axis:
     """Return the values of a limit from the relaxed end of the front to the tight one, both rounded inwards."""
     width = abs(relaxed_end - tight)
-    if not width > NONE * max(abs(tight), abs(relaxed_end)):
+    if not width > MIN_RANGE * max(abs(tight), abs(relaxed_end)):
         return Axis(objective.key, objective.unit, (objective.worsened(tight, END_RELAXATION * abs(tight)),))
     step = 10.0 ** math.floor(math.log10(END_RELAXATION * width))
     tight = objective.sense * math.ceil(objective.sense * objective.worsened(tight, END_RELAXATION * width) / step) * step

@@ -16,7 +16,7 @@ from optlink.studies.toml_keys import Raw, exact_text
 from optlink.units import factor
 
 ERROR = "error"
-MOVABLE = (
+VARIABLE_LIMITS = (
     "transmission_angle",
     "pressure_angle",
     "transmission_cosine",
@@ -31,7 +31,7 @@ SEVERAL = (
     "transmission_cosine",
     "link_ratio",
 )  # limits with a largest and a smallest value
-ROOM = 1e-3  # relative distance between the sides of a limit with one side at its tightest
+SIDE_DISTANCE = 1e-3  # relative distance between the sides of a limit with one side at its tightest
 
 
 def law_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjective:
@@ -52,7 +52,7 @@ def law_objective(problem: ProblemFile, name: str, number: int) -> ParetoObjecti
     task = problem.spec
     if name == ERROR:
         return ParetoObjective(name, ERROR, task.objective_unit, 1)
-    limits = [f"limits.{key}.{side}" for key in MOVABLE for side in SIDES if (key, side) != ("pressure_angle", "min")]
+    limits = [f"limits.{key}.{side}" for key in VARIABLE_LIMITS for side in SIDES if (key, side) != ("pressure_angle", "min")]
     sizes = [f"mechanism.{key}" for key in task.mechanism.quantities]
     above, _, side = name.rpartition(".")
     key = above.removeprefix("mechanism.").removeprefix("limits.")
@@ -85,12 +85,12 @@ def limit_in_file(problem: ProblemFile, key: str) -> Raw | None:
         Key of the limit, including its side.
     """
     above, _, side = key.rpartition(".")
-    whole = problem.at(above)
-    if isinstance(whole, Mapping):
-        whole = whole.get("bounds", whole) if key.startswith("mechanism.") else whole
-    if isinstance(whole, list):
-        return whole[SIDES.index(side)]  # type: ignore[no-any-return]
-    return whole.get(side, whole.get("exactly")) if isinstance(whole, Mapping) else whole  # type: ignore[no-any-return]
+    entry = problem.at(above)
+    if isinstance(entry, Mapping):
+        entry = entry.get("bounds", entry) if key.startswith("mechanism.") else entry
+    if isinstance(entry, list):
+        return entry[SIDES.index(side)]  # type: ignore[no-any-return]
+    return entry.get(side, entry.get("exactly")) if isinstance(entry, Mapping) else entry  # type: ignore[no-any-return]
 
 
 def tightest_bound(problem: ProblemFile, objective: ParetoObjective) -> Raw:
@@ -105,19 +105,19 @@ def tightest_bound(problem: ProblemFile, objective: ParetoObjective) -> Raw:
     """
     above = objective.key.rpartition(".")[0]
     name = above.rpartition(".")[2]
-    other: float | None = None
+    opposite: float | None = None
     if objective.key.startswith("mechanism."):
         quantity = problem.spec.quantities[name]
         low, high = (bound / factor(objective.unit, quantity.kind) for bound in quantity.bounds)
         return exact_text(low + 1e-6 * (high - low) if objective.sense > 0 else high - 1e-6 * (high - low), objective.unit)
     limited: Interval | None = getattr(problem.spec.limits, name)
     if limited is not None:
-        other = limited.low if objective.sense > 0 else limited.high
-    if other is not None:
+        opposite = limited.low if objective.sense > 0 else limited.high
+    if opposite is not None:
         assert limited is not None
-        other_bound = other / factor(objective.unit, limited.kind) if limited.kind else other
+        other_bound = opposite / factor(objective.unit, limited.kind) if limited.kind else opposite
         return exact_text(
-            objective.worsened(other_bound, ROOM * abs(other_bound)), objective.unit
+            objective.worsened(other_bound, SIDE_DISTANCE * abs(other_bound)), objective.unit
         )  # equal sides would prescribe one value at all positions
     small, large = {"deg": (1.0, 179.0), "mm": (1e-3, 1e8)}.get(objective.unit, (1e-3, 1e3))
     if isinstance(limited, StrokeRatio):
@@ -165,19 +165,19 @@ def without_varied_limits(problem: ProblemFile, objectives: Sequence[ParetoObjec
     """
     for objective in objectives:
         above, _, side = objective.key.rpartition(".")
-        whole = problem.at(above)
+        entry = problem.at(above)
         if above.startswith("mechanism."):
-            problem = problem.override({above: {"bounds": whole["bounds"]}})
+            problem = problem.override({above: {"bounds": entry["bounds"]}})
         elif above == "limits.pressure_angle":
             problem = problem.override({above: None})
-        elif whole is not None:
-            pair = whole if isinstance(whole, list) else [whole, whole]
-            sides = dict(whole) if isinstance(whole, Mapping) else dict(zip(SIDES, pair, strict=True))
+        elif entry is not None:
+            pair = entry if isinstance(entry, list) else [entry, entry]
+            sides = dict(entry) if isinstance(entry, Mapping) else dict(zip(SIDES, pair, strict=True))
             sides |= dict.fromkeys(SIDES, sides.pop("exactly")) if "exactly" in sides else {}
             sides.pop(side, None)
             if list(sides) == ["stroke"]:  # a limit that every linkage satisfies keeps the stroke
-                other = "max" if side == "min" else "min"
+                opposite = "max" if side == "min" else "min"
                 extreme = {"min": 1.0 if sides["stroke"] == "slow" else 1e-6, "max": 1.0 if sides["stroke"] == "quick" else 1e6}
-                sides[other] = extreme[other]
+                sides[opposite] = extreme[opposite]
             problem = problem.override({above: sides or None})
     return problem

@@ -56,7 +56,7 @@ def read_objectives(problem: ProblemFile, objectives: str) -> tuple[ParetoObject
         raise InputError("no design variables: every dimension is fixed", "Free a dimension", problem.file, "mechanism")
     parsed = tuple(_ranged(problem, part, k + 1) for k, part in enumerate(parts))
     for k, objective in enumerate(parsed):
-        if any(objective.name == other.name for other in parsed[:k]):
+        if any(objective.name == previous.name for previous in parsed[:k]):
             raise InputError("the same objective twice", "Give each once", problem.file, OPTION, objective.text)
     if problem.task != "cycle" and all(objective.key for objective in parsed):
         remedy = f'One objective must be minimised directly: write "{ERROR}, {parsed[0].text}"'
@@ -92,7 +92,7 @@ def _ranged(problem: ProblemFile, part: str, number: int) -> ParetoObjective:
 
 
 def _check_bounds(problem: ProblemFile, objective: ParetoObjective) -> None:
-    """Check that the bounds of a dimension leave room beside every value of the requested range."""
+    """Check that the requested range lies within the bounds of a dimension."""
     name = objective.key.removeprefix("mechanism.").rpartition(".")[0]
     quantity = problem.spec.quantities[name]
     try:

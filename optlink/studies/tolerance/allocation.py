@@ -26,7 +26,7 @@ from optlink.studies.tolerance.linear import LinearAnalysis
 from optlink.studies.tolerance.monte_carlo import MonteCarlo, MonteCarloRecord, monte_carlo
 
 PROVEN = 1e-6  # largest relative duality gap of a proven cost
-SEARCHED = 1 << 16  # samples of the exact linkage at each k
+SEARCH_SAMPLES = 1 << 16  # samples of the exact linkage at each k
 STEPS = 40  # of the bisection for k
 FACTOR_ACCURACY = 1e-4  # relative accuracy of k
 MAX_FACTOR = 1 << 20  # largest factor on the tolerances in the search of a bracket
@@ -34,7 +34,7 @@ MAX_FACTOR = 1 << 20  # largest factor on the tolerances in the search of a brac
 
 @dataclass(frozen=True)
 class Allocation:
-    """Tolerances that keep a yield: `tolerances` [SI] in the order of the study, their `cost`, and the cost of the given ones.
+    """Tolerances that keep a yield: `tolerances` [SI] in the order of the study, their `cost`, and the cost of the original ones.
 
     `gap`: relative duality gap of the cost; `monte_carlo`: independent samples that verify the yield; `free`: names
     of tolerances without effect on the output, which keep their given values.
@@ -166,8 +166,8 @@ def allocate(
     if not np.all(np.isfinite(coefficients)) or np.any(coefficients <= 0.0):
         raise InputError("a cost coefficient must be above zero", "Give for example --cost coupler=2", key="--cost")
     tolerances = np.array([d.tolerance for d in study.deviations])
-    each = np.array([d.sigma / d.tolerance for d in study.deviations])  # standard deviation per tolerance
-    weights = np.square((each[:, None] * study.by / room).T)
+    sigma_per_tolerance = np.array([d.sigma / d.tolerance for d in study.deviations])  # standard deviation per tolerance
+    weights = np.square((sigma_per_tolerance[:, None] * study.by / room).T)
     moves = np.max(weights, axis=0) > 0.0
     if not np.any(moves):
         raise InputError("no tolerance has an effect on the output", "Choose another --quantity", key="--allocate")
@@ -182,7 +182,7 @@ def allocate(
         return replace(study, deviations=tuple(wider))  # `by` depends on the nominal design only
 
     def yielded(k: float) -> float:
-        return monte_carlo(scaled(k), SEARCHED, seed).share
+        return monte_carlo(scaled(k), SEARCH_SAMPLES, seed).share
 
     low, high = 1.0, 1.0  # bracket: yield below and above the requirement
     while yielded(high) < target_yield and high < MAX_FACTOR:

@@ -35,7 +35,8 @@ from optlink.units import DISPLAYED, UnitProblem, parse
 
 WORST, MARGIN = "worst", "margin"
 SAMPLES, MAX_SAMPLES = 1 << 17, 100_000_000
-MANY = 4 * CHUNK  # samples from which several processes are started: a process takes as long to start as it moves one chunk
+PARALLEL_SAMPLES = 4 * CHUNK
+"""Samples from which several processes are started: a process takes about as long to start as to move one chunk."""
 
 
 class DeviationRecord(Record):
@@ -68,12 +69,12 @@ def _effects(result: Tolerance) -> list[DeviationRecord]:
     """Return every deviation with its effect."""
     return [
         DeviationRecord.of(
-            one,
+            deviation,
             per_deviation=by,
             contribution_percent=100.0 * share,
             contribution_where_it_scatters_most_percent=100.0 * share[result.where],
         )
-        for one, by, share in zip(result.deviations, result.by, result.contributions, strict=True)
+        for deviation, by, share in zip(result.deviations, result.by, result.contributions, strict=True)
     ]
 
 
@@ -110,7 +111,7 @@ class ToleranceRecord(ResultRecord):
         if not count:
             raise Contradiction("crank_angles_deg", "there are none")
         parts: dict[str, Record | None] = {"": self, "linear.": self.linear, "monte_carlo.": self.monte_carlo}
-        parts |= {f"tolerances[{k}].": one for k, one in enumerate(self.tolerances)}
+        parts |= {f"tolerances[{k}].": entry for k, entry in enumerate(self.tolerances)}
         parts["allocation.check."] = None if self.allocation is None else self.allocation.check
         for where, part in parts.items():
             for name, values in part or ():
@@ -248,25 +249,25 @@ def tolerance(
     """
     _check(samples, seed, shape, target_yield, limit)
     with _processes(samples, engine, workers, scheduler) as runs:
-        file, again = problem, None
+        file, robust_result = problem, None
         if robust is not None:
             check_law(problem)
             if design is not None or output not in (None, ERROR):
                 remedy = "Leave --design and --quantity out, or --robust"
                 raise InputError("a robust design is searched, for its error", remedy, problem.file, "--robust")
-            again = _robust_design(problem, tolerances, robust, limit, samples, seed, shape, runs)
-            file, design = again.result.problem, again.free  # with a definite assembly mode
+            robust_result = _robust_design(problem, tolerances, robust, limit, samples, seed, shape, runs)
+            file, design = robust_result.result.problem, robust_result.free  # with a definite assembly mode
         nominal = nominal_design(file, output, crank_angles, design)
         deviations = read_deviations(problem, nominal, tolerances, shape)
         for name in costs or {}:
             if name not in [d.name for d in deviations]:
                 raise InputError("no such tolerance", nearest(name, [d.name for d in deviations]), key=f"--cost {name}")
         first = linear_analysis(problem, nominal, deviations, _limit(limit, angular=nominal.angular))
-        result = Tolerance(problem, nominal, first.deviations, first.by, first.limit, robust=again)
-        if samples and again is not None:
-            best = nominal_design(file, output, crank_angles, {name: again.nominal[name] for name in again.free})
-            other = linear_analysis(problem, best, deviations, result.limit)
-            result = replace(result, unrobust=monte_carlo(other, samples, seed, runs=runs))
+        result = Tolerance(problem, nominal, first.deviations, first.by, first.limit, robust=robust_result)
+        if samples and robust_result is not None:
+            best = nominal_design(file, output, crank_angles, {name: robust_result.nominal[name] for name in robust_result.free})
+            at_nominal = linear_analysis(problem, best, deviations, result.limit)
+            result = replace(result, unrobust=monte_carlo(at_nominal, samples, seed, runs=runs))
         if samples:
             result = replace(result, monte_carlo=monte_carlo(result, samples, seed, progress, runs))
         if target_yield is not None:
@@ -278,7 +279,7 @@ def tolerance(
 def _processes(samples: int, engine: str, workers: int | None, scheduler: str | None) -> Iterator[Runs | None]:
     """Provide processes, by default only for work that takes longer than their start."""
     check(engine, workers, scheduler)
-    if engine == "local" and workers is None and samples < MANY:
+    if engine == "local" and workers is None and samples < PARALLEL_SAMPLES:
         yield None
         return
     with pool(engine, workers, scheduler) as runs:

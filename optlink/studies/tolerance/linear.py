@@ -34,8 +34,8 @@ class LinearAnalysis:
     def worst(self) -> tuple[Array, Array]:
         """Least and largest change (angles,) to first order with all deviations at their worst ends."""
         ends = np.array([d.ends for d in self.deviations])
-        both = ends[:, :, None] * self.by[:, None, :]
-        return np.sum(np.min(both, axis=1), axis=0), np.sum(np.max(both, axis=1), axis=0)
+        changes = ends[:, :, None] * self.by[:, None, :]
+        return np.sum(np.min(changes, axis=1), axis=0), np.sum(np.max(changes, axis=1), axis=0)
 
     @cached_property
     def rss(self) -> Array:
@@ -60,8 +60,8 @@ class LinearAnalysis:
     @cached_property
     def contributions(self) -> Array:
         """Share of each deviation in the variance (deviations, angles); zeros without scatter."""
-        whole = np.sum(self._variances, axis=0)
-        return self._variances / np.where(whole > 0.0, whole, 1.0)
+        total = np.sum(self._variances, axis=0)
+        return self._variances / np.where(total > 0.0, total, 1.0)
 
 
 def linear_analysis(

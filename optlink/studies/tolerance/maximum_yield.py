@@ -34,10 +34,10 @@ from optlink.tasks.function import validate
 
 SIGMAS = 2.0  # standard deviations of the robust starting design
 STAGES = ((1 << 12, 1.0, 1.0), (1 << 14, 0.1, 0.3))  # samples, and relative to the scatter: smoothing width, first step
-LAST_STEP, MOST_STEPS = 0.01, 300
-NEVER = 1e-5  # added to the scrap rate, so that single samples do not drive the search
-FLAT = 1e-3  # least slope, relative to that of the steepest direction
-LOST = 10.0  # rad, error of a linkage that cannot be assembled
+LAST_STEP, MAX_STEPS = 0.01, 300
+SCRAP_OFFSET = 1e-5  # added to the scrap rate, so that single samples do not drive the search
+MIN_SLOPE = 1e-3  # least slope, relative to that of the steepest direction
+UNASSEMBLED_ERROR = 10.0  # rad, error of a linkage that cannot be assembled
 
 
 def maximise_yield(
@@ -126,7 +126,7 @@ class _Search:
         self.scatter = max(float(np.std(self._sizes(self.x, self._sampled_deviations(STAGES[0][0])))), 1e-3 * limit)
         slopes = nlp.residual_derivatives(self.x)
         _, size, axes = np.linalg.svd(slopes / math.sqrt(len(slopes)))
-        self.steps = self.scatter * axes.T / np.maximum(np.pad(size, (0, len(axes) - len(size))), FLAT * size[0])
+        self.steps = self.scatter * axes.T / np.maximum(np.pad(size, (0, len(axes) - len(size))), MIN_SLOPE * size[0])
 
     def end(self) -> dict[str, float]:
         """Return the final design [SI]."""
@@ -139,14 +139,14 @@ class _Search:
 
             def scrap(z: Array, batches: list[Array] = batches, wide: float = wide) -> float:
                 beyond = self._sizes(self.x + self.steps @ z, batches) - self.limit
-                return math.log(float(np.mean(ndtr(beyond / wide))) + NEVER)
+                return math.log(float(np.mean(ndtr(beyond / wide))) + SCRAP_OFFSET)
 
             result = minimize(
                 scrap,
                 z,
                 method="COBYQA",
                 constraints=[{"type": "ineq", "fun": lambda z: self._room(self.x + self.steps @ z)}],
-                options={"initial_tr_radius": step, "final_tr_radius": LAST_STEP * step, "maxfev": MOST_STEPS},
+                options={"initial_tr_radius": step, "final_tr_radius": LAST_STEP * step, "maxfev": MAX_STEPS},
             )
             z = np.asarray(result.x, dtype=float)
         return self.nlp.design(self.x + self.steps @ z)
@@ -159,9 +159,9 @@ class _Search:
         try:
             nominal = nominal_design(self.file, None, None, self.nlp.design(x))
         except InputError:  # it cannot be assembled as drawn
-            return np.full(sum(map(len, batches)), LOST)
+            return np.full(sum(map(len, batches)), UNASSEMBLED_ERROR)
         errors = np.concatenate([largest_errors(nominal, self.deviations, batch) for batch in batches])
-        return np.where(np.isfinite(errors), errors, LOST)
+        return np.where(np.isfinite(errors), errors, UNASSEMBLED_ERROR)
 
     def _room(self, x: Array) -> Array:
         """Return the slack of bounds and limits; negative if violated."""

@@ -22,9 +22,9 @@ from optlink.studies.tolerance.linear import LinearAnalysis
 from optlink.studies.tolerance.nominal import Nominal
 from optlink.studies.tolerance.sampling import sample_deviations, wilson
 
-PORTION = 12_000  # positions per block, so that intermediate arrays fit in the processor cache
+BLOCK_SIZE = 12_000  # positions per block, so that intermediate arrays fit in the processor cache
 CHUNK = 1 << 17  # samples that are one piece of work, a multiple of those of a batch
-BINS, ROOM = 400, 1.25  # of the histogram, which extends by that multiple of the worst case about the nominal value
+BINS, HISTOGRAM_RATIO = 400, 1.25  # of the histogram, which extends by that multiple of the worst case about the nominal value
 Progress = Callable[[float], None]
 
 
@@ -185,10 +185,10 @@ class SampleTask:
 
     def _count(self, sums: SampleSums, part: Array, change: Array) -> None:
         """Add a block of deviations and the changes that they cause."""
-        base, whole = self.nominal.base, np.isfinite(change).all(axis=1)
-        if not whole.all():
-            sums.stuck += int(np.sum(~whole))
-            change = change[whole]
+        base, assembled = self.nominal.base, np.isfinite(change).all(axis=1)
+        if not assembled.all():
+            sums.stuck += int(np.sum(~assembled))
+            change = change[assembled]
         largest = np.max(np.abs(base + change), axis=1)
         places = np.clip((largest - self.bottom) * self.bins, 0, BINS - 1).astype(int)
         sums.counts += np.bincount(places, minlength=BINS)
@@ -223,7 +223,7 @@ def monte_carlo(
     begin = time.perf_counter()
     nominal, limit = study.nominal, study.limit
     middle = float(np.max(np.abs(nominal.base)))
-    reach = ROOM * max(float(np.max(np.maximum(-study.worst[0], study.worst[1]))), 1e-15)
+    reach = HISTOGRAM_RATIO * max(float(np.max(np.maximum(-study.worst[0], study.worst[1]))), 1e-15)
     bottom = max(0.0, middle - reach)
     bins = BINS / (middle + reach - bottom)
     task = SampleTask(nominal, study.deviations, study.shift, study.by, limit, bottom, bins, samples, seed, CHUNK)
@@ -279,7 +279,7 @@ def largest_errors(nominal: Nominal, deviations: Sequence[Deviation], batch: Arr
 
 def _moved(nominal: Nominal, deviations: Sequence[Deviation], batch: Array) -> Iterator[tuple[Array, Array]]:
     """Yield blocks of deviations, with the change of the judged value of each."""
-    rows = max(1, PORTION // len(nominal.crank_angles))
+    rows = max(1, BLOCK_SIZE // len(nominal.crank_angles))
     for first in range(0, len(batch), rows):
         part = batch[first : first + rows]
         yield part, nominal.change(_by_size(deviations, part))
@@ -297,8 +297,8 @@ def _by_size(deviations: Sequence[Deviation], batch: Array) -> dict[str, Array]:
 def _moments(sums: Array, count: int) -> tuple[Array, Array, Array]:
     """Return mean, standard deviation and its standard error from sums of the first four powers."""
     if count < 2:
-        nothing = np.full(sums.shape[1], math.nan)
-        return nothing, nothing, nothing
+        undefined = np.full(sums.shape[1], math.nan)
+        return undefined, undefined, undefined
     first, second, third, fourth = sums / count
     variance = np.maximum(second - first * first, 0.0)
     central = np.maximum(fourth - 4.0 * first * third + 6.0 * first**2 * second - 3.0 * first**4, 0.0)

@@ -22,7 +22,7 @@ from optlink.tasks.run import design_task, solve
 
 ERROR = "error"
 POSITIONS = 31  # positions along the span of a motion law
-AROUND = 36  # crank angles of a revolution
+REVOLUTION_POSITIONS = 36  # crank angles of a revolution
 
 
 @dataclass(frozen=True)
@@ -79,8 +79,8 @@ class Nominal:
                 else moved - self._nominal_position
             )
         samples = max((np.shape(column)[0] for column in deviations.values()), default=1)
-        whole = np.broadcast_to(self.sign * by, (samples, len(self.crank_angles)))  # an output independent of the deviations
-        return np.array(whole, dtype=float)
+        constant = np.broadcast_to(self.sign * by, (samples, len(self.crank_angles)))  # an output independent of the deviations
+        return np.array(constant, dtype=float)
 
 
 def nominal_design(
@@ -124,7 +124,7 @@ def nominal_design(
         error = np.remainder(target - drawn_.value + math.pi, 2.0 * math.pi) - math.pi
         return replace(drawn_, base=error)
     if crank_angles is None:
-        crank_angles = 2.0 * math.pi * np.arange(AROUND) / AROUND if angles is None else angles
+        crank_angles = 2.0 * math.pi * np.arange(REVOLUTION_POSITIONS) / REVOLUTION_POSITIONS if angles is None else angles
     return _placed(problem, mechanism, sizes, np.asarray(crank_angles, dtype=float), chosen, chosen, 1.0)
 
 

@@ -23,8 +23,8 @@ from optlink.tasks.protocol import completed
 from optlink.tasks.run import solve as solve_nominal
 
 YIELD = "yield"
-STEPS, CLOSE = 12, 1e-5  # of the search for the largest number of standard deviations, and its relative accuracy
-LEVEL = 1e-12  # rad per standard deviation; least slope of the secants
+STEPS, LIMIT_TOLERANCE = 12, 1e-5  # of the search for the largest number of standard deviations, and its relative accuracy
+MIN_SLOPE = 1e-12  # rad per standard deviation; least slope of the secants
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class RobustDesign:
 
     @property
     def counted(self) -> str:
-        """What is added to the error, in words; or that the yield counts."""
+        """Name of the term added to the error, or "yield" if it was maximised."""
         if self.by_yield:
             return YIELD
         return "the worst case" if self.sigmas is None else f"{self.sigmas:.4g} standard deviations"
@@ -141,14 +141,14 @@ def most_reliable(problem: ProblemFile, tolerances: Sequence[str], limit: float,
         least = f"{math.degrees(before.value):.4g} deg"
         message = f"no design meets the limit, even without tolerances: the smallest largest error found is {least}"
         raise InputError(message, f"Give more than {least}", problem.file, "--limit", f"{math.degrees(limit):.4g} deg")
-    here, sigmas = redesign.least(1.0, before.free), 1.0
+    current, sigmas = redesign.least(1.0, before.free), 1.0
     for _ in range(STEPS):  # secant method: the minimum is nearly linear in them
-        rise = (here.value - before.value) / (sigmas - (before.sigmas or 0.0))
-        proposed = min(max(sigmas + (limit - here.value) / max(rise, LEVEL), 0.0), MAX_SIGMAS)
-        if abs(here.value - limit) <= CLOSE * limit or proposed == sigmas:
+        rise = (current.value - before.value) / (sigmas - (before.sigmas or 0.0))
+        proposed = min(max(sigmas + (limit - current.value) / max(rise, MIN_SLOPE), 0.0), MAX_SIGMAS)
+        if abs(current.value - limit) <= LIMIT_TOLERANCE * limit or proposed == sigmas:
             break
-        before, here, sigmas = here, redesign.least(proposed, here.free), proposed
-    return here
+        before, current, sigmas = current, redesign.least(proposed, current.free), proposed
+    return current
 
 
 def check_law(problem: ProblemFile) -> None:
@@ -169,7 +169,7 @@ class RobustSearch:
 
     def __init__(self, problem: ProblemFile, tolerances: Sequence[str], shape: str) -> None:
         check_law(problem)
-        entries = {name: each.raw for name, each in read_tolerances(problem, tolerances, shape).items()}
+        entries = {name: tolerance.raw for name, tolerance in read_tolerances(problem, tolerances, shape).items()}
         first = completed(solve_nominal(problem.override({"requirement.robust": None})))
         assert isinstance(first, FunctionResult)
         if not first.valid:

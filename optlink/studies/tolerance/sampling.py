@@ -13,7 +13,7 @@ from optlink.problem.tolerances import Deviation
 from optlink.units import read_number
 
 BATCH = 1 << 13  # samples per batch; a power of two keeps Sobol points balanced
-TINY = 2.0**-31  # half of the last bit of scipy's Sobol points: avoids 0, where a normal deviate is infinite
+MIN_PROBABILITY = 2.0**-31  # half of the last bit of scipy's Sobol points: avoids 0, where a normal deviate is infinite
 CONFIDENCE = 0.95
 
 
@@ -40,7 +40,7 @@ def sample_deviations(deviations: Sequence[Deviation], samples: int, seed: int, 
     if begin:
         sobol.fast_forward(begin)
     for first in range(begin, samples, BATCH):
-        share = np.asarray(sobol.random(BATCH), dtype=float)[: samples - first] + TINY
+        share = np.asarray(sobol.random(BATCH), dtype=float)[: samples - first] + MIN_PROBABILITY
         yield np.stack([deviation.at(share[:, i]) for i, deviation in enumerate(deviations)], axis=1)
 
 
@@ -78,9 +78,9 @@ def read_yield(text: str) -> float:
     InputError
         If it is not between 0 and 1.
     """
-    plain = text.strip()
+    number = text.strip()
     try:
-        share = float(plain.removesuffix("%")) / (100.0 if plain.endswith("%") else 1.0)
+        share = float(number.removesuffix("%")) / (100.0 if number.endswith("%") else 1.0)
     except ValueError:
         share = math.nan
     if not 0.0 < share < 1.0:
