@@ -113,11 +113,11 @@ def _present(word: str, options: set[str]) -> str:
     name, equals, value = word.partition("=")
     if name in options:
         return word
-    for one in (*RENAMED.get(name, ()), *SPELLED.get(name, ())):
-        if one in options:
+    for present in (*RENAMED.get(name, ()), *SPELLED.get(name, ())):
+        if present in options:
             if name in RENAMED:
-                print(f"Note: {name} is now called {one}", file=sys.stderr)
-            return f"{one}{equals}{value}"
+                print(f"Note: {name} is now called {present}", file=sys.stderr)
+            return f"{present}{equals}{value}"
     return word
 
 

@@ -217,9 +217,9 @@ def progress_bar(*columns: ProgressColumn, what: str, **options: Any) -> Iterato
 
     from optlink.report import terminal
 
-    drawn = terminal.console(stderr=True)
+    bar_console = terminal.console(stderr=True)
     layout = (TextColumn("{task.description}"), BarColumn(), *columns, TimeRemainingColumn())
-    with Progress(*layout, console=drawn, transient=True, disable=quiet or not drawn.is_terminal) as bar:
+    with Progress(*layout, console=bar_console, transient=True, disable=quiet or not bar_console.is_terminal) as bar:
         yield bar, bar.add_task(what, **options)
 
 

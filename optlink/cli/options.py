@@ -147,13 +147,13 @@ Speed = Annotated[str | None, option("SPEED", 'Crank speed: --speed "64 rpm"; ne
 
 # --- search ------------------------------------------------------------------------------------------------------------------
 
-BOTH = "Solver; both: SLSQP and IPOPT solve independently and must agree."
-Searcher = Annotated[str, option(BACK_ENDS, BOTH, "--backend", parser=back_end)]
-MORE = (
+BACKEND_HELP = "Solver; both: SLSQP and IPOPT solve independently and must agree."
+Searcher = Annotated[str, option(BACK_ENDS, BACKEND_HELP, "--backend", parser=back_end)]
+STARTS_HELP = (
     "Number of starting points; a larger number is never worse. Motion law or function: N per assembly mode; path: at least N. "
     "Default: until a better design is unlikely; 1 for a law with a certified optimum."
 )
-Starts = Annotated[int | None, number(MORE, "--starts")]
+Starts = Annotated[int | None, number(STARTS_HELP, "--starts")]
 Seed = Annotated[int, number("Seed of the starting points.", "--seed", metavar="S")]
 
 Engine = Annotated[str | None, option("NAME", "local (default: processes of this computer) or dask.", "--engine")]
@@ -162,5 +162,5 @@ Scheduler = Annotated[str | None, option("ADDRESS", "With --engine dask: address
 # --- reports and exports -----------------------------------------------------------------------------------------------------
 
 RESULT_HELP = "A shipped problem, a TOML file, or a result.json that --out wrote, or its folder."
-Subjected = Annotated[str, typer.Argument(metavar="PROBLEM|RESULT", autocompletion=problem_names, help=RESULT_HELP)]
+ProblemOrResult = Annotated[str, typer.Argument(metavar="PROBLEM|RESULT", autocompletion=problem_names, help=RESULT_HELP)]
 Of = Annotated[str | None, option("FILE", "Problem file of a RESULT that is neither shipped nor beside it.", "--problem")]

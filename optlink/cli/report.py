@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from optlink.cli import console
-from optlink.cli.options import Design, Json, Of, Quiet, Searcher, Seed, Set, Starts, Subjected, flag, number, option
+from optlink.cli.options import Design, Json, Of, ProblemOrResult, Quiet, Searcher, Seed, Set, Starts, flag, number, option
 from optlink.errors import InputError
 from optlink.execution import interrupts
 from optlink.io import head
@@ -25,7 +25,7 @@ Words = list[str] | None
 
 
 def report(
-    subject: Subjected,
+    source: ProblemOrResult,
     output: Annotated[Path, option("FILE.html", "HTML file to write.", "-o", "--out")],
     problem: Of = None,
     backend: Searcher = "ipopt",
@@ -49,7 +49,7 @@ def report(
     facts = {"title": title, "company": company, "author": author, "part": part, "revision": revision, "date": date}
     changes = [*(changes or []), *(f"report.{key}={json.dumps(text)}" for key, text in facts.items() if text is not None)]
     with console.working("Reading or solving the problem"):
-        about = _subject(subject, output, problem, (backend, starts, seed), changes, design)
+        about = _report_model(source, output, problem, (backend, starts, seed), changes, design)
         interrupts.check()
     from optlink.report.html.page import write_page
 
@@ -59,7 +59,7 @@ def report(
 
 
 def export(
-    subject: Subjected,
+    source: ProblemOrResult,
     output: Annotated[
         Path, option("FILE", "File to write; its suffix selects the format: .dxf, .svg, .csv or .json.", "-o", "--out")
     ],
@@ -87,20 +87,20 @@ def export(
     angle = console.quantity(at, "angle", "--at")
     options = Options(angle, console.quantity(hole, "length", "--hole"), console.quantity(width, "length", "--width"), points)
     with console.working("Reading or solving the problem"):
-        about = _subject(subject, output, problem, (backend, starts, seed), changes, design)
+        about = _report_model(source, output, problem, (backend, starts, seed), changes, design)
         interrupts.check()
     from optlink.report.html.shell import StoredStudy
 
     if isinstance(about, StoredStudy):
         remedy = f"Export the problem with one design:  optlink export {about.problem.name} --design NAME=VALUE"
-        raise InputError(f"a {about.kind} is not a single design, so it cannot be drawn", remedy, subject)
+        raise InputError(f"a {about.kind} is not a single design, so it cannot be drawn", remedy, source)
     if not (about.valid or even_invalid):
         _refuse(about, as_json)
     write(about, output, options)
     _written(about, output, as_json)
 
 
-def _subject(
+def _report_model(
     text: str, output: Path, problem: str | None, search: tuple[str, int | None, int], changes: Words, design: Words
 ) -> ReportModel | StoredStudy:
     """Return the subject of the command: a stored result, or a problem with its solution."""

@@ -36,12 +36,12 @@ def check_owner(path: Path, command: str, problem: str) -> None:
         return
     stem = Path(problem).stem
     if isinstance(about.get("command"), str) and isinstance(about.get("problem"), str):
-        commands, other = [about["command"]], about["problem"]
+        commands, owner = [about["command"]], about["problem"]
     else:
         result = read_object(path / RESULT) or {}
-        commands, other = _writers(str(result.get("schema", ""))), Path(str(result.get("problem", stem))).stem
-    if (commands and command not in commands) or other != stem:
-        message = f"the folder contains the result of `{' or '.join(commands) or 'optlink'}` for {other}"
+        commands, owner = _writers(str(result.get("schema", ""))), Path(str(result.get("problem", stem))).stem
+    if (commands and command not in commands) or owner != stem:
+        message = f"the folder contains the result of `{' or '.join(commands) or 'optlink'}` for {owner}"
         remedy = "Choose another folder, or remove this one; nothing was overwritten"
         raise InputError(message, remedy, str(path), "--out")
 

@@ -100,9 +100,9 @@ def new(
 
     if listed or not name:
         console.refuse({"--out": out, "--force": force}, "--list writes no file", "Name a template: new law")
-        choices = [template(one) for one in templates()]
+        choices = [template(item) for item in templates()]
         if as_json:
-            rows = [{"name": one.name, "summary": one.summary, "commands": one.commands} for one in choices]
+            rows = [{"name": item.name, "summary": item.summary, "commands": item.commands} for item in choices]
             console.print_json({"schema": "optlink/templates/1", "templates": rows})
             return
         if console.quiet:
@@ -111,7 +111,7 @@ def new(
         from optlink.report.table_spec import table
 
         note = "Write one: optlink new NAME --out NAME.toml"
-        rows_shown = ((one.name, one.summary, one.commands[0]) for one in choices)
+        rows_shown = ((item.name, item.summary, item.commands[0]) for item in choices)
         console.show(table("Templates", ["name", "description", "next command"], rows_shown, notes=[note]))
         return
     if out is not None:

@@ -44,7 +44,7 @@ CONTROLS = "With clearance, control: none, inverse, pid, inverse+pid; compare: a
 TUNED = "Control parameter to tune: proportional, integral, derivative, regularisation, bandwidth. Repeatable."
 TOLERANCE = "With clearance: relative tolerance of the integrator. Default: 1e-10; to compare or tune 1e-8."
 INTEGRATOR = "With clearance, integrator: cvodes, compiled (needs numba); auto (default): compiled for long work."
-GAP = "joints.B={ clearance = '0.5 mm', bearing_radius = '10 mm', modulus = '207 GPa' }"
+CLEARANCE_EXAMPLE = "joints.B={ clearance = '0.5 mm', bearing_radius = '10 mm', modulus = '207 GPa' }"
 
 
 def simulate(
@@ -89,7 +89,7 @@ def simulate(
         of_gaps: dict[str, Any] = {"--revolutions": revolutions, "--control": control, "--tolerance": tolerance}
         of_gaps |= {"--integrator": integrator, "--resume": resume, "--tune": tune}
         message = f"{'joints count as ideal' if ideal else 'no joint has clearance'}, so the option has no effect"
-        console.refuse(of_gaps, message, "Leave --ideal out" if ideal else f'Give one: --set "{GAP}"', file.file)
+        console.refuse(of_gaps, message, "Leave --ideal out" if ideal else f'Give one: --set "{CLEARANCE_EXAMPLE}"', file.file)
     comparing = control == COMPARE
     if comparing and tune:
         message, remedy = "a comparison of controllers tunes no parameters", "Name the kind to tune: --control inverse+pid"
@@ -117,26 +117,28 @@ def simulate(
             ideal_run = run(file, time, progress=progress, flywheel=inertia, **common, **console.given(rows=points))
         _deliver(ideal_run, "simulation", ideal_run.run.ending.value, as_json, out, csv)
         return
-    turns = _revolutions(file, revolutions, time, common["speed"])
+    whole_revolutions = _revolutions(file, revolutions, time, common["speed"])
     compiling = functools.partial(console.working, "Compiling the equations of motion (cached for the next time)")
     common |= {"compiling": compiling, **console.given(points=points, tolerance=tolerance, integrator=integrator)}
-    many = console.given(starts=starts, seed=seed, workers=workers, engine=engine, scheduler=scheduler)
+    parallel = console.given(starts=starts, seed=seed, workers=workers, engine=engine, scheduler=scheduler)
     if comparing or tune:
         from optlink.execution.runner import cores
 
-        many = {"workers": cores()} | many
+        parallel = {"workers": cores()} | parallel
     if comparing:
         from optlink.tasks.control_comparison import compare
 
         with _kept(out, resume, "runs", "comparing") as store:
-            compared = compare(file, turns, **common, **many, **store)
+            compared = compare(file, whole_revolutions, **common, **parallel, **store)
         _deliver(compared, "control comparison", compared.status, as_json, out)
     elif tune:
         from optlink.tasks.control_comparison import tune as search
 
         with _kept(out, resume, "evaluations", "tuning") as store:
-            common |= console.given(revolutions=None if revolutions is None and time is None else turns, evaluations=evaluations)
-            tuned = search(file, control or "inverse+pid", tuple(tune), **common, **many, **store)
+            common |= console.given(
+                revolutions=None if revolutions is None and time is None else whole_revolutions, evaluations=evaluations
+            )
+            tuned = search(file, control or "inverse+pid", tuple(tune), **common, **parallel, **store)
         _deliver(tuned, "tuning", tuned.status, as_json, out)
     else:
         from optlink.io import write_json
@@ -148,7 +150,7 @@ def simulate(
         keep = None if out is None else functools.partial(write_json, out / "checkpoint.json")
         common |= {"control": control or "none", "flywheel": inertia, "checkpoint": keep, "resume": begun}
         with _streamed(csv, done) as stream, console.share("simulating") as progress:
-            result = simulate_clearance(file, turns, progress=progress, stream=stream, **common)
+            result = simulate_clearance(file, whole_revolutions, progress=progress, stream=stream, **common)
         _deliver(result, "clearance", result.ending.value, as_json, out)
 
 
@@ -201,11 +203,11 @@ def _revolutions(file: ProblemFile, revolutions: int | None, duration: float | N
     if duration is None:
         return 20
     exact = duration * abs(crank_speed(file, speed)) / (2.0 * math.pi)
-    whole = max(1, math.ceil(exact * (1.0 - 1e-9)))
-    if not (math.isclose(exact, whole, rel_tol=1e-6) or console.quiet):
+    count = max(1, math.ceil(exact * (1.0 - 1e-9)))
+    if not (math.isclose(exact, count, rel_tol=1e-6) or console.quiet):
         what = f"{duration:.6g} s are {exact:.6g} revolutions"
-        print(f"Note: {what}; with clearance whole revolutions are simulated: {whole}", file=sys.stderr)
-    return whole
+        print(f"Note: {what}; with clearance whole revolutions are simulated: {count}", file=sys.stderr)
+    return count
 
 
 @contextlib.contextmanager

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from optlink.problem.file import ProblemFile
 
 SIMULATED = ("the option applies to simulations", "Add --simulate")
-AROUND = "0..330 deg:12"  # default crank angles of an output
+DEFAULT_ANGLES = "0..330 deg:12"  # default crank angles of an output
 
 Backend = Annotated[str, option("NAME", f"One of: {', '.join(selectable())}.", "--backend")]
 Workers = Annotated[int | None, number("Number of processes. Default: all cores.", "--workers")]
@@ -47,7 +47,7 @@ def sensitivity(
         option("BODY|P.x", "Sensitivity of an output angle or point to every dimension, instead of the objective.", "--quantity"),
     ] = None,
     angles: Annotated[
-        str | None, option("LIST", f'With --quantity, crank angles: "0 deg, 60 deg" or "{AROUND}" (default).', "--angles")
+        str | None, option("LIST", f'With --quantity, crank angles: "0 deg, 60 deg" or "{DEFAULT_ANGLES}" (default).', "--angles")
     ] = None,
     backend: Backend = "ipopt",
     starts: Annotated[int | None, option("N", "Number of starting points.")] = None,
@@ -68,7 +68,7 @@ def sensitivity(
     if output is not None:
         remedy = "Leave --check out; it re-optimises"
         console.refuse({"--check": check}, "the sensitivity of an output involves no optimisation", remedy, file.file)
-        _output(file, output, AROUND if angles is None else angles, design, as_json, out)
+        _output(file, output, DEFAULT_ANGLES if angles is None else angles, design, as_json, out)
         return
     console.refuse({"--angles": angles}, "the option applies to --quantity only", "Add for example --quantity rocker", file.file)
     if design:
@@ -183,8 +183,8 @@ def sweep(
         console.refuse({"--points": points}, "the option applies to an analysis or a simulation", remedy, file.file)
     mode: dict[str, Any] = {"analyze": analyze, "columns": column or ("input.torque_Nm",), "design": values}
     mode["simulate"] = console.given(revolutions=revolutions, control=control, points=points) if simulate else None
-    many: dict[str, Any] = {"backend": backend, "engine": engine, "workers": workers, "scheduler": scheduler}
-    with _resuming(out, "sweep", problem, "sweeping", resume=resume, **many) as options:
+    parallel: dict[str, Any] = {"backend": backend, "engine": engine, "workers": workers, "scheduler": scheduler}
+    with _resuming(out, "sweep", problem, "sweeping", resume=resume, **parallel) as options:
         result = run(file, vary or [], out, points=360 if points is None else points, **mode, **options)
     console.deliver(result, "sweep", as_json, out, code=0 if result.successful else 1)
 
@@ -228,12 +228,12 @@ def tolerance(
     if cost and allocate is None:
         raise InputError("the option applies to --allocate only", 'Add for example --allocate "99 %"', key="--cost")
     crank = None if angles is None else _crank_angles(angles)
-    drawn: dict[str, Any] = {"samples": samples, "seed": seed, "shape": distribution, "design": values}
+    sampling: dict[str, Any] = {"samples": samples, "seed": seed, "shape": distribution, "design": values}
     goals: dict[str, Any] = {"target_yield": None if allocate is None else read_yield(allocate), "costs": read_costs(cost or [])}
     goals["robust"] = None if robust is None else read_sigmas(robust)
-    many = console.given(engine=engine, workers=workers, scheduler=scheduler)
+    parallel = console.given(engine=engine, workers=workers, scheduler=scheduler)
     with console.share("building") as progress:
-        result = run(file, tolerances or [], output, crank, limit, progress=progress, **drawn, **goals, **many)
+        result = run(file, tolerances or [], output, crank, limit, progress=progress, **sampling, **goals, **parallel)
     not_achieved = result.allocation is not None and not result.allocation.achieved
     failed = result.robust is not None and not result.robust.valid
     console.deliver(result, "tolerance", as_json, out, code=1 if not_achieved or failed else 0)
@@ -259,8 +259,8 @@ def pareto(
     from optlink.studies.pareto.epsilon_constraint import pareto as run
 
     file = console.load(problem, changes)
-    many: dict[str, Any] = {"backend": backend, "engine": engine, "workers": workers, "scheduler": scheduler}
-    with _resuming(out, "pareto", problem, "computing the front", resume=resume, **many) as options:
+    parallel: dict[str, Any] = {"backend": backend, "engine": engine, "workers": workers, "scheduler": scheduler}
+    with _resuming(out, "pareto", problem, "computing the front", resume=resume, **parallel) as options:
         result = run(file, objectives, out, points=points, **options)
     console.deliver(result, "pareto", as_json, out, code=0 if result.complete else 1)
 
