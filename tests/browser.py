@@ -40,7 +40,7 @@ def browser() -> Iterator[Any]:
 
 
 def opened(driver: Any, path: Path) -> tuple[list[str], list[str]]:
-    """Open a page; what stands on its console, and every address that it asks for beside its own."""
+    """Open a page; return its console messages and every requested address except its own."""
     driver.get_log("browser")
     driver.get_log("performance")
     driver.get(path.as_uri())
@@ -51,8 +51,8 @@ def opened(driver: Any, path: Path) -> tuple[list[str], list[str]]:
 
 @contextmanager
 def colours(driver: Any, *, dark: bool) -> Iterator[None]:
-    """Prefer light or dark colours, and wait until the page was told so: listeners are called before a frame is drawn."""
-    drawn = "const told = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(told))"
+    """Prefer light or dark colours, and wait until the page has been notified: listeners are called before a frame is drawn."""
+    drawn = "const done = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(done))"
 
     def prefer(*features: dict[str, str]) -> None:
         driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": features})
@@ -77,12 +77,12 @@ def faults(driver: Any, *rules: str) -> list[str]:
 
 
 def console(driver: Any) -> list[str]:
-    """What stands on the console since it was last asked for."""
+    """Console messages since the last call."""
     return [entry["message"] for entry in driver.get_log("browser")]
 
 
 def requests(driver: Any, path: Path) -> list[str]:
-    """Every address that was asked for since then, beside the page itself and what it holds."""
+    """Every address requested since then, except the page itself and its contents."""
     events = [json.loads(entry["message"])["message"] for entry in driver.get_log("performance")]
     found = [event["params"]["request"]["url"] for event in events if event["method"] == "Network.requestWillBeSent"]
     return [address for address in found if address != path.as_uri() and not address.startswith(("data:", "blob:"))]

@@ -56,9 +56,9 @@ def rocker(x: Array, side: int, offsets: Array) -> tuple[Array, Array]:
 
 def errors(x: Array, side: int, task: Function, n: int) -> tuple[Array, Array]:
     """Error at n positions [rad], and every limit as a figure that must not exceed 0."""
-    offsets, wanted = task.target(n)
+    offsets, target = task.target(n)
     angle, cosine = rocker(x, side, offsets)
-    error = np.remainder(wanted + x[4] - angle + np.pi, 2.0 * np.pi) - np.pi
+    error = np.remainder(target + x[4] - angle + np.pi, 2.0 * np.pi) - np.pi
     low, high = np.cos(task.transmission[1]), np.cos(task.transmission[0])
     logs = np.log(task.ratios)
     return error, np.concatenate([low - cosine, cosine - high, logs[0] - x[:3], x[:3] - logs[1]])

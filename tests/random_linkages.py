@@ -42,7 +42,7 @@ def four_bar_of(design: PathDesign) -> dict[str, float]:
 
 
 def judged(design: PathDesign, wanted: Array, *, closed: bool = False, timed: Array | None = None) -> oracle.Report:
-    """The oracle's report of a path design; `wanted` (points, 2) in mm."""
+    """The oracle's report of a path design; `wanted` (points, 2): target points in mm."""
     return oracle.judge_path(four_bar_of(design), wanted, design.crank_angles, closed=closed, timed=timed)
 
 
@@ -180,18 +180,18 @@ def random_task(seed: int) -> RandomTask:
     rng = np.random.default_rng([77, seed])
     kind = rng.choice(["points", "curve", "poses", "planted"], p=[0.35, 0.3, 0.25, 0.1])
     if kind == "points":
-        wanted = oracle.random_points(rng, int(rng.integers(3, 21)))
+        targets = oracle.random_points(rng, int(rng.integers(3, 21)))
         if rng.random() < 0.6:  # in an order that makes sense
-            x, y = (wanted - wanted.mean(axis=0)).T
-            wanted = wanted[np.argsort(np.arctan2(y, x))]
+            x, y = (targets - targets.mean(axis=0)).T
+            targets = targets[np.argsort(np.arctan2(y, x))]
     elif kind == "curve":
-        wanted = oracle.random_closed_curve(rng, int(rng.integers(5, 21)))
+        targets = oracle.random_closed_curve(rng, int(rng.integers(5, 21)))
     elif kind == "planted":
         linkage = oracle.random_crank_rocker(rng)
-        wanted = oracle.planted_path(linkage, oracle.random_angles(rng, int(rng.integers(3, 21)), rng.uniform(1.0, 6.0)))
+        targets = oracle.planted_path(linkage, oracle.random_angles(rng, int(rng.integers(3, 21)), rng.uniform(1.0, 6.0)))
     else:
-        wanted = oracle.random_poses(rng, int(rng.integers(2, 7)))
-    count = len(wanted)
+        targets = oracle.random_poses(rng, int(rng.integers(2, 7)))
+    count = len(targets)
     timing, crank = str(rng.choice(["free", "from start", "given"], p=[0.5, 0.25, 0.25])), None
     way = int(rng.choice([-1, 1]))
     if timing != "free":
@@ -212,8 +212,8 @@ def random_task(seed: int) -> RandomTask:
     far = free(-1500.0, 1500.0)
     place: Raw = {"pivot": [far, far]} if rng.random() < 0.85 else {"pivot": None, "direction": None}
     section = four_bar_section(assembly, **dict.fromkeys(LENGTHS, free(5.0, 1500.0)), points={"P": [far, far]}, **place)
-    raw = document(section, wanted, _random_limits(rng), crank=crank, weights=weights, **requirement)
-    return RandomTask(raw, wanted, crank, timing, weights, closed)
+    raw = document(section, targets, _random_limits(rng), crank=crank, weights=weights, **requirement)
+    return RandomTask(raw, targets, crank, timing, weights, closed)
 
 
 def _random_limits(rng: np.random.Generator) -> Raw:

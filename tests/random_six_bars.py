@@ -1,4 +1,4 @@
-"""Random paths for six-bars, and their judge: positions by complex numbers and the cosine rule, nothing of optlink's formulas."""
+"""Random paths for six-bars and their oracle: positions by complex numbers and the cosine rule, without formulas of optlink."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ def test_every_argument_of_a_public_function_is_checked(function) -> None:
     assert [fault.key for fault in caught.value.faults] == names
 
 
-def test_all_wrong_arguments_are_named_at_once() -> None:
+def test_all_wrong_arguments_are_reported_together() -> None:
     with pytest.raises(InputError) as caught:
         optlink.solve(LAW, 3, "x", None)
     assert [fault.key for fault in caught.value.faults] == ["backend", "starts", "seed"]
@@ -128,6 +128,6 @@ def test_unknown_and_missing_arguments_are_refused_in_one_sentence(call, message
         ("report", "import write_page"),
     ],
 )
-def test_a_name_that_the_package_has_elsewhere_is_pointed_to(name: str, meant: str) -> None:
+def test_names_defined_elsewhere_in_the_package_are_suggested(name: str, meant: str) -> None:
     with pytest.raises(AttributeError, match=rf"no attribute '{name}'\. .*{meant}"):
         optlink.__getattr__(name)

@@ -1,4 +1,4 @@
-"""The documentation: pages, links and pictures exist, commands are real, the reference knows every key, the site builds."""
+"""The documentation: pages, links and pictures exist, commands exist, the reference lists every key, the site builds."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def test_every_link_and_picture_exists(page):
             assert anchor in anchors(place), f"{named(page)} links to {target}: no such heading"
 
 
-def test_a_broken_link_would_be_seen():
+def test_a_broken_link_is_detected():
     assert "no-such-heading" not in anchors(DOCS / "studies.md")
     assert "output-sensitivity" in anchors(DOCS / "studies.md")
     assert "joints-with-clearance-and-control" in anchors(DOCS / "problem-files.md")
@@ -139,8 +139,8 @@ def test_every_template_has_its_recipe():
 
 
 @pytest.mark.slow
-def test_recipe_shows_file_picture_and_answer(monkeypatch):
-    """What is quoted of the answer is in it; other words would be seen."""
+def test_recipe_shows_file_picture_and_output(monkeypatch):
+    """Quoted output is in the actual output; other words are detected."""
     hooked, page = hook("recipes"), (DOCS / "recipes" / "law.md").read_text(encoding="utf-8")
     law = answer("law")
     monkeypatch.setattr(hooked, "answer", lambda name: {"law": law}[name])
@@ -221,7 +221,7 @@ def parse(arguments: list[str]) -> Any:
 
 
 @pytest.mark.parametrize("page", READ, ids=named)
-def test_commands_are_real(page):
+def test_commands_exist(page):
     known = {*optlink.shipped(), "out"}
     for arguments in commands(page):
         context = parse(arguments)
@@ -235,12 +235,12 @@ def test_commands_are_real(page):
     "wrong",
     [["slove", "crank-rocker"], ["solve", "crank-rocker", "--start", "5x"], ["solve"], ["study", "sweep", "six-bar", "--vray"]],
 )
-def test_commands_that_are_not_real_would_be_seen(wrong):
+def test_unknown_commands_are_detected(wrong):
     with pytest.raises(Exception, match=r"(?i)no such|invalid|missing|whole number"):
         parse(wrong)
 
 
-def test_commands_within_lines_are_known():
+def test_inline_commands_exist():
     known = {name.split()[1] for name, _ in hook("commands").commands() if " " in name}
     for page in READ:
         for word in re.findall(r"`optlink ([a-z]+)[ `]", FENCES.sub("", text_of(page))):
@@ -248,7 +248,7 @@ def test_commands_within_lines_are_known():
 
 
 @pytest.mark.slow
-def test_the_tutorial_is_true(tmp_path, monkeypatch):
+def test_the_tutorial_output_is_correct(tmp_path, monkeypatch):
     """Every block of the page in its order: files are saved, commands run, and what is printed below them is what they print."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")
@@ -275,9 +275,9 @@ def test_the_tutorial_is_true(tmp_path, monkeypatch):
             assert kind == "text"
             shown = [" ".join(line.split()) for line in output.split("\n")]
             for line in text.split("\n"):
-                wanted = " ".join(line.split())
-                if wanted not in ("", "..."):
-                    assert any(wanted in one for one in shown), f"{wanted}\n--- but ---\n{output}"
+                expected = " ".join(line.split())
+                if expected not in ("", "..."):
+                    assert any(expected in one for one in shown), f"{expected}\n--- but ---\n{output}"
                     compared += 1
     assert compared > 40
     assert {"arm.toml", "final.toml", "arm.html", "arm.dxf", "frames", "out"} <= {place.name for place in tmp_path.iterdir()}
@@ -296,7 +296,7 @@ def test_the_reference_has_every_key_of_every_model():
             assert (keys.owner(model, name), name) in stated, f"{model.__name__}.{name}"
 
 
-def test_the_reference_tells_something_of_every_key():
+def test_the_reference_describes_every_key():
     keys = hook("keys")
     for part in keys.sections():
         table = keys._table(part)
@@ -308,7 +308,7 @@ def test_the_reference_tells_something_of_every_key():
     assert "required" in keys.reference()
 
 
-def test_a_key_without_a_text_would_be_seen():
+def test_a_key_without_a_description_is_detected():
     keys = hook("keys")
 
     class Bare(Section):
@@ -323,8 +323,8 @@ def test_a_key_without_a_text_would_be_seen():
     assert Bare not in {part.model for part in keys.sections()}
 
 
-def test_units_and_ways_of_reading_are_those_of_the_models():
-    """Against the models themselves: what the reference says a key takes is taken, what it says is refused is refused."""
+def test_units_and_formats_agree_with_the_models():
+    """Against the models: values that the reference permits are accepted, and values that it excludes are refused."""
     keys = hook("keys")
     from optlink.problem.limits import Limits
     from optlink.problem.machine.bodies import DriveSection
@@ -370,8 +370,8 @@ def test_laws_of_the_reference_are_read(tmp_path):
         law = tomllib.loads(line)
         span = {"span": "90 deg", "points": 30} if isinstance(law["law"], str) else {}
         assert optlink.read({**raw, "requirement": {**asked, **law, **span}}, folder=tmp_path).model.law.offsets.size > 0
-    told = re.search(r"the functions `([a-z0-9 ]+)`", page)[1].split()
-    assert set(told) == set(FUNCTIONS)
+    documented = re.search(r"the functions `([a-z0-9 ]+)`", page)[1].split()
+    assert set(documented) == set(FUNCTIONS)
 
 
 def test_the_command_reference_has_every_option():
@@ -381,8 +381,10 @@ def test_the_command_reference_has_every_option():
         assert command.help
         for param in command.params:
             for spelling in param.opts if param.param_type_name == "option" else [param.metavar]:
-                told = re.escape(spelling.replace("|", "\\|"))
-                assert re.search(rf"^\| `(?:\S+, )*{told}(?:, \S+)*(?: .*)?` \|", section, re.MULTILINE), f"{name} {spelling}"
+                documented = re.escape(spelling.replace("|", "\\|"))
+                assert re.search(rf"^\| `(?:\S+, )*{documented}(?:, \S+)*(?: .*)?` \|", section, re.MULTILINE), (
+                    f"{name} {spelling}"
+                )
             assert param.help, f"{name} {param.name} has no help"
 
 
@@ -406,17 +408,17 @@ def test_words_of_docstrings_are_no_types():
     given = (
         "Sum.\n\nParameters\n----------\na, b : float [m], positive\n    Lengths.\nc : int\n\nReturns\n-------\nx : float [m]\n"
     )
-    wanted = (
+    expected = (
         "Sum.\n\nParameters\n----------\na\n    [m], positive.\n    Lengths.\nb\n    [m], positive.\n    Lengths.\nc\n    int\n\n"
         "Returns\n-------\nx : float [m]\n"
     )
-    assert hook("docstrings").spelled(given) == wanted
+    assert hook("docstrings").spelled(given) == expected
 
 
 # --- figures -------------------------------------------------------------------------------------------------------------
 
 
-def test_figures_name_tests_that_exist():
+def test_reference_values_name_existing_tests():
     module, source = hook("validation"), (DOCS / "hooks" / "validation.py").read_text(encoding="utf-8")
     named_tests = {(getattr(module, file), name) for file, name in re.findall(r"\{([A-Z_]+)\}::(test_\w+)", source)}
     named_tests |= set(re.findall(r'"(tests/\S+\.py)::(test_\w+)"', source))
@@ -428,14 +430,14 @@ def test_figures_name_tests_that_exist():
 @pytest.mark.parametrize(
     "group", ["crank_rocker", "six_bar", "shaper", "under_a_torque", pytest.param("machines", marks=pytest.mark.slow)]
 )
-def test_figures_agree(group):
+def test_reference_values_agree(group):
     rows = list(getattr(hook("validation"), group)())
     assert len(rows) > 1
     assert [row.what for row in rows if not row.holds] == []
     assert max(row.near / abs(row.target) for row in rows if abs(row.target) > 1e-3) < 0.01
 
 
-def test_a_figure_that_is_wrong_stops_the_site(monkeypatch):
+def test_a_wrong_reference_value_stops_the_site(monkeypatch):
     module = hook("validation")
     row = module.Row("a figure", "mm", 100.0, 100.2, 0.1, "tests/test_docs.py::test_x")
     assert not row.holds

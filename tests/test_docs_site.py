@@ -79,7 +79,7 @@ def test_the_gallery_has_every_problem_with_a_real_command():
 
 
 @pytest.mark.slow
-def test_pictures_of_the_gallery_show_valid_designs_alone(monkeypatch):
+def test_gallery_pictures_show_valid_designs_only(monkeypatch):
     gallery = hook("gallery")
     for name in ("whitworth", "path-scott-russell"):
         assert gallery.picture(name)[:4] == b"\x89PNG"
@@ -125,16 +125,16 @@ def test_every_status_is_explained():
 def test_links_out_of_the_documentation_lead_to_pages_of_the_site():
     links = hook("links")
     text = "[a](../notebooks/six_bar.ipynb), [b](../tests/test_units.py#x), [c](studies.md#files)\n```\n[d](../README.md)\n```\n"
-    wanted = (
+    expected = (
         "[a](notebooks/six_bar.md), [b](source/tests/test_units.py.md#x), [c](studies.md#files)\n```\n[d](../README.md)\n```\n"
     )
-    assert links.rewritten(text, "docs", "page.md") == wanted
+    assert links.rewritten(text, "docs", "page.md") == expected
     assert set(links.outward(text, "docs")) == {"notebooks/six_bar.ipynb", "tests/test_units.py"}
     assert links.rewritten("[a](docs/images/x.png)", "", "contributing.md") == "[a](images/x.png)"
     assert links.rewritten("[a](../validation.md)", "docs/api", "api/solve.md") == "[a](../validation.md)"
 
 
-def test_what_a_page_would_load_from_the_network_is_seen():
+def test_network_access_of_a_page_is_detected():
     fetched = hook("links").fetched
     assert fetched('<script defer src="https://unpkg.com/x.js"></script>') == ["https://unpkg.com/x.js"]
     assert fetched('<link rel="stylesheet" href="//fonts.example/css">') == ["//fonts.example/css"]
@@ -158,7 +158,7 @@ def clearance_run(rpm, revolutions, friction, tolerance):
 
 
 @pytest.mark.slow
-def test_the_site_builds_without_a_warning_and_asks_no_network(tmp_path, monkeypatch, caplog):
+def test_the_site_builds_without_warnings_or_network(tmp_path, monkeypatch, caplog):
     """With the answers and solutions that other tests of this run need as well."""
     pytest.importorskip("mkdocs")
     pytest.importorskip("material")

@@ -90,7 +90,7 @@ def test_public_functions_describe_their_arguments() -> None:
     assert {path: names for path, names in found.items() if names} == {}
 
 
-def test_the_check_sees_what_is_missing() -> None:
+def test_the_check_detects_missing_sections() -> None:
     good = 'def f(a, b):\n    """Add.\n\n    Parameters\n    ----------\n    a, b : float\n    """\n'
     assert lacking(good) == []
     assert lacking(good.replace("a, b : float", "a : float")) == ["f: b"]

@@ -209,9 +209,9 @@ def test_a_new_kind_of_result_and_its_view(extended, tmp_path):
     assert "read from result.json" in stored.replace("<wbr>", "")
     other = tmp_path / "other.json"
     other.write_text(json.dumps(document | {"distance_m": 2.0 * document["distance_m"]}))
-    told = run("report", str(other), "--problem", str(file), "-o", str(tmp_path / "no.html"), code=2)
-    assert "distance_m = " in told
-    assert "the problem has another distance" in told
+    output = run("report", str(other), "--problem", str(file), "-o", str(tmp_path / "no.html"), code=2)
+    assert "distance_m = " in output
+    assert "the problem has another distance" in output
     other.write_text(json.dumps({"schema": document["schema"], "problem_hash": "0"}))
     assert "problem: the result is damaged" in run("report", str(other), "-o", str(tmp_path / "no.html"), code=2)
     assert "unknown key" in run("solve", str(file), "--set", "clearing.poit=B", code=2)

@@ -36,7 +36,7 @@ def loaded_after(code: str) -> set[str]:
     return set(done.stdout.split())
 
 
-def test_help_loads_nothing_heavy():
+def test_help_loads_no_heavy_library():
     code = "import sys; sys.argv = ['optlink', '--help']\nfrom optlink.cli.app import main\ntry: main()\nexcept SystemExit: pass"
     assert loaded_after(code) & HEAVY == set()
 
@@ -94,7 +94,7 @@ assert gc.get_stats()[0]["collections"] > late
     assert "gc" in loaded_after(code)
 
 
-def test_the_check_would_notice():
+def test_the_check_detects_violations():
     assert loaded_after("import casadi") & HEAVY == {"casadi"}
 
 

@@ -77,7 +77,7 @@ def test_runs_in_a_fresh_kernel(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_stored_outputs_are_fit_to_read(path: Path) -> None:
+def test_stored_outputs_are_clean(path: Path) -> None:
     notebook = read(path)
     nbformat.validate(notebook)
     assert path.stat().st_size < LARGEST
@@ -119,13 +119,13 @@ def test_a_picture_takes_the_place_of_sliders_without_ipywidgets() -> None:
         ("interactive(children=(FloatSlider(value=1.0),))", "words in place of a widget"),
     ],
 )
-def test_a_planted_output_is_found(text: str, name: str) -> None:
+def test_a_planted_output_is_detected(text: str, name: str) -> None:
     cell = nbformat.v4.new_code_cell("1", outputs=[nbformat.v4.new_output("stream", name="stdout", text=text)])
     assert name in [fault.split(": ")[1] for fault in faults(nbformat.v4.new_notebook(cells=[cell]))]
 
 
 @pytest.mark.slow
-def test_a_wrong_figure_in_a_copy_is_found() -> None:
+def test_a_wrong_value_in_a_copy_is_detected() -> None:
     notebook = read(FOLDER / "crank_rocker.ipynb")
     right, wrong = "abs(np.degrees(rise[-1]) - 30)", "abs(np.degrees(rise[-1]) - 30.1)"
     last = next(k for k, cell in enumerate(notebook.cells) if right in cell.source)

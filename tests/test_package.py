@@ -24,13 +24,13 @@ def unpacked(tmp_path_factory) -> Path:
     return folder / "site"
 
 
-def test_wheel_holds_problems_and_types(unpacked):
+def test_wheel_contains_problems_and_types(unpacked):
     assert (unpacked / "optlink" / "problems" / "crank-rocker.toml").is_file()
     assert (unpacked / "optlink" / "py.typed").is_file()
     assert not (unpacked / "tests").exists()
 
 
-def test_wheel_works_elsewhere(unpacked, tmp_path):
+def test_wheel_works_outside_the_checkout(unpacked, tmp_path):
     environment = {**os.environ, "PYTHONPATH": str(unpacked)}
     code = "import optlink, sys; assert optlink.__file__.startswith(sys.argv.pop(1)); from optlink.cli.app import main; main()"
     done = subprocess.run(

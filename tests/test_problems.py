@@ -162,9 +162,9 @@ def test_machine_runs_without_a_note(name):
     analysis = analysed(name)
     assert analysis.full
     assert analysis.sound
-    told = [joint for joint, section in optlink.load(name).model.joints.items() if section.has_clearance]
-    assert len(analysis.notes) == bool(told)
-    assert all(joint in analysis.notes[0] for joint in told)
+    with_clearance = [joint for joint, section in optlink.load(name).model.joints.items() if section.has_clearance]
+    assert len(analysis.notes) == bool(with_clearance)
+    assert all(joint in analysis.notes[0] for joint in with_clearance)
 
 
 def test_every_dyad_and_load_is_shipped():
@@ -367,7 +367,7 @@ def power_of(energy: Energy, problem: optlink.ProblemFile) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", MACHINES)
-def test_power_balance_shows_masses_that_are_wrong_by_a_hundred_thousandth(name):
+def test_power_balance_detects_a_mass_error_of_one_in_100000(name):
     energy = Energy(analysed(name))
     problem = energy.analysis.problem
     masses = {f"bodies.{body}.mass": si(own["mass"], "mass") for body, own in problem.raw["bodies"].items()}
@@ -412,13 +412,13 @@ def test_hash_changes_with_the_problem_and_not_with_its_words(crank_rocker):
     assert crank_rocker.override({"requirement.points": 31}).hash != crank_rocker.hash
 
 
-def test_none_takes_a_key_away(crank_rocker):
+def test_none_removes_a_key(crank_rocker):
     without = crank_rocker.override({"limits.transmission_angle": None})
     assert without.spec.limits.transmission_angle is None
     assert "transmission_angle" not in tomllib.loads(dump(without))["limits"]
 
 
-def test_expected_goes_when_the_problem_changes(crank_rocker):
+def test_expected_values_are_dropped_when_the_problem_changes(crank_rocker):
     assert crank_rocker.spec.expected is not None
     assert crank_rocker.override({"mechanism.frame": "501 mm"}).spec.expected is None
     assert crank_rocker.override({"title": "Another title"}).spec.expected is not None

@@ -62,20 +62,20 @@ def own(monkeypatch):
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/crank-rocker.md"])
-def test_quick_figures_are_those_of_the_commands(page, own):
+def test_quick_values_agree_with_the_commands(page, own):
     quick(page)
     assert readme.FIGURES or readme.BLOCKS
     assert list(readme.failures(slow=False, record=readme.recorded())) == []
 
 
-def test_a_figure_that_is_wrong_is_seen(own):
+def test_a_wrong_value_is_detected(own):
     quick("docs/crank-rocker.md")
     figure = readme.FIGURES[0]
     readme.FIGURES[:] = [dataclasses.replace(figure, scale=1.0001), dataclasses.replace(figure, text="{412.9} elsewhere")]
     assert [line.rpartition(": ")[2][:10] for line in readme.failures(slow=False, record={})] == ["optlink so", "not on the"]
 
 
-def test_a_line_that_is_not_printed_is_seen():
+def test_an_unprinted_line_is_detected():
     block = next(block for block in readme.BLOCKS if block.page == "README.md")
     printed = readme.output(block.command, as_json=False)
     assert readme.missing(block, printed) == []

@@ -85,13 +85,13 @@ def test_closed18_is_at_a_minimum() -> None:
 
 
 def test_arc5_is_found_again() -> None:
-    wanted = oracle.complex_points(ARC5)
+    targets = oracle.complex_points(ARC5)
 
     def design(v: np.ndarray) -> dict[str, float]:
         return four_bar(*v[:4], along=v[4], across=v[5])
 
     def errors(v: np.ndarray) -> np.ndarray:
-        found = oracle.direct(design(v), ARC5_STEPS).p - wanted
+        found = oracle.direct(design(v), ARC5_STEPS).p - targets
         return np.concatenate([found.real, found.imag])
 
     found = least_squares(errors, [3.6, 2.0, 3.9, 2.7, 1.6, 1.7], xtol=1e-15, ftol=1e-15, gtol=1e-15)
@@ -181,7 +181,7 @@ def test_routes_agree_where_it_swings(base: dict[str, float], mode: int) -> None
     assert np.max(np.abs(p - at.p)[within]) < 1e-9 * oracle.size(design)
 
 
-def test_parts_have_their_lengths(kind: str) -> None:
+def test_links_have_their_lengths(kind: str) -> None:
     """Closure, mode and coupler point by the definitions."""
     for design in designs(kind, 10, seed=1):
         at = oracle.direct(design, np.linspace(0.0, TURN, 100))
@@ -324,13 +324,13 @@ def test_feet() -> None:
     rng = np.random.default_rng(6)
     design = designs("crank-rocker", 1, seed=7)[0]
     phi = oracle.random_angles(rng, 12)
-    wanted = oracle.planted_path(design, phi)
-    exact = judge_path(design, wanted, phi)
+    targets = oracle.planted_path(design, phi)
+    exact = judge_path(design, targets, phi)
     assert exact.sse == 0.0
     assert exact.gain == 0.0
     aside = phi.copy()
     aside[4] += 0.01
-    report = judge_path(design, wanted, aside)
+    report = judge_path(design, targets, aside)
     assert report.free
     assert report.gain == pytest.approx(report.errors[4], rel=1e-9)
     assert report.nearest[4] < 1e-11 * oracle.size(design)
@@ -345,7 +345,7 @@ def test_feet() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("n", [1, 2, 5, 9, 18, 60])
-def test_planted_answers_are_free(kind: str, n: int) -> None:
+def test_planted_designs_have_zero_error(kind: str, n: int) -> None:
     rng = np.random.default_rng(n)
     for design in designs(kind, 1, seed=n):
         phi = oracle.random_angles(rng, n)
@@ -375,10 +375,10 @@ def test_planted_answers_are_free(kind: str, n: int) -> None:
 def test_closed_path_that_repeats_its_first_point() -> None:
     design = designs("crank-rocker", 1)[0]
     phi = 0.4 + np.linspace(0.0, TURN, 10)
-    wanted = oracle.planted_path(design, phi)
-    assert judge_path(design, wanted, phi, closed=True).free
-    wanted[-1] += 1.0
-    assert not judge_path(design, wanted, phi, closed=True).order_ok
+    targets = oracle.planted_path(design, phi)
+    assert judge_path(design, targets, phi, closed=True).free
+    targets[-1] += 1.0
+    assert not judge_path(design, targets, phi, closed=True).order_ok
 
 
 @pytest.mark.slow
@@ -407,27 +407,27 @@ def test_wrong_order() -> None:
     rng = np.random.default_rng(12)
     design = designs("crank-rocker", 1, seed=13)[0]
     phi = oracle.random_angles(rng, 9)
-    wanted = oracle.planted_path(design, phi)
+    targets = oracle.planted_path(design, phi)
     swapped = np.array([0, 1, 2, 4, 3, 5, 6, 7, 8])
-    report = judge_path(design, wanted[swapped], phi[swapped])
+    report = judge_path(design, targets[swapped], phi[swapped])
     assert report.sse == 0.0
     assert report.rotation == 0
     assert not report.order_ok
     assert report.branch_ok
     assert report.circuit_ok
-    assert judge_path(design, wanted[swapped], phi[swapped], order=False).free
-    assert not judge_path(design, wanted[[0, *range(9)]], phi[[0, *range(9)]]).order_ok  # one angle twice
-    assert not judge_path(design, wanted[[*range(9), 1]], phi[[*range(9), 1]]).order_ok  # more than a revolution
-    assert judge_path(design, wanted[::-1], phi, timed=phi).sse > 1.0
-    backwards = judge_path(design, wanted[::-1], phi[::-1], timed=phi)
+    assert judge_path(design, targets[swapped], phi[swapped], order=False).free
+    assert not judge_path(design, targets[[0, *range(9)]], phi[[0, *range(9)]]).order_ok  # one angle twice
+    assert not judge_path(design, targets[[*range(9), 1]], phi[[*range(9), 1]]).order_ok  # more than a revolution
+    assert judge_path(design, targets[::-1], phi, timed=phi).sse > 1.0
+    backwards = judge_path(design, targets[::-1], phi[::-1], timed=phi)
     assert backwards.rotation == -1
     assert backwards.timing > 0.1
 
 
 def test_crank_that_does_not_turn() -> None:
     phi = inside(ONE_CIRCUIT, 9)
-    wanted = oracle.planted_path(ONE_CIRCUIT, phi)
-    report = judge_path(ONE_CIRCUIT, wanted, phi)
+    targets = oracle.planted_path(ONE_CIRCUIT, phi)
+    report = judge_path(ONE_CIRCUIT, targets, phi)
     assert report.sse < 1e-20
     assert report.order_ok
     assert report.branch_ok
@@ -435,17 +435,17 @@ def test_crank_that_does_not_turn() -> None:
     assert not report.turns
     assert not report.free
     assert report.turn_margin < 0.0 < report.margin
-    closed = judge_path(ONE_CIRCUIT, wanted, phi, closed=True)
+    closed = judge_path(ONE_CIRCUIT, targets, phi, closed=True)
     assert not closed.branch_ok
     assert not closed.circuit_ok
     shifted = phi + (phi[-1] - phi[0]) * 0.8
-    beyond = judge_path(ONE_CIRCUIT, wanted, shifted)
+    beyond = judge_path(ONE_CIRCUIT, targets, shifted)
     assert beyond.sse == math.inf
     assert not beyond.branch_ok
     assert not beyond.circuit_ok
     # in the order in which the crank would have to pass through the gap
     through = np.array([6, 7, 8, 0, 1, 2])
-    gap = judge_path(ONE_CIRCUIT, wanted[through], phi[through])
+    gap = judge_path(ONE_CIRCUIT, targets[through], phi[through])
     assert gap.sse < 1e-20
     assert gap.order_ok
     assert not gap.branch_ok
@@ -456,13 +456,13 @@ def test_two_circuits() -> None:
     one, two = inside(TWO_CIRCUITS, 4), inside(TWO_CIRCUITS, 4, which=1)
     assert judge_path(TWO_CIRCUITS, oracle.planted_path(TWO_CIRCUITS, one), one).circuit_ok
     phi = np.concatenate([one, two])
-    wanted = oracle.planted_path(TWO_CIRCUITS, phi)
-    report = judge_path(TWO_CIRCUITS, wanted, phi)
+    targets = oracle.planted_path(TWO_CIRCUITS, phi)
+    report = judge_path(TWO_CIRCUITS, targets, phi)
     assert report.sse < 1e-20
     assert report.order_ok
     assert not report.circuit_ok
     assert not report.branch_ok
-    assert not judge_path(TWO_CIRCUITS, wanted, phi, order=False).circuit_ok
+    assert not judge_path(TWO_CIRCUITS, targets, phi, order=False).circuit_ok
     assert not judge_motion(TWO_CIRCUITS, oracle.planted_poses(TWO_CIRCUITS, phi), phi).circuit_ok
     function = judge_function(TWO_CIRCUITS, 0.0, 0.0, phi, oracle.direct(TWO_CIRCUITS, phi).output)
     assert function.largest < 1e-12
@@ -507,7 +507,7 @@ def test_random_designs(kind: str) -> None:
     assert modes == {-1, 1}
 
 
-def test_random_wishes() -> None:
+def test_random_requirements() -> None:
     for seed in range(20):
         same = [np.random.default_rng(seed) for _ in range(2)]
         curves = [oracle.random_closed_curve(rng, 40) for rng in same]

@@ -90,7 +90,7 @@ def test_tape_has_every_function_of_two_arguments(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in ONE if name != "not"])
-def test_what_is_not_defined_stays_undefined(name: str) -> None:
+def test_undefined_values_stay_undefined(name: str) -> None:
     x = casadi.SX.sym("x")
     assert np.isnan(NumpyEvaluator([x], [ONE[name](x)])(np.array([math.nan]))).all()
 

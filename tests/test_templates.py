@@ -53,7 +53,7 @@ def test_every_line_is_explained(name):
     assert unexplained(template(name).text) == []
 
 
-def test_a_line_without_comment_would_be_seen():
+def test_a_line_without_comment_is_detected():
     assert unexplained(template("law").text + 'time_ratio = "1"\n') == ['time_ratio = "1"']
 
 

@@ -124,7 +124,7 @@ def test_show(value, kind, unit, digits, text):
     assert show(value, kind, unit, digits) == text
 
 
-def test_kinds_give_an_example_that_will_do_and_show_their_own_unit():
+def test_kinds_have_a_valid_example_in_their_unit():
     for kind in KINDS.values():
         value, unit = parse(kind.example, kind.name)
         assert value > 0.0
@@ -307,7 +307,7 @@ numbers = st.floats(1e-9, 1e9) | st.floats(-1e9, -1e-9) | st.just(0.0)
 @seeded
 @given(numbers, st.sampled_from(UNITS))
 @example(0.1 + 0.2, UNITS[2])
-def test_what_is_shown_is_read_back(value, row):
+def test_displayed_values_can_be_read_back(value, row):
     unit, kind, _ = row
     found, _ = parse(show(value, kind, unit, digits=17), kind)
     assert found == pytest.approx(value, rel=4e-16, abs=0.0)
@@ -329,7 +329,7 @@ def test_six_digits_are_kept(value):
     assert parse(show(value, "length"), "length")[0] == pytest.approx(value, rel=5.1e-6)
 
 
-def test_round_trip_sees_a_wrong_factor(monkeypatch):
+def test_round_trip_detects_a_wrong_factor(monkeypatch):
     """Degrees for radians on the way back is what the property above is for."""
     assert parse(show(1.0, "angle"), "angle")[0] == pytest.approx(1.0, rel=1e-5)
     monkeypatch.setattr(units, "factor", lambda unit, kind: 1.0)
@@ -453,7 +453,7 @@ def test_remedy_for_a_wrong_unit_names_the_kind_and_does_not_depend_on_the_value
     assert remedies == {'Use a unit of length, for example "100 mm"'}
 
 
-def test_unknown_kind_is_a_slip_of_the_programmer():
+def test_an_unknown_kind_is_a_programming_error():
     with pytest.raises(KeyError):
         parse("1 mm", "colour")
 

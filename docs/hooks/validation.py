@@ -107,7 +107,7 @@ def crank_rocker() -> Iterator[Row]:
         yield Row(f"sum of squares for {points} points", "rad^2", objective, more.objective, 1e-8, test)
         yield Row(f"coupler for {points} points", "mm", coupler, more.design["coupler"] * 1e3, 1e-3, test)
     fewer = optlink.solve(problem.override({"requirement.span": "87 deg", "requirement.points": 29}), "both")
-    test = "tests/test_docs.py::test_figures_agree"
+    test = "tests/test_docs.py::test_reference_values_agree"
     yield Row("sum of squares without the last of the 30 points", "rad^2", 0.00577, fewer.objective, 5e-6, test)
     yield from output_angles(problem)
 

@@ -1,4 +1,4 @@
-"""What the command line answers where an answer can mislead: exit codes, JSON and text alone, none of the package's own names."""
+"""Output of the command line where it could mislead, tested by exit codes, JSON and text only, without names of the package."""
 
 from __future__ import annotations
 
@@ -127,14 +127,14 @@ def test_a_valid_law_ends_at_a_stated_angle_from_alignment(file: Any) -> None:
     assert alignment(found["design"], math.radians(-30.0)) == pytest.approx(1.0, abs=1e-4)  # deg, the default limit
 
 
-def test_the_limit_that_keeps_a_four_bar_off_alignment_is_shown_and_named_where_it_is_active(file: Any) -> None:
+def test_an_active_alignment_limit_is_shown(file: Any) -> None:
     path = file(SPAN)
     (line,) = (line for line in run("show", path).stdout.splitlines() if line.startswith("alignment"))
     assert "1 deg" in line
     assert "limits.alignment" in {limit["key"] for limit in answer("solve", path)["limits"] if limit["active"]}
 
 
-def test_a_load_that_works_in_the_quick_stroke_has_a_note(file: Any) -> None:
+def test_a_load_in_the_quick_stroke_is_noted(file: Any) -> None:
     notes = {
         stroke: [note for note in answer("analyze", file(PRESS.replace("STROKE", stroke)))["notes"] if "quick" in note]
         for stroke in ("forward", "backward")
@@ -143,7 +143,7 @@ def test_a_load_that_works_in_the_quick_stroke_has_a_note(file: Any) -> None:
 
 
 @pytest.mark.slow
-def test_a_function_is_answered_with_its_assembly_mode_and_a_machine_to_analyze(file: Any, tmp_path: Path) -> None:
+def test_a_function_result_has_its_assembly_mode_and_machine(file: Any, tmp_path: Path) -> None:
     found = answer("solve", file(FUNCTION), "--starts", 1, "--out", tmp_path / "out")
     assert found["valid"]
     assert found.get("assembly") in ("left", "right")
@@ -152,13 +152,13 @@ def test_a_function_is_answered_with_its_assembly_mode_and_a_machine_to_analyze(
 
 
 @pytest.mark.slow
-def test_the_best_of_the_distinct_optima_is_the_figure_of_the_headline(file: Any) -> None:
+def test_the_best_distinct_optimum_is_the_reported_objective(file: Any) -> None:
     found = answer("solve", file(FUNCTION), "--starts", 8)
     assert found["optima"][0]["objective"] == found["objective"]["value"]
 
 
 @pytest.mark.slow
-def test_a_stated_number_of_starts_is_no_worse_than_the_default(file: Any) -> None:
+def test_an_explicit_number_of_starts_is_no_worse_than_the_default(file: Any) -> None:
     text = FUNCTION.replace('"sqrt(x)", x = [1, 3], input = "80 deg"', '"tan(x)", x = [0, 0.7], input = "70 deg"')
     path = file(text.replace('"either"', '"right"'))
     default, stated = (answer("solve", path, *more) for more in ((), ("--starts", 8)))
@@ -167,7 +167,7 @@ def test_a_stated_number_of_starts_is_no_worse_than_the_default(file: Any) -> No
     assert stated["objective"]["value"] == pytest.approx(default["objective"]["value"], rel=1e-6)
 
 
-def test_a_poor_fit_does_not_read_like_a_success_and_its_own_start_is_a_hit(file: Any) -> None:
+def test_a_poor_fit_is_marked_and_its_start_counts_as_a_hit(file: Any) -> None:
     path = file(PATH)
     done = run("solve", path, "--starts", 60, "--designs", 1)
     assert "poor fit" in done.stdout
@@ -176,7 +176,7 @@ def test_a_poor_fit_does_not_read_like_a_success_and_its_own_start_is_a_hit(file
 
 
 @pytest.mark.slow
-def test_a_path_that_no_linkage_keeps_names_the_limits_in_conflict(file: Any) -> None:
+def test_an_infeasible_path_lists_the_conflicting_limits(file: Any) -> None:
     narrow = PATH.replace('crank = { bounds = ["10 mm", "300 mm"] }', 'crank = "290 mm"').replace('"300 mm"] }', '"280 mm"] }')
     found = answer("solve", file(narrow), "--starts", 40)
     assert not found["valid"]
@@ -192,7 +192,7 @@ def test_an_evaluated_sweep_without_valid_points_is_exit_code_1() -> None:
 
 
 @pytest.mark.slow
-def test_a_second_run_may_not_write_into_the_folder_of_the_first(tmp_path: Path) -> None:
+def test_a_second_run_cannot_write_to_the_folder_of_the_first(tmp_path: Path) -> None:
     out = tmp_path / "out"
     sweep = ["study", "sweep", "crank-rocker", "--vary", "mechanism.frame=450..550 mm:30000", "--workers", "1", "--out", str(out)]
     command = [sys.executable, "-m", "optlink", *sweep]

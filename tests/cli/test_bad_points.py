@@ -87,7 +87,7 @@ def refused(folder: Path, raw: Raw, *words: str) -> None:
     assert all(line.startswith("Error: ") for line in lines), done.stderr
     named = [line for line in lines if all(word in line for word in (file, *words))]
     assert named, done.stderr
-    assert all(line.rstrip().rpartition(". ")[2] for line in named)  # after what is wrong, what would do
+    assert all(line.rstrip().rpartition(". ")[2] for line in named)  # the fault, then the remedy
     assert all(len(line) < 700 for line in lines)
     assert not out.exists()
     document = json.loads(run("solve", file, "--out", str(out), "--json", *options).stdout)
@@ -290,7 +290,7 @@ def test_is_refused(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("base", BASES)
-def test_unspoilt_is_not_refused(tmp_path: Path, base: str) -> None:
+def test_valid_points_are_accepted(tmp_path: Path, base: str) -> None:
     done = run("show", written(BASES[base], tmp_path), "--json")
     assert done.exit_code == 0, done.stderr
 
@@ -358,7 +358,7 @@ OPTIONS = [
 
 
 @pytest.mark.parametrize("option", OPTIONS)
-def test_bad_option_is_named(tmp_path: Path, option: str) -> None:
+def test_bad_options_are_reported(tmp_path: Path, option: str) -> None:
     name, value = option.split()
     done = run("solve", written(PATH, tmp_path), f"--{name}", value)
     assert done.exit_code == 2
@@ -403,7 +403,7 @@ def test_a_file_of_fifty_megabytes_is_refused(tmp_path: Path) -> None:
     refused(tmp_path, altered(PATH, {ROWS: {"csv": "curve.csv"}}), f"{ROWS}.csv", "larger than 50 MB", "Reduce its size")
 
 
-def test_nothing_of_an_expression_is_executed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_expressions_are_not_executed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for text in ("__import__('pathlib').Path('made').touch()", 'exec(\'open("made", "w")\')', "().__class__.__base__"):
         refused(tmp_path, altered(PATH, {ROWS: drawn(x=text)}), f"{ROWS}.x")
@@ -422,7 +422,7 @@ def test_a_folder_that_is_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.slow
-def test_a_problem_without_an_answer_is_a_result(tmp_path: Path) -> None:
+def test_an_infeasible_problem_gives_a_result(tmp_path: Path) -> None:
     """Nothing within the limits: exit code 1, why, and a result.json."""
     narrow = {"limits": {"link_ratio": [0.9, 1.0], "transmission_angle": ["85 deg", "95 deg"]}}
     done = run("solve", written(altered(PATH, narrow), tmp_path), "--starts", "60", "--out", str(tmp_path / "out"), "--json")
@@ -457,7 +457,7 @@ def proven(file: str, given: dict[str, str | None], *more: str) -> Result:
     return run("validate", file, *texts, *more)
 
 
-def test_a_given_design_is_judged(tmp_path: Path) -> None:
+def test_a_given_design_is_validated(tmp_path: Path) -> None:
     done = proven(written(PATH, tmp_path), GIVEN, "--json")
     assert done.exit_code in (0, 1), done.stderr
     assert json.loads(done.stdout)["status"] == "not searched"

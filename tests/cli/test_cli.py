@@ -1,4 +1,4 @@
-"""The command line as people and scripts meet it: exit codes, clean JSON, one clear message, nothing half written."""
+"""The command line for users and scripts: exit codes, clean JSON, one clear message, no partial files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def run(*arguments: str, **kwargs):
 
 
 def process(*arguments: str, cwd: Path | None = None):
-    """Run a command as people do, in a process of its own."""
+    """Run a command in its own process."""
     environment = {**os.environ, "COLUMNS": "100", "PYTHONWARNINGS": "error"}
     return subprocess.run(
         [sys.executable, "-m", "optlink", *arguments], capture_output=True, text=True, cwd=cwd, env=environment, check=False
@@ -33,7 +33,7 @@ def process(*arguments: str, cwd: Path | None = None):
 
 
 @pytest.mark.slow
-def test_solve_as_json_has_the_promised_keys():
+def test_solve_json_has_the_documented_keys():
     done = process("solve", "crank-rocker", "--backend", "both", "--json")
     assert done.returncode == 0
     assert done.stderr == ""
@@ -65,7 +65,7 @@ def test_solve_as_json_has_the_promised_keys():
 
 
 @pytest.mark.slow
-def test_solve_for_people():
+def test_solve_prints_tables():
     done = process("solve", "crank-rocker")
     assert done.returncode == 0
     for words in ("412.865", "232.246", "0.00759237", "largest transmission angle", "per deg", "checks passed", "optimal, valid"):
@@ -74,7 +74,7 @@ def test_solve_for_people():
 
 
 @pytest.mark.slow
-def test_infeasible_is_exit_one_and_names_the_conflict():
+def test_infeasible_problems_exit_with_1_and_list_the_conflict():
     changes = ("--set", 'limits.transmission_angle=["80 deg", "100 deg"]')
     for backend in ("slsqp", "ipopt"):
         done = run("solve", "crank-rocker", "--backend", backend, *changes)
@@ -87,7 +87,7 @@ def test_infeasible_is_exit_one_and_names_the_conflict():
     assert {item["unit"] for item in document["conflict"]} == {"deg"}
 
 
-def test_validate_printed_design_is_exit_one():
+def test_validating_the_published_design_exits_with_1():
     arguments = ("validate", "crank-rocker", "--design", "coupler=412.26 mm", "--design", 'rocker="232.2417 mm"')
     done = run(*arguments)
     assert done.exit_code == 1
@@ -168,7 +168,7 @@ def test_infeasible_with_out_still_writes_the_result(tmp_path):
         (("fly",), "fly"),
     ],
 )
-def test_bad_input_is_exit_two_with_a_sentence(arguments, words):
+def test_bad_input_exits_with_2_and_one_sentence(arguments, words):
     done = run(*arguments)
     assert done.exit_code == 2
     assert words in done.stderr
@@ -180,7 +180,7 @@ LINUX = pytest.mark.skipif(not Path("/proc").exists(), reason="a folder of Linux
 
 
 @pytest.mark.parametrize("where", ["file", "beneath a file", pytest.param("read-only", marks=LINUX)])
-def test_out_that_cannot_be_written_is_refused_before_any_work(tmp_path, where):
+def test_an_unwritable_output_folder_is_refused_before_solving(tmp_path, where):
     taken = tmp_path / "taken"
     taken.write_text("mine")
     out = {"file": taken, "beneath a file": taken / "deeper", "read-only": Path("/proc/optlink")}[where]
@@ -227,7 +227,7 @@ NASTY = [
 @pytest.mark.slow
 @pytest.mark.parametrize("arguments", NASTY)
 @pytest.mark.parametrize("as_json", [False, True])
-def test_nasty_values_get_a_sentence_and_no_traceback(arguments, as_json):
+def test_malformed_values_give_one_sentence_and_no_traceback(arguments, as_json):
     done = process("solve", "crank-rocker", *arguments, *(["--json"] if as_json else []))
     assert done.returncode == 2
     assert done.stderr.startswith("Error: ")
@@ -283,7 +283,7 @@ WORDS = [  # the arguments, with | between those that belong together
 
 
 @pytest.mark.parametrize("line", WORDS)
-def test_values_that_the_shell_has_split_are_joined(line):
+def test_values_split_by_the_shell_are_joined(line):
     assert rejoined(line.replace("|", " ").split(" ")) == line.split("|")
 
 
@@ -309,7 +309,7 @@ def test_overview_is_the_help_of_all_commands():
         "studio --help",
     ],
 )
-def test_a_command_built_alone_does_what_it_does_beside_the_others(line):
+def test_a_command_built_alone_behaves_as_in_the_full_program(line):
     whole, alone = (CliRunner().invoke(group, line.split(), prog_name="optlink") for group in (app, needed(app, line.split())))
     assert (alone.stdout, alone.stderr, alone.exit_code) == (whole.stdout, whole.stderr, whole.exit_code)
 
@@ -340,7 +340,7 @@ def test_list_and_show():
     assert json.loads(run("show", "crank-rocker", "--json").stdout)["problem"]["mechanism"]["frame"] == "500 mm"
 
 
-def test_show_as_toml_is_the_beginning_of_one_s_own_problem(tmp_path):
+def test_show_toml_writes_a_problem_file(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(run("show", "crank-rocker", "--toml", "--set", "mechanism.frame=480 mm").stdout)
     done = run("solve", str(path), "--json")
@@ -373,7 +373,7 @@ COMPARED = (*GAPPED, "--control", "compare", "--revolutions", "1", "--starts", "
         (("solve", "crank-rocker", "--designs", "2"), "--designs", "several designs"),
     ],
 )
-def test_an_option_that_would_do_nothing_is_refused(tmp_path, monkeypatch, arguments, option, words):
+def test_options_without_effect_are_refused(tmp_path, monkeypatch, arguments, option, words):
     monkeypatch.chdir(tmp_path)
     done = run(*arguments)
     assert done.exit_code == 2
@@ -382,8 +382,8 @@ def test_an_option_that_would_do_nothing_is_refused(tmp_path, monkeypatch, argum
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_comparison_takes_its_tolerance_and_its_points(monkeypatch):
-    """What is given reaches the library; what is not is left to it."""
+def test_a_comparison_accepts_tolerance_and_points(monkeypatch):
+    """Given options reach the library; the others keep its defaults."""
     taken = []
 
     def compare(*arguments, **options):

@@ -137,7 +137,7 @@ LONG = {
 
 
 @posix
-def test_processes_are_begun_out_of_reach_of_ctrl_c():
+def test_child_processes_ignore_ctrl_c():
     """A terminal sends the signal to its session: a process that is just starting would answer with a traceback."""
     sessions, process = [], Process()
     for _ in range(2):  # at once after the start
@@ -164,7 +164,7 @@ TUNED = (
 @posix
 @pytest.mark.slow
 @pytest.mark.parametrize("after", [2.5, 4.0])
-def test_ctrl_c_of_a_terminal_ends_tuning_and_all_its_processes(after, files):
+def test_ctrl_c_ends_tuning_and_its_processes(after, files):
     """A terminal sends the signal to every process, also to those that are just starting: one sentence, nobody left."""
     with subprocess.Popen(
         [*COMMAND, *TUNED], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=files, start_new_session=True
@@ -232,7 +232,7 @@ def test_a_second_ctrl_c_kills_at_once(files):
 
 
 @posix
-def test_an_interrupt_that_is_lost_is_raised_again():
+def test_a_lost_interrupt_is_raised_again():
     """Python drops what is raised in a destructor, as casadi does in some of its callbacks; compiled modules print it first."""
     script = "import os, signal, sys, time\nfrom optlink.execution import interrupts\ninterrupts.listen()\n"
     script += "class Thing:\n    def __del__(self):\n        try:\n"
@@ -281,7 +281,7 @@ def test_ipopt_passes_an_interrupt_on(monkeypatch):
 
 @pytest.mark.slow
 @posix
-def test_output_that_cannot_be_written_is_one_sentence():
+def test_unwritable_output_gives_one_sentence():
     for arguments in (("list",), ("solve", "crank-rocker", "--json")):
         with open("/dev/full", "w", encoding="utf-8") as full:
             done = run(*arguments, capture_output=False, stdout=full, stderr=subprocess.PIPE)
@@ -293,7 +293,7 @@ def test_output_that_cannot_be_written_is_one_sentence():
 @pytest.mark.slow
 @posix
 @pytest.mark.parametrize("arguments", [("list",), ("show", "six-bar", "--toml"), ("solve", "crank-rocker", "--json")])
-def test_a_closed_pipe_is_no_failure(arguments):
+def test_a_closed_pipe_is_not_a_failure(arguments):
     read, write = os.pipe()
     os.close(read)
     done = run(*arguments, capture_output=False, stdout=write, stderr=subprocess.PIPE)
@@ -303,7 +303,7 @@ def test_a_closed_pipe_is_no_failure(arguments):
 
 
 @posix
-def test_streams_that_the_caller_has_closed_are_no_failure(tmp_path):
+def test_closed_streams_are_not_a_failure(tmp_path):
     """Such as `>&-` of a shell: nothing is printed, and nothing of the one stream appears on the other."""
     words = f"{sys.executable} -m optlink show nowhere --json"
     for closed, code in ((">&-", 2), ("2>&-", 2), (">&- 2>&- <&-", 2)):
@@ -369,7 +369,7 @@ HUGE = "9" * 400
         ("six-bar", "expected.figures", {"input.torque_Nm.max": int(HUGE)}),
     ],
 )
-def test_an_integer_of_400_digits_is_refused_where_it_stands(name, key, value):
+def test_an_integer_of_400_digits_is_refused_with_its_position(name, key, value):
     with pytest.raises(optlink.InputError, match="too large") as refused:
         optlink.load(name).override({key: value})
     assert refused.value.faults[0].key.startswith(key)

@@ -32,7 +32,7 @@ LEAVES = {words: command for words, command in COMMANDS.items() if not hasattr(c
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
 @pytest.mark.parametrize("width", [60, 80])
 def test_help_shows_every_word_within_the_terminal(words, width):
-    """No word is cut, whatever the width, and none is taken as markup."""
+    """No word is cut at any width, and none is taken as markup."""
     command, done = COMMANDS[words], CliRunner().invoke(app, [*words, "--help"], terminal_width=width)
     assert done.exit_code == 0
     texts = [command.help or "", *(param.help or "" for param in command.params)]
@@ -47,7 +47,7 @@ def test_help_shows_every_word_within_the_terminal(words, width):
     assert "<bool>" not in done.stdout, "a flag has no value"
 
 
-def test_out_and_quiet_mean_the_same_everywhere():
+def test_out_and_quiet_are_consistent_across_commands():
     for words, command in LEAVES.items():
         options = {param.opts[-1]: param for param in command.params if param.param_type_name == "option"}
         assert options["--quiet"].opts == ["-q", "--quiet"], words
@@ -108,12 +108,12 @@ def test_other_spellings_are_the_same_option(old, new):
         (("solve", "x", "y"), "optlink solve: got unexpected extra argument(s) (y). `optlink solve --help` lists its options"),
     ],
 )
-def test_a_command_line_that_cannot_be_used_is_invalid_input_like_any_other(arguments, message):
+def test_usage_errors_are_invalid_input(arguments, message):
     """One sentence with the place and the remedy on standard error, exit code 2, and the same as JSON on request."""
     done = run(*arguments)
     assert (done.exit_code, done.stdout, done.stderr) == (2, "", f"Error: {message}\n")
-    told = json.loads(run(*arguments[:-1], "--json", arguments[-1]).stdout)
-    assert (told["schema"], told["message"]) == ("optlink/error/1", message)
+    document = json.loads(run(*arguments[:-1], "--json", arguments[-1]).stdout)
+    assert (document["schema"], document["message"]) == ("optlink/error/1", message)
 
 
 @pytest.mark.parametrize("words", [(), ("study",)])
@@ -131,7 +131,7 @@ def test_a_result_folder_has_no_name_of_a_file(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_result_folder_in_place_of_its_design_is_pointed_to_the_file(tmp_path):
+def test_a_result_folder_as_design_suggests_the_file(tmp_path):
     (tmp_path / "result.json").write_text("{}", encoding="utf-8")
     done = run("validate", "crank-rocker", "--design", str(tmp_path))
     assert done.exit_code == 2
@@ -162,7 +162,7 @@ def test_former_names_of_options_work_with_a_note(arguments, present):
     assert "nothing" in done.stderr or ".exe" in done.stderr
 
 
-def test_values_after_two_dashes_are_no_options():
+def test_values_after_two_dashes_are_not_options():
     assert "--minimize" in run("show", "--", "--minimize").stderr
 
 
@@ -178,7 +178,7 @@ GIVEN = ("--design", "rocker=235 mm", "--design")
         (("show", "crank-rocker"), 0, "crank-rocker: four-bar, function design"),
     ],
 )
-def test_quiet_prints_the_verdict_alone(arguments, code, words):
+def test_quiet_prints_only_the_verdict(arguments, code, words):
     done = run(*arguments, "-q")
     assert done.exit_code == code == run(*arguments).exit_code
     assert words in done.stdout
@@ -284,7 +284,7 @@ GAPPED = ("simulate", "slider-crank-clearance")
     ],
     ids=lambda value: " ".join(value[2:]) if isinstance(value, tuple) else "",
 )
-def test_a_value_is_shown_as_it_was_written(arguments, written, remedy, tmp_path, monkeypatch):
+def test_values_are_shown_as_written(arguments, written, remedy, tmp_path, monkeypatch):
     """With its unit and all its digits, also where a function of the library refuses the number [SI] that it was converted to."""
     monkeypatch.chdir(tmp_path)
     done = run(*arguments)
@@ -329,7 +329,7 @@ def test_the_folder_of_a_file_must_exist(arguments, option, tmp_path, monkeypatc
     ],
     ids=" ".join,
 )
-def test_a_place_that_the_system_cannot_look_at_is_invalid_input(arguments, tmp_path, monkeypatch):
+def test_an_inaccessible_path_is_invalid_input(arguments, tmp_path, monkeypatch):
     """Such as a folder with a name that is too long, or inside a folder that may not be read."""
     monkeypatch.chdir(tmp_path)
     done = run(*arguments, f"{300 * 'n'}/a.csv")

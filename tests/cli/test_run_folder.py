@@ -103,7 +103,7 @@ sweep(optlink.load("crank-rocker"), ["mechanism.frame=450..550 mm:300"], Path(sy
 
 
 @pytest.mark.slow
-def test_two_resumes_at_once_of_one_study_are_refused_but_for_the_first(tmp_path):
+def test_concurrent_resumes_of_a_study_are_refused(tmp_path):
     out = tmp_path / "out"
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
 

@@ -96,7 +96,7 @@ BY_HAND = [
 
 
 @pytest.mark.parametrize(("text", "expected"), BY_HAND, ids=[text for text, _ in BY_HAND])
-def test_value_by_hand(text, expected):
+def test_values_agree_with_hand_calculation(text, expected):
     np.testing.assert_allclose(value(text), expected, rtol=1e-14, atol=1e-15)
 
 
@@ -111,7 +111,7 @@ def test_constants_of_a_law_that_has_values_somewhere_are_finite(text):
 
 
 @pytest.mark.parametrize("text", ["phi*(1/0)", "phi/(2 - 2)", "sin(log(-1)) + phi", "phi^0/0", "0^-1"])
-def test_constants_without_a_finite_value_are_seen(text):
+def test_constants_without_a_finite_value_are_detected(text):
     assert not parse(text, NAMES).constants_finite
 
 
@@ -123,7 +123,7 @@ def test_names_are_those_that_are_used():
 
 
 @pytest.mark.parametrize("text", ["1/0", "log(-1)", "sqrt(-2)", "0^-1", "exp(1000)", "asin(2)", "(-8)^(1/3)", "0/0", "log(0)"])
-def test_what_has_no_value_is_not_finite_and_silent(text):
+def test_undefined_values_are_not_finite_and_give_no_warning(text):
     """Warnings are errors here."""
     assert not np.isfinite(value(text))
     assert not np.isfinite(value(f"0*phi + {text}", phi=np.array([1.0, 2.0]))).any()
@@ -212,7 +212,7 @@ def differs(tree: Tree) -> bool:
 @example(raised("^", negative(LEAVES[0]), number(2.0)))
 @example(raised("^", LEAVES[0], negative(raised("^", LEAVES[1], number(2.0)))))
 @example(joined("-", "", LEAVES[0], negative(joined("-", "", LEAVES[1], LEAVES[2]))))
-def test_random_expressions_have_pythons_value(tree):
+def test_random_expressions_agree_with_python(tree):
     assert not differs(tree), (tree.text, tree.value, value(tree.text))
 
 
@@ -236,7 +236,7 @@ def test_random_expressions_are_mostly_finite_and_of_every_kind():
     ("sign", "wrong"),
     [("-", np.add), ("/", np.multiply), ("^", lambda a, b: np.power(b, a)), ("*", lambda a, b: 1.0000001 * a * b)],
 )
-def test_comparison_sees_a_wrong_operator(sign, wrong, monkeypatch):
+def test_comparison_detects_a_wrong_operator(sign, wrong, monkeypatch):
     a, b = LEAVES[:2]
     tree = raised("^", a, b) if sign == "^" else joined(sign, "", a, b)
     assert not differs(tree)
@@ -249,7 +249,7 @@ def test_comparison_sees_a_wrong_operator(sign, wrong, monkeypatch):
     [("-", (10, 10)), ("/", (20, 20)), ("^", (40, 41)), ("^", (25, 24)), ("*", (5, 6))],
     ids=["minus from the right", "over from the right", "power from the left", "power below sign", "times below plus"],
 )
-def test_comparison_sees_a_wrong_precedence(sign, powers, monkeypatch):
+def test_comparison_detects_a_wrong_precedence(sign, powers, monkeypatch):
     a, b, c = LEAVES[:3]
     chained = {
         "-": joined("-", "", joined("-", "", a, b), c),
@@ -351,7 +351,7 @@ NO_LAWS = [  # text, what the message must say
 
 
 @pytest.mark.parametrize(("text", "says"), NO_LAWS, ids=[repr(text[:20]) for text, _ in NO_LAWS])
-def test_what_is_not_a_law_is_refused_with_a_remedy(text, says):
+def test_invalid_laws_are_refused_with_a_remedy(text, says):
     with pytest.raises(LawError) as caught:
         parse(text, NAMES)
     assert says in caught.value.message
@@ -364,7 +364,7 @@ def test_what_is_not_a_law_is_refused_with_a_remedy(text, says):
     ("text", "culprit"),
     [("phi + $ 2", '"$"'), ("phi + psi2", '"psi2"'), ("  @", '"@"'), ("phi\u00a0+ 1", '"\u00a0"'), ("\u2003phi", '"\u2003"')],
 )
-def test_message_shows_the_culprit(text, culprit):
+def test_message_shows_the_faulty_part(text, culprit):
     with pytest.raises(LawError) as caught:
         parse(text, NAMES)
     assert culprit in caught.value.message
@@ -381,14 +381,14 @@ def test_message_for_an_unknown_name_lists_the_known_ones():
     "text",
     ["psi0 + |x*2", "|x", "2*(phi +\t|x)", "phi |phi0", "1 + |$", "|sin", "|sin phi", "sin(|)", "1 + |(phi*2", "1 + |1e999"],
 )
-def test_message_says_the_column(text):
+def test_message_states_the_column(text):
     """The bar marks where the culprit begins; columns count from 1."""
     column = text.index("|") + 1
     with pytest.raises(LawError, match=rf"\(column {column}\)"):
         parse(text.replace("|", ""), NAMES)
 
 
-def test_limits_of_length_and_depth_are_those_that_are_named():
+def test_length_and_depth_limits_agree_with_their_messages():
     depth = MAX_DEPTH - 1
     assert value("(" * depth + "1" + ")" * depth) == 1.0
     with pytest.raises(LawError, match="nested"):
@@ -413,7 +413,7 @@ def test_any_text_is_a_law_or_a_law_error(text):
         assert np.shape(law({**HERE, "phi": np.ones(3)})) in ((), (3,))
 
 
-def test_nothing_is_given_to_python_to_evaluate():
+def test_expressions_are_not_evaluated_by_python():
     def guilty(source: str) -> list[str]:
         found = []
         for node in ast.walk(ast.parse(source)):

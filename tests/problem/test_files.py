@@ -155,7 +155,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_bad_value_is_named_with_key_and_remedy(crank_rocker, name):
+def test_bad_values_are_reported_with_key_and_remedy(crank_rocker, name):
     changes, key, words = BAD[name]
     with pytest.raises(InputError) as caught:
         crank_rocker.override(changes)
@@ -202,7 +202,7 @@ def test_bad_value_is_named_with_key_and_remedy(crank_rocker, name):
         ('rocker "30 mm"\n', "no = after a key (at line 1"),
     ],
 )
-def test_a_slip_of_toml_is_named_in_plain_words(tmp_path, text, words):
+def test_toml_syntax_errors_are_explained(tmp_path, text, words):
     (tmp_path / "a.toml").write_text(text, encoding="utf-8", newline="\r\n")
     with pytest.raises(InputError) as caught:
         optlink.load(tmp_path / "a.toml")
@@ -240,7 +240,7 @@ def test_a_value_out_of_range_names_the_range(crank_rocker):
         crank_rocker.override({"limits.swing_angle": "400 deg"})
 
 
-def test_several_faults_are_all_named(crank_rocker):
+def test_all_faults_are_reported(crank_rocker):
     with pytest.raises(InputError) as caught:
         crank_rocker.override({"mechanism.crank": "1 kg", "requirement.points": 0, "limits.crank": "half"})
     assert {fault.key for fault in caught.value.faults} == {"mechanism.crank", "requirement.points", "limits.crank"}
@@ -275,7 +275,7 @@ def test_broken_files(tmp_path, content, words):
 
 
 @pytest.mark.parametrize(("name", "remedy"), [("mine", 'the file "mine.toml"'), ("mine.tml", 'the file "mine.toml"')])
-def test_a_file_without_its_suffix_is_pointed_to(tmp_path, monkeypatch, name, remedy):
+def test_a_missing_suffix_is_suggested(tmp_path, monkeypatch, name, remedy):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match="`optlink list` names the shipped ones; or give the path"):
         load(name)

@@ -302,7 +302,7 @@ def refused(changes: Mapping[str, object], key: str, words: str, problem: str = 
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_bad_value_is_named_with_key_and_remedy(name):
+def test_bad_values_are_reported_with_key_and_remedy(name):
     refused(*BAD[name])
 
 
@@ -321,7 +321,7 @@ def test_mode_of_an_rpr_group_is_that_of_its_guide():
     refused({"mechanism.assembly.G": None}, "mechanism.assembly.G", '"forward" or "backward", along the guide G', "shaper")
 
 
-def test_several_faults_are_all_named():
+def test_all_faults_are_reported():
     with pytest.raises(InputError) as caught:
         load("six-bar", {"bodies.link2.mass": "-1 kg", "drive.speed": 3, "loads.process.force": "1 kg", "gravity": "1 N"})
     assert {fault.key for fault in caught.value.faults} == {"bodies.link2.mass", "drive.speed", "loads.process.force", "gravity"}
@@ -345,13 +345,13 @@ def test_start_that_cannot_be_assembled_lists_what_can_be_reached():
     assert not analyze(problem.override({"drive.start": "0 deg"})).full
 
 
-def test_sizes_that_close_nowhere():
+def test_dimensions_that_never_assemble():
     with pytest.raises(InputError, match="No crank angle can be reached: change the dimensions") as caught:
         analyze(load("six-bar", {"mechanism.links.link2.length": "0.1 m"}))
     assert "six-bar.toml: drive.start" in str(caught.value)
 
 
-def test_a_slow_stroke_of_sizes_that_close_almost_nowhere():
+def test_a_slow_stroke_of_dimensions_that_rarely_assemble():
     with pytest.raises(InputError, match=r"loads\.cutting\.stroke: the crank does not turn fully, and in the range"):
         load("whitworth", {"mechanism.links.arm.length": "50 m"})
 
@@ -444,7 +444,7 @@ def test_broken_files(tmp_path):
         (["solve", "six-bar"], "no [requirement]"),
     ],
 )
-def test_command_line_answers_with_exit_code_2(arguments, words):
+def test_command_line_exits_with_2(arguments, words):
     done = CliRunner().invoke(app, arguments)
     assert done.exit_code == 2
     assert done.stderr.startswith("Error: ")
@@ -453,7 +453,7 @@ def test_command_line_answers_with_exit_code_2(arguments, words):
     assert "Traceback" not in done.stderr
 
 
-def test_command_line_tells_the_faults_as_json():
+def test_command_line_reports_faults_as_json():
     done = CliRunner().invoke(app, ["analyze", "shaper", "--set", "mechanism.links.rocker.length=0.6", "--json"])
     assert done.exit_code == 2
     document = json.loads(done.stdout)
@@ -551,7 +551,7 @@ def test_every_example_of_the_reference_page_runs(example):
         assert analysis.figures[name] == pytest.approx(value, rel=expected.figure_tolerance)
 
 
-def test_the_reference_page_knows_every_key():
+def test_the_reference_page_lists_all_keys():
     from optlink.problem.machine.bodies import BodySection, DriveSection
     from optlink.problem.machine.loads import LoadSection
     from optlink.problem.mechanism import GuideSection, LinkSection

@@ -168,7 +168,7 @@ BAD_LISTS = {
 
 
 @pytest.mark.parametrize("name", BAD_LISTS)
-def test_bad_list_is_named(tmp_path, name):
+def test_bad_lists_are_reported(tmp_path, name):
     raw, key, words = BAD_LISTS[name]
     refused(raw, tmp_path, key, words)
 
@@ -247,7 +247,7 @@ def test_csv_of_a_hundred_thousand_rows(tmp_path):
     assert len(read_points({"csv": "curve.csv"}, tmp_path).points) == MAX_POINTS
 
 
-def test_fewer_rows_than_asked_are_all_kept(tmp_path):
+def test_fewer_rows_than_requested_are_all_kept(tmp_path):
     (tmp_path / "c.csv").write_text("x_mm,y_mm\n1,2\n3,4\n")
     wanted = read_points({"csv": "c.csv", "points": 60}, tmp_path)
     assert len(wanted.points) == 2
@@ -314,7 +314,7 @@ def test_bad_csv_names_the_row(tmp_path, content, words):
     ("titles", "remedy"),
     [("x,y", 'Did you mean "x_mm"?'), ("X_mm,Y_mm", 'Did you mean "x_mm"?'), ("0,150", "Name the columns in a first row")],
 )
-def test_an_unknown_column_is_pointed_to_that_with_its_unit(tmp_path, titles, remedy):
+def test_an_unknown_column_suggests_the_one_with_a_unit(tmp_path, titles, remedy):
     (tmp_path / "c.csv").write_text(f"{titles}\n20,150\n")
     assert refused({"csv": "c.csv"}, tmp_path, "csv", "unknown column").remedy.startswith(remedy)
 
@@ -325,7 +325,7 @@ def test_the_separator_line_of_a_spreadsheet_is_no_row(tmp_path):
 
 
 @pytest.mark.parametrize("form", ["csv", "svg"])
-def test_files_that_are_none(tmp_path, form):
+def test_files_that_are_not_tables(tmp_path, form):
     (tmp_path / "folder").mkdir()
     os.mkfifo(tmp_path / "pipe")
     for name, words in {
@@ -431,7 +431,7 @@ BAD_EXPRESSIONS = {
 
 
 @pytest.mark.parametrize("name", BAD_EXPRESSIONS)
-def test_bad_expression_is_named(tmp_path, name):
+def test_bad_expressions_are_reported(tmp_path, name):
     changes, key, words = BAD_EXPRESSIONS[name]
     refused({**CIRCLE, **changes}, tmp_path, key, words)
 
@@ -715,7 +715,7 @@ BAD_DRAWINGS = {
 
 
 @pytest.mark.parametrize("name", BAD_DRAWINGS)
-def test_bad_drawing_is_named(tmp_path, name):
+def test_bad_drawings_are_reported(tmp_path, name):
     body, key, words = BAD_DRAWINGS[name]
     more = {} if name in ("no shape", "only defs") else {"path": "p"}
     refused(svg(tmp_path, body, **more), tmp_path, key, words)
@@ -768,7 +768,7 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n == "deep" else n for n in HOSTILE])
-def test_hostile_drawings_come_to_an_end(tmp_path, name):
+def test_hostile_drawings_terminate(tmp_path, name):
     """What takes quadratic time would hang here: a hundred thousand of everything."""
     content, words = HOSTILE[name]
     (tmp_path / "h.svg").write_bytes(content)

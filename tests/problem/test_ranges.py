@@ -96,7 +96,7 @@ def test_coordinates_below_zero(problem):
     assert free.model.quantities["A.x"].bounds == pytest.approx((-0.08, 0.09))
 
 
-def test_words_are_left_alone(problem):
+def test_words_are_unchanged(problem):
     assert problem.override({"title": "1..2 mm", "about": ">= 3"}).model.title == "1..2 mm"
 
 

@@ -30,13 +30,13 @@ from optlink.errors import InputError
         ("balance-four-bar", {"balance.counterweights": [{}]}, "optlink show balance-four-bar"),
     ],
 )
-def test_the_remedy_names_what_is_meant(problem: str, change: dict[str, object], remedy: str) -> None:
+def test_the_remedy_suggests_the_intended_name(problem: str, change: dict[str, object], remedy: str) -> None:
     with pytest.raises(InputError) as error:
         optlink.load(problem).override(change)
     assert remedy in str(error.value)
 
 
-def test_nested_tables_in_place_of_a_name_are_pointed_to_read() -> None:
+def test_nested_tables_instead_of_a_name_suggest_read() -> None:
     with pytest.raises(InputError, match=r"nested tables to optlink\.read"):
         optlink.load({"mechanism": {"type": "four-bar"}})  # type: ignore[arg-type]
 

@@ -124,7 +124,7 @@ def charts(name: str):
     return analysis.charts(course(name))
 
 
-def test_the_curves_of_forces_can_be_told_apart_without_colours():
+def test_force_curves_are_distinguishable_without_colours():
     several = [chart for chart in charts("six-bar") if chart.file in ("reactions", "shaking", "torque")]
     looks = [[(one.dash, round(one.width, 2)) for one in panel.traces if one.name] for chart in several for panel in chart.panels]
     assert max(map(len, looks)) >= 7
@@ -195,12 +195,12 @@ def test_curves_pass_through_every_row_of_the_table(name, kind, column, unit):
     result = analysed(name)
     rows = ~np.any(np.abs(np.radians(result["crank_angle_deg"])[:, None] - result.jumps) < 1e-6, axis=1)
     values = at_rows(drawn(picture(name, kind), column), result["crank_angle_deg"][rows])
-    wanted = result[column][rows] * unit
-    np.testing.assert_allclose(values, wanted, rtol=1e-9, atol=1e-9 * np.max(np.abs(wanted)))
+    expected = result[column][rows] * unit
+    np.testing.assert_allclose(values, expected, rtol=1e-9, atol=1e-9 * np.max(np.abs(expected)))
 
 
 @pytest.mark.parametrize("points", [7, pytest.param(30_000, marks=pytest.mark.slow)])
-def test_curves_are_smooth_whatever_the_table(points):
+def test_curves_are_smooth_for_any_table_step(points):
     """A coarse table makes no polygon, a fine one no heavy file."""
     coarse = CycleCurves(analyze(optlink.load("six-bar"), points=points))
     x, y = coarse.line("input.torque_Nm")
@@ -208,7 +208,7 @@ def test_curves_are_smooth_whatever_the_table(points):
     np.testing.assert_allclose(np.interp(100.0, x, y), np.interp(100.0, *course("six-bar").line("input.torque_Nm")), rtol=1e-4)
 
 
-def test_parts_of_the_torque_add_up_and_the_mean_is_the_work_over_the_turn():
+def test_torque_components_add_up_and_the_mean_is_the_work_per_revolution():
     figure = picture("shaper", "torque")
     parts = [drawn(figure, f"input.torque_{part}_Nm")[:, 1] for part in ("inertia", "gravity", "load")]
     np.testing.assert_allclose(np.sum(parts, axis=0), drawn(figure, "input.torque_Nm")[:, 1], atol=1e-6)
@@ -277,13 +277,13 @@ def test_jumps_of_loads_are_gaps_between_one_sided_values():
     assert by_gid(picture("shaper", "torque"), "jump input.torque_Nm") == []  # at a dead centre the torque does not jump
 
 
-def test_a_jump_drawn_as_a_slope_would_be_noticed():
+def test_a_jump_drawn_as_a_slope_is_detected():
     blind = CycleCurves(replace(analysed("shaper"), jumps=np.empty(0)))
     x, y = blind.line("F.normal_N")
     assert slopes(np.stack([x, y], axis=-1)) > 0.2
 
 
-def test_time_runs_to_the_right_also_clockwise():
+def test_time_increases_to_the_right_for_a_clockwise_crank():
     for name, way in (("six-bar", 1.0), ("clockwise", -1.0)):
         axes = picture(name, "torque").axes[0]
         first, last = axes.get_xlim()
@@ -367,7 +367,7 @@ def bodies_in(axes) -> dict[str, list]:
 
 
 @pytest.mark.slow
-def test_positions_are_the_telling_ones():
+def test_characteristic_positions_are_drawn():
     extreme = analysed("six-bar").extremes["input.torque_Nm"]
     named = analysis.positions(course("six-bar"))
     assert list(named) == ["start", "dead centre 1 of slider", "dead centre 2 of slider", "largest torque", "least torque"]
@@ -415,7 +415,7 @@ def check_lengths(axes) -> None:
     assert {gid: bars(axes, gid) for gid in lengths} == {gid: [pytest.approx(length)] for gid, length in lengths.items()}
 
 
-def test_links_have_their_lengths_and_pins_are_where_the_motion_says():
+def test_drawn_links_keep_their_length_and_pins_follow_the_motion():
     for title, at in analysis.positions(course("six-bar")).items():
         axes = panels("six-bar")[title]
         check_lengths(axes)
@@ -425,7 +425,7 @@ def test_links_have_their_lengths_and_pins_are_where_the_motion_says():
         np.testing.assert_allclose(pins.get_xydata(), [motion.position(name)[0] * 1e3 for name in names], atol=1e-9)
 
 
-def test_a_wrong_length_would_be_noticed():
+def test_a_wrong_length_is_detected():
     result = analysed("six-bar")
     wrong = {**result.machine.sizes, "link3.length": 0.81}
     motion = sweep(result.machine.mechanism, wrong, course("six-bar").angles)
@@ -494,8 +494,8 @@ def test_velocity_arrows_are_to_their_scale():
     axes = next(axes for title, axes in panels("six-bar").items() if title.startswith("velocities"))
     arrows = {patch.get_gid(): np.array(patch._posA_posB) for patch in axes.patches if "FancyArrow" in type(patch).__name__}
     assert set(arrows) == {"velocity B", "velocity C", "velocity E", "scale"}
-    (told,) = (text.get_text() for text in axes.texts if "m/s" in text.get_text())
-    per_speed = np.linalg.norm(np.diff(arrows["scale"], axis=0)) / float(told.split()[0])
+    (label,) = (text.get_text() for text in axes.texts if "m/s" in text.get_text())
+    per_speed = np.linalg.norm(np.diff(arrows["scale"], axis=0)) / float(label.split()[0])
     at = analysed("six-bar").extremes["input.torque_Nm"].largest_at
     motion = sweep(analysed("six-bar").machine.mechanism, analysed("six-bar").machine.sizes, np.array([at]), 10.0)
     for point in "BCE":
@@ -503,7 +503,7 @@ def test_velocity_arrows_are_to_their_scale():
         np.testing.assert_allclose((end - begin) / per_speed, motion.velocity(point)[0], rtol=1e-6, atol=1e-9)
 
 
-# --- what people read -----------------------------------------------------------------------------------------------------------
+# --- displayed texts ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("name", "kind"), mostly_slow(sorted(EVERY), *(one for one in sorted(EVERY) if one[0] == "six-bar")))
@@ -532,7 +532,7 @@ def test_labels_stay_in_their_axes_and_off_one_another(name, kind):
                 assert edge.y0 - 1.0 <= box.y0 < box.y1 <= edge.y1 + 1.0, text
 
 
-def test_a_label_is_pushed_off_what_is_there_and_back_into_the_axes():
+def test_labels_avoid_curves_and_stay_inside_the_axes():
     """In a corner with a line through every near place: the label keeps inside, clear, and a thin line leads to it."""
     figure = style.figure(4.0, 3.0)
     axes = figure.subplots()
@@ -577,7 +577,7 @@ def test_units_suit_the_size(largest, unit, shown, factor):
     assert style.scale(-largest, unit) == found
 
 
-def test_numbers_are_told_with_five_digits_and_a_true_minus():
+def test_numbers_have_five_digits_and_a_minus_sign():
     assert style.scale(1105.74, "N m").text(-25.85165) == "−25.9 N·m"
     assert style.scale(278.83, "N m").text(278.8344391) == "278.83 N·m"
     assert style.scale(10.0, "N").text(-1e-12) == "0.000 N"
@@ -597,7 +597,7 @@ def test_axes_are_labelled_in_the_unit_that_is_drawn():
     assert picture("huge", "torque").axes[0].get_ylabel() == "torque on crank [MN·m]"
 
 
-def test_a_title_with_dollars_or_strange_letters_breaks_nothing(tmp_path):
+def test_titles_accept_dollar_signs_and_foreign_letters(tmp_path):
     raw = four_bar(100, 412.865, 232.246, 500, title="Costs $5 or $6_{x}: 连杆机构 🙂 " + "and so on " * 15)
     strange = CycleCurves(analyze(optlink.read(raw)))
     figure = pictures(analysis_forces.torque(strange))["torque"]
@@ -611,13 +611,13 @@ def test_a_title_with_dollars_or_strange_letters_breaks_nothing(tmp_path):
 
 
 @pytest.mark.slow
-def test_no_forces_no_pictures_of_them(tmp_path):
+def test_no_force_charts_without_forces(tmp_path):
     files = view_of("analysis").write(analysed("no masses"), tmp_path)
     assert [file.name for file in files] == ["result.json", "cycle.csv", "mechanism.png", "motion.png", "motion.gif"]
     assert {file.name for file in files} == {path.name for path in tmp_path.iterdir()}
 
 
-def test_a_four_bar_has_no_guides_and_massless_links_shake_nothing():
+def test_a_massless_four_bar_has_no_guide_or_shaking_charts():
     assert picture("partial", "guides") is None
     loaded = analyze(optlink.read({**YOKE, "bodies": {}}))
     assert analysis_forces.shaking(CycleCurves(loaded)) == []
@@ -638,7 +638,7 @@ def test_singular_positions_are_gaps_and_do_not_set_the_scale():
     assert axes.get_ylim()[1] < np.nanmax(curve[:, 1])
 
 
-def test_rounding_is_not_drawn_as_motion():
+def test_rounding_errors_are_not_drawn_as_motion():
     """A crank alone turns evenly: its acceleration is a line at zero, without extremes."""
     alone = {
         "title": "Crank",
@@ -718,7 +718,7 @@ def test_the_mark_runs_along_the_curve(monkeypatch):
             np.testing.assert_allclose(turns, np.sign(analysed(name).speed) * TURN / 24)
 
 
-def test_a_film_that_would_be_large_gets_fewer_pictures(tmp_path, monkeypatch):
+def test_large_animations_drop_frames(tmp_path, monkeypatch):
     noise = np.random.default_rng(0)
     pictures = [noise.integers(0, 255, (20, 20, 3), dtype=np.uint8) for _ in range(80)]
     film = style.one_palette(pictures)

@@ -59,7 +59,7 @@ CASES = [("balance-six-bar", False), ("balance-four-bar", False), ("balance-four
 @pytest.mark.slow
 @pytest.mark.parametrize("picture", ["before_after", "hodograph", "mechanism", "trade"])
 @pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(map(str, case)))
-def test_nothing_is_cut_off(picture, case):
+def test_bars_beyond_the_axes_are_not_clipped_silently(picture, case):
     made = drawn(picture, *case)
     whole = made.bbox
     ticks = {label for axes in made.axes for axis in (axes.xaxis, axes.yaxis) for label in axis.get_ticklabels(which="both")}
@@ -75,15 +75,15 @@ def test_nothing_is_cut_off(picture, case):
 
 
 @pytest.mark.parametrize("quantity", ["shaking moment", "driving torque"])
-def test_curves_are_the_machine_before_and_after(quantity):
+def test_curves_show_the_machine_before_and_after_balancing(quantity):
     """Against the inverse dynamics at the drawn crank angles, in the unit of the axis."""
     found, made = result(), drawn("before_after")
     for name, machine in (("initial", found.machine), ("balanced", found.heavier)):
         line = lines(made, f"{name} {quantity}")[0]
         x, y = (np.asarray(part, dtype=float) for part in (line.get_xdata(), line.get_ydata()))
-        wanted = quantities_of(machine.moving(np.radians(x), found.speed), [BalanceMeasure(quantity)], found.about)[0][:, 0]
+        expected = quantities_of(machine.moving(np.radians(x), found.speed), [BalanceMeasure(quantity)], found.about)[0][:, 0]
         assert "[N·m]" in line.axes.get_ylabel()
-        assert y == pytest.approx(wanted, rel=1e-9, abs=1e-9 * float(np.max(np.abs(wanted))))
+        assert y == pytest.approx(expected, rel=1e-9, abs=1e-9 * float(np.max(np.abs(expected))))
         assert abs(x[-1] - x[0]) == pytest.approx(360.0)
 
 
@@ -144,12 +144,12 @@ def test_hodograph_has_equal_scales_and_both_paths():
 
 
 @pytest.mark.slow
-def test_complete_balance_is_told_as_zero():
+def test_complete_balance_is_shown_as_zero():
     texts = [text.get_text() for text in drawn("hodograph", "balance-four-bar").findobj(Text)]
     assert "balanced: at most 0" in texts
 
 
-def test_trade_off_marks_ends_knee_and_given_machine():
+def test_trade_off_marks_ends_knee_and_initial_machine():
     made, found = drawn("trade"), result().trade
     axes = made.axes[0]
     x, y = (np.asarray(part) for part in lines(made, "realised")[0].get_data())
@@ -164,7 +164,7 @@ def test_trade_off_marks_ends_knee_and_given_machine():
     assert np.asarray(masses) == pytest.approx([point.masses.get("crank", 0.0) for point in found.points])
 
 
-def test_no_picture_of_what_is_not_there():
+def test_no_pictures_without_data():
     limits = {"balance.limits": {"rms shaking force": "1 %"}}
     nothing = optlink.balance(optlink.load("balance-six-bar", limits))
     assert nothing.status == "infeasible"

@@ -65,7 +65,7 @@ def test_a_closed_proof_takes_the_place_of_statistics(solved):
     assert "It is proven that no design within the bounds is better by more than 0.0001 %." in conclusions.design(many, ())
 
 
-def test_an_infeasible_problem_is_proven_so(opposed):
+def test_infeasibility_is_proven(opposed):
     text = shown(opposed)
     assert "proven: no design within the bounds meets all limits; relax one of the limits named in the conflict" in text
     assert "Global optimum boxes" in text
@@ -79,7 +79,7 @@ def test_an_infeasible_problem_is_proven_so(opposed):
     assert repr(opposed).endswith("proven>")
 
 
-def test_an_open_proof_says_what_holds_and_how_to_go_on(unfinished):
+def test_an_open_proof_states_its_bound_and_how_to_continue(unfinished):
     text = shown(unfinished)
     assert "a local optimum" in text
     assert "gap 100 % largest share by which a design could be better, 0.0001 % was required" in text
@@ -92,7 +92,7 @@ def test_an_open_proof_says_what_holds_and_how_to_go_on(unfinished):
     assert "better than that of the local search" in shown(found)
 
 
-def test_a_path_shows_the_same_in_its_units():
+def test_a_path_certificate_has_display_units():
     design = {"crank": 0.0467, "coupler": 0.1162, "rocker": 0.0739}
     result = optlink.validate(optlink.load("transmission-optimal"), design)
     proof = Certificate("within gap", 0.79, 0.789999, 1e-4, 7000, 0, ("crank", "coupler", "rocker"))
@@ -111,7 +111,7 @@ def test_an_exact_design_has_no_gap():
 
 
 @given(st.floats(1e-12, 1e6), st.integers(6, 14))
-def test_a_lower_bound_is_never_shown_above_itself(value, digits):
+def test_a_lower_bound_is_rounded_down(value, digits):
     text = certificate_view.rounded_down(value, digits)
     assert value * (1.0 - 10.0 ** (1 - digits)) <= float(text) <= value
 
@@ -151,7 +151,7 @@ def test_the_bounds_meet_at_the_end(solved):
     assert lower.x[-1] == solved.certificate.boxes
 
 
-def test_pictures_only_of_what_is_there(solved, unfinished):
+def test_no_charts_without_a_cover(solved, unfinished):
     assert "boxes" not in charts(unfinished)
     assert "bounds" not in charts(unfinished)
     [cover] = solved.certificate.covers
@@ -217,16 +217,16 @@ DAMAGED = {
 @pytest.mark.parametrize("key", DAMAGED)
 def test_a_damaged_certificate_is_refused_in_a_sentence(solved, tmp_path, key):
     document = copy.deepcopy(solved.to_dict())
-    document["certificate"][key], told = DAMAGED[key]
+    document["certificate"][key], message = DAMAGED[key]
     with pytest.raises(optlink.InputError) as refused:
         stored(document, tmp_path)
-    assert told in str(refused.value)
+    assert message in str(refused.value)
     assert "damaged" in str(refused.value)
     assert "\n" not in str(refused.value)
 
 
 def test_boxes_with_unknown_tests_or_reversed_corners_are_refused(solved, tmp_path):
-    for change, told in (
+    for change, message in (
         ({"test": ["magic"]}, "discarded[0].test"),
         ({"low": [[0.9, 0.9]]}, "the upper corner of a box lies below its lower corner"),
     ):
@@ -235,7 +235,7 @@ def test_boxes_with_unknown_tests_or_reversed_corners_are_refused(solved, tmp_pa
         document["certificate"]["discarded"] = [one]
         with pytest.raises(optlink.InputError, match="damaged") as refused:
             stored(document, tmp_path)
-        assert told in str(refused.value)
+        assert message in str(refused.value)
 
 
 def test_a_certificate_of_another_verdict_is_refused(solved, tmp_path):

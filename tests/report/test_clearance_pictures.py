@@ -1,4 +1,4 @@
-"""Pictures of machines with clearance show what the simulation found: drawn data, limits, panels, words."""
+"""Pictures of machines with clearance agree with the simulation: drawn data, limits, panels, labels."""
 
 from __future__ import annotations
 
@@ -124,16 +124,16 @@ def simulated(name: str) -> ClearanceSimulation:
 KINDS = ("mechanism", "displacement", "error", "orbit", "force", "impacts", "section", "torque", "energy")
 
 
-def test_the_conclusion_tells_the_force_of_running_in_apart() -> None:
+def test_the_conclusion_separates_the_running_in_force() -> None:
     result = simulated("periodic")
     forces = result.per_revolution["C.normal_max_N"]
     last = float(np.max(forces[-int(result.figures["settled_revolutions"]) :]))
     assert float(np.max(forces)) > 2.0 * last
     with single_units():
-        said = conclusions.clearance(result).partition("contact force reaches ")[2]
-    assert float(said.split()[0]) == pytest.approx(last, rel=1e-3)
-    assert float(said.partition("(")[2].split()[0]) == pytest.approx(float(np.max(forces)), rel=1e-3)
-    assert said.endswith("while it runs in).")
+        text = conclusions.clearance(result).partition("contact force reaches ")[2]
+    assert float(text.split()[0]) == pytest.approx(last, rel=1e-3)
+    assert float(text.partition("(")[2].split()[0]) == pytest.approx(float(np.max(forces)), rel=1e-3)
+    assert text.endswith("while it runs in).")
 
 
 def drawn(result: ClearanceSimulation) -> dict[str, Figure]:
@@ -181,7 +181,7 @@ def test_fold_breaks_where_a_revolution_ends(way: float) -> None:
     assert np.all(way * steps[np.isfinite(steps)] >= 0.0)
 
 
-def test_fold_takes_away_the_turns_of_what_turns_along() -> None:
+def test_fold_subtracts_full_turns_of_rotating_outputs() -> None:
     angle = np.arange(1.0, 1081.0)
     x, y = fold(angle, np.radians(angle), 2.0 * math.pi)
     np.testing.assert_allclose(y, np.radians(x), atol=1e-12)
@@ -194,7 +194,7 @@ def test_small_helpers() -> None:
     assert rough(math.radians(0.123456), "deg") == "0.1235°"
 
 
-def test_turns_know_their_revolutions() -> None:
+def test_rows_are_assigned_to_revolutions() -> None:
     turns = RevolutionCurves(simulated("periodic"))
     assert (turns.points, turns.kept, turns.begin, turns.shown) == (72, 13, 6, 8)
     assert turns.counted == "revolutions 6 to 13"
@@ -213,7 +213,7 @@ def test_turns_know_their_revolutions() -> None:
 
 
 @pytest.mark.parametrize("name", MACHINES)
-def test_every_picture_can_be_drawn_and_says_its_units(name: str) -> None:
+def test_every_chart_is_drawn_with_units(name: str) -> None:
     for kind in KINDS:
         made = picture(name, kind)
         if made is None:
@@ -291,7 +291,7 @@ def test_an_angle_is_shown_in_degrees() -> None:
     assert np.nanmax(bold) - np.nanmin(bold) < 361.0
 
 
-def test_clockwise_goes_on_to_the_right() -> None:
+def test_clockwise_motion_is_drawn_to_the_right() -> None:
     for kind in ("displacement", "force", "torque"):
         axes = shown("clockwise", kind).axes[-1]
         assert axes.get_xlim() == (360.0, 0.0)
@@ -397,23 +397,23 @@ def test_energy_account_closes() -> None:
         assert "of the largest energy" in words(made)
 
 
-def test_section_tells_whether_the_motion_repeats() -> None:
+def test_poincare_section_detects_periodic_motion() -> None:
     made = shown("periodic", "section")
     assert len(made.axes) == 2
-    told = words(made)
-    assert "periodic: the journals' positions repeat every revolution" in told
-    assert "agree over the 13 revolutions compared" in told
+    texts = words(made)
+    assert "periodic: the journals' positions repeat every revolution" in texts
+    assert "agree over the 13 revolutions compared" in texts
     assert clearance_joints.repetition(RevolutionCurves(simulated("periodic")))[0] == 1
     assert len(by_gid(made, "early")[0].get_xdata()) == 5
-    told = words(shown("chaotic", "section"))
-    assert "not periodic" in told
-    assert "sensitive: runs at two tolerances diverge after" in told
+    texts = words(shown("chaotic", "section"))
+    assert "not periodic" in texts
+    assert "sensitive: runs at two tolerances diverge after" in texts
     assert "too few revolutions" in words(shown("fast", "section"))
     assert "nominal periods" in words(shown("torque", "section"))
     assert len(shown("three gaps", "section").axes) == 4
 
 
-def test_section_finds_longer_periods() -> None:
+def test_poincare_section_detects_longer_periods() -> None:
     result = simulated("periodic")
     count = 12
     places = {"C.ex_m": np.tile([0.0, 1e-4, 2e-4], 4), "C.ey_m": np.zeros(count)}
@@ -432,7 +432,7 @@ def test_impacts() -> None:
     assert "impacts" not in drawn(replace(result, impacts=()))
 
 
-def test_the_loupe_shows_journals_where_they_are() -> None:
+def test_close_ups_show_the_journal_positions() -> None:
     for name in ("three gaps", "four-bar", "clockwise"):
         result, made = simulated(name), shown(name, "mechanism")
         stage, strip = made.axes
@@ -455,7 +455,7 @@ def test_the_loupe_shows_journals_where_they_are() -> None:
         assert "-fold" in words(made)
 
 
-def test_ideal_joints_stay_closed_where_deviations_are_exaggerated() -> None:
+def test_ideal_joints_stay_closed_with_magnified_deviations() -> None:
     for name, pin, bodies in (("four-bar", "B", ("crank", "coupler")), ("clockwise", "B", ("crank", "rod"))):
         turns = RevolutionCurves(simulated(name))
         sketch = magnified_joints.MagnifiedMachine(turns, np.arange(72, 144, 5))

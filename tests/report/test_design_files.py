@@ -1,4 +1,4 @@
-"""The design.toml of every kind of answer: moved as a folder, read from elsewhere, it moves as the result says."""
+"""The design.toml of every kind of result: loaded from another folder, its machine moves like the design."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ def check_lengths(raw: dict[str, Any], result: dict[str, Any], machine: dict[str
 
 
 def check_law(result: dict[str, Any], machine: dict[str, Any]) -> None:
-    """From the start of the law on the rocker turns as two circles that meet say, and the largest error is that of the result."""
+    """The rocker angle agrees with the intersection of two circles, and the largest error with the result."""
     sizes = {name: result["design"][f"{name}_mm"] for name in SIZES}
     crank, rocker = np.radians(column(machine, "crank_angle_deg")), column(machine, "rocker.angle_rad")
     assert math.remainder(crank[0] - math.radians(result["design"]["phi0_deg"]), math.tau) == pytest.approx(0.0, abs=1e-9)
@@ -221,7 +221,7 @@ KINDS = ["law", "function", "path", "timed path", "motion", "transmission", "six
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_design_file_of_every_kind_of_answer_is_a_machine(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_design_file_of_every_kind_of_result_is_a_machine(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (function, path, cycle, balance):
         plain = View(tables=module.VIEW.tables, design=module.VIEW.design)
         monkeypatch.setattr(module, "VIEW", plain)

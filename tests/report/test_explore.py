@@ -49,7 +49,7 @@ def shaper(begun_shaper):
     return reset(begun_shaper)
 
 
-def test_it_begins_with_the_optimum(begun):
+def test_the_explorer_starts_at_the_optimum(begun):
     fixed = {"mechanism.crank", "mechanism.frame", "limits.transmission_angle.min", LIMIT}
     assert set(begun.sliders) == {"coupler", "rocker"} | fixed
     assert begun.sliders["coupler"].value == pytest.approx(412.865, abs=1e-3)
@@ -79,7 +79,7 @@ def test_a_design_variable_is_validated(rocker):
     assert rocker.sliders["rocker"].value == pytest.approx(232.246, abs=1e-3)
 
 
-def test_a_limit_is_optimised_again(rocker):
+def test_a_changed_limit_is_reoptimised(rocker):
     rocker.sliders[LIMIT].value = 125.0
     own = optlink.solve(optlink.load("crank-rocker", {LIMIT: "125 deg"}))
     assert rocker.result.objective == pytest.approx(own.objective, rel=1e-9)
@@ -95,7 +95,7 @@ def test_a_limit_is_optimised_again(rocker):
 
 
 @pytest.mark.slow
-def test_the_rounding_of_a_slider_is_no_change(rocker):
+def test_slider_rounding_does_not_change_the_design(rocker):
     """A front end rounds the value that it shows to a step of the slider, and sends it back."""
     rocker.optimise()
     result, slider = rocker.result, rocker.sliders["coupler"]
@@ -113,7 +113,7 @@ def test_a_value_that_is_refused_keeps_the_last_result(rocker):
 
 
 @pytest.mark.slow
-def test_limits_that_conflict_are_named(rocker):
+def test_conflicting_limits_are_listed(rocker):
     rocker.sliders[LIMIT].value = 125.0
     rocker.sliders["mechanism.frame"].value = 250.0
     assert "no feasible design" in rocker.status.value
@@ -121,7 +121,7 @@ def test_limits_that_conflict_are_named(rocker):
 
 
 def test_the_crank_moves_the_drawing(rocker):
-    """B is at the crank angle that stands beside the slider."""
+    """B is at the crank angle shown by the slider."""
     rocker.crank.value = 30
     angle = np.radians(rocker._moving.stops.values[30])
     (place,) = re.findall(r'<circle data-point="B" transform="translate\((\S+) (\S+)\)"', rocker.drawing.value)
@@ -139,8 +139,8 @@ def test_machines_are_analysed(shaper):
     assert not hasattr(shaper.panel.children[0].children[0].children[-1], "on_click")
 
 
-def test_sliders_that_still_move_are_awaited(shaper, monkeypatch):
-    """In a kernel nothing is computed before the sliders rest; then once, for the last values."""
+def test_computation_waits_for_the_sliders_to_rest(shaper, monkeypatch):
+    """In a kernel the result is computed once, for the last values, after the sliders rest."""
     calls = []
     monkeypatch.setattr(module, "PAUSE", 0.01)
     monkeypatch.setattr(module, "analyze", lambda problem: calls.append(problem) or optlink.analyze(problem))
@@ -165,7 +165,7 @@ def test_a_notebook_without_widgets_shows_the_result(rocker):
     assert shown["text/plain"].startswith("<Explorer of <FunctionResult 'crank-rocker'")
 
 
-def test_a_missing_package_is_named(monkeypatch):
+def test_a_missing_package_is_reported(monkeypatch):
     monkeypatch.setitem(sys.modules, "ipywidgets", None)
     with pytest.raises(InputError, match=r'ipywidgets.*pip install "optlink\[notebook\]"'):
         optlink.explore("crank-rocker", sliders=True)

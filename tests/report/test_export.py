@@ -332,7 +332,7 @@ def test_every_format_by_the_command(tmp_path, ending):
         (("-o", "a.dxf", "--problem", "six-bar"), "a RESULT only"),
     ],
 )
-def test_bad_input_is_named_and_nothing_is_written(tmp_path, monkeypatch, arguments, words):
+def test_bad_input_is_reported_and_nothing_is_written(tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder.dxf").mkdir()
     done = run(*GOOD, *arguments)
@@ -356,7 +356,7 @@ def test_a_crank_angle_that_cannot_be_reached(tmp_path):
     assert left_behind(tmp_path) == ["swing.toml"]
 
 
-def test_an_invalid_design_is_written_only_if_asked_for(tmp_path):
+def test_an_invalid_design_is_exported_only_on_request(tmp_path):
     design = ("--design", "coupler=410 mm", "--design", "rocker=220 mm")
     path = tmp_path / "a.dxf"
     done = run(*GOOD, *design, "-o", str(path))
@@ -371,7 +371,7 @@ def test_an_invalid_design_is_written_only_if_asked_for(tmp_path):
     assert np.linalg.norm(first - second) == pytest.approx(410.0, abs=1e-9)
 
 
-def test_what_it_is_made_of_is_not_overwritten(tmp_path):
+def test_export_does_not_overwrite_its_input(tmp_path):
     result = tmp_path / "result.json"
     result.write_text(run("solve", "crank-rocker", "--json").stdout)
     before = result.read_bytes()
@@ -381,7 +381,7 @@ def test_what_it_is_made_of_is_not_overwritten(tmp_path):
     assert result.read_bytes() == before
 
 
-def test_a_full_disk_leaves_nothing_behind(tmp_path, monkeypatch, crank_rocker_subject):
+def test_a_full_disk_leaves_no_files(tmp_path, monkeypatch, crank_rocker_subject):
     path = tmp_path / "a.dxf"
     path.write_text("as it was")
 
@@ -409,7 +409,7 @@ for path in sys.argv[1:]:
 
 
 @pytest.mark.slow
-def test_files_that_may_not_grow_leave_the_former_ones(tmp_path):
+def test_failed_writes_keep_the_previous_file(tmp_path):
     """A limit of the system on the size of files, met in the middle of the writing, in a process of its own."""
     pytest.importorskip("resource", reason="this system has no such limits")
     paths = [tmp_path / f"a{ending}" for ending in (*FORMATS, ".html")]
@@ -426,7 +426,7 @@ def test_files_that_may_not_grow_leave_the_former_ones(tmp_path):
 
 
 @pytest.mark.parametrize("ending", mostly_slow([".svg", ".csv", ".json", ".html"], ".svg", ".html"))
-def test_a_full_disk_leaves_the_former_file(tmp_path, monkeypatch, ending):
+def test_a_full_disk_keeps_the_previous_file(tmp_path, monkeypatch, ending):
     """Every way of writing, with a disk that is full after the first letters."""
     path = tmp_path / f"a{ending}"
     path.write_text("as it was")
@@ -448,7 +448,7 @@ def test_a_full_disk_leaves_the_former_file(tmp_path, monkeypatch, ending):
     assert path.read_text() == "as it was"
 
 
-def test_a_disk_that_is_full_before_the_first_letter(tmp_path, monkeypatch):
+def test_a_full_disk_at_the_first_byte(tmp_path, monkeypatch):
     """Not even the temporary file can be made; and long names leave room for it."""
     import tempfile
 
@@ -466,7 +466,7 @@ def test_a_disk_that_is_full_before_the_first_letter(tmp_path, monkeypatch):
     assert left_behind(tmp_path) == [path.name]
 
 
-def test_a_subject_with_a_name_that_no_system_takes(tmp_path):
+def test_file_names_that_are_too_long_are_refused(tmp_path):
     for command, ending in {"export": "dxf", "report": "html"}.items():
         done = run(command, "a" * 300, "-o", str(tmp_path / f"a.{ending}"))
         assert done.exit_code == 2
@@ -475,8 +475,8 @@ def test_a_subject_with_a_name_that_no_system_takes(tmp_path):
 
 @pytest.mark.parametrize("command", ["export", "report"])
 @pytest.mark.parametrize("as_json", [False, True])
-def test_a_place_that_cannot_be_written_to_is_named_before_any_work(tmp_path, monkeypatch, command, as_json):
-    """A folder that is none, a file in place of one, a folder in place of a file, an ending that nobody knows."""
+def test_an_unwritable_target_is_reported_before_solving(tmp_path, monkeypatch, command, as_json):
+    """A missing folder, a file instead of a folder, a folder instead of a file, an unknown extension."""
     monkeypatch.chdir(tmp_path)
     ending = ".html" if command == "report" else ".dxf"
     (tmp_path / f"folder{ending}").mkdir()
@@ -536,7 +536,7 @@ def boxes_of_names(drawing: str) -> dict[str, tuple[float, float, float, float]]
     return found
 
 
-def test_long_names_of_points_do_not_meet_in_the_moving_drawing():
+def test_long_point_names_do_not_overlap_in_the_animation():
     """Over all positions: a name keeps its place beside its point. Both ends of a name are shown, and all of it on hovering."""
     text = json.dumps({key: value for key, value in optlink.load("six-bar").raw.items() if key != "expected"})
     text = text.replace("left of B-D", f"left of {LONG['B']}-{LONG['D']}")
@@ -557,7 +557,7 @@ def test_long_names_of_points_do_not_meet_in_the_moving_drawing():
     assert meeting < 0.25 * len(moving.angles)  # only where the crank pin passes the name of its pivot
 
 
-def test_names_of_pivots_are_clear_of_their_hatching():
+def test_pivot_names_do_not_overlap_the_hatching():
     moving = scene(analyze(optlink.load("six-bar")))
     boxes = boxes_of_names(svg(moving, "six-bar"))
     for name in moving.still:

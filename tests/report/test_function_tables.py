@@ -87,7 +87,7 @@ def test_moments_of_inertia_have_the_product_dot_of_torques() -> None:
     assert [column.name for column in bodies.columns][-1] == "inertia [kg·m^2]"
 
 
-def test_iterations_that_a_stored_result_does_not_know_are_not_zero(solved: optlink.FunctionResult) -> None:
+def test_unknown_iterations_of_a_stored_result_are_not_zero(solved: optlink.FunctionResult) -> None:
     assert solved.solution is not None
     assert f"{solved.solution.iterations} iterations" in shown(solved)
     assert " iterations" not in shown(replace(solved, solution=replace(solved.solution, iterations=0)))
@@ -165,7 +165,7 @@ def test_a_relaxed_limit_without_a_unit_has_one_space_before_its_difference() ->
     assert "<= 1.00978 (0.009778)" in caught.get()
 
 
-def test_a_limit_of_one_value_is_called_exact_with_the_way_to_state_a_side() -> None:
+def test_a_conflicting_single_value_limit_is_explained_as_exact() -> None:
     """As one writes it who means the least transmission angle: `transmission_angle = "40 deg"`."""
     key, names = "limits.transmission_angle", ("smallest transmission angle", "largest transmission angle")
     pairs = zip(names, (">=", "<="), (31.67, 48.33), strict=True)
@@ -241,7 +241,7 @@ def test_a_law_of_the_crank_angle_has_no_chart_in_x_and_y(solved: optlink.Functi
     assert function_values(solved) == []
 
 
-def test_an_error_that_is_larger_between_the_positions_is_stated() -> None:
+def test_a_larger_error_between_the_positions_is_shown() -> None:
     law = {"requirement.law": "psi0 + 0.35*(phi - phi0)", "requirement.from": {"bounds": ["0 deg", "360 deg"]}}
     file = optlink.load("crank-rocker").override({**law, "requirement.points": 3})
     result = optlink.validate(file, {"coupler": 0.45, "rocker": 0.25, "phi0": 1.0})

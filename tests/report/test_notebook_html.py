@@ -80,7 +80,7 @@ def test_a_design_that_cannot_be_assembled_has_a_table_alone():
 
 
 @pytest.mark.slow
-def test_two_results_on_a_page_move_apart(driver, result, tmp_path):
+def test_two_results_on_a_page_move_independently(driver, result, tmp_path):
     """In a browser: the slider of the second output moves its own drawing and nothing of the first."""
     path, shaper = tmp_path / "two.html", optlink.analyze(optlink.load("shaper"))._repr_html_()
     path.write_text(f"<meta charset='utf-8'><link rel='icon' href='data:,'>{result._repr_html_()}{shaper}")

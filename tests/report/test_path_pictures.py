@@ -45,7 +45,7 @@ FOUR_BAR = {
 PLANTED = oracle.four_bar(100.0, 30.0, 80.0, 75.0, x=10.0, y=20.0, direction=0.3, along=50.0, across=40.0, mode=1)
 ROUND = np.radians(30.0) + oracle.TURN * np.arange(12) / 12
 PART = np.radians([40.0, 70.0, 95.0, 130.0, 170.0])
-MISS = np.column_stack([1.5 * np.sin(2.0 * ROUND), 0.8 * np.cos(3.0 * ROUND) + 0.3])  # wanted minus generated [mm]
+MISS = np.column_stack([1.5 * np.sin(2.0 * ROUND), 0.8 * np.cos(3.0 * ROUND) + 0.3])  # target minus generated [mm]
 TOLERANCES = np.array([2.0, 1.0, math.inf, 3.0, 2.5, 2.0, 2.0, math.inf, 2.0, 3.0, 2.0, 2.0])
 SLIDER = oracle.slider_crank(40.0, 110.0, x=5.0, y=-10.0, direction=0.2, offset=8.0, along=60.0, across=35.0, mode=1)
 
@@ -79,8 +79,8 @@ def outcome(*found: PathDesign, nearest: PathDesign | None = None) -> PathResult
     return PathResult(problem, tuple(found), nearest, "ipopt", 0, 100, evidence([10, 90]), {})
 
 
-def path_raw(wanted: np.ndarray, tolerances: np.ndarray | None = None, side: str = "left", **more: object) -> dict:
-    rows = [{"x": f"{x!r} mm", "y": f"{y!r} mm"} for x, y in wanted.tolist()]
+def path_raw(target: np.ndarray, tolerances: np.ndarray | None = None, side: str = "left", **more: object) -> dict:
+    rows = [{"x": f"{x!r} mm", "y": f"{y!r} mm"} for x, y in target.tolist()]
     for row, tolerance in zip(rows, [] if tolerances is None else tolerances, strict=tolerances is not None):
         if math.isfinite(tolerance):
             row["tolerance"] = f"{tolerance} mm"
@@ -124,9 +124,9 @@ def result(name: str) -> PathResult:
         case "tolerances":
             return outcome(made(path_raw(PLACED + MISS, TOLERANCES, closed=True), exact, ROUND))
         case "lift":  # a point far away that has no tolerance
-            wanted = PLACED + 0.1 * MISS
-            wanted[7] += (0.0, 60.0)
-            return outcome(made(path_raw(wanted, np.where(np.arange(12) == 7, math.inf, 1.0), closed=True), exact, ROUND))
+            target = PLACED + 0.1 * MISS
+            target[7] += (0.0, 60.0)
+            return outcome(made(path_raw(target, np.where(np.arange(12) == 7, math.inf, 1.0), closed=True), exact, ROUND))
         case "exact":
             return outcome(made(path_raw(PLACED, closed=True), exact, ROUND))
         case "two poses":
@@ -135,8 +135,8 @@ def result(name: str) -> PathResult:
             poses = oracle.planted_poses(PLANTED, PART) + np.column_stack([MISS[:5], [0.02, -0.01, 0.03, 0.0, -0.02]])
             return outcome(made(motion_raw(poses), exact, PART))
         case "slider":
-            wanted = oracle.planted_path(SLIDER, ROUND) + MISS
-            rows = [[f"{x!r} mm", f"{y!r} mm"] for x, y in wanted.tolist()]
+            target = oracle.planted_path(SLIDER, ROUND) + MISS
+            rows = [[f"{x!r} mm", f"{y!r} mm"] for x, y in target.tolist()]
             raw = slider_raw({"kind": "path", "points": rows, "closed": True}, point=True)
             return outcome(made(raw, {**SLIDER_SIZES, "rod.P.along": 60.0 * MM, "rod.P.across": 35.0 * MM}, ROUND))
         case "six-bar":
@@ -208,8 +208,8 @@ def generated(name: str) -> np.ndarray:
 
 def fold(axes) -> float:
     """How many times as large deviations are drawn, as the legend says."""
-    (told,) = (text for text in axes.get_legend_handles_labels()[1] if text.startswith("deviation"))
-    return float(re.search(r"drawn ([\d.e+]+)-fold", told)[1]) if "drawn" in told else 1.0
+    (label,) = (text for text in axes.get_legend_handles_labels()[1] if text.startswith("deviation"))
+    return float(re.search(r"drawn ([\d.e+]+)-fold", label)[1]) if "drawn" in label else 1.0
 
 
 # --- on the curve --------------------------------------------------------------------------------------------------------
@@ -217,18 +217,18 @@ def fold(axes) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", POINTED)
-def test_points_stand_where_they_are_wanted(name):
-    wanted = np.array(result(name).problem.model.target_points.points) * 1e3
+def test_target_points_are_drawn_at_their_coordinates(name):
+    target = np.array(result(name).problem.model.target_points.points) * 1e3
     for axes in picture(name, "path").axes:
-        np.testing.assert_allclose(line(axes, "target"), wanted, atol=1e-9)
+        np.testing.assert_allclose(line(axes, "target"), target, atol=1e-9)
         assert axes.get_xlabel() == "x [mm]"
         low, high = np.array([axes.get_xlim(), axes.get_ylim()]).T
-        assert np.all((wanted > low) & (wanted < high))
+        assert np.all((target > low) & (target < high))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["path", "tolerances", "poses", "slider", "many"])
-def test_the_curve_passes_where_the_oracle_says(name):
+def test_the_curve_agrees_with_the_oracle(name):
     own = SLIDER if name == "slider" else oracle_of(result(name).best)
     for axes in picture(name, "path").axes:
         drawn = line(axes, "run")[:: 7 if len(line(axes, "run")) > 200 else 1]
@@ -240,21 +240,21 @@ def test_the_curve_passes_where_the_oracle_says(name):
 @pytest.mark.slow
 def test_a_curve_through_all_points_of_a_six_bar():
     axes = picture("six-bar", "path").axes[1]
-    wanted, drawn = line(axes, "target"), line(axes, "run")
+    target, drawn = line(axes, "target"), line(axes, "run")
     along = np.diff(drawn, axis=0)
-    share = np.clip(np.sum((wanted[:, None] - drawn[:-1]) * along, axis=-1) / np.sum(along**2, axis=-1), 0.0, 1.0)
+    share = np.clip(np.sum((target[:, None] - drawn[:-1]) * along, axis=-1) / np.sum(along**2, axis=-1), 0.0, 1.0)
     feet = drawn[:-1] + share[..., None] * along
-    assert np.max(np.linalg.norm(wanted[:, None] - feet, axis=-1).min(axis=1)) < 5e-3  # chords of half a degree
+    assert np.max(np.linalg.norm(target[:, None] - feet, axis=-1).min(axis=1)) < 5e-3  # chords of half a degree
 
 
 @pytest.mark.parametrize("name", mostly_slow(("path", "tolerances", "poses", "slider", "miss"), "path", "tolerances", "poses"))
-def test_lines_lead_from_wanted_to_generated(name):
+def test_deviation_lines_connect_target_and_generated_points(name):
     axes = picture(name, "path").axes[1]
     times = fold(axes)
     sticks = line(axes, "deviations").reshape(-1, 3, 2)
-    wanted = np.array(result(name).problem.model.target_points.points) * 1e3
-    np.testing.assert_allclose(sticks[:, 0], wanted, atol=1e-9)
-    np.testing.assert_allclose(sticks[:, 1], wanted + times * (generated(name) - wanted), atol=1e-6 * times)
+    target = np.array(result(name).problem.model.target_points.points) * 1e3
+    np.testing.assert_allclose(sticks[:, 0], target, atol=1e-9)
+    np.testing.assert_allclose(sticks[:, 1], target + times * (generated(name) - target), atol=1e-6 * times)
 
 
 def test_tolerances_are_circles_with_their_radius():
@@ -289,7 +289,7 @@ def test_poses_are_frames_at_their_angle():
     assert len(ghosts) == 4  # the fifth is the mechanism itself
 
 
-def test_the_curve_from_near_leaves_out_what_is_far():
+def test_the_close_up_omits_distant_parts_of_the_curve():
     """A few points on a part of a large curve: they fill the picture."""
     phi = np.radians([60.0, 70.0, 80.0, 90.0])
     tight = made(path_raw(oracle.planted_path(PLANTED, phi)), values_of(PLANTED), phi)
@@ -301,11 +301,11 @@ def test_the_curve_from_near_leaves_out_what_is_far():
     assert np.max(high - low) < 2.2 * reach < 0.7 * np.ptp(PLACED, axis=0).max()
 
 
-@pytest.mark.parametrize(("numbers", "told"), [([1, 2, 3, 4], "1–4"), ([1, 10], "1, 10"), ([7], "7"), ([3, 4], "3, 4")])
-def test_points_in_one_place_share_a_label(numbers, told):
+@pytest.mark.parametrize(("numbers", "label"), [([1, 2, 3, 4], "1–4"), ([1, 10], "1, 10"), ([7], "7"), ([3, 4], "3, 4")])
+def test_coincident_points_share_a_label(numbers, label):
     from optlink.report.views.path_charts import _listed
 
-    assert _listed(numbers) == told
+    assert _listed(numbers) == label
 
 
 # --- how far off ---------------------------------------------------------------------------------------------------------
@@ -319,8 +319,8 @@ def bars(axes, gid: str) -> np.ndarray:
 @pytest.mark.parametrize("name", ["path", "tolerances", "poses", "slider", "miss", "lift"])
 def test_bars_are_the_deviations(name):
     panels = picture(name, "errors").axes
-    wanted = np.array(result(name).problem.model.target_points.points) * 1e3
-    miss = generated(name) - wanted
+    target = np.array(result(name).problem.model.target_points.points) * 1e3
+    miss = generated(name) - target
     np.testing.assert_allclose(bars(panels[0], "distances"), np.linalg.norm(miss, axis=1), rtol=1e-7)
     own = SLIDER if name == "slider" else oracle_of(result(name).best)
     phi, step = result(name).best.crank_angles, 1e-5
@@ -352,18 +352,18 @@ def test_bars_beyond_the_tolerance_are_red():
 
 
 @pytest.mark.slow
-def test_a_bar_that_would_hide_the_others_is_cut_and_says_how_long_it_is():
+def test_an_oversized_bar_is_cut_off_and_labelled_with_its_value():
     axes = picture("lift", "errors").axes[0]
     off = np.linalg.norm(generated("lift") - np.array(result("lift").problem.model.target_points.points) * 1e3, axis=1)
     assert axes.get_ylim()[1] < 2.0 < 50.0 < off[7]
-    (told,) = (text for text in axes.texts if text.get_gid() == "cut off")
-    assert float(told.get_text().split()[1]) == pytest.approx(off[7], rel=1e-3)
-    assert told.xy[0] == 8.0
+    (label,) = (text for text in axes.texts if text.get_gid() == "cut off")
+    assert float(label.get_text().split()[1]) == pytest.approx(off[7], rel=1e-3)
+    assert label.xy[0] == 8.0
     assert not [text for axes in picture("tolerances", "errors").axes for text in axes.texts if text.get_gid() == "cut off"]
 
 
 @pytest.mark.slow
-def test_rounding_is_shown_as_such():
+def test_rounding_errors_are_marked_as_rounding():
     axes = picture("exact", "errors").axes[0]
     level = 1e-9 * math.sqrt(float(np.mean(np.sum((PLACED - PLACED.mean(axis=0)) ** 2, axis=1))))
     assert line(axes, "level")[0, 1] == pytest.approx(level, rel=1e-6)
@@ -398,14 +398,14 @@ def test_transmission_angles_are_those_of_the_cosine_law():
     assert not {"path", "errors"} & {name for name, drawn in drawings(result("transmission")).items() if drawn}
 
 
-def test_output_of_a_function_beside_the_law():
+def test_generated_output_is_drawn_with_its_law():
     panels = picture("function", "curve").axes
-    found, wanted = line(panels[0], "generated generated"), line(panels[0], "target")
+    found, target = line(panels[0], "generated generated"), line(panels[0], "target")
     np.testing.assert_allclose(found[:, 1], oracle.direct(SLIDER, np.radians(found[:, 0])).output, atol=1e-7)
-    share = (np.radians(wanted[:, 0]) - math.radians(-70.0)) / (0.5 * math.pi)
+    share = (np.radians(target[:, 0]) - math.radians(-70.0)) / (0.5 * math.pi)
     root = np.sqrt(0.1 + 0.9 * share)
     law = 75.0 + 40.0 * (root - math.sqrt(0.1)) / (1.0 - math.sqrt(0.1))
-    np.testing.assert_allclose(wanted[:, 1], law, atol=1e-7)
+    np.testing.assert_allclose(target[:, 1], law, atol=1e-7)
     np.testing.assert_allclose(line(panels[1], "error")[:, 1], found[:, 1] - law, atol=1e-7)
     assert panels[0].get_ylabel() == "place along G [mm]"
     assert len(line(panels[1], "positions")) == 25
@@ -414,7 +414,7 @@ def test_output_of_a_function_beside_the_law():
 # --- several designs -----------------------------------------------------------------------------------------------------
 
 
-def test_designs_stand_side_by_side_and_cognates_are_named():
+def test_designs_are_drawn_side_by_side_with_cognates_named():
     found = result("cognates").designs
     one, two = oracle_of(found[0]), oracle_of(found[1])
     assert abs(one["coupler"] - two["coupler"]) > 1.0
@@ -432,7 +432,7 @@ def test_designs_stand_side_by_side_and_cognates_are_named():
 
 
 @pytest.mark.parametrize("change", [{"P.across": -1.0}, {"direction": 0.9}, {"P.along": 1.5}, {"A.y": 0.9}])
-def test_what_is_only_like_a_cognate_is_none(change):
+def test_similar_linkages_are_not_taken_for_cognates(change):
     one, two, _ = result("cognates").designs
     other = replace(two, values={**two.values, **{name: two.values[name] * factor for name, factor in change.items()}})
     assert tables.cognate_sources((one, two)) == {1: 0}
@@ -443,7 +443,7 @@ def test_what_is_only_like_a_cognate_is_none(change):
 
 
 @pytest.mark.slow
-def test_what_is_not_valid_says_so_everywhere(tmp_path, monkeypatch):
+def test_invalid_designs_are_marked_everywhere(tmp_path, monkeypatch):
     for kind in ("path", "errors"):
         figure = picture("miss", kind)
         assert "NOT VALID: fails points met within their tolerances" in figure.get_suptitle()
@@ -458,14 +458,14 @@ def test_what_is_not_valid_says_so_everywhere(tmp_path, monkeypatch):
     assert (tmp_path / "design.toml").read_text(encoding="utf-8").startswith("# NOT VALID: fails points met")
 
 
-def test_no_design_no_pictures(tmp_path):
+def test_no_pictures_without_a_design(tmp_path):
     nothing = PathResult(result("path").problem, (), None, "ipopt", 0, 100, evidence([]), {})
     assert [path.name for path in view_of("path").write(nothing, tmp_path)] == ["result.json"]
     assert {path.name for path in tmp_path.iterdir()} == {"result.json"}
     assert not json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))["valid"]
     assert not any(drawings(nothing).values())
     assert view.frames(nothing) == []
-    assert "no linkage found" in told(nothing, 80)
+    assert "no linkage found" in printed(nothing, 80)
 
 
 def test_a_design_that_never_assembles_is_not_drawn(tmp_path):
@@ -475,10 +475,10 @@ def test_a_design_that_never_assembles_is_not_drawn(tmp_path):
     assert not any(drawings(lost).values())
     assert view.frames(lost) == []
     assert [path.name for path in view_of("path").write(lost, tmp_path)] == ["result.json", "points.csv", "design.toml"]
-    assert "not valid" in told(lost, 80)
+    assert "not valid" in printed(lost, 80)
 
 
-def test_a_failing_write_leaves_nothing_half(tmp_path, monkeypatch):
+def test_a_failed_write_leaves_no_partial_files(tmp_path, monkeypatch):
     def half(self, path, **_):
         path.write_bytes(b"half")
         raise OSError(28, "No space left on device")
@@ -493,7 +493,7 @@ def test_a_failing_write_leaves_nothing_half(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_everything_is_written_and_the_film_is_whole(tmp_path):
+def test_all_files_are_written_and_the_animation_is_complete(tmp_path):
     written = view_of("path").write(result("cognates"), tmp_path)
     names = ["result.json", "points.csv", "design.toml", "path.png", "designs.png", "errors.png", "motion.gif"]
     assert [path.name for path in written] == names
@@ -554,7 +554,7 @@ def test_the_mark_of_the_film_is_the_mechanism(name, monkeypatch):
         np.testing.assert_allclose(marks, oracle.rows_of(oracle.direct(own, steps).p), atol=1e-6)
 
 
-def test_points_light_up_when_they_are_passed():
+def test_passed_points_are_highlighted():
     track = PathView(result("path").best)
     sketch = view.Passing(track)
     from optlink.report.style import figure
@@ -575,7 +575,7 @@ DRAWN += [(name, kind) for name in ("function", "transmission") for kind in ("me
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), DRAWN)
-def test_labels_keep_in_and_off_one_another(name, kind):
+def test_labels_stay_inside_and_do_not_overlap(name, kind):
     figure = picture(name, kind)
     figure.draw_without_rendering()
     edge = figure.bbox
@@ -602,7 +602,7 @@ def test_labels_keep_in_and_off_one_another(name, kind):
 # --- terminal ----------------------------------------------------------------------------------------------------------------
 
 
-def told(found: PathResult, width: int) -> str:
+def printed(found: PathResult, width: int) -> str:
     page = Console(file=io.StringIO(), width=width, highlight=False, markup=False, emoji=False)
     page.print(terminal.rendered(tables.path_result(found)))
     return page.file.getvalue()
@@ -610,8 +610,8 @@ def told(found: PathResult, width: int) -> str:
 
 @pytest.mark.parametrize("width", [80, 120])
 @pytest.mark.parametrize("name", ["path", "cognates", "poses", "exact", "slider", "six-bar", "function", "transmission", "miss"])
-def test_no_number_is_broken(name, width):
-    text = told(result(name), width)
+def test_numbers_are_not_wrapped(name, width):
+    text = printed(result(name), width)
     assert max(len(row) for row in text.splitlines()) <= width
     assert "…" not in text
     for design in result(name).designs:
@@ -634,19 +634,19 @@ def table_of(text: str) -> dict[str, list[str]]:
 
 
 @pytest.mark.parametrize("width", [80, 120])
-def test_designs_are_columns_and_their_numbers_whole(width):
+def test_designs_are_columns_with_unbroken_numbers(width):
     found = result("cognates").designs
-    rows = table_of(told(result("cognates"), width))
+    rows = table_of(printed(result("cognates"), width))
     for name in ("crank", "P.across", "A.x"):
         assert [float(cell) for cell in rows[name][1:]] == pytest.approx([d.values[name] * 1e3 for d in found], rel=1e-5)
     assert [float(cell) for cell in rows["sum of squares"][1:]] == pytest.approx([d.objective * 1e6 for d in found], rel=1e-4)
     assert rows["same curve as"] == ["cognate of 1"]
     assert rows["assembly"] == ["left", "right", "left"]
-    assert "design 2" in told(result("cognates"), width)
+    assert "design 2" in printed(result("cognates"), width)
 
 
-def test_words_make_room_for_numbers():
-    text = told(result("path"), 48)
+def test_text_wraps_before_numbers():
+    text = printed(result("path"), 48)
     for cognate in result("path").best.cognates:
         lengths = [getattr(cognate.linkage, name) * 1e3 for name in ("crank", "coupler", "rocker", "frame")]
         shown = [float(cell) for cell in re.findall(r"\d+\.\d+", text[text.index("Cognates") :])]
@@ -654,32 +654,32 @@ def test_words_make_room_for_numbers():
     assert "crank-rocker" in text
 
 
-def test_many_designs_are_set_in_blocks():
+def test_many_designs_are_split_into_blocks():
     one = result("exact").best
     several = outcome(*[replace(one, values={**one.values, "A.x": k * 1.25e-3}) for k in range(9)])
-    text = told(several, 80)
+    text = printed(several, 80)
     rows = [row.split()[2:] for row in text[text.index("Designs, best first") :].splitlines() if row.split()[:1] == ["A.x"]]
     assert len(rows) > 1
     assert [float(cell) for row in rows for cell in row] == pytest.approx([1.25 * k for k in range(9)])
     assert max(len(row) for row in text.splitlines()) <= 80
 
 
-def test_exact_designs_say_so_in_the_table():
+def test_exact_designs_are_marked_in_the_table():
     one = result("exact").best
     several = outcome(one, replace(one, values={**one.values, "coupler": 0.084}))
-    (row,) = (row for row in told(several, 80).splitlines() if row.strip().startswith("sum of squares") and "exact" in row)
+    (row,) = (row for row in printed(several, 80).splitlines() if row.strip().startswith("sum of squares") and "exact" in row)
     assert row.split()[3:5][1] == "exact"
     assert row.count("exact") == 1
 
 
-def test_bounds_that_hold_are_one_line_and_those_that_fail_one_each():
-    text = told(result("path"), 80)
+def test_passed_bounds_share_a_row_and_failed_bounds_have_their_own():
+    text = printed(result("path"), 80)
     assert "9 dimensions within bounds" in text
     assert "crank within its bounds" not in text
     count = len(result("path").best.validation.checks)
     assert f"Validation: {count} of {count} checks passed" in text
     long = made(path_raw(PLACED, closed=True), {**values_of(PLANTED), "coupler": 0.301}, ROUND)
-    text = told(outcome(nearest=long), 80)
+    text = printed(outcome(nearest=long), 80)
     assert "FAIL" in text
     assert "coupler within its bounds" in text
     assert "8 dimensions within bounds" in text
@@ -688,5 +688,5 @@ def test_bounds_that_hold_are_one_line_and_those_that_fail_one_each():
 @pytest.mark.parametrize(
     ("largest", "digits"), [(100.0, 3), (1.5, 3), (0.02, 5), (3e5, 2), (2e8, 0), (0.0, 3), (1e-9, 8), (99999.0, 3)]
 )
-def test_coordinates_have_the_decimals_that_their_size_needs(largest, digits):
+def test_decimals_of_coordinates_follow_their_size(largest, digits):
     assert tables.decimals(largest) == digits

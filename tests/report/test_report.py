@@ -18,7 +18,7 @@ from optlink.report.registry import view_of
 from optlink.report.views import function
 
 
-def test_mechanism_is_drawn_in_its_telling_positions(solved):
+def test_mechanism_is_drawn_at_its_characteristic_positions(solved):
     figure = function.mechanism(solved)
     titles = [axes.get_title() for axes in figure.axes]
     assert len(titles) == 5
@@ -30,7 +30,7 @@ def test_mechanism_is_drawn_in_its_telling_positions(solved):
         assert lengths == pytest.approx([100.0, 232.246171, 412.865416], abs=1e-5)
 
 
-def test_letters_stand_clear_of_links_and_inside(solved):
+def test_point_names_avoid_links_and_stay_inside(solved):
     figure = function.mechanism(solved)
     figure.draw_without_rendering()
     for axes in figure.axes:
@@ -65,15 +65,15 @@ def test_a_large_four_bar_is_drawn_in_metres(crank_rocker):
     assert lengths == pytest.approx([10.0, 23.2, 41.3])
 
 
-def test_law_shows_wanted_generated_and_error(solved):
+def test_law_chart_shows_target_generated_and_error(solved):
     top, bottom = draw(function.law(solved)).axes
-    wanted, found, marks = (line.get_xydata() for line in top.get_lines()[:3])
+    target, found, marks = (line.get_xydata() for line in top.get_lines()[:3])
     start = math.degrees(solved.design["phi0"])
-    assert wanted[0] == pytest.approx([start, math.degrees(solved.design["psi0"])])
-    assert wanted[-1, 1] - wanted[0, 1] == pytest.approx(30.0)
+    assert target[0] == pytest.approx([start, math.degrees(solved.design["psi0"])])
+    assert target[-1, 1] - target[0, 1] == pytest.approx(30.0)
     assert len(marks) == 30
     (error,) = (line.get_ydata() for line in bottom.get_lines() if line.get_gid() == "error")
-    np.testing.assert_allclose(error, wanted[:, 1] - found[:, 1], atol=1e-9)
+    np.testing.assert_allclose(error, target[:, 1] - found[:, 1], atol=1e-9)
     assert np.max(np.abs(error)) == pytest.approx(2.29005, abs=1e-4)
 
 
@@ -120,7 +120,7 @@ def test_a_design_that_cannot_be_assembled_leaves_out_its_pictures(crank_rocker,
 
 
 @pytest.mark.slow
-def test_crank_that_only_swings_is_drawn_over_its_reachable_range(crank_rocker, tmp_path):
+def test_an_oscillating_crank_is_drawn_over_its_reachable_range(crank_rocker, tmp_path):
     """A triple-rocker: the pictures cover the range that can be reached, and no more."""
     raw = {**crank_rocker.raw, "limits": {"crank": "span"}}
     raw["mechanism"] = {
@@ -138,7 +138,7 @@ def test_crank_that_only_swings_is_drawn_over_its_reachable_range(crank_rocker, 
     assert (tmp_path / "motion.gif").exists()
 
 
-def test_a_failed_write_leaves_nothing_behind(tmp_path):
+def test_a_failed_write_leaves_no_files(tmp_path):
     target = tmp_path / "result.json"
     target.write_text("before")
 
@@ -153,7 +153,7 @@ def test_a_failed_write_leaves_nothing_behind(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
 
 
-def test_a_full_disk_is_told_and_leaves_nothing_behind(tmp_path, monkeypatch):
+def test_a_full_disk_is_reported_and_leaves_no_files(tmp_path, monkeypatch):
     target = tmp_path / "result.json"
 
     def full(*_args, **_kwargs):

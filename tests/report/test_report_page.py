@@ -115,7 +115,7 @@ class Reader(HTMLParser):
             self.data[self.kept] = self.data.get(self.kept, "") + data
 
 
-# --- what the page says ------------------------------------------------------------------------------------------------------
+# --- content of the page -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -128,21 +128,21 @@ def test_a_page_is_complete_and_small(about):
     assert read.handlers == []
     assert len(read.ids) == len(set(read.ids))
     assert {address[1:] for address in read.addresses if address.startswith("#")} <= set(read.ids)
-    told = " ".join(" ".join(texts) for tag, texts in read.texts.items() if tag not in ("script", "style"))
-    assert about.problem.model.title in told
-    assert about.problem.hash in told
+    values = " ".join(" ".join(texts) for tag, texts in read.texts.items() if tag not in ("script", "style"))
+    assert about.problem.model.title in values
+    assert about.problem.hash in values
     for words in (about.problem.model.source, about.problem.model.about):
-        assert " ".join(pretty(words).split()) in " ".join(told.split())
+        assert " ".join(pretty(words).split()) in " ".join(values.split())
 
 
-def test_the_page_of_the_crank_rocker_tells_the_published_figures(crank_rocker_subject):
+def test_the_crank_rocker_page_has_the_published_figures(crank_rocker_subject):
     text = page(crank_rocker_subject)
     for words in ("412.865", "232.246", "0.00759237", "rad² per deg", "largest transmission angle", "Valid: every check passed"):
         assert words in text
     assert text.count('<span class="good">ok</span>') == len(crank_rocker_subject.result.validation.checks)
 
 
-def test_an_invalid_design_is_called_so():
+def test_an_invalid_design_is_marked_invalid():
     text = page(subject("crank-rocker", {"coupler": 0.41, "rocker": 0.22}))
     assert "Not valid: largest transmission angle" in text
     assert '<span class="bad">FAIL</span>' in text
@@ -158,8 +158,8 @@ def test_a_design_that_cannot_be_assembled_has_a_page_without_a_drawing():
 
 def test_a_page_begins_with_its_conclusion(crank_rocker_subject):
     error = np.degrees(crank_rocker_subject.result.error())
-    said = f"within {np.max(np.abs(error)):.4g}° (root mean square {np.sqrt(np.mean(error**2)):.4g}°)"
-    assert f"{said}. Active limit: largest transmission angle (≤\N{NO-BREAK SPACE}135°)." in page(crank_rocker_subject)
+    expected = f"within {np.max(np.abs(error)):.4g}° (root mean square {np.sqrt(np.mean(error**2)):.4g}°)"
+    assert f"{expected}. Active limit: largest transmission angle (≤\N{NO-BREAK SPACE}135°)." in page(crank_rocker_subject)
     infeasible = subject("crank-rocker", **{"limits.transmission_angle": ["80 deg", "100 deg"]})
     text = page(infeasible)
     assert "No design was found that meets all limits: the limit transmission angle cannot be met" in text
@@ -180,7 +180,7 @@ def test_the_conclusion_of_a_machine_has_the_figures_of_its_table():
     assert "largest joint reaction is 2.5 N at C on rocker." in conclusions.analysis(replace(result, extremes=shared))
 
 
-def test_long_names_of_points_stay_apart_in_the_words_of_a_drawing():
+def test_long_point_names_stay_distinct_in_the_description():
     changes = {"ground": {"motor": ["0 mm", "0 mm"]}, "links": {"crank": {"joints": ["motor", "B"], "length": "40 mm"}}}
     crank = analyze(optlink.read({"title": "Crank", "mechanism": changes}))
     assert "crank motor–B 40" in dimensioned(crank, "Test").words
@@ -239,7 +239,7 @@ def test_a_page_names_author_part_and_date(tmp_path):
     assert "report.part" in done.stderr
 
 
-def test_every_chart_is_a_figure_that_plotly_knows(about):
+def test_every_chart_is_a_valid_plotly_figure(about):
     """plotly's own checker refuses what its schema does not have."""
     found = chart_plotly.charts(charts(about))
     assert found
@@ -248,7 +248,7 @@ def test_every_chart_is_a_figure_that_plotly_knows(about):
         assert any(any(value is not None for value in trace["y"]) for trace in chart.figure["data"])
 
 
-def test_the_checker_would_notice():
+def test_the_checker_detects_faults():
     with pytest.raises(ValueError, match="Invalid property"):
         go.Figure({"data": [{"type": "scatter", "colour": "red"}]})
 
@@ -263,18 +263,18 @@ def test_the_torque_chart_is_the_analysis():
 
 
 @pytest.mark.slow
-def test_what_matters_by_searching_again(crank_rocker_subject):
+def test_page_sensitivities_agree_with_reoptimisation(crank_rocker_subject):
     """The tornado's bar of the transmission angle, against the problem solved at 134.9 and 135.1 deg."""
     answers = sensitivities_of(crank_rocker_subject)
     more, less = chart_plotly.chart(*sensitivity.charts(answers)).figure["data"]
-    told = dict(zip(more["text"], more["x"], strict=True))["largest transmission angle: 135 deg + 1 deg"]
-    assert dict(zip(less["text"], less["x"], strict=True))["largest transmission angle: 135 deg − 1 deg"] == -told
+    values = dict(zip(more["text"], more["x"], strict=True))["largest transmission angle: 135 deg + 1 deg"]
+    assert dict(zip(less["text"], less["x"], strict=True))["largest transmission angle: 135 deg − 1 deg"] == -values
     found = []
     for most in (134.9, 135.1):
         file = optlink.load("crank-rocker", {"limits.transmission_angle": ["45 deg", f"{most} deg"]})
         found.append(optlink.solve(file).objective)
-    assert told == pytest.approx(100.0 * (found[1] - found[0]) / 0.2 / crank_rocker_subject.objective, rel=1e-3)
-    assert told == pytest.approx(-1.929, abs=1e-3)
+    assert values == pytest.approx(100.0 * (found[1] - found[0]) / 0.2 / crank_rocker_subject.objective, rel=1e-3)
+    assert values == pytest.approx(-1.929, abs=1e-3)
     text = page(crank_rocker_subject)
     assert "Sensitivities" in text
     assert "-1.929 %" in text
@@ -312,7 +312,7 @@ def evil_problem(folder: Path) -> Path:
     return path
 
 
-def test_texts_stay_texts(tmp_path):
+def test_markup_in_texts_is_escaped(tmp_path):
     file = optlink.load(evil_problem(tmp_path))
     about = report_model_of(file, solve_or_validate(file, design={"coupler": 0.41286542, "rocker": 0.23224617}))
     read = Reader(page(about))
@@ -324,7 +324,7 @@ def test_texts_stay_texts(tmp_path):
     assert read.texts.keys() | {"br"} == plain.texts.keys() | {"br"}  # column names of the sensitivities have line breaks
 
 
-def test_the_check_of_texts_would_notice(tmp_path):
+def test_the_check_of_texts_detects_markup(tmp_path):
     text = page(shipped("crank-rocker")).replace("Crank-rocker that", EVIL)
     assert Reader(text).scripts > 4
     assert set(Reader(text).handlers) == {"onerror"}
@@ -334,7 +334,7 @@ def test_the_check_of_texts_would_notice(tmp_path):
 
 
 def recorded(folder: Path, *command: str) -> None:
-    """Write what a command would write as result.json, without its pictures."""
+    """Write result.json as a command does, without pictures."""
     done = run(*command, "--json")
     assert done.exit_code == 0
     folder.mkdir(exist_ok=True)
@@ -343,7 +343,7 @@ def recorded(folder: Path, *command: str) -> None:
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory) -> Callable[[str], Path]:
-    """The result.json of a problem, computed when it is first asked for."""
+    """The result.json of a problem, computed on first use."""
 
     @functools.cache
     def result(name: str) -> Path:
@@ -356,7 +356,7 @@ def results(tmp_path_factory) -> Callable[[str], Path]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["crank-rocker", "motion-3-poses", "function-sin", "shaper"])
-def test_a_result_is_shown_as_the_problem_would_be(results, tmp_path, name):
+def test_a_stored_result_gives_the_page_of_its_problem(results, tmp_path, name):
     path = tmp_path / "a.html"
     done = run("report", str(results(name)), "-o", str(path), "--json")
     assert done.exit_code == 0
@@ -427,7 +427,7 @@ def test_an_infeasible_result_names_the_conflict(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_result_finds_its_problem_beside_it(tmp_path):
+def test_a_result_finds_its_problem_in_its_folder(tmp_path):
     raw = (Path(__file__).parents[2] / "problems" / "crank-rocker.toml").read_text()
     (tmp_path / "elsewhere").mkdir()
     mine = tmp_path / "elsewhere" / "mine.toml"
@@ -444,7 +444,7 @@ def test_a_result_finds_its_problem_beside_it(tmp_path):
 
 @pytest.mark.slow
 def test_the_hash_of_a_problem_is_the_same_in_every_process():
-    """Else no result file would find its problem again; a set is told in another order with another seed of hashes."""
+    """Otherwise no result file would find its problem; the order of a set depends on the hash seed."""
     code = "import optlink; print([optlink.load(name).hash for name in optlink.shipped()])"
     found = set()
     for seed in ("1", "2", "3"):
@@ -454,8 +454,8 @@ def test_the_hash_of_a_problem_is_the_same_in_every_process():
     assert len(found) == 1
 
 
-def test_a_recorded_design_is_proven_anew(results, tmp_path):
-    """A result file that claims more than is true is found out."""
+def test_a_stored_design_is_validated_again(results, tmp_path):
+    """A result file with a wrong claim is detected."""
     document = json.loads(results("crank-rocker").read_text())
     document["design"]["rocker_mm"] = 220.0
     (tmp_path / "result.json").write_text(json.dumps(document))
@@ -473,7 +473,7 @@ def test_a_recorded_design_is_proven_anew(results, tmp_path):
         (("gone.json", "-o", "a.html"), "No such file"),
     ],
 )
-def test_bad_input_is_named(tmp_path, monkeypatch, arguments, words):
+def test_bad_input_is_reported(tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)
     done = run("report", *arguments)
     assert done.exit_code == 2
@@ -536,8 +536,8 @@ def test_a_page_in_a_browser(driver, tmp_path, name):
     expected = scene(about.cycle)
     for body in expected.bodies:
         if body.name in after:
-            told = [float(part) for part in re.findall(r"-?[\d.]+(?:e-?\d+)?", after[body.name])]
-            assert told == pytest.approx(body.poses[100], abs=2e-5 * max(expected.box[2:]))
+            values = [float(part) for part in re.findall(r"-?[\d.]+(?:e-?\d+)?", after[body.name])]
+            assert values == pytest.approx(body.poses[100], abs=2e-5 * max(expected.box[2:]))
     angle = driver.execute_script("return document.getElementById('crank-angle').textContent")
     assert float(angle.rstrip("°").replace("−", "-")) == pytest.approx(expected.angles[100], abs=0.051)
     assert console(driver) == []
@@ -579,7 +579,7 @@ def test_the_play_button_moves_and_stops(driver, crank_rocker_page):
 
 
 @pytest.mark.slow
-def test_the_check_of_accessibility_would_notice(driver, tmp_path, crank_rocker_subject):
+def test_the_check_of_accessibility_detects_faults(driver, tmp_path, crank_rocker_subject):
     path = tmp_path / "a.html"
     path.write_text(
         page(crank_rocker_subject).replace("--soft: #525a64", "--soft: #b8bcc2").replace('<html lang="en">', "<html>")
@@ -590,7 +590,7 @@ def test_the_check_of_accessibility_would_notice(driver, tmp_path, crank_rocker_
 
 
 @pytest.mark.slow
-def test_a_telephone_shows_names_of_axes_and_tables_whole(driver, crank_rocker_page):
+def test_axis_names_and_tables_fit_a_telephone_screen(driver, crank_rocker_page):
     size = {"width": 375, "height": 800, "deviceScaleFactor": 1, "mobile": True}
     driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     try:
@@ -658,8 +658,8 @@ def test_texts_do_not_run_in_a_browser(driver, tmp_path):
 
 
 @pytest.mark.slow
-def test_what_got_into_a_page_would_still_not_run(driver, tmp_path, crank_rocker_subject):
-    """The second lock: the page's own policy lets no other script run and nothing be loaded; and the checks above see a fault."""
+def test_injected_scripts_are_blocked_by_the_security_policy(driver, tmp_path, crank_rocker_subject):
+    """The content security policy blocks other scripts and all loading; the checks above detect a fault."""
     path = tmp_path / "a.html"
     text = page(crank_rocker_subject)
     more = "<script>window.caught = 1</script><img src='http://127.0.0.1:9/x.png'>"

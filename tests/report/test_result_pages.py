@@ -1,4 +1,4 @@
-"""Pages of recorded results: they say what was computed, refuse what is damaged in a sentence, and work in a browser."""
+"""Pages of stored results: they agree with the computation, refuse damaged files in one sentence, and work in a browser."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def results(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def pages(results, tmp_path_factory) -> Callable[[str], Path]:
-    """The page of a result, beside what the command says of it; written when it is first asked for, once for all processes."""
+    """The page of a result and the output of its command, written on first use, once for all processes."""
 
     @cache
     def page(name: str) -> Path:
@@ -122,11 +122,11 @@ def numbers(values: list) -> np.ndarray:
     return np.array([math.nan if value is None else value for value in values])
 
 
-# --- what pages say ------------------------------------------------------------------------------------------------------------
+# --- content of pages ----------------------------------------------------------------------------------------------------------
 
 
 def test_schemas_are_those_of_the_records():
-    """They are written out beside the commands, so that no record is loaded before it is needed."""
+    """Schemas are listed with the commands, so that no record is imported before it is needed."""
     for schema, (_, kind) in WITH_PAGE.items():
         assert (schema,) == get_args(records()[kind].model_fields["format"].annotation)
 
@@ -136,21 +136,21 @@ def test_schemas_are_those_of_the_records():
 def test_a_page_is_complete_small_and_safe(results, pages, name):
     path = pages(name)
     assert json.loads(path.with_name("told.json").read_text())["bytes"] == path.stat().st_size < MAX_BYTES
-    read, told = Reader(path.read_text()), document(results, name)
+    read, record = Reader(path.read_text()), document(results, name)
     assert read.scripts == 4
     assert read.handlers == []
     assert all(address.startswith(("#", "data:,")) for address in read.addresses)
     assert len(read.ids) == len(set(read.ids))
     assert {address[1:] for address in read.addresses if address.startswith("#")} <= set(read.ids)
     words = " ".join(" ".join(texts) for tag, texts in read.texts.items() if tag not in ("script", "style"))
-    assert told["title"] in words
-    assert told["problem_hash"] in words
+    assert record["title"] in words
+    assert record["problem_hash"] in words
     assert "nan" not in re.findall(r"[a-z]+", words)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", RECORDED)
-def test_every_chart_is_a_figure_that_plotly_knows(results, name):
+def test_every_chart_is_a_valid_plotly_figure(results, name):
     made = sheet(results, name)
     assert made.charts
     for chart in made.charts:
@@ -179,27 +179,27 @@ def test_a_simulation_at_constant_speed_is_the_analysis(results):
 def test_a_simulation_is_drawn_with_the_sizes_that_ran(tmp_path):
     problem = optlink.load("crank-rocker")
     run = optlink.simulate(problem, speed=5.0, rows=90, design={"coupler": 0.43, "rocker": 0.22})
-    told = json.loads(json.dumps(run.to_dict()))
-    (tmp_path / "result.json").write_text(json.dumps(told))
+    record = json.loads(json.dumps(run.to_dict()))
+    (tmp_path / "result.json").write_text(json.dumps(record))
     moving = _page(load_stored(str(tmp_path)), 90).moving
     places = moving.scene.points["C"] - moving.scene.points["B"]
     assert np.hypot(*places.T) == pytest.approx(430.0, abs=1e-3)
-    del told["sizes_SI"]["coupler"]
-    (tmp_path / "result.json").write_text(json.dumps(told))
+    del record["sizes_SI"]["coupler"]
+    (tmp_path / "result.json").write_text(json.dumps(record))
     with pytest.raises(InputError, match=r"sizes_SI\.coupler"):
         _page(load_stored(str(tmp_path)), 90)
-    told["sizes_SI"] = optlink.simulate(problem, rows=1).to_dict()["sizes_SI"]
-    (tmp_path / "result.json").write_text(json.dumps(told))
+    record["sizes_SI"] = optlink.simulate(problem, rows=1).to_dict()["sizes_SI"]
+    (tmp_path / "result.json").write_text(json.dumps(record))
     assert _page(load_stored(str(tmp_path)), 90).moving is None  # the sizes of the file are those of another linkage
 
 
 @pytest.mark.slow
 def test_an_orbit_stays_in_its_gap(results):
-    told, made = document(results, "play"), sheet(results, "play")
-    [gap] = told["gaps"]
+    record, made = document(results, "play"), sheet(results, "play")
+    [gap] = record["gaps"]
     circle = trace(made, "clearance")
     assert np.hypot(numbers(circle["x"]), numbers(circle["y"])) == pytest.approx(gap["clearance"] * 1e3, rel=1e-5)
-    deepest = max(told["columns"][f"{gap['point']}.penetration_m"])
+    deepest = max(record["columns"][f"{gap['point']}.penetration_m"])
     remark = next(chart.remark for chart in made.charts if chart.title.startswith("Journal orbit"))
     times = float(re.search(r"beyond the circle (\S+)-fold", remark)[1])
     for name in ("apart", "in contact"):
@@ -207,58 +207,58 @@ def test_an_orbit_stays_in_its_gap(results):
         away = np.hypot(numbers(path["x"]), numbers(path["y"]))
         assert np.nanmax(away) <= (gap["clearance"] + times * deepest) * 1e3 + 1e-6
     error = numbers(trace(made, "deviation of rocker")["y"])
-    assert np.nanmax(np.abs(error)) <= math.degrees(told["figures"]["peak_rad"]) * (1 + 1e-6)
+    assert np.nanmax(np.abs(error)) <= math.degrees(record["figures"]["peak_rad"]) * (1 + 1e-6)
 
 
 @pytest.mark.slow
-def test_a_balance_is_proven_anew(results, tmp_path):
-    """The full force balance leaves no shaking force (Berkof and Lowen 1969); a heavier weight in the file is found out."""
-    made, told = sheet(results, "balance"), document(results, "balance")
+def test_a_stored_balance_is_verified_again(results, tmp_path):
+    """The full force balance leaves no shaking force (Berkof and Lowen 1969); a heavier weight in the file is detected."""
+    made, record = sheet(results, "balance"), document(results, "balance")
     assert np.max(np.abs(numbers(trace(made, "balanced shaking force")["y"]))) < 1e-9
     shaking = next(chart for chart in made.charts if chart.title == "Shaking and drive")
     given = numbers(shaking.figure["data"][0]["y"])
-    rms = next(one["before"] for one in told["measures"] if one["name"] == "rms shaking force")
+    rms = next(one["before"] for one in record["measures"] if one["name"] == "rms shaking force")
     assert np.sqrt(np.mean(given[:-1] ** 2)) == pytest.approx(rms, rel=1e-6)
-    told["counterweights"][0]["first_moment_along_kg_m"] *= 1.02
-    (tmp_path / "result.json").write_text(json.dumps(told))
+    record["counterweights"][0]["first_moment_along_kg_m"] *= 1.02
+    (tmp_path / "result.json").write_text(json.dumps(record))
     with pytest.raises(InputError, match="with these counterweights, not"):
         load_stored(str(tmp_path))
 
 
 @pytest.mark.slow
 def test_the_tolerances_of_a_page_add_up(results):
-    told, made = document(results, "tolerance"), sheet(results, "tolerance")
+    record, made = document(results, "tolerance"), sheet(results, "tolerance")
     bands = {one["name"]: one for one in made.charts[0].figure["data"] if "customdata" in one}
     assert bands.keys() == {"coupler", "rocker"}
     assert np.sum([numbers(one["customdata"]) for one in bands.values()], axis=0) == pytest.approx(100.0, abs=1e-4)
     assert numbers(made.charts[0].figure["data"][-1]["y"]) == pytest.approx(100.0, abs=1e-4)
     inside, beyond = (np.sum(numbers(trace(made, name)["y"])) for name in ("within the limit", "beyond it"))
     assert inside + beyond == pytest.approx(100.0)
-    edges = np.array(told["monte_carlo"]["histogram"]["edges"])
-    held = np.array(told["monte_carlo"]["histogram"]["counts"])
-    below = np.sum(held[edges[1:] <= told["limit"]]) / held.sum()
-    above = np.sum(held[edges[:-1] <= told["limit"]]) / held.sum()
-    assert below <= told["monte_carlo"]["yield"] <= above  # counted one by one, between the bins around the limit
+    edges = np.array(record["monte_carlo"]["histogram"]["edges"])
+    held = np.array(record["monte_carlo"]["histogram"]["counts"])
+    below = np.sum(held[edges[1:] <= record["limit"]]) / held.sum()
+    above = np.sum(held[edges[:-1] <= record["limit"]]) / held.sum()
+    assert below <= record["monte_carlo"]["yield"] <= above  # counted one by one, between the bins around the limit
     text = made.html()
-    assert f"Yield {100 * told['monte_carlo']['yield']:.3f} %" in text
-    low, high = told["monte_carlo"]["yield_interval_95_percent"]
+    assert f"Yield {100 * record['monte_carlo']['yield']:.3f} %" in text
+    low, high = record["monte_carlo"]["yield_interval_95_percent"]
     assert f"{100 * low:.3f} % ... {100 * high:.3f} %" in text
 
 
 @pytest.mark.slow
 def test_conclusions_state_the_main_figures(results):
-    told = {name: document(results, name) for name in RECORDED}
-    said = {name: sheet(results, name).about.conclusion for name in RECORDED}
-    assert f"{100 * told['tolerance']['monte_carlo']['yield']:.4g} % of the linkages" in said["tolerance"]
-    assert f"{told['course']['figures']['end.speed_rad_s'] * 30 / math.pi:.4g} rpm" in said["course"]
-    gap, figures = told["play"]["gaps"][0]["point"], told["play"]["figures"]
-    assert f"deviate by {math.degrees(figures['rms_rad']):.4g}°" in said["play"]
-    assert f"N at {gap}" in said["play"]
-    best = min(told["compared"]["trials"].items(), key=lambda one: np.mean(one[1]["rms"]))[0]
-    assert f"The best control is {best}:" in said["compared"]
-    assert f"decreases by {100 * told['balance']['reduction']:.4g} %" in said["balance"]
-    assert "24 of 24 points" in said["sweep"]
-    assert f"point {told['front']['knee']['point'] + 1}:" in said["front"]
+    record = {name: document(results, name) for name in RECORDED}
+    conclusions = {name: sheet(results, name).about.conclusion for name in RECORDED}
+    assert f"{100 * record['tolerance']['monte_carlo']['yield']:.4g} % of the linkages" in conclusions["tolerance"]
+    assert f"{record['course']['figures']['end.speed_rad_s'] * 30 / math.pi:.4g} rpm" in conclusions["course"]
+    gap, figures = record["play"]["gaps"][0]["point"], record["play"]["figures"]
+    assert f"deviate by {math.degrees(figures['rms_rad']):.4g}°" in conclusions["play"]
+    assert f"N at {gap}" in conclusions["play"]
+    best = min(record["compared"]["trials"].items(), key=lambda one: np.mean(one[1]["rms"]))[0]
+    assert f"The best control is {best}:" in conclusions["compared"]
+    assert f"decreases by {100 * record['balance']['reduction']:.4g} %" in conclusions["balance"]
+    assert "24 of 24 points" in conclusions["sweep"]
+    assert f"point {record['front']['knee']['point'] + 1}:" in conclusions["front"]
 
 
 @pytest.mark.slow
@@ -306,8 +306,8 @@ def test_a_front_by_its_table(results):
     off = (scaled - scaled[0]) @ np.array([-chord[1], chord[0]])
     picks = made.charts[0].picks
     assert picks.first == int(np.argmax(np.abs(off)))
-    for row, told in zip(rows, picks.rows, strict=True):
-        assert float(told[picks.names.index("rocker [mm]")]) == pytest.approx(float(row["rocker_mm"]), rel=1e-6)
+    for row, record in zip(rows, picks.rows, strict=True):
+        assert float(record[picks.names.index("rocker [mm]")]) == pytest.approx(float(row["rocker_mm"]), rel=1e-6)
     crank, rocker = (made.moving.scene.points[name] for name in "BC")
     assert np.hypot(*(rocker - crank).T) == pytest.approx(float(rows[picks.first]["coupler_mm"]), rel=1e-9)
 
@@ -315,16 +315,16 @@ def test_a_front_by_its_table(results):
 @pytest.mark.slow
 def test_three_objectives_have_a_colour(results, tmp_path):
     """A front of three, made from one of two: the colour of every point is its third objective."""
-    told = document(results, "front")
-    told["objectives"].append({"name": "swing", "column": "swing_deg", "unit": "deg", "sense": "maximise"})
-    for k, point in enumerate(told["front"]):
+    record = document(results, "front")
+    record["objectives"].append({"name": "swing", "column": "swing_deg", "unit": "deg", "sense": "maximise"})
+    for k, point in enumerate(record["front"]):
         point["objectives"]["swing_deg"] = 40.0 + k
-    told["ends"]["swing_deg"], told["knee"] = 1, None
-    told["reference"]["swing_deg"] = 41.0
-    (tmp_path / "result.json").write_text(json.dumps(told))
+    record["ends"]["swing_deg"], record["knee"] = 1, None
+    record["reference"]["swing_deg"] = 41.0
+    (tmp_path / "result.json").write_text(json.dumps(record))
     made = _page(load_stored(str(tmp_path)), 90)
     cloud = made.charts[0].figure["data"][0]
-    assert cloud["marker"]["color"] == [40.0 + k for k in range(len(told["front"]))]
+    assert cloud["marker"]["color"] == [40.0 + k for k in range(len(record["front"]))]
     assert "swing [deg] (more is better)" in made.charts[0].picks.names
     go.Figure(made.charts[0].figure)
 
@@ -340,7 +340,7 @@ def test_a_machine_that_stays_at_rest_has_a_page(tmp_path):
     assert "Came to rest" in made.stdout
 
 
-def test_limits_that_cannot_hold_together_are_named(tmp_path):
+def test_conflicting_limits_are_listed(tmp_path):
     change = ("--set", 'balance.limits={ "largest reaction at D" = "1 N" }')
     (tmp_path / "result.json").write_text(run("balance", "balance-six-bar", *change, "--json").stdout)
     done = run("report", str(tmp_path), *change, "-o", str(tmp_path / "a.html"))
@@ -351,7 +351,7 @@ def test_limits_that_cannot_hold_together_are_named(tmp_path):
 
 
 @pytest.mark.slow
-def test_what_matters_stands_on_the_page_of_a_result(pages):
+def test_sensitivities_are_on_the_page_of_a_result(pages):
     """Sensitivities of a recorded optimum are those of the searched one, for which another test solves the problem again."""
     for name in ("solve", "sensitivity"):
         text = pages(name).read_text()
@@ -363,10 +363,10 @@ def test_what_matters_stands_on_the_page_of_a_result(pages):
 
 
 @pytest.mark.slow
-def test_a_sensitivity_that_is_no_optimum_is_found_out(results, tmp_path):
-    told = document(results, "sensitivity")
-    told["design"]["rocker"] += 1.0
-    (tmp_path / "result.json").write_text(json.dumps(told))
+def test_a_stored_sensitivity_without_an_optimum_is_rejected(results, tmp_path):
+    record = document(results, "sensitivity")
+    record["design"]["rocker"] += 1.0
+    (tmp_path / "result.json").write_text(json.dumps(record))
     with pytest.raises(InputError, match="not the optimum"):
         load_stored(str(tmp_path))
 
@@ -397,7 +397,7 @@ def damaged(results: Path, name: str):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", RECORDED)
-def test_whatever_is_damaged_is_shown_or_refused_in_a_sentence(results, tmp_path, name):
+def test_damaged_results_are_shown_or_refused_in_one_sentence(results, tmp_path, name):
     for beside in results.joinpath(name).glob("*.csv"):
         (tmp_path / beside.name).write_bytes(beside.read_bytes())
     refused = 0
@@ -416,7 +416,7 @@ def test_whatever_is_damaged_is_shown_or_refused_in_a_sentence(results, tmp_path
 @pytest.mark.slow
 @pytest.mark.parametrize("what", ["penetration_max_m", "normal_max_N"])
 def test_a_simulation_without_its_largest_values_is_refused(results, tmp_path, what):
-    """Nothing else in the file can stand for the largest values between rows."""
+    """No other entry of the file replaces the largest values between rows."""
     old = document(results, "play")
     name = next(name for name in old["per_revolution"] if name.endswith(f".{what}"))
     del old["per_revolution"][name]
@@ -454,8 +454,8 @@ def test_the_sentences_of_damaged_results(results, tmp_path):
 def test_a_sweep_needs_its_table(results, tmp_path):
     folder = tmp_path / "sweep"
     folder.mkdir()
-    told = document(results, "sweep") | {"table": None}
-    (folder / "result.json").write_text(json.dumps(told))
+    record = document(results, "sweep") | {"table": None}
+    (folder / "result.json").write_text(json.dumps(record))
     table = (results / "sweep" / "sweep.csv").read_text()
     for text, words in {
         None: "cannot read the table",
@@ -478,7 +478,7 @@ def test_a_folder_without_a_result(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_shipped_problem_goes_before_a_folder_of_its_name(results, tmp_path, monkeypatch):
+def test_a_shipped_problem_takes_precedence_over_a_folder(results, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "six-bar").mkdir()
     (tmp_path / "six-bar" / "result.json").write_bytes((results / "course" / "result.json").read_bytes())
@@ -487,7 +487,7 @@ def test_a_shipped_problem_goes_before_a_folder_of_its_name(results, tmp_path, m
 
 
 @pytest.mark.slow
-def test_a_study_is_no_one_design_to_export(results, tmp_path):
+def test_a_study_cannot_be_exported(results, tmp_path):
     done = run("export", str(results / "sweep"), "-o", str(tmp_path / "a.dxf"))
     assert done.exit_code == 2
     assert "a sweep is not a single design, so it cannot be drawn" in done.stderr
@@ -495,13 +495,13 @@ def test_a_study_is_no_one_design_to_export(results, tmp_path):
 
 
 @pytest.mark.slow
-def test_texts_of_a_result_stay_texts(results, tmp_path):
+def test_markup_in_results_is_escaped(results, tmp_path):
     evil = "<script>window.caught = 1</script><img src=x onerror=alert(1)>"
-    told = document(results, "front")
-    for point in told["front"]:
+    record = document(results, "front")
+    for point in record["front"]:
         point["active"] = [evil]
         point["mark"] = evil
-    (tmp_path / "result.json").write_text(json.dumps(told))
+    (tmp_path / "result.json").write_text(json.dumps(record))
     read = Reader(study_page(load_stored(str(tmp_path))))
     assert read.scripts == 4
     assert read.handlers == []
@@ -510,7 +510,7 @@ def test_texts_of_a_result_stay_texts(results, tmp_path):
         assert evil not in str(trace_.get("text", ""))  # plotly reads texts of points as markup
 
 
-def test_known_schemas_are_told(tmp_path):
+def test_unknown_schemas_list_the_known_ones(tmp_path):
     (tmp_path / "a.json").write_text(json.dumps({"schema": "optlink/other/1"}))
     with pytest.raises(InputError, match="study pareto") as caught:
         load_stored(str(tmp_path / "a.json"))
@@ -592,14 +592,14 @@ def fits_and_is_accessible(driver, *, dark: bool) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["front", "map"])
-def test_pointing_at_a_place_tells_its_design(driver, pages, name):
-    """The mouse goes there as a person's would."""
+def test_selecting_a_point_shows_its_design(driver, pages, name):
+    """The mouse moves to the point as a user's does."""
     shown(driver, pages(name))
     chart = json.loads(driver.execute_script("return document.getElementById('chart-data').textContent"))["charts"][0]
     curve = next(one for one in chart["figure"]["data"] if "customdata" in one)
     i, j = (1, 2) if name == "map" else (2, 2)
-    wanted = curve["customdata"][i][j] if name == "map" else curve["customdata"][j]
-    assert wanted != chart["picks"]["first"]
+    expected = curve["customdata"][i][j] if name == "map" else curve["customdata"][j]
+    assert expected != chart["picks"]["first"]
     script = """const place = document.getElementById('chart-1');
         place.scrollIntoView();
         const [x, y] = [place._fullLayout.xaxis, place._fullLayout.yaxis];
@@ -609,7 +609,7 @@ def test_pointing_at_a_place_tells_its_design(driver, pages, name):
     for away in (4.0, 0.0):
         driver.execute_cdp_cmd("Input.dispatchMouseEvent", {"type": "mouseMoved", "x": x + away, "y": y + away})
         driver.execute_async_script("setTimeout(arguments[0], 300)")
-    assert picked(driver) == list(chart["picks"]["rows"][wanted])
+    assert picked(driver) == list(chart["picks"]["rows"][expected])
 
 
 @pytest.mark.slow
@@ -632,11 +632,11 @@ def test_a_page_prints_its_points_without_sliders(driver, pages):
     "place", [("linear", "worst_high", 1), ("limit",), ("monte_carlo", "samples"), ("tolerances", 0, "tolerance_SI")]
 )
 def test_numbers_without_measure_are_refused_in_a_sentence(results, tmp_path, place, value):
-    told = at = document(results, "tolerance")
+    record = at = document(results, "tolerance")
     for step in place[:-1]:
         at = at[step]
     at[place[-1]] = value
-    (tmp_path / "result.json").write_text(json.dumps(told))
+    (tmp_path / "result.json").write_text(json.dumps(record))
     done = run("report", str(tmp_path), "-o", str(tmp_path / "a.html"))
     assert done.exit_code == 2
     assert "the result is damaged" in done.stderr
@@ -644,18 +644,18 @@ def test_numbers_without_measure_are_refused_in_a_sentence(results, tmp_path, pl
 
 
 @pytest.mark.slow
-def test_the_largest_numbers_that_are_shown_make_a_page(results, tmp_path):
-    told = document(results, "tolerance")
-    told["linear"]["worst_high"][1] = LARGEST_NUMBER
-    (tmp_path / "result.json").write_text(json.dumps(told))
+def test_very_large_numbers_can_be_shown(results, tmp_path):
+    record = document(results, "tolerance")
+    record["linear"]["worst_high"][1] = LARGEST_NUMBER
+    (tmp_path / "result.json").write_text(json.dumps(record))
     assert run("report", str(tmp_path), "-o", str(tmp_path / "a.html")).exit_code == 0
 
 
 @pytest.mark.slow
 def test_a_sensitivity_with_an_unknown_unit_is_damaged(results, tmp_path):
-    told = document(results, "sensitivity")
-    told["design_units"]["rocker"] = "x"
-    (tmp_path / "result.json").write_text(json.dumps(told))
+    record = document(results, "sensitivity")
+    record["design_units"]["rocker"] = "x"
+    (tmp_path / "result.json").write_text(json.dumps(record))
     done = run("report", str(tmp_path), "-o", str(tmp_path / "a.html"))
     assert done.exit_code == 2
     assert 'design_units.rocker = "x": the result is damaged: the unit "x" is unknown' in done.stderr
@@ -674,15 +674,15 @@ def test_a_table_with_numbers_without_measure_is_refused(results, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("counted", "row"), [("yield", "largest, nominal"), ("3 standard deviations", "largest")])
-def test_the_largest_figure_of_a_robust_design_says_what_it_is_of(results, tmp_path, counted, row):
+def test_the_largest_value_of_a_robust_design_is_labelled(results, tmp_path, counted, row):
     """With standard deviations they stand in the table's title; of a most-yield design the figure has no scatter in it."""
-    told = document(results, "tolerance")
+    record = document(results, "tolerance")
     design = {"coupler": 0.41, "rocker": 0.23}
-    told["robust"] = {"counted": counted, "valid": True, "design_SI": design, "nominal_design_SI": design, "kkt": 0.0}
-    told["robust"] |= {"status": "optimal", "monte_carlo_of_the_nominal_design": None, "the_nominal_design_yields_more": False}
-    told["robust"] |= {"largest_rad": 0.04, "largest_of_the_nominal_design_rad": 0.05}
-    (tmp_path / "result.json").write_text(json.dumps(told))
-    texts = [text.strip() for told in Reader(study_page(load_stored(str(tmp_path)))).texts.values() for text in told]
+    record["robust"] = {"counted": counted, "valid": True, "design_SI": design, "nominal_design_SI": design, "kkt": 0.0}
+    record["robust"] |= {"status": "optimal", "monte_carlo_of_the_nominal_design": None, "the_nominal_design_yields_more": False}
+    record["robust"] |= {"largest_rad": 0.04, "largest_of_the_nominal_design_rad": 0.05}
+    (tmp_path / "result.json").write_text(json.dumps(record))
+    texts = [text.strip() for record in Reader(study_page(load_stored(str(tmp_path)))).texts.values() for text in record]
     assert row in texts
     assert ("largest, nominal" in texts) is (counted == "yield")
 
@@ -690,9 +690,9 @@ def test_the_largest_figure_of_a_robust_design_says_what_it_is_of(results, tmp_p
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [-7, 0, 10**15])
 def test_a_front_along_no_or_endless_values_is_damaged(results, tmp_path, count):
-    told = document(results, "front")
-    told["constrained"][0]["values"] = count
-    (tmp_path / "result.json").write_text(json.dumps(told))
+    record = document(results, "front")
+    record["constrained"][0]["values"] = count
+    (tmp_path / "result.json").write_text(json.dumps(record))
     with pytest.raises(InputError, match="there are too many"):
         load_stored(str(tmp_path))
 
@@ -701,21 +701,21 @@ def test_a_front_along_no_or_endless_values_is_damaged(results, tmp_path, count)
 @pytest.mark.parametrize(
     "place", [("monte_carlo", "samples"), ("allocation", "check", "samples"), ("allocation", "cost_of_specified")]
 )
-def test_what_shares_are_taken_of_is_not_zero(results, tmp_path, place):
-    told = at = document(results, "tolerance")
+def test_shares_of_zero_are_refused(results, tmp_path, place):
+    record = at = document(results, "tolerance")
     for step in place[:-1]:
         at = at[step]
     at[place[-1]] = 0
-    (tmp_path / "result.json").write_text(json.dumps(told))
+    (tmp_path / "result.json").write_text(json.dumps(record))
     with pytest.raises(InputError, match=f"{place[-1]} = 0"):
         load_stored(str(tmp_path))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("key", "value"), [("before", [0.0, 1.0]), ("before", [1.0, None]), ("first_point_s", 0)])
-def test_a_trade_is_told_against_what_was_before(results, tmp_path, key, value):
-    told = document(results, "balance")
-    told["trade"][key] = value
-    (tmp_path / "result.json").write_text(json.dumps(told))
+def test_the_trade_off_is_relative_to_the_initial_machine(results, tmp_path, key, value):
+    record = document(results, "balance")
+    record["trade"][key] = value
+    (tmp_path / "result.json").write_text(json.dumps(record))
     with pytest.raises(InputError, match=f"trade.{key}.*(not above zero|not a number)"):
         load_stored(str(tmp_path))

@@ -50,7 +50,7 @@ def lost(wide: str, narrow: str) -> set[str]:
 
 
 @pytest.mark.parametrize("name", [*SCREENS, *(pytest.param(name, marks=pytest.mark.slow) for name in LONG)])
-def test_screens_of_any_width_keep_every_word(name, monkeypatch):
+def test_tables_keep_every_word_at_any_width(name, monkeypatch):
     wide = printed(screen(name), 200, monkeypatch)
     for width in (120, 80, 60, 40):
         shown = printed(screen(name), width, monkeypatch)
@@ -59,7 +59,7 @@ def test_screens_of_any_width_keep_every_word(name, monkeypatch):
         assert lost(wide, shown) == set(), width
 
 
-def test_a_cut_word_would_be_seen():
+def test_a_cut_word_is_detected():
     assert lost("peak torque 1015.4", "peak torq\nue 10…") == {"torque", "1015.4"}
 
 
@@ -81,7 +81,7 @@ def test_a_row_that_does_not_fit_is_written_as_lines(monkeypatch):
 
 
 @pytest.mark.parametrize("variable", ["NO_COLOR", "TERM"])
-def test_plain_text_where_it_is_asked_for(variable, monkeypatch):
+def test_plain_text_on_request(variable, monkeypatch):
     """Neither colours nor other codes; the width is that of COLUMNS."""
     monkeypatch.setenv("FORCE_COLOR", "1")  # as on a terminal
     monkeypatch.setenv("TERM", "xterm")
@@ -100,7 +100,7 @@ def test_text_for_a_file_is_plain(monkeypatch):
     assert "\x1b" not in sys.stdout.getvalue()
 
 
-def test_the_unit_of_a_row_stands_beside_its_name_where_the_last_column_has_its_own(monkeypatch):
+def test_row_units_follow_the_name_if_the_last_column_has_a_unit(monkeypatch):
     rows = [("slider: velocity", "-2.325257", "80.2205", "2.571953", "345.4036", "m/s")]
     spec = table("Extremes", ["", ">least", ">at [deg]", ">largest", ">at [deg]", ""], rows)
     lines = [line.strip() for line in printed(spec, 45, monkeypatch).splitlines()]

@@ -126,7 +126,7 @@ def test_chunks_of_large_grids_are_larger():
     assert [chunk(20), chunk(400), chunk(100, 100), chunk(1000, 1000)] == [100, 100, 1000, 10_000]
 
 
-def test_one_wrong_row_of_a_batch_is_not_valid(monkeypatch):
+def test_a_wrong_row_of_a_batch_is_invalid(monkeypatch):
     """A coupler that is 0.1 mm too short, an objective that is wrong by 2e-6: the validator rejects these rows and no others."""
     own = task(["mechanism.frame=490..510 mm:30"])
     real = own.grid_search.optima
@@ -161,7 +161,7 @@ WIDE = {
 }
 
 
-def test_a_search_that_ends_in_a_worse_optimum_is_mended_by_its_neighbours(monkeypatch):
+def test_neighbours_correct_a_search_that_ends_in_a_worse_optimum(monkeypatch):
     """The problem has optima of 0.0012 and 0.36 rad^2; one search is led to the worse one, another finds no design."""
     vary = ["mechanism.crank=98..102 mm:21"]
     expected = task(vary, **WIDE).lines(0)
@@ -190,7 +190,7 @@ def test_a_search_that_ends_in_a_worse_optimum_is_mended_by_its_neighbours(monke
     assert search._others(np.array([0]), [[1]]) == [{1}]
 
 
-def test_searches_that_all_end_in_a_worse_optimum_are_mended_by_random_starts():
+def test_random_starts_correct_searches_that_end_in_a_worse_optimum():
     """From a bad start every middle of a block leads to an optimum of 0.36 rad^2 or more; the best one is 0.0012 rad^2."""
     vary = ["mechanism.crank=98..102 mm:21"]
     far = {"start": "-150 deg", "bounds": ["-180 deg", "180 deg"]}
@@ -202,7 +202,7 @@ def test_searches_that_all_end_in_a_worse_optimum_are_mended_by_random_starts():
 
 
 @pytest.mark.slow
-def test_rows_at_an_end_of_a_sweep_have_a_branch_of_their_own():
+def test_rows_at_the_end_of_a_sweep_can_have_another_branch():
     """Where the rocker is at its bound the best of two optima exists at the end of the sweep alone: a fifth to a third better."""
     vary = ["mechanism.crank=20..300 mm:15"]
     own = task(vary, **WIDE)
@@ -216,7 +216,7 @@ def test_rows_at_an_end_of_a_sweep_have_a_branch_of_their_own():
 
 
 @pytest.mark.parametrize(("count", "workers"), [(10, 2), (11, 3), (1, 4), (0, 2)])
-def test_workers_that_take_turns_get_neighbouring_chunks(count, workers):
+def test_workers_get_neighbouring_chunks(count, workers):
     order = apart(list(range(count)), workers)
     assert sorted(order) == list(range(count))
     if count >= 2 * workers:

@@ -79,7 +79,7 @@ def shaper():
         ("mechanism.guides.G.direction", 3.0, "deg"),
     ],
 )
-def test_derivatives_are_those_of_machines_that_are_searched_again(pump, key, value, unit):
+def test_derivatives_agree_with_reoptimised_machines(pump, key, value, unit):
     step = 2e-3 * value
     low, high = (solve(optlink.read(PUMP).override({key: f"{value + way!r} {unit}"}), starts=1) for way in (-step, step))
     assert low.valid
@@ -98,7 +98,7 @@ def test_a_limit_of_a_length_moves_the_length(pump):
     assert row.objective < 0.0
 
 
-def test_who_moves_the_pivot_moves_the_guide(pump):
+def test_moving_the_pivot_is_equivalent_to_moving_the_guide(pump):
     """Along the guide nothing changes; across it, what lies on the machine goes along."""
     assert pump["mechanism.ground.A.y"].design["G.y"] == pytest.approx(1.0, abs=1e-9)
     assert pump["mechanism.ground.A.x"].design["G.y"] == pytest.approx(-math.tan(math.radians(3.0)), rel=1e-9)
@@ -109,11 +109,11 @@ def test_who_moves_the_pivot_moves_the_guide(pump):
 
 
 @pytest.mark.slow
-def test_a_shaper_on_another_place_is_the_same(shaper):
+def test_a_translated_shaper_has_the_same_sensitivities(shaper):
     row = shaper["mechanism.ground.A.x"]
     assert row.design == pytest.approx({"C.x": 1.0} | dict.fromkeys(set(row.design) - {"C.x"}, 0.0), abs=1e-7)
     assert not shaper["mechanism.guides.F.through.x"].moves
-    assert shaper.notes == ()  # though peaks lie on positions that the programme knows anyway
+    assert shaper.notes == ()  # although the peaks lie on positions of the programme
 
 
 @pytest.mark.parametrize("name", ["pump", pytest.param("shaper", marks=pytest.mark.slow)])
@@ -131,7 +131,7 @@ def test_forces_scale_together(name, request):
     assert loads + gravity + speed == pytest.approx(objective, rel=1e-7)
 
 
-def test_every_figure_of_the_file_is_there(pump):
+def test_every_number_of_the_file_is_a_parameter(pump):
     keys = {row.parameter.key for row in pump.rows}
     assert keys >= {
         "gravity",
@@ -153,30 +153,30 @@ def test_every_figure_of_the_file_is_there(pump):
 
 
 @pytest.mark.slow
-def test_a_result_is_shown_as_it_was_found(pump, tmp_path):
+def test_a_stored_sensitivity_gives_the_same_table(pump, tmp_path):
     file = tmp_path / "pump.toml"
     file.write_text(tomli_w.dumps(PUMP), encoding="utf-8")
     out = tmp_path / "out"
     run = CliRunner().invoke(app, ["study", "sensitivity", str(file), "--starts", "2", "--out", str(out)])
     assert run.exit_code == 0, run.output
-    told = {row["key"]: row for row in json.loads((out / "result.json").read_text(encoding="utf-8"))["parameters"]}
+    rows = {row["key"]: row for row in json.loads((out / "result.json").read_text(encoding="utf-8"))["parameters"]}
     subject = load_stored(str(out / "result.json"), str(file))
     for row in subject.effects.rows:
-        one = told[row.parameter.key]
+        one = rows[row.parameter.key]
         assert row.objective == pytest.approx(one["objective_per_unit"], rel=1e-5, abs=1e-9)
         np.testing.assert_allclose(list(row.design.values()), list(one["design_per_unit"].values()), rtol=1e-4, atol=1e-6)
-    assert pump["gravity"].objective == pytest.approx(told["gravity"]["objective_per_unit"], rel=1e-6)
+    assert pump["gravity"].objective == pytest.approx(rows["gravity"]["objective_per_unit"], rel=1e-6)
 
 
 @pytest.mark.slow
-def test_where_there_is_no_optimum_it_says_so():
+def test_sensitivities_without_an_optimum_are_refused():
     tight = optlink.read(PUMP).override({"limits.guide.max": "1 N"})
     with pytest.raises(InputError, match="no optimum to analyse: infeasible"):
         sensitivities(tight, starts=1)
 
 
 @pytest.mark.slow
-def test_all_of_them_searched_again():
+def test_all_derivatives_agree_with_reoptimisation():
     found = sensitivities(optlink.read(PUMP), starts=1, check=True)
     for row in found.moving:
         assert row.check is not None
@@ -185,7 +185,7 @@ def test_all_of_them_searched_again():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "gap"), [("shaper-design", 1e-5), ("press-toggle", 1e-3)])
-def test_some_of_them_searched_again(name, gap):
+def test_some_derivatives_agree_with_reoptimisation(name, gap):
     """Three, evenly spread over the keys."""
     found = sensitivities(optlink.load(name), starts=1)
     chosen = [found.moving[k * len(found.moving) // 3] for k in range(3)]
@@ -198,7 +198,7 @@ def test_some_of_them_searched_again(name, gap):
 
 @pytest.mark.parametrize("name", ["pump", pytest.param("shaper", marks=pytest.mark.slow)])
 def test_every_key_can_be_set(name, request):
-    """What is told can be tried: the value that stands there, under the key that stands there."""
+    """Every reported key can be set to its reported value."""
     found = request.getfixturevalue(name)
     for row in found.rows:
         p = row.parameter
@@ -226,7 +226,7 @@ def changed(**changes):
 
 
 @pytest.mark.slow
-def test_only_figures_are_figures():
+def test_only_numbers_are_parameters():
     """Not the digits in an expression, a file's name or a unit; of a table all values together."""
     force = {"expression": "-20*v - 5*sin(phi)", "unit": "N"}
     found = sensitivities(changed(loads__drag={"on": "ram", "force": force}), starts=1)
@@ -243,7 +243,7 @@ def test_only_figures_are_figures():
 
 
 @pytest.mark.slow
-def test_one_per_cent_more_of_a_negative_speed_is_faster(pump):
+def test_one_per_cent_of_a_negative_speed_increases_its_magnitude(pump):
     row = sensitivities(changed(drive__speed="-150 rpm", limits__guide__max="400 N"), starts=1)["drive.speed"]
     other = sensitivities(changed(limits__guide__max="400 N"), starts=1)["drive.speed"]
     assert row.parameter.step == -other.parameter.step == -1.5
@@ -251,6 +251,6 @@ def test_one_per_cent_more_of_a_negative_speed_is_faster(pump):
 
 
 @pytest.mark.slow
-def test_gravity_that_is_tilted_has_two_figures():
+def test_tilted_gravity_has_two_parameters():
     found = sensitivities(changed(gravity=["1 m/s^2", "-9.7 m/s^2"]), starts=1)
     assert {"gravity.x", "gravity.y"} <= {row.parameter.key for row in found.moving}

@@ -90,10 +90,10 @@ def crank_rocker() -> Pareto:
     return pareto(optlink.load("crank-rocker"), f"error, {ANGLE}", points=25, workers=1)
 
 
-# --- what a set of points says -----------------------------------------------------------------------------------------
+# --- sets of points ---------------------------------------------------------------------------------------------------
 
 
-def test_undominated_points_are_those_that_no_other_beats():
+def test_nondominated_points_are_selected():
     costs = np.random.default_rng(4).uniform(size=(120, 3))
     beaten = [any(np.all(o <= c) and np.any(o < c) for o in costs) for c in costs]
     assert undominated(costs).tolist() == [not b for b in beaten]
@@ -162,7 +162,7 @@ def test_angles_of_the_front_are_measured_in_motion():
         assert float(np.min(angle)) >= 45.0 - 1e-6
 
 
-def test_the_tight_end_is_the_tightest_there_is():
+def test_the_tight_end_is_the_tightest_feasible_limit():
     """Over a grid of all couplers and rockers no crank-rocker with 45 deg at least has a much smaller largest angle."""
     a, b = np.meshgrid(np.linspace(0.1, 0.9, 1601), np.linspace(0.1, 0.9, 1601))
     low, high = (np.degrees(np.arccos(np.clip((a * a + b * b - d * d) / (2.0 * a * b), -1.0, 1.0))) for d in (0.4, 0.6))
@@ -172,7 +172,7 @@ def test_the_tight_end_is_the_tightest_there_is():
     assert least - 0.2 <= tight <= least + 0.05
 
 
-def test_the_file_lies_on_the_front():
+def test_the_optimum_of_the_file_lies_on_the_front():
     front = crank_rocker()
     assert front.reference is not None
     assert front.reference == pytest.approx((0.00759237, 135.0), rel=1e-6)
@@ -197,7 +197,7 @@ def test_knee_is_furthest_from_the_chord():
     assert front.points[front.knee[0]].mark == "knee"
 
 
-def test_a_size_is_walked_along_as_well():
+def test_a_dimension_can_be_an_objective():
     front = pareto(optlink.load("crank-rocker"), "coupler=330..410 mm, error", points=5, workers=1)
     assert front.complete
     for point in front.points:
@@ -302,7 +302,7 @@ def test_the_end_of_a_front_is_found_where_its_limit_conflicts_with_several():
         ("limits.link_ratio.max", 1, None),
     ],
 )
-def test_every_limit_can_be_walked_along(limit, sense, end):
+def test_every_limit_can_be_an_objective(limit, sense, end):
     front = pareto(optlink.load("crank-rocker"), f"error, {limit}", points=5, workers=1)
     assert front.complete
     assert front.objectives[1].sense == sense
@@ -344,7 +344,7 @@ def test_front_of_a_slider_crank_is_its_closed_form(press):
     assert front.points[0].mark == "least rod.length"
 
 
-def test_the_limit_on_an_objective_gives_way_and_others_stay(press):
+def test_the_limit_on_an_objective_is_replaced_and_others_stay(press):
     limited = press.override(
         {
             f"limits.{k}": v
@@ -381,7 +381,7 @@ def test_three_objectives_of_a_machine_lie_on_their_surface(press):
         assert length == pytest.approx(max(120.0, 0.5 * stroke / math.cos(math.radians(angle))), rel=1e-6)
 
 
-def test_a_search_begins_where_it_is_told(press):
+def test_a_search_starts_at_the_requested_point(press):
     begun = with_starting_values(press, {"rod.length": 0.3, "crank.length": 1.0})
     assert begun.model.quantities["rod.length"].value == pytest.approx(0.3, rel=1e-12)
     assert begun.model.quantities["crank.length"].value == pytest.approx(0.1, rel=1e-12)  # its bound
@@ -389,11 +389,11 @@ def test_a_search_begins_where_it_is_told(press):
 
 
 def test_a_programme_with_another_bound_is_the_one_that_is_built_for_it():
-    """Every row in people's units, and what peaks are judged by, as if the file had stated the bound."""
+    """Rows in display units and limits of peaks are the same as with the bound in the file."""
     problem = optlink.load("shaper-design")
     found = read_objectives(problem, "peak torque, guide force in F")
     one, other = (epsilon_problem(problem, found, {0: 1.0}, {1: f"{bound} N"}) for bound in (1500.0, 1320.0))
-    made, wanted = cycle_task.CycleProgramme(one, "slsqp").nlp, cycle_task.CycleProgramme(other, "slsqp").nlp
+    made, expected = cycle_task.CycleProgramme(one, "slsqp").nlp, cycle_task.CycleProgramme(other, "slsqp").nlp
     moved = cycle_task.with_bounds(made, {"limits.front_2.max": 1320.0})
 
     def rows(nlp):
@@ -402,18 +402,18 @@ def test_a_programme_with_another_bound_is_the_one_that_is_built_for_it():
             for row, *bounds in zip(nlp.rows, nlp.low, nlp.high, strict=True)
         ]
 
-    for one_row, other_row in zip(rows(moved), rows(wanted), strict=True):
+    for one_row, other_row in zip(rows(moved), rows(expected), strict=True):
         assert one_row[:2] == other_row[:2]
         assert one_row[2:] == pytest.approx(other_row[2:], rel=1e-12)
     assert any(row[3] == pytest.approx(1320.0) for row in rows(moved))
     assert any(row[3] == pytest.approx(1500.0) for row in rows(made))  # which stays as it was
-    for one_peak, other_peak in zip(moved.watched, wanted.watched, strict=True):
+    for one_peak, other_peak in zip(moved.watched, expected.watched, strict=True):
         assert one_peak.bound * one_peak.size == pytest.approx(other_peak.bound * other_peak.size, rel=1e-12)
 
 
 @pytest.mark.slow
 def test_machines_are_swept_over_limits_and_sizes(press):
-    """A stroke is twice the crank; the shortest rod is that of its bound, or that of the least angle asked for."""
+    """A stroke is twice the crank; the shortest rod is that of its bound, or that of the required least angle."""
     result = sweep(press, ["limits.stroke.exactly=80..120 mm:5"], workers=1)
     assert result.complete
     assert result.columns["crank.length_mm"] == pytest.approx(0.5 * result.columns["limits.stroke.exactly_mm"], rel=1e-8)
@@ -429,7 +429,7 @@ def test_machines_are_swept_over_limits_and_sizes(press):
 
 
 @pytest.mark.slow
-def test_what_has_no_range_is_minimised_and_both_ways_give_one_front(press):
+def test_the_objective_without_a_range_is_minimised_and_both_choices_agree(press):
     one = pareto(press, f"rod.length, {LEAST}=66..80 deg", points=3, workers=1)
     other = pareto(press, f"rod.length=150..300 mm, {LEAST}", points=3, workers=1)
     assert (one.minimised, other.minimised) == (0, 1)
@@ -440,7 +440,7 @@ def test_what_has_no_range_is_minimised_and_both_ways_give_one_front(press):
 
 
 @pytest.mark.slow
-def test_one_design_best_in_everything_is_no_trade_off(press):
+def test_a_design_best_in_every_objective_is_a_single_point(press):
     front = pareto(press, "rod.length, crank.length", points=3, workers=1)
     assert len(front.points) == 1
     assert front.knee is None
@@ -448,7 +448,7 @@ def test_one_design_best_in_everything_is_no_trade_off(press):
 
 
 @pytest.mark.slow
-def test_a_range_that_restricts_nothing_is_named():
+def test_a_range_without_effect_is_reported():
     front = pareto(optlink.load("crank-rocker"), "error, coupler.min=200..400 mm", points=3, workers=1)
     assert front.single_point == "No trade-off in this range: the least error has coupler 412.865 mm; give a range beyond it"
     text = CliRunner().invoke(app, ["study", "pareto", "crank-rocker", "--objectives", "error, coupler.min=200..400 mm"]).output
@@ -460,7 +460,7 @@ def test_a_range_that_restricts_nothing_is_named():
 
 
 @pytest.mark.slow
-def test_same_front_whatever_the_workers_and_after_an_interruption(tmp_path, monkeypatch):
+def test_the_front_does_not_depend_on_workers_or_interruption(tmp_path, monkeypatch):
     monkeypatch.setattr(epsilon_constraint, "CHUNK", 30)  # two chunks
     words, problem = f"error, {ANGLE}=100..150 deg, coupler=330..400 mm", optlink.load("crank-rocker")
     whole = pareto(problem, words, tmp_path / "one", points=7, workers=1)
@@ -534,7 +534,7 @@ def test_ends_that_cannot_be_read_or_were_changed_are_searched_again(press, tmp_
     assert (tmp_path / ENDS).read_text(encoding="utf-8") == text
 
 
-def test_a_front_without_an_end_leaves_nothing_behind(press, tmp_path):
+def test_a_front_without_an_end_leaves_no_files(press, tmp_path):
     impossible = press.override({"limits.stroke": {"quantity": "stroke", "of": "ram", "exactly": "900 mm"}})
     with pytest.raises(InputError, match="cannot be found"):
         pareto(impossible, f"rod.length, {LEAST}", tmp_path / "new", points=3, workers=1)
@@ -556,7 +556,7 @@ def killed(arguments: list[str], out: Path, pattern: str, wait: float) -> None:
 
 @pytest.mark.slow
 def test_killed_three_times_and_resumed(press, tmp_path):
-    """SIGKILL while the ends are searched, and twice on the walk: the same front, byte for byte, and nothing is done twice."""
+    """SIGKILL during the search of the ends, and twice along the grid: the same front, byte for byte, without repeated work."""
     words, rng = f"rod.length, {LEAST}", random.Random(3)
     whole = pareto(press, words, tmp_path / "whole", points=14, workers=1)
     out = tmp_path / "run"
@@ -614,7 +614,7 @@ def test_command_writes_table_document_and_picture(tmp_path):
 
 
 @pytest.mark.slow
-def test_picture_marks_ends_knee_and_what_was_given():
+def test_picture_marks_ends_knee_and_reference():
     axes = draw(charts(crank_rocker())).axes
     assert len(axes) == 1
     marked = {line.get_gid(): line.get_xydata() for line in axes[0].lines}

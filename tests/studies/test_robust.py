@@ -1,4 +1,4 @@
-"""Robust designs as problems of their own: by the law of cosines, samples of numpy, and searches that know nothing of optlink."""
+"""Robust designs as problems of their own: by the law of cosines, samples of numpy, and searches independent of optlink."""
 
 from __future__ import annotations
 
@@ -209,8 +209,8 @@ def test_a_function_is_robust_anywhere_in_its_range():
             angle = rocker_angle(side * phi, sizes[0] + by[0], sizes[1] + by[1], sizes[2], sizes[3])
             return side * angle
 
-        wanted = design["psi0"] + np.sin(x) * math.pi / 2.0
-        error = np.remainder(wanted - psi() + math.pi, 2.0 * math.pi) - math.pi
+        target = design["psi0"] + np.sin(x) * math.pi / 2.0
+        error = np.remainder(target - psi() + math.pi, 2.0 * math.pi) - math.pi
         h = 1e-7
         by = [(psi((h, 0.0)) - psi((-h, 0.0))) / (2.0 * h), (psi((0.0, h)) - psi((0.0, -h))) / (2.0 * h)]
         largest.append(np.max(np.abs(error) + 3.0 * np.hypot(*by) * 0.2e-3 / 3.0))
@@ -222,7 +222,7 @@ def test_a_function_is_robust_anywhere_in_its_range():
 
 
 @pytest.mark.slow
-def test_what_a_tolerance_costs_is_its_derivative(problem):
+def test_the_effect_of_a_tolerance_is_its_derivative(problem):
     found = sensitivities(problem, starts=4, check=True)
     assert found.gap < 1e-4
     coupler = found["tolerances.coupler"]
@@ -237,7 +237,7 @@ def test_what_a_tolerance_costs_is_its_derivative(problem):
 
 
 @pytest.mark.slow
-def test_prices_of_limits_are_what_relaxing_them_buys(problem):
+def test_shadow_prices_agree_with_relaxed_limits(problem):
     found = solve(problem)
     (held,) = [limit for limit in found.solution.limits if limit.multiplier]
     assert held.name == "largest transmission angle"
@@ -260,7 +260,7 @@ def test_the_programme_is_differentiated_exactly(problem):
 
 
 @pytest.mark.slow
-def test_a_law_of_a_linkage_with_further_points_is_drawn(tmp_path):
+def test_a_law_of_a_linkage_with_extra_points_is_drawn(tmp_path):
     place = 'mechanism.points={ P = ["10 mm", "5 mm"] }'
     result = run("solve", "crank-rocker", "--set", place, "--out", str(tmp_path), "--json")
     assert result.exit_code == 0, result.output
@@ -268,7 +268,7 @@ def test_a_law_of_a_linkage_with_further_points_is_drawn(tmp_path):
     assert (tmp_path / "mechanism.png").stat().st_size > 5000
 
 
-def test_a_tolerance_without_effect_does_no_harm(problem):
+def test_a_tolerance_without_effect_changes_nothing(problem):
     """Its standard deviation is nought everywhere, where a square root has no slope."""
     found = solve(problem.override({"mechanism.points": {"P": ["10 mm", "5 mm"]}, "tolerances": {"P.along": "1 mm"}}))
     plain = solve(problem.override({"requirement.robust": None}))
@@ -291,7 +291,7 @@ def test_the_validator_measures_the_error_with_tolerances_itself(problem):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("robust", "measure"), CASES)
-def test_a_wrong_claim_is_found(problem, robust, measure):
+def test_a_wrong_scatter_fails_validation(problem, robust, measure):
     changed = problem.override({"requirement.robust": robust, "requirement.measure": measure})
     found = solve(changed)
     plain = solve(changed.override({"requirement.robust": None}))
@@ -301,7 +301,7 @@ def test_a_wrong_claim_is_found(problem, robust, measure):
         assert failed == ["error with tolerances measured in motion"]
 
 
-def test_the_validator_fails_on_a_linkage_that_answers_otherwise(problem):
+def test_the_validator_fails_on_a_changed_linkage(problem):
     """The same lengths in the other assembly mode move otherwise, and so does what tolerances do."""
     found = solve(problem)
     mirrored = problem.override({"mechanism.assembly": "right"}).spec.linkage
@@ -345,7 +345,7 @@ def test_a_study_of_tolerances_reads_those_of_the_file(problem):
 
 
 @pytest.mark.slow
-def test_costs_of_the_file_count_in_an_allocation(problem):
+def test_costs_of_the_file_are_used_in_an_allocation(problem):
     given = {"limit": "2.2 deg", "target_yield": 0.99, "samples": 1 << 10, "design": solve(problem).design}
     own = tolerance(problem, **given).allocation
     assert own.costs.tolist() == [1.0, 1.0, 2.0, 1.0, 1.0, 1.0]
@@ -380,11 +380,11 @@ def kept(design, law, span, limit, deviations, unit):
     """Which of the linkages with these deviations, shares of their tolerances, keep a limit [rad] at 31 angles of the span."""
     by = {d.name: d.tolerance * unit[:, i : i + 1] for i, d in enumerate(deviations)}
     phi = design["phi0"] + np.linspace(0.0, span, 31)
-    wanted = law(phi - design["phi0"]) + design["psi0"]
+    target = law(phi - design["phi0"]) + design["psi0"]
     lengths = (design["crank"] + by.get("crank", 0.0), design["coupler"] + by.get("coupler", 0.0) + by.get("C.clearance", 0.0))
     dx = design["frame"] + by.get("frame", 0.0) + by.get("D.x", 0.0)
     psi = rocker_angle(phi, *lengths, design["rocker"] + by.get("rocker", 0.0), dx, by.get("D.y", 0.0))
-    return np.max(np.abs(np.remainder(wanted - psi + math.pi, 2.0 * math.pi) - math.pi), axis=1) <= limit
+    return np.max(np.abs(np.remainder(target - psi + math.pi, 2.0 * math.pi) - math.pi), axis=1) <= limit
 
 
 PARABOLA = ("psi0 + 0.25*(phi - phi0)^2", lambda t: 0.25 * t**2)
@@ -419,7 +419,7 @@ BACK = ("psi0 - 0.22*(phi - phi0)^2", lambda t: -0.22 * t**2)
             ["crank=0.2 mm", "coupler=0.3 mm triangular", "rocker=0.3 mm", "D.x=0.3 mm uniform", "C.clearance=0.05 mm"],
             True,
         ),
-        (  # margins that are even need not yield more than one weak angle, and that is told
+        (  # margins that are even need not yield more than one weak angle, which is reported
             feeder(45, 150, BACK[0], "90 deg", **{"from": "inner dead centre", "measure": "max"}),
             BACK[1],
             90.0,
@@ -429,7 +429,7 @@ BACK = ("psi0 - 0.22*(phi - phi0)^2", lambda t: -0.22 * t**2)
         ),
     ],
 )
-def test_what_the_safest_design_yields(problem, law, span, limit, texts, better):
+def test_yield_of_the_design_with_the_largest_margin(problem, law, span, limit, texts, better):
     """The same linkages of pseudo-random sizes of both designs: how many more keep the limit."""
     found = tolerance(problem, texts, limit=f"{limit} deg", samples=1 << 14, robust="margin")
     assert found.robust.valid
@@ -523,7 +523,7 @@ def test_an_allocation_keeps_its_yield_whatever_the_distributions(texts, limit, 
 # --- the file ----------------------------------------------------------------------------------------------------------
 
 
-def test_names_with_dots_are_written_as_one_likes(problem):
+def test_dotted_names_have_two_spellings(problem):
     raw = dict(problem.raw)
     nested = {name: entry for name, entry in raw["tolerances"].items() if "." not in name}
     nested |= {"D": {"x": "1 mm", "y": "0.5 mm"}, "C": {"clearance": "0.2 mm"}}
@@ -551,7 +551,7 @@ def test_a_new_tolerance_keeps_distribution_and_cost():
     assert table["coupler"] == {"tolerance": "0.3 mm"}
 
 
-def test_the_hash_knows_measured_parts(problem, tmp_path):
+def test_the_hash_includes_measured_deviations(problem, tmp_path):
     file = tmp_path / "parts.csv"
     hashes = []
     for last in ("0.1", "0.2"):
@@ -610,7 +610,7 @@ def test_the_command_solves_reports_and_validates(problem, tmp_path):
         (["tolerances.coupler={ tolerance = 3 }"], ["tolerances.coupler.tolerance", "with its unit"]),
     ],
 )
-def test_bad_input_is_told(changes, words):
+def test_bad_input_is_reported(changes, words):
     result = run("solve", "crank-rocker-robust", *(word for change in changes for word in ("--set", change)))
     assert result.exit_code == 2, result.output
     assert "Traceback" not in result.output

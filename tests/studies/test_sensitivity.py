@@ -47,14 +47,14 @@ def crank_rocker():
         (LIMIT, 0.004, lambda h: {"limits.transmission_angle": ["45 deg", f"{135.0 + h!r} deg"]}),
     ],
 )
-def test_derivatives_are_those_of_problems_that_are_solved_again(crank_rocker, key, step, override):
+def test_derivatives_agree_with_reoptimised_problems(crank_rocker, key, step, override):
     above, below = (figures(solved(**override(h))) for h in (step, -step))
     row = crank_rocker[key]
     exact = np.array([row.objective, row.design["coupler"], row.design["rocker"]])
     np.testing.assert_allclose(exact, (above - below) / (2.0 * step), rtol=1e-5)
 
 
-def test_one_more_degree_buys_what_is_printed():
+def test_the_price_predicts_one_more_degree():
     """To first order: what is left over falls with the square of the change."""
     base = solved()
     (limit,) = (item for item in base.solution.limits if item.active)
@@ -94,7 +94,7 @@ def test_scaling_the_given_lengths_scales_the_design(crank_rocker):
         {"mechanism.crank": "4 in", "mechanism.frame": "20 in"},
     ],
 )
-def test_its_own_check_agrees_on_variations(overrides):
+def test_the_built_in_check_agrees_on_variations(overrides):
     result = sensitivities(optlink.load("crank-rocker", overrides), check=True)
     assert result.moving
     assert all(row.check is not None for row in result.moving)
@@ -128,7 +128,7 @@ def test_every_key_of_a_dimension_can_be_changed(name, several):
 
 
 @pytest.mark.parametrize("direction", ["0 deg", "37 deg"])
-def test_turning_the_guide_turns_the_crank_and_changes_nothing_else(direction):
+def test_rotating_the_guide_only_rotates_the_crank(direction):
     found = sensitivities(optlink.load("law-slider-crank", {"mechanism.guides.G.direction": direction}))
     row = found["mechanism.guides.G.direction"]
     assert row.objective == 0.0  # was -1.2e-13 of it by 1 deg
@@ -173,7 +173,7 @@ def test_a_path_with_its_frame_at_a_bound():
     assert result.gap < 1e-5
 
 
-def test_the_range_ends_where_the_bound_lets_go():
+def test_the_validity_range_ends_where_a_bound_becomes_inactive():
     """The coupler held at 412.5 mm: freed, it would go to 412.865 mm; nearly linear so close to it."""
     free = 1e3 * solved().design["coupler"]
     bounds = {"mechanism.coupler": {"start": "400 mm", "bounds": ["100 mm", "412.5 mm"]}}
@@ -183,7 +183,7 @@ def test_the_range_ends_where_the_bound_lets_go():
     assert row.below.value < 412.5
 
 
-def test_the_range_ends_where_another_limit_is_reached():
+def test_the_validity_range_ends_where_another_limit_becomes_active():
     """A limit of the smallest angle just below the one that the optimum has."""
     found = [check.value for check in solved().validation.checks if check.name == "smallest transmission angle"]
     limits = {"limits.transmission_angle": [f"{found[0] - 0.05!r} deg", "135 deg"]}
@@ -195,7 +195,7 @@ def test_the_range_ends_where_another_limit_is_reached():
     assert reached[0] == pytest.approx(found[0] - 0.05, abs=1e-3)
 
 
-def test_the_largest_error_moves_to_another_position_in_plain_words():
+def test_a_change_of_the_largest_error_position_is_described():
     """Of a minimax objective the range ends where another error becomes the largest, or one of the largest no longer is."""
     file = optlink.load("crank-rocker", {"requirement.measure": "max"})
     events = {end.event for row in sensitivities(file).rows for end in (row.below, row.above)}
@@ -218,7 +218,7 @@ def test_rows_are_sorted_by_effect(crank_rocker):
     assert sorted(others) == [("mechanism.crank", 1.0), ("mechanism.frame", 5.0)]  # a hundredth of each: as much, by similarity
 
 
-def test_nothing_to_be_told_where_nothing_is_optimal():
+def test_no_sensitivities_without_an_optimum():
     with pytest.raises(InputError, match="no optimum"):
         sensitivities(optlink.load("crank-rocker", {"limits.transmission_angle": ["80 deg", "90 deg"]}))
 
@@ -266,7 +266,7 @@ def test_outputs_of_every_kind_against_central_differences(name):
             np.testing.assert_allclose(found.by[size], (above - below) / (2.0 * step), atol=2e-7, rtol=1e-6)
 
 
-def test_unknown_outputs_are_answered_with_the_nearest():
+def test_unknown_outputs_suggest_the_nearest_name():
     linkage = optlink.load("crank-rocker").model.linkage
     with pytest.raises(InputError, match='Did you mean "rocker"'):
         output_sensitivity(linkage, SIZES, [0.0], "roker")
@@ -305,7 +305,7 @@ def test_the_command_writes_a_table_a_picture_and_json(tmp_path):
     assert float(rows[0]["coupler_mm_per_unit"]) == pytest.approx(-2.3856, abs=1e-3)
 
 
-def test_the_command_prints_what_matters():
+def test_the_command_prints_the_sensitivities():
     done = run("crank-rocker")
     assert done.exit_code == 0
     for words in ("limits.transmission_angle.max", "-1.929 %", "rad^2 per deg", "the bound of rocker is reached"):
@@ -359,7 +359,7 @@ def test_output_sensitivities_are_written(tmp_path):
         (["--starts", "0"], "out of range"),
     ],
 )
-def test_what_would_do_nothing_is_refused_and_leaves_no_folder(tmp_path, arguments, words):
+def test_options_without_effect_are_refused_and_leave_no_folder(tmp_path, arguments, words):
     done = run("crank-rocker", *arguments, "--out", str(tmp_path / "new" / "folder"))
     assert done.exit_code == 2
     assert words in done.stderr

@@ -1,4 +1,4 @@
-"""Sweeps: rows against single solves, the same bytes whatever happens on the way, and every kind of bad input."""
+"""Sweeps: rows against single solves, identical bytes after interruptions and failures, and every kind of bad input."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_ranges_lists_and_ratios(text, unit, values):
         ("mechanism=450..550 mm:3", "--vary mechanism"),
     ],
 )
-def test_bad_axes_say_why(text, words):
+def test_bad_axes_are_reported_with_the_reason(text, words):
     with pytest.raises(InputError, match=words.replace("(", r"\(")):
         read_grid(problem(), [text])
 
@@ -135,7 +135,7 @@ def test_a_tolerance_is_varied_for_a_robust_design_alone():
     assert read_grid(problem("crank-rocker-robust"), [f"tolerances.{key}=0.1..0.2 mm:3"]).count == 3
 
 
-def test_nothing_and_twice_are_no_grids():
+def test_empty_and_duplicate_axes_are_refused():
     with pytest.raises(InputError, match="no parameter is varied"):
         read_grid(problem(), [])
     with pytest.raises(InputError, match="varied twice"):
@@ -163,7 +163,7 @@ def test_rows_are_those_of_single_solves():
             assert table[f"{name}_mm"][i] == pytest.approx(1e3 * single.design[name], abs=1e-6)
 
 
-def test_the_first_row_of_a_small_grid_has_a_search_near_by():
+def test_a_small_grid_has_a_search_near_its_first_row():
     """From the middle of this grid Newton's method follows an optimum that is 2 % worse at its lower end."""
     mechanism = {"crank": "59.8 mm", "coupler": {"bounds": ["300 mm", "390 mm"]}, "rocker": "278 mm", "assembly": "right"}
     mechanism["frame"] = {"bounds": ["179 mm", "341 mm"]}
@@ -182,7 +182,7 @@ def test_the_last_axis_changes_fastest():
     assert columns[f"{LIMIT}_deg"].tolist() == [130.0] * 3 + [135.0] * 3
 
 
-def test_where_other_limits_begin_to_hold_is_marked():
+def test_active_set_changes_are_marked():
     """Freed, the coupler takes 412.865 mm: its bound holds it below, and not above."""
     result = sweep(problem(), ["mechanism.coupler.max=405..420 mm:61"], workers=1)
     table = result.columns
@@ -221,16 +221,16 @@ def test_points_without_a_design_are_rows_too():
     assert result.infeasible == np.count_nonzero(bad)
     assert not np.any(table[CHANGED][bad])  # nothing holds a design that is not there
     for point in np.flatnonzero(bad):  # limits alone, not what follows from them
-        told = {*table["failed"][point].split("; "), *table["active"][point].split("; ")} - {""}
+        output = {*table["failed"][point].split("; "), *table["active"][point].split("; ")} - {""}
         angle = f"{float(table[f'{LIMIT}_deg'][point])!r} deg"
         single = optlink.solve(problem(**{"limits.transmission_angle": ["45 deg", angle]}), certify=False)
-        assert {item.name for item in single.conflict} & told
+        assert {item.name for item in single.conflict} & output
     assert np.all(np.isnan(table["objective_rad2"][bad]))
     assert not np.any(table["valid"][bad])
 
 
 @pytest.mark.slow
-def test_a_size_that_varies_by_decades_hides_no_design():
+def test_a_dimension_varied_by_decades_finds_every_design():
     """The programme is scaled by its first frame, of 1 mm; a single solve of the last one finds a design."""
     table = sweep(problem(), ["mechanism.frame=1..1000 mm:4 log"], workers=1).columns
     assert table["status"][0] == "infeasible"
@@ -240,7 +240,7 @@ def test_a_size_that_varies_by_decades_hides_no_design():
     assert table["objective_rad2"][3] == pytest.approx(single.objective, rel=1e-9)
 
 
-def test_what_no_programme_holds_as_a_number_is_built_for_each_point():
+def test_keys_outside_the_programme_are_rebuilt_at_each_point():
     result = sweep(problem(), ["requirement.span=60..90 deg:3"], workers=1)
     assert result.complete
     single = optlink.solve(optlink.load("crank-rocker", {"requirement.span": "75 deg"}))
@@ -248,7 +248,7 @@ def test_what_no_programme_holds_as_a_number_is_built_for_each_point():
 
 
 def test_a_row_that_the_validator_rejects_is_not_valid(monkeypatch):
-    """Every point goes through the validator, which knows nothing of the programme: here it asks for more."""
+    """Every point goes through the validator, which is independent of the programme: here it is stricter."""
     from optlink.studies import reoptimise_task
 
     stricter = problem(**{"limits.transmission_angle": ["45 deg", "120 deg"]}).spec
@@ -308,7 +308,7 @@ def test_analysis_without_optimisation():
     np.testing.assert_allclose(result.columns["input.torque_Nm.rms"], np.sqrt((torque**2).mean(axis=1)), rtol=1e-12)
 
 
-def test_only_sizes_can_be_analysed():
+def test_only_dimensions_can_be_varied_in_an_analysis():
     with pytest.raises(InputError, match="only dimensions"):
         sweep(problem(), [f"{LIMIT}=120..130 deg:3"], analyze=True)
     with pytest.raises(InputError, match="no such column"):
@@ -316,7 +316,7 @@ def test_only_sizes_can_be_analysed():
 
 
 @pytest.mark.parametrize("points", [0, 1, -5, 10_001])
-def test_crank_angles_of_an_analysis_are_not_any_number(points):
+def test_the_number_of_crank_angles_is_limited(points):
     with pytest.raises(InputError, match=r"--points = .*out of range.*2 to 10,000"):
         sweep(problem(), [f"{FRAME}:3"], analyze=True, points=points)
 
@@ -327,7 +327,7 @@ def test_a_back_end_that_no_study_has_is_refused(backend, words):
         sweep(problem(), [f"{FRAME}:3"], backend=backend)
 
 
-def test_what_cannot_be_swept_says_so():
+def test_problems_that_cannot_be_swept_are_refused():
     with pytest.raises(InputError, match="nothing to solve"):
         sweep(problem("shaper"), ["mechanism.links.crank.length=0.1..0.11 m:3"])
     fixed = problem(**{"mechanism.coupler": "412 mm", "mechanism.rocker": "232 mm"})
@@ -335,7 +335,7 @@ def test_what_cannot_be_swept_says_so():
         sweep(fixed, [f"{FRAME}:3"])
 
 
-# --- the same bytes, whatever happens --------------------------------------------------------------------------------
+# --- identical bytes after failures ----------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -395,7 +395,7 @@ def test_a_finished_run_is_read_again(undisturbed, tmp_path):
     assert (tmp_path / "sweep.csv").read_bytes() == undisturbed
 
 
-def test_a_finished_run_tells_the_same_again(tmp_path):
+def test_a_finished_run_reports_the_same_again(tmp_path):
     vary = ["mechanism.coupler.max=405..420 mm:61"]
     first = sweep(problem(), vary, tmp_path, workers=1)
     again = sweep(problem(), vary, tmp_path, resume=True)
@@ -415,7 +415,7 @@ def test_a_finished_run_tells_the_same_again(tmp_path):
         lambda b: b.replace(b"\n4", b"\n5", 1),
     ],
 )
-def test_a_finished_table_that_was_changed_is_not_believed(tmp_path, damage):
+def test_a_changed_table_is_rejected(tmp_path, damage):
     sweep(problem(), [f"{FRAME}:3"], tmp_path, workers=1)
     table = tmp_path / "sweep.csv"
     table.write_bytes(damage(table.read_bytes()))
@@ -425,7 +425,7 @@ def test_a_finished_table_that_was_changed_is_not_believed(tmp_path, damage):
 
 @pytest.fixture(scope="module")
 def begun(tmp_path_factory) -> Path:
-    """A sweep of two chunks that was interrupted after the first; the whole table beside it."""
+    """A sweep of two chunks interrupted after the first, and its complete table."""
 
     def fill(out: Path) -> None:
         with pytest.raises(KeyboardInterrupt):
@@ -447,7 +447,7 @@ def begun(tmp_path_factory) -> Path:
         lambda chunk: b"",
     ],
 )
-def test_a_chunk_that_is_damaged_is_done_again(begun, tmp_path, damage):
+def test_a_damaged_chunk_is_recomputed(begun, tmp_path, damage):
     out = tmp_path / "run"
     shutil.copytree(begun, out)
     first = sorted(out.glob("chunks/*/0*.csv"))[0]
@@ -459,17 +459,17 @@ def test_a_chunk_that_is_damaged_is_done_again(begun, tmp_path, damage):
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has neither this signal nor this limit")
-def test_ctrl_c_says_how_to_go_on(undisturbed, tmp_path):
+def test_ctrl_c_states_how_to_resume(undisturbed, tmp_path):
     out = tmp_path / "run"
     run = subprocess.Popen(command(out), cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     begin = time.monotonic()
     while not list(out.glob("chunks/*/0*.csv")) and time.monotonic() - begin < 60.0:
         time.sleep(0.01)
     run.send_signal(signal.SIGINT)
-    _, told = run.communicate(timeout=60)
+    _, output = run.communicate(timeout=60)
     assert run.returncode == 130
-    assert f"resume with --resume --out {out}" in told
-    assert "Traceback" not in told
+    assert f"resume with --resume --out {out}" in output
+    assert "Traceback" not in output
     sweep(problem(), [f"{FRAME}:{POINTS}"], out, resume=True, workers=1)
     assert (out / "sweep.csv").read_bytes() == undisturbed
 
@@ -487,7 +487,7 @@ main()
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has neither this signal nor this limit")
 @pytest.mark.parametrize(("bytes_left", "kept"), [(4_000, 0), (30_000, 4)])
-def test_no_room_for_a_chunk_or_for_the_table_costs_nothing_that_is_done(undisturbed, tmp_path, bytes_left, kept):
+def test_a_full_disk_for_chunk_or_table_keeps_finished_chunks(undisturbed, tmp_path, bytes_left, kept):
     out = tmp_path / "run"
     done = subprocess.run(
         [sys.executable, "-c", LIMITED, str(bytes_left), "--out", str(out)], cwd=ROOT, capture_output=True, text=True, check=False
@@ -502,7 +502,7 @@ def test_no_room_for_a_chunk_or_for_the_table_costs_nothing_that_is_done(undistu
 
 
 @pytest.mark.slow
-def test_a_chunk_that_is_cut_short_is_done_again(undisturbed, tmp_path):
+def test_a_truncated_chunk_is_recomputed(undisturbed, tmp_path):
     stopped = interrupted_after(3)
     with pytest.raises(KeyboardInterrupt):
         sweep(problem(), [f"{FRAME}:{POINTS}"], tmp_path, workers=1, progress=stopped)
@@ -526,7 +526,7 @@ def interrupted_after(count: int):
 
 
 @pytest.mark.slow
-def test_a_disk_that_is_full_costs_nothing_that_is_done(undisturbed, tmp_path, monkeypatch):
+def test_a_full_disk_keeps_finished_chunks(undisturbed, tmp_path, monkeypatch):
     real, written = Path.write_text, []
 
     def full(self, text, **kwargs):
@@ -554,7 +554,7 @@ def test_a_disk_that_is_full_costs_nothing_that_is_done(undisturbed, tmp_path, m
         ({}, "mechanism.crank=100..101 mm:3", "axes differs"),
     ],
 )
-def test_a_folder_of_another_study_is_refused_and_left_alone(tmp_path, other, vary, words):
+def test_a_folder_of_another_study_is_refused_and_unchanged(tmp_path, other, vary, words):
     sweep(problem(), [f"{FRAME}:3"], tmp_path, workers=1)
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     for resume in (False, True):
@@ -571,7 +571,7 @@ def test_a_study_of_another_version_is_refused(tmp_path):
         sweep(problem(), [f"{FRAME}:3"], tmp_path, resume=True)
 
 
-def test_the_same_study_is_not_begun_twice_without_a_word(tmp_path):
+def test_a_study_is_not_restarted_without_resume(tmp_path):
     sweep(problem(), [f"{FRAME}:3"], tmp_path, workers=1)
     with pytest.raises(InputError, match="--resume"):
         sweep(problem(), [f"{FRAME}:3"], tmp_path)
@@ -622,13 +622,13 @@ def test_a_chunk_that_kills_every_worker_is_named(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
-def test_a_breakdown_is_told_with_its_place(tmp_path, workers):
+def test_a_failure_is_reported_with_its_point(tmp_path, workers):
     with pytest.raises(SolverError, match=r"(?s)chunk 2.*no inverse of zero"):
         list(runner.run(Square(tmp_path, faulty=2), range(4), workers=workers))
 
 
 @pytest.mark.slow
-def test_no_process_outlives_a_run_that_is_given_up(tmp_path):
+def test_no_process_outlives_an_abandoned_run(tmp_path):
     before = threading.active_count()
     answers = runner.run(Square(tmp_path), range(1000), workers=2)
     next(answers)
@@ -654,7 +654,7 @@ def test_bad_engines(options, words, tmp_path):
     assert not (tmp_path / "new").exists()  # so that the same folder serves once the option is mended
 
 
-def test_without_dask_it_says_what_to_install(monkeypatch):
+def test_missing_dask_is_reported_with_its_installation(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(InputError, match=r'pip install "optlink\[dask\]"'):
         sweep(problem(), [f"{FRAME}:3"], engine="dask")
@@ -722,7 +722,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_dies_midway_costs_one_sentence_and_no_chunk(undisturbed, tmp_path):
+def test_a_dead_scheduler_gives_one_sentence_and_loses_no_chunk(undisturbed, tmp_path):
     pytest.importorskip("distributed")
     script, out = tmp_path / "scheduler.py", tmp_path / "run"
     script.write_text(SCHEDULER)
@@ -737,12 +737,12 @@ def test_a_scheduler_that_dies_midway_costs_one_sentence_and_no_chunk(undisturbe
                     assert run.poll() is None
                     time.sleep(0.01)
                 scheduler.kill()
-                told = run.communicate(timeout=60)[1]
+                output = run.communicate(timeout=60)[1]
         finally:
             scheduler.kill()
     assert run.returncode == 3
-    sentences = [line for line in told.splitlines() if line.strip()]
-    assert len(sentences) == 1, told
+    sentences = [line for line in output.splitlines() if line.strip()]
+    assert len(sentences) == 1, output
     assert f"the Dask scheduler {address} did not answer" in sentences[0]
     kept = len(list(out.glob("chunks/*/0*.csv")))
     assert 1 <= kept < 4
@@ -885,7 +885,7 @@ def test_bad_input_of_the_command(arguments, words):
     assert "Traceback" not in done.stderr
 
 
-def test_a_given_design_need_not_say_what_is_varied(tmp_path):
+def test_a_given_design_may_omit_varied_keys(tmp_path):
     arguments = ["--analyze", "--vary", "mechanism.coupler=400..420 mm:2", "--column", "rocker.angle_rad"]
     assert run("crank-rocker", *arguments, "--design", "rocker=232 mm", "--out", str(tmp_path)).exit_code == 0
     rows = (tmp_path / "sweep.csv").read_text().splitlines()[1:]
@@ -906,7 +906,7 @@ def half_written(path: Path) -> None:
         raise ZeroDivisionError
 
 
-def test_storage_is_whole_or_not_there(tmp_path):
+def test_files_are_written_completely_or_not_at_all(tmp_path):
     with pytest.raises(ZeroDivisionError):
         half_written(tmp_path / "a.txt")
     assert list(tmp_path.iterdir()) == []
@@ -922,7 +922,7 @@ def test_storage_is_whole_or_not_there(tmp_path):
         ("1e-308..1e308 mm:3 log", "exceeds the largest number"),
     ],
 )
-def test_ends_and_steps_that_no_number_holds_are_refused(values, words):
+def test_ranges_beyond_float_precision_are_refused(values, words):
     with pytest.raises(InputError, match=words):
         read_axis(f"mechanism.crank={values}")
 
@@ -976,13 +976,13 @@ def test_fronts_stay_within_the_bounds_of_sizes(objectives, words):
         ("path-ellipse10", "points of a path are prescribed here"),
     ],
 )
-def test_what_has_no_front_says_what_is_wanted_of_it(name, wanted):
+def test_problems_without_a_front_state_the_requirement(name, wanted):
     done = CliRunner().invoke(app, ["study", "pareto", name, "--objectives", "error, coupler.max"])
     assert done.exit_code == 2
     assert wanted in done.stderr
 
 
-def test_one_point_is_told_as_one(tmp_path):
+def test_a_single_point_is_reported_in_the_singular(tmp_path):
     aims = "error, coupler=500..900 mm"  # at both the coupler of the best design is shorter: one point
     done = CliRunner().invoke(app, ["study", "pareto", "crank-rocker", "--objectives", aims, "--points", "2"])
     assert done.exit_code == 0
@@ -990,7 +990,7 @@ def test_one_point_is_told_as_one(tmp_path):
     assert "\n2 points done" in done.stdout
 
 
-def test_no_part_of_a_search_becomes_a_row(monkeypatch):
+def test_an_interrupted_search_gives_no_row(monkeypatch):
     """A search that Ctrl-C ended with its best design so far ends the study: nothing of it is kept as the optimum."""
     from types import SimpleNamespace
 

@@ -1,4 +1,4 @@
-"""Sweeps of the analysis: exact figures, a status and a reason for every point, and what the command says of them."""
+"""Sweeps of the analysis: exact figures, a status and a reason for every point, and the output of the command."""
 
 from __future__ import annotations
 
@@ -181,7 +181,7 @@ def test_a_singular_position_and_a_design_out_of_reach_are_statuses(pump):
     assert "no crank angle can be reached" in table["reason"][1]
 
 
-def test_a_figure_that_a_design_does_not_have_is_named(tmp_path):
+def test_a_missing_figure_is_reported(tmp_path):
     """A crank-rocker's rocker swings; that of a double crank turns."""
     vary = ["mechanism.frame=30, 500 mm"]
     result = sweep(
@@ -233,7 +233,7 @@ def test_unknown_figures_are_refused_with_the_nearest(pump):
         sweep(optlink.load(str(pump())), ["mechanism.links.rod.length=120..150 mm:3"], analyze=True, columns=["plunger.strok_m"])
 
 
-def test_sizes_that_move_no_joint_are_varied_too(pump):
+def test_dimensions_that_move_no_joint_can_be_varied(pump):
     """A point that the plunger carries closes no loop: it only moves aside."""
     path = pump()
     text = path.read_text().replace('joints = ["E"] }', 'joints = ["E"], points = { Q = ["40 mm", "10 mm"] } }')
@@ -262,7 +262,7 @@ def test_pictures_and_pages_of_a_sweep_with_gaps(pump, tmp_path):
 
 
 @pytest.mark.slow
-def test_batches_find_the_least_force_and_leave_what_the_samples_do_not_decide():
+def test_batches_find_the_least_force_and_skip_ambiguous_samples():
     """At 35 rad/s a minimum between samples of the six-bar is the deepest."""
     for name, joint, speed, decided in (
         ("six-bar", "E", 35.0, False),

@@ -75,7 +75,7 @@ def test_worst_case_and_rss_are_the_tables_sensitivities_combined(problem):
     np.testing.assert_allclose(found.contributions, shares, rtol=3e-5)
 
 
-def test_the_error_over_the_span_answers_as_the_rocker_does(problem):
+def test_the_error_over_the_span_changes_like_the_rocker_angle(problem):
     """Wanted minus actual: the law stays, so the error changes by what the rocker does not do."""
     error = study(problem, FOUR, "error", None)
     span = np.degrees(error.nominal.crank_angles)
@@ -165,7 +165,7 @@ def with_gaps(phi, gaps):
         ("lever", {"A": "coupler", "B": "coupler", "C": "coupler", "D": "", "E": "rod", "F": "rod", "H": "rod"}),
     ],
 )
-def test_a_clearance_is_refused_where_it_does_more_than_lengthen_a_link(output, link):
+def test_a_clearance_with_another_effect_than_a_length_is_refused(output, link):
     """Also where the rocker carries the second dyad: to it a gap has another effect than to the point of a four-bar."""
     file, angles = optlink.read(JOINTS), np.radians([20.0, 100.0, 200.0, 300.0])
     for pin, size in link.items():
@@ -264,15 +264,15 @@ def test_a_yield_over_the_span_is_that_of_other_samples(problem):
     by = random.normal(0.0, np.array(list(SIZES.values())) / 3.0, (20_000, 4))
     phi = nominal.crank_angles
     psi0 = rocker_angle(*LENGTHS.values(), phi[0])
-    wanted = psi0 + 2.0 / (3.0 * math.pi) * (phi - phi[0]) ** 2
+    target = psi0 + 2.0 / (3.0 * math.pi) * (phi - phi[0]) ** 2
     psi = rocker_angle(*[LENGTHS[name] + by[:, i : i + 1] for i, name in enumerate(LENGTHS)], phi)
-    good = np.max(np.abs(wanted - psi), axis=1) <= limit
+    good = np.max(np.abs(target - psi), axis=1) <= limit
     known = wilson(int(np.sum(good)), len(good), 0.999)
     assert known[0] < carlo.share < known[1]
     assert 0.9 < carlo.share < 0.999
 
 
-def test_what_cannot_be_assembled_is_no_good(problem):
+def test_linkages_that_cannot_be_assembled_fail(problem):
     found = study(problem, ["frame=130 mm uniform"], angles=(180.0,), limit=10.0)
     carlo = monte_carlo(found, 1 << 13, 0)
     longest = 0.41286542 + 0.23224617 - 0.1 - 0.5  # of the frame, before the loop cannot close
@@ -407,12 +407,12 @@ def test_the_allocation_keeps_the_yield(problem, allocated):
     assert found.gap < 1e-6
     random = np.random.default_rng(2)
     phi = allocated.nominal.crank_angles
-    wanted = rocker_angle(*LENGTHS.values(), phi[0]) + 2.0 / (3.0 * math.pi) * (phi - phi[0]) ** 2
+    target = rocker_angle(*LENGTHS.values(), phi[0]) + 2.0 / (3.0 * math.pi) * (phi - phi[0]) ** 2
     unit = random.normal(0.0, 1.0 / 3.0, (16_000, 4))
     for wider, low, high in ((1.0, 0.9655, 0.9745), (1.1, 0.90, 0.965), (0.9, 0.975, 1.0)):
         by = wider * unit * found.tolerances
         psi = rocker_angle(*[LENGTHS[name] + by[:, i : i + 1] for i, name in enumerate(LENGTHS)], phi)
-        assert low < np.mean(np.max(np.abs(wanted - psi), axis=1) <= math.radians(2.32)) < high
+        assert low < np.mean(np.max(np.abs(target - psi), axis=1) <= math.radians(2.32)) < high
 
 
 @pytest.mark.slow
@@ -434,7 +434,7 @@ def _texts(sizes):
 
 
 @pytest.mark.slow
-def test_what_has_no_effect_stays_as_it_is():
+def test_tolerances_without_effect_are_unchanged():
     problem = optlink.load("six-bar")
     found = tolerance(
         problem, ["link2.length=0.1 mm", "link5.length=0.1 mm"], "link3", limit="0.02 deg", target_yield=0.99, samples=512
@@ -483,7 +483,7 @@ def test_a_robust_design_is_the_best_of_a_search_along_its_limit(problem, sigmas
 
 
 @pytest.mark.slow
-def test_a_robust_design_yields_more_than_the_best_as_drawn(problem):
+def test_a_robust_design_yields_more_than_the_nominal_optimum(problem):
     found = tolerance(problem, WIDE, limit="2.2 deg", samples=1 << 13, robust=3.0)
     assert found.monte_carlo.interval[0] > 0.99
     assert found.unrobust.interval[1] < 0.5
@@ -500,7 +500,7 @@ def test_a_robust_design_yields_more_than_the_best_as_drawn(problem):
     ],
 )
 @pytest.mark.slow
-def test_the_safest_design_keeps_the_limit_with_most_standard_deviations(monkeypatch, name, limit, texts, mode):
+def test_the_margin_design_has_the_most_standard_deviations(monkeypatch, name, limit, texts, mode):
     """More at its worst crank angle than the nominal optimum, and than those that were made for fewer or more."""
     problem, drawn = optlink.load(name), solution(name)
 
@@ -528,7 +528,7 @@ def test_the_safest_design_keeps_the_limit_with_most_standard_deviations(monkeyp
 
 
 @pytest.mark.slow
-def test_the_safest_crank_rocker_yields_most(problem):
+def test_the_margin_design_of_the_crank_rocker_has_the_largest_yield(problem):
     best = tolerance(problem, WIDE, limit="1.8 deg", samples=1 << 14, robust="margin")
     assert best.unrobust.share < 0.01
     minimax = tolerance(problem, WIDE, limit="1.8 deg", samples=1 << 14, robust=0.0)
@@ -565,9 +565,9 @@ def test_the_command_writes_everything(tmp_path, monkeypatch):
     assert float(rows[0]["rss_deg"]) == pytest.approx(math.degrees(document["linear"]["rss"][0]))
     for picture in ("contributions.png", "band.png", "histogram.png"):
         assert (tmp_path / picture).stat().st_size > 5000
-    told = run(*words[:-2]).output
-    assert "Variance contributions" in told
-    assert "yield, within 2.32 deg" in told
+    output = run(*words[:-2]).output
+    assert "Variance contributions" in output
+    assert "yield, within 2.32 deg" in output
 
 
 def test_a_single_tolerance_has_no_chart_of_shares(tmp_path):
@@ -610,7 +610,7 @@ def test_a_single_tolerance_has_no_chart_of_shares(tmp_path):
         (["--tolerance", "coupler=1 mm", "--distribution", "gauss"], ["unknown distribution"]),
     ],
 )
-def test_bad_input_is_told(arguments, words):
+def test_bad_input_is_reported(arguments, words):
     result = run("crank-rocker", *arguments, *GIVEN)
     assert result.exit_code == 2, result.output
     assert "Traceback" not in result.output
@@ -618,7 +618,7 @@ def test_bad_input_is_told(arguments, words):
         assert word in " ".join(result.output.split())
 
 
-def test_a_limit_that_no_design_keeps_is_told(problem):
+def test_an_unreachable_limit_is_reported(problem):
     with pytest.raises(InputError, match=r"even without tolerances: the smallest largest error found is 1\.51"):
         tolerance(problem, ["coupler=1 mm"], limit="1 deg", robust="margin")
     with pytest.raises(InputError, match="a margin needs a limit"):
@@ -627,13 +627,13 @@ def test_a_limit_that_no_design_keeps_is_told(problem):
         tolerance(optlink.load("six-bar"), ["link2.length=1 mm"], robust=3.0)
 
 
-def test_angles_out_of_reach_are_told(problem):
+def test_unreachable_angles_are_reported(problem):
     with pytest.raises(InputError, match="cannot be assembled at 180 deg"):
         nominal_design(problem, "rocker", np.radians([0.0, 180.0]), {"coupler": 0.25, "rocker": 0.24})
 
 
 @pytest.mark.slow
-def test_an_output_that_nothing_moves(tmp_path):
+def test_an_output_independent_of_the_dimensions(tmp_path):
     result = run(
         "crank-rocker", "--tolerance", "A.x=0.1 mm", "--quantity", "crank", "--limit", "1 deg", *GIVEN, "--out", str(tmp_path)
     )
@@ -675,7 +675,7 @@ def test_costs_and_yields_are_read():
         (["crank-rocker"], "no tolerance is given"),
     ],
 )
-def test_the_first_sentence_says_what_is_wrong_and_no_folder_is_left(tmp_path, arguments, words):
+def test_errors_start_with_the_fault_and_leave_no_folder(tmp_path, arguments, words):
     result = run(*arguments, "--out", str(tmp_path / "new" / "folder"))
     assert result.exit_code == 2
     assert words in result.stderr

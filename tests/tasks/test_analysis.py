@@ -47,29 +47,29 @@ def run(*arguments):
 
 
 def test_columns_are_named_as_documented(six_bar):
-    wanted = ["crank_angle_deg", "time_s"]
+    expected = ["crank_angle_deg", "time_s"]
     for body in ("crank", "link2", "link3", "link5", "slider"):
-        wanted += [f"{body}.angle_rad", f"{body}.omega_rad_s", f"{body}.alpha_rad_s2"]
+        expected += [f"{body}.angle_rad", f"{body}.omega_rad_s", f"{body}.alpha_rad_s2"]
     for point in "BCE":
-        wanted += [f"{point}.{part}{axis}{unit}" for part, unit in (("", "_m"), ("v", "_m_s"), ("a", "_m_s2")) for axis in "xy"]
-    wanted += ["slider.s_m", "slider.v_m_s", "slider.a_m_s2", "F.normal_N", "F.moment_Nm"]
-    wanted += [f"{pin}.f{axis}_N" for pin in ("A", "B", "D", "E", "C.link2", "C.link3", "C.link5") for axis in "xy"]
-    wanted += [f"input.torque{part}_Nm" for part in ("", "_inertia", "_gravity", "_load")]
-    wanted += ["input.power_W", "input.work_J", "frame.shaking_fx_N", "frame.shaking_fy_N", "frame.shaking_moment_Nm"]
-    assert set(wanted) <= set(six_bar.columns)
+        expected += [f"{point}.{part}{axis}{unit}" for part, unit in (("", "_m"), ("v", "_m_s"), ("a", "_m_s2")) for axis in "xy"]
+    expected += ["slider.s_m", "slider.v_m_s", "slider.a_m_s2", "F.normal_N", "F.moment_Nm"]
+    expected += [f"{pin}.f{axis}_N" for pin in ("A", "B", "D", "E", "C.link2", "C.link3", "C.link5") for axis in "xy"]
+    expected += [f"input.torque{part}_Nm" for part in ("", "_inertia", "_gravity", "_load")]
+    expected += ["input.power_W", "input.work_J", "frame.shaking_fx_N", "frame.shaking_fy_N", "frame.shaking_moment_Nm"]
+    assert set(expected) <= set(six_bar.columns)
     assert set(six_bar.columns) == set(six_bar.meanings)
     assert all(len(column) == 73 and np.all(np.isfinite(column)) for column in six_bar.columns.values())
 
 
-def test_which_body_acts_on_which_is_told(six_bar):
-    told = six_bar.to_dict()["reactions"]
-    assert told["A"] == "frame on crank"
-    assert told["E"] == "slider on link5"
-    assert told["C.link2"] == "pin on link2"
-    assert told["F"].startswith("frame on slider")
+def test_reaction_directions_are_documented(six_bar):
+    text = six_bar.to_dict()["reactions"]
+    assert text["A"] == "frame on crank"
+    assert text["E"] == "slider on link5"
+    assert text["C.link2"] == "pin on link2"
+    assert text["F"].startswith("frame on slider")
 
 
-def test_rates_are_the_differences_of_what_they_are_rates_of(six_bar):
+def test_rates_agree_with_finite_differences(six_bar):
     fine = optlink.analyze(optlink.load("six-bar"), points=3600)
     time = fine["time_s"]
     for value, rate in (("slider.s_m", "slider.v_m_s"), ("C.vx_m_s", "C.ax_m_s2"), ("link3.omega_rad_s", "link3.alpha_rad_s2"),
@@ -130,7 +130,7 @@ def test_extremes_stay_on_their_side_of_a_jump():
     assert at[0, 0] == 2.0
 
 
-def test_extremes_of_what_has_no_value_are_nan():
+def test_extremes_without_a_value_are_nan():
     at, value = extremes(lambda phi: np.array([np.nan * phi, np.where(phi > 1.0, np.nan, phi)]), np.linspace(0.0, 2.0, 11))
     assert np.all(np.isnan(value[0]))
     assert np.all(np.isnan(at[0]))
@@ -147,7 +147,7 @@ def test_zeros_are_exact_and_gaps_are_none():
 
 
 @pytest.mark.parametrize("speed", [3.0, -3.0])
-def test_work_is_the_change_of_energy_and_what_the_loads_took(speed):
+def test_work_equals_the_change_of_energy_plus_the_load_work(speed):
     """A constant force is conservative, so W = d(T + V) - F ds at every angle; opposing it takes F |ds|."""
     problem = optlink.load("six-bar")
     result = optlink.analyze(problem, points=50, speed=speed)
@@ -158,7 +158,7 @@ def test_work_is_the_change_of_energy_and_what_the_loads_took(speed):
     assert opposing.work > 0.0
 
 
-def test_work_sees_a_jump_that_is_left_out(monkeypatch):
+def test_work_detects_an_omitted_jump(monkeypatch):
     machine = machine_of(optlink.load("shaper"))
     exact = float(Work(machine, 0.0, 0.0, TURN, 1.0)(np.array([TURN]))[0])
     assert exact == pytest.approx(5880.0 * 1.2 * 125.0 / 275.0, rel=1e-12)
@@ -190,8 +190,8 @@ def test_reachable_ranges_are_those_of_the_four_bar_theory(crank, coupler, rocke
     assert len(found.ranges) == len(theory) or (found.full and len(theory) == 1)
     if not found.full:
         starts = sorted(math.remainder(low, TURN) for low, _ in found.ranges)
-        wanted = sorted(math.remainder(low, TURN) for low, _ in theory)
-        assert all(abs(math.remainder(a - b, TURN)) < 1e-6 for a, b in zip(starts, wanted, strict=True))
+        expected = sorted(math.remainder(low, TURN) for low, _ in theory)
+        assert all(abs(math.remainder(a - b, TURN)) < 1e-6 for a, b in zip(starts, expected, strict=True))
         assert sum(b - a for a, b in found.ranges) == pytest.approx(sum(b - a for a, b in theory), abs=2e-6)
 
 
@@ -247,7 +247,7 @@ def test_start_that_cannot_be_reached_names_angle_group_gap_and_ranges():
     assert "330 ... 570 deg" in fault.remedy
 
 
-def test_loop_that_never_closes_says_so():
+def test_a_loop_that_never_closes_is_reported():
     with pytest.raises(optlink.InputError, match="No crank angle can be reached"):
         optlink.analyze(offset_slider_crank(0.5))
 
@@ -276,7 +276,7 @@ def test_singular_positions_are_reported_not_divided_by():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MACHINES)
-def test_batch_is_the_loop(name):
+def test_batch_agrees_with_single_analyses(name):
     problem = optlink.load(name)
     lengths = [key for key, q in problem.model.quantities.items() if q.kind == "length"][:2]
     rng = np.random.default_rng(5)
@@ -293,7 +293,7 @@ def test_batch_is_the_loop(name):
             np.testing.assert_allclose(found[column][k], alone[column][:-1], rtol=0.0, atol=1e-10 * scale, err_msg=column)
 
 
-def test_memory_of_a_batch_does_not_grow_beside_its_result():
+def test_batch_memory_does_not_exceed_its_result():
     problem, extra = optlink.load("six-bar"), []
     for count in (100, 1000):
         designs = {"link2.length": np.linspace(1.15, 1.25, count)}
@@ -379,14 +379,14 @@ def test_analyze_json_is_one_document():
         (("--csv", "."), "folder"),
     ],
 )
-def test_analyze_answers_bad_input_with_a_sentence(arguments, says):
+def test_analyze_reports_bad_input_in_one_sentence(arguments, says):
     done = run("analyze", "six-bar", *arguments)
     assert done.exit_code == 2
     assert says in done.output
     assert "Traceback" not in done.output
 
 
-def test_solving_what_states_no_requirement_says_what_to_do():
+def test_solving_without_a_requirement_gives_a_remedy():
     done = run("solve", "six-bar")
     assert done.exit_code == 2
     assert "optlink analyze" in done.output
@@ -430,7 +430,7 @@ def test_simulate_under_a_torque_from_the_command_line():
     [(("--duration", "-1 s"), "out of range"), (("--duration", "1"), "unit"), (("--torque", "5 N"), "torque"),
      (("--flywheel", "5 kg"), "moment of inertia")],
 )  # fmt: skip
-def test_simulate_answers_bad_input_with_a_sentence(arguments, says):
+def test_simulate_reports_bad_input_in_one_sentence(arguments, says):
     done = run("simulate", "six-bar", *arguments)
     assert done.exit_code == 2
     assert says in done.output
@@ -481,11 +481,11 @@ def test_slider_that_stands_still_does_not_reverse_with_every_rounding():
     assert np.degrees(result.singular) == pytest.approx([90.0, 270.0])  # where it may go either way
 
 
-# --- what rough handling found ---------------------------------------------------------------------------------------------
+# --- regressions -----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
-def test_friction_without_normal_force_jams_nothing():
+def test_friction_without_normal_force_does_not_jam():
     """A slider-crank without gravity: the guide is not loaded at its dead centres."""
     result = optlink.analyze(optlink.load("slider-crank").override({"mechanism.guides.F.friction": 0.1}), points=36)
     assert result.sound
@@ -524,9 +524,9 @@ def test_friction_that_jams_between_the_rows_is_reported_and_has_no_extremes_of_
     expected = expected[np.abs(np.sin(np.radians(expected))) > np.sin(np.radians(edge))]
     np.testing.assert_allclose(inside, expected, atol=1e-9)
     assert not result.sound
-    told = " ".join(result.notes)
-    assert "friction jams a guide: no forces satisfy its law at crank angle 252" in told
-    assert "different forces satisfy the law of friction, so they are not determined, at crank angle 72" in told
+    text = " ".join(result.notes)
+    assert "friction jams a guide: no forces satisfy its law at crank angle 252" in text
+    assert "different forces satisfy the law of friction, so they are not determined, at crank angle 72" in text
     assert {"input.torque_Nm", "F.normal_N", "B.f_N", "input.work_J"}.isdisjoint(result.extremes)  # S is unbounded at the edges
     assert result.extremes["slider.s_m"].largest == pytest.approx(0.4)
     assert math.isnan(result.work)
@@ -677,7 +677,7 @@ def test_lines_that_become_parallel_between_two_positions_end_the_range(turned):
     assert optlink.simulate(optlink.read(raw), duration=4.0, rows=10).run.ending.value == "dead position"
 
 
-def test_singular_start_ends_instead_of_looking_for_a_first_step():
+def test_a_singular_start_ends_the_simulation():
     raw = {
         "title": "parallelogram",
         "mechanism": {"type": "four-bar", "crank": "0.1 m", "coupler": "0.3 m", "rocker": "0.1 m", "frame": "0.3 m"},
@@ -806,7 +806,7 @@ def test_work_is_exact_near_alignment_and_near_the_ends_of_a_limited_range(rocke
     np.testing.assert_allclose(work, energy - energy[0], rtol=0.0, atol=1e-9 * np.max(np.abs(energy)))
 
 
-def test_extremes_at_a_dead_centre_where_several_loads_jump_are_values_beside_it():
+def test_extremes_at_a_dead_centre_with_load_jumps_are_one_sided():
     """Ram, its friction and a drag reverse with the arm; a normal force that changes its sign by the jump has no corner there."""
     mechanism = {
         "ground": {"A": ["0.1 m", "-0.05 m"], "D": ["-0.259 m", "0.1252 m"]},
@@ -840,7 +840,7 @@ def test_extremes_at_a_dead_centre_where_several_loads_jump_are_values_beside_it
     assert extreme.largest == pytest.approx(np.max(torque), abs=1e-4 * np.ptp(torque))
 
 
-def test_what_cannot_follow_or_does_not_move_is_refused():
+def test_immovable_outputs_are_refused():
     fault = {"loads.spring": {"on": "crank", "torsional_stiffness": "1 N*m/rad"}}
     with pytest.raises(optlink.InputError, match="turns fully against frame"):
         optlink.load("slider-crank", fault)

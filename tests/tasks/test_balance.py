@@ -1,4 +1,4 @@
-"""Balancing is optimal, proven and told truly: against a textbook four-bar, a Newton-Euler oracle, local search, brute force."""
+"""Balancing is optimal, proven and reported correctly, against a textbook four-bar, Newton-Euler, local search, brute force."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_measures_are_read(text, wanted):
 
 
 @pytest.mark.parametrize("text", ["", "maximise force", "rms", "reaction", "force of crank", 3, "torque from 90 to 80 deg", None])
-def test_what_is_no_measure_is_refused(text):
+def test_unknown_measures_are_refused(text):
     with pytest.raises(Unusable, match=r"measure|minimisation|range"):
         read_measure(text)
 
@@ -92,8 +92,8 @@ def test_compression_is_exact():
     rows, offset = affine.compressed()
     assert len(rows) == 10
     for x in rng.normal(size=(50, 9)) * 10.0 ** rng.uniform(-3, 3, (50, 1)):
-        wanted = BalanceMeasure("shaking force").value(affine.at(x))
-        assert np.linalg.norm(rows @ x + offset) == pytest.approx(wanted, rel=1e-12)
+        expected = BalanceMeasure("shaking force").value(affine.at(x))
+        assert np.linalg.norm(rows @ x + offset) == pytest.approx(expected, rel=1e-12)
 
 
 def test_an_arc_counts_its_positions_alone():
@@ -115,11 +115,11 @@ def test_effects_are_those_of_the_inverse_dynamics(name):
     parameters = np.concatenate([np.array(part, dtype=float) for part in added.values()])
     heavier = machine.with_(inertias={b: with_counterweight(machine.inertias.get(b, Inertia()), p) for b, p in added.items()})
     asked = quantities(machine)
-    for quantity, wanted in zip(
+    for quantity, expected in zip(
         asked, quantities_of(heavier.moving(moving.motion.crank_angle, moving.motion.speed), asked, about), strict=True
     ):
         found = effects.affine(quantity).at(parameters)
-        assert found == pytest.approx(wanted, rel=1e-9, abs=1e-10 * float(np.max(np.abs(wanted))) + 1e-12)
+        assert found == pytest.approx(expected, rel=1e-9, abs=1e-10 * float(np.max(np.abs(expected))) + 1e-12)
 
 
 def test_shaking_moment_about_another_point():
@@ -129,8 +129,8 @@ def test_shaking_moment_about_another_point():
         for m, p in ((BalanceMeasure("shaking force"), (0.0, 0.0)), (BalanceMeasure("shaking moment"), (0.0, 0.0)))
     )
     about_d = optlink.balance(four_bar("rms shaking moment", about="D"))
-    wanted = about_a[:, 0] - LENGTHS[3] * force[:, 1]
-    assert about_d.before == pytest.approx(rms(wanted), rel=1e-12)
+    expected = about_a[:, 0] - LENGTHS[3] * force[:, 1]
+    assert about_d.before == pytest.approx(rms(expected), rel=1e-12)
 
 
 # --- the four-bar --------------------------------------------------------------------------------------------------
@@ -209,7 +209,7 @@ def feasible(weights: list[Counterweight], x: np.ndarray) -> bool:
 @pytest.mark.parametrize(
     "measure", mostly_slow(["rms shaking force", "rms shaking moment", "largest driving torque"], "rms shaking moment")
 )
-def test_a_thousand_feasible_directions_improve_nothing(measure):
+def test_no_feasible_direction_improves_the_optimum(measure):
     """Discs next to the optimal ones, made as discs are, by the separate four-bar."""
     result = optlink.balance(four_bar(measure, [CRANK, COUPLER, ROCKER]))
     rng, value, motion = np.random.default_rng(17), TEXTBOOK[measure], Motion(*LENGTHS, ANGLES, 1.0)
@@ -231,15 +231,15 @@ def test_a_thousand_feasible_directions_improve_nothing(measure):
     assert improved == 0
 
 
-def test_the_same_directions_do_improve_what_is_not_optimal():
+def test_feasible_directions_improve_a_suboptimal_point():
     result = optlink.balance(four_bar("rms shaking moment", [CRANK, COUPLER, ROCKER]))
     motion = Motion(*LENGTHS, ANGLES, 1.0)
     best = rms(motion.moment(*bodies_of(result)))
     assert best < 0.999 * rms(motion.moment(*BARS))
 
 
-def test_a_limit_of_all_masses_beside_limits_of_each():
-    """Both together weigh what is allowed, whatever each may weigh; by the separate four-bar nothing lighter is as good."""
+def test_total_and_single_mass_limits_combine():
+    """Both together use the allowed mass, whatever the single limits; by the separate four-bar no lighter design is as good."""
     each = [{**CRANK, "mass": {"max": "0.5 kg"}}, {**ROCKER, "mass": {"max": "0.07 kg"}}]
     result = optlink.balance(four_bar(weights=each, mass={"max": "0.1 kg"}))
     assert result.proven
@@ -294,7 +294,7 @@ def test_discs_that_miss_a_limit_are_no_optimum():
 
 
 @pytest.mark.parametrize(("most", "valid"), [("0.05 kg", False), ("10 kg", True)])
-def test_points_of_a_trade_off_that_no_discs_reach_are_named(most, valid):
+def test_trade_off_points_without_feasible_discs_are_reported(most, valid):
     """Only a disc on the pivot of the rocker meets the limit; up to 50 g there are none, and with more each point has one."""
     discs = [{"thickness": "5 mm", "density": "7850 kg/m^3"} | own for own in (ON_ROCKER, {"body": "crank", "reach": "60 mm"})]
     limits = {"rms shaking moment from 180 to 240 deg": "90 %"}
@@ -343,7 +343,7 @@ def test_a_free_counterweight_may_do_better_than_any_disc():
     assert free.objective <= tight.objective * (1.0 + 1e-9)
 
 
-def test_a_free_counterweight_can_be_made_of_two_points():
+def test_a_free_counterweight_is_equivalent_to_two_points():
     """Two equal masses across the line to the centre have its mass, first moment and moment of inertia, all within its extent."""
     result = optlink.balance(
         four_bar("rms shaking moment", [{"body": "rocker", "kind": "free", "extent": "60 mm", "mass": "0.1 kg"}])
@@ -383,8 +383,8 @@ def test_discs_keep_their_place_and_size():
 
 
 @pytest.mark.parametrize("mass", [0.05, pytest.param(0.3, marks=pytest.mark.slow)])
-def test_where_discs_do_not_reach_the_bound_that_is_said(mass):
-    """A coupler that wants more moment of inertia than a small dense disc has: bound and design apart, both told and both true.
+def test_discs_that_miss_the_bound_are_reported(mass):
+    """A coupler that needs more moment of inertia than a small dense disc has: bound and design differ, and both are reported.
 
     The design is as good as local search over discs gets from many starts; the bound is below all of them.
     """
@@ -423,7 +423,7 @@ def test_where_discs_do_not_reach_the_bound_that_is_said(mass):
 
 
 @pytest.mark.slow
-def test_a_given_place_and_radius_is_exact():
+def test_a_prescribed_position_and_radius_is_exact():
     weight = {"body": "coupler", "radius": "20 mm", "at": ["-30 mm", "0 mm"]}
     result = optlink.balance(four_bar("rms shaking moment", [weight]))
     motion = Motion(*LENGTHS, ANGLES, 1.0)
@@ -492,12 +492,12 @@ def test_six_bar_single_measures(measure):
     assert result.gap < 1e-7
     assert result.disagreement < 1e-8
     assert 0.0 < result.reduction < 1.0
-    wanted = independent(result)
+    expected = independent(result)
     rows = {str(row.measure): row.after for row in result.rows}
-    for name, value in wanted.items():
+    for name, value in expected.items():
         assert rows[name] == pytest.approx(value, rel=1e-8), name
-    if measure in wanted:
-        assert result.objective == pytest.approx(wanted[measure], rel=1e-8)
+    if measure in expected:
+        assert result.objective == pytest.approx(expected[measure], rel=1e-8)
 
 
 def test_six_bar_reductions():
@@ -550,7 +550,7 @@ def test_six_bar_against_local_search(measure):
     assert best == pytest.approx(result.objective / result.before, rel=0.05)
 
 
-def test_six_bar_is_quick():
+def test_six_bar_is_balanced_quickly():
     """The whole problem at 360 positions, after the import of cvxpy."""
     result = optlink.balance(optlink.load("balance-six-bar"))
     assert result.seconds["optimum"] + result.seconds["verification"] < 2.0
@@ -726,7 +726,7 @@ def test_programmes_are_parametrised():
 
 
 @pytest.mark.parametrize("row", range(4))
-def test_a_wrong_sign_in_the_regressor_is_caught(row, monkeypatch):
+def test_a_wrong_sign_in_the_regressor_is_detected(row, monkeypatch):
     """The programme then believes something else than the inverse dynamics of the balanced machine."""
     signs = [Parameters(*((-1.0 if k == row else 1.0) * part for part in unit)) for k, unit in enumerate(effects_module.UNITS)]
     monkeypatch.setattr(effects_module, "UNITS", tuple(signs))
@@ -746,7 +746,7 @@ def test_a_wrong_sign_in_the_regressor_is_caught(row, monkeypatch):
     assert document["disagreement"] > 1e-4
 
 
-def test_a_wrong_moment_of_a_torque_column_is_caught(monkeypatch):
+def test_a_wrong_moment_of_a_torque_column_is_detected(monkeypatch):
     true = effects_module.regressor
 
     def wrong(moving):
@@ -796,7 +796,7 @@ def test_a_spring_against_brute_force():
     assert best == pytest.approx(result.objective, rel=0.05)
 
 
-def test_a_spring_goes_into_the_file():
+def test_a_fitted_spring_is_written_to_the_file():
     result = optlink.balance(optlink.load("balance-four-bar", SPRUNG))
     load = result.balanced.raw["loads"]["tie"]
     assert load["between"] == ["D", "B"]
@@ -835,7 +835,7 @@ def test_a_limit_over_an_arc():
 # --- limits that cannot hold ---------------------------------------------------------------------------------------
 
 
-def test_infeasible_limits_are_named_with_what_they_would_have_to_be():
+def test_conflicting_limits_are_listed_with_feasible_values():
     limits = {"rms shaking force": "20 %", "rms driving torque": "100 %"}
     result = optlink.balance(optlink.load("balance-six-bar", {"balance.limits": limits}), "moment")
     assert result.status == "infeasible"
@@ -906,7 +906,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_bad_input_is_named_with_its_key_and_a_remedy(name):
+def test_bad_input_is_reported_with_key_and_remedy(name):
     change, words = BAD[name]
     done = run("balance-four-bar", "--set", change)
     assert done.exit_code == 2, done.output
@@ -950,7 +950,7 @@ def test_a_load_with_a_pole_between_the_positions_is_refused():
         optlink.balance(optlink.load("balance-four-bar", {"loads.field": load}))
 
 
-def test_nothing_to_balance_is_said():
+def test_a_problem_without_anything_to_balance_is_refused():
     file = optlink.load("balance-four-bar", {"bodies": {"coupler": {"mass": "0 kg"}}})
     with pytest.raises(optlink.InputError, match="zero: there is nothing"):
         optlink.balance(file)
@@ -988,7 +988,7 @@ def test_csv_and_table(tmp_path):
         assert words in done.stdout
 
 
-def test_show_tells_what_is_asked():
+def test_show_lists_the_balance_settings():
     done = CliRunner().invoke(app, ["show", "balance-six-bar"])
     assert "[balance]" in done.stdout
     assert "extent 350 mm" in done.stdout
@@ -1007,7 +1007,7 @@ def test_expected_objectives_of_the_shipped_problems():
 
 
 def test_masses_along_a_trade_off_are_those_of_the_lightest_and_change_smoothly():
-    """Neither measure tells the mass of a disc on the pivot: among all that are as good the lightest is taken, at every point."""
+    """No measure depends on the mass of a disc on the pivot: at every point the lightest of equal designs is chosen."""
     result = six_bar(None, "force,torque")
     assert result.trade is not None
     whole = np.array([sum(point.masses.values()) for point in result.trade.points])
@@ -1021,7 +1021,7 @@ def test_masses_along_a_trade_off_are_those_of_the_lightest_and_change_smoothly(
 # --- a given design --------------------------------------------------------------------------------------------------------
 
 
-def test_a_given_design_is_balanced_in_place_of_the_start():
+def test_a_given_design_replaces_the_starting_values():
     free = four_bar().override({"mechanism.coupler": {"start": "140 mm", "bounds": ["100 mm", "200 mm"]}})
     given = {"coupler": 0.1524}
     one = optlink.balance(free, design=given)

@@ -38,7 +38,7 @@ def test_a_better_design_in_a_box_is_found_and_becomes_the_result(name: str) -> 
     assert search.failed == 1
 
 
-def test_a_stopped_proof_states_what_is_left() -> None:
+def test_a_stopped_proof_states_the_remaining_share() -> None:
     result, _, _ = near_optimum("path-arc5", 0.0)
     found = certify(result, gap=0.9, boxes=5_000, original=optlink.load("path-arc5"))
     certificate = found.certificate

@@ -284,7 +284,7 @@ def test_parallelogram_keeps_its_coupler_parallel(crank, frame, start):
     assert extreme.largest == pytest.approx(9.81e-3 * crank * 2.5, rel=1e-9)
 
 
-def test_reactions_grow_towards_change_points_as_newton_and_euler_say():
+def test_reactions_near_change_points_follow_newton_euler():
     """Away from them each force is that of the oracle; towards them they are without bound, and no extreme is stated."""
     result = optlink.analyze(four_bar_problem((60.0, 150.0, 60.0, 150.0), assembly="antiparallelogram"), points=90)
     assert set(result.unbounded) >= {"A.f_N", "B.f_N", "C.f_N", "D.f_N", "C.fx_N"}
@@ -304,12 +304,12 @@ def test_reactions_grow_towards_change_points_as_newton_and_euler_say():
         "coupler": Mass(2.0, 0.075, 0.0, 2.0 * 0.15**2 / 12.0),
         "rocker": Mass(1.0, 0.03, 0.0, 0.06**2 / 12.0),
     }
-    wanted = newton_euler(k, masses, (0.0, -9.81))
-    np.testing.assert_allclose(result["input.torque_Nm"][rows], wanted.torque, atol=1e-10)
+    expected = newton_euler(k, masses, (0.0, -9.81))
+    np.testing.assert_allclose(result["input.torque_Nm"][rows], expected.torque, atol=1e-10)
     np.testing.assert_allclose(result["rocker.omega_rad_s"][rows], k.turning("rocker")[1], atol=1e-10)
     np.testing.assert_allclose(result["rocker.alpha_rad_s2"][rows], k.turning("rocker")[2], atol=1e-9)
     for axis, name in enumerate(("C.fx_N", "C.fy_N")):
-        np.testing.assert_allclose(result[name][rows], wanted.pins["C"]["coupler"][:, axis], rtol=1e-8, atol=1e-8)
+        np.testing.assert_allclose(result[name][rows], expected.pins["C"]["coupler"][:, axis], rtol=1e-8, atol=1e-8)
 
 
 def test_unloaded_change_points_have_finite_reactions():
@@ -497,7 +497,7 @@ def test_designs_are_not_searched_through_change_points():
 
 
 @pytest.mark.slow
-def test_pages_and_pictures_say_where_the_motion_is_not_determined(tmp_path):
+def test_undetermined_positions_are_shown_in_pages_and_pictures(tmp_path):
     path = tmp_path / "problem.toml"
     path.write_text(dump(four_bar_problem((50.0, 150.0, 100.0, 200.0))))
     page = tmp_path / "page.html"

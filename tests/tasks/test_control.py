@@ -84,7 +84,7 @@ def test_sample_time_is_near_the_requested_one(problem, parts, rpm, points):
     assert plant.rows <= 20 * max(points, plant.samples, DENSE)
 
 
-def test_controller_refers_the_error_to_the_crank_and_knows_the_branch_of_an_angle():
+def test_controller_converts_the_error_to_the_crank_and_unwraps_angles():
     plain = Controller(PID(Gains(1.0), 1e-3), np.array([0.3, 0.4]), np.array([2.0, -5.0]))
     assert plain(0, 0.1) == pytest.approx(0.4)
     assert plain(3, 0.1) == pytest.approx(-1.5)
@@ -105,23 +105,23 @@ def test_speed_command_is_the_derivative_of_the_angle_command():
 
 
 @pytest.mark.slow
-def test_servo_turns_the_crank_as_the_inverse_model_wants(problem):
-    """The command is ahead of the servo's lag: the crank itself follows the wanted correction."""
+def test_servo_follows_the_inverse_model(problem):
+    """The command is ahead of the servo's lag: the crank itself follows the required correction."""
     run = optlink.simulate_clearance(problem, 3, 180, control="inverse", twin=False)
     machine = run.machine
     inverse = Inverse(machine, run.gaps, run.output, 0.0, SPEED)
     order = int(0.5 * 300.0 / 20.0)
-    wanted = ReferenceSignal(0.0, SPEED, inverse.solve(5e-3, order))
+    expected = ReferenceSignal(0.0, SPEED, inverse.solve(5e-3, order))
     time = run["time_s"][-180:]
-    np.testing.assert_allclose(np.radians(run["crank_angle_deg"][-180:]), wanted.at(time)[0], atol=1e-6)
-    told = run["command.correction_rad"][-180:]
-    assert np.max(np.abs(told - wanted.correction(time))) > 1e-3  # and what it is told is another thing
+    np.testing.assert_allclose(np.radians(run["crank_angle_deg"][-180:]), expected.at(time)[0], atol=1e-6)
+    correction = run["command.correction_rad"][-180:]
+    assert np.max(np.abs(correction - expected.correction(time))) > 1e-3  # and what it is told is another thing
 
 
 # --- inverse model --------------------------------------------------------------------------------------------------------
 
 
-def test_predicted_journal_is_pushed_as_the_ideal_reaction_pushes_it(parts):
+def test_predicted_journal_position_follows_the_ideal_reaction(parts):
     """The contact force at the predicted place, normal and friction, has the direction of the ideal reaction."""
     machine, gaps, _ = parts
     angles = np.linspace(0.1, 6.2, 37)
@@ -211,7 +211,7 @@ def test_resumed_run_is_the_uninterrupted_one_to_the_last_digit(problem):
 
 
 @pytest.mark.slow
-def test_compare_puts_all_kinds_in_one_table(problem):
+def test_compare_tabulates_all_kinds_of_control(problem):
     found = optlink.compare(problem, 2, 2, seed=3, points=100)
     assert list(found.trials) == ["none", "inverse", "pid", "inverse+pid"]
     assert found.finished
@@ -229,7 +229,7 @@ def test_compare_puts_all_kinds_in_one_table(problem):
 
 
 @pytest.mark.slow
-def test_tuning_never_ends_worse_than_it_says(problem):
+def test_tuning_is_never_worse_than_reported(problem):
     found = optlink.tune(problem, "inverse", ("regularisation", "bandwidth"), evaluations=4, starts=1, revolutions=2)
     assert found.cost == min(found.before, np.min(found.costs))
     assert bool(found.best) == (np.min(found.costs) < found.before)
@@ -281,7 +281,7 @@ def test_comparison_in_processes_is_the_same_to_the_bit(engine):
 
 
 @pytest.mark.slow
-def test_interrupted_comparison_resumes_with_what_is_complete(monkeypatch):
+def test_interrupted_comparison_resumes_from_completed_runs(monkeypatch):
     kept: list[dict] = []
     options = {"starts": 3, "seed": 2, "kinds": ("none", "inverse"), **SHORT, **QUICK}
     whole = optlink.compare(rocker(), **options)
@@ -379,7 +379,7 @@ def test_checkpoints_of_other_kinds_are_refused(saved):
     ],
 )
 def test_checkpoint_that_was_changed_is_refused(saved, tmp_path, part, entry, value):
-    """A changed state would go on with other numbers, a changed type end in a traceback."""
+    """A changed state would continue with other numbers; a changed type would end in a traceback."""
     simulation = saved[0]
     simulation = {**simulation, part: {**simulation[part], entry: value}}
     with pytest.raises(InputError, match="was changed since it was written"):
@@ -451,7 +451,7 @@ def test_tuning_resumes_and_stops_runs_that_cannot_win():
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="a signal of POSIX")
-def test_interrupt_ends_a_comparison_at_once_and_keeps_what_is_complete(tmp_path):
+def test_interrupt_stops_a_comparison_and_keeps_completed_runs(tmp_path):
     """One sentence, exit code 130, no result that looks whole; the runs that are complete stay for --resume."""
     code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from optlink.cli.app import main; main()"
     options = ["--control", "compare", "--starts", "200", "--revolutions", "2", "--points", "60", "--tolerance", "1e-6"]
@@ -480,7 +480,7 @@ def test_interrupt_ends_a_comparison_at_once_and_keeps_what_is_complete(tmp_path
 
 
 @pytest.mark.slow
-def test_control_makes_up_for_three_gaps():
+def test_control_compensates_three_clearances():
     """At 1200 rpm: the inverse model takes away a quarter at least, PID on top of it more; means of three starts and of one."""
     file = optlink.load("slider-crank-three-gaps")
     found = optlink.compare(file, 11, 3, kinds=("none", "inverse"), tolerance=1e-6, **QUICK)

@@ -148,7 +148,7 @@ def test_a_copy_is_reported(kind: str, tmp_path: Path) -> None:
 
 
 def test_a_result_is_shown_in_notebooks(result: Any) -> None:
-    """With its table and a drawing, in well-formed HTML and a short text beside it."""
+    """With its table and a drawing in well-formed HTML, and a short text."""
     if not isinstance(result, Recorded):
         return
     html = result._repr_html_()

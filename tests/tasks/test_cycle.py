@@ -39,7 +39,7 @@ def peak(analysis: optlink.Analysis, column: str) -> float:
     return max(analysis.figures[f"{column}.max"], -analysis.figures[f"{column}.min"])
 
 
-def test_shaper_is_designed_by_both_back_ends_alike():
+def test_both_back_ends_design_the_same_shaper():
     result = shaper()
     assert result.valid
     expected = result.task.expected
@@ -51,7 +51,7 @@ def test_shaper_is_designed_by_both_back_ends_alike():
         assert one.design[name] == pytest.approx(other.design[name], rel=1e-5)
 
 
-def test_shaper_beats_the_given_one_of_the_same_stroke():
+def test_optimal_shaper_beats_the_initial_one_of_equal_stroke():
     given, found = given_shaper(), shaper().analysis
     assert found is not None
     assert given.figures["ram.stroke_m"] == pytest.approx(0.5, rel=1e-12)
@@ -64,7 +64,7 @@ def test_shaper_beats_the_given_one_of_the_same_stroke():
 
 
 @pytest.mark.slow
-def test_start_of_the_file_is_the_given_shaper():
+def test_starting_values_are_the_published_shaper():
     given, start = given_shaper(), shaper().initial_analysis
     assert start is not None
     for name in ("input.torque_Nm.max", "F.normal_N.max", "B.f_N.max", "ram.time_ratio"):
@@ -139,14 +139,14 @@ def test_the_extremes_of_a_design_share_the_positions_at_which_they_are_measured
 
 
 def test_largest_values_between_the_positions_are_met():
-    """The level of the programme is the peak over the cycle to 1e-8, although it knows a few dozen positions only."""
+    """The level of the programme is the peak over the cycle to 1e-8, although it has only a few dozen positions."""
     result = shaper()
     cycle = Cycle(result.task, result.values)
     assert cycle.objective() == pytest.approx(result.objective, rel=2e-8)
 
 
 @pytest.mark.slow
-def test_limits_that_cannot_be_met_are_named_with_what_would_do():
+def test_conflicting_limits_are_listed_with_their_relaxations():
     file = optlink.load("shaper-design").override({"limits.guide.max": "200 N"})
     result = solve(file, "slsqp", starts=1)
     assert not result.valid
@@ -175,7 +175,7 @@ def test_toggle_press_with_corners_in_its_load():
 
 
 @pytest.mark.slow
-def test_epsilon_constraint_bounds_what_the_sum_gives_up():
+def test_epsilon_constraint_bounds_the_loss_of_the_weighted_sum():
     """Least RMS torque alone, then least guide force with the RMS torque a little above it: a point of the trade-off."""
     file = optlink.load("shaper-design").override({"limits.guide": None, "objective": {"quantity": "torque", "measure": "rms"}})
     least = solve(file, "slsqp", starts=1)
@@ -188,7 +188,7 @@ def test_epsilon_constraint_bounds_what_the_sum_gives_up():
     assert traded.objective < 0.9 * Cycle(least.task, least.values).figure(guide)
 
 
-def test_what_shall_be_large_is_maximised():
+def test_terms_can_be_maximised():
     changes = {"objective": {"quantity": "slide", "of": "G", "measure": "least", "sense": "maximise"}, "limits.guide": None}
     result = solve(optlink.load("shaper-design").override(changes), "ipopt", starts=1)
     assert result.valid

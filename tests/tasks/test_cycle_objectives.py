@@ -247,7 +247,7 @@ BESIDE = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["slsqp", "ipopt"])
-def test_positions_beside_a_peak_hold_nothing(name):
+def test_positions_near_a_peak_are_not_constrained(name):
     """A search that took those for a proof ended there; along the free direction the measured peak is lower."""
     task = task_of(optlink.load("press-toggle", {"objective": term("guide force", of="F")}))
     values = {key: 1e-3 * value for key, value in BESIDE.items()}
@@ -276,7 +276,7 @@ def test_a_result_measures_each_term_of_a_machine_once(monkeypatch):
     assert len({design for design, _ in measured}) == 2  # of the initial machine and of the result
 
 
-def test_the_copy_of_a_measured_machine_knows_its_figures(monkeypatch):
+def test_copies_keep_cached_figures(monkeypatch):
     """A copy has terms of its own; figures by the address of a term were those of whatever came to lie there later."""
     cycle = Cycle(machine("press").model, {})
     goal = cycle.problem.goals[0]
@@ -290,7 +290,7 @@ def test_the_copy_of_a_measured_machine_knows_its_figures(monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_stroke_that_no_crank_makes_is_named():
+def test_an_unreachable_stroke_is_reported():
     result = solve(machine("press", limits__stroke={**term("stroke", of="ram"), "exactly": "400 mm"}), starts=2)
     assert result.status is Status.INFEASIBLE
     assert [item.key for item in result.conflict] == ["limits.stroke"]
@@ -298,7 +298,7 @@ def test_a_stroke_that_no_crank_makes_is_named():
 
 
 @pytest.mark.slow
-def test_two_limits_that_conflict_are_both_named():
+def test_two_conflicting_limits_are_both_listed():
     """A guide that is hardly pressed needs a long rod; a peak torque below that of the load at this stroke cannot be."""
     changes = {
         "limits__short": term("length", of="rod.length", max="180 mm"),
@@ -317,13 +317,13 @@ def idle() -> ProblemFile:
     return machine("press", loads=None, gravity=None, objective=term("reaction", of="E"), limits__guide=None)
 
 
-def test_a_machine_without_loads_raises_no_alarm():
+def test_a_machine_without_loads_passes_validation():
     result = solve(idle(), "slsqp", starts=1)
     assert result.valid, [check for check in result.validation.checks if not check.passed]
     assert Cycle(result.task, result.values).imbalance() < 0.1 * BALANCE
 
 
-def test_quadrature_beside_alignment_raises_no_alarm(monkeypatch):
+def test_quadrature_near_alignment_passes_validation(monkeypatch):
     """The coupler comes close to the line of the rocker, where the kinetic energy has a sharp peak; finer steps resolve it."""
     lengths = {"crank": {"start": "60 mm", "bounds": ["50 mm", "70 mm"]}, "coupler": "170.003 mm", "rocker": "100 mm"}
     mechanism = {"type": "four-bar", "frame": "210 mm", **lengths}
@@ -336,7 +336,7 @@ def test_quadrature_beside_alignment_raises_no_alarm(monkeypatch):
     assert not validate_cycle(file.model, {}).valid
 
 
-def test_a_wrong_power_does(monkeypatch):
+def test_a_wrong_power_fails_validation(monkeypatch):
     from optlink.dynamics.machine import Acting
 
     file = machine("press")
@@ -390,14 +390,14 @@ def test_odd_input_is_refused_with_its_key(case):
     assert any(key in str(fault.key) and words in str(fault) for fault in caught.value.faults), caught.value
 
 
-def test_sizes_that_never_let_the_crank_turn_are_no_traceback():
+def test_dimensions_without_crank_rotation_are_refused():
     changes = {"mechanism__links__crank__length": {"bounds": ["480 mm", "490 mm"]}, "mechanism__links__rod__length": "300 mm"}
     result = solve(machine("press", **changes, limits__stroke=None), starts=2)
     assert result.status is Status.INFEASIBLE
     assert any("turn fully" in note for note in result.notes)
 
 
-def test_a_start_that_cannot_turn_is_left_for_one_that_can():
+def test_a_start_without_crank_rotation_is_replaced():
     rod = {"start": "155 mm", "bounds": ["150 mm", "500 mm"]}
     crank = {"start": "119 mm", "bounds": ["30 mm", "120 mm"]}
     offset = [{"start": "59 mm", "bounds": ["-60 mm", "60 mm"]}, "0 mm"]

@@ -1,4 +1,4 @@
-"""Every answer grades its error against the size of its task, and says why it is poor."""
+"""Every result grades its error against the size of its task and explains a poor fit."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_a_poor_path_is_called_poor(star) -> None:
     assert verdict(ReportModel(star.problem, star, None)).startswith("Valid, poor fit: rms error is")
 
 
-def test_points_that_the_curve_does_not_meet_in_order_are_named(star) -> None:
+def test_points_passed_out_of_order_are_a_reason(star) -> None:
     steps = np.degrees(np.abs(np.diff(star.best.crank_angles)))
     named = [each.reason for each in star.best.fit.reasons if "order of the points" in each.reason]
     assert bool(named) == bool(np.any(steps < 0.0115))
@@ -70,7 +70,7 @@ def test_points_that_the_curve_does_not_meet_in_order_are_named(star) -> None:
 
 
 @pytest.mark.slow
-def test_poses_that_turn_farther_than_the_coupler_name_it() -> None:
+def test_poses_that_rotate_farther_than_the_coupler_are_a_reason() -> None:
     section = four_bar_section("left", **SIZES, points=SPOT)
     found = solve(optlink.read(document(section, TURNED)), starts=60, designs=1)
     best = found.best
@@ -80,7 +80,7 @@ def test_poses_that_turn_farther_than_the_coupler_name_it() -> None:
     assert "double-crank" in reason.remedy
 
 
-def test_a_curve_passed_at_other_crank_angles_names_the_timing() -> None:
+def test_a_wrong_timing_is_a_reason() -> None:
     """A planted linkage, its points given at crank angles a third of a turn late."""
     sizes = {"crank": 30.0, "coupler": 80.0, "rocker": 70.0, "frame": 90.0}
     angles = np.linspace(0.0, 4.0, 7)
@@ -96,7 +96,7 @@ def test_a_curve_passed_at_other_crank_angles_names_the_timing() -> None:
     assert there.fit.reasons == ()
 
 
-def test_a_fixed_pivot_is_named_with_what_moving_it_would_gain() -> None:
+def test_a_fixed_pivot_is_a_reason_with_its_gain() -> None:
     sizes = {"crank": 30.0, "coupler": 80.0, "rocker": 70.0, "frame": 90.0}
     angles = np.linspace(0.0, 4.0, 7)
     section = four_bar_section("left", **{k: f"{v} mm" for k, v in sizes.items()}, points={"P": ["40 mm", "30 mm"]})
@@ -119,7 +119,7 @@ def test_a_law_is_graded_by_its_output_range() -> None:
 
 
 @pytest.mark.slow
-def test_headline_and_json_tell_the_grade(tmp_path) -> None:
+def test_verdict_and_json_contain_the_grade(tmp_path) -> None:
     section = four_bar_section("left", **SIZES, points=SPOT, pivot=None, direction=None)
     file = tmp_path / "star.toml"
     file.write_text(dump(optlink.read(document(section, STAR + 150.0))))
@@ -132,7 +132,7 @@ def test_headline_and_json_tell_the_grade(tmp_path) -> None:
     assert told["fit"]["share"] == pytest.approx(told["fit"]["error"] / told["fit"]["size"])
 
 
-def test_show_says_what_is_fixed_where_a_key_is_left_out() -> None:
+def test_show_lists_defaults_of_omitted_keys() -> None:
     shown = CliRunner().invoke(app, ["show", "path-arc5"]).stdout
     line = next(line for line in shown.splitlines() if line.startswith("pivot"))
     assert "fixed: 0 mm, 0 mm" in line
@@ -216,7 +216,7 @@ def torque(crank: float, rod: float) -> float:
 
 
 @pytest.mark.parametrize(("least", "feasible"), [("70 mm", True), ("110 mm", False)])
-def test_an_objective_without_a_target_stands_beside_that_of_the_initial_design(least: str, feasible: bool) -> None:
+def test_an_objective_without_a_target_is_compared_with_the_initial_design(least: str, feasible: bool) -> None:
     result = solve_cycle(drag_link(**{"limits.stroke.min": least}), starts=1)
     assert result.valid
     assert result.fit is None

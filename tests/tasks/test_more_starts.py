@@ -47,7 +47,7 @@ def test_starts_of_a_smaller_number_are_the_first_ones_of_a_larger_one(file: opt
     assert len({tuple(start.x[:3]) for start in many}) > 190
 
 
-def test_processes_search_as_this_one_does() -> None:
+def test_processes_give_the_same_result_as_one_process() -> None:
     file = optlink.load("crank-rocker")
     nlp = build(file.spec)
     points = list(itertools.islice(start_sequence(file.spec, nlp, 5, None).rest(), 20))
@@ -73,14 +73,14 @@ def test_processes_change_no_digit_of_a_search(starts: int | None, engine: str) 
 
 
 @pytest.mark.slow
-def test_convex_first_steps_and_the_given_start_are_searched_whatever_the_number() -> None:
+def test_convex_first_steps_and_the_file_start_are_always_searched() -> None:
     file = short(**{"mechanism.crank": {"start": "77 mm", "bounds": ["1 mm", "5000 mm"]}})
     points = start_sequence(file.spec, build(file.spec), 0, None)
     assert any(start.x[0] == pytest.approx(0.77) for start in points.first)
     assert optlink.solve(file, starts=1).starts == len(points.first) > 1
 
 
-def test_a_valid_answer_is_not_lost_to_a_better_one_that_fails_validation() -> None:
+def test_a_valid_design_is_not_lost_to_an_invalid_better_one() -> None:
     """A start that leads to a lower objective beyond a limit of the validator comes last: the valid one before it stays."""
     file = short()
     nlp = build(file.spec)
@@ -110,10 +110,10 @@ def test_seeds_agree_on_an_optimum_that_few_starts_reach() -> None:
     """One random start in ten reaches the best value; another one is 2 % above it."""
     results = [default_answer(2), optlink.solve(optlink.read(case(2).raw), seed=3)]
     assert results[0].objective == pytest.approx(results[1].objective, rel=1e-8)
-    told = results[0].evidence
-    assert told is not None
-    assert 1 < told.hits < told.starts / 4
-    assert 0.0 < told.missed <= 0.025
+    evidence = results[0].evidence
+    assert evidence is not None
+    assert 1 < evidence.hits < evidence.starts / 4
+    assert 0.0 < evidence.missed <= 0.025
 
 
 @pytest.mark.slow
@@ -127,8 +127,8 @@ def test_three_seeds_agree_where_the_first_steps_miss_the_best_optimum() -> None
 
 
 @pytest.mark.slow
-def test_an_answer_has_one_figure_everywhere() -> None:
-    """Design, distinct optima and validation tell the largest error over the range, not that at the design positions."""
+def test_the_objective_is_the_same_in_every_output() -> None:
+    """Design, distinct optima and validation show the largest error over the range, not that at the design positions."""
     file, result = short(), default_answer(SHORT)
     document = json.loads(json.dumps(result.to_dict()))
     first = document["optima"][0]
@@ -141,7 +141,7 @@ def test_an_answer_has_one_figure_everywhere() -> None:
 
 
 @pytest.mark.slow
-def test_every_answer_says_its_assembly_mode() -> None:
+def test_every_result_states_its_assembly_mode() -> None:
     from optlink.report import terminal
     from optlink.report.views import function_tables
 
@@ -164,7 +164,7 @@ def test_a_given_design_is_checked_in_the_assembly_mode_that_fits_it() -> None:
 
 
 @pytest.mark.slow
-def test_the_machine_written_beside_a_result_moves_as_the_design_does(tmp_path: Path) -> None:
+def test_the_written_machine_moves_like_the_design(tmp_path: Path) -> None:
     """Law and function: loaded by `analyze`, from the same crank angle, the rocker turns as the result says."""
     from optlink.report.view import View
     from optlink.report.views.function import VIEW
@@ -178,8 +178,8 @@ def test_the_machine_written_beside_a_result_moves_as_the_design_does(tmp_path: 
         at = np.degrees(result.design["phi0"] + 0.5 * result.problem.spec.span)
         k = int(np.argmin(np.abs(np.remainder(crank - at + 180.0, 360.0) - 180.0)))
         offset = math.remainder(math.radians(crank[k]) - result.design["phi0"], 2.0 * math.pi)
-        wanted = result.problem.spec.law.curve(np.array([offset]), result.design["phi0"], result.design["psi0"])[0]
-        generated = wanted - result.error([offset])[0]
+        target = result.problem.spec.law.curve(np.array([offset]), result.design["phi0"], result.design["psi0"])[0]
+        generated = target - result.error([offset])[0]
         assert math.remainder(rocker[k] - generated, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-9)
 
 

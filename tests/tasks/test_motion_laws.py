@@ -186,7 +186,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_a_law_that_cannot_be_used_is_named(name: str) -> None:
+def test_unusable_laws_are_reported(name: str) -> None:
     changes, key, words = FAULTS[name]
     with pytest.raises(InputError) as caught:
         slider_crank(**changes)
@@ -239,7 +239,7 @@ def arm(start: str, bounds: tuple[str, str], law: str = "psi0 + 0.4*sin(phi - ph
 
 
 @pytest.mark.parametrize("backend", ["ipopt", "slsqp"])
-def test_a_search_passes_the_jump_of_an_angle_that_may_be_any(backend: str) -> None:
+def test_a_search_crosses_the_wrap_of_an_unbounded_angle(backend: str) -> None:
     """Both bounds are one position: the search ended at one of them, "locally optimal", with 3.6 times the objective."""
     whole = optlink.solve(arm("100 deg", ("0 deg", "360 deg")), backend, 1)
     ends = optlink.solve(arm("100 deg", ("-235 deg", "125 deg")), backend, 1)

@@ -159,7 +159,7 @@ def test_same_seed_same_answer_and_files(tmp_path):
         (VLINE, {"requirement.kind": "motion"}, "angles are missing"),
     ],
 )
-def test_bad_input_is_named(points, changes, words):
+def test_bad_input_is_reported(points, changes, words):
     with pytest.raises(optlink.InputError) as caught:
         optlink.read(path(points)).override(changes)
     assert words in str(caught.value)
@@ -178,7 +178,7 @@ KEYS = {
 
 
 @pytest.mark.parametrize(("base", "section"), KEYS)
-def test_an_unknown_key_is_answered_with_those_that_belong_there(base, section):
+def test_an_unknown_key_lists_the_valid_keys(base, section):
     raw = path(VLINE) if base == "path" else document(SLIDER_CRANK)
     with pytest.raises(optlink.InputError) as caught:
         optlink.read({**raw, section: {**raw[section], "swing": "20 deg"}})
@@ -188,7 +188,7 @@ def test_an_unknown_key_is_answered_with_those_that_belong_there(base, section):
 
 
 @pytest.mark.slow
-def test_points_out_of_reach_are_a_nearest_miss():
+def test_unreachable_points_give_a_nearest_miss():
     raw = path(VLINE, lengths=(1.0, 3.0), far=5.0)
     result = solve(optlink.read(raw), starts=60)
     assert result.best is None or result.best.objective > 1e-6
@@ -196,7 +196,7 @@ def test_points_out_of_reach_are_a_nearest_miss():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("measure", ["sum of squares", "rms"])
-def test_the_price_of_an_active_limit_is_what_solving_again_finds(measure):
+def test_the_shadow_price_agrees_with_reoptimisation(measure):
     """The frame of the ellipse is at its bound of 80 mm: central differences of 0.2 % against the multiplier."""
 
     own = solve(optlink.load("path-ellipse10", {"requirement.measure": measure}), designs=1, starts=240).best
@@ -218,7 +218,7 @@ def test_the_price_of_an_active_limit_is_what_solving_again_finds(measure):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["path-closed18", "path-vline6", "path-closed18-untimed", "motion-5-poses", "path-watt-leg"])
-def test_a_given_design_is_proven_at_crank_angles_found_by_another_route(name):
+def test_a_given_design_is_validated_at_independent_crank_angles(name):
     """Dynamic programming on the given sizes finds the crank angles again that the search found with them."""
     task = optlink.load(name)
     found = solution(name).best
@@ -231,7 +231,7 @@ def test_a_given_design_is_proven_at_crank_angles_found_by_another_route(name):
 
 
 @pytest.mark.slow
-def test_a_given_design_that_fails_says_where():
+def test_a_failed_given_design_names_the_failed_checks():
     task = optlink.load("path-ellipse10")
     found = solution("path-ellipse10").best
     wrong = optlink.tasks.path.validate(task, {**found.values, "rocker": 0.09, "crank": 0.03})
@@ -252,7 +252,7 @@ def test_every_example_of_the_reference_page_is_solved(example):
     assert result.valid
 
 
-def test_the_reference_page_knows_every_key_of_a_task():
+def test_the_reference_page_lists_every_key():
     from optlink.problem.path_requirement import PathLimits, PathRequirement
 
     assert len(EXAMPLES) >= 6

@@ -1,4 +1,4 @@
-"""What a search of starts for paths and poses says of itself: more starts are never worse, hits are counted after polishing."""
+"""Evidence of searches for paths and poses: more starts are never worse, hits are counted after polishing."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def exact_task(seed: int, *, scrambled: bool = False) -> tuple[dict[str, Any], f
 
 @pytest.mark.slow
 def test_four_seeds_agree_on_nine_exact_points() -> None:
-    """Nine points of a four-bar's own curve: every seed finds a four-bar through all of them, and knows that none is better."""
+    """Nine points of a four-bar's own curve: every seed finds a four-bar through all of them and reports that none is better."""
     raw, _ = exact_task(41)
     task = optlink.read(raw)
     for seed in range(4):
@@ -47,7 +47,7 @@ def test_four_seeds_agree_on_nine_exact_points() -> None:
 
 
 @pytest.mark.slow
-def test_seeds_agree_far_from_an_exact_fit_and_say_that_the_search_is_incomplete() -> None:
+def test_seeds_agree_on_a_poor_fit_and_report_an_incomplete_search() -> None:
     """Nine points in an order that no four-bar follows: nearly all starts end out of order, and few reach the best value."""
     raw, size = exact_task(7, scrambled=True)
     task = optlink.read(raw)
@@ -153,7 +153,7 @@ def test_hits_are_counted_after_polishing_with_limits() -> None:
 
 
 @pytest.mark.slow
-def test_a_search_says_what_it_may_have_missed() -> None:
+def test_a_search_states_the_chance_of_a_missed_optimum() -> None:
     task = optlink.read(random_points(1))
     short = solve(task, starts=1, designs=1)
     assert short.evidence.missed > MISSED_CHANCE

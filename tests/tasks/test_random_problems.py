@@ -40,7 +40,7 @@ def judged(seed: int) -> int:
 
 
 @pytest.mark.slow
-def test_many_answers() -> None:
+def test_many_random_problems_give_consistent_results() -> None:
     """At least half of the problems have an answer, and an answer has one design and more."""
     answers: list[int] = []
     while sum(answers) < ENOUGH:
@@ -93,7 +93,7 @@ def answer() -> tuple[PathDesign, RandomTask]:
 
 
 def changed(**values: float) -> Callable[[PathDesign], PathDesign]:
-    """The design with other sizes, told as if nothing had changed."""
+    """The design with other dimensions but unchanged results."""
     return lambda design: dataclasses.replace(design, values={**design.values, **values})
 
 
@@ -108,7 +108,7 @@ PLANTED: dict[str, tuple[Callable[[PathDesign], PathDesign], str]] = {
 
 
 @pytest.mark.parametrize("name", PLANTED)
-def test_the_judge_sees(answer: tuple[PathDesign, RandomTask], name: str) -> None:
+def test_the_oracle_detects_a_planted_error(answer: tuple[PathDesign, RandomTask], name: str) -> None:
     design, task = answer
     plant, words = PLANTED[name]
     assert any(words in fault for fault in faults_of(plant(design), task)), faults_of(plant(design), task)
@@ -123,7 +123,9 @@ def test_the_judge_sees(answer: tuple[PathDesign, RandomTask], name: str) -> Non
         ({"pivots": {"x": ["399 mm", "400 mm"]}}, "pivots"),
     ],
 )
-def test_the_judge_sees_a_missed_limit(answer: tuple[PathDesign, RandomTask], limits: dict[str, object], words: str) -> None:
+def test_the_oracle_detects_a_violated_limit(
+    answer: tuple[PathDesign, RandomTask], limits: dict[str, object], words: str
+) -> None:
     design, task = answer
     pivots = {"pivots": {"x": ["-400 mm", "400 mm"], "y": ["-400 mm", "400 mm"], **limits.pop("pivots", {})}}
     tighter = dataclasses.replace(task, raw={**task.raw, "limits": {**limits, **pivots}})

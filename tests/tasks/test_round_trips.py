@@ -19,7 +19,7 @@ FEW = 3  # linkages
 
 @pytest.mark.parametrize("seed", mostly_slow(range(FEW), 0))
 @pytest.mark.parametrize("timing", TIMINGS)
-def test_own_curve_is_recovered(timing: str, seed: int) -> None:
+def test_a_curve_of_a_known_four_bar_is_recovered(timing: str, seed: int) -> None:
     found = recover(round_trip(1000 + seed, COUNTS[0], timing), designs=1)
     assert not found.faults, found
     assert found.recovered, found
@@ -52,7 +52,7 @@ def test_a_variant_is_the_same_linkage_moved() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("timing", TIMINGS)
 def test_a_curve_of_no_four_bar_is_not_recovered(timing: str) -> None:
-    """One point off the curve by a hundredth of its size: the best linkage misses, and says so."""
+    """One point off the curve by a hundredth of its size: the best linkage misses the points and reports it."""
     trip = round_trip(1001, 18, timing)
     points = trip.points.copy()
     points[7] += 0.01 * trip.size
@@ -62,7 +62,7 @@ def test_a_curve_of_no_four_bar_is_not_recovered(timing: str) -> None:
     assert found.miss > 1e4 * RECOVERED
 
 
-def test_the_other_assembly_is_seen() -> None:
+def test_the_other_assembly_mode_is_detected() -> None:
     """Of a design that was found, the mirrored assembly and the reversed order are defects."""
     trip = round_trip(1000, 9, "given")
     design = solve(optlink.read(trip.raw), designs=1).designs[0]

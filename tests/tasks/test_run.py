@@ -17,7 +17,7 @@ SOLVED = {name: problem for name, problem in QUESTIONS.items() if problem.task !
 LONG = {"function-exp", "function-log10", "path-stephenson-dwell", "path-watt-leg", "press-toggle", "crank-rocker-robust"}
 
 
-def test_every_kind_of_question_is_shipped() -> None:
+def test_every_kind_of_problem_is_shipped() -> None:
     assert {problem.task for problem in QUESTIONS.values()} == {"function", "path", "cycle", "balance", "analysis"}
 
 
@@ -143,7 +143,7 @@ def test_the_command_solves_a_balancing_problem(tmp_path) -> None:
 
 
 @pytest.mark.slow
-def test_results_are_told_in_one_line() -> None:
+def test_results_have_a_one_line_summary() -> None:
     """Whatever a result holds, a prompt shows its problem, status and objective."""
     made = [solution(name) for name in ("crank-rocker", "path-arc5", "shaper-design", "balance-four-bar")]
     made += [optlink.analyze(QUESTIONS["shaper"]), QUESTIONS["shaper"], made[0].solution, made[1].best]

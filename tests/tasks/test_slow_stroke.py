@@ -210,7 +210,7 @@ def test_stroke_tables_show_the_output_first_and_json_keeps_all(tmp_path, change
     )
 
 
-def test_work_at_the_end_is_told_from_work_at_the_start(tmp_path):
+def test_work_at_the_end_differs_from_work_at_the_start(tmp_path):
     path = tmp_path / "press.toml"
     path.write_text(dump(press()))
     lines = CliRunner().invoke(app, ["analyze", str(path)]).stdout.splitlines()

@@ -61,7 +61,7 @@ VARIATIONS = {
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if "free" in n else n for n in VARIATIONS])
-def test_variation_is_solved_proven_and_agreed(crank_rocker, name):
+def test_variations_are_solved_and_validated_by_both_back_ends(crank_rocker, name):
     changes = dict(VARIATIONS[name])
     problem = crank_rocker.override(changes)
     if "law as a table" in name:
@@ -81,7 +81,7 @@ def test_variation_is_solved_proven_and_agreed(crank_rocker, name):
         assert a.design[free] == pytest.approx(b.design[free], abs=1e-8)
 
 
-def test_mirrored_problem_has_the_mirrored_answer(crank_rocker, solved):
+def test_mirrored_problem_has_the_mirrored_design(crank_rocker, solved):
     mirrored = optlink.solve(crank_rocker.override(VARIATIONS["assembly right, mirrored"]))
     assert mirrored.design["coupler"] == pytest.approx(solved.design["coupler"], abs=1e-10)
     assert mirrored.design["phi0"] == pytest.approx(-solved.design["phi0"], abs=1e-10)
@@ -94,7 +94,7 @@ def test_units_do_not_matter(crank_rocker, solved):
 
 
 @pytest.mark.slow
-def test_freedom_never_hurts(crank_rocker, solved):
+def test_more_design_variables_are_never_worse(crank_rocker, solved):
     """More freedom or looser limits: the optimum cannot be worse."""
     for name in ("transmission 40..140", "frame free", "span only", "phi0 free"):
         assert optlink.solve(crank_rocker.override(VARIATIONS[name])).objective <= solved.objective + 1e-12
@@ -127,7 +127,7 @@ def test_minimax_error_alternates(crank_rocker):
     assert np.min(residuals) == pytest.approx(-peak, rel=1e-9)
 
 
-def test_rms_is_the_same_design_with_another_figure(crank_rocker, solved):
+def test_rms_and_sum_of_squares_have_the_same_design(crank_rocker, solved):
     rms = optlink.solve(crank_rocker.override({"requirement.measure": "rms"}))
     assert rms.design["coupler"] == pytest.approx(solved.design["coupler"], abs=1e-9)
     assert rms.objective == pytest.approx(math.sqrt(solved.objective / 30), rel=1e-9)
@@ -176,7 +176,7 @@ PRICES = [
 
 
 @pytest.mark.parametrize(("changes", "key", "unit", "write", "name"), PRICES)
-def test_price_of_a_limit_is_what_re_solving_finds(crank_rocker, changes, key, unit, write, name):
+def test_shadow_price_agrees_with_reoptimisation(crank_rocker, changes, key, unit, write, name):
     """The multiplier per physical unit against central differences of re-solved optima."""
     base = crank_rocker.override(changes)
     result = optlink.solve(base)
@@ -232,7 +232,7 @@ def test_infeasible_transmission_limits(crank_rocker, backend):
 
 
 @pytest.mark.parametrize("limits", [pytest.param((80.0, 100.0), marks=pytest.mark.slow), (70.0, 95.0)])
-def test_the_named_relaxation_of_a_range_is_enough_and_no_more(crank_rocker, limits):
+def test_the_relaxation_of_a_range_is_the_least_one(crank_rocker, limits):
     """Also of a range that is not centred on 90 deg, and as its printed values."""
     found = optlink.solve(crank_rocker.override({"limits.transmission_angle": [f"{x} deg" for x in limits]})).conflict
     assert [item.sense for item in found] == [">=", "<="]
@@ -243,21 +243,21 @@ def test_the_named_relaxation_of_a_range_is_enough_and_no_more(crank_rocker, lim
         assert (result.status is Status.OPTIMAL) == feasible, changed
 
 
-def test_crank_longer_than_all_others_is_a_matter_of_the_design(crank_rocker):
+def test_a_crank_longer_than_all_links_fails_the_design(crank_rocker):
     result = optlink.solve(crank_rocker.override({"mechanism.crank": "950 mm"}))
     assert result.status is Status.INFEASIBLE
     assert [item.name for item in result.conflict] == ["crank <= frame"]
     assert "crank <= frame" in [item.name for item in result.together]
 
 
-def test_bounds_can_be_the_conflict(crank_rocker):
+def test_bounds_can_conflict(crank_rocker):
     short = {"bounds": ["100 mm", "150 mm"]}
     result = optlink.solve(crank_rocker.override({"mechanism.coupler": short, "mechanism.rocker": short}))
     assert result.status is Status.INFEASIBLE
     assert {"mechanism.coupler", "mechanism.rocker"} & {item.key for item in result.conflict + result.together}
 
 
-def test_explain_gives_a_design_when_there_is_one(crank_rocker):
+def test_explain_returns_a_feasible_design(crank_rocker):
     nlp = build(crank_rocker.spec)
     x = explain(nlp)
     assert not isinstance(x, Explanation)
@@ -272,7 +272,7 @@ def test_unusable_start_is_repaired(crank_rocker):
     assert result.design["coupler"] * 1e3 == pytest.approx(412.86542, abs=1e-3)
 
 
-def test_many_starts_are_clustered(crank_rocker):
+def test_optima_of_many_starts_are_grouped(crank_rocker):
     seen = []
     result = optlink.solve(crank_rocker, "slsqp", starts=12, seed=3, progress=seen.append)
     assert seen == pytest.approx(np.arange(1, 13) / 12)
@@ -282,7 +282,7 @@ def test_many_starts_are_clustered(crank_rocker):
     assert again.design == result.design
 
 
-def test_an_interrupted_search_keeps_what_it_has(crank_rocker, monkeypatch):
+def test_an_interrupted_search_keeps_its_best_design(crank_rocker, monkeypatch):
     real, calls = multistart.solve_from, []
 
     def interrupted(*args, **kwargs):
@@ -300,7 +300,7 @@ def test_an_interrupted_search_keeps_what_it_has(crank_rocker, monkeypatch):
         optlink.solve(crank_rocker, "slsqp", starts=50)
 
 
-def test_several_optima_are_told_apart(crank_rocker):
+def test_distinct_optima_are_listed(crank_rocker):
     """With a bounded start angle the problem has more than one local optimum, one at a bound; the best is taken."""
     problem = crank_rocker.override(
         {
@@ -318,8 +318,8 @@ def test_several_optima_are_told_apart(crank_rocker):
     assert sum(optimum.count for optimum in result.optima) <= 24
 
 
-def test_perfect_law_is_found_to_rounding(crank_rocker):
-    """A table taken from a known linkage: the optimum is that linkage, the objective zero, and both back ends say so."""
+def test_an_exact_law_is_met_to_rounding(crank_rocker):
+    """A table taken from a known linkage: the optimum is that linkage, the objective zero, and both back ends agree."""
     known = {"crank": 0.1, "coupler": 0.36, "rocker": 0.25, "frame": 0.4}
     phi = np.radians(np.arange(0, 181, 20) + 30.0)
     psi = optlink.sweep(optlink.four_bar(), known, phi).body_angle("rocker").value
@@ -348,7 +348,7 @@ def test_perfect_law_is_found_to_rounding(crank_rocker):
 
 
 @pytest.mark.slow
-def test_only_ratios_matter_is_told(solved):
+def test_scale_invariance_is_noted(solved):
     starts = dict(zip(LENGTHS, ("100 mm", "400 mm", "300 mm", "500 mm"), strict=True))
     raw = {
         "title": "all lengths free",
@@ -365,7 +365,7 @@ def test_only_ratios_matter_is_told(solved):
     assert solved.notes == ()
 
 
-def test_nothing_free_is_refused(crank_rocker):
+def test_a_problem_without_design_variables_is_refused(crank_rocker):
     with pytest.raises(InputError, match="no design variables"):
         optlink.solve(crank_rocker.override({"mechanism.coupler": "400 mm", "mechanism.rocker": "300 mm"}))
 
@@ -376,8 +376,8 @@ def test_bad_arguments(crank_rocker, argument, value):
         optlink.solve(crank_rocker, **{argument: value})
 
 
-def test_a_point_that_is_no_optimum_is_not_called_one(crank_rocker):
-    """Planted: the solver's flag says success at a feasible point beside the optimum; the proof does not believe it."""
+def test_a_non_optimal_point_is_not_reported_as_optimal(crank_rocker):
+    """Planted: the solver reports success at a feasible point near the optimum; the recomputed conditions reject it."""
     from optlink.solvers.solution import Attempt
 
     nlp = build(crank_rocker.spec)

@@ -113,7 +113,7 @@ def test_a_law_that_would_end_in_line_ends_at_the_alignment_limit_with_its_price
 
 
 @pytest.mark.parametrize("angle", ["0.2 deg", "5 deg"])
-def test_the_alignment_limit_is_what_the_file_says(angle: str) -> None:
+def test_the_alignment_limit_follows_the_file(angle: str) -> None:
     problem = optlink.read({**BENT, "limits": {"crank": "span", "alignment": angle}})
     result = solve(problem)
     assert result.valid

@@ -117,7 +117,7 @@ def test_smallest_slider_crank_within_a_pressure_angle() -> None:
 
 
 @pytest.mark.slow
-def test_conflict_says_what_would_have_to_give() -> None:
+def test_conflict_lists_the_required_relaxations() -> None:
     """The pressure angle to the best one of this time ratio, or the time ratio to that with a best pressure angle of 30 deg."""
     result = optlink.solve(SLIDER.override({"limits.pressure_angle": "30 deg"}))
     assert not result.valid
@@ -177,7 +177,7 @@ FAULTS: dict[str, tuple[Raw, str, str]] = {
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_wrong_requirements_are_named(name: str) -> None:
+def test_wrong_requirements_are_reported(name: str) -> None:
     changes, key, words = FAULTS[name]
     with pytest.raises(InputError) as caught:
         SLIDER.override(changes)
@@ -196,14 +196,14 @@ def test_wrong_requirements_are_named(name: str) -> None:
         ({"limits.swing": {"quantity": "stroke", "of": "rocker", "exactly": "3.5 rad"}}, 'limits.swing.exactly = "3.5 rad"'),
     ],
 )
-def test_strokes_that_no_linkage_has_are_refused(changes: Raw, words: str) -> None:
+def test_impossible_strokes_are_refused(changes: Raw, words: str) -> None:
     with pytest.raises(InputError, match="Give") as caught:
         optlink.load("stroke-crank-rocker", changes)
     assert words in str(caught.value)
 
 
 @pytest.mark.parametrize("stroke", ["179 deg", "30..370 deg", "<= 200 deg", "0..60 deg"])
-def test_strokes_that_a_linkage_may_have_are_read(stroke: str) -> None:
+def test_possible_strokes_are_read(stroke: str) -> None:
     assert optlink.load("stroke-crank-rocker", {"requirement.stroke": stroke}).model.bounds  # type: ignore[attr-defined]
 
 

@@ -91,7 +91,7 @@ def measured(design: dict[str, float], assembly: str, sense: float) -> float:
         ("backward", -100.0, "left"),
     ),
 )
-def test_a_law_has_the_ratio_of_the_stroke_that_is_named(stroke, span, assembly):
+def test_a_law_meets_the_time_ratio_of_the_named_stroke(stroke, span, assembly):
     result = solve(law({"exactly": 1.15, "stroke": stroke}, span, assembly), starts=6)
     assert result.valid
     found = measured(dict(result.design), assembly, span)
@@ -105,7 +105,7 @@ def test_a_law_has_the_ratio_of_the_stroke_that_is_named(stroke, span, assembly)
 
 
 @pytest.mark.slow
-def test_slow_is_what_a_ratio_means_without_a_stroke_and_quick_is_its_inverse():
+def test_the_time_ratio_defaults_to_the_slow_stroke_and_quick_is_its_inverse():
     plain = solve(law(1.15), starts=4)
     for ratio in ({"exactly": 1.15, "stroke": "slow"}, {"exactly": 1.0 / 1.15, "stroke": "quick"}, {"exactly": 1.15}):
         assert solve(law(ratio), starts=4).objective == pytest.approx(plain.objective, rel=1e-6)
@@ -126,7 +126,7 @@ def test_the_slow_stroke_is_never_better_than_the_better_direction():
     ("assembly", "stroke"),
     mostly_slow(itertools.product(("left", "right"), ("forward", "backward")), ("left", "forward"), ("right", "backward")),
 )
-def test_the_best_transmission_has_the_ratio_of_the_stroke_that_is_named(assembly, stroke):
+def test_the_best_transmission_meets_the_time_ratio_of_the_named_stroke(assembly, stroke):
     length = {"bounds": ["5 mm", "400 mm"]}
     mechanism = {
         "type": "four-bar",
@@ -160,7 +160,7 @@ def traced(sense: float, side: int) -> list[dict[str, str]]:
 
 
 @pytest.mark.parametrize(("sense", "side"), mostly_slow(itertools.product((1.0, -1.0), (1, -1)), (1.0, -1), (-1.0, 1)))
-def test_a_path_has_the_ratio_of_the_stroke_that_is_named(sense, side):
+def test_a_path_meets_the_time_ratio_of_the_named_stroke(sense, side):
     """The curve of a known four-bar: met exactly with the stroke that this one has, missed with the other."""
     true = forward_over_backward(LENGTHS_OF_PATH, side, sense)
     own, other = ("forward", "backward") if true > 1.0 else ("backward", "forward")
@@ -203,7 +203,7 @@ def test_a_path_has_the_ratio_of_the_stroke_that_is_named(sense, side):
         (0.9, "limits.time_ratio"),
     ],
 )
-def test_ratios_that_no_stroke_has_are_refused(ratio, key):
+def test_impossible_time_ratios_are_refused(ratio, key):
     with pytest.raises(InputError) as error:
         law(ratio)
     assert [fault.key for fault in error.value.faults] == [key]

@@ -140,7 +140,7 @@ def test_pressure_angle_of_a_four_bar_of_dyads_is_that_of_the_four_bar() -> None
     assert max(shown) == pytest.approx(45.0, abs=1e-6)  # crank angles of 0 and 180 deg are among the positions
 
 
-def test_named_dyads_have_their_own_range_and_the_others_the_general_one() -> None:
+def test_named_dyads_have_specific_limits_and_others_the_general_one() -> None:
     def limits(changes: Raw) -> dict[str, tuple[float, float]]:
         model = optlink.load("law-six-bar", {f"limits.{key}": value for key, value in changes.items()}).model
         assert isinstance(model, PathProblem)
@@ -173,7 +173,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_wrong_limits_are_named(name: str) -> None:
+def test_wrong_limits_are_reported(name: str) -> None:
     changes, key, words = FAULTS[name]
     with pytest.raises(InputError) as caught:
         optlink.load("law-six-bar", {f"limits.{k}": value for k, value in changes.items()})
@@ -182,7 +182,7 @@ def test_wrong_limits_are_named(name: str) -> None:
     assert words in str(fault)
 
 
-def test_limits_over_the_span_do_not_hold_beyond_it() -> None:
+def test_span_limits_do_not_apply_beyond_the_span() -> None:
     """A tight limit that only the span can satisfy, with a crank that turns fully."""
     file = optlink.load("law-slider-crank", {"limits.pressure_angle": "20 deg", "limits.alignment": "1 deg"})
     over = file.override({"limits.transmission_over": "span"})
