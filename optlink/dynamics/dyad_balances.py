@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import reduce
-from operator import add
 from typing import get_args
 
 import numpy as np
@@ -76,6 +74,7 @@ class RemainingWrenches:
 
     def __init__(self, moving: Moving, needed: Mapping[str, Wrench]) -> None:
         self.moving, self.mechanism, self.needed = moving, moving.machine.mechanism, dict(needed)
+        self._places: dict[str, Vector] = {}
 
     def across(self, guide: Guide, tilts: Mapping[str, Value]) -> Vector:
         """Return the direction in which a guide exerts no force: its line, rotated by the friction angle.
@@ -94,7 +93,10 @@ class RemainingWrenches:
 
     def at(self, joint: Joint) -> Vector:
         """Return the position of a pin, or of the point of the slider that slides along the line of a guide."""
-        return self.moving.position(joint if isinstance(joint, str) else joint.at or self.mechanism.bodies[joint.slider].start)
+        name = joint if isinstance(joint, str) else joint.at or self.mechanism.bodies[joint.slider].start
+        if name not in self._places:
+            self._places[name] = self.moving.position(name)
+        return self._places[name]
 
     def about(self, link: Link, point: Vector) -> Value:
         """Return the moment about a point that the joints exert on a body.
@@ -107,46 +109,50 @@ class RemainingWrenches:
         """
         return self.needed[link.body].about(self.moving.state(link.body).start, point)
 
-    def component(self, joint: Joint, row: Vector, *links: Link) -> Value:
-        """Return row . force for the force, at the other end of its lever, that holds bodies beside an outer joint of theirs.
+    def directions(self, group: JointedDyad, tilts: Mapping[str, Value]) -> tuple[Vector, Vector]:
+        """Return the two directions between which a group has its transmission angle; it is singular where they are parallel.
+
+        They are those of two of its joints, seen from the third one, a pin: its inner joint or, if that is a guide, the outer one
+        of the first body. A guide has that in which it exerts no force, another pin the normal to the lever between the two pins.
+
+        Parameters
+        ----------
+        group : JointedDyad
+        tilts : mapping of str to Value [-]
+            Tangents of the friction angles of guides with friction.
+        """
+        one, other, pin = *group.outer, group.inner
+        if isinstance(pin, Guide):
+            one, pin = pin, one
+        return self._direction(one, pin, tilts), self._direction(other, pin, tilts)
+
+    def _direction(self, joint: Joint, pin: Joint, tilts: Mapping[str, Value]) -> Vector:
+        if isinstance(joint, Guide):
+            return self.across(joint, tilts)
+        return moment_row(minus(self.at(joint), self.at(pin)))
+
+    def component(self, joint: Joint, row: Vector, force: Vector, *links: Link) -> Value:
+        """Return row . inner force, for the force that holds bodies at the other end of the lever from an outer joint of theirs.
 
         Parameters
         ----------
         joint : Joint
         row : pair of Value
-            Direction of a guide without force along it, or `moment_row` of the lever to a pin.
+            One of `directions`.
+        force : pair of Value [N]
+            That all joints of the bodies together exert.
         *links : Link
-            The bodies.
+            The bodies, one or two.
         """
         if isinstance(joint, Guide):
-            return reduce(add, (dot(row, self.needed[link.body].force) for link in links))
-        return -reduce(add, (self.about(link, self.at(joint)) for link in links))
+            return dot(row, force)
+        moments = [self.about(link, self.at(joint)) for link in links]
+        return -moments[0] if len(moments) == 1 else -(moments[0] + moments[1])
 
     def total(self, group: Dyad) -> Vector:
         """Return the force that the outer joints exert on both bodies of a group."""
         first, second = (self.needed[link.body].force for link in group.links)
         return plus(first, second)
-
-
-def directions(moving: Moving, group: JointedDyad, line: Callable[[Guide], Vector]) -> tuple[Vector, Vector]:
-    """Return the two directions between which a group has its transmission angle; it is singular where they are parallel.
-
-    They are those of two of its joints, seen from the third one, a pin: its inner joint or, if that is a guide, the outer one of
-    the first body. A guide has the direction of its line, another pin that normal to the lever between the two pins.
-
-    Parameters
-    ----------
-    moving : Moving
-    group : JointedDyad
-    line : function of a guide to pair of Value [-]
-        Direction of a guide.
-    """
-    joints = group.outer if isinstance(group.inner, str) else (group.inner, group.outer[1])
-    point = moving.position(str(group.inner if isinstance(group.inner, str) else group.outer[0]))
-    one, other = (
-        line(joint) if isinstance(joint, Guide) else moment_row(minus(moving.position(joint), point)) for joint in joints
-    )
-    return one, other
 
 
 def jointed_forces(balance: RemainingWrenches, group: JointedDyad, tilts: Mapping[str, Value]) -> GroupForces:
@@ -164,16 +170,18 @@ def jointed_forces(balance: RemainingWrenches, group: JointedDyad, tilts: Mappin
     """
     (first, second), (joint, other) = group.links, group.outer
     own, others = (balance.needed[link.body].force for link in group.links)
-    row, across = directions(balance.moving, group, lambda guide: balance.across(guide, tilts))
+    row, across = balance.directions(group, tilts)
     at, moment = balance.at(group.inner), 0.0
     pins: list[tuple[str, str, Vector]] = []
     guides: list[tuple[Guide, str, Vector, Value]] = []
     if isinstance(group.inner, Guide):
-        pin = solve_two_by_two(row, dot(row, own), across, balance.component(other, across, first, second))
+        pin = solve_two_by_two(row, dot(row, own), across, balance.component(other, across, plus(own, others), first, second))
         inner, moment = minus(own, pin), balance.about(first, at) - cross(minus(balance.at(joint), at), pin)
         guides.append((group.inner, first.body, inner, moment))
     else:
-        inner = solve_two_by_two(row, balance.component(joint, row, first), across, -balance.component(other, across, second))
+        inner = solve_two_by_two(
+            row, balance.component(joint, row, own, first), across, -balance.component(other, across, others, second)
+        )
         pins.append((group.inner, first.body, inner))
     outer = minus(own, inner), plus(others, inner)
     for link, joint, force in zip(group.links, group.outer, outer, strict=True):

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from optlink.dynamics.columns import MotionColumns
-from optlink.dynamics.dyad_balances import directions
+from optlink.dynamics.dyad_balances import RemainingWrenches
 from optlink.dynamics.inverse import Reactions, reported_on, shaking
 from optlink.dynamics.machine import Moving, slider_names
 from optlink.io import Registry
@@ -162,7 +162,7 @@ def _pressure(moving: Moving, reactions: Reactions, term: ElementTerm) -> tuple[
 
 def _transmission_angle(moving: Moving, group: Transmitting) -> Value:
     """Return the transmission angle of a dyad [rad], see `optlink.linkage.dyad_types.Transmitting`; 90 deg is best."""
-    p, q = directions(moving, group, lambda guide: moving.line(guide.name))
+    p, q = RemainingWrenches(moving, {}).directions(group, {})
     return np.arctan2(magnitude(cross(p, q)), dot(p, q))
 
 
