@@ -15,7 +15,8 @@ from optlink.clearance.equations import Drive, Equations, Weightless
 from optlink.clearance.integration import Block, Impact, Integration
 from optlink.clearance.joint import Gap
 from optlink.clearance.output import Output
-from optlink.dynamics.machine import Machine, jet_parts
+from optlink.dynamics.machine import Machine
+from optlink.linkage.jet import as_jet
 from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.symbolic import CompiledFunction, symbols_in_numpy
 
@@ -107,7 +108,7 @@ class ClosedLoop:
     def _ideal(self, machine: Machine, start: float, speed: float) -> Array:
         """State of the machine without clearance."""
         moving = machine.moving(np.array([start]), speed)
-        both = [jet_parts(value) for value in self.equations.tree.read(moving.pose)]
+        both = [as_jet(value).parts for value in self.equations.tree.read(moving.pose)]
         state = np.array([_number(value[order]) for order in (0, 1) for value in both])
         state[self.equations.tree.driven] = start  # not wrapped, like the command of a servo
         return state

@@ -27,8 +27,8 @@ from optlink.clearance.reference_signal import ReferenceSignal
 from optlink.clearance.spanning_tree import SpanningTree
 from optlink.clearance.state import ClearanceState
 from optlink.dynamics.loads import Magnitude
-from optlink.dynamics.machine import Machine, jet_parts
-from optlink.linkage.jet import Jet
+from optlink.dynamics.machine import Machine
+from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.vector2d import Array
 from optlink.symbolic import BufferedFunction, CompiledFunction, symbols_in_numpy
 
@@ -135,7 +135,7 @@ class Equations:
                     fx, fy, total = fx - gx, fy - gy, total - turned
             rates = casadi.vertcat(*state.velocity, state.omega)
             residual += casadi.jacobian(rates, x[n:]).T @ casadi.vertcat(fx, fy, total)
-        residuals = [jet_parts(value) for value in self.tree.open(moving.places)]
+        residuals = [as_jet(value).parts for value in self.tree.open(moving.places)]
         closure = casadi.vertcat(*[value for value, _, _ in residuals]) if residuals else casadi.SX(0, 1)
         bent = casadi.vertcat(*[twice for _, _, twice in residuals]) if residuals else casadi.SX(0, 1)
         grip = casadi.jacobian(closure, x[:n])

@@ -22,8 +22,8 @@ from optlink.clearance.reference_signal import ReferenceSignal
 from optlink.clearance.spanning_tree import SpanningTree
 from optlink.clearance.state import ClearanceState
 from optlink.dynamics.inverse import reactions
-from optlink.dynamics.machine import Machine, jet_parts
-from optlink.linkage.jet import Jet
+from optlink.dynamics.machine import Machine
+from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.vector2d import Array
 from optlink.symbolic import CompiledFunction, symbols_in_numpy
 
@@ -76,14 +76,14 @@ class Inverse:
             moved = ClearanceState(machine, self.tree, [Jet(value) for value in casadi.vertsplit(q)], speed)
             apart = [moved.journal_motion(gap).eccentricity for gap in gaps]
             missing = [value - e[i] for i, value in enumerate(part for pair in apart for part in pair)]
-            missing += [jet_parts(value)[0] for value in self.tree.open(moved.places)]
+            missing += [as_jet(value).value for value in self.tree.open(moved.places)]
             value, residuals = output.of(moved), casadi.vertcat(*missing)
             results = [residuals, casadi.jacobian(residuals, q), value, casadi.jacobian(value, q)]
             self._loops = CompiledFunction([q, e], results, POINTS)
         self.angles: Array = np.asarray(start + np.sign(speed) * np.linspace(0.0, 2.0 * np.pi, POINTS, endpoint=False))
         moving = machine.moving(self.angles, speed)
         self.target = np.asarray(output.ideal(moving)[0])
-        self._ideal = np.stack([np.broadcast_to(jet_parts(c)[0], (POINTS,)) for c in self.tree.read(moving.pose)], axis=-1)
+        self._ideal = np.stack([np.broadcast_to(as_jet(c).value, (POINTS,)) for c in self.tree.read(moving.pose)], axis=-1)
         self.gaps: Array = predicted(machine, gaps, self.angles, speed)
 
     def close(self, crank: Array) -> tuple[Array, Array]:

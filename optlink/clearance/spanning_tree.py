@@ -220,14 +220,13 @@ class SpanningTree:
     def read(self, pose: Pose) -> list[Value]:
         """Return the coordinates in a pose of the mechanism without gaps (jets if the pose has jets)."""
         values: list[Value] = []
-        guides = {guide.name: guide for guide in self.mechanism.guides}
         for body, kind in self.coordinates:
             if kind == "angle":
                 values.append(angle(pose.direction(body)))
             elif kind == "slide":
                 branch = next(branch for branch in self.branches if branch.body == body)
                 assert isinstance(branch.joint, Guide)
-                values.append(pose.slide(guides[branch.joint.name]))
+                values.append(pose.slide(branch.joint))
             else:
                 values.append(pose.points[self.mechanism.bodies[body].start][0 if kind == "x" else 1])
         return values

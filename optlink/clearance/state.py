@@ -14,8 +14,8 @@ from optlink.clearance.joint import Gap, JournalMotion
 from optlink.clearance.spanning_tree import SpanningTree
 from optlink.dynamics.inertia import BodyMotion, Wrench, body_motion
 from optlink.dynamics.inverse import required_wrench
-from optlink.dynamics.machine import Acting, Machine, jet_parts
-from optlink.linkage.jet import Jet
+from optlink.dynamics.machine import Acting, Machine
+from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.vector2d import Value, Vector, minus, plus, turn
 
@@ -50,8 +50,7 @@ class ClearanceState:
     def state(self, body: str) -> BodyMotion:
         """Return the motion of a body."""
         if body not in self._states:
-            (x, y), (c, d) = self.places[body]
-            self._states[body] = body_motion((jet_parts(x), jet_parts(y)), (jet_parts(c), jet_parts(d)))
+            self._states[body] = body_motion(*self.places[body])
         return self._states[body]
 
     def position(self, point: str, body: str) -> Vector:
@@ -93,7 +92,7 @@ class ClearanceState:
     @cached_property
     def slides(self) -> dict[str, tuple[Value, Value, Value]]:
         """Slide in every guide, its velocity and acceleration [m, m/s, m/s^2]."""
-        return {guide.name: jet_parts(self.tree.slide(guide, self.places)) for guide in self.machine.mechanism.guides}
+        return {guide.name: as_jet(self.tree.slide(guide, self.places)).parts for guide in self.machine.mechanism.guides}
 
     def sense(self, of: Callable[[ClearanceState], tuple[Value, Value]], size: Value = 1.0) -> Value:
         """Return the smoothed sign of a velocity, because no equation of motion is integrated across a jump.

@@ -9,10 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from optlink.linkage.jet import as_jet
 from optlink.linkage.vector2d import Value, Vector, cross, dot, turn
-
-Triple = tuple[Value, Value, Value]
-"""A quantity with its first and second time derivative."""
 
 
 class Wrench(NamedTuple):
@@ -85,19 +83,20 @@ class BodyMotion(NamedTuple):
         return velocity, acceleration
 
 
-def body_motion(start: tuple[Triple, Triple], axis: tuple[Triple, Triple]) -> BodyMotion:
+def body_motion(start: Vector, axis: Vector) -> BodyMotion:
     """Return the state of a body from the motion of its start and of its x axis.
 
     Parameters
     ----------
-    start : pair of Triple [m, m/s, m/s^2]
-        x and y of the start, each with its first and second time derivative.
-    axis : pair of Triple [-, 1/s, 1/s^2]
+    start : pair of Jet [m, m/s, m/s^2]
+        x and y of the start; what is not a jet does not move.
+    axis : pair of Jet [-, 1/s, 1/s^2]
         x and y of the unit vector of the x axis, likewise.
     """
-    (x, y), (c, s) = start, axis
-    way = (c[0], s[0])
-    return BodyMotion((x[0], y[0]), (x[1], y[1]), (x[2], y[2]), way, cross(way, (c[1], s[1])), cross(way, (c[2], s[2])))
+    x, y, c, s = as_jet(start[0]), as_jet(start[1]), as_jet(axis[0]), as_jet(axis[1])
+    way, turned = (c.value, s.value), cross((c.value, s.value), (c.acceleration, s.acceleration))
+    places = (x.value, y.value), (x.rate, y.rate), (x.acceleration, y.acceleration)
+    return BodyMotion(*places, way, cross(way, (c.rate, s.rate)), turned)
 
 
 def wrench(parameters: Parameters, state: BodyMotion, gravity: Vector) -> Wrench:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from optlink.dynamics.inertia import BodyMotion, Inertia, Wrench, body_motion, kinetic, potential
-from optlink.linkage.jet import Jet
+from optlink.linkage.jet import as_jet
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.stroke import Ranges, reachable
@@ -23,11 +23,6 @@ INSTANT = 1e-10
 
 NOISE = 1e-13
 """Least motion per crank rotation, relative to the size of the machine; smaller ones are rounding errors."""
-
-
-def jet_parts(x: Value) -> tuple[Value, Value, Value]:
-    """Return value, rate and acceleration of a quantity that may be a jet."""
-    return (x.value, x.rate, x.acceleration) if isinstance(x, Jet) else (x, 0.0, 0.0)
 
 
 class Acting(NamedTuple):
@@ -123,7 +118,7 @@ class Machine:
         lengths = [link.length for link in self.mechanism.links if link.end]
         total: Value = 0.0
         for length in lengths:
-            total = total + jet_parts(self.sizes[length] if isinstance(length, str) else length)[0]
+            total = total + as_jet(self.sizes[length] if isinstance(length, str) else length).value
         return total if lengths else 1.0
 
     @cached_property
@@ -177,7 +172,7 @@ class Moving:
             Not used: the point has the same position on all bodies that share it.
         """
         x, y = self.pose.points[point]
-        return jet_parts(x)[0], jet_parts(y)[0]
+        return as_jet(x).value, as_jet(y).value
 
     def velocity(self, point: str, body: str = "") -> Vector:
         """Return the velocity of a point [m/s].
@@ -189,7 +184,7 @@ class Moving:
             Not used, see `position`.
         """
         x, y = self.pose.points[point]
-        return jet_parts(x)[1], jet_parts(y)[1]
+        return as_jet(x).rate, as_jet(y).rate
 
     def acceleration(self, point: str, body: str = "") -> Vector:
         """Return the acceleration of a point [m/s^2].
@@ -201,7 +196,7 @@ class Moving:
             Not used, see `position`.
         """
         x, y = self.pose.points[point]
-        return jet_parts(x)[2], jet_parts(y)[2]
+        return as_jet(x).acceleration, as_jet(y).acceleration
 
     @property
     def variables(self) -> dict[str, Value]:
@@ -211,7 +206,7 @@ class Moving:
     def axis(self, body: str) -> Vector:
         """Return the unit vector of a body's x axis."""
         x, y = self.pose.direction(body)
-        return jet_parts(x)[0], jet_parts(y)[0]
+        return as_jet(x).value, as_jet(y).value
 
     def line(self, guide: str) -> Vector:
         """Return the unit vector of a guide's line."""
@@ -222,13 +217,13 @@ class Moving:
         lines = {}
         for guide in self.machine.mechanism.guides:
             x, y = self.pose.line(guide, guide.on)[1]
-            lines[guide.name] = jet_parts(x)[0], jet_parts(y)[0]
+            lines[guide.name] = as_jet(x).value, as_jet(y).value
         return lines
 
     @cached_property
     def slides(self) -> dict[str, tuple[Value, Value, Value]]:
         """Slide in every guide, its velocity and acceleration [m, m/s, m/s^2]."""
-        return {guide.name: jet_parts(self.pose.slide(guide)) for guide in self.machine.mechanism.guides}
+        return {guide.name: as_jet(self.pose.slide(guide)).parts for guide in self.machine.mechanism.guides}
 
     def state(self, body: str) -> BodyMotion:
         """Return the motion of a body."""
@@ -237,8 +232,8 @@ class Moving:
                 nothing = (0.0, 0.0)
                 self._states[body] = BodyMotion(nothing, nothing, nothing, (1.0, 0.0), 0.0, 0.0)
             else:
-                (x, y), (c, d) = self.pose.points[self.machine.mechanism.bodies[body].start], self.pose.direction(body)
-                self._states[body] = body_motion((jet_parts(x), jet_parts(y)), (jet_parts(c), jet_parts(d)))
+                start = self.pose.points[self.machine.mechanism.bodies[body].start]
+                self._states[body] = body_motion(start, self.pose.direction(body))
         return self._states[body]
 
     def sense(self, of: Callable[[Moving], tuple[Value, Value]], size: Value = 1.0) -> Value:

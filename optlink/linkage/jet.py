@@ -75,6 +75,11 @@ class Jet(NDArrayOperatorsMixin):
     def __init__(self, value: Value, rate: Value = 0.0, acceleration: Value = 0.0) -> None:
         self.value, self.rate, self.acceleration = value, rate, acceleration
 
+    @property
+    def parts(self) -> tuple[Value, Value, Value]:
+        """Value, rate and acceleration."""
+        return self.value, self.rate, self.acceleration
+
     def __repr__(self) -> str:
         return f"Jet({self.value!r}, {self.rate!r}, {self.acceleration!r})"
 

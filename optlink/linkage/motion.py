@@ -59,8 +59,8 @@ class Motion:
     def body_angle(self, body: str) -> Jet:
         """Return the angle of a body [rad], continuous along the sweep, and its first and second derivative [rad/s, rad/s^2]."""
         with np.errstate(all="ignore"):
-            jet = as_jet(angle(self.pose.direction(body)))
-        return Jet(continuous(self._full(jet.value)), self._full(jet.rate), self._full(jet.acceleration))
+            value, rate, acceleration = map(self._full, as_jet(angle(self.pose.direction(body))).parts)
+        return Jet(continuous(value), rate, acceleration)
 
     def body_rate(self, body: str) -> Array:
         """Return the angular velocity of a body [rad/s]."""
@@ -71,8 +71,7 @@ class Motion:
         """Return the slide in a guide [m], its velocity and acceleration [m/s, m/s^2]."""
         joint = next(candidate for candidate in self.mechanism.guides if candidate.name == guide)
         with np.errstate(all="ignore"):
-            jet = as_jet(self.pose.slide(joint))
-        return Jet(self._full(jet.value), self._full(jet.rate), self._full(jet.acceleration))
+            return Jet(*map(self._full, as_jet(self.pose.slide(joint)).parts))
 
     @property
     def assembled(self) -> NDArray[np.bool_]:

@@ -32,16 +32,8 @@ class Passage:
         delta : float or array [rad]
             Crank angle minus `crank_angle`.
         """
-        values = [np.polynomial.polynomial.polyval(delta, row) for row in self.series]
-        if not isinstance(angle, Jet):
-            return values[0], values[1]
-        powers = np.arange(self.series.shape[1])
-        first = [np.polynomial.polynomial.polyval(delta, (row * powers)[1:]) for row in self.series]
-        second = [np.polynomial.polynomial.polyval(delta, (row * powers * (powers - 1))[2:]) for row in self.series]
-        square = angle.rate * angle.rate
-        x, y = (
-            Jet(v, a * angle.rate, b * square + a * angle.acceleration) for v, a, b in zip(values, first, second, strict=True)
-        )
+        away = Jet(delta, angle.rate, angle.acceleration) if isinstance(angle, Jet) else delta
+        x, y = (np.polynomial.polynomial.polyval(away, row) for row in self.series)
         return x, y
 
 
@@ -100,6 +92,4 @@ def _either(which: Value, one: Value, other: Value) -> Value:
     """Elementwise selection, of jets too."""
     if not isinstance(one, Jet) and not isinstance(other, Jet):
         return np.where(which, one, other)
-    a, b = as_jet(one), as_jet(other)
-    parts = ((a.value, b.value), (a.rate, b.rate), (a.acceleration, b.acceleration))
-    return Jet(*(np.where(which, x, y) for x, y in parts))
+    return Jet(*(np.where(which, x, y) for x, y in zip(as_jet(one).parts, as_jet(other).parts, strict=True)))

@@ -17,8 +17,8 @@ import numpy as np
 
 from optlink.dynamics.inverse import Reactions, reactions, required_wrench
 from optlink.dynamics.loads import Force
-from optlink.dynamics.machine import Load, Machine, Moving, jet_parts
-from optlink.linkage.jet import Jet
+from optlink.dynamics.machine import Load, Machine, Moving
+from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.motion import Motion
 from optlink.linkage.stroke import Direction, slow_stroke
 from optlink.linkage.vector2d import TURN, Array, Value, dot, sign, unit
@@ -144,7 +144,7 @@ class TracedCycle:
         inputs = casadi.SX.sym("inputs", len(self.names) + 1)
         with symbols_in_numpy():
             moving = self._moving(inputs)
-            margins = [jet_parts(group.alignment(moving.pose))[0] - group.least for group in self.mechanism.groups]
+            margins = [as_jet(group.alignment(moving.pose)).value - group.least for group in self.mechanism.groups]
             ends = [part for term in self.ended for part in self._output(term, moving)]
             event_values = [event.value(moving) for event in self.events]
         self.at_event = casadi.Function("event", [inputs], [casadi.vertcat(*event_values, *ends)])

@@ -19,7 +19,8 @@ from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
 from optlink.dynamics.loads import Spring
-from optlink.dynamics.machine import Machine, jet_parts
+from optlink.dynamics.machine import Machine
+from optlink.linkage.jet import as_jet
 from optlink.linkage.mechanism import FRAME, Guide
 from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import TURN, Array, Vector
@@ -100,13 +101,13 @@ class Sketch:
         shape = motion.crank_angle.shape
         with np.errstate(all="ignore"):  # at a dead centre of a group its rates are infinite or NaN
             direction = motion.pose.direction(body)
-        x, y = (np.broadcast_to(jet_parts(part)[0], shape)[:, None] for part in direction)
+        x, y = (np.broadcast_to(as_jet(part).value, shape)[:, None] for part in direction)
         start = self.position(motion, self.mechanism.bodies[body].start)[:, None, :]
         along, across = outline[:, 0], outline[:, 1]
         return np.asarray(start + np.stack([along * x - across * y, along * y + across * x], axis=-1))
 
     def _vector(self, vector: Vector) -> Array:
-        return np.array([float(jet_parts(part)[0]) for part in vector]) * self.scale.factor
+        return np.array([float(as_jet(part).value) for part in vector]) * self.scale.factor
 
     def _points_of(self, body: str) -> Array:
         """Return the named points of a body in its own axes, without duplicates."""
