@@ -170,7 +170,7 @@ def test_a_design_that_the_analysis_of_limits_finds_is_refined(monkeypatch: pyte
     """No candidate becomes valid, but a linkage meets all limits: it is the answer, in whichever assembly mode it is found."""
 
     def failing(self: Polisher, candidate: Candidate, *, near: bool = False) -> PathDesign:
-        start = self._given(candidate)
+        start = self._scaled_point(candidate)
         return validated_design(self.files[candidate.variant], replace(start, status=Status.STALLED))
 
     monkeypatch.setattr(Polisher, "polish", failing)
