@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,6 @@ from optlink.dynamics.crank_acceleration import (
 from optlink.dynamics.dop853 import ALL
 from optlink.dynamics.ending import Ending, first_event, marks_ahead, nearest
 from optlink.dynamics.flywheel import LastTurn
-from optlink.dynamics.inertia import kinetic, potential
 from optlink.dynamics.inverse import Reactions, reactions
 from optlink.dynamics.loads import Magnitude
 from optlink.dynamics.machine import Machine, Moving
@@ -68,7 +67,7 @@ class Run:
     evaluations: int
     ending: Ending
     stopped: float
-    last_turn: tuple[float, float] | None = None
+    last_turn: tuple[float, float] | None
 
     @property
     def turnover(self) -> float:
@@ -340,10 +339,51 @@ class _Integration:
 
     def result(self) -> Run:
         """Return the result so far."""
-        states = np.concatenate(self.blocks)
-        times, ways = self.times[: len(states)], np.array(self.ways)
-        simulated = _result(self.equations, times, states, ways, self.steps, self.ending, self.time)
-        return replace(simulated, last_turn=self.last_turn.speed)
+        equations, times, states, ways = (
+            self.equations,
+            self.times[: len(self.ways)],
+            np.concatenate(self.blocks),
+            np.array(self.ways),
+        )
+        machine, angles, speeds = equations.machine, states[:, 0], states[:, 1]
+        geared = machine.moving(angles, 1.0)
+        if equations.drive is None:
+            accelerations = np.zeros(len(times))
+            torque, _ = required_torque(geared.scaled(speeds, 0.0, ways), geared)
+        else:
+            torque = equations.torque(angles, speeds)
+            accelerations = np.broadcast_to(np.asarray(crank_acceleration(geared, speeds, torque, ways)), angles.shape)
+        if self.ending is Ending.AT_REST and speeds[-1] == 0.0:
+            accelerations = np.where(np.arange(len(times)) == len(times) - 1, 0.0, accelerations)
+        moving = geared.scaled(speeds, accelerations, ways)
+        energy = np.zeros(len(times)) + machine.kinetic(moving.state) + machine.weight(moving.state)
+        works = {name: states[:, 2 + k] for k, name in enumerate(equations.names)}
+        imbalance = energy - energy[0] - sum(works.values())
+        drift = twist = 0.0
+        for k, body in enumerate(equations.bodies):
+            state, begin = moving.state(body), 2 + len(works) + 3 * k
+            x, y, angle = states[:, begin : begin + 3].T
+            drift = max(drift, float(np.max(np.hypot(x - state.start[0], y - state.start[1]))))
+            turned = angle - np.arctan2(state.axis[1], state.axis[0])
+            twist = max(twist, float(np.max(np.abs(np.remainder(turned + np.pi, TURN) - np.pi))))
+        return Run(
+            times,
+            angles,
+            speeds,
+            np.asarray(accelerations),
+            np.broadcast_to(np.asarray(torque, dtype=float), angles.shape),
+            ways,
+            works,
+            energy,
+            drift,
+            twist,
+            float(np.max(np.abs(imbalance))),
+            self.steps,
+            equations.evaluations,
+            self.ending,
+            self.time,
+            self.last_turn.speed,
+        )
 
 
 def _set_off(equations: _EquationsOfMotion, angle: float) -> Ending:
@@ -386,52 +426,3 @@ def _stopped(equations: _EquationsOfMotion, state: Array) -> Ending:
     if np.any(several):
         return Ending.UNDETERMINED
     return Ending.JAMMED if np.any(jammed) else Ending.STALLED
-
-
-def _result(
-    equations: _EquationsOfMotion, times: Array, states: Array, ways: Array, steps: int, ending: Ending, stopped: float
-) -> Run:
-    machine, count = equations.machine, len(equations.names)
-    angles, speeds = states[:, 0], states[:, 1]
-    with np.errstate(all="ignore"):
-        geared = machine.moving(angles, 1.0)
-        if equations.drive is None:
-            accelerations = np.zeros(len(times))
-            torque, _ = required_torque(geared.scaled(speeds, 0.0, ways), geared)
-            torques = np.broadcast_to(np.asarray(torque, dtype=float), angles.shape)
-        else:
-            torques = np.broadcast_to(np.asarray(equations.drive({"phi": angles, "omega": speeds}), dtype=float), angles.shape)
-            accelerations = np.broadcast_to(np.asarray(crank_acceleration(geared, speeds, torques, ways)), angles.shape)
-        if ending is Ending.AT_REST and speeds[-1] == 0.0:
-            accelerations = np.where(np.arange(len(times)) == len(times) - 1, 0.0, accelerations)
-        moving = geared.scaled(speeds, accelerations, ways)
-        states_of = {body: moving.state(body) for body in equations.bodies}
-        energy = np.zeros(len(times)) + sum(
-            kinetic(mass.parameters, states_of[body]) + potential(mass.parameters, states_of[body], machine.gravity)
-            for body, mass in machine.inertias.items()
-        )
-    works = {name: states[:, 2 + k] for k, name in enumerate(equations.names)}
-    imbalance = energy - energy[0] - sum(works.values())
-    drift = twist = 0.0
-    for k, state in enumerate(states_of.values()):
-        x, y, angle = states[:, 2 + count + 3 * k : 5 + count + 3 * k].T
-        drift = max(drift, float(np.max(np.hypot(x - state.start[0], y - state.start[1]))))
-        body_angle = np.arctan2(state.axis[1], state.axis[0])
-        twist = max(twist, float(np.max(np.abs(np.remainder(angle - body_angle + np.pi, TURN) - np.pi))))
-    return Run(
-        times,
-        angles,
-        speeds,
-        np.asarray(accelerations),
-        np.asarray(torques),
-        ways,
-        works,
-        energy,
-        drift,
-        twist,
-        float(np.max(np.abs(imbalance))),
-        steps,
-        equations.evaluations,
-        ending,
-        stopped,
-    )
