@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,7 @@ from optlink.dynamics.work import Work
 from optlink.linkage.vector2d import TURN, Array
 
 POSITIONS = 2880
+HALVINGS = 100  # of a range of numbers at most
 
 
 @dataclass(frozen=True)
@@ -87,13 +88,8 @@ class Fluctuation:
         target = abs(self.mean_speed)
         if np.mean(speed(0.0)) > target:
             return SpeedCurve(self.angles, np.full(self.angles.shape, np.nan))
-        low, high = 0.0, 2.0 * float(np.max(total)) * target**2
-        while np.mean(speed(high)) < target:
-            high *= 4.0
-        for _ in range(200):
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if np.mean(speed(middle)) < target else (low, middle)
-        return SpeedCurve(self.angles, np.copysign(speed(high), self.mean_speed))
+        energy = _least(lambda energy: bool(np.mean(speed(energy)) >= target), 2.0 * float(np.max(total)) * target**2)
+        return SpeedCurve(self.angles, np.copysign(speed(energy), self.mean_speed))
 
 
 def flywheel(machine: Machine, speed: float, allowed: float, start: float = 0.0) -> Flywheel | None:
@@ -115,22 +111,25 @@ def flywheel(machine: Machine, speed: float, allowed: float, start: float = 0.0)
     if not np.all(np.isfinite(balance.gain)):
         return None
 
-    def much(inertia: float) -> bool:
-        fluctuation = abs(balance.curve(inertia).fluctuation)
-        return not fluctuation <= allowed  # also where it would come to rest
-
     without_flywheel = abs(balance.curve().fluctuation) if np.min(balance.inertia) > 0.0 else np.nan
-    low, high = 0.0, max(float(np.ptp(balance.gain)) / (allowed * speed**2), 1e-12)
     if without_flywheel <= allowed:
         return Flywheel(speed, balance.mean_torque, without_flywheel, allowed, 0.0)
-    while much(high):
+    likely = max(float(np.ptp(balance.gain)) / (allowed * speed**2), 1e-12)
+    inertia = _least(lambda inertia: abs(balance.curve(inertia).fluctuation) <= allowed, likely)
+    return Flywheel(speed, balance.mean_torque, without_flywheel, allowed, inertia)
+
+
+def _least(enough: Callable[[float], bool], likely: float) -> float:
+    """Return the least positive number that is enough, to rounding, from one of about its size."""
+    low, high = 0.0, likely
+    while not enough(high):
         high *= 2.0
-    for _ in range(100):
+    for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if much(middle) else (low, middle)
-        if high - low <= 1e-12 * high:
+        if not low < middle < high:
             break
-    return Flywheel(speed, balance.mean_torque, without_flywheel, allowed, high)
+        low, high = (low, middle) if enough(middle) else (middle, high)
+    return high
 
 
 class LastTurn:
