@@ -24,7 +24,7 @@ from typing import Any
 from pydantic.fields import FieldInfo
 
 import optlink
-from optlink.clearance.contact_laws import NORMAL
+from optlink.clearance.contact_laws import DAMPING
 from optlink.errors import InputError
 from optlink.problem.base_model import Section
 from optlink.problem.cycle.model import CycleProblem, StrokeProblem
@@ -83,7 +83,7 @@ FORMS = {
     "BodySection.inertia": "moment of inertia, or `uniform bar`",
     "DriveSection.torque": "torque, table or expression",
     "JointSection.clearance": "length",
-    "JointSection.law": ", ".join(f"`{law}`" for law in NORMAL),
+    "JointSection.law": ", ".join(f"`{law}`" for law in DAMPING),
     "JointSection.modulus": "pressure, or `[journal, bearing]`",
     "JointSection.poisson": "number, or `[journal, bearing]`",
     "LoadSection.force": "force, table or expression",

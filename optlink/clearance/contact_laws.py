@@ -1,4 +1,4 @@
-"""Contact forces between journal and bearing, as elementwise functions by name.
+"""Contact forces between journal and bearing, as elementwise functions.
 
 A normal law gives the force from the penetration delta, its rate, and the approach speed v0 at the start of the contact. It
 dissipates energy because the force is larger during approach than during separation. No law pulls: negative forces become zero.
@@ -18,8 +18,14 @@ EXPONENT = 1.5
 SLOWEST = 1e-3
 """Least approach speed [m/s] at the start of a contact: the laws are singular for a grazing contact."""
 
-Normal = Callable[[Value, Value, Value, Value, Value], Value]
-"""(penetration [m], its rate [m/s], approach speed [m/s], stiffness [N/m^1.5], restitution [-]) -> force [N]"""
+DAMPING: dict[str, Callable[[Value], Value]] = {
+    "hertz": lambda e: 0.0,
+    "hunt-crossley": lambda e: 1.5 * (1.0 - e),
+    "lankarani-nikravesh": lambda e: 0.75 * (1.0 - e * e),
+    "flores": lambda e: 1.6 * (1.0 - e) / e,
+}
+"""Damping factor over the coefficient of restitution e by the normal law: hertz has none, those of Hunt and Crossley and of
+Lankarani and Nikravesh hold for e near one, that of Flores for all e."""
 
 
 def compliance(modulus: Value, poisson: Value) -> Value:
@@ -53,111 +59,32 @@ def stiffness(bearing: Value, journal: Value, first: Value, second: Value) -> Va
     return 4.0 / (3.0 * (first + second)) * np.sqrt(bearing * journal / (bearing - journal))
 
 
-def _normal(delta: Value, rate: Value, speed: Value, stiff: Value, share: Value) -> Value:
-    """K delta^1.5 (1 + share rate / v0), zero without penetration and never negative."""
+def normal_force(law: str, delta: Value, rate: Value, speed: Value, stiff: Value, restitution: Value) -> Value:
+    """Return the normal force [N], stiffness delta^1.5 (1 + damping rate / speed): zero without penetration and never negative.
+
+    Parameters
+    ----------
+    law : str
+        One of `DAMPING`.
+    delta : Value [m]
+        Penetration.
+    rate : Value [m/s]
+        Rate of the penetration.
+    speed : Value [m/s]
+        Approach speed at the start of the contact.
+    stiff : Value [N/m^1.5]
+        Stiffness.
+    restitution : Value [-]
+        Coefficient of restitution.
+
+    References
+    ----------
+    H. Hertz, 1881. K. H. Hunt, F. R. E. Crossley, 1975. H. M. Lankarani, P. E. Nikravesh, 1990. P. Flores, M. Machado,
+    M. T. Silva, J. M. Martins, 2011.
+    """
     depth = 0.5 * (delta + np.abs(delta))
-    factor = 1.0 + share * (rate / speed)
+    factor = 1.0 + DAMPING[law](restitution) * (rate / speed)
     return stiff * np.power(depth, EXPONENT) * (0.5 * (factor + np.abs(factor)))
-
-
-def hertz(delta: Value, rate: Value, speed: Value, stiff: Value, restitution: Value) -> Value:
-    """Return the normal force [N] of elastic contact, without dissipation for any coefficient of restitution.
-
-    Parameters
-    ----------
-    delta : Value [m]
-        Penetration.
-    rate : Value [m/s]
-        Rate of the penetration.
-    speed : Value [m/s]
-        Approach speed at the start of the contact.
-    stiff : Value [N/m^1.5]
-        Stiffness.
-    restitution : Value [-]
-        Coefficient of restitution; has no effect on this law.
-
-    References
-    ----------
-    H. Hertz, 1881.
-    """
-    return _normal(delta, rate, speed, stiff, 0.0)
-
-
-def hunt_crossley(delta: Value, rate: Value, speed: Value, stiff: Value, restitution: Value) -> Value:
-    """Return the normal force [N] with the damping factor 3 (1 - e) / 2, for restitutions e near one.
-
-    Parameters
-    ----------
-    delta : Value [m]
-        Penetration.
-    rate : Value [m/s]
-        Rate of the penetration.
-    speed : Value [m/s]
-        Approach speed at the start of the contact.
-    stiff : Value [N/m^1.5]
-        Stiffness.
-    restitution : Value [-]
-        Coefficient of restitution e.
-
-    References
-    ----------
-    K. H. Hunt, F. R. E. Crossley, 1975.
-    """
-    return _normal(delta, rate, speed, stiff, 1.5 * (1.0 - restitution))
-
-
-def lankarani_nikravesh(delta: Value, rate: Value, speed: Value, stiff: Value, restitution: Value) -> Value:
-    """Return the normal force [N] with the damping factor 3 (1 - e^2) / 4, for restitutions e near one.
-
-    Parameters
-    ----------
-    delta : Value [m]
-        Penetration.
-    rate : Value [m/s]
-        Rate of the penetration.
-    speed : Value [m/s]
-        Approach speed at the start of the contact.
-    stiff : Value [N/m^1.5]
-        Stiffness.
-    restitution : Value [-]
-        Coefficient of restitution e.
-
-    References
-    ----------
-    H. M. Lankarani, P. E. Nikravesh, 1990.
-    """
-    return _normal(delta, rate, speed, stiff, 0.75 * (1.0 - restitution * restitution))
-
-
-def flores(delta: Value, rate: Value, speed: Value, stiff: Value, restitution: Value) -> Value:
-    """Return the normal force [N] with the damping factor 8 (1 - e) / (5 e), for all restitutions e.
-
-    Parameters
-    ----------
-    delta : Value [m]
-        Penetration.
-    rate : Value [m/s]
-        Rate of the penetration.
-    speed : Value [m/s]
-        Approach speed at the start of the contact.
-    stiff : Value [N/m^1.5]
-        Stiffness.
-    restitution : Value [-]
-        Coefficient of restitution e.
-
-    References
-    ----------
-    P. Flores, M. Machado, M. T. Silva, J. M. Martins, 2011.
-    """
-    return _normal(delta, rate, speed, stiff, 1.6 * (1.0 - restitution) / restitution)
-
-
-NORMAL: dict[str, Normal] = {
-    "hertz": hertz,
-    "hunt-crossley": hunt_crossley,
-    "lankarani-nikravesh": lankarani_nikravesh,
-    "flores": flores,
-}
 
 
 def friction(normal: Value, slip: Value, coefficient: Value, width: Value, damping: Value = 0.0) -> Value:

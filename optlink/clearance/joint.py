@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from optlink.clearance.contact_laws import EXPONENT, NORMAL, friction
+from optlink.clearance.contact_laws import EXPONENT, friction, normal_force
 from optlink.dynamics.machine import Acting
 from optlink.linkage.vector2d import Value, Vector, cross, dot, minus
 
@@ -37,7 +37,7 @@ class Gap:
     restitution : float [-]
         Coefficient of restitution.
     law : str
-        One of `contact_laws.NORMAL`.
+        One of `contact_laws.DAMPING`.
     friction : float [-]
         Coulomb friction coefficient.
     slip_speed : float [m/s]
@@ -120,8 +120,8 @@ def touch(gap: Gap, motion: JournalMotion, speed: Value, closed: Value = 1.0) ->
     """
     delta, rate, slip = motion.distance - gap.clearance, motion.approach, motion.slip(gap.radius)
     depth = np.maximum(delta, LEAST_DEPTH)
-    normal = closed * NORMAL[gap.law](depth, rate, speed, gap.stiffness, gap.restitution)
-    spring = closed * NORMAL["hertz"](depth, rate, speed, gap.stiffness, gap.restitution)
+    normal = closed * normal_force(gap.law, depth, rate, speed, gap.stiffness, gap.restitution)
+    spring = closed * normal_force("hertz", depth, rate, speed, gap.stiffness, gap.restitution)
     rub = closed * friction(normal, slip, gap.friction, gap.slip_speed, gap.damping)
     x, y = motion.normal
     force = -normal * x - rub * y, -normal * y + rub * x

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from optlink.clearance.contact_laws import NORMAL
+from optlink.clearance.contact_laws import normal_force
 from optlink.clearance.joint import Gap
 from optlink.linkage.vector2d import Array
 
@@ -120,7 +120,7 @@ class Peaks:
         fastest = np.maximum(rise[:-1], rise[1:]) + span * np.maximum(np.maximum(watched.curve[:-1], watched.curve[1:]), 0.0)
         force = np.stack(
             [
-                NORMAL[gap.law](np.maximum(depth[:, j], 0.0), fastest[:, j], entered[j], gap.stiffness, gap.restitution)
+                normal_force(gap.law, np.maximum(depth[:, j], 0.0), fastest[:, j], entered[j], gap.stiffness, gap.restitution)
                 for j, gap in enumerate(self.gaps)
             ],
             axis=-1,

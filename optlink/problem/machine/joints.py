@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field
 
-from optlink.clearance.contact_laws import NORMAL, compliance, stiffness
+from optlink.clearance.contact_laws import DAMPING, compliance, stiffness
 from optlink.clearance.joint import Gap
 from optlink.linkage.mechanism import Mechanism
 from optlink.problem.base_model import Section
@@ -134,7 +134,7 @@ class JointSection(Section):
             raise Unusable(message, f'Add journal = "{bodies[-1]}"', "journal")
         check_name(journal, bodies, "the joint is not one of that body", "journal")
         clearance, radius = self._radii()
-        check_name(self.law, NORMAL, "no such contact law", "law")
+        check_name(self.law, DAMPING, "no such contact law", "law")
         return Gap(
             point,
             journal,
