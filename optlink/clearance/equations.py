@@ -14,10 +14,10 @@ Newton-Euler equations by virtual power; wrenches and positions are those of the
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import casadi
 import numpy as np
@@ -32,6 +32,7 @@ from optlink.linkage.jet import Jet, as_jet
 from optlink.linkage.vector2d import Array
 from optlink.symbolic import BufferedFunction, CompiledFunction, symbols_in_numpy
 
+Made = TypeVar("Made")
 LEAST_FORCE = 1e-300
 """Force [N] that keeps a ratio of forces finite where there are none."""
 
@@ -72,10 +73,7 @@ class Equations:
         self.machine, self.gaps, self.drive, self.speed = machine, tuple(gaps), drive, speed
         self.tree = SpanningTree(machine.mechanism, machine.sizes, {gap.point: gap.journal for gap in gaps})
         self.size = len(self.tree.coordinates)
-        self._outcomes: dict[int, CompiledFunction] = {}
-        self._closures: dict[int, CompiledFunction] = {}
-        self._watches: dict[int, CompiledFunction] = {}
-        self._integrators: dict[tuple[int, float, bool], BufferedFunction] = {}
+        self._functions: dict[tuple[Any, ...], Any] = {}
         with symbols_in_numpy():
             self._trace()
 
@@ -233,32 +231,36 @@ class Equations:
         """Constants of one call of the integrator: span and begin of its time, feedback, contacts."""
         return casadi.vertcat(self.span, self.begin, self.further, self.entered, self.modes)
 
+    def _once(self, key: tuple[Any, ...], make: Callable[[], Made]) -> Made:
+        """Return a function that is compiled at its first use."""
+        if key not in self._functions:
+            self._functions[key] = make()
+        function: Made = self._functions[key]
+        return function
+
     def watch(self, copies: int) -> CompiledFunction:
         """Return the function (x, parameters, tau) -> fields of `peaks.Watched`, in order.
 
         It evaluates `copies` points at a time.
         """
-        if copies not in self._watches:
-            watched = self._in_time(self.watched)
-            self._watches[copies] = CompiledFunction([self.x, self.parameters, self.tau], watched, copies)
-        return self._watches[copies]
+        return self._in_motion("watch", self.watched, copies)
 
     def dynamics(self, copies: int) -> CompiledFunction:
         """Return the function (x, parameters, tau) -> accelerations, drive torque [N m], forces in the closing joints.
 
         It evaluates `copies` points at a time.
         """
-        if copies not in self._outcomes:
-            outcome = self._in_time(self._outcome)
-            self._outcomes[copies] = CompiledFunction([self.x, self.parameters, self.tau], outcome, copies)
-        return self._outcomes[copies]
+        return self._in_motion("dynamics", self._outcome, copies)
+
+    def _in_motion(self, name: str, parts: list[Any], copies: int) -> CompiledFunction:
+        arguments = [self.x, self.parameters, self.tau]
+        return self._once((name, copies), lambda: CompiledFunction(arguments, self._in_time(parts), copies))
 
     def closure(self, states: Array) -> tuple[Array, Array]:
         """Return the residuals of the closing joints (m, rows), and their Jacobian over the coordinates (m, rows, n)."""
         count = len(states)
-        if count not in self._closures:
-            self._closures[count] = CompiledFunction(self.closed[:1], self.closed[1:], count)
-        residuals, grip = self._closures[count](states[:, : self.size].ravel())
+        closed = self._once(("closure", count), lambda: CompiledFunction(self.closed[:1], self.closed[1:], count))
+        residuals, grip = closed(states[:, : self.size].ravel())
         return residuals.reshape(count, -1), grip.reshape(count, self.size, -1).transpose(0, 2, 1)
 
     def nudge(self, state: Array, parameters: Array, time: float) -> tuple[Array, Array]:
@@ -288,9 +290,7 @@ class Equations:
         stiff : bool
             Use BDF instead of Adams.
         """
-        if (steps, tolerance, stiff) not in self._integrators:
-            self._integrators[steps, tolerance, stiff] = self._integrator(steps, tolerance, stiff)
-        return self._integrators[steps, tolerance, stiff]
+        return self._once(("steps", steps, tolerance, stiff), lambda: self._integrator(steps, tolerance, stiff))
 
     def _integrator(self, steps: int, tolerance: float, stiff: bool) -> BufferedFunction:
         problem = {
