@@ -10,7 +10,7 @@ The path between two rows is checked by its values and slopes, so a contact shor
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -104,23 +104,16 @@ class Integration:
     equations: Equations
     state: Array
     step: float
-    tolerance: float = 1e-10
-    slow: bool = False
-    row: int = 0
-    ahead: float = 0.0  # since that row [s]
-    modes: Array = field(default_factory=lambda: np.zeros(0))
-    entered: Array = field(default_factory=lambda: np.zeros(0))
-    works: Array = field(default_factory=lambda: np.zeros(0))
-    further: float = 0.0  # feedback correction beyond the command [rad]
+    tolerance: float
+    slow: bool
 
     def __post_init__(self) -> None:
         gaps = len(self.equations.gaps)
-        if not self.modes.size:
-            self.modes, self.entered = np.zeros(gaps), np.full(gaps, SLOWEST)
-        if not self.works.size:
-            self.works = np.zeros(len(self.equations.losses))
-        self._chunk = 0
-        self._busy = 0
+        self.row, self.ahead = 0, 0.0  # and the time since that row [s]
+        self.further = 0.0  # feedback correction beyond the command [rad]
+        self.modes, self.entered = np.zeros(gaps), np.full(gaps, SLOWEST)
+        self.works = np.zeros(len(self.equations.losses))
+        self._chunk = self._busy = 0
         self.open: dict[int, Impact] = {}
         self.peaks = Peaks(self.equations.gaps, self._again)
         self.stop: Callable[[], bool] = lambda: False
