@@ -18,6 +18,7 @@ from optlink.linkage.zeros import zeros
 SAMPLES = 1440  # of a range or revolution
 SMALL = 1e-2  # share of its largest value below which a quantity may come close to zero between two samples
 NOTHING = 1e-12  # share of its largest value that is zero
+SAME = 1e-6  # rad between positions that are one, found as a zero and as a minimum
 BESIDE = np.array([1e-3, 1e-4, 1e-5, 1e-6])  # rad from a position at which a load may grow without bound
 GROWTH, ROUNDING = 0.5, 1e-3  # least ratio of its last step to its first, and share of its value that may be rounding error
 
@@ -55,6 +56,7 @@ def irregular(machine: Machine, grid: Array, speed: float) -> Irregular:
             crossed = np.concatenate([*zeros(values, grid, still=True, samples=samples), np.empty(0)])
             close, zero = _least(values, grid, samples)
             at = distinct(np.concatenate([crossed, close[zero]]))
+            at = at[np.diff(at, prepend=-np.inf) > SAME]
             irregular_angles = at[_grows(machine, load, speed, at)] if at.size else at
         corners.append(crossed)
         peaks.append(close)

@@ -56,6 +56,11 @@ def positions_text(positions: Iterable[AlignedPosition]) -> str:
     return ", ".join(str(position) for position in positions)
 
 
+def angles_text(angles: Array) -> str:
+    """Return crank angles [rad] in degrees as one comma-separated text, the first six of them."""
+    return ", ".join(f"{math.degrees(angle):.6g}" for angle in angles[:6]) + (" ..." if len(angles) > 6 else "") + " deg"
+
+
 def squared_sines(pose: Pose) -> Array:
     """Return the alignment [-] of every group, array (groups, n); NaN for the groups that follow one that cannot be assembled."""
     shape = np.shape(as_jet(pose.directions[pose.mechanism.crank.body][0]).value)

@@ -14,7 +14,7 @@ from optlink.dynamics.poles import without_values
 from optlink.dynamics.strokes import acting_loads
 from optlink.dynamics.work import Work
 from optlink.errors import InputError
-from optlink.linkage.alignment import AlignedPosition, positions_text
+from optlink.linkage.alignment import AlignedPosition, angles_text, positions_text
 from optlink.linkage.extrema import distinct, extremes
 from optlink.linkage.stroke import Ranges, Travel, range_end_reason, travels, within_cycle
 from optlink.linkage.vector2d import TURN, Array
@@ -339,17 +339,13 @@ def _notes(
         )
         singular = np.empty(0)
     if singular.size:
-        notes.append(f"a group is in a singular position: its reactions are infinite at crank angle {_shown(singular)}")
+        notes.append(f"a group is in a singular position: its reactions are infinite at crank angle {angles_text(singular)}")
     if not machine.inertias and not machine.loads:
         notes.append("no masses and no loads are given, so there are no forces")
     with_clearance = [name for name, joint in problem.model.joints.items() if joint.has_clearance]
     if with_clearance:
         notes.append(f"joints are treated as ideal; `optlink simulate` includes the clearance of {', '.join(with_clearance)}")
     return notes
-
-
-def _shown(angles: Array) -> str:
-    return ", ".join(f"{math.degrees(angle):.6g}" for angle in angles[:6]) + (" ..." if angles.size > 6 else "") + " deg"
 
 
 def _missing_notes(machine: Machine, jammed: Array, undefined: Array, speed: float, poles: Mapping[str, Array]) -> Iterator[str]:
@@ -364,9 +360,9 @@ def _missing_notes(machine: Machine, jammed: Array, undefined: Array, speed: flo
         (undefined, f"{loads} has no finite value"),
     ):
         if angles.size:
-            yield f"{what} at crank angle {_shown(angles)}"
+            yield f"{what} at crank angle {angles_text(angles)}"
     for name, angles in poles.items():
-        yield f"{name} grows without bound at crank angle {_shown(angles)}"
+        yield f"{name} grows without bound at crank angle {angles_text(angles)}"
     if jammed.size or undefined.size or poles:
         yield "extremes of the forces that have no value there, and works, are left out"
 

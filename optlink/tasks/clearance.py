@@ -37,6 +37,7 @@ from optlink.tasks.machine import (
     crank_speed,
     machine_of,
     motion_range,
+    pole_notes,
     start_value_notes,
     with_flywheel,
 )
@@ -242,6 +243,7 @@ def simulate_clearance(
     kept_at, saved = time.monotonic(), save()
     ending, message = Ending.FINISHED, f"{revolutions} revolution{' was' if revolutions == 1 else 's were'} simulated"
     notes = [*start_value_notes(problem, design), *_sample_time_note(setting, closed_loop)]
+    notes += pole_notes(setting.machine, setting.start, revolutions, setting.nominal, setting.servo is not None)
     try:
         with interrupts.watched() as stop:
             for member in closed_loops:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 import weakref
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from optlink.dynamics.inertia import Inertia
 from optlink.dynamics.machine import Machine
+from optlink.dynamics.poles import SAMPLES, irregular
 from optlink.errors import InputError
-from optlink.linkage.alignment import positions_text
+from optlink.linkage.alignment import angles_text, positions_text
 from optlink.linkage.stroke import Ranges, failure
 from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.file import ProblemFile
@@ -24,6 +25,8 @@ _machines: dict[int, Machine] = {}
 MIN_SPEED, MAX_SPEED = 1e-9, 1e6  # rad/s
 MIN_DURATION, MAX_DURATION = 1e-9, 1e7  # s
 MAX_PERIODS = 200_000  # of the fastest process within a revolution: minutes of computing time
+POLE_TURNS = 50  # revolutions in which poles of loads are sought, from the start on
+RATES = ("omega", "v", "w")  # variables of a load that are not known before the motion under a torque
 MARGIN = 1e-3  # fraction of a limited range omitted at either end: speeds are infinite at a dead position
 
 
@@ -305,3 +308,34 @@ def table_angles(start: float, low: float, high: float, speed: float, full: bool
         return np.asarray(start + direction * TURN * np.arange(rows + 1) / points, dtype=float)
     count = math.floor((high - low) / step * (1.0 + 1e-12))
     return np.asarray(start + direction * step * np.arange(count + 1), dtype=float)
+
+
+def pole_notes(machine: Machine, start: float, revolutions: float, speed: float, steady: bool) -> Iterator[str]:
+    """Yield a note for every load that grows without bound at a crank angle that the motion passes.
+
+    An integrator may step over such a position, where the work of the load is finite but the load is not.
+
+    Parameters
+    ----------
+    machine : Machine
+    start : float [rad]
+        First crank angle.
+    revolutions : float
+    speed : float [rad/s]
+        Crank speed.
+    steady : bool
+        Whether the speed is constant; else loads that depend on speeds are left out.
+    """
+    loads = []
+    for load in machine.loads:
+        magnitude = getattr(load, "magnitude", None)
+        names = getattr(getattr(magnitude, "expression", None), "names", ())
+        if names and getattr(magnitude, "cornered", False) and (steady or set(RATES).isdisjoint(names)):
+            loads.append(load)
+    turned = TURN * min(revolutions, POLE_TURNS)
+    if not loads or not turned:
+        return
+    ends = start, start + math.copysign(turned, speed)
+    grid = np.linspace(min(ends), max(ends), max(2, math.ceil(SAMPLES * turned / TURN)) + 1)
+    for name, angles in irregular(machine.with_(loads=tuple(loads)), grid, speed).poles.items():
+        yield f"{name} grows without bound at crank angle {angles_text(angles)}: forces and torque have no largest value there"

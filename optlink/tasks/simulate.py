@@ -30,12 +30,14 @@ from optlink.tasks.machine import (
     duration_of,
     machine_of,
     motion_range,
+    pole_notes,
     start_value_notes,
     with_flywheel,
 )
 from optlink.tasks.results.common import check_entries
 
 MAX_ROWS = 1_000_000
+AHEAD = 0.02  # rad beyond the end of a simulation, which may have stopped before a pole
 
 
 class SimulationRecord(ResultRecord):
@@ -194,6 +196,10 @@ def simulate(
         if run_result.ending is Ending.SINGULAR:
             last = min((at + cycle * round((last - at) / cycle) for at in singular), key=lambda at: abs(at - last))
         notes.append(f"{run_result.ending.text} (at {run_result.stopped:.9g} s, crank angle {math.degrees(last):.6g} deg)")
+    low, high = float(np.min(run_result.crank_angle)), float(np.max(run_result.crank_angle))
+    way = speed if torque is None else 1.0  # a torque may swing the crank to and fro
+    revolutions = (high - low + (0.0 if run_result.ending is Ending.FINISHED else AHEAD)) / TURN
+    notes += pole_notes(machine, low if way > 0.0 else high, revolutions, way, torque is None)
     columns, meanings = _columns(machine, run_result)
     driven = "torque" if torque is not None else "constant speed"
     return Simulation(problem, machine, run_result, columns, meanings, driven, tuple(notes))

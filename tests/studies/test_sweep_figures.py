@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from typer.testing import CliRunner
 import optlink
 from optlink.cli.app import app
 from optlink.errors import InputError
+from optlink.report.views import study_tables
 from optlink.studies.sweep import sweep
 from optlink.tasks.batch import batch_extremes
 
@@ -289,3 +291,11 @@ def test_a_peak_at_a_row_of_a_load_table_is_that_of_the_analysis(pump):
     for i, rod in enumerate((131, 132, 133)):
         figures = optlink.analyze(problem.override({"mechanism.links.rod.length": f"{rod} mm"})).figures
         assert [found[name][i] for name in names] == pytest.approx([figures[name] for name in names], rel=1e-9)
+
+
+def test_the_pace_of_a_slow_sweep_is_not_zero():
+    found = sweep(optlink.load("crank-rocker"), ["mechanism.frame=490..500 mm:2"])
+    for seconds, done, pace in ((80.0, 5, "(0.062 a second"), (4.0, 3600, "(900 a second")):
+        said = str(study_tables.sweep(replace(found, seconds=seconds, done=done, searched=2)).parts[-1])
+        assert pace in said
+        assert "all by a search" in said

@@ -895,3 +895,23 @@ def test_least_joint_force_is_found_where_the_force_almost_vanishes(name, speed,
     found = optlink.analyze(optlink.load(name), points=36_000, speed=speed)
     least = float(np.min(np.hypot(found[f"{joint}.fx_N"], found[f"{joint}.fy_N"])))
     assert 0.9 * least <= found.extremes[f"{joint}.f_N"].least <= least * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("torque", "speed", "where"),
+    [
+        ("log(abs(phi - 2.0))", 30.0, "114.592"),  # integrable: the integrator steps over it
+        ("log(abs(phi + 2.0))", -30.0, "-114.592"),
+        ("1/sqrt(abs(phi - 2.0))", 30.0, "114.592"),  # it stops before
+        ("log(abs(theta - 1.0))", 30.0, "57.2958"),
+        ("log(abs(phi - 9.0))", 30.0, None),  # beyond the end
+        ("1e-3*log(abs(phi - 2.0))", "torque", "114.592"),
+    ],
+)
+def test_a_simulation_names_loads_that_grow_without_bound(torque, speed, where):
+    driven = speed == "torque"
+    problem = on_the_crank(torque).override({"drive.start": "0 deg", "drive.torque": "20 N*m" if driven else None})
+    result = optlink.simulate(problem, 0.22, 10, None if driven else speed)
+    found = [note for note in result.notes if "grows without bound" in note]
+    words = f"brake grows without bound at crank angle {where} deg: forces and torque have no largest value there"
+    assert found == ([words] if where else [])

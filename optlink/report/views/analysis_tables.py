@@ -237,7 +237,8 @@ def _work(outcome: Analysis) -> TableSpec:
 def simulation(outcome: Simulation) -> Summary:
     """Summarise a simulation in time: final state, energy balance, drift and speed fluctuation."""
     run = outcome.run
-    ended = verdict(run.ending.value, outcome.finished), f", driven by {outcome.driven}; {run.ending.text}"
+    reason = "" if any(note.startswith(run.ending.text) for note in outcome.notes) else f"; {run.ending.text}"
+    ended = verdict(run.ending.value, outcome.finished), f", driven by {outcome.driven}{reason}"
     parts = simulation_parts(outcome.figures, outcome.columns, run.steps, run.evaluations)
     return summary(outcome.problem.model.title, [ended, *noted(outcome.notes)], *parts)
 

@@ -215,13 +215,14 @@ def stored_study(record: SimulationRecord, file: ProblemFile, _: Path) -> Stored
     run = History(file.model.title, machine_of(file), record.driven, ending.value, columns, figures)
     curves = chart_plotly.charts(charts(run))
     tables = analysis_tables.simulation_parts(figures, columns, record.steps, record.evaluations)
+    reason = "" if any(note.startswith(record.message) for note in record.notes) else f"; {record.message}"
     return StoredStudy(
         problem=file,
         kind="simulation in time",
         verdict=VERDICTS.get(ending, f"Not finished: {ending.value}"),
         valid=record.finished,
         conclusion=conclusions.simulation(figures, record.finished, record.message),
-        status=[f"{ending.value}, driven by {record.driven}; {record.message}", *record.notes],
+        status=[f"{ending.value}, driven by {record.driven}{reason}", *record.notes],
         sections=[PageSection("Figures", (tuple(tables),)), PageSection("Over time", curves)],
         moving=partial(_moving, file, record) if curves else no_animation,
         by=f"integration in time; driven by {record.driven}",

@@ -155,11 +155,19 @@ def sweep(result: Sweep) -> Summary:
         parts.append(_changes(result))
     parts += _rows(result) if result.evaluated else []
     rate = result.done / result.seconds if result.seconds else 0.0
-    line = f"{points(result.done)} done in {result.seconds:z.1f} s ({rate:z,.0f} a second"
+    pace = f"{rate:,.0f}" if rate >= 10.0 else number(rate, 2)
+    line = f"{points(result.done)} done in {result.seconds:z.1f} s ({pace} a second"
     line += f"; {1e3 * result.cpu / result.done:z.2f} ms of processor time each)" if result.done else ")"
     if not result.evaluated:
-        line += f"; {result.searched:,} by a search, the others from a neighbouring optimum"
+        line += f"; {searches(result)}"
     return summary(result.problem.model.title, status, *parts, Paragraph(quiet(line), appendix=True))
+
+
+def searches(result: Sweep) -> str:
+    """Return how the optima of a sweep were computed."""
+    if result.searched >= result.grid.count:
+        return "all by a search"
+    return f"{result.searched:,} by a search, the others from a neighbouring optimum"
 
 
 def _point_counts(result: Sweep) -> str:

@@ -125,8 +125,7 @@ def stored_study(record: SweepRecord, file: ProblemFile, path: Path) -> StoredSt
     else:
         counted_points = f"{sweep.valid:,} points verified, {sweep.grid.count - sweep.valid:,} not"
         counted = "every point a verified local optimum" if sweep.complete else counted_points
-        by = "a local optimum at every point, verified by the validator; "
-        by += f"{sweep.searched:,} by a search, the others from a neighbouring optimum"
+        by = f"a local optimum at every point, verified by the validator; {study_tables.searches(sweep)}"
     return StoredStudy(
         problem=file,
         kind="sweep",
