@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import re
+import tomllib
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
 import optlink
+from optlink.problem.templates import template
 from optlink.report.export.dimensions import dimensioned
 from optlink.report.scene import scene
 
@@ -44,3 +47,62 @@ def test_the_text_of_a_full_turn_is_clear_of_its_arc() -> None:
     assert len(arc) > 60
     away = np.abs(arc - np.array(place, dtype=float))
     assert not np.any((away[:, 0] < 0.5 * 0.62 * size * 4) & (away[:, 1] < 0.35 * size))
+
+
+WALKER = {
+    "arm.length": 136.4, "coupler.length": 103.6, "rocker.length": 107.0, "leg.length": 138.4,
+    "coupler.points.E": [187.5, -45.0], "leg.points.P": [212.2, 261.2],
+}  # fmt: skip
+
+
+def walker() -> optlink.ProblemFile:
+    """A walking leg of two dyads, whose short links lie close together."""
+    raw = tomllib.loads(template("walker").text)
+    for key, value in WALKER.items():
+        place = raw["mechanism"]["links"]
+        *path, last = key.split(".")
+        for name in path:
+            place = place[name]
+        place[last] = [f"{x} mm" for x in value] if isinstance(value, list) else f"{value} mm"
+    return optlink.read({"mechanism": raw["mechanism"]})
+
+
+def four_bar(**sizes: str) -> optlink.ProblemFile:
+    return optlink.read({"mechanism": {"type": "four-bar", **sizes}})
+
+
+DRAWN = {
+    "walker": walker,
+    "wiper": lambda: four_bar(frame="250 mm", crank="21.21 mm", coupler="249.1 mm", rocker="30 mm", assembly="right"),
+    **{name: (lambda name=name: optlink.load(name)) for name in ("slotted-quick-return", "watt-i", "whitworth", "toggle-press")},
+}
+
+
+def texts(svg: str) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the dimensions and names with points inside their letters."""
+    size = float(re.findall(r'data-layer="dimensions" font-family="sans-serif" font-size="([\d.]+)"', svg)[0])
+    for x, y, rest, text in re.findall(r'<text x="(\S+)" y="(\S+)"([^>]*)>([^<]*)</text>', svg.partition('"dimensions"')[2]):
+        turn = np.radians(float((re.findall(r"rotate\((\S+)", rest) or ["0"])[0]))
+        u, v = np.meshgrid(np.linspace(-0.29, 0.29, 40) * size * len(text), np.linspace(-0.35, 0.35, 15) * size)
+        turned = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+        yield text, np.stack([u, v], axis=-1).reshape(-1, 2) @ turned + [float(x), float(y)]
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_texts_are_clear_of_each_other_and_in_the_drawing(name: str) -> None:
+    drawing = dimensioned(optlink.analyze(DRAWN[name]()), name)
+    left, top, wide, high = map(float, re.findall(r'viewBox="(\S+) (\S+) (\S+) (\S+)"', drawing.svg)[0])
+    found = list(texts(drawing.svg))
+    assert len(found) >= 7
+    for k, (text, place) in enumerate(found):
+        assert np.all((place > [left, top]) & (place < [left + wide, top + high])), text
+        for other, beside in found[:k]:
+            assert not covers(place, beside), (text, other)
+
+
+def covers(place: np.ndarray, other: np.ndarray) -> bool:
+    """Return whether the boxes of two texts have a point in common."""
+    corners = other[[0, 39, -40]]
+    axes = corners[1:] - corners[0]
+    shares = (place - corners[0]) @ axes.T / np.sum(axes**2, axis=1)
+    return bool(np.any(np.all((shares >= 0.0) & (shares <= 1.0), axis=1)))

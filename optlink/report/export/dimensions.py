@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from html import escape
 
@@ -15,6 +15,7 @@ from optlink.dynamics.machine import slider_names
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
+from optlink.report.export.placement import HIGH, Place, arrange
 from optlink.report.export.svg import svg
 from optlink.report.html.theme import readable
 from optlink.report.scene import FLIP, Scene, scene
@@ -23,9 +24,10 @@ from optlink.report.style import GROUND
 from optlink.tasks.results.analysis import Analysis
 
 POSITIONS = 24  # positions from which the clearest is drawn
-OFFSETS = (1.2, 2.2, 3.3, 4.6)  # distances of a dimension line from what it measures, in heights of a ground pivot
+OFFSETS = (1.2, 2.2, 3.3, 4.6, 6.0)  # distances of a dimension line from what it measures, in heights of a ground pivot
 LETTER_WIDTH = 0.62  # width of a letter in font sizes
 _ANIMATED = re.compile(r' data-(?:body|point|spring)="[^"]*"')  # names by which the page moves a linkage
+LEVEL = np.array([1.0, 0.0])
 COINCIDENT = 1e-6  # distance of coincident points, as a share of the extent
 
 
@@ -58,27 +60,25 @@ def dimensioned(cycle: Analysis, title: str) -> Drawing:
     at = clearest(cycle)
     drawn = scene(cycle, at=at)
     sheet = _Sheet(drawn)
-    descriptions: list[str] = []
-    descriptions += list(dict.fromkeys(f"{dimension.text}" for dimension in _links(cycle, drawn, named=True)))
+    words: list[str] = []
+    words += list(dict.fromkeys(f"{one.text}" for one in _links(cycle, drawn, named=True)))
     for name, low, high, centre, start in _swings(cycle, drawn):
         text = "360°" if high - low >= TURN - 1e-9 else f"{_deg(high - low)}"
-        descriptions.append(f"{name} turns fully" if text == "360°" else f"{name} swings {text}")
+        words.append(f"{name} turns fully" if text == "360°" else f"{name} swings {text}")
         sheet.angle(centre, start, low, high, text, _colour(drawn, name))
-    for dimension in (*_links(cycle, drawn), *_strokes(cycle, at, drawn)):
-        sheet.length(dimension)
+    for one in (*_links(cycle, drawn), *_strokes(cycle, at, drawn)):
+        sheet.length(one)
     for name in cycle.machine.mechanism.ground:
         x, y = drawn.points[name][0] * FLIP
         place = f"{name} ({_mm(x)}, {_mm(y)})"
-        descriptions.append(f"pivot {place}" if name in drawn.pins else place)
+        words.append(f"pivot {place}" if name in drawn.pins else place)
         sheet.label(drawn.points[name][0], place)
-    descriptions += [
-        f"{dimension.text.partition(' ')[0]} of {dimension.text.partition(' ')[2]}"
-        for dimension in _strokes(cycle, at, drawn, named=True)
-    ]
-    described = f"{title}, drawn at a crank angle of {_deg(at)}. Dimensions in mm: {'; '.join(descriptions)}."
+    words += [f"{one.text.partition(' ')[0]} of {one.text.partition(' ')[2]}" for one in _strokes(cycle, at, drawn, named=True)]
+    described = f"{title}, drawn at a crank angle of {_deg(at)}. Dimensions in mm: {'; '.join(words)}."
     for name in drawn.moving:
         if np.all(np.isfinite(drawn.points[name][0])):
             sheet.label(drawn.points[name][0], name)
+    sheet.place()
     box = sheet.box()
     plain = _ANIMATED.sub("", svg(replace(drawn, box=box), described, traces=False, names=False))
     end = plain.rindex("</svg>")
@@ -88,15 +88,15 @@ def dimensioned(cycle: Analysis, title: str) -> Drawing:
 def clearest(cycle: Analysis) -> float:
     """Return the crank angle [rad] at which the joints keep farthest from the lines of links to which they do not belong."""
     machine, mechanism = cycle.machine, cycle.machine.mechanism
-    all_angles = np.radians(cycle["crank_angle_deg"])
-    angles = all_angles[np.linspace(0, len(all_angles) - 1, POSITIONS).round().astype(int)]
+    known = np.radians(cycle["crank_angle_deg"])
+    angles = known[np.linspace(0, len(known) - 1, POSITIONS).round().astype(int)]
     motion = sweep(mechanism, machine.sizes, angles)
     places = {name: motion.position(name) for name in mechanism.owners}
     gaps = [np.full(len(angles), math.inf)]
     for body in (*mechanism.bodies, FRAME):
-        names = [name for name, bodies in mechanism.owners.items() if body in bodies]
-        for (p, q), name in itertools.product(itertools.pairwise(names), places):
-            if name not in names:
+        own = [name for name, bodies in mechanism.owners.items() if body in bodies]
+        for (p, q), name in itertools.product(itertools.pairwise(own), places):
+            if name not in own:
                 along = places[q] - places[p]
                 share = np.sum((places[name] - places[p]) * along, axis=1) / np.maximum(np.sum(along**2, axis=1), 1e-30)
                 foot = places[p] + share[:, None] * along
@@ -112,17 +112,17 @@ def _links(cycle: Analysis, drawn: Scene, *, named: bool = False) -> Iterator[_L
     """Yield the distances between neighbouring points of every link, of the frame between its pivots."""
     extent = max(drawn.box[2:])
     for body in (*cycle.machine.mechanism.bodies, FRAME):
-        names = [
+        own = [
             name
             for name, bodies in cycle.machine.mechanism.owners.items()
             if body in bodies and (body != FRAME or name in drawn.pins)
         ]
-        points = [drawn.points[name][0] for name in names]
-        distinct = [k for k, p in enumerate(points) if all(np.linalg.norm(p - q) > COINCIDENT * extent for q in points[:k])]
-        for i, j in _neighbours(np.array([points[k] for k in distinct]).reshape(-1, 2)):
-            p, q = points[distinct[i]], points[distinct[j]]
+        points = [drawn.points[name][0] for name in own]
+        apart = [k for k, p in enumerate(points) if all(np.linalg.norm(p - q) > COINCIDENT * extent for q in points[:k])]
+        for i, j in _neighbours(np.array([points[k] for k in apart]).reshape(-1, 2)):
+            p, q = points[apart[i]], points[apart[j]]
             length = _mm(float(np.linalg.norm(q - p)))
-            ends = names[distinct[i]], names[distinct[j]]
+            ends = own[apart[i]], own[apart[j]]
             text = f"{body} {('' if max(map(len, ends)) < 3 else '–').join(ends)} {length}" if named else length
             yield _Length((p, q), text, GROUND if body == FRAME else _colour(drawn, body))
 
@@ -144,14 +144,12 @@ def _neighbours(points: Array) -> list[tuple[int, int]]:
 def _strokes(cycle: Analysis, at: float, drawn: Scene, *, named: bool = False) -> Iterator[_Length]:
     """Yield the strokes of the sliders on the frame, along their guides."""
     machine = cycle.machine
-    motion = sweep(machine.mechanism, machine.sizes, [at])
+    here = sweep(machine.mechanism, machine.sizes, [at])
     for guide in machine.mechanism.guides:
         travel = cycle.strokes.get(slider_names(machine)[guide.name])
         if guide.on == FRAME and travel is not None:
-            point, direction = (
-                np.array([float(np.asarray(part)) for part in vector]) for vector in motion.pose.local_line(guide, FRAME)
-            )
-            ends = (1e3 * (point + travel.low * direction) * FLIP, 1e3 * (point + travel.high * direction) * FLIP)
+            point, way = (np.array([float(np.asarray(part)) for part in one]) for one in here.pose.local_line(guide, FRAME))
+            ends = (1e3 * (point + travel.low * way) * FLIP, 1e3 * (point + travel.high * way) * FLIP)
             text = f"stroke {guide.slider} {_mm(1e3 * travel.span)}" if named else f"stroke {_mm(1e3 * travel.span)}"
             yield _Length(ends, text, _colour(drawn, guide.slider))
 
@@ -160,28 +158,28 @@ def _swings(cycle: Analysis, drawn: Scene) -> Iterator[tuple[str, float, float, 
     """Yield body, ends of its range [rad], ground pivot and direction at the low end, of all bodies with a pivot on the frame."""
     mechanism, at = cycle.machine.mechanism, drawn.angles[0]
     for body in mechanism.bodies:
-        names = [name for name, bodies in mechanism.owners.items() if body in bodies]
-        pivot = next((name for name in names if name in mechanism.ground), None)
-        moving_end = next((name for name in names if name not in mechanism.ground), None)
-        if pivot is None or moving_end is None:
+        own = [name for name, bodies in mechanism.owners.items() if body in bodies]
+        pivot = next((name for name in own if name in mechanism.ground), None)
+        other = next((name for name in own if name not in mechanism.ground), None)
+        if pivot is None or other is None:
             continue
-        arm = (drawn.points[moving_end][0] - drawn.points[pivot][0]) * FLIP
-        direction = math.atan2(arm[1], arm[0])
+        arm = (drawn.points[other][0] - drawn.points[pivot][0]) * FLIP
+        here = math.atan2(arm[1], arm[0])
         angle = -math.radians(float(next(b for b in drawn.bodies if b.name == body).poses[0, 2]))
         if body == mechanism.crank.body:
-            angles = np.radians(cycle["crank_angle_deg"])
-            low, high = (0.0, TURN) if cycle.full else (float(np.min(angles)), float(np.max(angles)))
+            known = np.radians(cycle["crank_angle_deg"])
+            low, high = (0.0, TURN) if cycle.full else (float(np.min(known)), float(np.max(known)))
             angle = math.radians(float(at))
         elif body in cycle.swings:
             low, high = cycle.swings[body].low, cycle.swings[body].high
             angle = low + (angle - low) % TURN  # the angle of a body is known up to full turns
         else:
             continue
-        yield body, low, high, drawn.points[pivot][0], direction - angle + low
+        yield body, low, high, drawn.points[pivot][0], here - angle + low
 
 
 def _colour(drawn: Scene, body: str) -> str:
-    return readable(next(item.colour for item in drawn.bodies if item.name == body))
+    return readable(next(one.colour for one in drawn.bodies if one.name == body))
 
 
 def _mm(value: float) -> str:
@@ -200,13 +198,13 @@ class _Sheet:
 
     def __init__(self, drawn: Scene) -> None:
         self.scene, self.size, self.font = drawn, 0.8 * drawn.size, 0.95 * drawn.size
-        self.taken: list[Array] = []  # points covered by texts
         outlines = [self._placed(body.poses[0], part.outline) for body in drawn.bodies for part in body.parts]
-        ground = [line for line, _, _ in drawn.ground]
-        self.corners = finite(np.concatenate([*outlines, *ground]))
-        bars = (self._sampled(p, q) for line in outlines for p, q in itertools.pairwise(line))
-        self.crowd = finite(np.concatenate([*bars, *ground]))
+        fixed = [*(line for line, _, _ in drawn.ground), *(ends[0] for ends in drawn.springs.values())]
+        self.links = [piece for line in (*outlines, *fixed) for piece in _pieces(line)]
+        self.items: list[tuple[Sequence[Place], Callable[[Place], None]]] = []  # possible places, and how one is drawn
+        self.taken: list[Array] = []  # corners of the texts, and lines
         self.lines: list[str] = []
+        self.texts: list[str] = []
 
     @staticmethod
     def _placed(pose: Array, outline: Array) -> Array:
@@ -215,120 +213,139 @@ class _Sheet:
         across, along = np.array([-math.sin(turn), math.cos(turn)]), np.array([math.cos(turn), math.sin(turn)])
         return np.asarray(pose[:2] + outline[:, :1] * along + outline[:, 1:] * across)
 
-    def _sampled(self, p: Array, q: Array, count: int = 24) -> Array:
-        return p + np.linspace(0.0, 1.0, count)[:, None] * (q - p)
+    def _half(self, text: str) -> float:
+        """Return half the width of a text."""
+        return 0.5 * LETTER_WIDTH * self.font * len(text)
 
-    def _around(self, middle: Array, half: float) -> Array:
-        """Return points along a level text of a half width."""
-        return self._sampled(middle - np.array([half, 0.0]), middle + np.array([half, 0.0]), 9)
-
-    def _cost(self, points: Array) -> float:
-        """Return how much a text at sampled points covers."""
-        crowd = np.concatenate([self.crowd, *self.taken])
-        distance = np.linalg.norm(points[:, None] - crowd, axis=-1) if len(crowd) else np.full((1, 1), math.inf)
-        return float(np.sum(np.maximum(0.0, 0.9 * self.font - distance)) / self.font)
-
-    def length(self, dimension: _Length) -> None:
-        """Draw a distance with extension lines, arrows and its text along the line."""
-        p, q = dimension.ends
-        along = q - p
-        span = float(np.linalg.norm(along))
+    def length(self, one: _Length) -> None:
+        """Add a distance with extension lines, arrows and its text along the line."""
+        p, q = one.ends
+        span = float(np.linalg.norm(q - p))
         if span < 1e-9:
             return
-        along /= span
+        along, half = (q - p) / span, self._half(one.text)
         normal = np.array([along[1], -along[0]])
-        half = 0.5 * LETTER_WIDTH * self.font * len(dimension.text)
-
-        def placed(offset: tuple[float, float]) -> tuple[float, Array, Array]:
-            shift = offset[1] * offset[0] * self.size * normal
-            middle = 0.5 * (p + q) + shift
-            covered = self._sampled(middle - half * along, middle + half * along, 9)
-            return self._cost(covered) + 0.15 * self._cost(self._sampled(p + shift, q + shift)) + 0.3 * offset[0], shift, covered
-
-        _, shift, covered = min(map(placed, itertools.product(OFFSETS, (1.0, -1.0))), key=lambda item: item[0])
-        a, b = p + shift, q + shift
-        self.taken += [covered, self._sampled(a, b, 12)]
-        over = 0.35 * self.size * shift / np.linalg.norm(shift)
-        gap = 0.45 * self.size * shift / np.linalg.norm(shift)
-        self._line([p + gap, a + over], dimension.colour, 0.6)
-        self._line([q + gap, b + over], dimension.colour, 0.6)
         inside = span > 2.0 * half + 2.5 * self.size
-        parts = [(a, 0.5 * (a + b) - half * along), (0.5 * (a + b) + half * along, b)] if inside else [(a, b)]
-        for begin, end in parts:
-            self._line([begin, end], dimension.colour, 0.8)
-        self._arrow(a, -along if span > 1.6 * self.size else along, dimension.colour)
-        self._arrow(b, along if span > 1.6 * self.size else -along, dimension.colour)
-        middle = 0.5 * (a + b) + (0.0 if inside else 0.75 * self.font) * shift / np.linalg.norm(shift)
-        angle = math.degrees(math.atan2(along[1], along[0]))
-        self._text(
-            middle,
-            dimension.text,
-            dimension.colour,
-            angle - 180.0 if angle > 90.0 else angle + 180.0 if angle <= -90.0 else angle,
-        )
+        beyond = 0.5 + (half + 1.4 * self.size) / span  # share of the length at which the text stands beside the arrows
+        shares = [
+            share for share in (0.5, 0.35, 0.65, 0.22, 0.78) if inside and min(share, 1.0 - share) * span > half + self.size
+        ]
+        places = []
+        for offset, side in itertools.product(OFFSETS, (1.0, -1.0)):
+            shift = side * offset * self.size * normal
+            a, b = p + shift, q + shift
+            gap, over = (share * self.size * side * normal for share in (0.45, 0.35))
+            rays = (np.array([p + gap, a + over]), np.array([q + gap, b + over]))
+            for share in shares:
+                middle = a + share * (b - a)
+                parts = (np.array([a, middle - half * along]), np.array([middle + half * along, b]))
+                places.append(Place(middle, along, half, (*rays, *parts), 0.3 * offset + 0.4 * abs(share - 0.5)))
+            if not inside:
+                whole = (*rays, np.array([a, b]))
+                outside = 0.5 * (a + b) + 0.75 * self.font * side * normal
+                places.append(Place(outside, along, half, whole, 0.3 * offset))
+                for share in (-beyond, beyond):
+                    end = 0.5 * (a + b) + share * (b - a)
+                    places.append(Place(end, along, half, whole, 0.3 * offset + 0.3))
+
+        def drawn(place: Place) -> None:
+            a, b = place.lines[0][1], place.lines[1][1]
+            over = 0.35 * self.size * (a - p) / np.linalg.norm(a - p)
+            a, b = a - over, b - over
+            for k, line in enumerate(place.lines):
+                self._line(line, one.colour, 0.6 if k < 2 else 0.8)
+            self._arrow(a, -along if span > 1.6 * self.size else along, one.colour)
+            self._arrow(b, along if span > 1.6 * self.size else -along, one.colour)
+            angle = math.degrees(math.atan2(along[1], along[0]))
+            self._text(place, one.text, one.colour, angle - 180.0 if angle > 90.0 else angle + 180.0 if angle <= -90.0 else angle)
+
+        self.items.append((places, drawn))
 
     def angle(self, centre: Array, start: float, low: float, high: float, text: str, colour: str) -> None:
-        """Draw the range of an angle as an arc with arrows, from the direction `start` [rad] on."""
-        half = 0.5 * LETTER_WIDTH * self.font * len(text)
-
-        def placed(radius: float, share: float) -> tuple[float, float, Array]:
-            direction = start + share * (high - low)
-            ray = np.array([math.cos(direction), -math.sin(direction)])
+        """Add the range of an angle as an arc with arrows, from the direction `start` [rad] on."""
+        half, full = self._half(text), high - low >= TURN - 1e-9
+        turn = min(high - low, math.radians(300.0))
+        ways = start + np.linspace(0.0, turn, max(8, math.ceil(math.degrees(turn) / 4)))
+        rays = np.stack([np.cos(ways), -np.sin(ways)], axis=1)
+        beside = (half + 0.8 * self.font) / (3.2 * self.size * max(high - low, 1e-9))  # beyond the ends of a narrow range
+        shares = np.linspace(0.1, 0.9, 9).tolist() + ([] if beside > 4.0 or high - low > 2.0 else [-beside, 1.0 + beside])
+        places = []
+        for radius, share in itertools.product((2.2, 3.2, 4.4, 5.6), shares):
+            way = start + share * (high - low)
+            ray = np.array([math.cos(way), -math.sin(way)])
             inside = min(half / max(abs(ray[0]), 1e-9), 0.4 * self.font / max(abs(ray[1]), 1e-9))  # of the text, along the ray
             middle = centre + (radius * self.size + inside + 0.4 * self.font) * ray
-            covered = self._around(middle, half)
-            return self._cost(covered) + 0.25 * radius, radius * self.size, covered
+            arc = centre + radius * self.size * rays
+            sides = (
+                ()
+                if full
+                else tuple(centre + np.outer((0.5 * self.size, (radius + 0.6) * self.size), rays[at]) for at in (0, -1))
+            )
+            places.append(Place(middle, LEVEL, half, (arc, *sides), 0.25 * radius + 0.3 * abs(share - 0.5)))
 
-        outside = (half + 0.8 * self.font) / (3.2 * self.size * max(high - low, 1e-9))  # beyond the ends of a narrow range
-        shares = (0.5, 0.25, 0.75) if outside > 4.0 or high - low > 2.0 else (0.5, 0.25, 0.75, -outside, 1.0 + outside)
-        places = itertools.product((2.2, 3.2, 4.4, 5.6), shares)
-        _, radius, covered = min(itertools.starmap(placed, places), key=lambda item: item[0])
-        turn = min(high - low, math.radians(300.0))
-        directions = start + np.linspace(0.0, turn, max(8, math.ceil(math.degrees(turn) / 4)))
-        arc = centre + radius * np.stack([np.cos(directions), -np.sin(directions)], axis=1)
-        self.taken += [covered, arc]
-        self._line(list(arc), colour, 0.8)
-        for at, sign in ((0, 1.0), (-1, -1.0)):
-            if at or high - low < TURN - 1e-9:
-                self._arrow(arc[at], -sign * (arc[1] - arc[0] if at == 0 else arc[-2] - arc[-1]) * sign, colour)
-            if high - low < TURN - 1e-9:
-                ray = np.array([math.cos(directions[at]), -math.sin(directions[at])])
-                self._line([centre + 0.5 * self.size * ray, centre + (radius + 0.6 * self.size) * ray], colour, 0.6)
-        self._text(covered[4], text, colour, 0.0)
+        def drawn(place: Place) -> None:
+            arc, *sides = place.lines
+            self._line(arc, colour, 0.8)
+            for side in sides:
+                self._line(side, colour, 0.6)
+            if not full:
+                self._arrow(arc[0], arc[0] - arc[1], colour)
+            self._arrow(arc[-1], arc[-1] - arc[-2], colour)
+            self._text(place, text, colour, 0.0)
+
+        self.items.append((places, drawn))
 
     def label(self, at: Array, text: str) -> None:
-        """Write a text beside a point, that of a ground pivot clear of its support."""
-        half = 0.5 * LETTER_WIDTH * self.font * len(text)
-        offsets = [*itertools.product((1.1, -1.1), (0.9, 2.0, -1.4)), (0.5, -0.9), (-0.5, -0.9), (0.9, 0.0)]
-        places = [at + self.size * np.array(offset) + [math.copysign(half, offset[0]), 0.0] for offset in offsets]
-        covered = min((self._around(place, half) for place in places), key=self._cost)
-        self.taken.append(covered)
-        self._text(covered[4], text, GROUND, 0.0)
+        """Add a text beside a point."""
+        half = self._half(text)
+        places = []
+        for reach, turn in itertools.product((1.0, 1.8, 2.8), np.linspace(0.0, TURN, 24, endpoint=False)):
+            ray = np.array([math.cos(turn), math.sin(turn)])
+            middle = at + reach * self.size * ray + np.array([half, HIGH * self.font]) * np.clip(1.5 * ray, -1.0, 1.0)
+            places.append(Place(middle, LEVEL, half, (), 0.35 * reach))
+        self.items.append((places, lambda place: self._text(place, text, GROUND, 0.0)))
 
-    def _line(self, points: list[Array], colour: str, width: float) -> None:
+    def place(self) -> None:
+        """Place and draw all texts with their lines."""
+        chosen = arrange([places for places, _ in self.items], self.links, self.font)
+        for place, (_, drawn) in zip(chosen, self.items, strict=True):
+            drawn(place)
+            self.taken += [place.text(self.font), *place.lines]
+
+    def _line(self, points: Array, colour: str, width: float) -> None:
         path = " L".join(f"{x:.6g} {y:.6g}" for x, y in points)
         self.lines.append(f'<path d="M{path}" fill="none" stroke="{colour}" stroke-width="{width * self.size / 8.0:.4g}"/>')
 
-    def _arrow(self, tip: Array, direction: Array, colour: str) -> None:
-        direction = direction / max(float(np.linalg.norm(direction)), 1e-30)
-        left = np.array([-direction[1], direction[0]])
-        back = tip - 0.75 * self.size * direction
+    def _arrow(self, tip: Array, way: Array, colour: str) -> None:
+        way = way / max(float(np.linalg.norm(way)), 1e-30)
+        left = np.array([-way[1], way[0]])
+        back = tip - 0.75 * self.size * way
         corners = (tip, back + 0.16 * self.size * left, back - 0.16 * self.size * left)
         path = " L".join(f"{x:.6g} {y:.6g}" for x, y in corners)
         self.lines.append(f'<path d="M{path}Z" fill="{colour}"/>')
 
-    def _text(self, at: Array, text: str, colour: str, angle: float) -> None:
-        x, y = at
+    def _text(self, place: Place, text: str, colour: str, angle: float) -> None:
+        x, y = place.middle
         turned = f' transform="rotate({angle:.4g} {x:.6g} {y:.6g})"' if angle else ""
         look = f'fill="{colour}" stroke="#ffffff" stroke-width="{0.28 * self.size:.4g}" paint-order="stroke"'
-        self.lines.append(f'<text x="{x:.6g}" y="{y:.6g}" dy="0.35em" text-anchor="middle" {look}{turned}>{escape(text)}</text>')
+        self.texts.append(f'<text x="{x:.6g}" y="{y:.6g}" dy="0.35em" text-anchor="middle" {look}{turned}>{escape(text)}</text>')
 
     def svg(self) -> str:
-        """Return the dimensions as a group."""
-        return f'<g data-layer="dimensions" font-family="sans-serif" font-size="{self.font:.4g}">' + "".join(self.lines) + "</g>"
+        """Return the dimensions as a group, the texts above all lines."""
+        drawn = "".join((*self.lines, *self.texts))
+        return f'<g data-layer="dimensions" font-family="sans-serif" font-size="{self.font:.4g}">{drawn}</g>'
 
     def box(self) -> tuple[float, float, float, float]:
         """Return the extent of the links and dimensions in this position."""
-        points = finite(np.concatenate([self.corners, *self.taken]))
-        low, high = points.min(axis=0) - 1.4 * self.size, points.max(axis=0) + 1.4 * self.size
+        every = finite(np.concatenate([*self.links, *self.taken]))
+        low, high = every.min(axis=0) - 0.8 * self.size, every.max(axis=0) + 0.8 * self.size
         return float(low[0]), float(low[1]), float(high[0] - low[0]), float(high[1] - low[1])
+
+
+def _pieces(line: Array) -> Iterator[Array]:
+    """Yield the pieces of a line with gaps at NaN."""
+    known = np.all(np.isfinite(line), axis=1)
+    for piece in np.split(line, np.flatnonzero(~known)):
+        kept = piece[np.all(np.isfinite(piece), axis=1)]
+        if len(kept):
+            yield kept
