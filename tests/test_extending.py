@@ -200,10 +200,10 @@ def test_a_new_kind_of_result_and_its_view(extended, tmp_path):
     assert "agrees with a sweep" in shown
     assert "Linkage in motion" in shown
     assert solved("solve", str(file), "--set", "clearing.least=10 m", code=1)["valid"] is False
-    analysed = studio_design.solved(optlink.read({**raw, "clearing": {"point": "C", "least": "10 m"}}))
+    analysed = studio_design.solved_design(optlink.read({**raw, "clearing": {"point": "C", "least": "10 m"}}))
     assert analysed.status == "not verified"  # its own validation is not that of the studio
     assert "optlink solve" in analysed.conclusion
-    assert studio_design.solved(optlink.read(raw)).status == "verified"
+    assert studio_design.solved_design(optlink.read(raw)).status == "verified"
     stored = page(tmp_path, str(tmp_path / "out"), "--problem", str(file))
     assert "agrees with a sweep" in stored
     assert "read from result.json" in stored.replace("<wbr>", "")

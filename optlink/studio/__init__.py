@@ -1,4 +1,4 @@
-"""The studio: a page in the browser on which a linkage is optimised again while one of its handles is dragged."""
+"""The studio: a browser page on which a linkage is re-optimised while one of its handles is dragged."""
 
 from __future__ import annotations
 

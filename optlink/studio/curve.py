@@ -1,4 +1,4 @@
-"""Four-bars for a curve that was drawn by hand: a path problem of its points, and the best designs that a short search finds."""
+"""Four-bars for a hand-drawn curve: a path problem of its points, and the best designs of a short search."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from optlink.tasks.path_search import DesignCollection, Polisher, path_model
 from optlink.tasks.results.path import PathDesign
 from optlink.validation.path import validate_path
 
-MOST_DRAWN = 10_000  # points of a curve
+MAX_CURVE_POINTS = 10_000  # points of a curve
 POINTS = 16  # target points along it
-REACH, LEAST = 4.0, 0.05  # largest and least length of a link, as a share of the size of the curve
-SECONDS = 4.5  # of the search
+MAX_LINK, MIN_LINK = 4.0, 0.05  # largest and least length of a link, as a share of the size of the curve
+TIME_LIMIT = 4.5  # of the search
 SHOWN_DESIGNS = 4  # designs
-TRIED = 12  # candidates of the first round of which valid ones are shown before they are refined
-SMALLEST = 1e-3  # mm
+MAX_COARSE = 12  # candidates of the first round of which valid ones are shown before they are refined
+MIN_SIZE = 1e-3  # mm
 ROUNDS = 12
 
 
-def drawn(points: Any, *, closed: bool) -> Document:
+def curve_problem(points: Any, *, closed: bool) -> Document:
     """Return a path problem for a curve.
 
     Parameters
@@ -45,7 +45,7 @@ def drawn(points: Any, *, closed: bool) -> Document:
     InputError
         If there are too few or too many points, or they do not differ.
     """
-    if not isinstance(points, list) or not 3 <= len(points) <= MOST_DRAWN:
+    if not isinstance(points, list) or not 3 <= len(points) <= MAX_CURVE_POINTS:
         raise InputError("a curve has from 3 to 10,000 points", "Draw it again", key="draw")
     try:
         line = np.array(points, dtype=float)
@@ -55,10 +55,10 @@ def drawn(points: Any, *, closed: bool) -> Document:
         raise InputError("a point of a curve has two coordinates of at most 1e6 mm", "Draw it again", key="draw")
     places = np.round(_along(line, closed=closed), 6)
     size, centre = float(np.max(np.ptp(places, axis=0))), places.mean(axis=0)
-    if not size > SMALLEST:
+    if not size > MIN_SIZE:
         raise InputError("the curve is smaller than 0.001 mm", "Draw a larger one", key="draw")
-    far, least = f"{REACH * size:.4g}", f"{LEAST * size:.4g}"
-    sides = [f'{{ bounds = ["{c - REACH * size:.6g} mm", "{c + REACH * size:.6g} mm"] }}' for c in centre]
+    far, least = f"{MAX_LINK * size:.4g}", f"{MIN_LINK * size:.4g}"
+    sides = [f'{{ bounds = ["{c - MAX_LINK * size:.6g} mm", "{c + MAX_LINK * size:.6g} mm"] }}' for c in centre]
     rows = ",\n".join(f'    ["{x!r} mm", "{y!r} mm"]' for x, y in places.tolist())
     links = "\n".join(f'{name} = {{ bounds = ["{least} mm", "{far} mm"] }}' for name in ("crank", "coupler", "rocker", "frame"))
     text = f'''title = "A drawn curve"
@@ -100,12 +100,12 @@ def _along(line: Array, *, closed: bool) -> Array:
     return np.column_stack([np.interp(places, at, line[:, k]) for k in (0, 1)])
 
 
-class _TimeOver(Exception):
-    """The time of a search is over."""
+class _TimeExceeded(Exception):
+    """The time limit of a search is exceeded."""
 
 
 class _TimedPolisher(Polisher):
-    """A polisher that begins no refinement that would probably end too late.
+    """A polisher that starts only refinements that will probably finish in time.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ class _TimedPolisher(Polisher):
     def polish(self, candidate: Candidate, *, near: bool = False) -> PathDesign:
         begun = self.left()
         if begun <= self._longest:
-            raise _TimeOver
+            raise _TimeExceeded
         design = super().polish(candidate, near=near)
         self._longest = max(self._longest, begun - self.left())
         if design.valid:
@@ -142,7 +142,7 @@ class CurveSearch:
         Longest time of the search.
     """
 
-    def __init__(self, document: Document, seconds: float = SECONDS) -> None:
+    def __init__(self, document: Document, seconds: float = TIME_LIMIT) -> None:
         self.document, self.begun, self._limit = document, time.perf_counter(), seconds
         self._files = document.problem.variants()
         self._searcher = Searcher([path_model(file) for file in self._files], 0)
@@ -164,8 +164,8 @@ class CurveSearch:
         coarse = self._searcher.coarse()
         self._add_coarse(coarse, 1)
         self._better()
-        for one in () if self.designs else coarse[:1]:
-            self._polisher.polish(one)  # shown if it is valid
+        for candidate in () if self.designs else coarse[:1]:
+            self._polisher.polish(candidate)  # shown if it is valid
         for number in range(ROUNDS):
             begun = self._seconds
             candidates = self._searcher.advance()
@@ -174,7 +174,7 @@ class CurveSearch:
                 self._better()
             try:
                 self._collection.add(candidates)
-            except _TimeOver:
+            except _TimeExceeded:
                 break
             if 2.0 * self._seconds - begun > self._limit:
                 break
@@ -193,27 +193,27 @@ class CurveSearch:
     def _add_coarse(self, candidates: list[Candidate], count: int) -> None:
         """Add some distinct valid candidates before their refinement; the first ones of a list are its best."""
         self._coarse = []
-        for one in candidates[:TRIED]:
-            design = self._rated(one)
-            if design.valid and not any(design.alike(other) for other, _ in self._coarse):
-                self._coarse.append((design, one))
+        for candidate in candidates[:MAX_COARSE]:
+            design = self._rated(candidate)
+            if design.valid and not any(design.alike(known) for known, _ in self._coarse):
+                self._coarse.append((design, candidate))
                 if len(self._coarse) == count:
                     return
 
-    def _rated(self, one: Candidate) -> PathDesign:
+    def _rated(self, candidate: Candidate) -> PathDesign:
         """Return a candidate, validated."""
-        file, batch = self._files[one.variant], self._searcher.batches[one.variant]
+        file, batch = self._files[candidate.variant], self._searcher.batches[candidate.variant]
         task = path_model(file)
         values = {name: quantity.value for name, quantity in task.quantities.items()}
-        scaled = zip(batch.names, batch.origin, batch.scale, one.x, strict=True)
+        scaled = zip(batch.names, batch.origin, batch.scale, candidate.x, strict=True)
         values |= {name: float(origin + scale * x) for name, origin, scale, x in scaled}
-        checked = validate_path(task, values, one.t)
-        return PathDesign(file, values, one.t, checked.objective, Status.NOT_SEARCHED, checked)
+        checked = validate_path(task, values, candidate.t)
+        return PathDesign(file, values, candidate.t, checked.objective, Status.NOT_SEARCHED, checked)
 
     def _better(self, *, done: bool = False) -> None:
         """Show the best designs, those of the optimiser before coarse ones, if they have changed."""
         before, best = self.designs, list(self._collection.designs)
-        best += [design for design, _ in self._coarse if not any(design.alike(other) for other in best)]
+        best += [design for design, _ in self._coarse if not any(design.alike(known) for known in best)]
         self.designs = sorted(best, key=lambda design: design.objective)[:SHOWN_DESIGNS] or before
         if self.designs and (done or self.designs != before):
             self._show(done)
@@ -242,19 +242,25 @@ class CurveSearch:
         """
         if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < len(self.designs):
             raise InputError("no such candidate", "Draw the curve again", key="candidate", value=index)
-        one = self.designs[index]
-        candidate = next((candidate for design, candidate in self._coarse if design is one), None)
+        found_design = self.designs[index]
+        candidate = next((candidate for design, candidate in self._coarse if design is found_design), None)
         if candidate is not None:
             refined = Polisher.polish(self._polisher, candidate, near=True)
-            one = refined if refined.valid else one
-        return Design(one.problem, one.values, objective=one.objective, solution=one.solution, crank_angles=one.crank_angles)
+            found_design = refined if refined.valid else found_design
+        return Design(
+            found_design.problem,
+            found_design.values,
+            objective=found_design.objective,
+            solution=found_design.solution,
+            crank_angles=found_design.crank_angles,
+        )
 
 
 def _item(design: PathDesign) -> dict[str, Any]:
     displayed = Design(design.problem, design.values, crank_angles=design.crank_angles)
     picture = Picture(displayed.machine, displayed.start, displayed.speed)
     scene = picture.document()
-    units = {name: math.degrees(1.0) if one.kind == "angle" else 1e3 for name, one in design.task.quantities.items()}
+    units = {name: math.degrees(1.0) if quantity.kind == "angle" else 1e3 for name, quantity in design.task.quantities.items()}
     sizes = {name: design.values[name] * size for name, size in units.items()}
     error = 1e3 * float(np.max(design.measured.distances))
     item = {"error": error, "unit": "mm", "valid": design.valid, "design": sizes}

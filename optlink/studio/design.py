@@ -22,11 +22,11 @@ from optlink.tasks.results.balance import Balance
 from optlink.validation.check import Check
 
 UNVERIFIED = "not verified"
-ANALYSED = "Only the machine is analysed; `optlink solve` checks the requirements of the file."
-MOVING = "Optimised from the last design; it is verified when the handle is released."
-MACHINE = "The motion of the machine with these dimensions."
-LIMITED = f"{MACHINE} The crank cannot turn fully."
-APART = "With these dimensions the linkage cannot be assembled at any crank angle. The last one stays drawn."
+ANALYSED_TEXT = "Only the machine is analysed; `optlink solve` checks the requirements of the file."
+MOVING_TEXT = "Optimised from the last design; it is verified when the handle is released."
+MACHINE_TEXT = "The motion of the machine with these dimensions."
+LIMITED_TEXT = f"{MACHINE_TEXT} The crank cannot turn fully."
+UNASSEMBLED_TEXT = "With these dimensions the linkage cannot be assembled at any crank angle. The last one stays drawn."
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Design:
     solution: Solution | None = None
     crank_angles: Array | None = None
     checks: tuple[Check, ...] | None = None
-    conclusion: str = MOVING
+    conclusion: str = MOVING_TEXT
     conflicts: tuple[str, ...] = ()
     limits: tuple[LimitState, ...] = ()
     result: Any = None
@@ -77,7 +77,7 @@ def started(problem: ProblemFile) -> Design:
 
 
 def from_solution(problem: ProblemFile, solution: Solution) -> Design:
-    """Return the design of a local optimum, which the validator has not seen.
+    """Return the design of a local optimum, not yet validated.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def in_modes(problem: ProblemFile, design: Design) -> ProblemFile:
     return problem.override({"mechanism.assembly": modes})
 
 
-def carried(problem: ProblemFile, last: Design) -> Design:
+def carried_design(problem: ProblemFile, last: Design) -> Design:
     """Return the last design in a changed problem, without optimisation: fixed sizes have their new values.
 
     Parameters
@@ -114,12 +114,12 @@ def carried(problem: ProblemFile, last: Design) -> Design:
     """
     quantities = problem.model.quantities
     values = {name: last.values.get(name, q.value) if q.free else q.value for name, q in quantities.items()}
-    words = MOVING if problem.model.free else MACHINE
+    words = MOVING_TEXT if problem.model.free else MACHINE_TEXT
     return Design(problem, values, UNVERIFIED, crank_angles=last.crank_angles, conclusion=words)
 
 
 def moved_machine(design: Design, full: bool | None) -> Design:
-    """Return a machine without design variables, moved by hand, with what its positions say.
+    """Return a machine without design variables, moved by hand, with a status from its positions.
 
     Parameters
     ----------
@@ -130,8 +130,8 @@ def moved_machine(design: Design, full: bool | None) -> Design:
     if design.status != UNVERIFIED or full:
         return design
     if full is None:
-        return replace(design, status="infeasible", conclusion=APART, conflicts=(APART,))
-    return replace(design, conclusion=LIMITED)
+        return replace(design, status="infeasible", conclusion=UNASSEMBLED_TEXT, conflicts=(UNASSEMBLED_TEXT,))
+    return replace(design, conclusion=LIMITED_TEXT)
 
 
 def design_of(result: Any) -> Design:
@@ -166,7 +166,7 @@ def _machine(result: Analysis | Balance) -> Design:
     if isinstance(result, Analysis):
         status, conclusion = "verified" if result.sound else "not valid", conclusions.analysis(result)
         if result.sound and result.problem.task != "analysis":  # a kind of another package, whose validation did not run
-            status, conclusion = UNVERIFIED, f"{ANALYSED} {conclusion}"
+            status, conclusion = UNVERIFIED, f"{ANALYSED_TEXT} {conclusion}"
     else:
         status = "verified" if result.valid else "infeasible" if result.conflict else "not valid"
         conclusion = conclusions.balance(result)
@@ -174,7 +174,7 @@ def _machine(result: Analysis | Balance) -> Design:
     return Design(result.problem, values, status, conclusion=conclusion, checks=(), result=result)
 
 
-def solved(problem: ProblemFile, progress: Callable[[float], None] | None = None) -> Design:
+def solved_design(problem: ProblemFile, progress: Callable[[float], None] | None = None) -> Design:
     """Return the design that the command line finds for a problem: the same search, the same validation.
 
     Parameters
@@ -185,7 +185,7 @@ def solved(problem: ProblemFile, progress: Callable[[float], None] | None = None
     return design_of(kind_of(problem).result(problem, progress))
 
 
-def checked(design: Design) -> Design:
+def validated_design(design: Design) -> Design:
     """Return a local optimum with the verdict of the ordinary validator."""
     from optlink.tasks.run import validate
 
@@ -216,11 +216,11 @@ def failure(error: OptlinkError, status: str = "failed") -> dict[str, Any]:
     status : str
         Status of the design.
     """
-    why = sentence(error)
+    why = fault_text(error)
     return {"status": status, "conclusion": why, "conflicts": (why,), "checks": None, "result": None}
 
 
-def sentence(error: OptlinkError) -> str:
+def fault_text(error: OptlinkError) -> str:
     """Return the fault of a value set on the page, without its place in the file."""
     if not isinstance(error, InputError):
         return str(error)

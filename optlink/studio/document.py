@@ -19,7 +19,7 @@ from optlink.report import toml_text
 from optlink.studies.toml_keys import exact_text
 from optlink.version import VERSION
 
-ROOM = 0.5  # share of a size by which it may change where the file has no bounds for it
+SIZE_MARGIN = 0.5  # share of a size by which it may change where the file has no bounds for it
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class Document:
         value = quantity.value / per
         freed_text = self.freed.get(size)
         if not isinstance(freed_text, Mapping):
-            room = ROOM * abs(value) or 100.0
+            room = SIZE_MARGIN * abs(value) or 100.0
             freed_text = {"bounds": [exact_text(value - room, unit), exact_text(value + room, unit)]}
         return self.with_changes({key: {**freed_text, "start": exact_text(value, unit)}})
 
@@ -151,7 +151,7 @@ def from_template(name: str) -> Document:
     InputError
         If there is no such template.
     """
-    return Document(name, template(name).text, _nowhere())
+    return Document(name, template(name).text, _empty_folder())
 
 
 def from_text(text: str, title: str) -> Document:
@@ -178,7 +178,7 @@ def from_text(text: str, title: str) -> Document:
     if file_reference is not None:
         remedy = f"Open it from its folder: optlink studio {file}"
         raise InputError("a problem that is opened in the page cannot read other files", remedy, file, value=file_reference)
-    document = Document(name, text, _nowhere())
+    document = Document(name, text, _empty_folder())
     _ = document.problem
     return document
 
@@ -200,7 +200,7 @@ def hello(opened: str | None) -> dict[str, Any]:
     return {"type": "hello", "version": VERSION, "problems": problems, "templates": drafts, "opened": opened}
 
 
-def _nowhere() -> Path:
+def _empty_folder() -> Path:
     """Return a folder in which no file lies."""
     return Path(tempfile.gettempdir()) / "optlink-studio-has-no-files"
 

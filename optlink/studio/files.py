@@ -41,13 +41,13 @@ def exported(design: Design, name: str, format: Any) -> dict[str, Any]:
     from optlink.report.html.page import page
     from optlink.report.report_model import report_model_of
 
-    subject = report_model_of(design.problem, design.result)
+    model = report_model_of(design.problem, design.result)
     if format == "html":
-        text = page(subject)
+        text = page(model)
     else:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / f"{name}.{format}"
-            export(subject, path)
+            export(model, path)
             text = path.read_text(encoding="utf-8")
     return {"name": f"{name}.{format}", "media": MEDIA[format], "text": text}
 

@@ -36,7 +36,7 @@ from optlink.tasks.results.cycle import task_of
 from optlink.units import factor
 
 BACKEND = "ipopt"
-EXCESS = 1e-4  # share of its level by which a peak may exceed the values at the fixed positions while a hand moves
+PEAK_TOLERANCE = 1e-4  # share of its level by which a peak may exceed the values at the fixed positions while a hand moves
 
 
 class Follower(Protocol):
@@ -97,13 +97,13 @@ class PathFollower:
         Sense of crank rotation from point to point, +1 or -1.
     """
 
-    def __init__(self, problem: ProblemFile, way: int) -> None:
-        self.way = way
+    def __init__(self, problem: ProblemFile, direction: int) -> None:
+        self.direction = direction
         self._build(path_model(problem))
 
     def _build(self, task: PathProblem) -> None:
         """Build the programme of a problem; it serves all problems with the same limits."""
-        self.task, self.nlp = task, build_path_nlp(task, self.way, movable=True)
+        self.task, self.nlp = task, build_path_nlp(task, self.direction, movable=True)
         multistart.prepare(self.nlp, BACKEND)
 
     def follow(self, problem: ProblemFile, near: Solution | None) -> Solution:
@@ -135,7 +135,7 @@ class PathFollower:
         nlp, n = self.nlp, len(self.nlp.variables)
         values = {name: quantity.value for name, quantity in task.quantities.items()}
         with np.errstate(all="ignore"):
-            rows = limit_rows(task, values, Reach(0.0, 1.0, self.way), self.task.size)
+            rows = limit_rows(task, values, Reach(0.0, 1.0, self.direction), self.task.size)
             placed = position_rows(task, task.linkage.pose(values, unit(0.0))) if has_position_limits(task) else []
         anywhere = {(row.limit, row.label): row for row in placed}
         first, each = nlp.exchange_rows
@@ -196,7 +196,9 @@ class CycleFollower:
         x = nlp.x_of({name: values[name] for name in self.task.free})
         nlp.set_exchange_points(peaks(nlp, x).shares)
         solution = multistart.solution_at(nlp, nlp.lifted(x), "the last optimum")
-        return _sharp(solution if solution.usable and solution.kkt <= EXCESS else multistart.solve_from(nlp, x, BACKEND))
+        return _with_active_rows(
+            solution if solution.usable and solution.kkt <= PEAK_TOLERANCE else multistart.solve_from(nlp, x, BACKEND)
+        )
 
     def follow(self, problem: ProblemFile, near: Solution | None) -> Solution | None:
         """Return the optimum of a problem near the last one; None if its events have another order.
@@ -212,7 +214,7 @@ class CycleFollower:
             return None
         nlp = self._bound(task_of(problem), last)
         solution = follow_optimum(nlp, last) if last.usable else None
-        if solution is None or peaks(nlp, solution.x).excess > EXCESS:
+        if solution is None or peaks(nlp, solution.x).excess > PEAK_TOLERANCE:
             x = nlp.lifted(np.clip(last.x if solution is None else solution.x, nlp.x_low, nlp.x_high))
             nlp.set_exchange_points(peaks(nlp, x).shares)
             solution = multistart.solve_from(nlp, x, BACKEND)
@@ -221,7 +223,7 @@ class CycleFollower:
             order = nlp.traced.structure(solution.design)
             if order is None or not order.like(nlp.structure):
                 return None
-            self._near = _sharp(solution)
+            self._near = _with_active_rows(solution)
         return solution
 
     def refined(self, solution: Solution) -> Solution:
@@ -231,7 +233,7 @@ class CycleFollower:
         nlp.p[:] = solution.p
         exchanged = exchange(nlp, solution)
         if exchanged.usable:
-            self._near = _sharp(exchanged)
+            self._near = _with_active_rows(exchanged)
         return exchanged
 
     def _bound(self, task: CycleProblem, last: Solution) -> CycleNLP:
@@ -259,10 +261,10 @@ def _moved(old: CycleProblem, new: CycleProblem) -> list[tuple[str, float]]:
     """Return the limits that differ, as key with side and value in the unit of the file."""
     moves: list[tuple[str, float]] = []
     for before, now in zip(old.bounds, new.bounds, strict=True):
-        for side, one, other in zip(("min", "max"), _ends(before), _ends(now), strict=True):
-            if one != other and other is not None:
+        for side, before_value, value in zip(("min", "max"), _ends(before), _ends(now), strict=True):
+            if before_value != value and value is not None:
                 size = factor(now.interval.unit, now.interval.kind) if now.interval.kind else 1.0
-                moves.append((f"{now.key}.{side}", other / size))
+                moves.append((f"{now.key}.{side}", value / size))
     return moves
 
 
@@ -270,8 +272,8 @@ def _ends(bound: Bound) -> tuple[float | None, float | None]:
     return bound.interval.low, bound.interval.high
 
 
-def _sharp(solution: Solution) -> Solution:
-    """Return an optimum in whose optimality conditions only exactly active rows count: those beside a peak would count twice."""
+def _with_active_rows(solution: Solution) -> Solution:
+    """Return an optimum whose optimality conditions use exactly active rows only: rows beside a peak would count twice."""
     if not solution.usable:
         return solution
     return replace(solution, conditions=stationarity(solution.nlp, solution.x, solution.nlp.at(solution.x, solution.p), EXACTLY))

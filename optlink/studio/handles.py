@@ -16,8 +16,8 @@ from optlink.problem.mechanism import FourBarSection
 from optlink.studies.toml_keys import Knob, exact_text, knobs, read_figure
 from optlink.studio.picture import Picture
 
-LARGEST = 1e9  # in the unit of a handle
-BESIDE = 0.6  # share of a link at which the handle of its length lies where another one has its end
+MAX_VALUE = 1e9  # in the unit of a handle
+OFFSET_SHARE = 0.6  # share of a link at which the handle of its length lies if its end is occupied
 RADIUS = 0.09  # share of the extent of the drawing: radius of an angle
 HANDLE_SEPARATION = 0.03  # share of the extent: nearer handles would cover each other
 TRANSMISSION = ("limits.transmission_angle.min", "limits.transmission_angle.max")
@@ -123,7 +123,7 @@ class Handle:
 def _numbers(raw: Any, count: int) -> list[float]:
     """Return finite numbers of a message."""
     if isinstance(raw, list) and len(raw) == count:
-        numbers = [float(x) for x in raw if isinstance(x, int | float) and not isinstance(x, bool) and abs(x) <= LARGEST]
+        numbers = [float(x) for x in raw if isinstance(x, int | float) and not isinstance(x, bool) and abs(x) <= MAX_VALUE]
         if len(numbers) == count:
             return numbers
     raise InputError("the message has no usable place or value", "Send numbers of at most 1e9", key="drag", value=raw)
@@ -140,15 +140,15 @@ def _moved(problem: ProblemFile, index: int, values: Mapping[str, float]) -> lis
     return rows
 
 
-def like(one: Handle | None, other: Handle) -> TypeGuard[Handle]:
+def same_kind(first: Handle | None, second: Handle) -> TypeGuard[Handle]:
     """Return whether a handle is there, and is dragged like another one.
 
     Parameters
     ----------
-    one : Handle or None
-    other : Handle
+    first : Handle or None
+    second : Handle
     """
-    return one is not None and (one.kind, one.keys, one.placed) == (other.kind, other.keys, other.placed)
+    return first is not None and (first.kind, first.keys, first.placed) == (second.kind, second.keys, second.placed)
 
 
 def handles(problem: ProblemFile, picture: Picture | None) -> dict[str, Handle]:
@@ -294,15 +294,19 @@ class _Handles:
             return
         assert self.picture is not None
         knob = fixed.pop(key)
-        one, other = self.picture.at(start), self.picture.at(end)
-        length = math.dist(one, other)
+        first, second = self.picture.at(start), self.picture.at(end)
+        length = math.dist(first, second)
         if not 0.0 < length < math.inf:
             yield self._slider(key, knob.name, knob.value, knob.unit, (knob.low, knob.high))
             return
-        along = [(b - a) / length for a, b in zip(one, other, strict=True)]
-        at = other if self._free(other) else (one[0] + BESIDE * length * along[0], one[1] + BESIDE * length * along[1])
+        direction = [(b - a) / length for a, b in zip(first, second, strict=True)]
+        at = (
+            second
+            if self._free(second)
+            else (first[0] + OFFSET_SHARE * length * direction[0], first[1] + OFFSET_SHARE * length * direction[1])
+        )
         self.taken.append(at)
-        data = {"at": list(at), "along": along, "lower": 0.0, "upper": None, "size": name, "locked": True}
+        data = {"at": list(at), "along": direction, "lower": 0.0, "upper": None, "size": name, "locked": True}
         yield Handle(key, knob.name, "scalar", knob.unit, (key,), knob.value, data)
 
     def _place(
@@ -334,7 +338,7 @@ class _Handles:
                 yield Handle(key, knob.name, "scalar", knob.unit, (key,), knob.value, data)
 
     def _free(self, at: tuple[float, float]) -> bool:
-        return all(math.dist(at, other) > self.apart for other in self.taken)
+        return all(math.dist(at, taken) > self.apart for taken in self.taken)
 
     # --- limits and bounds --------------------------------------------------------------------------------------------------
 
@@ -342,8 +346,8 @@ class _Handles:
         """Return a limit of the transmission angle of a four-bar as an angle at its joint."""
         if self.picture is None or not isinstance(self.problem.model.mechanism, FourBarSection) or knob.unit != "deg":
             return None
-        joint, one, other = (self.picture.at(name) for name in "CBD")
-        first, second = (math.atan2(end[1] - joint[1], end[0] - joint[0]) for end in (one, other))
+        joint, coupler_end, rocker_end = (self.picture.at(name) for name in "CBD")
+        first, second = (math.atan2(end[1] - joint[1], end[0] - joint[0]) for end in (coupler_end, rocker_end))
         begin = first if math.remainder(second - first, 2.0 * math.pi) >= 0.0 else second
         if not math.isfinite(begin):
             return None
@@ -358,8 +362,8 @@ class _Handles:
             key = self._key(name)
             raw = self.problem.at(key) if "." in key else None
             if isinstance(raw, Mapping) and isinstance(raw.get("bounds"), list):
-                (low, unit), (high, other) = (read_figure(end) for end in raw["bounds"])
-                if unit and unit == other:
+                (low, unit), (high, high_unit) = (read_figure(end) for end in raw["bounds"])
+                if unit and unit == high_unit:
                     room = 0.5 * (high - low)
                     least = 0.0 if low > 0.0 and self.quantities[name].kind == "length" else low - room
                     data = {"lower": least, "upper": high + room, "size": name, "locked": False}

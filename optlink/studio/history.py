@@ -1,4 +1,4 @@
-"""Undo and redo: the steps of a document. The server keeps a copy, so that a computation that fails loses nothing."""
+"""Undo and redo: the steps of a document. The server keeps a copy, so that a failed computation does not lose them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Generic, TypeVar
 
 Step = TypeVar("Step")
 
-MOST_STEPS = 200
+MAX_STEPS = 200
 
 
 class History(Generic[Step]):
@@ -31,12 +31,12 @@ class History(Generic[Step]):
     def add(self, document: Step) -> None:
         """Add a step after the present one, and drop what was undone."""
         self.steps[self.at + 1 :] = [document]
-        del self.steps[:-MOST_STEPS]
+        del self.steps[:-MAX_STEPS]
         self.at = len(self.steps) - 1
 
-    def move(self, way: int) -> None:
+    def move(self, step: int) -> None:
         """Undo (-1) or redo (+1) a step, if there is one."""
-        self.at = min(max(self.at + way, 0), len(self.steps) - 1)
+        self.at = min(max(self.at + step, 0), len(self.steps) - 1)
 
     @property
     def ends(self) -> tuple[bool, bool]:

@@ -24,7 +24,7 @@ from optlink.units import DISPLAYED
 from optlink.validation.path import deviations
 
 CURVE_POSITIONS = 60  # positions of the error curve
-WORDS = ("crank", "transmission_over", *MARGINS)  # limits that change the structure of a programme
+STRUCTURAL_LIMITS = ("crank", "transmission_over", *MARGINS)  # limits that change the structure of a programme
 
 
 class ErrorCurve(NamedTuple):
@@ -88,7 +88,7 @@ class Kind:
         """
         yield from ()
 
-    def follower(self, problem: ProblemFile, values: Mapping[str, float], way: int) -> Follower | None:
+    def follower(self, problem: ProblemFile, values: Mapping[str, float], direction: int) -> Follower | None:
         """Return a follower of a problem; None if designs are not optimised during a drag.
 
         Parameters
@@ -97,7 +97,7 @@ class Kind:
             With definite assembly modes.
         values : mapping of str to float [SI]
             The last design.
-        way : int
+        direction : int
             Sense of its crank rotation, +1 or -1.
         """
         return None
@@ -151,7 +151,7 @@ class _FunctionSynthesis(_Searched):
             error = np.degrees(error_at(model, values, offsets))
         yield ErrorCurve("Output error", start + offsets, "target minus generated", "deg", error)
 
-    def follower(self, problem: ProblemFile, values: Mapping[str, float], way: int) -> Follower | None:
+    def follower(self, problem: ProblemFile, values: Mapping[str, float], direction: int) -> Follower | None:
         return FunctionFollower(problem)
 
     def fixed_parts(self, model: Any, requirement: Mapping[str, Any]) -> list[Any]:
@@ -181,8 +181,8 @@ class _PathSynthesis(_Searched):
             distances = deviations(model, values, angles).distances
             yield ErrorCurve("Deviation at the points", angles, "deviation", unit, factor * distances)
 
-    def follower(self, problem: ProblemFile, values: Mapping[str, float], way: int) -> Follower | None:
-        return PathFollower(problem, way)
+    def follower(self, problem: ProblemFile, values: Mapping[str, float], direction: int) -> Follower | None:
+        return PathFollower(problem, direction)
 
     def fixed_parts(self, model: Any, requirement: Mapping[str, Any]) -> list[Any]:
         data = model.data
@@ -201,7 +201,7 @@ class _CycleOptimisation(_Searched):
     def objective(self, model: Any) -> tuple[float, str, str]:
         return (*model.objective_display, model.goals[0].words if model.single else "objective")
 
-    def follower(self, problem: ProblemFile, values: Mapping[str, float], way: int) -> Follower | None:
+    def follower(self, problem: ProblemFile, values: Mapping[str, float], direction: int) -> Follower | None:
         return CycleFollower(problem, values)
 
     def fixed_parts(self, model: Any, requirement: Mapping[str, Any]) -> list[Any]:
@@ -221,14 +221,17 @@ def kind_of(problem: ProblemFile) -> Kind:
 def structure(problem: ProblemFile) -> Any:
     """Return the data that determine the structure of a programme; equal for problems that can share one."""
     model, raw = problem.model, problem.raw
-    limits = {key: repr(value) if key in WORDS else _without_numbers(value) for key, value in (raw.get("limits") or {}).items()}
+    limits = {
+        key: repr(value) if key in STRUCTURAL_LIMITS else _without_numbers(value)
+        for key, value in (raw.get("limits") or {}).items()
+    }
     parts: list[Any] = [problem.task, tuple(model.quantities), tuple(model.free), limits, raw["mechanism"].get("assembly")]
     parts += [{key: value for key, value in raw.items() if key not in ("mechanism", "limits", "requirement", *PROSE)}]
     parts += kind_of(problem).fixed_parts(model, dict(raw.get("requirement") or {}))
     return tuple(map(repr, parts))
 
 
-def follower(problem: ProblemFile, values: Mapping[str, float], way: int) -> Follower | None:
+def follower(problem: ProblemFile, values: Mapping[str, float], direction: int) -> Follower | None:
     """Return a follower of a problem, see `Kind.follower`; None without design variables.
 
     Parameters
@@ -237,10 +240,10 @@ def follower(problem: ProblemFile, values: Mapping[str, float], way: int) -> Fol
         With definite assembly modes.
     values : mapping of str to float [SI]
         The last design.
-    way : int
+    direction : int
         Sense of its crank rotation, +1 or -1.
     """
-    return kind_of(problem).follower(problem, values, way) if problem.model.free else None
+    return kind_of(problem).follower(problem, values, direction) if problem.model.free else None
 
 
 def _without_numbers(value: Any) -> Any:

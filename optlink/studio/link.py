@@ -1,4 +1,4 @@
-"""The server's side of one page: the process that computes for it, and which of its requests are computed."""
+"""Server side of one page: its computing process, and the queue of its requests."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from optlink.studio.worker import STOP, frame
 
 Send = Callable[[str], Awaitable[None]]
 
-PATIENCE = 4.0  # s within which a stopped computation must end
-STARTING = 60.0  # s, the same for a process that has not finished its imports
-LIMIT = 600.0  # s for one computation
-MOST_WAITING = 100  # requests
-QUIET = ("save", "link", "export")
+STOP_TIMEOUT = 4.0  # s within which a stopped computation must end
+START_TIMEOUT = 60.0  # s, the same for a process that has not finished its imports
+COMPUTATION_TIMEOUT = 600.0  # s for one computation
+MAX_WAITING = 100  # requests
+UNINTERRUPTED = ("save", "link", "export")
 """Requests that wait for the present computation rather than stopping it, and that no later one stops."""
-AGAIN = 1.0  # s until a process that did not start is replaced
-FAILED = "The computation ended unexpectedly and was started again."
-STOPPED = "The computation did not stop when it should, and was started again."
-SLOW = f"The computation took longer than {LIMIT / 60.0:z.0f} minutes and was ended."
+RESTART_DELAY = 1.0  # s until a process that did not start is replaced
+FAILED_TEXT = "The computation ended unexpectedly and was started again."
+STOPPED_TEXT = "The computation did not stop when it should, and was started again."
+SLOW_TEXT = f"The computation took longer than {COMPUTATION_TIMEOUT / 60.0:z.0f} minutes and was ended."
 KEPT_TEXT = "Your problem and its history are kept."
-UNDONE = "The last change was undone; redo it to try again."
+UNDONE_TEXT = "The last change was undone; redo it to try again."
 NO_PROBLEM_TEXT = "Open a problem."
 
 
@@ -77,7 +77,7 @@ class Worker:
     async def ended(self) -> None:
         """Wait for the end of a process that closed its output; end it if it does not."""
         with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self.process.wait(), AGAIN)
+            await asyncio.wait_for(self.process.wait(), RESTART_DELAY)
             return
         self.kill()
 
@@ -104,9 +104,9 @@ class Link:
         self._waiting: deque[dict[str, Any]] = deque()
         self._running: dict[str, Any] | None = None
         self._latest = 0  # id of the request that was computed last
-        self._history: History[dict[str, Any]] | None = None  # of the page, as the worker has it
+        self._history: History[dict[str, Any]] | None = None  # of the page, in the worker
         self._origin = ""
-        self._ended = FAILED  # why the worker has ended
+        self._ended = FAILED_TEXT  # why the worker has ended
         self._failures = 0  # since the last request that was answered
         self._timer: asyncio.TimerHandle | None = None
         self._reader = asyncio.create_task(self._read())
@@ -123,7 +123,7 @@ class Link:
             return
         if self._waiting and _moving(self._waiting[-1]) and request["type"] == "drag":
             self._waiting.pop()
-        if len(self._waiting) < MOST_WAITING:
+        if len(self._waiting) < MAX_WAITING:
             self._waiting.append(request)
         if self._running is None:
             self._next()
@@ -136,20 +136,20 @@ class Link:
         if self._running is not None:
             self._latest = self._running["id"]
             self.worker.send(self._running)
-            self._kill_after(LIMIT, SLOW)
+            self._kill_after(COMPUTATION_TIMEOUT, SLOW_TEXT)
             self._give_way()
 
     def _give_way(self) -> None:
         """Stop the present computation if another one waits; saving waits for its end."""
         assert self._running is not None
-        long = self._running["type"] not in QUIET and not _moving(self._running)
-        if long and any(one["type"] not in QUIET for one in self._waiting):
+        long = self._running["type"] not in UNINTERRUPTED and not _moving(self._running)
+        if long and any(request["type"] not in UNINTERRUPTED for request in self._waiting):
             self._stop()
 
     def _stop(self) -> None:
         if self._running is not None:
             self.worker.send({"type": STOP, "id": self._running["id"]})
-            self._kill_after(PATIENCE if self.worker.ready else STARTING, STOPPED)
+            self._kill_after(STOP_TIMEOUT if self.worker.ready else START_TIMEOUT, STOPPED_TEXT)
 
     def _kill_after(self, seconds: float, why: str) -> None:
         self._cancel()
@@ -167,7 +167,7 @@ class Link:
 
     async def _read(self) -> None:
         """Pass the messages of the process on to the page; start another process where one has ended."""
-        with contextlib.suppress(ConnectionError, RuntimeError):  # the page is gone
+        with contextlib.suppress(ConnectionError, RuntimeError):  # the page is closed
             while True:
                 try:
                     data = await self.worker.receive()
@@ -196,12 +196,12 @@ class Link:
         self._cancel()
         await self.worker.ended()
         failed, resumed = self.worker.ready, self._running is not None and self._running["type"] == "resume"
-        self._running, why, self._ended = None, self._ended, FAILED
+        self._running, why, self._ended = None, self._ended, FAILED_TEXT
         if failed:
-            self._failures += why != STOPPED or resumed
+            self._failures += why != STOPPED_TEXT or resumed
             words = KEPT_TEXT
-            if self._history is not None and (why == SLOW or self._failures > 1):
-                words = UNDONE
+            if self._history is not None and (why == SLOW_TEXT or self._failures > 1):
+                words = UNDONE_TEXT
                 if self._history.ends[0]:
                     self._history.move(-1)
                 else:
@@ -209,7 +209,7 @@ class Link:
             message = f"{why} {NO_PROBLEM_TEXT if self._history is None else words}"
             await self._send(json.dumps({"type": "fault", "id": self._latest, "message": message}))
         else:
-            await asyncio.sleep(AGAIN)
+            await asyncio.sleep(RESTART_DELAY)
         self.worker = await self._another()
         if self._history is not None:
             steps = {"steps": self._history.steps, "at": self._history.at, "origin": self._origin}

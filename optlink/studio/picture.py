@@ -14,8 +14,8 @@ from optlink.linkage.vector2d import TURN, Array
 from optlink.report.drawing import Sketch
 from optlink.report.scene import scene_of
 
-STEPS = 72  # positions per revolution
-INSIDE = 1e-8  # rad from the ends of a limited motion: there rounding decides
+POSITIONS = 72  # positions per revolution
+END_MARGIN = 1e-8  # rad from the ends of a limited motion: there rounding decides
 DIGITS = 6  # significant digits of a coordinate, relative to the extent
 
 
@@ -33,15 +33,15 @@ class Picture:
 
     def __init__(self, machine: Machine, start: float, speed: float = 1.0) -> None:
         self.machine, self.mechanism = machine, machine.mechanism
-        way = math.copysign(1.0, speed)
-        count = STEPS * max(1, round(self.mechanism.cycle / TURN))
-        angles = start + way * np.linspace(0.0, self.mechanism.cycle, count + 1)
+        direction = math.copysign(1.0, speed)
+        count = POSITIONS * max(1, round(self.mechanism.cycle / TURN))
+        angles = start + direction * np.linspace(0.0, self.mechanism.cycle, count + 1)
         motion = sweep(self.mechanism, machine.sizes, angles)
         points = np.array([motion.position(name) for name in self.mechanism.owners])
         assembled = motion.assembled & np.isfinite(points).all(axis=(0, 2))
         self.closed = bool(np.all(assembled))
         if not self.closed:
-            angles = angles[assembled] if machine.ranges.full else self._reachable(start, way)
+            angles = angles[assembled] if machine.ranges.full else self._reachable(start, direction)
             motion = sweep(self.mechanism, machine.sizes, angles)
         self.motion: Motion = motion
         self.angles: Array = np.asarray(motion.crank_angle, dtype=float)
@@ -49,14 +49,14 @@ class Picture:
         extent = 1e3 * max(np.ptp(self.sketch.limits, axis=1)) / self.sketch.scale.factor
         self._decimals = max(0, DIGITS - 1 - math.floor(math.log10(max(extent, 1e-9))))
 
-    def _reachable(self, start: float, way: float) -> Array:
+    def _reachable(self, start: float, direction: float) -> Array:
         """Return angles through the reachable range that contains the start, else through the largest one."""
         ranges = self.machine.ranges
         if not ranges.ranges:
             raise ArithmeticError("the linkage cannot be assembled at any crank angle")
         low, high = ranges.holding(start) or max(ranges.ranges, key=lambda ends: ends[1] - ends[0])
-        ends = (low + INSIDE, high - INSIDE) if way > 0.0 else (high - INSIDE, low + INSIDE)
-        return np.linspace(*ends, max(2, math.ceil((high - low) / TURN * STEPS) + 1))
+        ends = (low + END_MARGIN, high - END_MARGIN) if direction > 0.0 else (high - END_MARGIN, low + END_MARGIN)
+        return np.linspace(*ends, max(2, math.ceil((high - low) / TURN * POSITIONS) + 1))
 
     # --- what is sent -------------------------------------------------------------------------------------------------------
 
@@ -74,26 +74,26 @@ class Picture:
 
     def document(self) -> dict[str, Any]:
         """Return the scene as data of the page."""
-        drawn = scene_of(self.sketch, self.motion, closed=self.closed, up=True)
-        x, y, wide, high = drawn.box
-        points = {name: self._places(own) for name, own in drawn.points.items()}
+        scene = scene_of(self.sketch, self.motion, closed=self.closed, up=True)
+        x, y, wide, high = scene.box
+        points = {name: self._places(positions) for name, positions in scene.points.items()}
         bodies = []
-        for body in drawn.bodies:
+        for body in scene.bodies:
             parts = [{"kind": p.kind, "outline": self._places(p.outline)} for p in body.parts]
             poses = np.column_stack([np.round(body.poses[:, :2], self._decimals), np.round(body.poses[:, 2], 4)])
             bodies.append({"name": body.name, "colour": body.colour, "parts": parts, "poses": _plain(poses)})
         return {
-            "angles": np.round(drawn.angles, 4).tolist(),
-            "closed": drawn.closed,
+            "angles": np.round(scene.angles, 4).tolist(),
+            "closed": scene.closed,
             "box": self._places(np.array([x, y, x + wide, y + high])),
             "bodies": bodies,
             "points": points,
-            "pins": list(drawn.pins),
-            "free": list(drawn.free),
-            "ground": [{"line": self._gaps(line), "width": width, "filled": filled} for line, width, filled in drawn.ground],
-            "springs": {name: self._places(ends.reshape(len(ends), 4)) for name, ends in drawn.springs.items()},
-            "size": round(drawn.size, self._decimals),
-            "traces": {name: points[name] for name in drawn.free},
+            "pins": list(scene.pins),
+            "free": list(scene.free),
+            "ground": [{"line": self._gaps(line), "width": width, "filled": filled} for line, width, filled in scene.ground],
+            "springs": {name: self._places(ends.reshape(len(ends), 4)) for name, ends in scene.springs.items()},
+            "size": round(scene.size, self._decimals),
+            "traces": {name: points[name] for name in scene.free},
         }
 
     def _places(self, values: Array) -> Any:

@@ -35,12 +35,12 @@ from optlink.studio.link import Link, Worker
 ASSETS = Path(__file__).parent / "assets"
 ADDRESS = "127.0.0.1"
 HOSTS = (ADDRESS, "localhost")
-LARGEST = 1_000_000  # bytes of a message
+MAX_MESSAGE = 1_000_000  # bytes of a message
 RATE, BURST = 200.0, 400.0  # messages per second, and at once
-ABUSE = 2000  # refused messages after which a connection is closed
-REPORTED = 100  # refused messages that are answered one by one
-PAGES = 8  # at a time
-POLICY = 1008  # code of a socket that is closed for breaking the rules
+MAX_REFUSED = 2000  # refused messages after which a connection is closed
+MAX_REPORTED = 100  # refused messages that are answered one by one
+MAX_PAGES = 8  # at a time
+POLICY_VIOLATION = 1008  # code of a socket that is closed for breaking the rules
 TYPES = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".html": "text/html"}
 """Media types of the files of the page, whatever the system calls them."""
 REQUESTS = (
@@ -133,8 +133,8 @@ class Studio:
     # --- the socket ---------------------------------------------------------------------------------------------------------
 
     async def _live(self, ws: WebSocket) -> None:
-        if len(self.links) >= PAGES:
-            await ws.close(POLICY, "too many pages are open")
+        if len(self.links) >= MAX_PAGES:
+            await ws.close(POLICY_VIOLATION, "too many pages are open")
             return
         await ws.accept()
 
@@ -179,10 +179,12 @@ async def _listen(ws: WebSocket, link: Link) -> None:
             link.request(request)
             continue
         refused += 1
-        if refused > ABUSE:
-            await ws.close(POLICY, "too many malformed messages")
-            raise WebSocketDisconnect(POLICY)
-        if refused <= REPORTED or refused % REPORTED == 0:  # a page that does not read its answers must not block the count
+        if refused > MAX_REFUSED:
+            await ws.close(POLICY_VIOLATION, "too many malformed messages")
+            raise WebSocketDisconnect(POLICY_VIOLATION)
+        if (
+            refused <= MAX_REPORTED or refused % MAX_REPORTED == 0
+        ):  # a page that does not read its answers must not block the count
             words = MALFORMED if request is None else QUOTA
             await ws.send_text(json.dumps({"type": "fault", "id": None if request is None else request["id"], "message": words}))
 
@@ -192,7 +194,7 @@ MALFORMED = "The message is not a request. Send a JSON object with a known type 
 
 def parsed(text: str) -> dict[str, Any] | None:
     """Return the request of a message; None if it is none."""
-    if len(text) > LARGEST:
+    if len(text) > MAX_MESSAGE:
         return None
     try:
         request = json.loads(text, parse_constant=_refuse)
@@ -227,7 +229,7 @@ class _Guard:
         if not good or not any(map(studio.admits, tokens)):
             if live:
                 await receive()
-                await send({"type": "websocket.close", "code": POLICY})
+                await send({"type": "websocket.close", "code": POLICY_VIOLATION})
                 return
             words = "Forbidden: open the address that `optlink studio` printed, with its token."
             await PlainTextResponse(words, 403, headers=studio.headers())(scope, receive, send)
@@ -272,7 +274,7 @@ def serve(initial: str | None = None, port: int = 0, ready: Callable[[str], None
         log_level="warning",
         access_log=False,
         ws="websockets-sansio",
-        ws_max_size=LARGEST,
+        ws_max_size=MAX_MESSAGE,
         ws_per_message_deflate=False,
         lifespan="on",
         server_header=False,

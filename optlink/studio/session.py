@@ -15,21 +15,21 @@ from optlink.report.format import pretty
 from optlink.studio import state
 from optlink.studio.design import (
     Design,
-    carried,
-    checked,
+    carried_design,
     failure,
+    fault_text,
     from_solution,
     in_modes,
     moved_machine,
-    sentence,
-    solved,
+    solved_design,
     started,
+    validated_design,
     verdict,
 )
 from optlink.studio.document import Document, from_template, from_text, named, shipped_problem
 from optlink.studio.files import deflated, exported, inflated
 from optlink.studio.follow import Follower
-from optlink.studio.handles import Handle, handles, like
+from optlink.studio.handles import Handle, handles, same_kind
 from optlink.studio.history import History
 from optlink.studio.kinds import follower, kind_of, structure
 from optlink.studio.picture import Picture
@@ -40,9 +40,9 @@ if TYPE_CHECKING:
 Send = Callable[[Mapping[str, Any]], None]
 
 HALVINGS = 10  # of the way of a handle, to where feasibility ends
-WARM = 0.5  # s
-BEGUN = "The search for the best design runs."
-FIRST = "Validated; the full search for a better design runs."
+WARM_UP_TIME = 0.5  # s
+SEARCHING_TEXT = "The search for the best design runs."
+FIRST_TEXT = "Validated; the full search for a better design runs."
 
 
 class Session:
@@ -120,7 +120,9 @@ class Session:
         self._answer("kept", step="open", steps=[step.message() for step in steps], at=at, origin=self._origin)
         self._reached = {}
         if design is not None:
-            self._show(replace(design, conclusion=BEGUN), self._definite(steps[at].problem), moving=False, searching=True)
+            self._show(
+                replace(design, conclusion=SEARCHING_TEXT), self._definite(steps[at].problem), moving=False, searching=True
+            )
         self._settle()
 
     def _resume(self, request: Mapping[str, Any]) -> None:
@@ -141,7 +143,7 @@ class Session:
             document = self._document.with_changes(changes)
             _ = document.problem
         except InputError as error:
-            self.fault(f"{sentence(error)} The problem is as before the drag.")
+            self.fault(f"{fault_text(error)} The problem is as before the drag.")
             self._settle()
             return
         self._commit(document)
@@ -166,9 +168,9 @@ class Session:
 
     def _undo(self, request: Mapping[str, Any]) -> None:
         assert self._history is not None
-        way = -1 if request["type"] == "undo" else 1
-        self._history.move(way)
-        self._answer("kept", step="move", way=way)
+        direction = -1 if request["type"] == "undo" else 1
+        self._history.move(direction)
+        self._answer("kept", step="move", way=direction)
         self._reached = {}
         self._settle()
 
@@ -183,9 +185,9 @@ class Session:
         self._answer("file", **exported(self._last[0], self._document.name, request.get("format")))
 
     def _draw(self, request: Mapping[str, Any]) -> None:
-        from optlink.studio.curve import CurveSearch, drawn
+        from optlink.studio.curve import CurveSearch, curve_problem
 
-        search = CurveSearch(drawn(request.get("points"), closed=bool(request.get("closed"))))
+        search = CurveSearch(curve_problem(request.get("points"), closed=bool(request.get("closed"))))
         self._curve = search
         self._interruptible(lambda: search.run(lambda done: self._send(search.message(self._id, done=done))))
         if not search.designs:
@@ -212,20 +214,20 @@ class Session:
         structure_of_problem = structure(problem)
         if self._follower[0] != structure_of_problem:
             if kind_of(problem).slow_programme:  # it is prepared after a release
-                return carried(problem, last)
+                return carried_design(problem, last)
             self._follower = (structure_of_problem, follower(problem, last.values, -1 if last.speed < 0.0 else 1))
-        one = self._follower[1]
-        solution = None if one is None else one.follow(problem, last.solution)
+        current = self._follower[1]
+        solution = None if current is None else current.follow(problem, last.solution)
         if solution is None:
-            return carried(problem, last)
+            return carried_design(problem, last)
         if solution.usable:
             return from_solution(problem, solution)
         from optlink.studies.reoptimise_task import conflicting
 
-        violated, against = conflicting(solution)
-        words = "; ".join((*violated, *against)) or "no design was found"
-        sentence = f"No design near the last one meets all limits: {words}."
-        return replace(carried(problem, last), status="infeasible", conclusion=sentence, conflicts=(sentence,))
+        violated, at_bound = conflicting(solution)
+        words = "; ".join((*violated, *at_bound)) or "no design was found"
+        fault_text = f"No design near the last one meets all limits: {words}."
+        return replace(carried_design(problem, last), status="infeasible", conclusion=fault_text, conflicts=(fault_text,))
 
     def _bisect(self, handle: Handle, base: ProblemFile, request: Mapping[str, Any]) -> None:
         """Find how far a handle could be dragged, and show it."""
@@ -281,7 +283,7 @@ class Session:
             self._send({"type": "progress", "id": ident, "fraction": share, "text": "searching"})
 
         try:
-            design: Design = self._interruptible(lambda: solved(problem, progress))
+            design: Design = self._interruptible(lambda: solved_design(problem, progress))
         except OptlinkError as error:  # the page must not keep the state of another problem
             self._show(replace(self._design or started(problem), **failure(error)), problem, moving=False)
             return
@@ -298,10 +300,10 @@ class Session:
         """Show the optimum near the last design; if there is none, that design: never the verdict of another problem."""
         last = self._design
         if last is None:
-            self._show(replace(started(problem), conclusion=BEGUN), problem, moving=False, searching=True)
+            self._show(replace(started(problem), conclusion=SEARCHING_TEXT), problem, moving=False, searching=True)
             return
         definite = self._definite(problem)
-        near = carried(definite, last)
+        near = carried_design(definite, last)
         if last.solution is not None and problem.model.free:
             near = self._followed(definite)
             settle = getattr(self._follower[1], "refined", None)
@@ -313,15 +315,17 @@ class Session:
                     self._show(near, problem, moving=False, searching=True)
                     raise
         if near.solution is not None and near.solution.usable:
-            validated = checked(near)
+            validated = validated_design(near)
             self._design = (
-                replace(validated, conclusion=FIRST) if validated.status == "verified" else replace(near, conclusion=BEGUN)
+                replace(validated, conclusion=FIRST_TEXT)
+                if validated.status == "verified"
+                else replace(near, conclusion=SEARCHING_TEXT)
             )
             self._show(self._design, problem, moving=False, searching=True)
         elif near.status == "infeasible":
             self._show(replace(last, **verdict(near)), problem, moving=False, searching=True)
         else:
-            self._show(replace(near, conclusion=BEGUN), definite, moving=False, searching=True)
+            self._show(replace(near, conclusion=SEARCHING_TEXT), definite, moving=False, searching=True)
 
     def _prepare(self) -> None:
         """Build the programme of the present problem, so that the next drag finds it."""
@@ -349,7 +353,7 @@ class Session:
         self._handles = handles(problem, picture)
         if moving:  # no handle vanishes, or becomes another one, under the hand
             self._handles = {
-                name: new if like(new := self._handles.get(name), rest) else rest for name, rest in self._rest.items()
+                name: new if same_kind(new := self._handles.get(name), rest) else rest for name, rest in self._rest.items()
             }
         else:
             self._rest = self._handles
@@ -392,15 +396,15 @@ def warm() -> None:
     from optlink.tasks import certify, cycle, function, path
     from optlink.tasks.analyze import analyze
 
-    solved(load("crank-rocker"))
+    solved_design(load("crank-rocker"))
     _ = certify, cycle, function, path, analyze, curve, files
 
 
 def warm_drawing() -> None:
     """Import and run in advance, while the server is idle, the code for drawn curves and paths."""
-    from optlink.studio.curve import CurveSearch, drawn
+    from optlink.studio.curve import CurveSearch, curve_problem
 
-    CurveSearch(drawn([[50.0, 0.0], [-20.0, 40.0], [-30.0, -40.0]], closed=True), WARM).run(lambda done: None)
+    CurveSearch(curve_problem([[50.0, 0.0], [-20.0, 40.0], [-30.0, -40.0]], closed=True), WARM_UP_TIME).run(lambda done: None)
 
 
 OPENING = ("start", "open", "new", "draw", "choose", "resume")

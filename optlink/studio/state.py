@@ -40,10 +40,10 @@ def targets(problem: ProblemFile, design: Design) -> dict[str, Any]:
         return {"points": [], "poses": [], "curve": []}
     targets = model.target_points
     places = 1e3 * np.asarray(targets.points)
-    away = np.full(len(places), np.nan)
+    deviation = np.full(len(places), np.nan)
     if design.crank_angles is not None and len(design.crank_angles) == len(places):
-        away = 1e3 * deviations(model, design.values, design.crank_angles).distances
-    points = [{"at": place, "deviation": d} for place, d in zip(_rounded(places), finite(_rounded(away)), strict=True)]
+        deviation = 1e3 * deviations(model, design.values, design.crank_angles).distances
+    points = [{"at": place, "deviation": d} for place, d in zip(_rounded(places), finite(_rounded(deviation)), strict=True)]
     poses = []
     if targets.angles is not None:
         poses = [{"at": p["at"], "angle": math.degrees(a)} for p, a in zip(points, targets.angles, strict=True)]
@@ -100,11 +100,11 @@ def active(design: Design) -> list[dict[str, Any]]:
     """Return the active limits of a design with their shadow prices, in display units."""
     factor, unit, _ = kind_of(design.problem).objective(design.problem.model)
     rows = []
-    for one in design.limits:
-        if one.active:
-            per = f"{unit or '1'} per {one.unit}" if one.unit else unit
-            row = {"limit": f"{one.name} {one.sense}", "value": one.bound, "unit": one.unit}
-            rows.append(row | {"price": one.multiplier * factor, "price_unit": per})
+    for limit in design.limits:
+        if limit.active:
+            per = f"{unit or '1'} per {limit.unit}" if limit.unit else unit
+            row = {"limit": f"{limit.name} {limit.sense}", "value": limit.bound, "unit": limit.unit}
+            rows.append(row | {"price": limit.multiplier * factor, "price_unit": per})
     return finite(rows)  # type: ignore[no-any-return]
 
 

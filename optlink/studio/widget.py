@@ -1,4 +1,4 @@
-"""The canvas of the studio as a widget: its page in a frame, the same process and messages behind it as behind the server."""
+"""The canvas of the studio as a widget: its page in a frame, with the same process and messages as the server."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from optlink.studio.document import Document, hello
 from optlink.studio.link import Link, Worker
 from optlink.tasks.run import solve
 
-HEIGHT = 640  # px
+CANVAS_HEIGHT = 640  # px
 ASSETS = Path(__file__).parent / "assets"
 IMPORT = re.compile(r'^import (?:\{(?P<names>[^}]*)\} from )?"\./(?P<module>\w+)\.js";$', re.MULTILINE)
 EXPORT = re.compile(r"^export (?=(?:const|class|function) (?P<name>[\w$]+))", re.MULTILINE)
@@ -71,7 +71,7 @@ def scripts(name: str, seen: dict[str, str] | None = None) -> str:
 
 @cache
 def _loop() -> asyncio.AbstractEventLoop:
-    """Return an event loop in a thread of its own: the loop of the kernel rests while a cell runs."""
+    """Return an event loop in its own thread: the loop of the kernel does not run during a cell."""
     loop = asyncio.new_event_loop()
     threading.Thread(target=loop.run_forever, name="optlink-studio", daemon=True).start()
     return loop
@@ -87,7 +87,7 @@ class Canvas(anywidget.AnyWidget):
     """
 
     _esm = (ASSETS / "widget.mjs").read_text(encoding="utf-8").replace('"PAGE"', json.dumps(page()), 1)
-    height = traitlets.Int(HEIGHT, help="Height of the canvas [px].").tag(sync=True)
+    height = traitlets.Int(CANVAS_HEIGHT, help="Height of the canvas [px].").tag(sync=True)
 
     def __init__(self, document: Document) -> None:
         super().__init__()
@@ -100,7 +100,7 @@ class Canvas(anywidget.AnyWidget):
 
     @property
     def _document(self) -> Document:
-        """What is open on the canvas."""
+        """The document that is open on the canvas."""
         document = self._link.document if self._link is not None else None
         if document is not None and document["text"] != self._opened.text:
             self._opened = Document.of(document)
@@ -108,7 +108,7 @@ class Canvas(anywidget.AnyWidget):
 
     @property
     def problem(self) -> ProblemFile:
-        """The problem as it is on the canvas, after the last release."""
+        """The problem on the canvas after the last release."""
         return self._document.problem
 
     @property
@@ -126,7 +126,11 @@ class Canvas(anywidget.AnyWidget):
             return dict(self.result.design)
         quantities = self.problem.model.quantities
         variables = json.loads(self._state)["variables"]
-        return {one["name"]: one["value"] * quantities[one["name"]].si_per_unit for one in variables if not one["locked"]}
+        return {
+            variable["name"]: variable["value"] * quantities[variable["name"]].si_per_unit
+            for variable in variables
+            if not variable["locked"]
+        }
 
     @property
     def status(self) -> str:

@@ -19,9 +19,9 @@ from collections.abc import Callable, Iterator, Mapping
 from types import FrameType
 from typing import Any, BinaryIO
 
-MEMORY = 8 * 2**30  # bytes of address space
-IDLE = 0.3  # s without a request, after which the imports of rarer requests begin
-AGAIN = 0.2  # s after which a stop is tried once more
+MEMORY_LIMIT = 8 * 2**30  # bytes of address space
+IDLE_TIME = 0.3  # s without a request, after which the imports of rarer requests begin
+STOP_INTERVAL = 0.2  # s after which a stop is tried once more
 STOP = "stop"
 DONE = "done"
 READY = "ready"
@@ -41,7 +41,7 @@ def frames(stream: BinaryIO) -> Iterator[dict[str, Any]]:
 
 
 class Interrupts:
-    """Stops the computation of one request: only while it allows it, in the main thread, so that nothing else is interrupted.
+    """Stops the computation of one request in the main thread, only while the computation allows it.
 
     A stop that comes before the computation allows it is kept; one that comes after the request is over stops no other.
     """
@@ -58,11 +58,11 @@ class Interrupts:
     def stop(self, ident: int) -> None:
         """Stop a request; called by the thread that reads."""
         self._stopped = ident
-        again = 0.0
+        retry_at = 0.0
         while self._open and self._current == ident:
-            if time.monotonic() >= again:  # an interrupt that is raised in a callback can be lost
+            if time.monotonic() >= retry_at:  # an interrupt that is raised in a callback can be lost
                 signal.raise_signal(signal.SIGINT)
-                again = time.monotonic() + AGAIN
+                retry_at = time.monotonic() + STOP_INTERVAL
             time.sleep(0.01)
 
     def _press(self, number: int, at: FrameType | None) -> None:
@@ -96,11 +96,11 @@ def main() -> None:
     """Answer requests until the input ends."""
     interrupts = Interrupts()
     reading, writing = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what a library prints must not get between the frames
+    os.dup2(2, 1)  # output of libraries must not mix with the frames
     with contextlib.suppress(ImportError, ValueError, OSError):
         import resource
 
-        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT, MEMORY_LIMIT))
     requests: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
 
     def read() -> None:
@@ -125,7 +125,7 @@ def main() -> None:
     warm()
     send({"type": READY})
     session = Session(send, interrupts.within)
-    idle: float | None = IDLE
+    idle: float | None = IDLE_TIME
     while True:
         try:
             request = requests.get(timeout=idle)

@@ -95,7 +95,7 @@ def value(page, name: str) -> float:
 
 
 @pytest.mark.slow
-def test_a_drag_leads_the_linkage(page):
+def test_dragging_moves_the_linkage(page):
     page.open("crank-rocker")
     before = {name: value(page, name) for name in ("coupler", "rocker", "frame")}
     assert before["frame"] == 500.0
@@ -150,7 +150,7 @@ def test_the_linkage_moves_unless_less_motion_is_preferred(page):
 
 
 @pytest.mark.slow
-def test_a_drag_goes_on_over_the_panel(page):
+def test_a_drag_continues_over_the_panel(page):
     page.open("crank-rocker")
     panel = page.find("#panel").rect["x"]
     knob = page.find(f'[data-handle="{FRAME}"] .ring').rect["x"]
@@ -224,7 +224,7 @@ def test_from_an_empty_canvas_to_a_drawing_by_mouse(page, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-def test_no_serious_fault_of_access(page, dark):
+def test_no_serious_accessibility_fault(page, dark):
     with colours(page.driver, dark=dark):
         for problem in (None, "crank-rocker"):
             page.open(problem)
@@ -259,7 +259,7 @@ import("/assets/live.js").then(({ Live }) => {
 
 
 @pytest.mark.slow
-def test_one_drag_is_under_way_and_older_answers_are_dropped(page):
+def test_only_the_latest_drag_is_answered(page):
     found = page.driver.execute_async_script(ANSWERS)
     assert found["first"] == 1
     assert found["values"] == [[1, 0, True], [2, 4, True], [3, 9, False]]
@@ -305,7 +305,7 @@ def test_a_drawing_behind_the_linkage_to_scale(page, tmp_path):
 
 
 @pytest.mark.slow
-def test_fingers_lead_a_handle_and_zoom(page, tmp_path):
+def test_touch_drags_a_handle_and_zooms(page, tmp_path):
     """A photograph to scale below; one finger drags the frame, two fingers zoom."""
     from PIL import Image
     from selenium.webdriver.common.action_chains import ActionChains
@@ -395,7 +395,7 @@ def test_a_value_that_is_refused_or_converted_does_not_stay_in_its_field(page):
 
 
 @pytest.mark.slow
-def test_a_search_that_is_stopped_is_said_to_be_stopped(page):
+def test_a_stopped_search_is_reported(page):
     page.find('[data-problem="path-closed18-untimed"]').click()
     page.until("return document.querySelector('#search').textContent === 'Stop'")
     assert page.text("#conclusion").endswith("runs.")
@@ -406,7 +406,7 @@ def test_a_search_that_is_stopped_is_said_to_be_stopped(page):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["crank-rocker", "watt-i"])
-def test_the_name_of_a_joint_stands_beside_the_links(page, name):
+def test_joint_names_do_not_overlap_the_links(page, name):
     """And beside the handles that lie on the joints."""
     page.open(name)
     covered = page.run(

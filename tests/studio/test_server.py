@@ -106,7 +106,7 @@ async def _session() -> None:
 
 
 @pytest.mark.slow
-def test_a_page_drags_and_saves_and_strangers_are_refused() -> None:
+def test_a_page_drags_and_saves_and_other_clients_are_refused() -> None:
     asyncio.run(_session())
 
 
@@ -163,7 +163,7 @@ def test_only_the_page_of_this_server_is_answered() -> None:
      '{"type":"start","id":1,"name":"/etc/passwd"}', '{"type":"resume","id":1}', '{"type":"save","id":NaN}', "[" * 5000,
      '{"type":"save","id":true}', '{"type":"save","id":1,"more":"' + "a" * 1_000_000 + '"}'],
 )  # fmt: skip
-def test_what_is_no_request_is_refused(text: str) -> None:
+def test_malformed_requests_are_refused(text: str) -> None:
     assert parsed(text) is None
     assert parsed('{"type":"save","id":1}') == {"type": "save", "id": 1}
 

@@ -89,7 +89,7 @@ def test_a_move_shows_the_optimum_of_the_moved_problem_without_a_verdict(page: P
             assert found == pytest.approx(1e3 * best.design[name], rel=1e-9), handle
 
 
-def test_what_is_released_is_what_the_saved_file_gives(page: Page) -> None:
+def test_a_released_design_agrees_with_the_saved_file(page: Page) -> None:
     page.ask("drag", handle="mechanism.frame", value=512.0, moving=True)
     state = page.state("drag", handle="mechanism.frame", value=512.5, moving=False)
     assert state["status"] == "verified"
@@ -109,7 +109,7 @@ def test_what_is_released_is_what_the_saved_file_gives(page: Page) -> None:
 
 
 @pytest.mark.slow
-def test_a_limit_that_cannot_be_met_is_named_and_its_boundary_shown(page: Page) -> None:
+def test_an_infeasible_limit_is_reported_with_its_boundary(page: Page) -> None:
     before = page.state("drag", handle="mechanism.frame", value=500.0, moving=False)
     moved = page.state("drag", handle="limits.transmission_angle.min", value=88.0, moving=True)
     assert moved["status"] == "infeasible"
@@ -160,7 +160,7 @@ def test_a_locked_size_keeps_its_value_and_is_released_within_its_bounds(page: P
         ({"type": "export", "format": "exe"}, "unknown format"),
     ],
 )
-def test_bad_requests_are_answered_with_one_fault_and_change_nothing(page: Page, request_: dict[str, Any], words: str) -> None:
+def test_bad_requests_give_one_fault_and_change_nothing(page: Page, request_: dict[str, Any], words: str) -> None:
     before = page.ask("save")[0]["text"]
     answers = page.ask(**{("kind" if key == "type" else key): value for key, value in request_.items()})
     assert [answer["type"] for answer in answers] == ["fault"]
@@ -176,7 +176,7 @@ def test_bad_requests_are_answered_with_one_fault_and_change_nothing(page: Page,
         ("mechanism.coupler.bounds", [300.0, 300.0], "Both bounds are the same."),
     ],
 )
-def test_a_drag_to_an_impossible_value_keeps_the_linkage_and_says_why(page: Page, handle: str, value: Any, words: str) -> None:
+def test_a_drag_to_an_impossible_value_is_refused_with_a_reason(page: Page, handle: str, value: Any, words: str) -> None:
     before = page.state("search")
     moved = page.state("drag", handle=handle, value=value, moving=True)
     assert moved["status"] == "infeasible"
@@ -261,7 +261,7 @@ def test_a_section_is_written_again_where_its_layout_cannot_be_kept() -> None:
     assert "# kept" in made
 
 
-def test_a_size_that_is_released_stays_in_its_line() -> None:
+def test_a_released_dimension_stays_in_its_line() -> None:
     document = named("balance-four-bar")
     lines, released = document.text.splitlines(), document.released("crank").text.splitlines()
     at = lines.index('crank = "50.8 mm"')

@@ -56,7 +56,7 @@ class Direct:
         self.session.handle(request)
 
 
-def test_python_sees_the_problem_and_the_design_of_the_canvas(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_reads_problem_and_design_of_the_canvas(monkeypatch: pytest.MonkeyPatch) -> None:
     canvas = optlink.explore(optlink.load("crank-rocker"))
     sent: list[str] = []
     monkeypatch.setattr(canvas, "send", lambda content: sent.append(json.loads(content["text"])["type"]))

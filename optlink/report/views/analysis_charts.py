@@ -227,7 +227,7 @@ def chart(
         Further attributes of `ChartSpec`; the default heading is the title of the machine with that of the chart.
     """
     ends = sorted((math.degrees(cycle.start), math.degrees(cycle.end)))
-    x = crank_angle(clockwise=cycle.way < 0.0, limits=(ends[0], ends[1]))
+    x = crank_angle(clockwise=cycle.direction < 0.0, limits=(ends[0], ends[1]))
     places = [math.degrees(cycle.inside(position.crank_angle)) for position in cycle.result.ranges.singular]
     singular = [
         Line(at, "" if k else "not determined beyond", LIMIT, 1.2, gid="singular position") for k, at in enumerate(places)

@@ -26,10 +26,10 @@ class CycleCurves:
 
     def __init__(self, result: Analysis) -> None:
         self.result = result
-        self.way = 1.0 if result.speed > 0.0 else -1.0
+        self.direction = 1.0 if result.speed > 0.0 else -1.0
         table = np.radians(result["crank_angle_deg"])
         self.start = float(table[0])
-        self.end = self.start + self.way * result.cycle if result.full else float(table[-1])
+        self.end = self.start + self.direction * result.cycle if result.full else float(table[-1])
         low, high = sorted((self.start, self.end))
         marks = [self.inside(at) for extreme in result.extremes.values() for at in (extreme.least_at, extreme.largest_at)]
         grid = np.concatenate([np.linspace(low, high, POINTS + 1), table if len(table) <= MAX_TABLE_ROWS else [], marks])
@@ -38,7 +38,7 @@ class CycleCurves:
         if jumps.size:
             grid = grid[np.min(np.abs(grid[:, None] - jumps), axis=1) > 1e-9]
         everywhere = np.concatenate([grid, jumps, jumps])
-        order = np.argsort(self.way * everywhere, kind="stable")
+        order = np.argsort(self.direction * everywhere, kind="stable")
         self.angles: Array = everywhere[order]
         self.degrees = np.degrees(self.angles)
         machine, speed = result.machine, result.speed
@@ -126,7 +126,7 @@ class CycleCurves:
 
     def in_order(self, crank_angles: Sequence[float]) -> list[float]:
         """Return crank angles [rad] shifted into the range of the motion, in the order of the motion."""
-        return sorted((self.inside(at) for at in crank_angles), key=lambda at: self.way * at)
+        return sorted((self.inside(at) for at in crank_angles), key=lambda at: self.direction * at)
 
     def at(self, crank_angle: float, name: str) -> float:
         """Interpolate a column at a crank angle.
@@ -138,5 +138,5 @@ class CycleCurves:
         name : str
             Column name.
         """
-        rising = slice(None) if self.way > 0.0 else slice(None, None, -1)
+        rising = slice(None) if self.direction > 0.0 else slice(None, None, -1)
         return float(np.interp(crank_angle, self.angles[rising], self.columns[name][rising]))

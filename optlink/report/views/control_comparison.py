@@ -37,8 +37,8 @@ def _mean_revolution(turns: RevolutionCurves, values: Array) -> tuple[Array, Arr
     rows = slice(turns.whole - count * turns.points, turns.whole)
     table = values[rows].reshape(count, turns.points)
     numbers = np.arange(turns.last - count, turns.last)[:, None]
-    angles = np.mean(turns.angle[rows].reshape(count, turns.points) - turns.way * FULL * numbers, axis=0)
-    before = angles[-1] - turns.way * FULL
+    angles = np.mean(turns.angle[rows].reshape(count, turns.points) - turns.direction * FULL * numbers, axis=0)
+    before = angles[-1] - turns.direction * FULL
     mean, least, largest = (of(np.column_stack([table[:, -1], table]), axis=0) for of in (np.mean, np.min, np.max))
     return np.concatenate([[before], angles]), mean, least, largest
 
@@ -80,7 +80,7 @@ def compensation(results: Mapping[str, ClearanceSimulation]) -> list[ChartSpec]:
     lines = [
         Line(at, "" if k else "the output reverses", MUTED, 1.0, gid="standstill") for k, at in enumerate(_standstills(first))
     ]
-    rpm = f"{abs(first.result.speed) * 30.0 / math.pi:.5g} rpm{'' if first.way > 0.0 else ' clockwise'}"
+    rpm = f"{abs(first.result.speed) * 30.0 / math.pi:.5g} rpm{'' if first.direction > 0.0 else ' clockwise'}"
     heading = f"{first.result.problem.model.title}: compensation of the clearance\n{rpm}, means of {first.counted}"
     heading += ", shaded from least to largest" if first.shown > 1 else ""
     title = "Compensation of the clearance"

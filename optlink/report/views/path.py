@@ -150,7 +150,7 @@ class Passing(Sketch):
         artists = super().pose(axes, motion, k)
         view = self.track
         assert self.strip is not None
-        passed = view.way * (motion.crank_angle[k] - view.design.crank_angles) >= -1e-9
+        passed = view.direction * (motion.crank_angle[k] - view.design.crank_angles) >= -1e-9
         for place, factor in ((axes, self.scale.factor), (self.strip, self.close.unit.factor)):
             x, y = (view.targets[passed] * factor).T
             size = dots(len(view.targets)) + 1.0
@@ -184,7 +184,7 @@ def frames(result: PathResult, count: int = FRAMES) -> list[Image.Image]:
     if view is None:
         return []
     title = view.task.title if view.design.valid else f"NOT VALID: {view.task.title}"
-    steps = view.begin + view.way * np.linspace(0.0, TURN, count, endpoint=False)
+    steps = view.begin + view.direction * np.linspace(0.0, TURN, count, endpoint=False)
     if view.task.requirement.kind == "function" or (view.task.pointed and not view.design.crank_turns):
         steps = there_and_back(view.begin, view.end, count)
     if not view.task.pointed:

@@ -43,7 +43,7 @@ def _turning(axes: Axes, view: PathView) -> None:
     turn = min(math.radians(50.0), 5.0 * view.sketch.size / radius)
     if not view.design.crank_turns:
         turn = min(turn, 0.8 * abs(view.end - view.begin))
-    angles = start + view.way * np.linspace(0.25 * turn, 1.25 * turn, 33)
+    angles = start + view.direction * np.linspace(0.25 * turn, 1.25 * turn, 33)
     arc = pivot + radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     arrow = FancyArrowPatch(path=Outline(arc), arrowstyle="-|>", mutation_scale=11.0, linewidth=1.5, color=CRANK)
     arrow.set(zorder=3.9, gid="turning")
@@ -212,7 +212,7 @@ def function_values(view: PathView) -> list[ChartSpec]:
 
 def _crank(view: PathView, shown: Output) -> Axis:
     ends = sorted((float(shown.crank[0]), float(shown.crank[-1])))
-    return crank_angle(clockwise=view.way < 0.0, limits=(ends[0], ends[1]))
+    return crank_angle(clockwise=view.direction < 0.0, limits=(ends[0], ends[1]))
 
 
 def _outputs(shown: Output) -> Panel:

@@ -37,14 +37,14 @@ class PathView:
         self.design, self.task = design, design.task
         angles = design.crank_angles
         self.begin, self.end = float(angles[0]), float(angles[-1])
-        self.way = 1.0 if self.end >= self.begin else -1.0
+        self.direction = 1.0 if self.end >= self.begin else -1.0
         self.at = self.sweep(angles)
         self.reached = bool(np.any(self.at.assembled))
         self.first = int(np.argmax(self.at.assembled))
         around = self.task.closed and design.crank_turns
         span = TURN if around else abs(self.end - self.begin)
         count = max(61, math.ceil(span / TURN * (POSITIONS - 1)) + 1)
-        self.run = self.sweep(self.begin + self.way * np.linspace(0.0, span, count))
+        self.run = self.sweep(self.begin + self.direction * np.linspace(0.0, span, count))
         self.motion = self.sweep(self._whole())
         self.here = self.sweep(angles[self.first : self.first + 1])
 
@@ -53,14 +53,14 @@ class PathView:
         return sweep(self.task.linkage, self.design.values, angles)
 
     def _whole(self) -> Array:
-        once = self.begin + self.way * np.linspace(0.0, TURN, POSITIONS)
+        once = self.begin + self.direction * np.linspace(0.0, TURN, POSITIONS)
         if self.design.crank_turns:
             return once
         low, high = sorted((self.begin, self.end))
         if self._farthest(high, low + TURN) == low + TURN:
             return once
         ends = self._farthest(low, high - TURN), self._farthest(high, low + TURN)
-        return np.linspace(*(ends if self.way > 0.0 else ends[::-1]), POSITIONS)
+        return np.linspace(*(ends if self.direction > 0.0 else ends[::-1]), POSITIONS)
 
     def _farthest(self, start: float, stop: float) -> float:
         """Return the last angle from `start` towards `stop` at which the mechanism is assembled."""

@@ -32,7 +32,7 @@ class RevolutionCurves:
     def __init__(self, result: ClearanceSimulation) -> None:
         self.result = result
         self.time: Array = np.asarray(result.columns.get("time_s", np.zeros(0)))
-        self.way = 1.0 if result.speed > 0.0 else -1.0
+        self.direction = 1.0 if result.speed > 0.0 else -1.0
         self.period = 2.0 * math.pi / abs(result.speed)
         step = float(self.time[1] - self.time[0]) if len(self.time) > 1 else self.period
         self.points = max(1, round(self.period / step))
@@ -152,7 +152,7 @@ class RevolutionCurves:
             Addition to the second line.
         """
         result = self.result
-        nominal, sense = "nominal " if self.free else "", "" if self.way > 0.0 else " clockwise"
+        nominal, sense = "nominal " if self.free else "", "" if self.direction > 0.0 else " clockwise"
         parts = [f"{nominal}{abs(result.speed) * 30.0 / math.pi:.5g} rpm{sense}"]
         if result.control != "none":
             parts.append(f"control {result.control}")
@@ -178,8 +178,8 @@ class RevolutionCurves:
     @property
     def crank_axis(self) -> Axis:
         """Axis of the crank angle within a revolution, with time increasing to the right."""
-        name = CRANK_ANGLE + ("" if self.way > 0.0 else ", clockwise to the right")
-        return Axis(name, (0.0, FULL), reversed=self.way < 0.0, step=60.0)
+        name = CRANK_ANGLE + ("" if self.direction > 0.0 else ", clockwise to the right")
+        return Axis(name, (0.0, FULL), reversed=self.direction < 0.0, step=60.0)
 
     def overlay(self, values: Array, unit: Scale, name: str, colour: str = RESULT, advance: float = 0.0) -> list[Curve]:
         """Return every revolution after the running-in as a thin curve and the last one as a bold curve.
