@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from optlink.balancing.certificate import GAP, ConeCertificate, solved
-from optlink.balancing.socp import CONSTRAINT_TOLERANCE, BalancingProgramme, Bound, Price
+from optlink.balancing.socp import CONSTRAINT_TOLERANCE, BalanceBound, BalancingProgramme, Price
 from optlink.dynamics.counterweights import BalanceMeasure
 from optlink.errors import SolverError
 from optlink.linkage.vector2d import Array
@@ -264,7 +264,7 @@ def _merit(programme: BalancingProgramme, goal: Goal, x: Array) -> float:
 class Conflict:
     """A limit that conflicts with others: the value that makes it feasible [SI], relaxed `together` with others or `alone`."""
 
-    bound: Bound
+    bound: BalanceBound
     together: float
     alone: float
 

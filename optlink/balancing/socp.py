@@ -29,7 +29,7 @@ CONSTRAINT_TOLERANCE = 1e-8
 
 
 @dataclass(frozen=True)
-class Bound:
+class BalanceBound:
     """A limit that can be relaxed: `expression` (scaled) times `scale` is at most (sense +1) or at least (-1) `bound` [SI]."""
 
     name: str
@@ -126,7 +126,7 @@ class BalancingProgramme:
         self.roots: list[tuple[Any, int]] = []  # variables that stand for square roots of parameters
         self.cones: list[Any] = []
         self.relaxed: list[Any] = []  # relaxations of the moments of inertia of discs
-        self.bounds: list[Bound] = []
+        self.bounds: list[BalanceBound] = []
         for k, weight in enumerate(counterweights):
             self._counterweight(weight, self.x[4 * k : 4 * k + 4], self.scales[4 * k : 4 * k + 4])
         begin = 4 * len(counterweights)
@@ -136,7 +136,9 @@ class BalancingProgramme:
         if counterweights:
             self._between("mass of all counterweights together", "mass", self.total, limits.total, self.mass_scale)
         for measure, bound in limits.measures:
-            self.bounds.append(Bound(str(measure), "measure", self.expression(measure), bound, self.before(measure) or 1.0))
+            self.bounds.append(
+                BalanceBound(str(measure), "measure", self.expression(measure), bound, self.before(measure) or 1.0)
+            )
 
     # --- scaling ------------------------------------------------------------------------------------------------------
 
@@ -224,9 +226,9 @@ class BalancingProgramme:
         """Add the bounds of a quantity that are neither zero nor infinite."""
         low, high = ends
         if low > 0.0:
-            self.bounds.append(Bound(name, kind, expression, low, scale, -1))
+            self.bounds.append(BalanceBound(name, kind, expression, low, scale, -1))
         if high < math.inf:
-            self.bounds.append(Bound(name, kind, expression, high, scale))
+            self.bounds.append(BalanceBound(name, kind, expression, high, scale))
 
     def _hard(self, name: str, bound: float, inside: Any, mass: Any, length: float, *, squared: bool = False) -> None:
         constraint = inside <= mass * (bound / length) ** (2 if squared else 1)
@@ -244,7 +246,7 @@ class BalancingProgramme:
             lengths = self.effects.lengths(spring) / self.length
             ends = np.array([float(np.min(lengths)), float(np.max(lengths))])  # the force is linear in the length
             largest = self.cp.max(self.cp.abs(ends * k - p))
-            self.bounds.append(Bound(f"force of {spring.name}", "force", largest, spring.force, float(scale[1])))
+            self.bounds.append(BalanceBound(f"force of {spring.name}", "force", largest, spring.force, float(scale[1])))
 
     @property
     def size(self) -> Any:
@@ -305,7 +307,7 @@ class BalancingProgramme:
 
     # --- solving ---------------------------------------------------------------------------------------------------------------
 
-    def constraints(self, skip: Bound | None = None) -> list[Any]:
+    def constraints(self, skip: BalanceBound | None = None) -> list[Any]:
         """Return all constraints except one, those that can be relaxed last."""
         return [*self.cones, *self.relaxed, *(self.row(bound) for bound in self.bounds if bound is not skip)]
 
@@ -394,12 +396,12 @@ class BalancingProgramme:
         return slope, float(p @ p) / m + linear * m + square * m * m - float(slope @ x)
 
     @staticmethod
-    def row(bound: Bound, slack: Any = 0.0) -> Any:
+    def row(bound: BalanceBound, slack: Any = 0.0) -> Any:
         """Return the cvxpy constraint of a bound.
 
         Parameters
         ----------
-        bound : Bound
+        bound : BalanceBound
         slack : float or cvxpy expression
             Relaxation, in units of the bound's scale.
         """

@@ -23,7 +23,7 @@ MAX_SLIDERS = 4  # largest number of sliders in motion.png
 LIMIT_MARGIN = 0.16  # margin above and below cut values, as a share of the range
 
 
-class Output(NamedTuple):
+class OutputMotion(NamedTuple):
     """An output motion to draw: name, columns of position, velocity and acceleration, and its stroke or swing."""
 
     name: str
@@ -41,13 +41,13 @@ class Output(NamedTuple):
         turning = abs(cycle.result.speed)
         return size, size * turning, size * turning * turning
 
-    def scales(self, cycle: CycleCurves, others: Sequence[Output] = ()) -> tuple[Scale, Scale, Scale]:
+    def scales(self, cycle: CycleCurves, others: Sequence[OutputMotion] = ()) -> tuple[Scale, Scale, Scale]:
         """Return the display units of position, velocity and acceleration, common to all outputs of the same kind.
 
         Parameters
         ----------
         cycle : CycleCurves
-        others : sequence of Output, optional
+        others : sequence of OutputMotion, optional
             Other outputs in the same picture.
         """
         units = ("m", "m/s", "m/s²") if self.slides else ("deg", "rad/s", "rad/s²")
@@ -59,22 +59,22 @@ class Output(NamedTuple):
         return s, v, a
 
 
-def _slider(cycle: CycleCurves, name: str) -> Output:
-    return Output(name, (f"{name}.s_m", f"{name}.v_m_s", f"{name}.a_m_s2"), cycle.result.strokes.get(name))
+def _slider(cycle: CycleCurves, name: str) -> OutputMotion:
+    return OutputMotion(name, (f"{name}.s_m", f"{name}.v_m_s", f"{name}.a_m_s2"), cycle.result.strokes.get(name))
 
 
-def _body(cycle: CycleCurves, body: str) -> Output:
+def _body(cycle: CycleCurves, body: str) -> OutputMotion:
     columns = (f"{body}.angle_rad", f"{body}.omega_rad_s", f"{body}.alpha_rad_s2")
-    return Output(body, columns, cycle.result.swings.get(body))
+    return OutputMotion(body, columns, cycle.result.swings.get(body))
 
 
-def output(cycle: CycleCurves) -> Output:
+def output(cycle: CycleCurves) -> OutputMotion:
     """Return the main output of the machine: its last slider on the frame, otherwise its last oscillating body."""
     name, slides = last_output(cycle.result.machine, cycle.result.swings, cycle.result.strokes)
     return _slider(cycle, name) if slides else _body(cycle, name)
 
 
-def outputs(cycle: CycleCurves) -> list[Output]:
+def outputs(cycle: CycleCurves) -> list[OutputMotion]:
     """Return the outputs shown in motion.png: the sliders, those on the frame last, or the main output."""
     names = slider_names(cycle.result.machine)
     ordered = sorted(cycle.result.machine.mechanism.guides, key=lambda guide: guide.on == FRAME)
@@ -296,7 +296,7 @@ def _strokes(cycle: CycleCurves, travel: Travel | None) -> tuple[list[Line], lis
     return lines, [Span(min(ends), max(ends), "" if k else words, gid="shade") for k, ends in enumerate(quick)]
 
 
-def _limits(cycle: CycleCurves, out: Output) -> Extreme | None:
+def _limits(cycle: CycleCurves, out: OutputMotion) -> Extreme | None:
     travel = out.travel
     if travel is None:
         return None
@@ -306,7 +306,7 @@ def _limits(cycle: CycleCurves, out: Output) -> Extreme | None:
     return Extreme(travel.low + turn, travel.low_at, travel.high + turn, travel.high_at)
 
 
-def _stroke_text(cycle: CycleCurves, out: Output) -> str:
+def _stroke_text(cycle: CycleCurves, out: OutputMotion) -> str:
     """Describe stroke or swing, time ratio and dead centres of an output."""
     if out.travel is None:
         angles = cycle[out.columns[0]]

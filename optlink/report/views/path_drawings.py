@@ -147,8 +147,8 @@ def designs(result: PathResult) -> Figure | None:
 OUTPUT_POSITIONS = 360  # number of positions of the output curve
 
 
-class Output(NamedTuple):
-    """Output over crank angles (n,) [deg]: `generated` (n, curves) in the unit of `name`, `target` (n,) if prescribed.
+class OutputCurves(NamedTuple):
+    """OutputCurves over crank angles (n,) [deg]: `generated` (n, curves) in the unit of `name`, `target` (n,) if prescribed.
 
     `factor`: from SI to that unit.
     """
@@ -161,13 +161,13 @@ class Output(NamedTuple):
     factor: float = 1.0
 
 
-def output(view: PathView) -> Output:
+def output(view: PathView) -> OutputCurves:
     """Return the output of a function over its range, or the transmission angles over the revolution."""
     task, values = view.task, view.design.values
     if task.requirement.kind == "transmission":
         joints = [group.joint for group in transmitting(task.linkage)]
         generated = np.degrees(transmission_angles(view.motion, task.linkage))
-        return Output(np.degrees(view.motion.crank_angle), generated, None, "transmission angle [deg]", joints)
+        return OutputCurves(np.degrees(view.motion.crank_angle), generated, None, "transmission angle [deg]", joints)
     fine = view.design.problem.override({"requirement.points": OUTPUT_POSITIONS}).model
     assert isinstance(fine, PathProblem)
     angles = fine.crank_angles(values, None)
@@ -177,7 +177,7 @@ def output(view: PathView) -> Output:
     if not task.slides:
         travel = travel - TURN * np.round((travel - target) / TURN)
     name = f"{'place along' if task.slides else 'angle of'} {task.requirement.output} [{unit.unit}]"
-    return Output(np.degrees(angles), travel[:, None] * unit.factor, target * unit.factor, name, ["generated"], unit.factor)
+    return OutputCurves(np.degrees(angles), travel[:, None] * unit.factor, target * unit.factor, name, ["generated"], unit.factor)
 
 
 def curve(view: PathView) -> ChartSpec:
@@ -192,7 +192,7 @@ def curve(view: PathView) -> ChartSpec:
             traces.append(Curve(at, np.interp(at, shown.crank, error), "", LIMIT, mode="markers", size=3.5, gid="positions"))
         panels.append(Panel(Axis(f"generated minus target [{shown.name.rpartition('[')[2]}"), traces))
     heading = title_of(view, 7.0, view.task.title, wrapped(figures(view), 7.0, "; "))
-    title = "Transmission angle" if shown.target is None else "Output over the range"
+    title = "Transmission angle" if shown.target is None else "OutputCurves over the range"
     return ChartSpec("curve", title, panels, _crank(view, shown), heading, warning=not view.design.valid)
 
 
@@ -210,12 +210,12 @@ def function_values(view: PathView) -> list[ChartSpec]:
     return [function_chart(function, offsets, error, title, warning=not view.design.valid)]
 
 
-def _crank(view: PathView, shown: Output) -> Axis:
+def _crank(view: PathView, shown: OutputCurves) -> Axis:
     ends = sorted((float(shown.crank[0]), float(shown.crank[-1])))
     return crank_angle(clockwise=view.direction < 0.0, limits=(ends[0], ends[1]))
 
 
-def _outputs(shown: Output) -> Panel:
+def _outputs(shown: OutputCurves) -> Panel:
     """Return the panel of all curves of an output."""
     traces = []
     if shown.target is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from optlink.balancing.optimum import Conflict
-from optlink.balancing.socp import NOTHING, Bound, Price
+from optlink.balancing.socp import NOTHING, BalanceBound, Price
 from optlink.tasks.results.balance import ACTIVE, ActiveLimit, RelaxedLimit
 
 SHOWN: dict[str, tuple[str, float, float]] = {
@@ -16,7 +16,7 @@ SHOWN: dict[str, tuple[str, float, float]] = {
 """Kinds of limits: display unit, value in it of one in SI, step of the shadow price [SI]; zero: one per cent of the limit."""
 
 
-def _shown(limit: Price | Bound) -> tuple[str, str, float, float]:
+def _shown(limit: Price | BalanceBound) -> tuple[str, str, float, float]:
     """Return sense, display unit, factor from SI to it, and step [SI] of a limit."""
     unit, factor, step = SHOWN[limit.kind]
     if limit.kind == "measure":

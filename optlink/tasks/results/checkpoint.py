@@ -12,10 +12,10 @@ from optlink.io import checked, with_check_sum
 from optlink.problem.base_model import Never, Number, Record
 from optlink.version import VERSION
 
-C = TypeVar("C", bound="Checkpoint")
+C = TypeVar("C", bound="CheckpointRecord")
 
 
-class Checkpoint(Record):
+class CheckpointRecord(Record):
     """The common entries of the checkpoints: version of optlink, problem and options of the run."""
 
     format: str = Field(alias="schema")
@@ -30,7 +30,7 @@ class Checkpoint(Record):
         return with_check_sum(super().document())
 
 
-class ClearanceCheckpoint(Checkpoint):
+class ClearanceCheckpoint(CheckpointRecord):
     """Options of a clearance simulation, its complete revolutions, and the states of its integrators."""
 
     format: Literal["optlink/clearance-checkpoint/3"] = Field("optlink/clearance-checkpoint/3", alias="schema")
@@ -51,7 +51,7 @@ class ClearanceCheckpoint(Checkpoint):
         return with_check_sum(self.model_dump(warnings=False))
 
 
-class RunsCheckpoint(Checkpoint):
+class RunsCheckpoint(CheckpointRecord):
     """Options of many runs, and how many of them are `complete`."""
 
     speed: float | None
@@ -96,7 +96,7 @@ def read_checkpoint(kind: type[C], document: Mapping[str, Any], options: Mapping
 
     Parameters
     ----------
-    kind : type of Checkpoint
+    kind : type of CheckpointRecord
     document : mapping
     options : mapping
         Entries that must be those of the run that resumes.
