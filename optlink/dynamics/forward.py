@@ -339,12 +339,12 @@ class _Integration:
 
     def result(self) -> Run:
         """Return the result so far."""
-        equations, times, states, ways = (
-            self.equations,
-            self.times[: len(self.ways)],
-            np.concatenate(self.blocks),
-            np.array(self.ways),
-        )
+        equations, times = self.equations, self.times[: len(self.ways)]
+        if self.ending is Ending.AT_REST and self.time > times[-1]:  # the last row is that of the rest
+            self.blocks.append(self.state[None])
+            self.ways.append(self.ways[-1])
+            times = np.append(times, self.time)
+        states, ways = np.concatenate(self.blocks), np.array(self.ways)
         machine, angles, speeds = equations.machine, states[:, 0], states[:, 1]
         geared = machine.moving(angles, 1.0)
         if equations.drive is None:

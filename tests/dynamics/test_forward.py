@@ -169,7 +169,11 @@ def test_dry_brake_stops_a_rotor_where_uniform_deceleration_says():
     assert result.run.ending is Ending.AT_REST
     assert result.finished
     assert result.run.stopped == pytest.approx(5.0 / 3.0, abs=1e-9)
-    assert result.run.works["brake"][-1] == pytest.approx(-3.0, abs=0.01)
+    assert result.run.works["brake"][-1] == pytest.approx(-3.0, abs=1e-9)
+    figures = result.figures  # those of the rest, not of the last even row
+    ends = [figures[f"end.{name}"] for name in ("time_s", "crank_angle_rad", "speed_rad_s")]
+    assert ends == pytest.approx([5.0 / 3.0, 5.0, 0.0], abs=1e-9)
+    assert len(result["time_s"]) == 168  # 0 ... 1.66 s, and the rest
     assert "at rest" in str(result.to_dict()["status"])
 
 
