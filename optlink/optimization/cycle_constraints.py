@@ -76,7 +76,7 @@ def scaled_variable(problem: CycleProblem, name: str, size: float) -> Variable:
     """
     key = quantity_key(problem, name)
     if problem.quantities[name].kind not in ("length", "coordinate"):
-        return Variable(name, 1.0, DEGREES, key=key)
+        return Variable(name, 1.0, DEGREES, key=key, periodic=problem.quantities[name].kind == "angle")
     return Variable(name, size, Scale("mm", 1e3 * size), key=key)
 
 

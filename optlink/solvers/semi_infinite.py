@@ -12,7 +12,7 @@ import numpy as np
 
 from optlink.errors import Status
 from optlink.linkage.extrema import maxima
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.constraints import PLAIN, ConstraintRow
 from optlink.optimization.cycle_constraints import WatchedTerm
 from optlink.optimization.cycle_nlp import CycleNLP
@@ -155,9 +155,10 @@ def _merit(nlp: CycleNLP, x: Array, cycle_peaks: Peaks) -> float:
 
 
 def _distance(nlp: CycleNLP, x: Array, other: Array) -> float:
-    """Return the largest difference of the design variables, scaled."""
-    count = len(nlp.free)
-    return float(np.max(np.abs(x[:count] - other[:count])))
+    """Return the largest difference of the design variables, scaled; of angles that may be any without whole revolutions."""
+    away = (x - other)[: len(nlp.free)]
+    away -= TURN * np.where(nlp.around[: len(away)], np.round(away / TURN), 0.0)
+    return float(np.max(np.abs(away)))
 
 
 def _examined(nlp: CycleNLP, attempt: Attempt) -> Solution:
@@ -193,7 +194,9 @@ def _followed(nlp: CycleNLP, x: Array, cycle_peaks: Peaks, radius: float, name: 
     name = name or (CLOSE if nlp.mapped is not None else "slsqp")
     n, count = len(nlp.variables), len(nlp.free)
     moving, start = _moving(nlp, x, cycle_peaks)
-    low, high = np.maximum(nlp.x_low, x - radius), np.minimum(nlp.x_high, x + radius)
+    around = nlp.around  # a step may pass where such an angle jumps by a revolution
+    low, high = np.where(around, -math.inf, nlp.x_low), np.where(around, math.inf, nlp.x_high)
+    low, high = np.maximum(low, x - radius), np.minimum(high, x + radius)
     for i in range(len(start)):
         if i < count or i >= n:
             moving.limit(i, low[i] if i < n else max(start[i] - REACH, 0.0), high[i] if i < n else min(start[i] + REACH, 1.0))
@@ -205,7 +208,9 @@ def _followed(nlp: CycleNLP, x: Array, cycle_peaks: Peaks, radius: float, name: 
         shares = cycle_peaks.shares.copy()
         shares[[slot for slot, _ in cycle_peaks.inner]] = attempt.x[n:]
         nlp.set_exchange_points(shares)
-        near = _examined(nlp, Attempt(nlp.lifted(attempt.x[:n]), attempt.iterations, attempt.message))
+        there = attempt.x[:n].copy()
+        there[around] -= TURN * ((there > nlp.x_high) * 1.0 - (there < nlp.x_low))[around]
+        near = _examined(nlp, Attempt(nlp.lifted(there), attempt.iterations, attempt.message))
         if near.status is Status.OPTIMAL or attempt is end:
             return near
     return None

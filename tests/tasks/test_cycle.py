@@ -255,3 +255,52 @@ def test_the_relaxation_of_an_infeasible_machine_is_that_of_its_whole_cycle():
     for share, feasible in ((1.003, True), (0.997, False)):
         again = solve(file.override({"limits.torque.max": f"{share * named['limits.torque'].relaxed} N*m"}), starts=2)
         assert again.valid is feasible
+
+
+GUIDED = """
+gravity = "9.81 m/s^2"
+
+[mechanism]
+type = "dyads"
+ground = { A = ["0 mm", "0 mm"] }
+guides = { G = { slider = "slider", through = "A", direction = { bounds = ["-180 deg", "180 deg"] }, offset = "10 mm" } }
+assembly = { C = "forward" }
+
+[mechanism.links]
+crank = { joints = ["A", "B"], length = "50 mm" }
+rod = { joints = ["B", "C"], length = "200 mm" }
+slider = { joints = ["C"] }
+
+[bodies]
+slider = { mass = "5 kg" }
+rod = { mass = "1 kg", inertia = "0.003 kg*m^2" }
+
+[loads]
+push = { on = "slider", force = "80 N", direction = "100 deg" }
+
+[drive]
+body = "crank"
+speed = "60 rpm"
+
+[objective]
+quantity = "torque"
+measure = "peak"
+"""
+"""A slider-crank whose guide may have any direction."""
+
+
+@pytest.mark.parametrize(
+    ("begin", "push"), [("147.9 deg", "105.7 deg"), pytest.param("-179 deg", "172.7 deg", marks=pytest.mark.slow)]
+)
+def test_a_search_passes_the_jump_of_the_direction_of_a_guide(begin: str, push: str, tmp_path) -> None:
+    """Searches and the exchange of peaks stopped at -180 or 180 deg, with up to ten times the torque called optimal."""
+    (tmp_path / "guided.toml").write_text(GUIDED)
+    changes = {"mechanism.guides.G.direction.start": begin, "loads.push.direction": push}
+    problem = optlink.load(tmp_path / "guided.toml", changes)
+    result = solve(problem, starts=1)
+    assert result.valid
+    at = result.design["G.direction"]
+    assert abs(np.degrees(at)) < 179.0
+    for step in (-0.01, 0.01):
+        torque_beside = optlink.analyze(problem, design={"G.direction": at + step}).extremes["input.torque_Nm"]
+        assert max(torque_beside.largest, -torque_beside.least) > result.objective
