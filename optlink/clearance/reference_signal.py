@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,12 @@ from optlink.linkage.vector2d import Value
 class ReferenceSignal:
     """Reference angle = start + speed t + a Fourier series of the revolution; its derivative is the reference speed.
 
-    `harmonics` (h,): complex [rad]; the correction is the real part of the sum of harmonics[k] exp(i k |speed| t).
+    `harmonics` (h,): complex [rad], by default none. The correction is the real part of their sum with exp(i k |speed| t).
     """
 
     start: float
     speed: float
-    harmonics: NDArray[np.complex128]
+    harmonics: NDArray[np.complex128] = field(default_factory=lambda: np.zeros(0, dtype=complex))
 
     def at(self, time: Value) -> tuple[Value, Value]:
         """Return the reference angle [rad] and speed [rad/s] at a time [s] (float, array or symbol)."""
@@ -34,15 +34,3 @@ class ReferenceSignal:
     def correction(self, time: Value) -> Value:
         """Return the reference angle minus that of constant speed [rad]."""
         return self.at(time)[0] - (self.start + self.speed * time)
-
-
-def constant_speed(start: float, speed: float) -> ReferenceSignal:
-    """Return the reference of constant speed, without correction.
-
-    Parameters
-    ----------
-    start : float [rad]
-        Crank angle at time zero.
-    speed : float [rad/s]
-    """
-    return ReferenceSignal(start, speed, np.zeros(0, dtype=complex))

@@ -188,22 +188,6 @@ class SpanningTree:
         begin, way = self.line(guide, guide.on, places[guide.on])
         return dot(minus(self.line(guide, guide.slider, places[guide.slider])[0], begin), way)
 
-    def eccentricity(self, point: str, places: Mapping[str, BodyPlace]) -> Vector:
-        """Return the vector from the centre of the bearing to that of the journal at a gap [m].
-
-        Parameters
-        ----------
-        point : str
-            The pin with clearance.
-        places : mapping of body to Place
-        """
-        journal = self.gaps[point]
-        return minus(self.at(point, journal, places[journal]), self.at(point, self.bearing(point), places[self.bearing(point)]))
-
-    def bearing(self, point: str) -> str:
-        """Return the body with the bearing at a gap; other bodies may share it, by ideal pins."""
-        return next(body for body in self.mechanism.pins[point] if body != self.gaps[point])
-
     def open(self, places: Mapping[str, BodyPlace]) -> list[Value]:
         """Return the residuals of the closing joints [m, or the sine of an angle], two for each joint."""
         gaps: list[Value] = []

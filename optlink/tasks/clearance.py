@@ -20,7 +20,7 @@ from optlink.clearance.integration import Stalled
 from optlink.clearance.inverse_model import Inverse, leverage
 from optlink.clearance.joint import Gap
 from optlink.clearance.output import Output, default_output, outputs
-from optlink.clearance.reference_signal import constant_speed
+from optlink.clearance.reference_signal import ReferenceSignal
 from optlink.clearance.statistics import WATCHED, PredictabilityCheck, Statistics, table
 from optlink.dynamics.ending import Ending
 from optlink.dynamics.machine import Machine
@@ -101,7 +101,7 @@ class _Setting:
         if self.servo is None:
             return Drive(torque=self.file.model.drive.torque)
         section = self.file.model.control
-        command = constant_speed(self.start, self.nominal)
+        command = ReferenceSignal(self.start, self.nominal)
         if self.control.inverted and section is not None:
             modelled = [gap for gap in self.gaps if section.known is None or gap.point in section.known]
             bandwidth = 0.5 * self.servo.bandwidth if section.bandwidth is None else section.bandwidth.value

@@ -21,7 +21,7 @@ from optlink.clearance.controller import PID, Controller, Gains
 from optlink.clearance.equations import Drive, Servo
 from optlink.clearance.inverse_model import POINTS, Inverse, leverage, predicted
 from optlink.clearance.output import default_output
-from optlink.clearance.reference_signal import ReferenceSignal, constant_speed
+from optlink.clearance.reference_signal import ReferenceSignal
 from optlink.dynamics.inverse import reactions
 from optlink.errors import InputError
 from optlink.report import files
@@ -77,7 +77,7 @@ def test_sample_time_is_near_the_requested_one(problem, parts, rpm, points):
     machine, gaps, output = parts
     speed = rpm * math.pi / 30.0
     options = {"start": 0.0, "speed": speed, "nominal": speed, "points": points, "tolerance": 1e-6, "sample_time": 2.5e-4}
-    plant = ClosedLoop(machine, gaps, Drive(Servo(2e3, 0.7), constant_speed(0.0, speed)), output, **options)
+    plant = ClosedLoop(machine, gaps, Drive(Servo(2e3, 0.7), ReferenceSignal(0.0, speed)), output, **options)
     assert plant.samples * plant.sample_time == pytest.approx(60.0 / rpm)
     assert plant.sample_time == pytest.approx(2.5e-4, rel=0.03)
     assert plant.rows % points == plant.rows % plant.samples == 0
@@ -101,7 +101,7 @@ def test_speed_command_is_the_derivative_of_the_angle_command():
     angle = [command.at(time + shift)[0] for shift in (-step, step)]
     np.testing.assert_allclose((angle[1] - angle[0]) / (2.0 * step), command.at(time)[1], rtol=1e-8)
     np.testing.assert_allclose(command.at(time)[0], 0.3 - 40.0 * time + command.correction(time), rtol=1e-13)
-    assert constant_speed(1.0, 2.0).at(3.0) == (7.0, 2.0)
+    assert ReferenceSignal(1.0, 2.0).at(3.0) == (7.0, 2.0)
 
 
 @pytest.mark.slow
