@@ -32,24 +32,6 @@ class Flywheel:
     inertia: float
 
 
-@dataclass(frozen=True)
-class SpeedCurve:
-    """Crank speed [rad/s] over the crank angle [rad] in the steady state."""
-
-    crank_angle: Array
-    speed: Array
-
-    @property
-    def mean(self) -> float:
-        """Mean over the crank angle [rad/s]."""
-        return float(np.mean(self.speed))
-
-    @property
-    def fluctuation(self) -> float:
-        """(largest - least) / mean."""
-        return float(np.ptp(self.speed)) / self.mean
-
-
 class Fluctuation:
     """Energy of a machine over a revolution, which determines its speed.
 
@@ -74,8 +56,8 @@ class Fluctuation:
         load_work = work(self.angles) - kinetic  # work of loads and gravity: the drive's work minus the kinetic energy
         self.gain = self.mean_torque * (self.angles - start) - load_work
 
-    def curve(self, flywheel: float = 0.0) -> SpeedCurve:
-        """Return the speed over the revolution with a flywheel [kg m^2] at the crank; its mean is the machine's mean speed.
+    def speeds(self, flywheel: float = 0.0) -> Array:
+        """Return the speed [rad/s] at `angles` with a flywheel [kg m^2] at the crank; its mean is the machine's mean speed.
 
         NaN where the machine has too little energy at that speed: it would come to rest.
         """
@@ -87,9 +69,14 @@ class Fluctuation:
 
         target = abs(self.mean_speed)
         if np.mean(speed(0.0)) > target:
-            return SpeedCurve(self.angles, np.full(self.angles.shape, np.nan))
+            return np.full(self.angles.shape, np.nan)
         energy = _least(lambda energy: bool(np.mean(speed(energy)) >= target), 2.0 * float(np.max(total)) * target**2)
-        return SpeedCurve(self.angles, np.copysign(speed(energy), self.mean_speed))
+        return np.copysign(speed(energy), self.mean_speed)
+
+    def fluctuation(self, flywheel: float = 0.0) -> float:
+        """Return (largest - least) / mean speed with a flywheel [kg m^2] at the crank."""
+        speeds = self.speeds(flywheel)
+        return float(np.ptp(speeds) / abs(np.mean(speeds)))
 
 
 def flywheel(machine: Machine, speed: float, allowed: float, start: float = 0.0) -> Flywheel | None:
@@ -111,11 +98,11 @@ def flywheel(machine: Machine, speed: float, allowed: float, start: float = 0.0)
     if not np.all(np.isfinite(balance.gain)):
         return None
 
-    without_flywheel = abs(balance.curve().fluctuation) if np.min(balance.inertia) > 0.0 else np.nan
+    without_flywheel = balance.fluctuation() if np.min(balance.inertia) > 0.0 else np.nan
     if without_flywheel <= allowed:
         return Flywheel(speed, balance.mean_torque, without_flywheel, allowed, 0.0)
     likely = max(float(np.ptp(balance.gain)) / (allowed * speed**2), 1e-12)
-    inertia = _least(lambda inertia: abs(balance.curve(inertia).fluctuation) <= allowed, likely)
+    inertia = _least(lambda inertia: balance.fluctuation(inertia) <= allowed, likely)
     return Flywheel(speed, balance.mean_torque, without_flywheel, allowed, inertia)
 
 

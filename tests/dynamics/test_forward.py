@@ -387,7 +387,7 @@ def test_flywheel_keeps_the_fluctuation_in_the_simulation():
     assert wheel.inertia > 0.0
     assert not wheel.fluctuation <= 0.05  # it would come to rest
     assert wheel.mean_torque == pytest.approx(747.808316959 / TURN, rel=1e-9)
-    start = Fluctuation(machine, 10.0, math.radians(62.0)).curve(wheel.inertia).speed[0]
+    start = Fluctuation(machine, 10.0, math.radians(62.0)).speeds(wheel.inertia)[0]
     driven = problem.override({"drive.torque": f"{wheel.mean_torque!r} N*m", "drive.initial_speed": f"{float(start)!r} rad/s"})
     found = optlink.simulate(driven, duration=0.7, rows=4000, flywheel=wheel.inertia)
     assert found.figures["last_turn.fluctuation"] == pytest.approx(0.05, rel=2e-3)  # the mean is over time there
@@ -432,8 +432,8 @@ def test_mean_speed_says_whether_it_is_over_angle_or_time(tmp_path):
     result = optlink.analyze(optlink.load("six-bar").override({"drive.fluctuation": 0.3}), points=12)
     assert result.to_dict()["flywheel"]["mean_speed_over"] == "crank angle"
     assert result.flywheel is not None
-    curve = Fluctuation(result.machine, 10.0, result.low).curve(result.flywheel.inertia)
-    turned = np.mean(curve.speed), 1.0 / np.mean(1.0 / curve.speed)  # at evenly spaced angles: over the angle, over time
+    speed = Fluctuation(result.machine, 10.0, result.low).speeds(result.flywheel.inertia)
+    turned = np.mean(speed), 1.0 / np.mean(1.0 / speed)  # at evenly spaced angles: over the angle, over time
     assert turned[0] == pytest.approx(result.flywheel.mean_speed, rel=1e-6)
     assert turned[1] < 0.995 * turned[0]
     rows = tmp_path / "rows.csv"
