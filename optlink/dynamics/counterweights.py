@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from optlink.dynamics.inertia import UNITS, Inertia, Parameters, Wrench, wrench
-from optlink.dynamics.inverse import Reactions, reactions, regressor, reported_on, shaking
+from optlink.dynamics.inverse import Reactions, reactions, regressor, shaking
 from optlink.dynamics.loads import Spring
 from optlink.dynamics.machine import Machine, Moving
 from optlink.linkage.vector2d import Array, Value, Vector, minus
@@ -105,7 +105,7 @@ def quantity_over_cycle(
     elif quantity.joint in joint_reactions.guides:
         parts = (joint_reactions.guides[quantity.joint].normal,)
     else:
-        parts = joint_reactions.pins[quantity.joint][quantity.on or reported_on(machine)[quantity.joint]]
+        parts = joint_reactions.pin(machine, quantity.joint, quantity.on)
     return np.stack([np.broadcast_to(np.asarray(part, dtype=float), shape) for part in parts], axis=-1)
 
 

@@ -68,16 +68,18 @@ class Reactions:
         with np.errstate(all="ignore"):
             return {joint: cross(a, b) / np.sqrt(dot(a, a) * dot(b, b)) for joint, (a, b) in self.rows.items()}
 
-    def pin(self, machine: Machine, point: str) -> Vector:
-        """Return the reported reaction at a pin [N]: the force on the body of `reported_on`.
+    def pin(self, machine: Machine, point: str, on: str | None = None) -> Vector:
+        """Return the reaction at a pin [N].
 
         Parameters
         ----------
         machine : Machine
         point : str
             Name of the pin.
+        on : str, optional
+            Body on which the force acts. Default: that of `reported_on`.
         """
-        return self.pins[point][reported_on(machine)[point]]
+        return self.pins[point][on or reported_on(machine)[point]]
 
 
 def reported_on(machine: Machine) -> dict[str, str]:

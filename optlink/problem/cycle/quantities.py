@@ -14,7 +14,7 @@ import numpy as np
 
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.dyad_balances import RemainingWrenches
-from optlink.dynamics.inverse import Reactions, reported_on, shaking
+from optlink.dynamics.inverse import Reactions, shaking
 from optlink.dynamics.machine import Moving, slider_names
 from optlink.io import Registry
 from optlink.linkage.dyad_types import RPR, RRP, RRR, Transmitting, transmitting
@@ -145,8 +145,7 @@ def _size(x: str, y: str) -> Course:
 
 
 def _pin(record: MotionColumns, term: ElementTerm) -> Array:
-    machine, name = record.moving.machine, str(term.of)
-    force = record.reactions.pins[name][term.on or reported_on(machine)[name]]
+    force = record.reactions.pin(record.moving.machine, str(term.of), term.on)
     return np.asarray(np.hypot(*(record.full(part) for part in force)))
 
 
@@ -202,7 +201,7 @@ QUANTITIES |= {
         _SIZE,
         "pin joint",
         PIN,
-        lambda moving, reactions, term: reactions.pins[str(term.of)][term.on or reported_on(moving.machine)[str(term.of)]],
+        lambda moving, reactions, term: reactions.pin(moving.machine, str(term.of), term.on),
         _pin,
         forces=True,
         vector=True,
