@@ -17,6 +17,7 @@ from optlink.linkage.stroke import Travel, travels
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.path import MARK, STEP, ZERO, PathProblem
+from optlink.units import DISPLAYED
 from optlink.validation.check import (
     POSITIONS,
     Check,
@@ -248,12 +249,10 @@ def _circuit(tested: _Tested) -> Iterator[Check]:
     for name in dict.fromkeys((*(group.joint for group in tested.mechanism.groups), tested.problem.requirement.point)):
         if name not in motion.pose.points:
             continue
-        places = motion.position(name)
-        path = np.concatenate([places, places[:1]]) if tested.turns else places
-        speed, bend = (np.linalg.norm(f(name), axis=-1) for f in (motion.velocity, motion.acceleration))
-        ends = np.concatenate([speed, speed[:1]]) if tested.turns else speed
-        bends = np.concatenate([bend, bend[:1]]) if tested.turns else bend
-        fastest = np.maximum(ends[1:], ends[:-1]) * step + np.maximum(bends[1:], bends[:-1]) * step * step
+        courses = motion.position(name), motion.velocity(name), motion.acceleration(name)
+        path, velocity, acceleration = (np.concatenate([x, x[:1]]) if tested.turns else x for x in courses)
+        speed, bend = (np.linalg.norm(x, axis=-1) for x in (velocity, acceleration))
+        fastest = np.maximum(speed[1:], speed[:-1]) * step + np.maximum(bend[1:], bend[:-1]) * step * step
         jump = np.linalg.norm(np.diff(path, axis=0), axis=-1) / (1.5 * fastest + 1e-9 * tested.problem.size)
         largest = float(np.max(jump)) if np.all(np.isfinite(jump)) else math.nan
         worst = max(worst, largest, key=nan_last)
@@ -298,7 +297,7 @@ def _points(tested: _Tested) -> Iterator[Check]:
     """Check that every point has a position, and is passed within its tolerance."""
     distances, tolerances = tested.measured.distances, tested.problem.data.tolerances
     whole = bool(np.all(np.isfinite(distances)))
-    factor, unit = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "deg"), "": (1.0, "")}[tested.problem.unit]
+    factor, unit = DISPLAYED[tested.problem.unit]
     largest = float(np.max(distances)) * factor
     yield Check("the linkage has a position for every target", whole, largest, "finite", unit)
     if tested.problem.requirement.kind == "function" and not tested.problem.slides:
