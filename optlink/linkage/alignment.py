@@ -71,24 +71,23 @@ def squared_sines(pose: Pose) -> Array:
 
 def alignment_margin(pose: Pose) -> Array:
     """Return the least alignment of all groups above its limit [-], array (n,); negative, never NaN, if one fails to close."""
-    least = np.full(np.shape(as_jet(pose.directions[pose.mechanism.crank.body][0]).value), np.inf)
-    for group, sines in zip(pose.mechanism.groups, squared_sines(pose), strict=True):
-        above = sines - group.least if group.least > 0.0 else sines + TOUCHING  # parallel lines meet nowhere
-        least = lesser(least, above)
-    return least
+    groups = zip(pose.mechanism.groups, squared_sines(pose), strict=True)  # parallel lines meet nowhere
+    return least_margin(pose, (sines - group.least if group.least > 0.0 else sines + TOUCHING for group, sines in groups))
 
 
-def lesser(least: Array, margin: Array) -> Array:
-    """Return the lesser of two margins [-]; the first group that fails to close counts -1, its followers nothing.
+def least_margin(pose: Pose, margins: Iterable[Array]) -> Array:
+    """Return the least margin of all groups [-], array (n,); the first that fails to close counts -1, its followers nothing.
 
     Parameters
     ----------
-    least : array (n,)
-        Least margin of the groups before.
-    margin : array (n,)
-        That of a group; NaN where it or one before it cannot be assembled.
+    pose : Pose
+    margins : iterable of array (n,)
+        That of each group; NaN where it or one before it cannot be assembled.
     """
-    return np.asarray(np.minimum(least, np.where(np.isnan(margin), np.where(least < 0.0, np.inf, -1.0), margin)))
+    least = np.full(np.shape(as_jet(pose.directions[pose.mechanism.crank.body][0]).value), np.inf)
+    for margin in margins:
+        least = np.minimum(least, np.where(np.isnan(margin), np.where(least < 0.0, np.inf, -1.0), margin))
+    return least
 
 
 def least_alignments(mechanism: Mechanism, sizes: Mapping[str, Value]) -> list[AlignedPosition]:

@@ -9,12 +9,12 @@ from typing import Literal
 
 import numpy as np
 
-from optlink.linkage.alignment import AlignedPosition, alignment_margin, least_alignments, lesser
+from optlink.linkage.alignment import AlignedPosition, alignment_margin, least_alignments, least_margin
 from optlink.linkage.dyad_types import PRP
 from optlink.linkage.extrema import distinct
 from optlink.linkage.jet import Jet
-from optlink.linkage.mechanism import Dyad, Mechanism, Pose
-from optlink.linkage.motion import sweep
+from optlink.linkage.mechanism import Dyad, Mechanism
+from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.linkage.zeros import zeros
 
@@ -124,14 +124,6 @@ class Ranges:
         return None
 
 
-def _closing(pose: Pose) -> Array:
-    least = np.full(np.shape(pose.directions[pose.mechanism.crank.body][0]), np.inf)
-    for group in pose.mechanism.groups:
-        margin = pose.margins[group.joint] - group.least
-        least = lesser(least, margin)
-    return least
-
-
 def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
     """Compute the ranges in which the crank can turn, to machine precision.
 
@@ -150,7 +142,8 @@ def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
         with np.errstate(all="ignore"):
             pose = mechanism.at(sizes, angles)
         sines = [np.broadcast_to(np.asarray(group.sine(pose), dtype=float), angles.shape) for group in crossing]
-        return np.array([_closing(pose), *sines])
+        margins = (pose.margins[group.joint] - group.least for group in mechanism.groups)
+        return np.array([least_margin(pose, margins), *sines])
 
     def closed(angles: Array) -> bool:
         with np.errstate(all="ignore"):
@@ -328,8 +321,7 @@ def travels(
     -------
     swings, strokes : mappings of body and of guide to Travel; bodies that turn fully or do not turn are omitted
     """
-    outputs = [link.body for link in mechanism.links] + [guide.name for guide in mechanism.guides]
-    is_body = [True] * len(mechanism.links) + [False] * len(mechanism.guides)
+    outputs = [*((link.body, True) for link in mechanism.links), *((guide.name, False) for guide in mechanism.guides)]
     count = GRID * (max(1, round(mechanism.cycle / TURN)) if full else 1)
     grid = low + (high - low) * np.linspace(0.0, 1.0, count + 1)
     if full:
@@ -338,43 +330,42 @@ def travels(
     def place(angle: float) -> float:
         return within_cycle(angle, mechanism.cycle) if full else float(angle)
 
+    def course(motion: Motion, name: str, turning: bool) -> Jet:
+        return motion.body_angle(name) if turning else motion.slide(name)
+
     motion = sweep(mechanism, sizes, grid)
-    jets = [motion.body_angle(name) if body else motion.slide(name) for name, body in zip(outputs, is_body, strict=True)]
-    moving = [
-        k for k, jet in enumerate(jets) if _moves(jet, 1.0 if is_body[k] else float(np.nanmax(np.abs(jet.value), initial=1e-12)))
-    ]
+    jets = {output: course(motion, *output) for output in outputs}
+    moving = [output for output, jet in jets.items() if _moves(jet, 1.0 if output[1] else _size(jet))]
 
     def rates(angles: Array) -> Array:
         at = sweep(mechanism, sizes, angles)
-        velocities = [at.body_rate(outputs[k]) if is_body[k] else at.slide(outputs[k]).rate for k in moving]
+        velocities = [at.body_rate(name) if turning else at.slide(name).rate for name, turning in moving]
         return np.array(velocities).reshape(-1, len(angles))
 
-    reversals: dict[int, Array] = {}
-    for k, centres in zip(moving, zeros(rates, grid, still=True), strict=True):
-        turns = is_body[k] and full and (len(centres) == 0 or abs(jets[k].value[-1] - jets[k].value[0]) > math.pi)
+    reversals: dict[tuple[str, bool], Array] = {}
+    for output, centres in zip(moving, zeros(rates, grid, still=True), strict=True):
+        values = jets[output].value
+        turns = output[1] and full and (len(centres) == 0 or abs(values[-1] - values[0]) > math.pi)
         if not turns and (len(centres) or not full):
-            reversals[k] = centres
-    ends_of = {k: np.sort(np.concatenate([centres, [] if full else [low, high]])) for k, centres in reversals.items()}
-    there = sweep(mechanism, sizes, np.concatenate([grid[:1], *ends_of.values()]))
+            reversals[output] = centres
+    ends_of = [np.sort(np.concatenate([centres, [] if full else [low, high]])) for centres in reversals.values()]
+    there = sweep(mechanism, sizes, np.concatenate([grid[:1], *ends_of]))
     swings: dict[str, Travel] = {}
     strokes: dict[str, Travel] = {}
     done = 1
-    for k, ends in ends_of.items():
-        part, done = slice(done, done + len(ends)), done + len(ends)
-        centres = reversals[k]
-        if is_body[k]:
-            values = np.interp(ends, grid, np.asarray(jets[k].value))
-            exact = np.asarray(there.body_angle(outputs[k]).value)[part]
-            values = exact + TURN * np.round((values - exact) / TURN)
+    for ((name, turning), centres), ends in zip(reversals.items(), ends_of, strict=True):
+        values = np.asarray(course(there, name, turning).value)[done : done + len(ends)]
+        done += len(ends)
+        if turning:
+            near = np.interp(ends, grid, np.asarray(jets[name, turning].value))
+            values = values + TURN * np.round((near - values) / TURN)
             values = values - TURN * np.round(0.5 * (np.min(values) + np.max(values)) / TURN)
-        else:
-            values = np.asarray(there.slide(outputs[k]).value)[part]
         ratio = math.nan
         if full and len(centres) == 2 and mechanism.cycle == TURN:
             one = float(centres[1] - centres[0])
             ratio = max(one, TURN - one) / min(one, TURN - one)
         first, last = int(np.argmin(values)), int(np.argmax(values))
-        travel = Travel(
+        (swings if turning else strokes)[name] = Travel(
             tuple(place(c) for c in centres),
             float(values[first]),
             float(values[last]),
@@ -382,8 +373,11 @@ def travels(
             place(ends[last]),
             ratio,
         )
-        (swings if is_body[k] else strokes)[outputs[k]] = travel
     return swings, strokes
+
+
+def _size(jet: Jet) -> float:
+    return float(np.nanmax(np.abs(jet.value), initial=1e-12))
 
 
 def _moves(jet: Jet, scale: float) -> bool:
