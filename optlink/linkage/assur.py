@@ -11,12 +11,12 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property, partial
 from itertools import combinations
-from typing import Any
+from typing import get_args
 
 from optlink.errors import InvalidValue
 from optlink.io import Registry
-from optlink.linkage.dyad_types import FORWARD, PRP, RPP, RPR, RRP, RRR
-from optlink.linkage.mechanism import FRAME, BodyPoint, Dyad, Ground, Guide, Link, Mechanism
+from optlink.linkage.dyad_types import FORWARD, RPR, LineDyad, ModalDyad, Transmitting
+from optlink.linkage.mechanism import FRAME, BodyPoint, Dyad, Ground, Guide, Joint, Link, Mechanism
 
 _SIDE = re.compile(r"\s*(left|right)\s+of\s+(\S+)\s*(?:->|-|–|→|to)\s*(\S+)\s*", re.ASCII)
 CONTINUE = "continue"
@@ -241,51 +241,36 @@ class Assembly:
         """Whether a group is continued through its singular positions."""
         return _split(self.modes[joint])[1]
 
-    def side(self, joint: str, p: str, q: str) -> int:
-        """Return the assembly mode of an RRR group.
-
-        Parameters
-        ----------
-        joint : str
-            Inner joint of the group.
-        p, q : str
-            Outer joints.
-
-        Raises
-        ------
-        StructureError
-            If the file states no mode for the group, or another than these two.
-        """
-        options = f'{joint} = "left of {p}-{q}" or "right of {p}-{q}"'
-        words = self.mode(joint, options)
-        if words == EITHER:
-            return 1
-        match = _SIDE.fullmatch(words)
-        if match is None or {match[2], match[3]} != {p, q} or p == q:
-            raise StructureError("not an assembly mode of this group", f"Write {options}", f"assembly.{joint}", words)
-        return (1 if match[1] == "left" else -1) * (1 if match[2] == p else -1)
-
-    def way(self, joint: str, guide: Guide) -> int:
-        """Return the assembly mode of a group with one slider.
+    def side(self, joint: str, *joints: Joint) -> int:
+        """Return the assembly mode of a group without a slider, or with one.
 
         Parameters
         ----------
         joint : str
             Name of the group.
-        guide : Guide
+        *joints : Joint
+            Outer joint of its first body, inner joint, outer joint of its second body.
 
         Raises
         ------
         StructureError
             If the file states no mode for the group, or another than these two.
         """
-        options = f'{joint} = "forward" or "backward", along the guide {guide.name}'
+        guide = next((each for each in joints if isinstance(each, Guide)), None)
+        p, _, q = joints
+        if guide is None:
+            options = f'{joint} = "left of {p}-{q}" or "right of {p}-{q}"'
+        else:
+            options = f'{joint} = "forward" or "backward", along the guide {guide.name}'
         words = self.mode(joint, options).strip()
         if words == EITHER:
             return 1
-        if words not in FORWARD:
+        if guide is not None and words in FORWARD:
+            return FORWARD[words]
+        match = None if guide is not None else _SIDE.fullmatch(words)
+        if match is None or {match[2], match[3]} != {p, q} or p == q:
             raise StructureError("not an assembly mode of this group", f"Write {options}", f"assembly.{joint}", words)
-        return FORWARD[words]
+        return (1 if match[1] == "left" else -1) * (1 if match[2] == p else -1)
 
     def mode(self, joint: str, options: str) -> str:
         """Return the assembly mode that the file states for a group.
@@ -377,36 +362,23 @@ class Assembly:
 
 # --- the types of dyads --------------------------------------------------------------------------------------------------
 
-Former = Callable[[Assembly, Link, Link, Any, Any, Any], Dyad]
+Former = Callable[[Assembly, Link, Link, Joint, Joint, Joint], Dyad]
 """(assembly, first body, second body, outer joint of the first, inner joint, outer joint of the second) -> group"""
 
 DYADS: Registry[Former] = Registry()
 """Types of dyads by their outer joint, inner joint and other outer joint: R, given by the name of a pin, or P, a Guide."""
 
 
-@partial(DYADS.add, "RRR")
-def _rrr(assembly: Assembly, first: Link, second: Link, p: str, joint: str, q: str) -> Dyad:
-    return RRR(first, second, (p, q), joint, assembly.side(joint, p, q), follow=assembly.follows(joint))
-
-
-@partial(DYADS.add, "RRP")
-def _rrp(assembly: Assembly, first: Link, second: Link, p: str, joint: str, guide: Guide) -> Dyad:
-    return RRP(first, second, (p, guide), joint, assembly.way(joint, guide), follow=assembly.follows(joint))
-
-
-@partial(DYADS.add, "RPR")
-def _rpr(assembly: Assembly, first: Link, second: Link, p: str, guide: Guide, q: str) -> Dyad:
-    way, follow = assembly.way(guide.name, guide), assembly.follows(guide.name)
-    if guide.slider != first.body:
+def _formed(
+    kind: type[ModalDyad | LineDyad], assembly: Assembly, first: Link, second: Link, p: Joint, inner: Joint, q: Joint
+) -> Dyad:
+    if kind is RPR and isinstance(inner, Guide) and inner.slider != first.body:
         first, second, p, q = second, first, q, p
-    return RPR(first, second, (p, q), guide, way, follow=follow)
+    if issubclass(kind, LineDyad):
+        return kind(first, second, (p, q), inner)
+    joint = inner if isinstance(inner, str) else inner.name
+    return kind(first, second, (p, q), inner, assembly.side(joint, p, inner, q), follow=assembly.follows(joint))
 
 
-@partial(DYADS.add, "RPP")
-def _rpp(assembly: Assembly, first: Link, second: Link, p: str, guide: Guide, rail: Guide) -> Dyad:
-    return RPP(first, second, (p, rail), guide)
-
-
-@partial(DYADS.add, "PRP")
-def _prp(assembly: Assembly, first: Link, second: Link, guide: Guide, joint: str, other: Guide) -> Dyad:
-    return PRP(first, second, (guide, other), joint)
+for dyad in get_args(Transmitting):
+    DYADS.add(dyad.kind, partial(_formed, dyad))
