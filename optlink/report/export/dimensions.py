@@ -61,19 +61,22 @@ def dimensioned(cycle: Analysis, title: str) -> Drawing:
     drawn = scene(cycle, at=at)
     sheet = _Sheet(drawn)
     words: list[str] = []
-    words += list(dict.fromkeys(f"{one.text}" for one in _links(cycle, drawn, named=True)))
+    words += list(dict.fromkeys(f"{dimension.text}" for dimension in _links(cycle, drawn, named=True)))
     for name, low, high, centre, start in _swings(cycle, drawn):
         text = "360°" if high - low >= TURN - 1e-9 else f"{_deg(high - low)}"
         words.append(f"{name} turns fully" if text == "360°" else f"{name} swings {text}")
         sheet.angle(centre, start, low, high, text, _colour(drawn, name))
-    for one in (*_links(cycle, drawn), *_strokes(cycle, at, drawn)):
-        sheet.length(one)
+    for dimension in (*_links(cycle, drawn), *_strokes(cycle, at, drawn)):
+        sheet.length(dimension)
     for name in cycle.machine.mechanism.ground:
         x, y = drawn.points[name][0] * FLIP
         place = f"{name} ({_mm(x)}, {_mm(y)})"
         words.append(f"pivot {place}" if name in drawn.pins else place)
         sheet.label(drawn.points[name][0], place)
-    words += [f"{one.text.partition(' ')[0]} of {one.text.partition(' ')[2]}" for one in _strokes(cycle, at, drawn, named=True)]
+    words += [
+        f"{dimension.text.partition(' ')[0]} of {dimension.text.partition(' ')[2]}"
+        for dimension in _strokes(cycle, at, drawn, named=True)
+    ]
     described = f"{title}, drawn at a crank angle of {_deg(at)}. Dimensions in mm: {'; '.join(words)}."
     for name in drawn.moving:
         if np.all(np.isfinite(drawn.points[name][0])):
@@ -88,15 +91,15 @@ def dimensioned(cycle: Analysis, title: str) -> Drawing:
 def clearest(cycle: Analysis) -> float:
     """Return the crank angle [rad] at which the joints keep farthest from the lines of links to which they do not belong."""
     machine, mechanism = cycle.machine, cycle.machine.mechanism
-    known = np.radians(cycle["crank_angle_deg"])
-    angles = known[np.linspace(0, len(known) - 1, POSITIONS).round().astype(int)]
+    all_angles = np.radians(cycle["crank_angle_deg"])
+    angles = all_angles[np.linspace(0, len(all_angles) - 1, POSITIONS).round().astype(int)]
     motion = sweep(mechanism, machine.sizes, angles)
     places = {name: motion.position(name) for name in mechanism.owners}
     gaps = [np.full(len(angles), math.inf)]
     for body in (*mechanism.bodies, FRAME):
-        own = [name for name, bodies in mechanism.owners.items() if body in bodies]
-        for (p, q), name in itertools.product(itertools.pairwise(own), places):
-            if name not in own:
+        names = [name for name, bodies in mechanism.owners.items() if body in bodies]
+        for (p, q), name in itertools.product(itertools.pairwise(names), places):
+            if name not in names:
                 along = places[q] - places[p]
                 share = np.sum((places[name] - places[p]) * along, axis=1) / np.maximum(np.sum(along**2, axis=1), 1e-30)
                 foot = places[p] + share[:, None] * along
@@ -112,17 +115,17 @@ def _links(cycle: Analysis, drawn: Scene, *, named: bool = False) -> Iterator[_L
     """Yield the distances between neighbouring points of every link, of the frame between its pivots."""
     extent = max(drawn.box[2:])
     for body in (*cycle.machine.mechanism.bodies, FRAME):
-        own = [
+        names = [
             name
             for name, bodies in cycle.machine.mechanism.owners.items()
             if body in bodies and (body != FRAME or name in drawn.pins)
         ]
-        points = [drawn.points[name][0] for name in own]
-        apart = [k for k, p in enumerate(points) if all(np.linalg.norm(p - q) > COINCIDENT * extent for q in points[:k])]
-        for i, j in _neighbours(np.array([points[k] for k in apart]).reshape(-1, 2)):
-            p, q = points[apart[i]], points[apart[j]]
+        points = [drawn.points[name][0] for name in names]
+        distinct = [k for k, p in enumerate(points) if all(np.linalg.norm(p - q) > COINCIDENT * extent for q in points[:k])]
+        for i, j in _neighbours(np.array([points[k] for k in distinct]).reshape(-1, 2)):
+            p, q = points[distinct[i]], points[distinct[j]]
             length = _mm(float(np.linalg.norm(q - p)))
-            ends = own[apart[i]], own[apart[j]]
+            ends = names[distinct[i]], names[distinct[j]]
             text = f"{body} {('' if max(map(len, ends)) < 3 else '–').join(ends)} {length}" if named else length
             yield _Length((p, q), text, GROUND if body == FRAME else _colour(drawn, body))
 
@@ -144,12 +147,14 @@ def _neighbours(points: Array) -> list[tuple[int, int]]:
 def _strokes(cycle: Analysis, at: float, drawn: Scene, *, named: bool = False) -> Iterator[_Length]:
     """Yield the strokes of the sliders on the frame, along their guides."""
     machine = cycle.machine
-    here = sweep(machine.mechanism, machine.sizes, [at])
+    motion = sweep(machine.mechanism, machine.sizes, [at])
     for guide in machine.mechanism.guides:
         travel = cycle.strokes.get(slider_names(machine)[guide.name])
         if guide.on == FRAME and travel is not None:
-            point, way = (np.array([float(np.asarray(part)) for part in one]) for one in here.pose.local_line(guide, FRAME))
-            ends = (1e3 * (point + travel.low * way) * FLIP, 1e3 * (point + travel.high * way) * FLIP)
+            point, direction = (
+                np.array([float(np.asarray(part)) for part in vector]) for vector in motion.pose.local_line(guide, FRAME)
+            )
+            ends = (1e3 * (point + travel.low * direction) * FLIP, 1e3 * (point + travel.high * direction) * FLIP)
             text = f"stroke {guide.slider} {_mm(1e3 * travel.span)}" if named else f"stroke {_mm(1e3 * travel.span)}"
             yield _Length(ends, text, _colour(drawn, guide.slider))
 
@@ -158,28 +163,28 @@ def _swings(cycle: Analysis, drawn: Scene) -> Iterator[tuple[str, float, float, 
     """Yield body, ends of its range [rad], ground pivot and direction at the low end, of all bodies with a pivot on the frame."""
     mechanism, at = cycle.machine.mechanism, drawn.angles[0]
     for body in mechanism.bodies:
-        own = [name for name, bodies in mechanism.owners.items() if body in bodies]
-        pivot = next((name for name in own if name in mechanism.ground), None)
-        other = next((name for name in own if name not in mechanism.ground), None)
-        if pivot is None or other is None:
+        names = [name for name, bodies in mechanism.owners.items() if body in bodies]
+        pivot = next((name for name in names if name in mechanism.ground), None)
+        moving_end = next((name for name in names if name not in mechanism.ground), None)
+        if pivot is None or moving_end is None:
             continue
-        arm = (drawn.points[other][0] - drawn.points[pivot][0]) * FLIP
-        here = math.atan2(arm[1], arm[0])
+        arm = (drawn.points[moving_end][0] - drawn.points[pivot][0]) * FLIP
+        direction = math.atan2(arm[1], arm[0])
         angle = -math.radians(float(next(b for b in drawn.bodies if b.name == body).poses[0, 2]))
         if body == mechanism.crank.body:
-            known = np.radians(cycle["crank_angle_deg"])
-            low, high = (0.0, TURN) if cycle.full else (float(np.min(known)), float(np.max(known)))
+            angles = np.radians(cycle["crank_angle_deg"])
+            low, high = (0.0, TURN) if cycle.full else (float(np.min(angles)), float(np.max(angles)))
             angle = math.radians(float(at))
         elif body in cycle.swings:
             low, high = cycle.swings[body].low, cycle.swings[body].high
             angle = low + (angle - low) % TURN  # the angle of a body is known up to full turns
         else:
             continue
-        yield body, low, high, drawn.points[pivot][0], here - angle + low
+        yield body, low, high, drawn.points[pivot][0], direction - angle + low
 
 
 def _colour(drawn: Scene, body: str) -> str:
-    return readable(next(one.colour for one in drawn.bodies if one.name == body))
+    return readable(next(item.colour for item in drawn.bodies if item.name == body))
 
 
 def _mm(value: float) -> str:
@@ -217,13 +222,13 @@ class _Sheet:
         """Return half the width of a text."""
         return 0.5 * LETTER_WIDTH * self.font * len(text)
 
-    def length(self, one: _Length) -> None:
+    def length(self, dimension: _Length) -> None:
         """Add a distance with extension lines, arrows and its text along the line."""
-        p, q = one.ends
+        p, q = dimension.ends
         span = float(np.linalg.norm(q - p))
         if span < 1e-9:
             return
-        along, half = (q - p) / span, self._half(one.text)
+        along, half = (q - p) / span, self._half(dimension.text)
         normal = np.array([along[1], -along[0]])
         inside = span > 2.0 * half + 2.5 * self.size
         beyond = 0.5 + (half + 1.4 * self.size) / span  # share of the length at which the text stands beside the arrows
@@ -241,23 +246,28 @@ class _Sheet:
                 parts = (np.array([a, middle - half * along]), np.array([middle + half * along, b]))
                 places.append(Place(middle, along, half, (*rays, *parts), 0.3 * offset + 0.4 * abs(share - 0.5)))
             if not inside:
-                whole = (*rays, np.array([a, b]))
+                lines = (*rays, np.array([a, b]))
                 outside = 0.5 * (a + b) + 0.75 * self.font * side * normal
-                places.append(Place(outside, along, half, whole, 0.3 * offset))
+                places.append(Place(outside, along, half, lines, 0.3 * offset))
                 for share in (-beyond, beyond):
                     end = 0.5 * (a + b) + share * (b - a)
-                    places.append(Place(end, along, half, whole, 0.3 * offset + 0.3))
+                    places.append(Place(end, along, half, lines, 0.3 * offset + 0.3))
 
         def drawn(place: Place) -> None:
             a, b = place.lines[0][1], place.lines[1][1]
             over = 0.35 * self.size * (a - p) / np.linalg.norm(a - p)
             a, b = a - over, b - over
             for k, line in enumerate(place.lines):
-                self._line(line, one.colour, 0.6 if k < 2 else 0.8)
-            self._arrow(a, -along if span > 1.6 * self.size else along, one.colour)
-            self._arrow(b, along if span > 1.6 * self.size else -along, one.colour)
+                self._line(line, dimension.colour, 0.6 if k < 2 else 0.8)
+            self._arrow(a, -along if span > 1.6 * self.size else along, dimension.colour)
+            self._arrow(b, along if span > 1.6 * self.size else -along, dimension.colour)
             angle = math.degrees(math.atan2(along[1], along[0]))
-            self._text(place, one.text, one.colour, angle - 180.0 if angle > 90.0 else angle + 180.0 if angle <= -90.0 else angle)
+            self._text(
+                place,
+                dimension.text,
+                dimension.colour,
+                angle - 180.0 if angle > 90.0 else angle + 180.0 if angle <= -90.0 else angle,
+            )
 
         self.items.append((places, drawn))
 
@@ -265,14 +275,14 @@ class _Sheet:
         """Add the range of an angle as an arc with arrows, from the direction `start` [rad] on."""
         half, full = self._half(text), high - low >= TURN - 1e-9
         turn = min(high - low, math.radians(300.0))
-        ways = start + np.linspace(0.0, turn, max(8, math.ceil(math.degrees(turn) / 4)))
-        rays = np.stack([np.cos(ways), -np.sin(ways)], axis=1)
-        beside = (half + 0.8 * self.font) / (3.2 * self.size * max(high - low, 1e-9))  # beyond the ends of a narrow range
-        shares = np.linspace(0.1, 0.9, 9).tolist() + ([] if beside > 4.0 or high - low > 2.0 else [-beside, 1.0 + beside])
+        directions = start + np.linspace(0.0, turn, max(8, math.ceil(math.degrees(turn) / 4)))
+        rays = np.stack([np.cos(directions), -np.sin(directions)], axis=1)
+        outside = (half + 0.8 * self.font) / (3.2 * self.size * max(high - low, 1e-9))  # beyond the ends of a narrow range
+        shares = np.linspace(0.1, 0.9, 9).tolist() + ([] if outside > 4.0 or high - low > 2.0 else [-outside, 1.0 + outside])
         places = []
         for radius, share in itertools.product((2.2, 3.2, 4.4, 5.6), shares):
-            way = start + share * (high - low)
-            ray = np.array([math.cos(way), -math.sin(way)])
+            direction = start + share * (high - low)
+            ray = np.array([math.cos(direction), -math.sin(direction)])
             inside = min(half / max(abs(ray[0]), 1e-9), 0.4 * self.font / max(abs(ray[1]), 1e-9))  # of the text, along the ray
             middle = centre + (radius * self.size + inside + 0.4 * self.font) * ray
             arc = centre + radius * self.size * rays
@@ -316,10 +326,10 @@ class _Sheet:
         path = " L".join(f"{x:.6g} {y:.6g}" for x, y in points)
         self.lines.append(f'<path d="M{path}" fill="none" stroke="{colour}" stroke-width="{width * self.size / 8.0:.4g}"/>')
 
-    def _arrow(self, tip: Array, way: Array, colour: str) -> None:
-        way = way / max(float(np.linalg.norm(way)), 1e-30)
-        left = np.array([-way[1], way[0]])
-        back = tip - 0.75 * self.size * way
+    def _arrow(self, tip: Array, direction: Array, colour: str) -> None:
+        direction = direction / max(float(np.linalg.norm(direction)), 1e-30)
+        left = np.array([-direction[1], direction[0]])
+        back = tip - 0.75 * self.size * direction
         corners = (tip, back + 0.16 * self.size * left, back - 0.16 * self.size * left)
         path = " L".join(f"{x:.6g} {y:.6g}" for x, y in corners)
         self.lines.append(f'<path d="M{path}Z" fill="{colour}"/>')
@@ -344,8 +354,8 @@ class _Sheet:
 
 def _pieces(line: Array) -> Iterator[Array]:
     """Yield the pieces of a line with gaps at NaN."""
-    known = np.all(np.isfinite(line), axis=1)
-    for piece in np.split(line, np.flatnonzero(~known)):
+    finite_points = np.all(np.isfinite(line), axis=1)
+    for piece in np.split(line, np.flatnonzero(~finite_points)):
         kept = piece[np.all(np.isfinite(piece), axis=1)]
         if len(kept):
             yield kept
