@@ -83,7 +83,7 @@ def test_engines_give_the_same_peaks_and_energy_account():
 
 
 @pytest.mark.slow
-def test_planted_defect_is_seen(monkeypatch):
+def test_planted_defect_is_detected(monkeypatch):
     """A work that is not integrated, and a servo reference without its harmonics."""
     problem = optlink.load(SHIPPED[0])
     code_of = machine.code_of
@@ -200,7 +200,7 @@ def test_translation_gives_the_values_of_casadi():
     assert not set(np.abs(constants[:-1])) & set(LITERALS)
 
 
-def test_operation_without_a_counterpart_is_named():
+def test_operation_without_a_counterpart_is_reported():
     x = casadi.SX.sym("x", 1)
     assert casadi.OP_ERF not in OPERATIONS
     with pytest.raises(Unsupported, match="OP_ERF"):

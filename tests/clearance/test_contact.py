@@ -61,7 +61,7 @@ def test_impact_leaves_with_the_speed_of_the_closed_form(name, restitution, spee
 @pytest.mark.parametrize(
     ("name", "lowest", "off"), [("hunt-crossley", 0.9, 0.01), ("lankarani-nikravesh", 0.9, 0.015), ("flores", 0.05, 0.05)]
 )
-def test_given_restitution_is_recovered_where_the_law_is_made_for_it(name, lowest, off):
+def test_restitution_is_recovered_in_the_valid_range_of_the_law(name, lowest, off):
     for restitution in np.linspace(lowest, 1.0, 12)[:-1]:
         left, _ = impact(partial(contact_laws.normal_force, name), 1.0, float(restitution))
         assert left == pytest.approx(restitution, abs=off)
@@ -79,7 +79,7 @@ def test_no_impact_creates_energy_and_no_force_pulls(name):
             assert np.all(law(-1e-9, rates, speed, STIFF, restitution) == 0.0)
 
 
-def test_restitution_check_sees_a_wrong_damping(monkeypatch):
+def test_restitution_check_detects_a_wrong_damping(monkeypatch):
     monkeypatch.setitem(contact_laws.DAMPING, "flores", contact_laws.DAMPING["lankarani-nikravesh"])
     left, _ = impact(partial(contact_laws.normal_force, "flores"), 1.0, 0.5)
     assert abs(left - 0.5) > 0.05
@@ -109,7 +109,7 @@ def test_friction_opposes_the_slip_and_reaches_coulomb():
 
 
 @pytest.mark.parametrize("name", contact_laws.DAMPING)
-def test_casadi_sees_the_same_law(name):
+def test_casadi_evaluates_the_same_law(name):
     law, point = partial(contact_laws.normal_force, name), (2e-6, 0.05, 0.3, STIFF, 0.8)
     symbols = [casadi.SX.sym(f"x{k}") for k in range(5)]
     with symbols_in_numpy():

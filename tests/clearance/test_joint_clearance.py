@@ -346,7 +346,7 @@ def _journal_does_not_turn(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("spoil", [_no_moment, _stale_approach, _radius_of_the_bearing, _journal_does_not_turn])
-def test_oracle_sees_a_defect(monkeypatch, spoil):
+def test_oracle_detects_a_defect(monkeypatch, spoil):
     spoil(monkeypatch)
     try:
         off = differences(SPOILT)
@@ -455,7 +455,7 @@ def test_loops_stay_closed_in_a_machine_that_knocks(pin, journal):
 
 
 @pytest.mark.slow
-def test_pin_of_three_bodies_with_one_loose():
+def test_pin_of_three_bodies_with_one_clearance():
     """At C the journal is on link 2; links 3 and 5 share the bearing, pinned without play."""
     found = simulate(shipped("six-bar", "C", "link2", friction=0.05), 1)
     assert imbalance(found) < 1e-6
@@ -676,7 +676,7 @@ def test_machine_under_a_torque():
 
 
 @pytest.mark.slow
-def test_servo_that_is_told_to_turn_evenly_does():
+def test_servo_with_constant_reference_speed_turns_uniformly():
     raw = Case("servo", {"C": "rod"}).raw
     one, other = simulate(raw), simulate(edited(raw, {"drive.servo": {"bandwidth": "300 Hz", "damping": 0.7}}))
     assert largest(other["crank.omega_rad_s"] / one["crank.omega_rad_s"] - 1.0) < 1e-12
@@ -801,7 +801,7 @@ def test_estimate_of_a_summit(span):
 
 
 @pytest.mark.slow
-def test_rows_that_are_asked_for_change_nothing():
+def test_requested_rows_do_not_change_the_motion():
     """However few are told, as many are looked at as it takes."""
     raw = Case("rows", {"C": "rod"}).raw
     few, usual = simulate(raw, points=12, tolerance=1e-11), simulate(raw, points=360, tolerance=1e-11)
@@ -937,7 +937,7 @@ def test_figures_of_revolutions_are_those_of_their_rows():
 
 
 @pytest.mark.slow
-def test_largest_force_is_told_however_few_the_rows():
+def test_largest_force_is_found_with_few_rows():
     """At a restitution of 0.9 the force is largest where the contact is deepest, within 1 %."""
     few, many = (simulate(CHAOTIC, 1, points, 1e-11) for points in (12, 7200))
     strongest = np.max(many["C.normal_N"])
@@ -966,7 +966,7 @@ def test_slow_machine_under_load_is_not_stepped_by_its_contact(monkeypatch):
 
 
 @pytest.mark.slow
-def test_slow_machine_moves_as_an_explicit_method_at_a_tight_tolerance_says(monkeypatch):
+def test_slow_machine_agrees_with_an_explicit_method_at_a_tight_tolerance(monkeypatch):
     raw = brake(25.0, 60.0)
     found = simulate(raw, 1, 90, 1e-9)
     monkeypatch.setattr(plant_module, "SLOW", math.inf)
@@ -1038,7 +1038,7 @@ def test_largest_torque_is_that_of_the_oracle():
 
 
 @pytest.mark.slow
-def test_peaks_agree_wherever_they_are_told():
+def test_peaks_agree_in_all_outputs():
     """In figures, revolutions, contacts and rows."""
     found = simulate(Case("three", {"A": "crank", "B": "rod", "C": "rod"}, speed=900.0).raw, 2, 40, 1e-10)
     figures = found.to_dict()["figures"]

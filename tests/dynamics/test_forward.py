@@ -108,7 +108,7 @@ def test_inverse_after_forward_dynamics_returns_the_torque(name, speed):
     np.testing.assert_allclose(found, torque, rtol=0.0, atol=1e-11 * scale)
 
 
-def test_inverse_after_forward_dynamics_sees_a_wrong_inertia(monkeypatch):
+def test_inverse_after_forward_dynamics_detects_a_wrong_inertia(monkeypatch):
     machine = machine_of(slider_crank())
     heavier = machine.with_(inertias={**machine.inertias, "slider": Inertia(0.41)})
     alpha = crank_acceleration(heavier.moving(ANGLES, 1.0), 7.0, 1.0, 1.0)
@@ -159,7 +159,7 @@ def test_motor_curve_as_a_table_is_the_same_as_the_expression():
     np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-10)
 
 
-def test_dry_brake_stops_a_rotor_where_uniform_deceleration_says():
+def test_dry_brake_stops_a_rotor_by_uniform_deceleration():
     """J w' = -0.6: from 6 rad/s at rest after J 6 / 0.6 = 5/3 s, having turned w t / 2 = 5 rad."""
     problem = crank_alone(
         loads={"brake": {"on": "crank", "torque": "0.6 N*m", "acts": "opposing"}},
@@ -225,7 +225,7 @@ def independent(time, gravity, stiffness, free, damping, resistance, torque):
 
 
 @pytest.mark.parametrize("sign", mostly_slow((1.0, -1.0), -1.0))
-def test_loaded_slider_crank_moves_as_its_lagrangian_says(sign):
+def test_loaded_slider_crank_follows_its_lagrangian(sign):
     problem = slider_crank(
         **LOADED,
         drive={"torque": "2 N*m", "duration": "0.4 s", "start": f"{0.3 * sign} rad", "initial_speed": f"{5 * sign} rad/s"},
@@ -261,7 +261,7 @@ def test_drift_and_energy_account_see_a_wrong_acceleration(monkeypatch):
     assert optlink.simulate(slider_crank(), duration=0.5, rows=10).run.drift > 1e-8
 
 
-def test_energy_account_sees_a_load_that_is_left_out(monkeypatch):
+def test_energy_account_detects_an_omitted_load(monkeypatch):
     honest = crank_module.required_torque
 
     def without_loads(moving, geared):
@@ -293,7 +293,7 @@ def test_functions_compiled_for_a_machine_serve_that_machine_and_torque_alone():
     assert len(set(ends)) == 4
 
 
-def test_machine_compiled_for_another_torque_would_be_noticed():
+def test_a_machine_compiled_for_another_torque_is_detected():
     """A machine keeps its functions with the torque that they contain."""
     problem = slider_crank()
     machine, times = machine_of(problem), np.array([0.0, 0.5])
@@ -342,7 +342,7 @@ def test_crank_that_cannot_turn_stops_at_its_dead_position():
     assert len(result.run.time) < 100
 
 
-def test_interrupted_run_keeps_what_it_has():
+def test_interrupted_run_keeps_its_rows():
     def stop(share):
         if share > 0.3:
             raise KeyboardInterrupt
@@ -414,14 +414,14 @@ def test_machine_that_runs_evenly_needs_no_flywheel():
     assert flywheel(machine, 10.0, 0.01).inertia > flywheel(machine, 10.0, 0.1).inertia > 0.0
 
 
-def test_analysis_tells_the_flywheel():
+def test_analysis_includes_the_flywheel():
     result = optlink.analyze(optlink.load("six-bar").override({"drive.fluctuation": 0.02}), points=12)
     assert result.flywheel is not None
     assert result.to_dict()["flywheel"]["inertia"] == pytest.approx(result.flywheel.inertia)
 
 
 @pytest.mark.slow
-def test_mean_speed_says_whether_it_is_over_angle_or_time(tmp_path):
+def test_mean_speed_states_whether_it_is_over_angle_or_time(tmp_path):
     """A revolution at uneven speed has two means: that of the flywheel is over the angle, that of a simulation over time."""
 
     def lines(*arguments):

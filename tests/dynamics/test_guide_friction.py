@@ -103,7 +103,7 @@ def test_resting_machine_starts_only_if_nothing_else_satisfies_coulombs_law(fric
 
 
 @pytest.mark.parametrize(("speed", "torque"), [(6.0, 25.0), (-6.0, 25.0), (6.0, -30.0), (-6.0, -30.0)])
-def test_moving_machine_of_no_or_several_accelerations_says_which(speed, torque):
+def test_machines_with_no_or_several_accelerations_are_reported(speed, torque):
     seen = set()
     for degrees in np.linspace(50.0, 130.0, 33):
         expected = by_hand(1.9, np.radians(degrees), speed, torque, np.sign(speed))

@@ -514,7 +514,7 @@ def test_reactions_are_those_of_newton_and_euler(example, speed, acceleration):
 
 
 @every_machine
-def test_guide_forces_are_told_where_and_how_they_act(example):
+def test_guide_forces_state_their_point_and_direction(example):
     moving = machine_of(example.name).moving(example.phi, 7.0)
     k, found = kinematics(moving), reactions(moving)
     for name, guide in found.guides.items():
@@ -532,7 +532,7 @@ def test_forces_of_a_pin_sum_to_zero(example):
     check_pins(reactions(machine_of(example.name).moving(example.phi, 7.0, 3.0)), example.phi)
 
 
-def test_check_of_pins_sees_a_force_that_is_handed_on_once_only():
+def test_check_of_pins_detects_a_force_transmitted_once_only():
     found = reactions(machine_of("pins of three and four bodies").moving(PHI, 7.0, 3.0))
     for body in ("link2", "link3", "link5"):
         bodies = {name: force for name, force in found.pins["C"].items() if name != body}
@@ -576,7 +576,7 @@ def check_energies(moving: Moving, k: Kinematics, own: Mapping[str, Mass]) -> No
 
 
 @pytest.mark.parametrize("part", ["mass", "along", "across", "moment"])
-def test_energy_check_sees_a_wrong_parameter(part):
+def test_energy_check_detects_a_wrong_parameter(part):
     moving = machine_of("Watt I").moving(PHI, -7.0)
     k, own = kinematics(moving), masses(moving.machine)
     check_energies(moving, k, own)
@@ -665,7 +665,7 @@ def test_regressor_gives_the_part_of_inertia_and_gravity_in_every_reaction(examp
     check_regressor(moving, regressor(moving))
 
 
-def test_regressor_check_sees_two_parameters_exchanged():
+def test_regressor_check_detects_exchanged_parameters():
     moving = machine_of("Watt I").moving(PHI, 7.0)
     parts = regressor(moving)
     mass, along, across, moment = parts["rod"]
@@ -675,12 +675,12 @@ def test_regressor_check_sees_two_parameters_exchanged():
 
 
 @every_machine
-def test_shaking_is_what_the_centroids_take(example):
+def test_shaking_force_equals_the_inertia_of_the_centroids(example):
     moving = machine_of(example.name).moving(example.phi, 7.0, -30.0)
     check_shaking(moving, kinematics(moving), shaking(moving))
 
 
-def test_shaking_check_sees_gravity_another_pivot_and_a_sign(monkeypatch):
+def test_shaking_check_detects_gravity_another_pivot_and_a_sign(monkeypatch):
     moving = machine_of("Whitworth").moving(PHI, 7.0, -30.0)
     k, honest = kinematics(moving), shaking(moving)
     x, y = honest.force
@@ -705,7 +705,7 @@ def check_shaking(moving: Moving, k: Kinematics, found: Wrench) -> None:
 
 
 @every_machine
-def test_shaking_without_gravity_and_loads_is_what_the_frame_feels(example):
+def test_shaking_without_gravity_and_loads_is_the_frame_reaction(example):
     """Reactions on the frame, the counter-torque of the driver and the forces of the guides are all that reaches it."""
     moving = machine_of(example.name).with_(gravity=(0.0, 0.0), loads=()).moving(example.phi, 7.0, -30.0)
     k, found = kinematics(moving), reactions(moving)
@@ -763,7 +763,7 @@ ACTING = {  # point -> (by, on): outer joints first what is placed before, inner
 
 
 @pytest.mark.parametrize("name", ACTING)
-def test_who_acts_on_whom_is_said_and_meant(name):
+def test_directions_of_reactions_are_as_documented(name):
     machine = machine_of(name)
     moving = machine.moving(PHI, 7.0, 5.0)
     found, wanted = reactions(moving), expected(moving)
@@ -778,7 +778,7 @@ def test_who_acts_on_whom_is_said_and_meant(name):
             assert scale > 0.1, "the sign would be lost in nothing"
 
 
-def test_a_reaction_is_told_on_the_body_that_the_machine_names():
+def test_a_reaction_is_reported_on_the_named_body():
     machine = machine_of("pins of three and four bodies").with_(reported={"C": "link5", "B": "crank"})
     moving = machine.moving(PHI, 7.0)
     found, wanted = reactions(moving), expected(moving)
@@ -851,7 +851,7 @@ JAMMING = {
 
 
 @pytest.mark.parametrize(("name", "mu"), JAMMING.items())
-def test_a_jammed_guide_is_told_and_has_no_reactions(name, mu):
+def test_a_jammed_guide_is_reported_and_has_no_reactions(name, mu):
     """With much friction no sign of the normal force is consistent at some positions: NaN there, else the oracle's values.
 
     Positions with more than one consistent answer (Painleve's paradox) are left out: the law of friction does not decide there.
@@ -1085,7 +1085,7 @@ def test_the_slope_of_the_torque_is_that_of_differences_and_of_the_complex_step(
 # --- singular positions -------------------------------------------------------------------------------------------------------
 
 
-def test_a_dead_position_is_told_by_its_sine_and_not_by_a_warning():
+def test_a_dead_position_is_detected_by_its_sine_without_a_warning():
     """A parallelogram stretched along its frame: the pins and the joint lie on one line."""
     links = [Link("crank", "A", "B", 0.2), Link("coupler", "B", "C", 0.5), Link("rocker", "D", "C", 0.2)]
     mechanism = assemble("parallelogram", {"A": (0.0, 0.0), "D": (0.5, 0.0)}, links, (), (), "crank", {"C": "left of B-D"})
@@ -1253,7 +1253,7 @@ def test_checks_see_a_driver_torque_of_the_wrong_sign_or_a_lost_load(name, monke
     assert not any(verdicts(moving, k, wanted).values())
 
 
-def test_motion_check_sees_a_wrong_acceleration(monkeypatch):
+def test_motion_check_detects_a_wrong_acceleration(monkeypatch):
     """The loop equations do not share the rule that jets use for a product."""
     example = BY_NAME["Scotch yoke with an oblique slot"]
     moving = machine_of(example.name).moving(PHI, 7.0)

@@ -45,7 +45,7 @@ def test_a_machine_with_a_speed_of_zero_is_simulated_from_rest():
     assert turned == pytest.approx(0.5 * (0.5 / 0.01), rel=1e-6)
 
 
-def test_what_needs_a_constant_speed_says_so():
+def test_loads_that_need_a_constant_speed_are_refused():
     for run in (optlink.analyze, lambda file: optlink.analyze_batch(file, {"crank.length": [0.03]})):
         with pytest.raises(InputError, match=r"drive\.speed.*speed is zero"):
             run(machine())

@@ -69,7 +69,7 @@ def test_coefficients_are_those_of_scipy_to_the_last_digit():
         np.testing.assert_array_equal(ours, theirs)
 
 
-def test_wrong_coefficient_of_the_dense_output_would_be_noticed(monkeypatch):
+def test_a_wrong_coefficient_of_the_dense_output_is_detected(monkeypatch):
     wrong = COEFFICIENTS._replace(dense=COEFFICIENTS.dense * (1.0 + 1e-4))
     monkeypatch.setattr(runge_kutta, "COEFFICIENTS", wrong)
     assert differences(1.0)[1] > 1e-11

@@ -238,7 +238,7 @@ def test_cognate_at_the_rocker_pivot_traces_the_curve_in_one_mode_at_the_same_cr
 @example(CASES["double-crank"])
 @example(CASES["double-rocker"])
 @example(CASES["rocker-crank"])
-def test_every_drive_traces_the_curve_in_the_modes_it_says(linkage):
+def test_every_drive_traces_the_curve_in_its_stated_modes(linkage):
     for phi in ranges_inside(linkage):
         for cognate in the_ones(linkage, phi):
             check_curve(cognate, phi, side=cognate.side_at(phi))
@@ -297,7 +297,7 @@ def test_its_crank_stops_where_it_is_said_to_turn_back_and_nowhere_else(linkage)
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_angular_velocity_is_that_of_the_link_it_turns_as_and_the_point_moves_alike(name):
+def test_timed_cognates_keep_angular_velocity_and_point_motion(name):
     """Speeds from the package's own sweep of a four-bar, which knows nothing of cognates."""
     linkage = CASES[name]
     sizes = dict(zip(("crank", "coupler", "rocker", "frame"), linkage.lengths, strict=True))

@@ -264,7 +264,7 @@ def test_the_other_mode_is_another_position(kind):
 
 
 @with_modes
-def test_a_dyad_closes_iff_its_margin_is_not_negative_and_the_gap_is_what_is_missing(kind):
+def test_a_dyad_closes_iff_its_margin_is_not_negative_and_its_gap_is_the_distance(kind):
     met = {True: 0, False: 0}
 
     @seeded
@@ -391,7 +391,7 @@ def test_rates_are_the_differences_of_positions(kind):
     assert sum(met) > 50
 
 
-def test_rate_check_sees_a_wrong_speed_and_a_lost_acceleration():
+def test_rate_check_detects_a_wrong_speed_and_a_missing_acceleration():
     example = by_hand("RRP")
     motion = sweep(example.mechanism, {}, ANGLES, 2.0, 5.0)
     check_rates(example, ANGLES, motion)
@@ -520,7 +520,7 @@ def test_mirror_turn_scale_and_shift(kind):
 
 
 @every_kind
-def test_covariance_check_sees_a_mode_or_an_offset_that_is_not_mirrored(kind):
+def test_covariance_check_detects_a_mode_or_offset_that_is_not_mirrored(kind):
     parts, change = by_hand(kind), Change(True, 2.0, 0.7, (0.3, -0.2))
     phi = closing(parts)
     changed = change.parts(parts)
@@ -581,7 +581,7 @@ def test_the_checks_see_a_defective_dyad(kind, defect, check, monkeypatch):
         run()
 
 
-def test_joint_check_sees_a_guide_told_wrongly():
+def test_joint_check_detects_a_wrong_guide():
     parts = by_hand("RPP")
     motion = sweep(parts.mechanism, {}, ANGLES)
     check_joints(parts, motion)
@@ -887,7 +887,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize("case", REFUSED, ids=str)
-def test_what_is_no_chain_of_dyads_is_refused_with_its_members(case):
+def test_linkages_that_are_not_chains_of_dyads_are_refused(case):
     with pytest.raises(StructureError) as refused:
         case.build()
     error = refused.value

@@ -72,7 +72,7 @@ def test_extremes_are_those_of_a_dense_search(seed):
     assert untrue < 1e-12
 
 
-def test_the_comparison_sees_interpolants_that_nothing_verifies(monkeypatch):
+def test_the_comparison_detects_unverified_interpolants(monkeypatch):
     monkeypatch.setattr(extrema, "EXACT", 1.0)
     monkeypatch.setattr(extrema, "SMOOTH", 1e9)
     function = family(0)

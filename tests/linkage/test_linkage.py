@@ -215,7 +215,7 @@ def swapped_links(p, q, a, b, side):
 
 
 @pytest.mark.parametrize("defect", [wrong_sign, swapped_links])
-def test_length_check_sees_a_defective_dyad(defect, monkeypatch):
+def test_length_check_detects_a_defective_dyad(defect, monkeypatch):
     mechanism, sizes = four_bar(1), sized((0.1, 0.41, 0.23, 0.5))
     check_lengths(mechanism, mechanism.pose(sizes, unit(1.0)).points, sizes)
     monkeypatch.setattr(groups_module, "rrr", defect)
@@ -225,7 +225,7 @@ def test_length_check_sees_a_defective_dyad(defect, monkeypatch):
         check_lengths(mechanism, points, sizes)
 
 
-def test_length_check_sees_swapped_links():
+def test_length_check_detects_swapped_links():
     honest, sizes = four_bar(1), sized((0.1, 0.41, 0.23, 0.5))
     group = honest.groups[0]
     swapped = replace(group, first=replace(group.first, length="rocker"), second=replace(group.second, length="coupler"))
@@ -309,7 +309,7 @@ def test_unknown_body():
 
 @fewer
 @given(turning(), sides)
-def test_pose_is_the_triangle_written_again(lengths, side):
+def test_pose_agrees_with_the_triangle(lengths, side):
     motion = sweep(four_bar(side), sized(lengths), REVOLUTION)
     c, d = motion.position("C"), motion.position("D")
     found = np.arctan2(c[:, 1] - d[:, 1], c[:, 0] - d[:, 0])
@@ -369,7 +369,7 @@ def test_time_ratio_is_one_for_a_centric_linkage_and_theirs_differ():
     assert float(time_ratio(crank, coupler, rocker, 0.9 * frame, 1)) > 1.05
 
 
-def test_dead_centre_check_sees_a_wrong_one():
+def test_dead_centre_check_detects_a_wrong_one():
     """Inner for outer, or the other side, is far outside the tolerances above."""
     lengths = (0.1, 0.41, 0.23, 0.5)
     outer, _ = limit_positions(lengths, 1)
@@ -386,7 +386,7 @@ def test_dead_centres_by_hand():
 
 
 @pytest.mark.parametrize(("lengths", "outer"), [((0.3, 0.9, 0.1, 0.3), True), ((0.1, 0.2, 0.9, 0.3), False)])
-def test_dead_centre_that_does_not_exist_says_so(lengths, outer):
+def test_a_missing_dead_centre_is_reported(lengths, outer):
     limit = dead_centre(*lengths, 1, outer)
     assert limit.margin < 0.0
     assert math.isnan(limit.phi)
@@ -494,7 +494,7 @@ def test_crank_turns_iff_the_sweep_assembles_everywhere(lengths):
 
 @seeded
 @given(any_lengths)
-def test_conditions_say_what_the_class_says(lengths):
+def test_grashof_conditions_agree_with_the_class(lengths):
     assume(abs(slack_of(lengths)) > 1e-6)
     ordered = sorted(lengths)
     assume(ordered[1] - ordered[0] > 1e-9)
@@ -586,7 +586,7 @@ def test_random_linkages_meet_every_kind_of_range():
     assert min(met.values()) >= 10
 
 
-def test_range_check_sees_a_range_that_is_wrong():
+def test_range_check_detects_a_wrong_range():
     lengths = KINDS["two mirrored ranges"]
     ranges = reachable(*lengths)
     with pytest.raises(AssertionError):
@@ -629,7 +629,7 @@ def test_velocities_and_accelerations_are_the_differences_of_positions(lengths, 
         np.testing.assert_array_equal(motion.acceleration(point), 0.0)
 
 
-def test_rate_check_sees_a_wrong_speed():
+def test_rate_check_detects_a_wrong_speed():
     motion = sweep(four_bar(1), sized((0.1, 0.41, 0.23, 0.5)), REVOLUTION[::15], 2.0)
     check_rates(motion, "C")
     with pytest.raises(AssertionError):
@@ -708,7 +708,7 @@ def test_batch_is_the_loop(linkages, side):
             np.testing.assert_allclose(getattr(angle, part)[k], getattr(alone, part), rtol=1e-12, atol=1e-13)
 
 
-def test_batch_check_would_see_two_designs_exchanged():
+def test_batch_check_detects_exchanged_designs():
     phi = np.linspace(0.01, 6.0, 17)
     batch = sweep(four_bar(1), {**sized((0.1, 0.4, 0.2, 0.5)), "coupler": np.array([[0.4], [0.42]])}, phi)
     one = sweep(four_bar(1), sized((0.1, 0.42, 0.2, 0.5)), phi)

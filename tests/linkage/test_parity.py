@@ -643,14 +643,14 @@ def sine(phi0, phi):
 SINE = Case("sine", sine, ((1.0,), (0.9,)), (0.3, 1.2))
 
 
-def test_value_check_sees_a_batch_that_differs():
+def test_value_check_detects_a_different_batch():
     check_values(SINE)
     wrong = replace(SINE, function=lambda k, x: [np.sin(k * x) * (1.0 + 1e-9 * (np.size(x) > 1))])
     with pytest.raises(AssertionError):
         check_values(wrong)
 
 
-def test_value_check_sees_symbols_that_differ():
+def test_value_check_detects_different_symbols():
     check_values(SINE, sine)
     with pytest.raises(AssertionError):
         check_values(SINE, lambda k, x: [np.sin(k * x) * (1.0 + 1e-9)])
@@ -658,7 +658,7 @@ def test_value_check_sees_symbols_that_differ():
         check_values(SINE, lambda k, x: [np.sin(-k * x)])
 
 
-def test_value_check_sees_a_clipped_square_root():
+def test_value_check_detects_a_clipped_square_root():
     """NaN outside the domain is part of the value: a formula that clips must not pass for one that does not."""
     honest = Case("root", lambda k, x: [vector2d.root(k * x)], ((1.0,),), (0.5,), undefined=((-1.0,),))
     check_values(honest)
@@ -666,13 +666,13 @@ def test_value_check_sees_a_clipped_square_root():
         check_values(honest, lambda k, x: [np.sqrt(np.maximum(k * x, 0.0))])
 
 
-def test_complex_step_sees_a_function_that_is_not_analytic():
+def test_complex_step_detects_a_function_that_is_not_analytic():
     check_complex_step(SINE)
     with pytest.raises(AssertionError):
         check_complex_step(replace(SINE, function=lambda k, x: [x * np.abs(k * x)]))
 
 
-def test_difference_check_sees_a_wrong_derivative():
+def test_difference_check_detects_a_wrong_derivative():
     case = replace(SINE, function=lambda k, x: [np.abs(k * x)], complex_step=False)
     check_differences(case)
     with pytest.raises(AssertionError):
@@ -680,7 +680,7 @@ def test_difference_check_sees_a_wrong_derivative():
 
 
 @pytest.mark.parametrize("part", [0, 1], ids=["rate", "acceleration"])
-def test_jet_check_sees_a_wrong_rule(part, monkeypatch):
+def test_jet_check_detects_a_wrong_rule(part, monkeypatch):
     check_jets(SINE, "scalar")
     right = _CHAIN[np.sin]
 

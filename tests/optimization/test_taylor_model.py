@@ -260,7 +260,7 @@ def _product_without_third_order(monkeypatch: pytest.MonkeyPatch) -> None:
         (lambda patch: patch.setattr(taylor_model, "LIBRARY", 0.0), [np.sin]),
     ],
 )
-def test_planted_defects_are_found(
+def test_planted_defects_are_detected(
     defect: Callable[[pytest.MonkeyPatch], None], keys: list[Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cases = [case for key in keys for case in CASES[key]]

@@ -138,7 +138,7 @@ def _term(trace: TracedCycle) -> object:
     return next(term for term in trace.cyclic if term.static and term.how == "largest")
 
 
-def test_a_wrong_sense_of_the_cutting_force_is_seen():
+def test_a_wrong_direction_of_the_cutting_force_is_detected():
     nlp = programme()
     trace = nlp.traced
     known, at = trace.inputs(nlp.design(nlp.x_start)), 1.4
@@ -187,7 +187,7 @@ BAD = {
 
 
 @pytest.mark.parametrize(("where", "value", "key", "words"), [(w, *row) for w, rows in BAD.items() for row in rows])
-def test_what_cannot_be_used_is_named(where, value, key, words):
+def test_unusable_terms_are_reported(where, value, key, words):
     with pytest.raises(InputError) as caught:
         changed(**({"limits": {"x": value}} if where == "limits.x" else {"objective": value}))
     fault = caught.value.faults[0]
@@ -196,7 +196,7 @@ def test_what_cannot_be_used_is_named(where, value, key, words):
     assert caught.value.exit_code == 2
 
 
-def test_friction_is_refused_where_forces_are_asked_for():
+def test_friction_is_refused_if_forces_are_requested():
     with pytest.raises(InputError, match="friction"):
         changed(**{"mechanism.guides.F.friction": 0.1})
 

@@ -245,7 +245,7 @@ def test_a_design_without_the_dead_centres_of_its_limits_is_refused(monkeypatch)
 # --- distinct designs ------------------------------------------------------------------------------------------------------
 
 
-def test_listed_optima_are_polished_and_none_is_below_the_answer():
+def test_listed_optima_are_polished_and_none_is_below_the_result():
     result = pump()
     assert result.optima[0].objective == result.objective
     for optimum in result.optima:
@@ -259,7 +259,7 @@ def test_listed_optima_are_polished_and_none_is_below_the_answer():
 
 
 @pytest.mark.slow
-def test_a_scale_continuum_is_named_and_listed_once():
+def test_a_scale_continuum_is_noted_and_listed_once():
     """Angles do not change with the scale of a linkage: all lengths together may be larger or smaller."""
     result = solve(problem(LINKS), starts=4)
     assert result.valid

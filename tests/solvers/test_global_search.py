@@ -147,7 +147,7 @@ def test_a_longer_search_raises_the_bound(crank_rocker):
     assert np.all(np.diff(history, axis=0)[:, :2] >= 0.0)
 
 
-def test_a_better_design_becomes_the_answer(crank_rocker, solved):
+def test_a_better_design_becomes_the_result(crank_rocker, solved):
     """Of a valid design that is not the best one, the search finds the best one."""
     given = optlink.validate(crank_rocker, {"coupler": 0.5, "rocker": 0.3})
     assert given.valid
@@ -294,7 +294,7 @@ class Bowl:
 
 
 @pytest.mark.parametrize(("least", "best"), [(1.5, 0.75), (4.5, 6.75), (7.0, math.inf)])
-def test_a_problem_with_a_known_answer(least, best):
+def test_a_problem_with_a_known_solution(least, best):
     problem = Bowl([0.0, 0.0, 0.0], least)
     search = BranchAndBound(LagrangianBounds(problem), best * (1.0 + 1e-12) + 1e-9, 1e-6)
     search.run()

@@ -42,7 +42,7 @@ def found() -> Explanation:
 
 
 @pytest.mark.slow
-def test_the_limits_of_transmission_and_proportions_are_named(found: Explanation) -> None:
+def test_conflicting_transmission_and_ratio_limits_are_listed(found: Explanation) -> None:
     named = {(item.key, item.sense) for item in found.conflict}
     assert {key for key, _ in named} == {"limits.transmission_angle", "limits.link_ratio"}
     assert {("limits.transmission_angle", sense) for sense in ("<=", ">=")} <= named  # the ratios need one side alone
@@ -60,7 +60,7 @@ def test_a_relaxation_is_the_least_that_a_grid_of_linkages_shows(found: Explanat
         assert side.amount <= needed + 1e-6
 
 
-def test_what_has_no_part_in_a_limit_cannot_conflict() -> None:
+def test_independent_limits_cannot_conflict() -> None:
     """The rocker's start angle moves no limit; the crank's may take every direction, so its bounds hold nothing back."""
     problem = optlink.load("function-sin", {"mechanism.assembly": "left", **LIMITS})
     assert {side.name for side in limit_sides(build(problem.spec))}.isdisjoint({"phi0", "psi0"})
@@ -69,7 +69,7 @@ def test_what_has_no_part_in_a_limit_cannot_conflict() -> None:
 
 
 @pytest.mark.parametrize("miss", [2e-5, 2e-6])
-def test_limits_missed_by_little_more_than_the_tolerance_of_a_solver_are_named(miss: float) -> None:
+def test_limits_missed_by_little_more_than_the_solver_tolerance_are_listed(miss: float) -> None:
     """Of crank-rockers with crank r, frame d and coupler a, that of equal strokes has the best worst transmission angle.
 
     Its rocker is b with d^2 + r^2 = a^2 + b^2, and its worst cosine r d / (a b).

@@ -99,7 +99,7 @@ def test_smallest_circle_beyond_a_limit(seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["path-arc5", "path-ellipse10"])
-def test_slsqp_finds_nothing_better_beside_it(name):
+def test_slsqp_finds_no_better_design_nearby(name):
     """SciPy's method on the same programme, from the design and from around it, with limits and free crank angles."""
     file = optlink.load(name, {"requirement.measure": "max"})
     best = optlink.solve(file, starts=240, designs=1).best
@@ -124,7 +124,7 @@ def test_largest_distance_is_no_more_than_the_best_known(name):
     assert result.objective <= BEST[name]
 
 
-def test_a_start_without_a_value_is_given_back():
+def test_a_start_without_a_value_is_returned():
     (file,) = optlink.load("path-arc5", {"requirement.measure": "max", "mechanism.assembly": "left"}).variants()
     nlp = build_path_nlp(file.model)
     x = np.where(np.isfinite(nlp.x_high), nlp.x_high, 1.0)

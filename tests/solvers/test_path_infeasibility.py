@@ -75,7 +75,7 @@ def test_a_crank_that_is_longer_than_all_cannot_be_the_shortest_link() -> None:
     assert any("cannot be the shortest link" in note for note in found.notes)
 
 
-def test_a_law_whose_crank_is_longest_says_so() -> None:
+def test_a_law_with_the_longest_crank_is_reported() -> None:
     mechanism = {"crank": "310 mm", "frame": "240 mm"}
     mechanism |= {"coupler": {"bounds": ["50 mm", "290 mm"]}, "rocker": {"bounds": ["50 mm", "200 mm"]}}  # type: ignore[dict-item]
     requirement = {"law": "psi0 + 0.3*(phi - phi0)", "span": "90 deg", "points": 10}

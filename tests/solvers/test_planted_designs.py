@@ -164,6 +164,6 @@ def larger_residuals(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "defect"), [*zip(KINDS, (tighter_path, tighter_rows, larger_residuals), strict=True)])
-def test_a_bound_that_is_too_high_is_seen(kind: str, defect: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bound_that_is_too_high_is_detected(kind: str, defect: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     defect(monkeypatch)
     assert any(not np.all(KINDS[kind](seed)) for seed in SEEDS)

@@ -116,7 +116,7 @@ def other_sign(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("defect", [no_remainder, no_tangent, other_sign])
-def test_defects_are_seen(defect: object, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_defects_are_detected(defect: object, monkeypatch: pytest.MonkeyPatch) -> None:
     defect(monkeypatch)  # type: ignore[operator]
     wrong, _ = falsified(bounds_of("free frame"))
     assert wrong > 0
@@ -182,7 +182,7 @@ def test_transmission_limits_discard_boxes() -> None:
             assert max(np.abs(extremes)) > 0.5 - 1e-9
 
 
-def test_unsuitable_problems_say_why() -> None:
+def test_unsuitable_problems_are_refused_with_a_reason() -> None:
     assert unsuitable(optlink.load("path-bean").model) == "the crank angles of the points are not prescribed"  # type: ignore[arg-type]
     span = optlink.load("path-arc5", {"limits.crank": "span"}).model
     assert unsuitable(span) == "the crank need not turn fully"  # type: ignore[arg-type]

@@ -104,7 +104,7 @@ def test_short_motions_leave_all_digits() -> None:
     assert max(errors) < 2e-9  # the worst conditioned one multiplies the rounding of its angles by 1e6
 
 
-def test_starts_are_meant_as_given() -> None:
+def test_starts_are_used_as_given() -> None:
     true, phi = random_four_bar(np.random.default_rng(5))
     psi = np.unwrap(rocker_angle(true, true.phi0 + phi) - true.psi0)
     there = first_steps(phi, psi - psi[0], true.phi0, true.psi0, shift=False)[0]
@@ -139,7 +139,7 @@ def test_a_grid_is_not_left() -> None:
     assert best.error > 1e-6
 
 
-def test_a_linkage_that_falls_apart_on_its_way_is_no_answer() -> None:
+def test_a_linkage_that_does_not_assemble_on_its_way_is_rejected() -> None:
     """Four wanted positions on one mode, two on either side of a gap that the crank cannot cross."""
     step = FirstStep(**nothing(side=1, crank=1.0, coupler=0.6, rocker=0.7, phi0=-0.9, psi0=0.0))
     assert np.isnan(
@@ -187,7 +187,7 @@ def test_every_step_is_a_proper_linkage(name: str) -> None:
     assert len(np.unique(np.round(starts, 2), axis=0)) == 8
 
 
-def test_only_wanted_linkages_are_kept() -> None:
+def test_only_required_linkages_are_kept() -> None:
     phi, psi = wanted("sin")
 
     def keep(crank: np.ndarray, coupler: np.ndarray, rocker: np.ndarray, *rest: np.ndarray) -> np.ndarray:

@@ -229,7 +229,7 @@ PLACED = [*FITTED, "slider-crank, free", "slider-crank, from start", "six-bar, f
 
 
 @pytest.mark.parametrize("name", PLACED)
-def test_nothing_linear_is_better_than_the_fit(name: str) -> None:
+def test_no_linear_parameters_are_better_than_the_fit(name: str) -> None:
     """Moving, turning and scaling the whole by a little never improves it, nor does moving the point on its body."""
     batch = Batch(model(TASKS[name]))
     fit = SimilarityFit(batch)
@@ -261,7 +261,7 @@ def test_nothing_linear_is_better_than_the_fit(name: str) -> None:
             assert np.all(cost_of(batch, moved, at) >= least * (1.0 - 1e-9) - 1e-13)
 
 
-def test_the_fit_finds_a_planted_linkage_again() -> None:
+def test_the_fit_recovers_a_planted_linkage() -> None:
     """Right proportions and timing, anywhere: the fit alone puts place, size, direction and coupler point right."""
     for seed in range(10):
         rng = np.random.default_rng(seed)
@@ -284,7 +284,7 @@ def test_the_fit_finds_a_planted_linkage_again() -> None:
 
 
 @pytest.mark.parametrize("name", ["not placed", "some sizes fixed", "motion, free", "motion, timed", "slider-crank, given"])
-def test_where_place_or_size_is_bound_nothing_is_fitted(name: str) -> None:
+def test_fixed_position_or_size_is_not_fitted(name: str) -> None:
     assert not SimilarityFit(Batch(model(TASKS[name]))).applies
 
 
@@ -403,7 +403,7 @@ def test_descent_keeps_to_bounds_and_never_rises(name: str) -> None:
             least = ends.cost
 
 
-def test_a_start_that_does_not_assemble_is_given_back() -> None:
+def test_a_start_that_does_not_assemble_is_returned() -> None:
     batch = Batch(model(TASKS["left, free"]))
     x, t = sample(batch, 3)
     x[1, [batch.names.index(name) for name in LENGTHS]] = [0.1, 0.2, 0.3, 9.0]
@@ -512,7 +512,7 @@ def test_the_same_seed_finds_the_same() -> None:
 @pytest.mark.parametrize(
     "name", ["right, free, weights", "timed from start", "motion, free", "slider-crank, free", "six-bar, motion"]
 )
-def test_the_programme_measures_what_the_validator_does(name: str, measure: str) -> None:
+def test_programme_and_validator_measure_the_same(name: str, measure: str) -> None:
     raw = TASKS[name]
     problem = model({**raw, "requirement": {**raw["requirement"], "measure": measure}})  # type: ignore[dict-item]
     batch = Batch(problem)
@@ -537,7 +537,7 @@ def test_the_programme_measures_what_the_validator_does(name: str, measure: str)
             assert square == pytest.approx(measured.objective, rel=1e-9)
 
 
-def test_the_programme_knows_order_and_whole_revolutions() -> None:
+def test_the_programme_includes_order_and_full_revolutions() -> None:
     for direction in (1, -1):
         nlp = build_path_nlp(model(TASKS["left, free"]), direction)
         labels = [row.label for row in nlp.rows]

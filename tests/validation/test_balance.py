@@ -104,7 +104,7 @@ def test_complete_balance_in_complex_numbers(both):
     assert rows["rms driving torque"] == pytest.approx(rms(motion.torque(*bodies)), rel=1e-11)
 
 
-def test_a_wrong_sign_would_be_noticed(both):
+def test_a_wrong_sign_is_detected(both):
     discs = {one.body: disc(one.mass, -complex(*one.place), 0.010, 7850.0) for one in both.added}
     bodies = [BARS[0] + discs["crank"], BARS[1], BARS[2] + discs["rocker"]]
     assert rms(Motion(*LENGTHS, ANGLES, 1.0).force(*bodies)) > both.before

@@ -69,7 +69,7 @@ def test_a_batch_validates_each_design_as_a_single_one(rule):
 
 
 @pytest.mark.parametrize("name", [name for name, defect in defects().items() if defect.mechanism is None])
-def test_a_planted_defect_is_caught_among_right_designs(name):
+def test_a_planted_defect_is_detected_among_valid_designs(name):
     defect = defects()[name]
     right = validate(defect.rule, defect.design)
     designs = [defect.design] * 5

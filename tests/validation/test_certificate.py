@@ -138,7 +138,7 @@ def _cover_removed(document: Document) -> None:
         (_cover_removed, "assembly modes"),
     ],
 )
-def test_every_defect_is_found(
+def test_every_defect_is_detected(
     narrow: tuple[Any, Document], defect: Callable[[Document], None], words: str, tmp_path: Path
 ) -> None:
     problem, document = narrow
@@ -232,7 +232,7 @@ def _a_result(document: Document) -> None:
         (_a_result, "not a certificate"),
     ],
 )
-def test_a_damaged_file_is_answered_with_one_sentence(
+def test_a_damaged_file_is_refused_in_one_sentence(
     narrow: tuple[Any, Document], defect: Callable[[Document], None], words: str, tmp_path: Path
 ) -> None:
     problem, document = narrow

@@ -54,7 +54,7 @@ def test_a_result_file_with_other_angles_is_not_valid(solved):
     assert run("validate", name, "--design", path).exit_code == 1
 
 
-def test_a_result_file_of_another_problem_is_named(solved):
+def test_a_result_file_of_another_problem_is_refused(solved):
     name, document, path = solved
     path.write_text(json.dumps({**document, "problem_hash": "0123456789abcdef"}))
     done = run("validate", name, "--design", path)
@@ -165,7 +165,7 @@ def test_crank_angles_that_differ_by_whole_revolutions_agree(machine):
     assert changed(machine, turned)[0] == 0
 
 
-def test_a_result_of_another_cycle_problem_is_named(machine):
+def test_a_result_of_another_cycle_problem_is_refused(machine):
     """Its figures are not compared; the design itself is judged by the problem."""
 
     def other(own):

@@ -69,7 +69,7 @@ def failed(
     return kinds
 
 
-def test_what_is_right_passes() -> None:
+def test_valid_designs_pass() -> None:
     problem = planted(closed=True)
     proof = validate_path(problem, quantities(DESIGN), PHI, 0.0)
     assert proof.valid
@@ -158,7 +158,7 @@ def test_the_wrong_way_round() -> None:
     assert oracle.judge_path(DESIGN, turned, back).rotation == -1
 
 
-def test_a_claim_that_is_wrong() -> None:
+def test_a_wrong_claim_fails() -> None:
     off = PLANTED + 0.5
     right = deviations(planted(points=off), quantities(DESIGN), PHI).objective
     assert failed(planted(points=off), DESIGN, PHI, right) == set()
@@ -216,7 +216,7 @@ CHANGE_POINTS = [  # frame, crank, coupler, rocker: in line at phi = 0
 
 @pytest.mark.parametrize("bars", CHANGE_POINTS)
 @pytest.mark.parametrize("mode", ["left", "right"])
-def test_a_change_point_on_the_way_is_seen(bars: tuple[float, ...], mode: str) -> None:
+def test_a_change_point_on_the_way_is_detected(bars: tuple[float, ...], mode: str) -> None:
     """Its margin is 0, or what rounding makes of 0: no proof that the linkage keeps its assembly mode there."""
     design = oracle.four_bar(*bars, along=40.0, across=30.0, mode=1 if mode == "left" else -1)
     phi = np.array([-2.0, -1.2, -0.4, 0.4, 1.2, 2.0])
@@ -232,7 +232,7 @@ def test_a_change_point_on_the_way_is_seen(bars: tuple[float, ...], mode: str) -
 
 
 @pytest.mark.parametrize("more", [0.0, 0.02, 0.05])
-def test_a_narrow_gap_between_positions_is_seen(more: float) -> None:
+def test_a_narrow_gap_between_positions_is_detected(more: float) -> None:
     """Crank and frame all but equal: around phi = 0 the linkage comes apart within a few tenths of a degree."""
     design = oracle.four_bar(60.0, 60.3, 350.0, 350.3 + more, along=40.0, across=30.0, mode=-1)
     phi = np.array([-2.0, -1.2, -0.4, 0.37, 1.2, 2.2])
@@ -311,7 +311,7 @@ def test_degrees_for_radians() -> None:
     assert "objective" in failed(planted(points=poses), DESIGN, PHI, 0.0, mark=-0.3)
 
 
-def test_crank_angles_that_were_not_asked_for() -> None:
+def test_crank_angles_that_were_not_prescribed() -> None:
     problem = planted(crank=PHI)
     assert failed(problem, DESIGN, PHI, 0.0) == set()
     late = PHI.copy()
@@ -328,7 +328,7 @@ def test_a_size_beyond_its_bound() -> None:
     assert failed(planted(limits={}), shifted, PHI) == {"bounds"}
 
 
-def test_nothing_assembles_anywhere() -> None:
+def test_linkages_that_never_assemble() -> None:
     """No exception and no pass: figures that are not numbers fail."""
     apart = {**DESIGN, "coupler": 5.0, "rocker": 6.0}
     found = failed(planted(limits={}), apart, PHI, 0.0)

@@ -122,7 +122,7 @@ def test_every_column_agrees(case, way, cycles, tmp_path):
 
 
 @pytest.mark.parametrize("case", SPEEDS)
-def test_what_the_table_leaves_out(case, cycles):
+def test_positions_between_the_table_rows(case, cycles):
     """Block and rocker turn together, the ram does not turn, and the block exerts no moment in its guide: it has no mass."""
     found = cycles[case]
     for kind in ("angle_rad", "omega_rad_s", "alpha_rad_s2"):
@@ -349,7 +349,7 @@ def test_power_balance_at_each_position(case, fine):
 
 @pytest.mark.parametrize("case", SPEEDS)
 @pytest.mark.parametrize("end", [0, 1], ids=["the cut ends", "the cut begins"])
-def test_what_jumps_with_the_cutting_force(case, end, cycles):
+def test_discontinuities_of_the_cutting_force(case, end, cycles):
     """Just before and just after the ram's reversal, against the 15 equations for the cutting force alone.
 
     Every reaction jumps by what the cutting force asks of it; the torque does not, as the ram stands still there, nor does

@@ -176,7 +176,7 @@ VALID = {
 
 
 @pytest.mark.parametrize("name", VALID)
-def test_what_is_right_passes(name):
+def test_valid_designs_pass(name):
     rule, design = VALID[name]
     design = design or rule.design(OPTIMUM if rule.free else {})
     found = validate(rule, design)
