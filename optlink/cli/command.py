@@ -16,7 +16,7 @@ from optlink.errors import InputError
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 RENAMED = {"--output": ("--quantity", "--out")}
-"""Former names of options, with the present ones; the first that a command has is meant."""
+"""Former names of options, with the present ones: the first that the command has is used."""
 
 SPELLED = {"--minimize": ("--minimise",), "--analyse": ("--analyze",)}
 """Other spellings of options."""
@@ -39,7 +39,7 @@ MEANT = {
     "dxf": "export",
     "html": "report",
 }
-"""What is meant by commands that other programs have."""
+"""Equivalents of commands of other programs."""
 
 MEANT_OPTIONS = {
     **dict.fromkeys(("--solver", "--method", "--algorithm", "--optimizer", "--optimiser"), "--backend"),
@@ -50,7 +50,7 @@ MEANT_OPTIONS = {
     **dict.fromkeys(("--silent", "-s"), "--quiet"),
     **dict.fromkeys(("--timeout", "--maxtime"), "--time-limit"),
 }
-"""What is meant by options that other programs have; where the command has it."""
+"""Equivalents of options of other programs, if the command has them."""
 
 DIMENSIONS = ("crank", "coupler", "rocker", "frame")
 

@@ -48,7 +48,7 @@ def keys(context: typer.Context, incomplete: str) -> list[str]:
 
 
 def _leaves(table: Mapping[str, Any], above: str = "") -> Iterator[str]:
-    """Yield the dotted keys of all values that are no table."""
+    """Yield the dotted keys of all values that are not tables."""
     for name, value in table.items():
         if isinstance(value, Mapping) and not {"start", "bounds"} & set(value):
             yield from _leaves(value, f"{above}{name}.")

@@ -172,7 +172,7 @@ def working(what: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def share(what: str) -> Iterator[Callable[..., None] | None]:
-    """Yield a progress function for a bar with the remaining time on standard error; None if that is no terminal.
+    """Yield a progress function for a bar with the remaining time on standard error; None if that is not a terminal.
 
     The bar appears with the first fraction below 1: work of a single step shows none. The function takes the completed fraction,
     and optionally a text that follows `what`.
@@ -202,7 +202,7 @@ def _bar(what: str) -> Iterator[Callable[[float, str], None]]:
 
 @contextlib.contextmanager
 def progress_bar(*columns: ProgressColumn, what: str, **options: Any) -> Iterator[tuple[Progress, TaskID]]:
-    """Show a bar with its remaining time on standard error; none if that is no terminal, or of a quiet command.
+    """Show a bar with its remaining time on standard error; none if that is not a terminal, or of a quiet command.
 
     Parameters
     ----------
@@ -376,7 +376,7 @@ def _no_study(out: Path) -> None:
 
 
 FILES = (".html", ".htm", ".pdf", ".png", ".svg", ".gif", ".json", ".toml", ".csv", ".dxf", ".txt")
-"""Endings of files, which are no names of result folders."""
+"""Extensions of files, which are not accepted as names of result folders."""
 
 
 @contextlib.contextmanager

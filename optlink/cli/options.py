@@ -28,7 +28,7 @@ def back_end(text: str) -> str:
     Raises
     ------
     typer.BadParameter
-        If it is none; the command line then ends with exit code 2.
+        If it is invalid; the command line then exits with code 2.
     """
     return _one_of(text, (*selectable(), "both"))
 
@@ -45,7 +45,7 @@ def whole_number(text: object) -> int:
     Raises
     ------
     typer.BadParameter
-        If it is none; the command line then ends with exit code 2.
+        If it is invalid; the command line then exits with code 2.
     """
     words = str(text).strip()
     try:
@@ -60,7 +60,7 @@ def share_number(text: object) -> float:
     Raises
     ------
     typer.BadParameter
-        If it is none; the command line then ends with exit code 2.
+        If it is invalid; the command line then exits with code 2.
     """
     from optlink.units import read_number
 

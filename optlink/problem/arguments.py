@@ -103,5 +103,5 @@ def _fault(item: Any) -> Fault:
         remedy = f'Load it: optlink.load("{item["input"]}")'
     if isinstance(item["input"], dict) and item["type"].startswith("string"):
         remedy = "Give one in quotes, or nested tables to optlink.read"
-    steps = [str(step) for step in item["loc"] if step not in ("str", "float")]  # members of unions are no keys
+    steps = [str(step) for step in item["loc"] if step not in ("str", "float")]  # members of unions are not keys
     return Fault(message, remedy, key=".".join(step for step in steps if "[" not in step), value=item["input"])

@@ -389,7 +389,7 @@ def _assign(raw: dict[str, Any], key: str, value: object, file: str) -> None:
 
 
 def _coordinate(path: tuple[str, ...], table: Any, step: str) -> int | None:
-    """Return the index of a coordinate in its pair, as in `mechanism.ground.A.x`; None if the key is no coordinate."""
+    """Return the index of a coordinate in its pair, as in `mechanism.ground.A.x`; None if the key is not a coordinate."""
     placed = path[:1] == ("mechanism",) or path == ("gravity",) or path[-1:] == ("centroid",)
     if not placed or not isinstance(table, list) or len(table) != 2 or path[-1] in ("bounds", "joints"):
         return None

@@ -139,7 +139,7 @@ def _elsewhere(section: str, key: str, model: type[Problem]) -> list[str]:
 
 
 def faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[str, Any], file: str) -> Iterator[Fault]:
-    """Yield one fault per error of a model; a key that is missing because it is misspelt is no fault of its own.
+    """Yield one fault per error of a model; a key that is missing because it is misspelt is not a separate fault.
 
     Parameters
     ----------
@@ -275,7 +275,7 @@ TOML_FAULTS = (
 
 
 def similar_name(text: str, names: Iterable[str]) -> str:
-    """Return the remedy for a name that is no shipped problem: a file or a problem with a similar name.
+    """Return the remedy for a name that is not a shipped problem: a file or a problem with a similar name.
 
     Parameters
     ----------

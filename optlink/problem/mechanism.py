@@ -268,7 +268,7 @@ class DyadsSection(Section):
         Raises
         ------
         Unusable
-            when the bodies are no chain of dyads.
+            when the bodies do not form a chain of dyads.
         """
         self._check_names()
         links = [link for link, _ in self._links()]

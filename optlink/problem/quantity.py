@@ -320,7 +320,7 @@ def read_number(raw: object, key: str) -> float:
     Raises
     ------
     Unusable
-        when it is no finite number.
+        when it is not a finite number.
     """
     if isinstance(raw, str) and (share := re.fullmatch(r"\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*%\s*", raw, re.ASCII)):
         raw = float(share.group(1)) / 100.0

@@ -39,7 +39,7 @@ class View:
     charts : function
         Returns the charts, which the page shows too.
     drawings : mapping of str to function
-        Functions by file name that return a figure that is no chart, or None.
+        Functions by file name that return a figure that is not a chart, or None.
     tables : function
         Returns CSV tables of a result by file name: columns of equal length by name.
     design : function

@@ -83,7 +83,7 @@ def read_axis(assignment: str) -> Axis:
     Raises
     ------
     InputError
-        If the text is no valid range or list.
+        If the text is not a valid range or list.
     """
     key, equals, values = assignment.partition("=")
     key, values = key.strip(), plain(values).strip().strip("\"'").strip()
@@ -224,7 +224,7 @@ def read_grid(problem: ProblemFile, vary: Sequence[str]) -> Grid:
     Raises
     ------
     InputError
-        For unknown keys, empty ranges, values that are no quantities, or too many points.
+        For unknown keys, empty ranges, values that are not quantities, or too many points.
     """
     if not vary:
         raise InputError("no parameter is varied", EXAMPLE, key="--vary")

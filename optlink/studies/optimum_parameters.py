@@ -78,7 +78,7 @@ class OptimumParameters:
 
 
 class FunctionParameters(OptimumParameters):
-    """The parameters of a function synthesis, whose file is read, built and searched anew with another value."""
+    """The parameters of a function synthesis, whose file is read, built and solved again with another value."""
 
     def optimum_at(
         self, solution: Solution, parameter: Parameter, value: float, change: Mapping[str, float], backend: str

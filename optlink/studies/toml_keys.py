@@ -12,7 +12,7 @@ from optlink.units import is_unit, split
 
 Raw = str | float | int
 
-ANGLE = 45.0  # deg, half of the range of an angle that is no design variable
+ANGLE = 45.0  # deg, half of the range of an angle that is not a design variable
 
 
 def exact_text(value: float, unit: str) -> Raw:

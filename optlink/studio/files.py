@@ -63,7 +63,7 @@ def inflated(fragment: str) -> str:
     Raises
     ------
     InputError
-        If it is no compressed text, or too long.
+        If it is not a compressed text, or too long.
     """
     try:
         data = base64.urlsafe_b64decode(fragment + "=" * (-len(fragment) % 4))

@@ -1,4 +1,4 @@
-"""One open problem: the requests of its page, and the states that answer them. It runs in a process of its own."""
+"""One open problem: the requests of its page, and the states that answer them. It runs in its own process."""
 
 from __future__ import annotations
 

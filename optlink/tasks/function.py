@@ -367,7 +367,7 @@ def read_design(problem: ProblemFile, assignments: list[str], varied: Collection
     Raises
     ------
     InputError
-        For unknown or missing names, or values that are no quantities.
+        For unknown or missing names, or values that are not quantities.
     """
     quantities = problem.model.quantities
     design: dict[str, float] = {}

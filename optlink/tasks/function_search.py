@@ -343,7 +343,7 @@ class FunctionSearch:
         return 0 if certified else MAX_RANDOM_STARTS
 
     def _enough(self, random: int, first: int, count: int | None) -> bool:
-        """Return whether so many random starts suffice: the prescribed number, else by the evidence."""
+        """Return whether the random starts suffice: the prescribed number of them, or by the evidence."""
         if count is not None:
             return random >= count - first
         if random >= self._most:

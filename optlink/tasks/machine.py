@@ -48,7 +48,7 @@ def turning_machine(problem: ProblemFile, design: Mapping[str, float]) -> Machin
 
 
 def check_names(problem: ProblemFile, names: Iterable[str], valid: Collection[str]) -> None:
-    """Refuse names that are no quantities of a design.
+    """Refuse names that are not quantities of a design.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ from optlink.tasks.results.clearance import ClearanceSimulation
 
 
 class ErrorLimitExceeded(Exception):
-    """The error of a run exceeds its limit, whatever the remaining revolutions give."""
+    """The error of a run exceeds its limit, regardless of the remaining revolutions."""
 
 
 @dataclass(frozen=True)

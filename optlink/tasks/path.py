@@ -193,7 +193,7 @@ class SearchRounds:
         return max(1, min(left, SHARED_BATCH_ROUNDS))
 
     def explained(self, seed: int) -> Explanation | None:
-        """Return limits of the linkage that conflict, or refine a design that meets all of them, whatever its deviations.
+        """Return limits of the linkage that conflict, or refine a design that meets all of them, regardless of its deviations.
 
         All assembly modes and senses of rotation are tried, those of the nearest design first. The order of the points and their
         tolerances are kept while limits are relaxed.

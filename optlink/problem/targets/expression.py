@@ -136,7 +136,7 @@ class Expression:
     def breakpoints(self, values: Mapping[str, Value]) -> list[Value]:
         """Return quantities at whose zeros the value may have a pole, a jump, a corner or an end of its domain.
 
-        They are denominators, bases of powers that are no whole numbers above zero, and arguments of roots, logarithms and
+        They are denominators, bases of powers that are not whole numbers above zero, and arguments of roots, logarithms and
         absolute values; those that are constant over arrays of values are left out.
         """
         breakpoints: list[Value] = []

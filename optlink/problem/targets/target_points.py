@@ -27,7 +27,7 @@ BINARY = {
     b"GIF8": "a picture",
     b"\xd0\xcf\x11\xe0": "an Office file",
 }
-"""Kinds of files that are no text, by their first bytes."""
+"""Kinds of files that are not text, by their first bytes."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def read_count(raw: Mapping[str, Any]) -> int:
     Raises
     ------
     Unusable
-        If it is no whole number, or out of range.
+        If it is not a whole number, or out of range.
     """
     count = raw.get("points", DEFAULT_POINTS)
     if isinstance(count, bool) or not isinstance(count, int) or not 2 <= count <= MAX_POINTS:
@@ -83,7 +83,7 @@ def metres(raw: Mapping[str, Any]) -> float:
     Raises
     ------
     Unusable
-        If the unit is none of a length.
+        If the unit is not a unit of length.
     """
     if not isinstance(raw["unit"], str):
         raise Unusable("expected a unit of length", 'Write unit = "mm"', "unit", raw["unit"])
@@ -104,7 +104,7 @@ def shortened(value: object) -> str:
 
 
 def file_kind(data: bytes) -> str:
-    """Return the kind of a file that is no text, by its first bytes; empty for any other file."""
+    """Return the kind of a file that is not text, by its first bytes; empty for any other file."""
     return next((words for start, words in BINARY.items() if data.startswith(start)), "")
 
 

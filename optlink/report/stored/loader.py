@@ -33,7 +33,7 @@ def _by_schema(commands: Mapping[str, str]) -> dict[str, tuple[str, str]]:
 COMPARISON = "simulate --control compare"
 SOLVED = _by_schema(dict.fromkeys(("function", "path", "cycle"), "solve") | {"analysis": "analyze"})
 SOLVED |= _by_schema({"sensitivity": "study sensitivity"})
-"""Schemas of results whose figures are computed anew: the command that writes them, and their kind."""
+"""Schemas of results whose figures are recomputed: the command that writes them, and their kind."""
 STUDIES = _by_schema({"simulation": "simulate", "clearance": "simulate", "control comparison": COMPARISON, "balance": "balance"})
 STUDIES |= _by_schema({kind: f"study {kind}" for kind in ("sweep", "tolerance", "pareto")})
 """Schemas of results that are shown as stored: the command that writes them, and the kind of their page."""

@@ -61,7 +61,7 @@ def named_si(file: ProblemFile, columns: Mapping[str, float]) -> dict[str, float
     ----------
     file : ProblemFile
     columns : mapping of str to float
-        In display units; columns that are no quantity are ignored.
+        In display units; columns that are not quantities are ignored.
     """
     values = {}
     for name, quantity in file.model.quantities.items():

@@ -254,7 +254,7 @@ VERDICTS = {
 
 
 def read(record: BalanceRecord, file: ProblemFile) -> Balance:
-    """Return a stored balancing result; its measures are computed anew from its counterweights.
+    """Return a stored balancing result; its measures are recomputed from its counterweights.
 
     Parameters
     ----------

@@ -87,7 +87,7 @@ def search_summary(
     """
     proof, solution, model = outcome.certificate, outcome.solution, outcome.problem.model
     priced = None
-    if solution is not None and outcome.status != Status.INFEASIBLE:  # elsewhere multipliers are no prices
+    if solution is not None and outcome.status != Status.INFEASIBLE:  # elsewhere multipliers are not prices
         priced = active(model, outcome.objective, solution.limits)
     counted = ["" if outcome.backend == "none" else outcome.backend]
     counted.append(f"{outcome.starts} start{'s' * (outcome.starts != 1)}" if outcome.starts else "")
@@ -171,7 +171,7 @@ def dimension_rows(
     model : Problem
     values : mapping of str to float [SI]
     derived : mapping of str to str
-        Remarks on values that are no quantities of the problem.
+        Remarks on values that are not quantities of the problem.
     shown : function of float to str, optional
         Format of a value.
     """

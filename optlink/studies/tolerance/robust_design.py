@@ -157,7 +157,7 @@ def check_law(problem: ProblemFile) -> None:
     Raises
     ------
     InputError
-        If it is no motion law of a four-bar.
+        If it is not a motion law of a four-bar.
     """
     if not problem.model.has_error:
         message = "robust design supports motion laws of a four-bar only"

@@ -111,7 +111,7 @@ def read_costs(texts: Sequence[str]) -> dict[str, float]:
     Raises
     ------
     InputError
-        If a text is no positive coefficient.
+        If a text is not a positive coefficient.
     """
     costs: dict[str, float] = {}
     for text in texts:

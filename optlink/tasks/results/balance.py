@@ -22,7 +22,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.machine.balance import read_measure
 
 AGREES = 1e-8
-"""Difference between the programme and the inverse dynamics of the balanced machine, over the largest amount, that is none."""
+"""Tolerance between the programme and the inverse dynamics of the balanced machine, relative to the largest amount."""
 
 Measure = Annotated[BalanceMeasure, PlainValidator(read_measure), PlainSerializer(str), WithJsonSchema({"type": "string"})]
 """A measure as a text, such as "rms shaking force"."""
@@ -151,7 +151,7 @@ class MeasureRecord(Record):
 
 @dataclass(frozen=True)
 class ActiveLimit:
-    """A limit at the optimum; `buys`: first-order share of the objective saved by relaxing it by one `step`."""
+    """A limit at the optimum; `buys`: first-order relative reduction of the objective if it is relaxed by one `step`."""
 
     name: str
     sense: str
