@@ -222,9 +222,9 @@ def simulate_clearance(
     }
     if resume is not None:
         begun = read_checkpoint(ClearanceCheckpoint, resume, options)
-        if begun.revolutions > revolutions:
-            message = f"{begun.revolutions} revolutions are already complete"
-            raise InputError(message, "Request more", key="revolutions", value=revolutions)
+        if begun.revolutions >= revolutions:
+            message, remedy = f"{begun.revolutions} revolutions are already complete", "Request more, or leave out --resume"
+            raise InputError(message, remedy, key="revolutions", value=revolutions)
         closed_loop.restore(begun.closed_loop)
         account.restore(begun.statistics)
         if pair is not None and begun.predictability is not None:

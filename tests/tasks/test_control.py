@@ -366,6 +366,13 @@ def test_checkpoints_of_other_kinds_are_refused(saved):
         optlink.simulate_clearance(rocker(), 2, 60, tolerance=1e-6, twin=False, resume=simulation)
 
 
+def test_a_complete_run_is_not_resumed(saved):
+    """Its rows are not in the checkpoint: the command would replace the files of the run by those of no revolution."""
+    done = saved[0]["revolutions"]
+    with pytest.raises(InputError, match=f"{done} revolutions are already complete. Request more, or leave out --resume"):
+        optlink.simulate_clearance(rocker(), done, 60, tolerance=1e-6, resume=saved[0])
+
+
 @pytest.mark.parametrize(
     ("part", "entry", "value"),
     [
