@@ -142,7 +142,8 @@ def deliver(result: Any, kind: str, as_json: bool, out: Path | None, csv: Path |
         from optlink.io import write_json
 
         write_json(out / "result.json", {**result.to_dict(), "interrupted": True})
-        print(f"Interrupted: {out} {lacking}", file=sys.stderr)
+        begun = not getattr(result, "finished", True) and (out / "checkpoint.json").is_file()
+        print(f"Interrupted: {out} {lacking}{'; add --resume to continue' if begun else ''}", file=sys.stderr)
     if as_json:
         print_json(result.to_dict())
     else:

@@ -8,11 +8,13 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from typer.testing import CliRunner
 
 import optlink
+from optlink.cli import console
 from optlink.cli.app import app
 from optlink.execution.process import Process
 
@@ -395,3 +397,12 @@ def test_undecodable_bytes_in_an_option():
         assert done.returncode == 2
         assert b"Traceback" not in done.stderr
         assert json.loads(done.stdout)["status"] == "error"
+
+
+@pytest.mark.parametrize("checkpoint", [True, False])
+def test_an_interrupted_run_with_a_checkpoint_says_how_to_resume_it(tmp_path, monkeypatch, capsys, checkpoint):
+    if checkpoint:
+        (tmp_path / "checkpoint.json").write_text("{}")
+    monkeypatch.setattr(console.interrupts, "interrupted", lambda: True)
+    console.deliver(SimpleNamespace(finished=False, to_dict=dict), "clearance", True, tmp_path, code=0)
+    assert ("; add --resume to continue" in capsys.readouterr().err) is checkpoint
