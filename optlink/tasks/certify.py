@@ -28,6 +28,7 @@ from optlink.tasks.function import FunctionResult
 from optlink.tasks.function_search import certified_by_default
 from optlink.tasks.protocol import completed
 from optlink.tasks.results.certificate import GLOBAL, GLOBAL_GAP, INFEASIBLE, NOT_CLOSED, WITHIN_GAP, Certificate, Cover, exact
+from optlink.tasks.results.evidence import INCOMPLETE
 from optlink.version import VERSION
 
 if TYPE_CHECKING:
@@ -200,7 +201,10 @@ class _Search:
     def _with(self, certificate: Certificate | None, begin: float, *, interrupted: bool) -> Any:
         """Return the result with its certificate and the time since the start of the proof."""
         seconds = self.result.seconds | {"certify": time.perf_counter() - begin}
-        return replace(self.result, certificate=certificate, seconds=seconds, interrupted=self.result.interrupted or interrupted)
+        changes: dict[str, Any] = {"seconds": seconds, "interrupted": self.result.interrupted or interrupted}
+        if certificate is not None and certificate.proven and self.result.incomplete:
+            changes["notes"] = tuple(note for note in self.result.notes if not note.startswith(INCOMPLETE))
+        return replace(self.result, certificate=certificate, **changes)
 
     def _branches(self, bounds: Bounder, best: float, better: Callable[[Array], float], batch: int = BATCH) -> BranchAndBound:
         """Return a search in terms of squared deviations."""

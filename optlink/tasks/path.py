@@ -18,7 +18,7 @@ from optlink.synthesis.batch_search import PER_ROUND, PERFECT, Searcher
 from optlink.tasks.path_search import DesignCollection, Polisher, designs_from_four_bar, has_several_dyads, path_model
 from optlink.tasks.protocol import DesignTask, Search, completed
 from optlink.tasks.results.common import shortest_link
-from optlink.tasks.results.evidence import evidence
+from optlink.tasks.results.evidence import INCOMPLETE, evidence
 from optlink.tasks.results.path import PathDesign, PathResult
 from optlink.validation.path import validate_path
 
@@ -82,9 +82,7 @@ class PathTask(DesignTask[PathResult]):
         notes += () if collection.designs else shortest_link(task.quantities, task.limits.crank)
         if collection.designs and coverage.missed > MISSED_CHANCE:
             count = rounds.searcher.exploration.starts
-            notes.append(
-                f"search incomplete: {count} starts, {coverage.chance}; use --starts {min(4 * count, PathTask.most_starts)}"
-            )
+            notes.append(f"{INCOMPLETE}: {count} starts, {coverage.chance}; use --starts {min(4 * count, PathTask.most_starts)}")
         return PathResult(
             problem=problem,
             designs=tuple(collection.designs),

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 Proving = Callable[[float, float], None]
 """Receives the share of the bounds that is done, and the present gap."""
 
+INCOMPLETE_BOXES, MAX_UNKNOWNS = 10_000, 3  # boxes, and most design variables, of a certificate after an incomplete search
+
 TASKS: Registry[Callable[[], DesignTask[Any]]] = Registry()
 """Functions that import and return the tasks, by the kind of problem (`ProblemFile.task`)."""
 
@@ -146,12 +148,27 @@ def solve(
         runs = ends.enter_context(pool(engine, workers, scheduler)) if task.divisible else None
         kept: dict[str, Any] = {"designs": designs, "track": track, "runs": runs, "shared": shared}
         result = task.solve(problem, backend, starts, seed, progress, **kept)
-        if not task.certified or certify is False or result.interrupted or (certify is None and not proof.automatic(problem)):
+        if not task.certified or certify is False or result.interrupted:
             return result
-        boxes = proof.AUTOMATIC_BOXES if certify is None else math.inf
+        boxes = math.inf if certify else _default_boxes(problem, result)
+        if not boxes:
+            return result
         return proof.certify(  # type: ignore[type-var]
             result, gap, time_limit, proving, seed, boxes, problem, folder, resume=resume, runs=runs
         )
+
+
+def _default_boxes(problem: ProblemFile, result: Any) -> int:
+    """Return the number of boxes of a certificate that is made by default; zero if none is made."""
+    from optlink.tasks import certify as proof
+
+    if proof.automatic(problem):
+        return proof.AUTOMATIC_BOXES
+    if result.incomplete and len(problem.model.free) <= MAX_UNKNOWNS:
+        with contextlib.suppress(InputError):
+            proof.check_problem(problem)
+            return INCOMPLETE_BOXES
+    return 0
 
 
 @typed

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar, Self
 
 from optlink.errors import Status
 from optlink.linkage.fourbar import LENGTHS
@@ -89,6 +89,9 @@ class SingleResult(Recorded):
 
     `design` [SI]; `objective` [SI]; `counts` and `conflict` as they apply: a search without a design has the reason instead.
     """
+
+    incomplete: ClassVar[bool] = False
+    """Whether a note states that the search may have missed the best design."""
 
     problem: ProblemFile
     status: Status

@@ -28,6 +28,10 @@ def tally(items: Iterable[tuple[Item, int]], alike: Callable[[Item, Item], bool]
     return distinct
 
 
+INCOMPLETE = "search incomplete"
+"""Beginning of the note on a search that may have missed the best design."""
+
+
 @dataclass(frozen=True)
 class Evidence:
     """Statistical evidence of a multistart search about optima that it did not find.

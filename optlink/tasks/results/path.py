@@ -29,7 +29,7 @@ from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.analysis import stroke_document
 from optlink.tasks.results.certificate import Certificate, CertificateRecord, message
 from optlink.tasks.results.common import SearchRecord, verified
-from optlink.tasks.results.evidence import Evidence
+from optlink.tasks.results.evidence import INCOMPLETE, Evidence
 from optlink.tasks.results.fit import Fit, FitRecord, path_fit, transmission_fit
 from optlink.units import DISPLAYED
 from optlink.validation.between import excursions
@@ -302,6 +302,11 @@ class PathResult(Recorded):
     def hits(self) -> int:
         """Number of starts that reached the best design."""
         return self.evidence.hits
+
+    @property
+    def incomplete(self) -> bool:
+        """Whether a note states that the search may have missed the best design."""
+        return any(note.startswith(INCOMPLETE) for note in self.notes)
 
     @property
     def message(self) -> str:
