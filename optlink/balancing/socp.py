@@ -81,14 +81,6 @@ class Price:
     price: float
 
 
-@dataclass(frozen=True)
-class BalanceLimits:
-    """Limits beside those of single counterweights: upper bounds of measures [SI], least and largest total mass [kg]."""
-
-    measures: tuple[tuple[BalanceMeasure, float], ...] = ()
-    total: tuple[float, float] = (0.0, math.inf)
-
-
 class BalancingProgramme:
     """The feasible counterweights and springs of a machine, and measures of them, as convex expressions.
 
@@ -99,7 +91,10 @@ class BalancingProgramme:
         In the order of `effects`.
     springs : sequence of FreeSpring
         In the order of `effects`, after the counterweights.
-    limits : BalanceLimits
+    measures : sequence of (BalanceMeasure, float)
+        Measures with their upper bounds [SI].
+    total : pair of float [kg]
+        Least and largest mass of all counterweights together.
     mass : float [kg]
         Typical mass of the machine.
     length : float [m]
@@ -111,14 +106,15 @@ class BalancingProgramme:
         effects: Effects,
         counterweights: Sequence[Counterweight],
         springs: Sequence[FreeSpring],
-        limits: BalanceLimits,
+        measures: Sequence[tuple[BalanceMeasure, float]],
+        total: tuple[float, float],
         mass: float,
         length: float,
     ) -> None:
         import cvxpy
 
         self.cp: Any = cvxpy
-        self.effects, self.counterweights, self.springs, self.limits = effects, counterweights, springs, limits
+        self.effects, self.counterweights, self.springs = effects, counterweights, springs
         self.length = length
         self.scales = np.concatenate([self._scale(w, mass) for w in counterweights] + [self._stiffness(s) for s in springs])
         self.x = self.cp.Variable(effects.count)
@@ -134,8 +130,8 @@ class BalancingProgramme:
             place = slice(begin + 2 * k, begin + 2 * k + 2)
             self._spring(spring, self.x[place], self.scales[place])
         if counterweights:
-            self._between("mass of all counterweights together", "mass", self.total, limits.total, self.mass_scale)
-        for measure, bound in limits.measures:
+            self._between("mass of all counterweights together", "mass", self.total, total, self.mass_scale)
+        for measure, bound in measures:
             self.bounds.append(
                 BalanceBound(str(measure), "measure", self.expression(measure), bound, self.before(measure) or 1.0)
             )

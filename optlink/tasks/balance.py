@@ -12,7 +12,7 @@ import numpy as np
 
 from optlink.balancing import optimum as search
 from optlink.balancing.certificate import GAP
-from optlink.balancing.socp import NOTHING, BalanceLimits, BalancingProgramme, version
+from optlink.balancing.socp import NOTHING, BalancingProgramme, version
 from optlink.dynamics.columns import MotionColumns
 from optlink.dynamics.counterweights import BalanceMeasure, Effects, quantities, quantities_of, with_counterweight
 from optlink.dynamics.inertia import Inertia, Parameters
@@ -86,13 +86,11 @@ class _Task:
         self.moving = self.machine.moving(self.angles, self.speed)
         self._check_finite()
         self.effects = Effects(self.moving, [weight.body for weight in self.counterweights], self.springs, self.about)
-        self.limits = BalanceLimits(
-            tuple((c.measure, c.of(c.measure.value(self.effects.affine(c.measure).offset))) for c in section.limits.values()),
-            section.total,
-        )
+        limits = ((c.measure, c.of(c.measure.value(self.effects.affine(c.measure).offset))) for c in section.limits.values())
+        self.limited = tuple(limits)
         masses = sum(float(inertia.mass) for inertia in self.machine.inertias.values())
         self.programme = BalancingProgramme(
-            self.effects, self.counterweights, self.springs, self.limits, masses or 1.0, float(self.machine.size)
+            self.effects, self.counterweights, self.springs, self.limited, section.total, masses or 1.0, float(self.machine.size)
         )
 
     def _check_finite(self) -> None:
@@ -433,7 +431,7 @@ def _notes(
 
 def _between(task: _Task, goal: Sequence[tuple[BalanceMeasure, float]], heavier: Machine) -> list[str]:
     """Return notes on higher values between the positions, for largest amounts that are minimised or limited."""
-    largest = [m for m in (*(m for m, _ in goal), *(m for m, _ in task.limits.measures)) if m.of == "largest"]
+    largest = [m for m in (*(m for m, _ in goal), *(m for m, _ in task.limited)) if m.of == "largest"]
     if not largest:
         return []
     fine = np.interp(np.linspace(0, len(task.angles) - 1, 16 * len(task.angles)), np.arange(len(task.angles)), task.angles)
