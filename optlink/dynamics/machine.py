@@ -203,11 +203,6 @@ class Moving:
         """Variables available to every load: crank angle [rad] and speed [rad/s]."""
         return {"phi": self.motion.crank_angle, "omega": self.motion.speed}
 
-    def axis(self, body: str) -> Vector:
-        """Return the unit vector of a body's x axis."""
-        x, y = self.pose.direction(body)
-        return as_jet(x).value, as_jet(y).value
-
     def line(self, guide: str) -> Vector:
         """Return the unit vector of a guide's line."""
         return self._lines[guide]

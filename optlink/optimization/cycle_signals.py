@@ -189,7 +189,7 @@ class TracedCycle:
         if kind == "guide":
             return (moving.slides[name][0],)
         if kind == "body":
-            return moving.axis(name)
+            return moving.state(name).axis
         assert term.direction is not None
         return (dot(unit(term.direction.value), moving.position(name)),)
 
