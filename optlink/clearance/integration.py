@@ -76,6 +76,9 @@ class Block(NamedTuple):
     works: Array
 
 
+TOO_DEEP = "too deep for the contact law"
+
+
 class Stalled(RuntimeError):
     """The integration cannot continue; `reason` describes why."""
 
@@ -383,4 +386,4 @@ class Integration:
         depth = self._observe(self.state[None, :], 0.0)[0][0]
         for gap, delta in zip(self.equations.gaps, depth, strict=True):
             if delta > DEEPEST * gap.radius:
-                raise Stalled(f"the journal at {gap.point} is {delta:.3g} m deep in its bearing, too deep for the contact law")
+                raise Stalled(f"the journal at {gap.point} is {delta:.3g} m deep in its bearing, {TOO_DEEP}")

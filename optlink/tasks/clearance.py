@@ -16,7 +16,7 @@ from optlink.clearance.closed_loop import ClosedLoop, vibration
 from optlink.clearance.compiled.choice import INSTALL, IntegratorKind, chosen, installed, resumed
 from optlink.clearance.controller import PID, Control, Controller, Gains
 from optlink.clearance.equations import Drive, Servo, Weightless
-from optlink.clearance.integration import Stalled
+from optlink.clearance.integration import TOO_DEEP, Stalled
 from optlink.clearance.inverse_model import Inverse, leverage
 from optlink.clearance.joint import Gap
 from optlink.clearance.output import Output, default_output, outputs
@@ -274,7 +274,7 @@ def simulate_clearance(
         notes.append(
             "Results up to that time are kept. Another contact stiffness, a higher restitution, masses or a lower speed may help"
         )
-        if integrator is IntegratorKind.CVODES:
+        if integrator is IntegratorKind.CVODES and TOO_DEEP not in message:  # which every integrator finds
             notes.append(
                 f"The other integrator may pass this position: --integrator compiled. {'' if installed() else INSTALL}".strip()
             )

@@ -190,7 +190,7 @@ def check_pace(problem: ProblemFile, speed: float, processes: Mapping[str, tuple
         if turn > MAX_PERIODS * period:
             message = f"{process} takes {period:.3g} s, so that a revolution of {turn:.3g} s contains {turn / period:.2g}"
             raise _of_drive(
-                problem, key, message, f"Give another value or another speed, so that there are at most {MAX_PERIODS:,}"
+                problem, key, message, f"Change this value, or raise the speed, so that there are at most {MAX_PERIODS:,}"
             )
 
 

@@ -1113,6 +1113,7 @@ def test_journal_that_falls_through_its_bearing_stalls_the_run():
         assert part in found.message
     assert 0.0 < found.stopped < 0.012
     assert found.notes
+    assert not any("other integrator" in note for note in found.notes)  # it would fall through as well
     assert json.loads(json.dumps(found.to_dict(), allow_nan=False))["status"] == "stalled"
 
 
