@@ -110,7 +110,7 @@ class Session:
             document = from_text(inflated(_text(request, "fragment")), _text(request, "title", "shared"))
         else:
             document = from_text(_text(request, "text"), _text(request, "title", "problem"))
-        self._begin([document])
+        self._begin([document], origin=_text(request, "origin", document.text))
 
     def _begin(self, steps: list[Document], at: int = 0, origin: str | None = None, design: Design | None = None) -> None:
         """Open a document, or one with its history: `at` is the index of the present step, `origin` the text that was opened."""
@@ -371,7 +371,8 @@ class Session:
                 "changed": document.text != self._origin,
                 "can_undo": undo,
                 "can_redo": redo,
-            },
+            }
+            | ({} if moving else {"text": document.text}),
             "kind": kind_of(problem).name(problem.model),
             "status": design.status,
             "conclusion": pretty(design.conclusion),

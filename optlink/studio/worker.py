@@ -79,6 +79,9 @@ class Interrupts:
         try:
             self._check()
             return work()
+        except Exception:
+            self._check()  # a library can turn an interrupt into an error of its own
+            raise
         finally:
             self._open = False
 

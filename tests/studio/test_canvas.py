@@ -395,6 +395,28 @@ def test_a_value_that_is_refused_or_converted_does_not_stay_in_its_field(page):
 
 
 @pytest.mark.slow
+def test_a_lost_studio_leaves_the_problem_to_save(driver, tmp_path):
+    pytest.importorskip("selenium", reason="selenium is not installed")
+    from tests.studio.browser import Page, studio
+
+    with studio("scotch-yoke") as address:
+        page = Page(driver, address)
+        page.downloads(tmp_path)
+        page.driver.get(address)
+        page.until("return document.querySelector('#canvas')?.dataset.status === 'verified'")
+    page.until("return document.querySelector('#hint').textContent.includes('has ended')")
+    assert [one.text for one in driver.find_elements("css selector", "#hint button")] == ["Reconnect", "Save the problem"]
+    page.find("#tool-draw").click()  # its own hint does not replace that of the loss
+    page.find("#hint button:last-child").click()
+    end = time.monotonic() + 30.0
+    while not (files := list(tmp_path.glob("*.toml"))):
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    assert files[0].name == "scotch-yoke.toml"
+    assert optlink.load(files[0]).raw == optlink.load("scotch-yoke").raw
+
+
+@pytest.mark.slow
 def test_a_stopped_search_is_reported(page):
     page.find('[data-problem="path-closed18-untimed"]').click()
     page.until("return document.querySelector('#search').textContent === 'Stop'")

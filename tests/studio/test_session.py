@@ -100,7 +100,8 @@ def test_a_released_design_agrees_with_the_saved_file(page: Page) -> None:
     assert 'frame = "512.5 mm"' in text
     assert "[expected]" not in text
     assert state["document"] == {
-        "name": "crank-rocker", "title": state["document"]["title"], "changed": True, "can_undo": True, "can_redo": False
+        "name": "crank-rocker", "title": state["document"]["title"], "changed": True, "can_undo": True, "can_redo": False,
+        "text": text,
     }  # fmt: skip
     back = page.state("undo")
     assert back["document"]["changed"]  # from the file that was saved
@@ -189,6 +190,15 @@ def test_a_drag_to_an_impossible_value_is_refused_with_a_reason(page: Page, hand
     assert states[-1]["status"] == "verified"
     assert states[-1]["document"] == before["document"]
     assert values(states[-1]) == pytest.approx(values(before), rel=1e-9)
+
+
+def test_a_problem_that_a_page_kept_is_opened_with_its_changes(page: Page) -> None:
+    """As after a lost connection: the text of the last state, which was not saved."""
+    kept = page.state("drag", handle="mechanism.frame", value=510.0, moving=False)["document"]
+    assert "text" not in page.state("drag", handle="mechanism.frame", value=511.0, moving=True)["document"]
+    again = Page().state("open", text=kept["text"], title=kept["name"], origin="")
+    assert again["document"] | {"can_undo": True} == kept
+    page.ask("undo")
 
 
 def test_a_limit_that_is_dragged_to_zero_keeps_its_handle(page: Page) -> None:
@@ -338,6 +348,10 @@ def test_no_verdict_outlives_its_problem() -> None:
 def test_a_stop_ends_only_the_computation_that_it_means() -> None:
     before = signal.getsignal(signal.SIGINT)
     interrupts = Interrupts()
+
+    def failing() -> None:
+        raise SystemError
+
     try:
         interrupts.begin(1)
         interrupts.stop(1)  # before the computation allows it
@@ -345,8 +359,13 @@ def test_a_stop_ends_only_the_computation_that_it_means() -> None:
             interrupts.within(lambda: 1)
         interrupts.begin(2)
         assert interrupts.within(lambda: 2) == 2
+        interrupts.begin(7)
+        with pytest.raises(KeyboardInterrupt):  # a library made another error of the interrupt
+            interrupts.within(lambda: setattr(interrupts, "_stopped", 7) or failing())
         interrupts.begin(3)
         interrupts.stop(2)  # too late
+        with pytest.raises(SystemError):
+            interrupts.within(failing)
         assert interrupts.within(lambda: interrupts.stop(2) or 3) == 3
         lost = []
 

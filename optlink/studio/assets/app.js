@@ -4,6 +4,7 @@ import { dropDown, keyboard, takeFiles } from "./commands.js";
 import { Curve } from "./curve.js";
 import { $, download, hint, sentence, setText, svg, toast } from "./dom.js";
 import { Handles } from "./handles.js";
+import { again, keep, lost } from "./kept.js";
 import { Linkage } from "./linkage.js";
 import { embedded, keptToken, Live } from "./live.js";
 import { Motion } from "./motion.js";
@@ -228,7 +229,7 @@ function take(next) {
   panel.cursor(motion.angle);
   verdict(next.status);
   const { can_undo: undo, can_redo: redo } = next.document;
-  titled(next.document);
+  titled(keep(next.document));
   $("undo").disabled = !undo;
   $("redo").disabled = !redo;
   for (const name of ["save", "export", "share", "search"]) {
@@ -265,11 +266,13 @@ const live = new Live(keptToken(), {
   hello(message) {
     start.take(message);
     root.dataset.ready = "";
-    hint(null);
+    hint(null, [], true);
     const fragment = location.hash.slice(1);
     if (fragment && !message.opened) {
       ask("open", { fragment });
       history.replaceState(null, "", location.pathname);
+    } else if (again()) {
+      ask("open", again());
     } else if (message.opened) {
       start.hide();
       refit = true;
@@ -313,10 +316,7 @@ const live = new Live(keptToken(), {
       start.show(false);
     }
   },
-  closed() {
-    const words = embedded ? "This canvas is connected in another view, or its kernel has ended: " : "The connection to the studio has ended. Start `optlink studio` again, or ";
-    hint(words, { text: "reconnect", run: () => live.connect() });
-  },
+  closed: () => (busy(false), lost(() => live.connect())),
 });
 
 // A state that was overtaken before it was drawn may hold outlines that its follower leaves out.

@@ -95,10 +95,16 @@ export function download(name, media, content) {
   setTimeout(() => URL.revokeObjectURL(address), 10000);
 }
 
-export function hint(text, action) {
+let lasting = false;
+// A line above the canvas; one that lasts is replaced by another one that lasts only.
+export function hint(text, actions = [], lasts = false) {
+  if (lasting && !lasts) {
+    return;
+  }
+  lasting = lasts && Boolean(text);
   const node = $("hint");
   node.hidden = !text;
-  node.replaceChildren(text || "", ...(action ? [el("button", { text: action.text, class: "inline", onclick: action.run })] : []));
+  node.replaceChildren(text || "", ...actions.flatMap(({ text: words, run }) => [" ", el("button", { text: words, class: "inline", onclick: run })]));
 }
 
 // A message as a sentence; one that begins with a name, a key or a file keeps it.
