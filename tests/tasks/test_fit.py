@@ -19,7 +19,7 @@ from optlink.report.views import cycle_tables
 from optlink.solvers.solution import LimitState
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.path import solve, validate
-from optlink.tasks.results.fit import Fit, TransmissionFit, transmission_fit
+from optlink.tasks.results.fit import Fit, PathFit, TransmissionFit, transmission_fit
 from tests.stated import document, four_bar_section, free
 
 SIZES = dict.fromkeys(("crank", "coupler", "rocker", "frame"), free(10.0, 300.0))
@@ -249,3 +249,10 @@ def test_a_machine_with_the_best_transmission_angle_is_graded() -> None:
     assert 90.0 - math.degrees(told["error"]) == pytest.approx(angle, abs=1e-4)
     assert told["grade"] == "poor"
     assert "widen limits.stroke" in {each["remedy"] for each in told["reasons"]}
+
+
+def test_an_error_larger_than_the_path_has_no_exponent():
+    """It stood as 7.1e+02 % on a page."""
+    fit = PathFit(1e-6, 1e-3, "m", "the size of the path", excursion=7.1e-3, after=10, count=18)
+    assert fit.text == "poor fit: between points 11 and 12 the curve deviates by 7.1 mm, 710 % of the size of the path"
+    assert PathFit(0.052, 1.0, "m", "the size").text == "poor fit: rms error is 5.2 % of the size"

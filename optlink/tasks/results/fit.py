@@ -98,7 +98,7 @@ class Fit:
         """The grade with its figure."""
         if self.grade == "exact":
             return "exact fit"
-        return f"{self.grade} fit: rms error is {100.0 * self.share:.2g} % of {self.of}"
+        return f"{self.grade} fit: rms error is {_percent(self.share)} of {self.of}"
 
 
 @dataclass(frozen=True)
@@ -134,8 +134,13 @@ class PathFit(Fit):
         """The grade with the figure that determines it."""
         if self.grade == self.at_points:
             return super().text
-        share = f"{100.0 * self.excursion / self.size:.2g} % of {self.of}"
+        share = f"{_percent(self.excursion / self.size)} of {self.of}"
         return f"{self.grade} fit: between {self.segment} the curve deviates by {_length(self.excursion)}, {share}"
+
+
+def _percent(share: float) -> str:
+    """Format a share in percent, from 100 % on without digits after the point."""
+    return f"{100.0 * share:.2g} %" if share < 0.99 else f"{100.0 * share:.0f} %"
 
 
 class FitRecord(Record):
