@@ -179,6 +179,10 @@ def test_keys_lock_and_link(page):
     page.until("return document.querySelector('[data-variable=rocker]').classList.contains('locked')")
     page.verified()
     fixed = value(page, "rocker")
+    page.find("#export").send_keys(Keys.ARROW_DOWN)
+    assert page.run("return document.activeElement.dataset.format") == "dxf"
+    page.driver.switch_to.active_element.send_keys(Keys.ESCAPE)
+    assert page.run("return document.activeElement.id") == "export"
     page.find("#share").click()
     page.until("return document.querySelector('#link').open")
     link = page.find("#link-text").get_attribute("value")

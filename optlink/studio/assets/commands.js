@@ -10,6 +10,15 @@ export function dropDown(button, menu) {
     button.setAttribute("aria-expanded", String(open));
   };
   button.addEventListener("click", () => set(menu.hidden));
+  button.addEventListener("keydown", (event) => {
+    if (event.key === "ArrowDown") {
+      event.preventDefault();
+      set(true);
+      menu.firstElementChild.focus();
+    } else if (event.key === "Escape" && !menu.hidden) {
+      set(false);
+    }
+  });
   menu.addEventListener("keydown", (event) => {
     const items = [...menu.children];
     const way = { ArrowDown: 1, ArrowUp: -1 }[event.key];
