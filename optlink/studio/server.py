@@ -47,6 +47,7 @@ REQUESTS = (
     *("open", "new", "drag", "set", "lock", "search", "stop", "undo", "redo"),
     *("draw", "choose", "save", "export", "link"),
 )
+FULL = f"{MAX_PAGES} pages of the studio are open. Close one, and reconnect."
 QUOTA = "Too many requests. Send fewer than 200 a second"
 
 
@@ -133,10 +134,10 @@ class Studio:
     # --- the socket ---------------------------------------------------------------------------------------------------------
 
     async def _live(self, ws: WebSocket) -> None:
-        if len(self.links) >= MAX_PAGES:
-            await ws.close(POLICY_VIOLATION, "too many pages are open")
-            return
         await ws.accept()
+        if len(self.links) >= MAX_PAGES:  # the page can read why after it was accepted only
+            await ws.close(POLICY_VIOLATION, FULL)
+            return
 
         async def send(text: str) -> None:
             try:

@@ -18,7 +18,7 @@ import pytest
 import websockets
 
 from optlink.studio.link import Link
-from optlink.studio.server import Studio, parsed
+from optlink.studio.server import FULL, PAGES, Studio, parsed
 
 SECONDS = 60.0
 
@@ -287,3 +287,20 @@ async def _crash() -> None:
 @pytest.mark.slow
 def test_a_killed_computation_continues_with_undo_and_redo() -> None:
     asyncio.run(_crash())
+
+
+def test_a_page_too_many_is_told_why() -> None:
+    """A socket that is closed before it is accepted has no words for the page."""
+    heard: list[Any] = []
+
+    class Socket:
+        async def accept(self) -> None:
+            heard.append("accepted")
+
+        async def close(self, code: int, reason: str) -> None:
+            heard.append(reason)
+
+    full = Studio(1)
+    full.links = set(range(PAGES))  # type: ignore[arg-type]
+    asyncio.run(full._live(Socket()))  # type: ignore[arg-type]
+    assert heard == ["accepted", FULL]

@@ -316,7 +316,7 @@ const live = new Live(keptToken(), {
       start.show(false);
     }
   },
-  closed: () => (busy(false), lost(() => live.connect())),
+  closed: (why) => (busy(false), lost(() => live.connect(), why)),
 });
 
 // A state that was overtaken before it was drawn may hold outlines that its follower leaves out.

@@ -16,8 +16,8 @@ export function again() {
   return kept && { text: kept.text, title: kept.name, ...(kept.changed ? { origin: "" } : {}) };
 }
 
-// Says that the connection has ended, until it is back.
-export function lost(connect) {
+// Says that the connection has ended, until it is back; `why` are the words of a studio that has closed it.
+export function lost(connect, why) {
   const save = { text: "Save the problem", run: () => download(`${kept.name}.toml`, "application/toml", kept.text) };
-  hint(embedded ? ELSEWHERE : ENDED, [{ text: "Reconnect", run: connect }, ...(kept ? [save] : [])], true);
+  hint(embedded ? ELSEWHERE : why || ENDED, [{ text: "Reconnect", run: connect }, ...(kept ? [save] : [])], true);
 }

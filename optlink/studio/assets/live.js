@@ -59,9 +59,9 @@ export class Live {
     this.flying = this.waiting = null;
     this.shown = 0;
     socket.addEventListener("message", (event) => socket === this.socket && this.receive(JSON.parse(event.data)));
-    socket.addEventListener("close", () => {
+    socket.addEventListener("close", (event) => {
       if (socket === this.socket) {
-        this.listeners.closed();
+        this.listeners.closed(event.reason);
       }
     });
   }
