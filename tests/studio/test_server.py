@@ -18,7 +18,7 @@ import pytest
 import websockets
 
 from optlink.studio.link import Link
-from optlink.studio.server import FULL, PAGES, Studio, parsed
+from optlink.studio.server import FULL, MAX_PAGES, Studio, parsed
 
 SECONDS = 60.0
 
@@ -301,6 +301,6 @@ def test_a_page_too_many_is_told_why() -> None:
             heard.append(reason)
 
     full = Studio(1)
-    full.links = set(range(PAGES))  # type: ignore[arg-type]
+    full.links = set(range(MAX_PAGES))  # type: ignore[arg-type]
     asyncio.run(full._live(Socket()))  # type: ignore[arg-type]
     assert heard == ["accepted", FULL]
