@@ -431,6 +431,14 @@ def test_a_stopped_search_is_reported(page):
 
 
 @pytest.mark.slow
+def test_the_scale_of_a_constant_is_not_that_of_its_rounding(page):
+    page.open("scotch-yoke")
+    ticks = page.run("return [...document.querySelector('.chart svg').querySelectorAll('text')].map((one) => one.textContent)")
+    assert "90" in ticks
+    assert not [one for one in ticks if re.search(r"\.\d\d", one)]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["crank-rocker", "watt-i"])
 def test_joint_names_do_not_overlap_the_links(page, name):
     """And beside the handles that lie on the joints."""

@@ -46,7 +46,8 @@ function update(node, chart) {
   const marks = (chart.limits || []).filter((one) => Number.isFinite(one.value));
   const every = finite([...chart.series.flatMap((one) => one.values), ...marks.map((one) => one.value)]);
   const [low, high] = every.length ? [Math.min(...every), Math.max(...every)] : [0, 1];
-  const room = Math.max((high - low) * 0.06, Math.abs(high) * 1e-6, 1e-12);
+  const most = Math.max(Math.abs(low), Math.abs(high));
+  const room = Math.max((high - low) * 0.06, high - low < 1e-4 * most ? 0.02 * most : 0, 1e-12); // of a constant: not its rounding
   const [y0, y1] = [low - room, high + room];
   const [x0, x1] = x.length ? [Math.min(x[0], x.at(-1)), Math.max(x[0], x.at(-1))] : [0, 1];
   const px = (value) => LEFT + ((value - x0) / (x1 - x0 || 1)) * (WIDTH - LEFT - RIGHT);
