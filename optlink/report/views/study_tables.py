@@ -155,7 +155,7 @@ def sweep(result: Sweep) -> Summary:
         parts.append(_changes(result))
     parts += _rows(result) if result.evaluated else []
     rate = result.done / result.seconds if result.seconds else 0.0
-    pace = f"{rate:,.0f}" if rate >= 10.0 else number(rate, 2)
+    pace = f"{rate:z,.0f}" if rate >= 10.0 else number(rate, 2)
     line = f"{points(result.done)} done in {result.seconds:z.1f} s ({pace} a second"
     line += f"; {1e3 * result.cpu / result.done:z.2f} ms of processor time each)" if result.done else ")"
     if not result.evaluated:

@@ -140,7 +140,7 @@ class PathFit(Fit):
 
 def _percent(share: float) -> str:
     """Format a share in percent, from 100 % on without digits after the point."""
-    return f"{100.0 * share:.2g} %" if share < 0.99 else f"{100.0 * share:.0f} %"
+    return f"{100.0 * share:.2g} %" if share < 0.99 else f"{100.0 * share:z.0f} %"
 
 
 class FitRecord(Record):
