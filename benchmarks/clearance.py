@@ -101,11 +101,12 @@ def ours(rpm: float, integrator: str, tolerance: float, revolutions: int = REVOL
     plant = ClosedLoop(machine, model.gaps(machine), Drive(), default_output(machine), **given)
     if integrator == "compiled":
         plant.compile()
-    begin, step, kind = plant.integration.state, plant.integration.step, type(plant.integration)
+    first = plant.integration
+    begin = first.state
     slide = [coordinate.kind for coordinate in plant.equations.tree.coordinates].index("slide")
 
     def run() -> Array:
-        course = kind(plant.equations, begin, step, tolerance)
+        course = type(first)(plant.equations, begin, first.step, tolerance, first.slow)
         blocks = list(course.advance(revolutions * plant.rows))  # it looks at as many samples, or a multiple
         return np.concatenate([begin[None, slide], *(block.states[:, slide] for block in blocks)])[:: plant.rows // SAMPLES]
 
