@@ -132,7 +132,7 @@ class RemainingWrenches:
         return moment_row(minus(self.at(joint), self.at(pin)))
 
     def component(self, joint: Joint, row: Vector, force: Vector, *links: Link) -> Value:
-        """Return row . inner force, for the force that holds bodies at the other end of the lever from an outer joint of theirs.
+        """Return row . force for the force that bodies exert on others at the end of the lever from an outer joint of theirs.
 
         Parameters
         ----------
@@ -140,14 +140,15 @@ class RemainingWrenches:
         row : pair of Value
             One of `directions`.
         force : pair of Value [N]
-            That all joints of the bodies together exert.
+            That all joints of the bodies together exert on them.
         *links : Link
             The bodies, one or two.
         """
         if isinstance(joint, Guide):
-            return dot(row, force)
-        moments = [self.about(link, self.at(joint)) for link in links]
-        return -moments[0] if len(moments) == 1 else -(moments[0] + moments[1])
+            return -dot(row, force)
+        place = self.at(joint)
+        moment = self.about(links[0], place)
+        return moment if len(links) == 1 else moment + self.about(links[1], place)
 
     def total(self, group: Dyad) -> Vector:
         """Return the force that the outer joints exert on both bodies of a group."""
@@ -175,19 +176,21 @@ def jointed_forces(balance: RemainingWrenches, group: JointedDyad, tilts: Mappin
     pins: list[tuple[str, str, Vector]] = []
     guides: list[tuple[Guide, str, Vector, Value]] = []
     if isinstance(group.inner, Guide):
-        pin = solve_two_by_two(row, dot(row, own), across, balance.component(other, across, plus(own, others), first, second))
+        both = balance.component(other, across, plus(own, others), first, second)
+        pin = solve_two_by_two(row, dot(row, own), across, -both)
         inner, moment = minus(own, pin), balance.about(first, at) - cross(minus(balance.at(joint), at), pin)
         guides.append((group.inner, first.body, inner, moment))
     else:
-        inner = solve_two_by_two(
-            row, balance.component(joint, row, own, first), across, -balance.component(other, across, others, second)
-        )
+        one = balance.component(joint, row, own, first)
+        inner = solve_two_by_two(row, -one, across, balance.component(other, across, others, second))
         pins.append((group.inner, first.body, inner))
     outer = minus(own, inner), plus(others, inner)
     for link, joint, force in zip(group.links, group.outer, outer, strict=True):
         if isinstance(joint, Guide):
             place = balance.at(joint)
-            whole, passed = balance.about(link, place), cross(minus(at, place), inner) + moment
+            whole, passed = balance.about(link, place), cross(minus(at, place), inner)
+            if isinstance(group.inner, Guide):
+                passed = passed + moment
             guides.append((joint, link.body, force, whole - passed if link is first else whole + passed))
         else:
             pins.append((joint, link.body, force))
