@@ -555,7 +555,7 @@ def command_row(text: str) -> Row:
 
 
 def rows_at(rpm: float, found: Mapping[str, Any]) -> list[Row]:
-    """One row per peer, and three gaps against one; times of settings that are not accurate are told with their error."""
+    """One row per peer, and three gaps against one; times of inaccurate settings are shown with their error."""
     result = []
     for who, (name, how) in PEERS.items():
         part, over = ("first", "the first revolution") if who == "bodies" else ("all", f"{REVOLUTIONS} revolutions")

@@ -115,7 +115,7 @@ def test_servo_follows_the_inverse_model(problem):
     time = run["time_s"][-180:]
     np.testing.assert_allclose(np.radians(run["crank_angle_deg"][-180:]), expected.at(time)[0], atol=1e-6)
     correction = run["command.correction_rad"][-180:]
-    assert np.max(np.abs(correction - expected.correction(time))) > 1e-3  # and what it is told is another thing
+    assert np.max(np.abs(correction - expected.correction(time))) > 1e-3  # and that of the command differs
 
 
 # --- inverse model --------------------------------------------------------------------------------------------------------
