@@ -7,28 +7,19 @@ a small sample; `python benchmarks/synthesis.py` measures all of it.
 from __future__ import annotations
 
 import argparse
-import contextlib
-import datetime
-import importlib.metadata
-import json
-import math
-import os
-import platform
 import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
-from rich.table import Table
+from rows import show
 from timing import ROOT, Row, child, race
 
 sys.path.insert(0, str(ROOT))  # the checkout is measured, whether it is installed or not
 
 PROCESS_RUNS = 9
 SYNTHESIS = {"seeds": 1, "linkages": 1, "laws": 10}  # minutes rather than hours
-PEERS = ("pylinkage", "fourbarhinge", "pymoo", "numba", "exudyn")
 YARDSTICK = ("-c", "import numpy, scipy.optimize, casadi")
 PROCESSES = {
     "help": (("-m", "optlink", "--help"), "<= 0.25"),
@@ -61,49 +52,6 @@ def process_rows() -> list[Row]:
             )
         )
     return rows
-
-
-def table(rows: list[Row]) -> Table:
-    """The rows as text."""
-    result = Table(title="optlink: medians of this run; ratio > 1: optlink is better (processes: less is better)")
-    result.add_column("what", ratio=3)
-    for heading in ("ours", "theirs", "ratio", "target"):
-        result.add_column(heading, justify="right", no_wrap=True)
-    result.add_column("note", ratio=4)
-    colours = {None: "", True: "green", False: "bold red"}
-    for row in rows:
-        ratio = row.shown(row.ratio) + (" !" if row.holds is False else "")
-        cells = (row.what, row.ours, row.theirs, f"[{colours[row.holds]}]{ratio}[/]" if colours[row.holds] else ratio)
-        result.add_row(*cells, row.wanted, row.note)
-    return result
-
-
-def version(package: str) -> str | None:
-    with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-        return importlib.metadata.version(package)
-    return None
-
-
-def document(rows: list[Row]) -> dict[str, Any]:
-    """The rows with what they were measured on; seconds, positions per second, ratios."""
-    return {
-        "schema": "optlink/benchmarks/1",
-        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
-        "python": platform.python_version(),
-        "system": f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors",
-        "packages": {name: version(name) for name in ("numpy", "scipy", "casadi", "cvxpy", "distributed", *PEERS)},
-        "rows": [
-            {
-                "what": row.what,
-                **row.figures,
-                "ratio": None if math.isnan(row.ratio) else row.ratio,
-                "target": row.target or None,
-                "holds": row.holds,
-                "note": row.note,
-            }
-            for row in rows
-        ],
-    }
 
 
 def measurements() -> dict[str, Callable[[], list[Row]]]:
@@ -144,12 +92,7 @@ def main() -> None:
     for part in parts:
         with progress.status(f"Timing {part} ..."):
             rows += every[part]()
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=160)
-    console.print(table(rows))
-    if arguments.json:
-        arguments.json.write_text(json.dumps(document(rows), indent=2) + "\n", encoding="utf-8")
+    show(rows, arguments.json)
 
 
 if __name__ == "__main__":

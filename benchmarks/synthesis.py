@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rows import show
 from timing import ROOT, Row
 
 Array = NDArray[np.float64]
@@ -683,19 +684,13 @@ def rows(seeds: int = SEEDS, linkages: int = LINKAGES, laws: int = LAWS, parts: 
 
 def main() -> None:
     """Measure, print one table, write the JSON document if asked."""
-    import run
-    from rich.console import Console
-
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--parts", default="", help="evolution, peers, first, cases, six-bars, trips; left out: all")
     for name, value in (("seeds", SEEDS), ("linkages", LINKAGES), ("laws", LAWS)):
         parser.add_argument(f"--{name}", type=int, default=value)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there as well")
     given = parser.parse_args()
-    found = rows(given.seeds, given.linkages, given.laws, [part for part in given.parts.split(",") if part])
-    Console(width=160).print(run.table(found))
-    if given.json:
-        given.json.write_text(json.dumps(run.document(found), indent=2) + "\n", encoding="utf-8")
+    show(rows(given.seeds, given.linkages, given.laws, [part for part in given.parts.split(",") if part]), given.json)
 
 
 if __name__ == "__main__":
