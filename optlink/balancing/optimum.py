@@ -365,12 +365,12 @@ def curve(programme: BalancingProgramme, first: BalanceMeasure, second: BalanceM
         if certificate.status != "optimal":
             raise SolverError(f"the trade-off stopped at {percent(share, 0)} of its length: {certificate.status}")
         x = np.array(programme.x.value, dtype=float)
-        one, other = (float(np.max(row.dual_value)) for row in rows)
+        first_dual, second_dual = (float(np.max(row.dual_value)) for row in rows)
         values = programme.evaluate(first, x), programme.evaluate(second, x)
         x = lightest.like(x)
         pair = programme.evaluate(first, x), programme.evaluate(second, x)
         worse = max(pair[0] - values[0], pair[1] - values[1], 0.0)  # increase accepted for less mass
-        gap, rate = certificate.gap * max(a1 - a0, b0 - b1) + worse, other / one if one > 0.0 else math.inf
+        gap, rate = certificate.gap * max(a1 - a0, b0 - b1) + worse, second_dual / first_dual if first_dual > 0.0 else math.inf
         inner.append(TradeOffPoint(x, *pair, gap, rate))
     return TradeOffCurve((start, *inner, stop), seconds[0], float(np.median(seconds[1:])) if len(seconds) > 1 else math.nan)
 

@@ -48,15 +48,15 @@ class ClearanceColumns:
         """Compute the forces in the ideal joints: first the closing joints, then body by body from the leaves of the tree."""
         moving, cut = self.motion, self.equations.tree
         needed = moving.needed()
-        forces = [one for several in moving.acting().values() for one in several]
+        forces = [exerted for of_load in moving.acting().values() for exerted in of_load]
         for gap, contact in zip(self.equations.gaps, self.touches, strict=True):
             both = acting(gap, moving.journal_motion(gap), moving.position(gap.point, gap.journal), contact)
             forces += both
-            for one in both:
-                self._exert(gap.point, one.body, one.force)
-        for one in forces:
-            if one.body != FRAME:
-                self._need(needed, one.body, one.wrench(moving.state(one.body)))
+            for exerted in both:
+                self._exert(gap.point, exerted.body, exerted.force)
+        for exerted in forces:
+            if exerted.body != FRAME:
+                self._need(needed, exerted.body, exerted.wrench(moving.state(exerted.body)))
         for i, joint in enumerate(cut.closing):
             a, b = -self.pull[:, 2 * i], -self.pull[:, 2 * i + 1]
             self._apply_joint_force(needed, joint, self._closing_force(joint, a, b), b if isinstance(joint, Guide) else 0.0)

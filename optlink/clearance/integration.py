@@ -359,7 +359,9 @@ class Integration:
     def lasting(self) -> tuple[Impact, ...]:
         """The contacts that have not ended."""
         contacts = self.peaks.contacts
-        return tuple(one._replace(penetration=max(one.penetration, contacts[gap].value)) for gap, one in self.open.items())
+        return tuple(
+            impact._replace(penetration=max(impact.penetration, contacts[gap].value)) for gap, impact in self.open.items()
+        )
 
     def _deepen(self, gap: int) -> None:
         """Update the largest penetration of a contact."""

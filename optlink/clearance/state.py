@@ -107,9 +107,11 @@ class ClearanceState:
 
     def journal_motion(self, gap: Gap) -> JournalMotion:
         """Return the motion of the journal of a gap in its bearing."""
-        one, other = self.velocity(gap.point, gap.journal), self.velocity(gap.point, gap.bearing)
+        of_journal, of_bearing = self.velocity(gap.point, gap.journal), self.velocity(gap.point, gap.bearing)
         eccentricity = minus(self.position(gap.point, gap.journal), self.position(gap.point, gap.bearing))
-        return JournalMotion(eccentricity, minus(one, other), self.state(gap.journal).omega, self.state(gap.bearing).omega)
+        return JournalMotion(
+            eccentricity, minus(of_journal, of_bearing), self.state(gap.journal).omega, self.state(gap.bearing).omega
+        )
 
     # --- forces and energies -----------------------------------------------------------------------------------------
 
@@ -124,9 +126,9 @@ class ClearanceState:
     def power(self, acting: Sequence[Acting]) -> Value:
         """Return the power that loads feed into the machine [W]."""
         total: Value = 0.0
-        for one in acting:
-            if one.body != FRAME:
-                total = total + one.power(self.state(one.body))
+        for load in acting:
+            if load.body != FRAME:
+                total = total + load.power(self.state(load.body))
         return total
 
     @cached_property

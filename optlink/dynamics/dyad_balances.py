@@ -121,10 +121,10 @@ class RemainingWrenches:
         tilts : mapping of str to Value [-]
             Tangents of the friction angles of guides with friction.
         """
-        one, other, pin = *group.outer, group.inner
+        first, second, pin = *group.outer, group.inner
         if isinstance(pin, Guide):
-            one, pin = pin, one
-        return self._direction(one, pin, tilts), self._direction(other, pin, tilts)
+            first, pin = pin, first
+        return self._direction(first, pin, tilts), self._direction(second, pin, tilts)
 
     def _direction(self, joint: Joint, pin: Joint, tilts: Mapping[str, Value]) -> Vector:
         if isinstance(joint, Guide):
@@ -170,21 +170,21 @@ def jointed_forces(balance: RemainingWrenches, group: JointedDyad, tilts: Mappin
         Tangents of the friction angles of guides with friction.
     """
     (first, second), (joint, other) = group.links, group.outer
-    own, others = (balance.needed[link.body].force for link in group.links)
+    of_first, of_second = (balance.needed[link.body].force for link in group.links)
     row, across = balance.directions(group, tilts)
     at, moment = balance.at(group.inner), 0.0
     pins: list[tuple[str, str, Vector]] = []
     guides: list[tuple[Guide, str, Vector, Value]] = []
     if isinstance(group.inner, Guide):
-        both = balance.component(other, across, plus(own, others), first, second)
-        pin = solve_two_by_two(row, dot(row, own), across, -both)
-        inner, moment = minus(own, pin), balance.about(first, at) - cross(minus(balance.at(joint), at), pin)
+        both = balance.component(other, across, plus(of_first, of_second), first, second)
+        pin = solve_two_by_two(row, dot(row, of_first), across, -both)
+        inner, moment = minus(of_first, pin), balance.about(first, at) - cross(minus(balance.at(joint), at), pin)
         guides.append((group.inner, first.body, inner, moment))
     else:
-        one = balance.component(joint, row, own, first)
-        inner = solve_two_by_two(row, -one, across, balance.component(other, across, others, second))
+        component = balance.component(joint, row, of_first, first)
+        inner = solve_two_by_two(row, -component, across, balance.component(other, across, of_second, second))
         pins.append((group.inner, first.body, inner))
-    outer = minus(own, inner), plus(others, inner)
+    outer = minus(of_first, inner), plus(of_second, inner)
     for link, joint, force in zip(group.links, group.outer, outer, strict=True):
         if isinstance(joint, Guide):
             place = balance.at(joint)

@@ -197,10 +197,10 @@ class TorsionSpring(Steady):
 
     def act(self, moving: Moving) -> Iterator[Acting]:
         """Yield the torque of the spring on both bodies."""
-        one, two = moving.state(self.body), moving.state(self.against)
-        torque = -self.stiffness * self._deflection(moving) - self.damping * (one.omega - two.omega)
-        yield Acting(self.body, one.start, (0.0, 0.0), torque)
-        yield Acting(self.against, two.start, (0.0, 0.0), -torque)
+        body, against = moving.state(self.body), moving.state(self.against)
+        torque = -self.stiffness * self._deflection(moving) - self.damping * (body.omega - against.omega)
+        yield Acting(self.body, body.start, (0.0, 0.0), torque)
+        yield Acting(self.against, against.start, (0.0, 0.0), -torque)
 
     def potential(self, moving: Moving) -> Value:
         """Return the energy stored in the spring [J]."""

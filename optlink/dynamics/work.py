@@ -143,7 +143,7 @@ class Work:
 
     def _panels(self, knots: Array) -> tuple[Array, Array]:
         """Return knots between which the torque is smooth, halved where it is not, and the works between them."""
-        a, b, total, found = knots[:-1], knots[1:], None, []
+        a, b, total, panels = knots[:-1], knots[1:], None, []
         for level in range(HALVINGS):
             points, half = gauss_points(a, b)
             values = self.torque(points.ravel()).reshape(points.shape)
@@ -153,12 +153,12 @@ class Work:
                 rough = half * np.max(np.abs(values @ TAILS), axis=1) > ROUGH * total
             last = level == HALVINGS - 1 or np.count_nonzero(rough) > MOST_ROUGH
             done = np.ones(len(a), dtype=bool) if last else ~rough
-            found.append(np.array([a, b, half * (values @ WEIGHTS)])[:, done])
+            panels.append(np.array([a, b, half * (values @ WEIGHTS)])[:, done])
             a, middle, b = a[~done], 0.5 * (a + b)[~done], b[~done]
             if not a.size:
                 break
             a, b = np.concatenate([a, middle]), np.concatenate([middle, b])
-        begins, _, works = np.concatenate(found, axis=1)
+        begins, _, works = np.concatenate(panels, axis=1)
         order = np.argsort(begins)
         return np.append(begins[order], knots[-1]), works[order]
 

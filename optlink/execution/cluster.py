@@ -127,17 +127,17 @@ _LOCAL_CLUSTERS: dict[int, _Processes] = {}
 @contextlib.contextmanager
 def _own_processes(count: int) -> Iterator[int]:
     """Provide processes, by their number in `_LOCAL_CLUSTERS`."""
-    one = _Processes(count)
-    _LOCAL_CLUSTERS[id(one)] = one
+    processes = _Processes(count)
+    _LOCAL_CLUSTERS[id(processes)] = processes
     try:
-        yield id(one)
+        yield id(processes)
     finally:
-        one.stopped.set()
-        for process in one.all:
+        processes.stopped.set()
+        for process in processes.all:
             process.kill()
-        for process in one.all:
+        for process in processes.all:
             process.end()
-        del _LOCAL_CLUSTERS[id(one)]
+        del _LOCAL_CLUSTERS[id(processes)]
 
 
 def _pass_on(cluster_number: int, index: int) -> ChunkResult:

@@ -159,7 +159,7 @@ class Assembly:
             If the bodies do not form dyads, or an assembly mode is that of no group.
         """
         self.check_joints()
-        connected = {body for one in (FRAME, self.driver) for body in self.neighbours(one)}
+        connected = {body for start in (FRAME, self.driver) for body in self.neighbours(start)}
         while len(self.placed) <= len(self.links):
             group = self.next_group(sorted(connected, key=self.rank.__getitem__))
             if group is None:

@@ -129,10 +129,10 @@ def extremes_of_rows(function: Function, grid: Array) -> Array:
 
     def own(points: Array, which: Index) -> Array:
         slot = np.arange(len(which)) - np.searchsorted(which, which)  # among those of the same extremum
-        each = np.full((2 * len(values), int(np.max(slot, initial=0)) + 1, points.shape[1]), grid[0])
-        each[which, slot] = points
-        found: Array = function(each.reshape(len(values), -1)).reshape(each.shape)[which, slot]
-        return found
+        points_by_row = np.full((2 * len(values), int(np.max(slot, initial=0)) + 1, points.shape[1]), grid[0])
+        points_by_row[which, slot] = points
+        values_at: Array = function(points_by_row.reshape(len(values), -1)).reshape(points_by_row.shape)[which, slot]
+        return values_at
 
     return _extremes(values, grid, np.zeros(0), np.zeros(len(values), dtype=bool), own, 1)[1]
 

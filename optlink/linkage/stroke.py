@@ -362,8 +362,8 @@ def travels(
             values = values - TURN * np.round(0.5 * (np.min(values) + np.max(values)) / TURN)
         ratio = math.nan
         if full and len(centres) == 2 and mechanism.cycle == TURN:
-            one = float(centres[1] - centres[0])
-            ratio = max(one, TURN - one) / min(one, TURN - one)
+            forward = float(centres[1] - centres[0])
+            ratio = max(forward, TURN - forward) / min(forward, TURN - forward)
         first, last = int(np.argmin(values)), int(np.argmax(values))
         (swings if turning else strokes)[name] = Travel(
             tuple(place(c) for c in centres),

@@ -76,7 +76,7 @@ class BatchNLP:
         """
         n, count, scale = self.size, len(x), p[:, :1]
         of_rows = multipliers[:, n:]
-        positions = [np.broadcast_to(one, (count, len(one))) for one in (self.offsets, self.tabulated)]
+        positions = [np.broadcast_to(axis, (count, len(axis))) for axis in (self.offsets, self.tabulated)]
         inputs = [*x.T[:, :, None], *p.T[:, :, None], *positions]
         residuals = self._residuals(*inputs).reshape(self.width, -1, count, len(self.offsets))
         error, first, second = residuals[:, 0], residuals[:, 1 : 1 + n], residuals[:, 1 + n :]

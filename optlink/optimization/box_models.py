@@ -96,7 +96,7 @@ class DesignBoxes:
                 residuals, rows = _function(self.problem, values, low.shape[1])
             else:
                 residuals, rows = _timed(self.problem, values, low.shape[1])
-        found: list[tuple[str, TaylorModel]] = []
+        labelled: list[tuple[str, TaylorModel]] = []
         count = low.shape[1]
         for row in rows:
             for bound, sign in ((row.low, 1.0), (row.high, -1.0)):
@@ -105,9 +105,9 @@ class DesignBoxes:
                     least = np.min(slack.high if isinstance(slack, TaylorModel) else slack)
                     slack = TaylorModel.constant(least, count) if least < -FIXED_LIMIT_TOLERANCE else None
                 if slack is not None:
-                    found += [(row.limit, column) for column in _columns(slack)]
-        self.limits = tuple(limit for limit, _ in found)
-        slacks = _joined([column for _, column in found], (len(low),), count)
+                    labelled += [(row.limit, column) for column in _columns(slack)]
+        self.limits = tuple(limit for limit, _ in labelled)
+        slacks = _joined([column for _, column in labelled], (len(low),), count)
         return BoxModels(residuals, slacks, periodic=getattr(self.problem, "unit", "rad") == "rad")
 
 

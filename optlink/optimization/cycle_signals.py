@@ -331,9 +331,9 @@ class TracedCycle:
         moved = middles[0] - middles[1]
         moving = relevant.moving(np.linspace(0.0, TURN, GRID, endpoint=False), self.speed)
         return all(
-            abs(moved[k]) <= 0.25 * TURN and np.allclose(one.torque, other.torque, rtol=1e-9)
+            abs(moved[k]) <= 0.25 * TURN and np.allclose(before.torque, after.torque, rtol=1e-9)
             for k in np.flatnonzero(moved)
-            for one, other in zip(self.base.loads[k].act(moving), relevant.loads[k].act(moving), strict=True)
+            for before, after in zip(self.base.loads[k].act(moving), relevant.loads[k].act(moving), strict=True)
         )
 
     def structure(self, values: Mapping[str, float]) -> EventOrder | None:

@@ -272,11 +272,11 @@ class _MappedFunction:
 
     def local_derivatives(self, slopes: Any) -> Any:
         """Return the derivatives (values * positions, local) of the values by the own components of x."""
-        one = self._local_jacobian.sparsity()
-        ends = one.colind()
-        every = casadi.repmat(one, self.positions, 1)
-        parts = [casadi.vec(part.T) for part in casadi.horzsplit(slopes, ends)] if one.nnz() else []
-        return casadi.MX(every, casadi.vertcat(*parts)) if one.nnz() else casadi.MX(*every.shape)
+        pattern = self._local_jacobian.sparsity()
+        ends = pattern.colind()
+        repeated = casadi.repmat(pattern, self.positions, 1)
+        parts = [casadi.vec(part.T) for part in casadi.horzsplit(slopes, ends)] if pattern.nnz() else []
+        return casadi.MX(repeated, casadi.vertcat(*parts)) if pattern.nnz() else casadi.MX(*repeated.shape)
 
     def other_derivatives(self, slopes: Any, rates: Any) -> Any:
         """Return the derivatives (values * positions, others) of the values by the other components of x.

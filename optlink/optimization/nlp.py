@@ -118,12 +118,12 @@ class NLP:
         return packed(state | {"cache": {}, "mapped": None, "rows": tuple(replace(row, value=None) for row in self.rows)})
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        found = unpacked(state)
-        parts = {name: found.pop(name) for name in list(found) if name.startswith(MAPPED)}
+        attributes = unpacked(state)
+        parts = {name: attributes.pop(name) for name in list(attributes) if name.startswith(MAPPED)}
         if parts:
-            found["mapped"] = MappedTerms(**{name.removeprefix(MAPPED): value for name, value in parts.items()})
-        rows = tuple(replace(row, value=found["g_expression"][k]) for k, row in enumerate(found["rows"]))
-        vars(self).update(found | {"rows": rows})
+            attributes["mapped"] = MappedTerms(**{name.removeprefix(MAPPED): value for name, value in parts.items()})
+        rows = tuple(replace(row, value=attributes["g_expression"][k]) for k, row in enumerate(attributes["rows"]))
+        vars(self).update(attributes | {"rows": rows})
 
     @cached_property
     def low(self) -> Array:
@@ -305,8 +305,8 @@ class NLP:
 
 def _symmetric(function: Any) -> CompiledFunction:
     """Return (x, p, multipliers) -> Hessian from a function whose result is its upper triangle; see `NLP.take_hessian`."""
-    given = [casadi.MX.sym("given", function.sparsity_in(i)) for i in (0, 1, 3)]
-    return CompiledFunction(given, [casadi.triu2symm(function(given[0], given[1], 1.0, given[2]))])
+    inputs = [casadi.MX.sym("given", function.sparsity_in(i)) for i in (0, 1, 3)]
+    return CompiledFunction(inputs, [casadi.triu2symm(function(inputs[0], inputs[1], 1.0, inputs[2]))])
 
 
 SMALLEST_SCALE = 1e-6  # least scale of the objective: for an exact solution, rounding errors must not be magnified
@@ -324,15 +324,15 @@ def _traced(problem: DesignProblem, values: dict[str, Any], counted: dict[str, A
     """
     names = [*values, *counted]
     inputs, tabulated = casadi.SX.sym("inputs", len(names) + 5), casadi.SX.sym("tabulated")
-    given = {name: inputs[i] for i, name in enumerate(names)}
+    known = {name: inputs[i] for i, name in enumerate(names)}
     at = StartPosition((inputs[-5], inputs[-4]), inputs[-3], inputs[-2])
-    error, slopes, robust = output_error(problem, given, at, inputs[-1], tabulated), [], problem.requirement.robust
+    error, slopes, robust = output_error(problem, known, at, inputs[-1], tabulated), [], problem.requirement.robust
     if robust is not None:
-        slopes = ErrorDerivatives(problem).symbolic(given, turn(at.crank, unit(inputs[-1])))
-    deviations = [replace(d, tolerance=given.get(f"tolerances.{d.name}", d.tolerance)) for d in problem.deviations]
-    parts = residuals(robust, deviations, error, slopes, given.get(SMOOTHING, 0.0))
-    one = casadi.Function("error", [inputs, tabulated], [casadi.vertcat(*parts)])
-    return one, casadi.vertcat(*values.values(), *counted.values(), *start.crank, start.phi0, start.psi0)
+        slopes = ErrorDerivatives(problem).symbolic(known, turn(at.crank, unit(inputs[-1])))
+    deviations = [replace(d, tolerance=known.get(f"tolerances.{d.name}", d.tolerance)) for d in problem.deviations]
+    parts = residuals(robust, deviations, error, slopes, known.get(SMOOTHING, 0.0))
+    residual = casadi.Function("error", [inputs, tabulated], [casadi.vertcat(*parts)])
+    return residual, casadi.vertcat(*values.values(), *counted.values(), *start.crank, start.phi0, start.psi0)
 
 
 def boxed(quantity: Quantity, variable: Variable) -> tuple[float, float, float]:
@@ -395,8 +395,8 @@ def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
         offsets = problem.law.offsets.tolist()
         if spanned:
             offsets = [span * (offset / problem.span) for offset in offsets]
-        one, known = _traced(problem, values, tolerances, start)
-        z = casadi.SX.sym("z", one.numel_out(0), len(offsets) + many)
+        residual, known = _traced(problem, values, tolerances, start)
+        z = casadi.SX.sym("z", residual.numel_out(0), len(offsets) + many)
         columns = casadi.horzsplit(z)
         rows = limit_rows(problem, values, Reach(start.phi0, span, problem.sense), size)
         if minimax:
@@ -410,7 +410,7 @@ def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
         g = casadi.vertcat(*[row.value for row in rows]) if rows else casadi.SX(0, 1)
         angles = casadi.SX(casadi.horzcat(*offsets, *exchange))
         senses = casadi.SX(casadi.horzcat(*problem.law.tabulated.tolist(), *[0.0] * many))
-        mapped = MappedTerms(x, p, (one,), known, len(free), (angles,), (senses,), (z,), f / p[0], g)
+        mapped = MappedTerms(x, p, (residual,), known, len(free), (angles,), (senses,), (z,), f / p[0], g)
         f, g, vector = mapped.expanded([mapped.f, g, casadi.vec(z)])
 
     def scaled(name: str) -> Variable:
@@ -444,6 +444,6 @@ def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
         constants=tuple(constants),
         smoothing=smoothing,
         position_symbol=position,
-        position_expression=one(casadi.vertcat(known, position[0]), position[1]),
+        position_expression=residual(casadi.vertcat(known, position[0]), position[1]),
         mapped=mapped,
     )

@@ -339,7 +339,7 @@ def _explore(
     """Search the order of events of the best design from its own starting points, for all slow strokes, unless that was done."""
     winner = min((*orders, *beside), key=OrderSearch.rank)
     structure = winner.nlp.structure
-    if not winner.usable or any(structure.like(one.nlp.structure) for one in (*orders, *beside) if one.explored):
+    if not winner.usable or any(structure.like(search.nlp.structure) for search in (*orders, *beside) if search.explored):
         return
     winner.explored = True
     for begin in alike(structure):

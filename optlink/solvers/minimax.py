@@ -82,9 +82,9 @@ class _View:
             x, e = nlp.x_symbol[:-1], nlp.residual_expression
             g = nlp.g_expression[keep] if keep else casadi.SX(0, 1)
             first = CompiledFunction([nlp.x_symbol, nlp.p_symbol], [e, casadi.jacobian(e, x), g, casadi.jacobian(g, x)])
-            one, other = casadi.SX.sym("one", e.numel()), casadi.SX.sym("other", g.numel())
-            bend = casadi.hessian(casadi.dot(one, e) + casadi.dot(other, g), x)[0]
-            nlp.cache["minimax"] = first, CompiledFunction([nlp.x_symbol, nlp.p_symbol, one, other], [bend])
+            of_errors, of_limits = casadi.SX.sym("of_errors", e.numel()), casadi.SX.sym("of_limits", g.numel())
+            bend = casadi.hessian(casadi.dot(of_errors, e) + casadi.dot(of_limits, g), x)[0]
+            nlp.cache["minimax"] = first, CompiledFunction([nlp.x_symbol, nlp.p_symbol, of_errors, of_limits], [bend])
         self.first, self.second = nlp.cache["minimax"]
         self.size = 1.0
 

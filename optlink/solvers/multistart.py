@@ -156,16 +156,21 @@ def _continued_around(nlp: NLP, solution: Solution, run: Backend) -> Solution:
 
 def _smoothed(nlp: NLP, x: Array, name: str, track: bool) -> Attempt:
     """Search from x where kinks are smoothed less and less; the path is that of the first of these searches."""
-    found = Attempt(x, 0, "")
+    attempt = Attempt(x, 0, "")
     try:
         for k, nlp.p[nlp.smoothing] in enumerate(SMOOTHING):
-            x = nlp.lifted(found.x)
+            x = nlp.lifted(attempt.x)
             p = scaled_parameters(nlp, x)
-            one = conclude(nlp, backend(MINIMAX if k else name)(nlp, x, p, track=track and not k), p)
-            found = Attempt(one.x if one.usable else x, found.iterations + one.iterations, "", found.path if k else one.path)
+            solution = conclude(nlp, backend(MINIMAX if k else name)(nlp, x, p, track=track and not k), p)
+            attempt = Attempt(
+                solution.x if solution.usable else x,
+                attempt.iterations + solution.iterations,
+                "",
+                attempt.path if k else solution.path,
+            )
     finally:
         nlp.p[nlp.smoothing] = SMOOTHED
-    return found
+    return attempt
 
 
 def conclude(nlp: NLP, attempt: Attempt, p: Array) -> Solution:
@@ -280,9 +285,9 @@ def compare(a: Solution, b: Solution) -> Agreement:
     if not (a.usable and b.usable):
         return Agreement(math.inf, math.inf)
     root = math.sqrt if a.nlp.measure.name == "sum of squares" else float
-    one, other = root(a.objective), root(b.objective)
-    gap = max(0.0, abs(one - other) - SAME_ERROR)
-    return Agreement(gap / max(abs(one), abs(other), SAME_ERROR), float(np.max(np.abs(a.x - b.x), initial=0.0)))
+    first, second = root(a.objective), root(b.objective)
+    gap = max(0.0, abs(first - second) - SAME_ERROR)
+    return Agreement(gap / max(abs(first), abs(second), SAME_ERROR), float(np.max(np.abs(a.x - b.x), initial=0.0)))
 
 
 def reconcile(nlp: NLP, found: dict[str, Solution]) -> dict[str, Solution]:

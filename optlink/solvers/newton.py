@@ -71,9 +71,9 @@ def refined(nlp: NLP, x: Array, p: Array, begin: NLPValues, near: float = NEAR) 
     allowed = max(FEASIBLE, violation(nlp, x, begin.g))
     active = np.array(conditions.active, dtype=int)
     for _ in range(TRIES):
-        found = _converged(nlp, x, p, begin, active, conditions.multipliers.copy())
-        if found is not None:
-            y, here, threshold = found
+        converged = _converged(nlp, x, p, begin, active, conditions.multipliers.copy())
+        if converged is not None:
+            y, here, threshold = converged
             values = np.concatenate([y, here.g])
             missed = np.flatnonzero(np.maximum(nlp.lower - values, values - nlp.upper) > allowed)
             if missed.size:

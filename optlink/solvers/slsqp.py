@@ -103,7 +103,7 @@ def slsqp(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = Fa
     view = _View(nlp, x, p)
     path = [x.copy()]
     low, high = nlp.x_low / view.size, nlp.x_high / view.size
-    found, _, count, _, message = fmin_slsqp(  # as `minimize` with less overhead
+    end, _, count, _, message = fmin_slsqp(  # as `minimize` with less overhead
         view.f,
         x / view.size,
         fprime=view.gradient,
@@ -118,5 +118,5 @@ def slsqp(nlp: NLP, x: Array, p: Array, *, track: bool = False, tight: bool = Fa
         iprint=0,
         full_output=True,
     )
-    end = np.clip(np.asarray(found, dtype=float) * view.size, nlp.x_low, nlp.x_high)
+    end = np.clip(np.asarray(end, dtype=float) * view.size, nlp.x_low, nlp.x_high)
     return Attempt(end, int(count), str(message), np.array(path) if track else None)

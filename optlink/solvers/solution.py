@@ -125,7 +125,7 @@ class Solution(Summary):
     @property
     def parts(self) -> dict[str, Any]:
         """All fields but the programme, for another process."""
-        return {one.name: getattr(self, one.name) for one in fields(self) if one.name != "nlp"}
+        return {item.name: getattr(self, item.name) for item in fields(self) if item.name != "nlp"}
 
     @cached_property
     def curvature(self) -> float:

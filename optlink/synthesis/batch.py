@@ -85,10 +85,10 @@ class Batch:
 
     def of_variant(self, variant: int) -> Batch:
         """Return the same functions for designs with one choice of the assembly modes."""
-        one = copy.copy(self)
-        one.problem, one.problems = self.problems[variant], (self.problems[variant],)
-        one.sides, one._limits = self.sides[variant : variant + 1], self._limits[variant : variant + 1]
-        return one
+        batch = copy.copy(self)
+        batch.problem, batch.problems = self.problems[variant], (self.problems[variant],)
+        batch.sides, batch._limits = self.sides[variant : variant + 1], self._limits[variant : variant + 1]
+        return batch
 
     def thinned(self, most: int) -> tuple[Batch, Array]:
         """Return the batch with at most `most` points, and the matrix (points, all points) that interpolates all crank angles.

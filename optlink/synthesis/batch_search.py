@@ -113,9 +113,9 @@ class Searcher:
             numbers = range(exploration.rounds, exploration.rounds + ahead)
             task = RoundTask(packed((self.variants, self.seed)), exploration.rounds)
             self._ready = list(ordered(task, ahead, self.runs)) if self.runs else self._rounds(numbers)
-        one = self._ready.pop(0)
-        exploration.repaired = sorted(one.repaired, key=lambda c: c.cost)
-        for variant, ends in enumerate(one.ends):
+        finished = self._ready.pop(0)
+        exploration.repaired = sorted(finished.repaired, key=lambda c: c.cost)
+        for variant, ends in enumerate(finished.ends):
             self._keep(variant, ends)
         exploration.starts += self._share(exploration.rounds) * len(self.batches)
         exploration.rounds += 1

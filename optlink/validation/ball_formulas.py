@@ -123,7 +123,7 @@ class BallProblem:
             assert data.offsets is not None
             offset, weight = float(data.offsets[position]), float(data.roots[position])
             components = self._at(values, phi0 + Ball.constant(offset), data.columns[position], offset)
-            return [_scaled(one, weight) for one in components]
+            return [_scaled(component, weight) for component in components]
         at, tabulated = Ball.constant(problem.law.offsets[position]), Ball.constant(self._tabulated[position])
         pose = problem.linkage.pose(values, turn(crank, (np.cos(at), np.sin(at))))
         target = problem.law.target(at, tabulated, phi0, psi0) + Ball.constant(0.0)
@@ -326,8 +326,8 @@ class BallProblem:
         if not np.any(limited):
             return
         for k, deviations in enumerate(self.deviations(values, self.starts(values)[0])):
-            if limited[k] and all(one.model is not None for one in deviations[:2]):
-                x, y = (one.model for one in deviations[:2])
+            if limited[k] and all(deviation.model is not None for deviation in deviations[:2]):
+                x, y = (deviation.model for deviation in deviations[:2])
                 most = float(data.tolerances[k]) * float(data.roots[k])
                 yield "requirement.points", -(x * x) - y * y, -most * most, math.inf  # type: ignore[operator]
 

@@ -90,8 +90,8 @@ class Prover:
         return objective, min((float(slack) for slack in slacks), default=0.0), differs
 
     def _value(self, deviations: list[list[Deviation]]) -> float:
-        squares = [sum((one.least * one.least for one in position), arb(0)) for position in deviations]
-        if any(one.model is None for position in deviations for one in position):
+        squares = [sum((deviation.least * deviation.least for deviation in position), arb(0)) for position in deviations]
+        if any(deviation.model is None for position in deviations for deviation in position):
             return math.nan
         if self.problem.measure == "max":
             return math.sqrt(max(float(square) for square in squares))
@@ -303,12 +303,12 @@ class _Piece:
 
 def _square(position: list[Deviation]) -> Ball | None:
     """Return the squared size of a deviation; None if a component is unknown."""
-    if any(one.model is None for one in position):
+    if any(deviation.model is None for deviation in position):
         return None
     total = Ball.constant(0.0)
-    for one in position:
-        assert one.model is not None
-        total = total + one.model * one.model
+    for deviation in position:
+        assert deviation.model is not None
+        total = total + deviation.model * deviation.model
     return total
 
 

@@ -217,8 +217,10 @@ def check_certificate(problem: ProblemFile, path: Path, progress: Progress | Non
     from optlink.validation.box_proofs import Prover
 
     with flint.ctx.workprec(BITS):
-        variants = {str(one.raw["mechanism"].get("assembly", "left")): one for one in problem.variants()}
-        provers = {name: Prover(_model(one), certificate.lower_bound, certificate.design) for name, one in variants.items()}
+        variants = {str(variant.raw["mechanism"].get("assembly", "left")): variant for variant in problem.variants()}
+        provers = {
+            name: Prover(_model(variant), certificate.lower_bound, certificate.design) for name, variant in variants.items()
+        }
         checks = [*_modes(certificate, variants), *_covered(certificate, provers)]
         objective = math.nan
         if certificate.design is not None:

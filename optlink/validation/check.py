@@ -53,7 +53,7 @@ class Checks:
 
     def of(self, design: int = 0) -> Check:
         """Return the check of one design."""
-        name, limit = (one if isinstance(one, str) else one(design) for one in (self.name, self.limit))
+        name, limit = (text_of if isinstance(text_of, str) else text_of(design) for text_of in (self.name, self.limit))
         return Check(name, bool(each(self.passed, design)), float(each(self.value, design)), limit, self.unit)
 
 

@@ -69,14 +69,14 @@ def _figures(recorded: Mapping[str, Any], computed: Mapping[str, Any]) -> Iterat
     """Yield figures of a machine, matched by name, that differ from those of the design."""
     theirs, ours = (_by_name(document.get("figures")) for document in (recorded, computed))
     for name in theirs.keys() & ours.keys():
-        one, other = theirs[name].get("result"), ours[name].get("result")
-        if not (_number(one) and _number(other)) or theirs[name].get("unit") != ours[name].get("unit"):
+        recorded_value, computed_value = theirs[name].get("result"), ours[name].get("result")
+        if not (_number(recorded_value) and _number(computed_value)) or theirs[name].get("unit") != ours[name].get("unit"):
             continue
         start = ours[name].get("initial")
-        size = max(abs(one), abs(other), abs(start) if _number(start) else 0.0)
-        if not abs(one - other) <= SHARE * size + FIGURE:
+        size = max(abs(recorded_value), abs(computed_value), abs(start) if _number(start) else 0.0)
+        if not abs(recorded_value - computed_value) <= SHARE * size + FIGURE:
             words = f"{ours[name].get('words', name)} of the result file"
-            yield Check(words, False, float(one), f"= {other:.9g}", str(ours[name].get("unit") or ""))
+            yield Check(words, False, float(recorded_value), f"= {computed_value:.9g}", str(ours[name].get("unit") or ""))
 
 
 def _by_name(rows: object) -> dict[str, dict[str, Any]]:

@@ -147,8 +147,8 @@ class Cycle:
         travel = self._travels[1][str(guide_of(str(term.of), self.mechanism))]
         begin, end = (travel.low_at, travel.high_at) if term.stroke == "forward" else (travel.high_at, travel.low_at)
         begin, end = begin % TURN + back, end % TURN + back
-        one = float(np.diff(self.work(np.array([begin, end])))[0])
-        return one if (end - begin) * sense >= 0.0 else one + whole
+        stroke_work = float(np.diff(self.work(np.array([begin, end])))[0])
+        return stroke_work if (end - begin) * sense >= 0.0 else stroke_work + whole
 
     def history(self, term: Term) -> tuple[Machine, Callable[[MotionColumns], Array]]:
         """Return the machine of a cyclic term, and a function that reads the term from a record."""
@@ -232,9 +232,9 @@ class Cycle:
         names = slider_names(self.machine)
         powers += [record[f"{guide}.friction_N"] * record[f"{names[guide]}.v_m_s"] for guide in self.machine.friction]
         powers += [
-            np.broadcast_to(np.asarray(one.power(moving.state(one.body))), points.shape)
+            np.broadcast_to(np.asarray(acting.power(moving.state(acting.body))), points.shape)
             for load in self.machine.loads
-            for one in load.act(moving)
+            for acting in load.act(moving)
         ]
 
         def whole(power: Array) -> float:

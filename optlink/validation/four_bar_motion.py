@@ -115,7 +115,7 @@ class FourBarMotion:
     def survey(self) -> _Survey:
         """Figures of the motion of each design."""
         blocks = [vars(self._surveyed(part, joints)) for part, joints in self._blocks()]
-        return _Survey(**{name: np.concatenate([one[name] for one in blocks], axis=-1) for name in blocks[0]})
+        return _Survey(**{name: np.concatenate([block[name] for block in blocks], axis=-1) for name in blocks[0]})
 
     def _surveyed(self, part: slice, joints: _Joints) -> _Survey:
         """Return the figures of a block of designs."""

@@ -89,8 +89,8 @@ def squared_sines(motion: Motion) -> Array:
             sines.append(motion.margin(group.joint))
             continue
         p, q = (motion.position(name) for name in group.outer)
-        one, other = (_median(np.linalg.norm(motion.position(group.joint) - pin, axis=-1)) for pin in (p, q))
-        cosine = included_cosine(one, other, np.sum((q - p) ** 2, axis=-1))
+        first, second = (_median(np.linalg.norm(motion.position(group.joint) - pin, axis=-1)) for pin in (p, q))
+        cosine = included_cosine(first, second, np.sum((q - p) ** 2, axis=-1))
         sines.append(1.0 - cosine * cosine)
     return np.array(sines).reshape(len(motion.mechanism.groups), len(motion.crank_angle))
 

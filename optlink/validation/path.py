@@ -121,17 +121,17 @@ def transmission_angles(motion: Motion, mechanism: Mechanism) -> Array:
     for group in transmitting(mechanism):
         if isinstance(group, RRR):
             p, q, c = (motion.position(name) for name in (*group.outer, group.inner))
-            one, other = p - c, q - c
+            first, second = p - c, q - c
         elif isinstance(group, RRP):
-            one = _normal(_direction(motion, group.outer[1]))
-            other = motion.position(group.inner) - motion.position(group.outer[0])
+            first = _normal(_direction(motion, group.outer[1]))
+            second = motion.position(group.inner) - motion.position(group.outer[0])
         elif isinstance(group, RPR):
-            one = _normal(_direction(motion, group.inner))
-            other = motion.position(group.outer[0]) - motion.position(group.outer[1])
+            first = _normal(_direction(motion, group.inner))
+            second = motion.position(group.outer[0]) - motion.position(group.outer[1])
         else:
-            one, other = (_direction(motion, guide) for guide in group.prismatic)
-        cross = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
-        angles.append(np.arctan2(np.abs(cross), np.sum(one * other, axis=-1)))
+            first, second = (_direction(motion, guide) for guide in group.prismatic)
+        cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+        angles.append(np.arctan2(np.abs(cross), np.sum(first * second, axis=-1)))
     return np.stack(angles, axis=1) if angles else np.zeros((len(motion.crank_angle), 0))
 
 

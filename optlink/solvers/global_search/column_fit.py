@@ -121,8 +121,8 @@ class ColumnFit:
         """
         n = unknowns(coefficients)
         levels, forms = self.forms(threshold)
-        one = np.zeros(1, dtype=np.intp) if not chosen.any() else chosen
-        matrix, form, keep = self.matrix[one], forms[one], self.keep[one]
+        rows = np.zeros(1, dtype=np.intp) if not chosen.any() else chosen
+        matrix, form, keep = self.matrix[rows], forms[rows], self.keep[rows]
         level, square = levels[chosen], self.square[chosen]
         vectors, rho = coefficients * keep[:, None, :], remainder * keep
         if not self.whole:
@@ -204,8 +204,8 @@ def _turned(vectors: Array, rho: Array, form: Array) -> tuple[Array, Array]:
     column = vectors[:, :1]
     across = times_i(column)
     applied, over = column @ form, across @ form
-    one, mixed, other = ((x * y).sum(axis=(1, 2)) for x, y in ((applied, column), (applied, across), (over, across)))
-    angle = (0.5 * np.arctan2(-mixed, 0.5 * (other - one)))[:, None, None]
+    first, mixed, second = ((x * y).sum(axis=(1, 2)) for x, y in ((applied, column), (applied, across), (over, across)))
+    angle = (0.5 * np.arctan2(-mixed, 0.5 * (second - first)))[:, None, None]
     cosine, sine = np.cos(angle), np.sin(angle)
     half = rho.shape[1] // 2
     either = np.hypot(rho[:, :half], rho[:, half:]) * (1.0 + SLACK)

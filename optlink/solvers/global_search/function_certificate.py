@@ -97,7 +97,7 @@ def linkage_sets(problem: DesignProblem, error: float) -> list[LinkageSet]:
     coupler = ratios[1][0] * (1.0 - WIDEN), ratios[1][1] * (1.0 + WIDEN)
     sides = (1, -1) if problem.mechanism.assembly == "either" else (problem.side,)
     every = [LinkageSet(side, low, high, coupler, angles, problem.limits.crank) for side in sides]
-    return every + [part for one in every if (part := one.dead_part(error)) is not None]
+    return every + [part for linkages in every if (part := linkages.dead_part(error)) is not None]
 
 
 def _ratio(problem: DesignProblem, name: str) -> tuple[float, float]:
@@ -199,7 +199,7 @@ class FunctionSearch:
     def _searches(self, level: float) -> list[BranchAndBound]:
         """Return a search of every set of linkages; each begins with the boxes that the one before has discarded."""
         sets = linkage_sets(self.problem, self.best)
-        searches = [BranchAndBound(self._bounds(one), self.best, level) for one in sets]
+        searches = [BranchAndBound(self._bounds(linkages), self.best, level) for linkages in sets]
         for search, previous in zip(searches, self.searches, strict=False):
             bounder, before = search.bounder, previous.bounder
             if np.array_equal([bounder.low, bounder.high], [before.low, before.high]) and previous.leaves.low:

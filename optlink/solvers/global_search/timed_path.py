@@ -112,9 +112,9 @@ class TimedPathBounds:
         )
         targets = data.columns[:, 0] + 1j * data.columns[:, 1]
         self.points = (targets - base) / self.unit
-        one = np.ones(len(self.t), dtype=complex)
+        ones = np.ones(len(self.t), dtype=complex)
         crank = np.exp(1j * self.t) if self.turned else np.exp(1j * (self.t + self.start + direction))
-        columns = [factor * one for factor, use in zip((1.0, 1j), unknown_pivots, strict=True) if use]
+        columns = [factor * ones for factor, use in zip((1.0, 1j), unknown_pivots, strict=True) if use]
         self.columns: Complex = np.array([*columns, crank, 1j * crank] if self.turned else [*columns, crank], dtype=complex)
         self.low, self.high = self._ranges(free)
         rounding = 16.0 * len(self.t) * UNIT * float(np.max(self.roots) * np.max(np.abs(targets) + abs(base))) / self.unit
