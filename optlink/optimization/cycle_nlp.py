@@ -143,8 +143,8 @@ def build_cycle(
     slots : int, optional
         Roaming positions per stroke.
     scales : (float [m], sequence of float [SI]), optional
-        Unit of length (default: the longest length of the file) and of each objective term (default: from the file, else its
-        value at the start).
+        Unit of length (default: the longest length of the file) and of each objective term (default: its value at the
+        start).
     """
     problem = trace.problem
     exchange = min(max(EXCHANGE_POINTS // max(1, trace.cuts(structure)), SLOTS[0]), SLOTS[1]) if slots is None else slots
@@ -162,24 +162,27 @@ def build_cycle(
         largest = [float(np.max(value)) for value in CompiledFunction([x, p], courses)(at, p_start)]
         maxima, naturals = largest[: len(tops)], largest[len(tops) :]
         sizes = list(scales[1]) or [
-            scale or (abs(value) if abs(value) > ROUNDING * natural else natural) or 1.0
+            (abs(value) if abs(value) > ROUNDING * natural else natural) or scale or 1.0
             for scale, value, natural in zip(problem.scales, maxima, naturals, strict=True)
         ]
+        worths = [
+            goal.weight * size / (scale or 1.0) for goal, scale, size in zip(parts.goals, problem.scales, sizes, strict=True)
+        ]
+        worth = math.fsum(worths)
         watched: list[WatchedTerm | None] = []
         f, k = casadi.SX(0.0), 0
-        for goal, size, figure in zip(parts.goals, sizes, figures, strict=True):
+        for goal, size, own, figure in zip(parts.goals, sizes, worths, figures, strict=True):
             if goal.extreme:
                 watched.append(parts.goal(goal, size, parts.levels[k], count + events + k))
-                f += goal.weight * parts.levels[k]
+                f += own / worth * parts.levels[k]
                 k += 1
             else:
-                f += goal.weight * (-1.0 if goal.sense == "maximise" else 1.0) * figure / size
+                f += own / worth * (-1.0 if goal.sense == "maximise" else 1.0) * figure / size
         heights = [parts.heights(goal, size) for goal, size in zip(parts.goals, sizes, strict=True) if goal.extreme]
         watched += [parts.limit(bound) for bound in problem.bounds]
         watched += parts.close()
         mapped = parts.mapped(f / p[0])
         scaled, residual, g, *others = mapped.expanded([mapped.f, f, mapped.g, *heights, *parts.exchanged])
-    worth = sizes[0] if problem.single else 1.0
     at[count + events :] = [value / size for goal, value, size in zip(parts.goals, maxima, sizes, strict=True) if goal.extreme]
     box = [boxed(problem.quantities[v.name], v)[:2] for v in parts.variables[:count]]
     box += [(-2.0 * TURN, 2.0 * TURN)] * events

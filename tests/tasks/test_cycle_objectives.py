@@ -317,6 +317,17 @@ def idle() -> ProblemFile:
     return machine("press", loads=None, gravity=None, objective=term("reaction", of="E"), limits__guide=None)
 
 
+@pytest.mark.parametrize("term", [{}, {"scale": "1e10 N*m", "weight": 2.0}], ids=["without a scale", "far below its scale"])
+def test_a_sum_of_one_term_has_the_optimum_of_that_term(term):
+    """A scale divides the value and changes nothing else: without one, the value is that in SI units."""
+    problem = read(tomllib.loads(PRESS))
+    alone = solve(problem, starts=1)
+    result = solve(problem.override({"objective": {"terms": [{"quantity": "torque", **term}]}}), starts=1)
+    assert result.valid
+    assert result.design == pytest.approx(alone.design, rel=1e-6, abs=1e-9)
+    assert result.objective == pytest.approx(alone.objective * (2e-10 if term else 1.0), rel=1e-9)
+
+
 def test_a_machine_without_loads_passes_validation():
     result = solve(idle(), "slsqp", starts=1)
     assert result.valid, [check for check in result.validation.checks if not check.passed]
