@@ -204,7 +204,7 @@ def explain(
     free = np.full(k, FREE)
     search.enough = AGREEING if quick else ENOUGH
     total, x = search.least(np.ones(k), free)
-    if total <= search.feasible and not (quick or _feasible(nlp, x[: search.n], search.p)):
+    if total <= search.feasible and not _feasible(nlp, x[: search.n], search.p):
         search.tighten()
         total, x = search.least(np.ones(k), free)
     search.enough = 1 if quick else ENOUGH

@@ -317,6 +317,19 @@ def idle() -> ProblemFile:
     return machine("press", loads=None, gravity=None, objective=term("reaction", of="E"), limits__guide=None)
 
 
+def test_limits_missed_by_little_more_than_a_tolerance_are_named():
+    """A stroke of 120 mm needs a crank of 60 mm; with the shortest rod, the links are 1e-5 mm longer than permitted."""
+    problem = read(tomllib.loads(PRESS)).override({"mechanism.guides.F.through": ["0 mm", "0 mm"]})
+    limits = {
+        "stroke": {"quantity": "stroke", "of": "ram", "min": "120 mm"},
+        "size": {"quantity": "total length", "max": "209.99999 mm"},
+    }
+    result = solve(problem.override({"limits": limits}), starts=1)
+    assert result.status is Status.INFEASIBLE
+    amounts = {item.key: item.amount for item in result.conflict}
+    assert amounts == pytest.approx({"limits.stroke": 2e-5, "limits.size": 1e-5}, rel=0.05)
+
+
 @pytest.mark.parametrize("term", [{}, {"scale": "1e10 N*m", "weight": 2.0}], ids=["without a scale", "far below its scale"])
 def test_a_sum_of_one_term_has_the_optimum_of_that_term(term):
     """A scale divides the value and changes nothing else: without one, the value is that in SI units."""
