@@ -104,6 +104,7 @@ class KKTSystem:
         hessian, gradient, rows = _lagrangian(nlp, x, p, self.multipliers[n:])
         slopes = np.vstack([np.eye(n, n + len(p)), rows])  # derivatives of x and the rows by x and p
         self.active = self._distinct(strong, slopes[:, :n])
+        self.duplicates = set(strong) - set(self.active.tolist())
         if len(self.active) < len(strong):
             hessian, gradient, _ = _lagrangian(nlp, x, p, self.multipliers[n:])
         self.by_p = gradient[n:]
@@ -207,16 +208,16 @@ class KKTSystem:
             else:
                 changes = push.upper[entry] - rates[entry], rates[entry] - push.lower[entry]
                 for room, change in zip(rooms[:, entry], changes, strict=True):
-                    if math.isfinite(room) and abs(change) > MIN_RATE:
-                        events.append((-max(room, 0.0) / change, arrives))
-            for at, what in events:
-                if at == 0.0 and what == arrives:  # a limit at its bound with a zero multiplier is not counted as an end
-                    continue
-                if 0.0 <= at < most[0]:
-                    most = (at, f"{self._name(entry)} {what}")
-                if least[0] < at <= 0.0:
-                    least = (at, f"{self._name(entry)} {what}")
-        return ValidityEnd(float(parameter.value + least[0]), least[1]), ValidityEnd(float(parameter.value + most[0]), most[1])
+                    if math.isfinite(room) and abs(change) > MIN_RATE and entry not in self.duplicates:
+                        events.append((-(room if room > ACTIVE_TOLERANCE else 0.0) / change, arrives))
+            for at, what in events:  # a limit at its bound with a zero multiplier: a zero with the sign of the side that it ends
+                if math.copysign(1.0, at) < 0.0:
+                    least = max(least, (at, f"{self._name(entry)} {what}"), key=lambda end: end[0])
+                else:
+                    most = min(most, (at, f"{self._name(entry)} {what}"), key=lambda end: end[0])
+        ends = ((parameter.shifted(at), event) for at, event in (least, most))
+        lower, upper = (ValidityEnd(value, event if math.isfinite(value) else "nothing") for value, event in ends)
+        return lower, upper
 
     @cached_property
     def turning(self) -> set[int]:

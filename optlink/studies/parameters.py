@@ -45,8 +45,9 @@ class Parameter:
 
     @property
     def positive(self) -> bool:
-        """Whether it is a mass, a force or another positive number that cannot or should not change its sign."""
-        return self.constant < 0 and not self.entries and self.value > 0.0 and self.unit != "deg"
+        """Whether it is a mass, a force, a tolerance or another positive number that cannot or should not change its sign."""
+        outside = self.constant < 0 and not self.entries
+        return self.value > 0.0 and ((outside and self.unit != "deg") or self.key.startswith("tolerances."))
 
     @property
     def step(self) -> float:
@@ -56,6 +57,13 @@ class Parameter:
     def rate(self) -> float:
         """Return the change of the scaled number of the programme per unit of the parameter."""
         return 1.0 / self.scale.slope(self.scale.to_internal(self.value))
+
+    def shifted(self, change: float) -> float:
+        """Return the value after a first-order change [unit] of the number of the programme; infinite if it has no such value."""
+        internal = self.scale.to_internal(self.value) + self.rate() * change
+        value = float(self.scale.to_display(internal))
+        exists = math.isclose(self.scale.to_internal(value), internal, rel_tol=1e-9, abs_tol=1e-9)
+        return value if exists else math.copysign(math.inf, change)
 
     def place(self, nlp: NLP, value: float) -> None:
         """Set another value of the parameter in the programme.

@@ -258,7 +258,7 @@ def of_solution(
                 progress((checked + 1) / len(moving))
         missing = [row.parameter.name for row in rows if row.moves and row.check is None]
         if missing:
-            notes.append(f"re-optimisation found no optimum to compare with: {', '.join(missing)}")
+            notes.append(f"not compared, as the range ends at the value or no optimum was found beside it: {', '.join(missing)}")
         if system.singular:
             notes.append("a new search may end at another of the designs: only objectives are compared")
     return Sensitivities(

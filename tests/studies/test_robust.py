@@ -231,6 +231,7 @@ def test_the_effect_of_a_tolerance_is_its_derivative(problem):
     low, high = (solve(problem.override({"tolerances.coupler": f"{1.0 + d} mm"})).objective for d in (-1e-3, 1e-3))
     assert coupler.objective == pytest.approx((high - low) / 2e-3, rel=1e-5)
     assert coupler.objective > 0.0
+    assert coupler.below.value == -math.inf  # was -10 mm: a tolerance is not negative
     uniform, step = found["tolerances.rocker"], 1e-3
     low, high = (solve(problem.override({"tolerances.rocker": f"{0.8 + d} mm"})).objective for d in (-step, step))
     assert uniform.objective == pytest.approx((high - low) / (2.0 * step), rel=1e-5)

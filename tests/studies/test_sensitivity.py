@@ -195,6 +195,29 @@ def test_the_validity_range_ends_where_another_limit_becomes_active():
     assert reached[0] == pytest.approx(found[0] - 0.05, abs=1e-3)
 
 
+def test_the_range_of_an_inactive_angle_limit_ends_at_the_angle_of_the_design(crank_rocker):
+    """Converted exactly from its cosine: 75.09 deg was printed, where the optimum had long changed, and 2181 deg."""
+    crank, frame, coupler, rocker = 100.0, 500.0, *crank_rocker.values.values()
+    smallest = math.degrees(math.acos((coupler**2 + rocker**2 - (frame - crank) ** 2) / (2.0 * coupler * rocker)))
+    assert crank_rocker["limits.transmission_angle.min"].above.value == pytest.approx(smallest)
+    ends = {end.value for row in crank_rocker.rows if row.parameter.unit == "deg" for end in (row.below, row.above)}
+    assert all(0.0 <= end <= 180.0 for end in ends if math.isfinite(end))
+
+
+def test_the_range_ends_at_once_where_a_bound_is_just_reached():
+    """A bound at the optimum, with a zero multiplier: the derivatives hold on the side that leads away from it."""
+    design = solved().design
+    bounds = {"mechanism.coupler": {"start": "400 mm", "bounds": ["100 mm", f"{1e3 * design['coupler']!r} mm"]}}
+    result = sensitivities(optlink.load("crank-rocker", bounds))
+    frame, bound = result["mechanism.frame"], result["mechanism.coupler.max"]
+    assert frame.design["coupler"] > 0.0
+    assert frame.above.value == pytest.approx(500.0)  # was 1800 mm
+    assert frame.below.value < 400.0
+    assert bound.below.value == pytest.approx(1e3 * design["coupler"])  # was unlimited
+    assert bound.below.event == "the bound of coupler is reached"
+    assert bound.above.value == math.inf
+
+
 def test_a_change_of_the_largest_error_position_is_described():
     """Of a minimax objective the range ends where another error becomes the largest, or one of the largest no longer is."""
     file = optlink.load("crank-rocker", {"requirement.measure": "max"})
