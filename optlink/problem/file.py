@@ -80,7 +80,7 @@ class ProblemFile:
         """
         if isinstance(self.model, DesignProblem):
             return self.model
-        remedy = "Add one, or use `optlink analyze`, `study sweep --analyze`, `study sensitivity --quantity NAME`"
+        remedy = "Add one, or use `optlink analyze`, `study sweep --analyze` or --simulate, `study sensitivity --quantity NAME`"
         raise InputError("the problem has no [requirement], so there is nothing to solve", remedy, self.file)
 
     @property

@@ -206,6 +206,8 @@ def quantity_of(problem: ProblemFile, axis: Axis) -> str:
         name = name.removeprefix(start)
     name = name.replace(".points.", ".").replace(".through.", ".")
     if name not in quantities:
-        message = "only dimensions of the mechanism can be varied without a new optimisation"
-        raise InputError(message, nearest(name, quantities), problem.file, f"--vary {axis.key}")
+        prescribed = axis.key.partition(".")[0] in ("requirement", "limits", "objective")
+        remedy = "Leave --analyze out, to optimise at every point" if prescribed else "Write --simulate, which varies every key"
+        remedy += f"; dimensions: {', '.join(quantities)}"
+        raise InputError("an analysis varies dimensions of the mechanism only", remedy, problem.file, f"--vary {axis.key}")
     return name

@@ -143,6 +143,9 @@ def read_axis(assignment: str) -> Axis:
 def _value_list(key: str, values: str, fault: Callable[..., InputError]) -> Axis:
     parts = [_ONE.fullmatch(part) for part in values.split(",")]
     groups = [match.groups() for match in parts if match is not None]
+    if not any(map(str.isdigit, values)):
+        remedy = "Run the command once for each word, with --set and another --out"
+        raise fault("this is not a list of numbers; a sweep does not vary words", remedy)
     if len(groups) != len(parts):
         raise fault("this is not a list of values")
     units = {(unit or "").strip() for _, unit in groups}

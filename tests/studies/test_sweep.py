@@ -104,6 +104,7 @@ def test_ranges_lists_and_ratios(text, unit, values):
         ("mechanism.frame=450..550 mm:2.5", "number of points"),
         ("mechanism.frame=450..550 mm step 200", "longer than the range"),
         ("mechanism.frame=450:550 mm", "not a list"),
+        ("requirement.measure=max, rms", "a sweep does not vary words"),
         ("mechanism.frame.max=450..550 mm:3", "frame is fixed at 500 mm, it has no bounds"),
         ("mechanism=450..550 mm:3", "--vary mechanism"),
     ],
@@ -309,7 +310,7 @@ def test_analysis_without_optimisation():
 
 
 def test_only_dimensions_can_be_varied_in_an_analysis():
-    with pytest.raises(InputError, match="only dimensions"):
+    with pytest.raises(InputError, match="varies dimensions of the mechanism only"):
         sweep(problem(), [f"{LIMIT}=120..130 deg:3"], analyze=True)
     with pytest.raises(InputError, match="no such column"):
         sweep(problem(), [f"{FRAME}:3"], analyze=True, columns=["torque"])

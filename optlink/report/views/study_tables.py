@@ -139,7 +139,7 @@ def sweep(result: Sweep) -> Summary:
     conflict = "Conflicting limits at a point without a design: `optlink solve` with --set at that point"
     status = [(f"{counted}, ", verdict(_point_counts(result), result.complete)), *([conflict] if result.infeasible else [])]
     axes = [
-        (axis.key, f"{axis.values[0]:g} ... {axis.values[-1]:g} {axis.unit}".rstrip(), quiet(f"{len(axis.values):,} values"))
+        (axis.key, f"{axis.values[0]:g} ... {axis.values[-1]:g} {axis.unit}".rstrip(), quiet(points(len(axis.values))))
         for axis in result.grid.axes
     ]
     parts = [table("Varied", "<<>", axes)]
@@ -191,6 +191,8 @@ def _rows(result: Sweep) -> Iterator[TableSpec]:
     if not all_points and result.valid:
         valid, rows = np.flatnonzero(columns["valid"]), []
         for name in names:
+            if np.all(np.isnan(columns[name][valid])):
+                continue
             ends = [int(valid[of(columns[name][valid])]) for of in (np.nanargmin, np.nanargmax)]
             rows.append((name, *(text for k in ends for text in (number(columns[name][k]), _place(result, k)))))
         yield table("Extremes over all valid points", ["", ">least", ">at", ">largest", ">at"], rows)
