@@ -14,6 +14,7 @@ from optlink.linkage.vector2d import TURN, Array
 
 POSITIONS = 2880
 HALVINGS = 100  # of a range of numbers at most
+ROUNDING = 1e-9  # of a revolution, by which a run of exactly one may fall short
 
 
 @dataclass(frozen=True)
@@ -151,7 +152,7 @@ class LastTurn:
         """Mean over time [rad/s], and (largest - least) / mean; None if the crank has not turned a revolution in one sense."""
         time, angle, speed = np.concatenate(self.blocks).T
         turned = np.abs(angle - angle[-1])
-        before = np.flatnonzero(turned >= TURN)
+        before = np.flatnonzero(turned >= TURN * (1.0 - ROUNDING))
         if not before.size or np.any(np.diff(turned[before[-1] :]) > 0.0):
             return None
         k = int(before[-1])

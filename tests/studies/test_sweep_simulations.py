@@ -97,3 +97,10 @@ def test_the_command_simulates_a_sweep_and_refuses_options_without_it():
 def test_an_analysis_refuses_a_requirement_and_names_what_varies_it():
     with pytest.raises(InputError, match="Leave --analyze out, to optimise at every point"):
         sweep(optlink.load("crank-rocker"), ["requirement.span=80..90 deg:2"], analyze=True)
+
+
+@pytest.mark.parametrize("speed", ["1 rpm", "2 rpm", "7 rpm"])
+def test_a_run_of_one_revolution_has_a_last_revolution_at_any_speed(speed):
+    """Its end is one revolution within rounding: at 2 rpm the figures were missing."""
+    found = optlink.simulate(optlink.load("crank-rocker", {"drive.speed": speed}))
+    assert found.figures["last_turn.mean_speed_rad_s"] == pytest.approx(float(speed.split()[0]) * math.pi / 30.0)
