@@ -30,6 +30,7 @@ from optlink.symbolic import CompiledFunction
 ACTIVE_TOLERANCE = 1e-9  # scaled units; tolerance of active limits, less than the distance of neighbours in a finely divided span
 MIN_MULTIPLIER = 1e-8  # relative to the scale of the objective; smaller multipliers count as zero
 MIN_RATE = 1e-11  # scaled units; slower changes are rounding errors
+MIN_CHANGE = 1e-10  # scaled units, or of a multiplier, per change of a parameter by its value; slower ones end no range
 MIN_CURVATURE = 1e-10  # relative to the largest second derivative; smaller ones are rounding errors
 DUPLICATE_SLOPE = 1e-6  # relative difference of the slopes of duplicate rows
 LIMIT_EVENTS = "is no longer active", "is reached"
@@ -194,6 +195,7 @@ class KKTSystem:
         """
         rates = self.jacobian[:, self.unknown] @ response.moved + push.entries
         least, most = (-math.inf, "nothing"), (math.inf, "nothing")
+        slowest = MIN_CHANGE / (abs(parameter.value) or 1.0)
         rows, rooms = set(self.active.tolist()), self.rooms
         for entry in range(len(rates)):
             if entry in self.turning - rows and push.lower[entry] == push.upper[entry] == 0.0:
@@ -203,12 +205,12 @@ class KKTSystem:
             leaves, arrives = PEAK_EVENTS if peak else LIMIT_EVENTS
             if entry in rows:
                 change = response.multipliers[entry]
-                if not self.equal[entry] and abs(change) > MIN_RATE * abs(self.multipliers[entry]):
+                if not self.equal[entry] and abs(change) > slowest * abs(self.multipliers[entry]):
                     events.append((-self.multipliers[entry] / change, leaves))
             else:
                 changes = push.upper[entry] - rates[entry], rates[entry] - push.lower[entry]
                 for room, change in zip(rooms[:, entry], changes, strict=True):
-                    if math.isfinite(room) and abs(change) > MIN_RATE and entry not in self.duplicates:
+                    if math.isfinite(room) and abs(change) > slowest and entry not in self.duplicates:
                         events.append((-(room if room > ACTIVE_TOLERANCE else 0.0) / change, arrives))
             for at, what in events:  # a limit at its bound with a zero multiplier: a zero with the sign of the side that it ends
                 if math.copysign(1.0, at) < 0.0:

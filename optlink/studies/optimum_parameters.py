@@ -8,6 +8,7 @@ from functools import cached_property
 from optlink.problem.file import ProblemFile
 from optlink.solvers import multistart
 from optlink.solvers.solution import Solution
+from optlink.studies.continuation import follow_optimum
 from optlink.studies.kkt_derivatives import KKTPerturbation, KKTSystem
 from optlink.studies.parameters import Parameter, displayed, parameters
 from optlink.studies.toml_keys import exact_text
@@ -71,7 +72,8 @@ class OptimumParameters:
         nlp = solution.nlp
         try:
             parameter.place(nlp, value)
-            optimum = multistart.solve_from(nlp, solution.x, backend)
+            followed = follow_optimum(nlp, solution)  # has more digits where the search ends near many peaks of equal height
+            optimum = multistart.best([multistart.solve_from(nlp, solution.x, backend), *([followed] if followed else [])])
         finally:
             parameter.place(nlp, parameter.value)
         return optimum.objective, displayed(nlp, optimum.x)

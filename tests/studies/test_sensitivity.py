@@ -102,6 +102,19 @@ def test_the_built_in_check_agrees_on_variations(overrides):
 
 
 @pytest.mark.slow
+def test_the_check_of_a_largest_error_has_all_digits():
+    """IPOPT ends 1e-8 above the optimum where many values are nearly the largest: the gap was 4e-4, and the exit code 1."""
+    result = sensitivities(optlink.load("law-slider-crank", {"requirement.measure": "max"}), check=True)
+    assert [row.parameter.key for row in result.moving][1] == "mechanism.guides.G.offset.max"
+    assert result.gap < 1e-7
+
+
+def test_rounding_errors_end_no_range():
+    row = sensitivities(optlink.load("law-slider-crank", {"mechanism.guides.G.offset": "0 mm"}))["mechanism.guides.G.direction"]
+    assert (row.below.value, row.above.value) == (-math.inf, math.inf)  # was -8e10 deg
+
+
+@pytest.mark.slow
 def test_a_minimax_function_scales_with_its_frame():
     """Its largest errors lie anywhere in the range, and move along."""
     result = sensitivities(optlink.load("function-sin"), check=True)
