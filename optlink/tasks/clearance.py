@@ -266,7 +266,7 @@ def simulate_clearance(
     except KeyboardInterrupt:
         interrupts.handled()
         account.add_partial()
-        ending, message = Ending.INTERRUPTED, f"interrupted after {account.count} of {revolutions} revolutions"
+        ending, message = Ending.INTERRUPTED, f"{account.count} of {revolutions} revolutions were simulated"
     if ending is not Ending.FINISHED:
         keep()
     if ending is Ending.STALLED:

@@ -1059,7 +1059,7 @@ def test_interrupted_run_returns_what_was_computed():
 
     found = simulate(PERIODIC, 3, 90, progress=stop)
     assert (found.ending, found.finished, found.revolutions) == (Ending.INTERRUPTED, False, 1)
-    assert found.message == "interrupted after 1 of 3 revolutions"
+    assert found.message == "1 of 3 revolutions were simulated"
     whole = simulate(PERIODIC, 1, 90)
     assert np.array_equal(found["slider.s_m"][:90], whole["slider.s_m"])
     assert found.to_dict()["status"] == "interrupted"
