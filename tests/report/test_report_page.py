@@ -646,6 +646,34 @@ def test_a_page_prints(driver, crank_rocker_page):
     assert console(driver) == []
 
 
+OVERLAPS = """
+const over = (one, other) => one.top < other.bottom - 1 && other.top < one.bottom - 1;
+return [...document.querySelectorAll(".js-plotly-plot")].flatMap((chart) => {
+  const top = chart.getBoundingClientRect().top;
+  const panels = Object.entries(chart._fullLayout).filter(([key]) => /^yaxis/.test(key))
+    .map(([, axis]) => ({ top: top + axis._offset, bottom: top + axis._offset + axis._length }));
+  const rows = [...chart.querySelectorAll(".ytick text")].map((one) => one.getBoundingClientRect());
+  const legends = [...chart.querySelectorAll(".legend .bg")].map((one) => one.getBoundingClientRect());
+  return [
+    ...rows.flatMap((one, k) => rows.slice(k + 1).filter((other) => over(one, other)).map(() => "names of rows")),
+    ...legends.flatMap((one) => panels.filter((other) => over(one, other)).map(() => "a legend and a panel")),
+  ];
+});
+"""
+
+
+@pytest.mark.slow
+def test_charts_on_paper_do_not_overlap(driver, tmp_path):
+    """Neither the names of many rows, nor a legend and the panel above it."""
+    (tmp_path / "press.toml").write_text(optlink.new("quick-return-press"))
+    file, path = optlink.load(tmp_path / "press.toml"), tmp_path / "a.html"
+    write_page(report_model_of(file, solve_or_validate(file)), path)
+    opened(driver, path)
+    assert driver.execute_script(OVERLAPS) == []
+    driver.execute_script("window.dispatchEvent(new Event('beforeprint'))")
+    assert driver.execute_script(OVERLAPS) == []
+
+
 @pytest.mark.slow
 def test_texts_do_not_run_in_a_browser(driver, tmp_path):
     file = optlink.load(evil_problem(tmp_path))

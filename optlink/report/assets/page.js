@@ -159,7 +159,8 @@
     paint(false);
     places.forEach((place) => {
       const panels = Object.keys(place.layout).filter((key) => key.startsWith("yaxis")).length;
-      const room = panels > 2 ? 600 : 420; // two to a sheet, unless the names of the axes would overlap
+      const rows = place.layout.yaxis.tickvals?.length ?? 0;
+      const room = rows > 8 ? 900 : panels > 2 ? 600 : 420; // two to a sheet, unless the names of the axes or rows would overlap
       Plotly.relayout(place, { width: 680, height: Math.min(place.layout.height, room), autosize: false });
     });
   });

@@ -44,7 +44,7 @@ AXIS = {
     "exponentformat": "none",
     "separatethousands": True,
 }
-PANEL_GAP = 0.07  # distance of panels as a share of the height
+PANEL_GAP = 0.07  # least distance of panels as a share of the height: room for a legend
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,8 @@ def chart(spec: ChartSpec) -> Chart:
     """Return a chart of the page."""
     kinds = {type(trace) for panel in spec.panels for trace in panel.traces}
     total = sum(panel.height for panel in spec.panels)
-    unit = (1.0 - PANEL_GAP * (len(spec.panels) - 1)) / total
+    gap = max(PANEL_GAP, 3.0 * PANEL_GAP / len(spec.panels))
+    unit = (1.0 - gap * (len(spec.panels) - 1)) / total
     layout: dict[str, Any] = LAYOUT | {"height": 480 if spec.equal or kinds & {HeatMap, Boxes} else int(110 + 200 * total)}
     if spec.equal or spec.picks is not None or not _lined(spec):
         layout["hovermode"] = "closest"
@@ -101,7 +102,7 @@ def chart(spec: ChartSpec) -> Chart:
             layout[f"yaxis{key}"] |= {"scaleanchor": "x", "constrain": "domain"}
         layout[f"legend{key}"] = LEGEND | {"y": top + 0.01} | ({"bgcolor": "#e3e6ea"} if HeatMap in kinds else {})
         data += [trace | {"yaxis": f"y{key}", "legend": f"legend{key}"} for trace in _traces(spec, panel)]
-        top = bottom - PANEL_GAP
+        top = bottom - gap
     layout["xaxis"] = _axis(spec.x, spec.reach) | {"anchor": f"y{key}", "hoverformat": ".2f"}
     if spec.equal:
         layout["xaxis"] |= {"constrain": "domain"}
