@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from optlink.units import percent
 
-_PRODUCT = re.compile(r"\b([kMGmµnpfa]?N)[ *]m\b")
+_PRODUCT = re.compile(r"\b([kMGmµnpfa]?N|kg)[ *]m\b")
 
 
 def number(value: float, digits: int = 6) -> str:
@@ -64,7 +64,7 @@ def dimension(value: float) -> str:
 
 
 def product(text: str) -> str:
-    """Write every torque unit in a text as N·m."""
+    """Write the products of units in a text with a dot: N·m, kg·m^2."""
     return _PRODUCT.sub(r"\1·m", text)
 
 

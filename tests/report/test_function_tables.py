@@ -14,7 +14,7 @@ from rich.console import Console
 
 import optlink
 from optlink.report import terminal
-from optlink.report.format import change, dimension, figure, fixed, number, significant
+from optlink.report.format import change, dimension, figure, fixed, number, pretty, significant
 from optlink.report.registry import table_of
 from optlink.report.table_spec import Part, Summary
 from optlink.report.views import conclusions, path as path_view, problem_tables
@@ -85,6 +85,7 @@ def test_moments_of_inertia_have_the_product_dot_of_torques() -> None:
     parts = problem_tables.problem(optlink.load("six-bar")).parts
     bodies = next(part for part in parts if getattr(part, "title", "") == "[bodies]")
     assert [column.name for column in bodies.columns][-1] == "inertia [kg·m^2]"
+    assert pretty("0.012 kg*m^2 + 1 %, 3 N*m per kg*m^2") == "0.012 kg·m² + 1 %, 3 N·m per kg·m²"
 
 
 def test_unknown_iterations_of_a_stored_result_are_not_zero(solved: optlink.FunctionResult) -> None:

@@ -16,6 +16,7 @@ from optlink.cli.app import app
 from optlink.errors import InputError
 from optlink.linkage.motion import sweep
 from optlink.report.views.sensitivity import charts
+from optlink.report.views.study_tables import sensitivities as summary
 from optlink.studies.motion_sensitivity import output_names, output_sensitivity
 from optlink.studies.sensitivity import sensitivities
 
@@ -174,6 +175,20 @@ def test_a_chart_of_effects_is_left_out_where_all_are_zero(crank_rocker):
         crank_rocker, rows=[dataclasses.replace(row, objective=1e-9 * row.objective) for row in crank_rocker.rows]
     )
     assert charts(quiet) == []
+
+
+def test_the_tables_use_display_units_and_name_what_the_file_states(crank_rocker):
+    """An objective that is an angle is in degrees; `crank <= coupler` (Grashof) is no value of the problem file."""
+    stroke = sensitivities(optlink.load("stroke-slider-crank"))
+    optimum, _, prices, *_ = summary(stroke).parts
+    assert np.isclose(float(optimum.rows[0][1].text), math.degrees(stroke.solution.objective), rtol=1e-5)
+    assert "deg per unit" in str(prices)
+    price = next(row for row in stroke.moving if row.parameter.key == "requirement.time_ratio").objective
+    assert f"{math.degrees(price):+.6g}" in str(prices)
+    still = str(summary(crank_rocker).parts[-1])
+    assert "No effect to first order" in still
+    assert "rocker, largest allowed" in still
+    assert "<=" not in still
 
 
 @pytest.mark.slow

@@ -51,7 +51,8 @@ def step(row: Sensitivity) -> str:
 
 def sensitivities(result: Sensitivities) -> Summary:
     """Summarise the sensitivities of an optimum to its fixed parameters, largest effect first."""
-    rows = [("objective", strong(number(result.solution.objective)), result.unit)]
+    factor, unit = result.problem.model.objective_display
+    rows = [("objective", strong(number(factor * result.solution.objective)), unit)]
     rows += [(name, strong(dimension(value)), result.units[name]) for name, value in result.values.items()]
     return summary(result.problem.model.title, noted(result.notes), table("Optimum", "<><", rows), *sensitivity_parts(result))
 
@@ -62,7 +63,7 @@ def sensitivity_parts(result: Sensitivities) -> Iterator[Part]:
         yield from (_effects(result), _prices(result), _events(result))
     else:
         yield Paragraph("No parameter changes this optimum to first order.")
-    still = [row.parameter.name for row in result.rows if not row.moves]
+    still = [row.parameter.name for row in result.rows if not row.moves and row.parameter.in_file]
     if still:
         yield Paragraph(quiet(f"No effect to first order: {'; '.join(dict.fromkeys(still))}."))
     if result.gap is not None:
@@ -97,10 +98,10 @@ def _largest_responses(result: Sensitivities, row: Sensitivity) -> str:
 
 def _prices(result: Sensitivities) -> TableSpec:
     """Tabulate the derivatives of the objective."""
-    rows = []
+    (factor, unit), rows = result.problem.model.objective_display, []
     for row in result.moving:
-        per = quiet(f"{result.unit} per {row.parameter.unit or 'unit'}".strip())
-        rows.append((row.parameter.key, f"{row.objective:+.6g}" if row.objective else "0", per))
+        per = quiet(f"{unit} per {row.parameter.unit or 'unit'}".strip())
+        rows.append((row.parameter.key, f"{factor * row.objective:+.6g}" if row.objective else "0", per))
     return table("Change of the objective if the value is raised by one unit", "<><", rows)
 
 
