@@ -12,6 +12,7 @@ from optlink.errors import InputError, OptlinkError, Status
 from optlink.linkage.vector2d import Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import sizes_of
+from optlink.report.format import single_units
 from optlink.report.views import conclusions
 from optlink.report.views.relaxations import contradiction
 from optlink.solvers.solution import LimitState, Solution
@@ -134,6 +135,7 @@ def moved_machine(design: Design, full: bool | None) -> Design:
     return replace(design, conclusion=LIMITED_TEXT)
 
 
+@single_units()
 def design_of(result: Any) -> Design:
     """Return the design of an ordinary result, with the verdict of its validation."""
     if isinstance(result, Analysis | Balance):

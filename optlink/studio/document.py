@@ -45,6 +45,11 @@ class Document:
         """
         return read(tables(self.text, self.file), self.name, self.file, self.folder)
 
+    @property
+    def files(self) -> list[str]:
+        """Other files that the problem file names."""
+        return [table[key] for table, key, _ in references(dict(self.problem.raw))]
+
     def message(self) -> dict[str, Any]:
         """Return the document as plain data, for `of`."""
         return {"name": self.name, "text": self.text, "folder": str(self.folder), "freed": dict(self.freed)}

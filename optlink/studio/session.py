@@ -177,7 +177,13 @@ class Session:
     def _save(self, request: Mapping[str, Any]) -> None:
         document = self._document
         self._origin = document.text
-        self._answer("file", name=document.file, media="application/toml", text=document.text)
+        self._answer("file", name=document.file, media="application/toml", text=document.text, files=document.files)
+
+    def _link(self, request: Mapping[str, Any]) -> None:
+        if self._document.files:
+            remedy = "Send the problem file and that file"
+            raise InputError("a link contains no other files", remedy, value=self._document.files[0])
+        self._answer("link", fragment=deflated(self._document.text))
 
     def _export(self, request: Mapping[str, Any]) -> None:
         if self._last is None:
@@ -422,7 +428,7 @@ _ACTIONS: dict[str, Callable[[Session, Mapping[str, Any]], None]] = {
     "undo": Session._undo,
     "redo": Session._undo,
     "save": Session._save,
-    "link": lambda session, request: session._answer("link", fragment=deflated(session._document.text)),
+    "link": Session._link,
     "export": Session._export,
     "draw": Session._draw,
     "choose": Session._choose,

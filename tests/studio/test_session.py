@@ -20,6 +20,7 @@ from optlink.problem.file import read
 from optlink.report.toml_text import rewritten
 from optlink.studies.toml_keys import exact_text, knobs
 from optlink.studio import state
+from optlink.studio.design import design_of
 from optlink.studio.document import Document, named, tables
 from optlink.studio.files import deflated, inflated
 from optlink.studio.session import Session
@@ -240,6 +241,30 @@ def test_a_text_from_the_page_cannot_read_files(tmp_path: Any) -> None:
     answers = Page().ask("open", text=hostile, title="x")
     assert [answer["type"] for answer in answers] == ["fault"]
     assert "cannot read other files" in answers[0]["message"]
+
+
+def test_files_that_a_problem_reads_are_named_and_not_linked(tmp_path: Any) -> None:
+    """A problem file that is saved or sent without them cannot be solved."""
+    text = named("path-ellipse10").text
+    begin = text.index("points = [\n")
+    (tmp_path / "points.csv").write_text("x_mm,y_mm\n0,0\n10,5\n20,0\n", encoding="utf-8")
+    (tmp_path / "a.toml").write_text(
+        text[:begin] + 'points = { csv = "points.csv" }\n' + text[text.index("]\n\n[limits]") + 2 :], encoding="utf-8"
+    )
+    page = Page(patient=False)
+    page.ask("start", name=str(tmp_path / "a.toml"))
+    assert page.ask("save")[0]["files"] == ["points.csv"]
+    (fault,) = page.ask("link")
+    assert (fault["type"], "contains no other files" in fault["message"]) == ("fault", True)
+    page.ask("open", name="crank-rocker")
+    assert page.ask("save")[0]["files"] == []
+    assert page.ask("link")[0]["type"] == "link"
+
+
+def test_a_conclusion_writes_every_length_in_mm() -> None:
+    conclusion = design_of(optlink.solve(optlink.load("path-bean"))).conclusion
+    assert "root mean square 0.1382 mm" in conclusion
+    assert "µm" not in conclusion
 
 
 def test_a_link_holds_the_problem_and_no_more_than_a_file() -> None:

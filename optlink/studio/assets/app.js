@@ -288,10 +288,10 @@ const live = new Live(keptToken(), {
   },
   progress: ({ fraction, text }) => search.take(fraction, text),
   candidates: (message) => (busy(false), curve.candidates(message)),
-  file({ name, media, text, base64 }) {
+  file({ name, media, text, base64, files }) {
     busy(false);
     download(name, media, text ?? Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0)));
-    toast(`${name} saved in your downloads.`);
+    toast(`${name} saved in your downloads.${files?.length ? ` It reads ${files.join(", ")}: keep the files together.` : ""}`);
     if (media === "application/toml" && state) {
       state.document.changed = false;
       titled(state.document);
