@@ -195,8 +195,8 @@ def balance(
     solution = search.optimum(programme, goal)
     seconds["optimum"] = time.perf_counter() - begin
     before = _before(task, goal)
-    common: dict[str, Any] = {name: getattr(task, name) for name in ("problem", "machine", "angles", "speed", "about")}
-    common |= {"goal": tuple(goal), "before": before, "solver": version(), "seconds": seconds}
+    common: dict[str, Any] = {name: getattr(task, name) for name in ("problem", "angles", "speed", "about")}
+    common |= {"original": task.machine, "goal": tuple(goal), "before": before, "solver": version(), "seconds": seconds}
     common["iterations"] = solution.certificate.iterations
     if solution.certificate.status == "infeasible":
         return Balance(
@@ -229,7 +229,7 @@ def balance(
         slack=slack,
         added=added,
         springs=springs,
-        balanced=balanced,
+        machine=balanced,
         heavier=heavier,
         rows=rows,
         disagreement=disagreement,

@@ -78,7 +78,7 @@ def test_bars_beyond_the_axes_are_not_clipped_silently(picture, case):
 def test_curves_show_the_machine_before_and_after_balancing(quantity):
     """Against the inverse dynamics at the drawn crank angles, in the unit of the axis."""
     found, made = result(), drawn("before_after")
-    for name, machine in (("initial", found.machine), ("balanced", found.heavier)):
+    for name, machine in (("initial", found.original), ("balanced", found.heavier)):
         line = lines(made, f"{name} {quantity}")[0]
         x, y = (np.asarray(part, dtype=float) for part in (line.get_xdata(), line.get_ydata()))
         expected = quantities_of(machine.moving(np.radians(x), found.speed), [BalanceMeasure(quantity)], found.about)[0][:, 0]

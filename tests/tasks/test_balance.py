@@ -443,7 +443,7 @@ def test_a_prescribed_position_and_radius_is_exact():
 
 def independent(result: optlink.Balance) -> dict[str, float]:
     """Torque and shaking of the balanced six-bar by Newton-Euler equations of the whole machine, from the written file."""
-    balanced = result.balanced
+    balanced = result.machine
     assert balanced is not None
     text = balanced.raw["bodies"]
     read = lambda value: float(str(value).split()[0])  # noqa: E731
@@ -798,7 +798,7 @@ def test_a_spring_against_brute_force():
 
 def test_a_fitted_spring_is_written_to_the_file():
     result = optlink.balance(optlink.load("balance-four-bar", SPRUNG))
-    load = result.balanced.raw["loads"]["tie"]
+    load = result.machine.raw["loads"]["tie"]
     assert load["between"] == ["D", "B"]
     assert float(load["stiffness"].split()[0]) == pytest.approx(result.springs[0].stiffness)
 
@@ -1031,8 +1031,8 @@ def test_a_given_design_replaces_the_starting_values():
     assert abs(start.objective / one.objective - 1.0) > 1e-3
     assert any("start values" in note for note in start.notes)
     assert not any("start values" in note for note in one.notes)
-    assert one.balanced is not None
-    assert one.balanced.model.free == ()
+    assert one.best.machine is not None  # as of every result of `solve`
+    assert one.best.machine.model.free == ()
 
 
 @pytest.mark.slow

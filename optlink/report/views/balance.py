@@ -70,7 +70,7 @@ def before_after(result: Balance) -> list[ChartSpec]:
 
     The picture has the minimised and limited reactions only.
     """
-    every = quantities(result.machine)
+    every = quantities(result.original)
     section = result.problem.model.balance
     measured = [measure for measure, _ in result.goal]
     measured += [] if section is None else [limit.measure for limit in section.limits.values()]
@@ -120,7 +120,7 @@ def _of_reaction(reaction: BalanceMeasure, measure: BalanceMeasure, result: Bala
     """Return whether a measure is of a reaction."""
     if reaction.kind != measure.kind or reaction.joint != measure.joint:
         return False
-    return not reaction.on or reaction.on == (measure.on or reported_on(result.machine)[measure.joint])
+    return not reaction.on or reaction.on == (measure.on or reported_on(result.original)[measure.joint])
 
 
 def hodograph(result: Balance) -> ChartSpec:
@@ -180,8 +180,8 @@ def trade_off(result: Balance) -> list[ChartSpec]:
         text = f"{name}\n{', '.join(f'{_short(m)} {share}' for m, share in zip(objectives, shares, strict=True))}"
         marks.append(Mark(float(real[k, 0]), float(real[k, 1]), text, LIMIT, size=7.0, prefer=(0.7, 0.7), gid=name))
     panels = [Panel(Axis(f"{trade.second} [{units[1].unit}]"), curves, 2.0, marks=marks)]
-    crank = result.machine.mechanism.crank.body
-    bodies = [body for body in result.machine.mechanism.bodies if body != crank]
+    crank = result.original.mechanism.crank.body
+    bodies = [body for body in result.original.mechanism.bodies if body != crank]
     colours = {crank: CRANK} | {body: BODIES[k % len(BODIES)] for k, body in enumerate(bodies)}
     masses = {body: [p.masses.get(body, 0.0) for p in trade.points] for point in trade.points for body in point.masses}
     if masses:
@@ -234,10 +234,10 @@ def _tables(result: Balance) -> dict[str, dict[str, Array]]:
 
 
 def _design(result: Balance) -> tuple[ProblemFile, str] | None:
-    if result.balanced is None:
+    if result.machine is None:
         return None
-    sizes = sizes_of(result.balanced.model.quantities)
-    machine = fixed_design(result.balanced, sizes) if result.balanced.model.free else result.balanced
+    sizes = sizes_of(result.machine.model.quantities)
+    machine = fixed_design(result.machine, sizes) if result.machine.model.free else result.machine
     return machine, verdict(result.status, result.valid, result.status)
 
 
@@ -280,11 +280,11 @@ def read(record: BalanceRecord, file: ProblemFile) -> Balance:
         Balance,
         problem=file,
         goal=section.goal if weighted else ((_measure(record.measure), 1.0),),
-        machine=machine,
+        original=machine,
         angles=angles,
         added=added,
         springs=springs,
-        balanced=balanced,
+        machine=balanced,
         heavier=heavier,
         rows=() if heavier is None else _rows(record, machine, heavier, angles),
         trade=None if record.trade is None else record.trade.build(TradeOff),
@@ -370,7 +370,7 @@ def stored_study(record: BalanceRecord, file: ProblemFile, _: Path) -> StoredStu
         conclusion=conclusions.balance(result),
         status=shown.status.lines,
         sections=[PageSection("Balance and verification", (shown.parts,)), *curves],
-        moving=no_animation if result.balanced is None else partial(turning_linkage, result.balanced, {}),
+        moving=no_animation if result.machine is None else partial(turning_linkage, result.machine, {}),
         by=f"a convex programme, {result.solver}; verified by the inverse dynamics of the balanced machine",
         drawn="The balanced machine: rings mark the centroids of its bodies with their counterweights.",
         after=1,

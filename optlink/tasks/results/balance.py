@@ -298,7 +298,7 @@ class Balance(Recorded):
     `status`: optimal, relaxed (discs approach the proven bound without reaching it), infeasible or stalled. `objective` and
     `before` in the unit of the measure, or as weighted ratios to the original machine; `lower`: proven lower bound; `gap`:
     relative duality gap; `slack`: relative excess of the realisable design over the bound. `disagreement`: difference of the
-    programme from the inverse dynamics of `balanced`, the problem with the new bodies.
+    programme from the inverse dynamics of `machine`, the problem with the new bodies; `original`: the machine before balancing.
     """
 
     record = BalanceRecord
@@ -310,7 +310,7 @@ class Balance(Recorded):
     problem: ProblemFile
     goal: tuple[tuple[BalanceMeasure, float], ...]
     status: Status
-    machine: Machine
+    original: Machine
     angles: Array
     speed: float
     about: tuple[float, float]
@@ -321,7 +321,7 @@ class Balance(Recorded):
     slack: float = 0.0
     added: tuple[AddedCounterweight, ...] = ()
     springs: tuple[FittedSpring, ...] = ()
-    balanced: ProblemFile | None = None
+    machine: ProblemFile | None = None
     heavier: Machine | None = None
     rows: tuple[MeasureChange, ...] = ()
     disagreement: float = math.inf
@@ -334,6 +334,11 @@ class Balance(Recorded):
     exact: bool = False
     excess: float = 0.0
     seconds: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def best(self) -> Self:
+        """The result itself."""
+        return self
 
     @property
     def unit(self) -> str:
@@ -372,7 +377,7 @@ class Balance(Recorded):
     def columns(self) -> dict[str, Array]:
         """All measured values over the positions, before and after balancing, by name with unit."""
         columns = {"crank_angle_deg": np.degrees(self.angles)}
-        machines = {"before": self.machine} | ({"after": self.heavier} if self.heavier is not None else {})
+        machines = {"before": self.original} | ({"after": self.heavier} if self.heavier is not None else {})
         for when, machine in machines.items():
             measures = quantities(machine)
             for quantity, values in zip(
