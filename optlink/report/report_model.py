@@ -108,6 +108,8 @@ def report_model_of(
         Notes on the origin of the result.
     """
     if isinstance(outcome, Analysis):
+        if problem.task == "balance":
+            notes += ("this is the machine before balancing: `solve --out DIR` and `report DIR` show the balanced one",)
         return ReportModel(problem, outcome, outcome, limits=limits, notes=notes)
     try:
         machine = outcome.machine

@@ -15,6 +15,7 @@ from optlink.errors import InputError
 from optlink.io import whole, write_json
 from optlink.report.chart_mpl import draw
 from optlink.report.registry import view_of
+from optlink.report.report_model import report_model_of, solve_or_validate
 from optlink.report.views import function
 
 
@@ -163,3 +164,9 @@ def test_a_full_disk_is_reported_and_leaves_no_files(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="No space left on device"):
         write_json(target, {})
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_page_of_a_balancing_problem_says_that_it_shows_the_machine_before() -> None:
+    problem = optlink.load("balance-four-bar")
+    (note,) = report_model_of(problem, solve_or_validate(problem)).notes
+    assert "before balancing" in note
