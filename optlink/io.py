@@ -295,7 +295,7 @@ class Summary:
     """Base class of results, with a one-line `repr`: problem, status, validity, objective and certificate of the optimum."""
 
     def __repr__(self) -> str:
-        status = getattr(self, "status", "")
+        status = getattr(self, "status", getattr(self, "ending", ""))
         words = [str(getattr(status, "value", status))]
         if isinstance(valid := getattr(self, "valid", getattr(self, "sound", None)), bool):
             words.append("valid" if valid else "not valid")

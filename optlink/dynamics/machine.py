@@ -68,7 +68,7 @@ class Load(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Machine:
     """A mechanism with its masses, loads and friction.
 
@@ -83,6 +83,9 @@ class Machine:
     loads: tuple[Load, ...] = ()
     friction: Mapping[str, Value] = field(default_factory=dict)
     reported: Mapping[str, str] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return f"<Machine {self.mechanism.name!r}: {', '.join(self.mechanism.bodies)}>"
 
     def moving(
         self, crank_angle: ArrayLike, speed: Value = 1.0, acceleration: Value = 0.0, side: int = 1, direction: Value = None

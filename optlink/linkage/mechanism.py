@@ -322,7 +322,7 @@ class Pose:
         return link.start in self.points and (body in self.directions or link.end in self.points)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Mechanism:
     """A planar mechanism: ground, driving crank and ordered dyads, with points fixed on bodies and guides.
 
@@ -338,6 +338,9 @@ class Mechanism:
     guides: tuple[Guide, ...] = field(default=())
     datum: Size = 0.0
     cycle: float = 2.0 * np.pi
+
+    def __repr__(self) -> str:
+        return f"<Mechanism {self.name!r}: {', '.join(self.bodies)}>"
 
     @cached_property
     def followed(self) -> bool:

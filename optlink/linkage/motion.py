@@ -15,7 +15,7 @@ from optlink.linkage.mechanism import Mechanism, Pose
 from optlink.linkage.vector2d import Array, Value, angle
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Motion:
     """Motion of a mechanism with its crank.
 
@@ -28,6 +28,9 @@ class Motion:
     speed: Value
     pose: Pose
     crank_acceleration: Value = 0.0
+
+    def __repr__(self) -> str:
+        return f"<Motion {self.mechanism.name!r}: crank angles {self._shape}>"
 
     def position(self, point: str) -> Array:
         """Return the coordinates [m], shape (..., 2)."""

@@ -44,8 +44,8 @@ class SimulationRecord(ResultRecord):
     """Document of a simulation in time: SI, or the unit that ends the key."""
 
     format: Literal["optlink/simulation/2"] = Field(alias="schema")
-    status: Annotated[Ending, "run.ending"]
-    message: Annotated[str, "run.ending.text"]
+    status: Annotated[Ending, "ending"]
+    message: Annotated[str, "ending.text"]
     finished: bool
     driven: str
     notes: tuple[str, ...]
@@ -84,9 +84,14 @@ class Simulation(Tabled):
     notes: tuple[str, ...]
 
     @property
+    def ending(self) -> Ending:
+        """How the simulation ended."""
+        return self.run.ending
+
+    @property
     def finished(self) -> bool:
         """Whether the whole duration was simulated, or the machine came to rest."""
-        return self.run.ending in (Ending.FINISHED, Ending.AT_REST)
+        return self.ending in (Ending.FINISHED, Ending.AT_REST)
 
     @property
     def figures(self) -> dict[str, float]:

@@ -83,12 +83,16 @@ def text(form: str, *numbers: ArrayLike) -> Text:
     return lambda design: form.format(*(each(number, design) for number in numbers))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Validation:
     """All checks of a design, and its measured objective [SI]."""
 
     checks: tuple[Check, ...]
     objective: float
+
+    def __repr__(self) -> str:
+        failed = f", failed: {', '.join(self.failed)}" if self.failed else ""
+        return f"<Validation: {len(self.checks) - len(self.failed)} of {len(self.checks)} checks passed{failed}>"
 
     @property
     def valid(self) -> bool:

@@ -147,6 +147,8 @@ def test_results_have_a_one_line_summary() -> None:
     """Whatever a result holds, a prompt shows its problem, status and objective."""
     made = [solution(name) for name in ("crank-rocker", "path-arc5", "shaper-design", "balance-four-bar")]
     made += [optlink.analyze(QUESTIONS["shaper"]), QUESTIONS["shaper"], made[0].solution, made[1].best]
+    made += [made[0].validation, optlink.simulate(QUESTIONS["slider-crank"], rows=10), made[4].machine, made[4].machine.mechanism]
+    made += [made[4].machine.moving([0.0, 1.0]).motion]
     for result in made:
         assert len(repr(result)) < 120
         assert "\n" not in repr(result)

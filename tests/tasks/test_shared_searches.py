@@ -23,7 +23,7 @@ def digits(result: Any) -> list[object]:
     found: list[object] = [result.starts, repr(result.evidence), result.notes]
     for one in result.designs:
         found += [x.hex() for x in (one.objective, *one.values.values(), *one.crank_angles)]
-        found += [one.status, repr(one.validation), repr(one.limits)]
+        found += [one.status, repr(one.validation.checks), repr(one.limits)]
     return found
 
 
@@ -47,7 +47,7 @@ def exchanged(task: ChunkTask, todo: Iterable[int]) -> Iterator[tuple[int, Chunk
 
 def cycle_digits(result: Any) -> list[object]:
     """All figures of a machine, bit by bit."""
-    found: list[object] = [result.starts, result.notes, repr(result.validation)]
+    found: list[object] = [result.starts, result.notes, repr(result.validation.checks)]
     for one in (result, *result.optima):
         found += [x.hex() for x in (one.objective, *one.design.values())]
     return [*found, *(one.count for one in result.optima)]

@@ -104,9 +104,10 @@ class AnalysisRecord(ResultRecord):
 class Analysis(Tabled):
     """Result of the analysis of a machine over its cycle.
 
-    `columns` by name (unit at the end), each an array over the sampled crank angles; `meanings` describe them; `extremes` are
-    refined to their exact crank angles, one-sided at load jumps; `unbounded`: columns of reactions that grow without bound
-    towards change points through which the motion is continued; `swings` of bodies and `strokes` of sliders (by slider name).
+    `columns` by name (unit at the end), each an array over the sampled crank angles: `pandas.DataFrame(run.columns)`;
+    `meanings` describe them; `extremes` are refined to their exact crank angles, one-sided at load jumps; `unbounded`: columns of
+    reactions that grow without bound towards change points through which the motion is continued; `swings` of bodies and
+    `strokes` of sliders (by slider name).
     """
 
     record = AnalysisRecord
