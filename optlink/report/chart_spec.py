@@ -21,7 +21,7 @@ only; with `page=False` it is a picture only. Values are in display units. NaN m
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -43,6 +43,7 @@ SYMBOLS: dict[Symbol, tuple[str, str]] = {
 CRANK_ANGLE = "crank angle φ [deg]"
 TIME = "time [s]"
 INK = "#111111"
+ROUNDING = 1e-9  # variation of a curve, relative to its size, up to which it is constant
 MAX_DESCRIBED = 8  # largest number of traces of a panel that are described in words
 
 
@@ -248,6 +249,14 @@ class Panel:
     lines: Sequence[Line] = ()
     marks: Sequence[Mark] = ()
     note: str = ""
+
+    def __post_init__(self) -> None:
+        """Give curves that are constant but for rounding a scale on which they are a straight line."""
+        low, high = self.rise
+        most = max(abs(low), abs(high))
+        alone = self.y.limits is None and not self.lines and all(isinstance(trace, Curve) for trace in self.traces)
+        if alone and 0.0 < high - low < ROUNDING * most:
+            object.__setattr__(self, "y", replace(self.y, limits=(low - 0.02 * most, high + 0.02 * most)))
 
     @property
     def rise(self) -> tuple[float, float]:

@@ -97,3 +97,12 @@ def test_a_map_has_cells_around_its_places(log: bool) -> None:
     edges = cells(x, log=log)
     assert (low, high) == pytest.approx((edges[0], edges[-1]))
     assert edges == pytest.approx(2.0 ** np.array([-0.5, 0.5, 1.5, 2.5]) if log else [0.5, 1.5, 3.0, 5.0])
+
+
+def test_a_constant_is_a_straight_line() -> None:
+    """Its rounding has no scale of its own; a limit beside it stays in sight."""
+    noisy = [Curve(X, 0.153397 * (1.0 + 1e-16 * np.sign(Y)))]
+    low, high = Panel(Axis("objective [m]"), noisy).y.limits or (0.0, 0.0)
+    assert (low, high) == pytest.approx((0.98 * 0.153397, 1.02 * 0.153397))
+    assert Panel(Axis("objective [m]"), noisy, lines=[Line(0.2, "limit")]).y.limits is None
+    assert Panel(Axis("objective [m]"), [Curve(X, 1.0 + 1e-6 * Y)]).y.limits is None
