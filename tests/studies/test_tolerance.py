@@ -680,3 +680,11 @@ def test_errors_start_with_the_fault_and_leave_no_folder(tmp_path, arguments, wo
     assert result.exit_code == 2
     assert words in result.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_output_that_no_tolerance_changes_is_refused():
+    """A slider does not turn: a table of zeros would read like an exact machine."""
+    with pytest.raises(InputError, match="no tolerance has an effect on this output") as refused:
+        tolerance(optlink.load("slider-crank"), ["rod.length=0.1 mm"], output="slider", samples=0)
+    assert (refused.value.faults[0].key, refused.value.faults[0].value) == ("--quantity", "slider")
+    assert tolerance(optlink.load("slider-crank"), ["F.direction=0.1 deg"], output="slider", samples=0).by.any()

@@ -238,7 +238,7 @@ def tolerance(
     Raises
     ------
     InputError
-        If an argument is invalid, or there is no validated design.
+        If an argument is invalid, there is no validated design, or no tolerance has an effect on the output.
 
     Examples
     --------
@@ -263,6 +263,9 @@ def tolerance(
             if name not in [d.name for d in deviations]:
                 raise InputError("no such tolerance", nearest(name, [d.name for d in deviations]), key=f"--cost {name}")
         first = linear_analysis(problem, nominal, deviations, _limit(limit, angular=nominal.angular))
+        if not np.any(first.by):
+            remedy = "Choose another one: a body stands for its angle, P.x and P.y for the position of a point"
+            raise InputError("no tolerance has an effect on this output", remedy, problem.file, "--quantity", nominal.name)
         result = Tolerance(problem, nominal, first.deviations, first.by, first.limit, robust=robust_result)
         if samples and robust_result is not None:
             best = nominal_design(file, output, crank_angles, {name: robust_result.nominal[name] for name in robust_result.free})
