@@ -17,8 +17,7 @@ from optlink.solvers.contract import MINIMAX
 from optlink.synthesis.batch_search import PER_ROUND, PERFECT, Searcher
 from optlink.tasks.path_search import DesignCollection, Polisher, designs_from_four_bar, has_several_dyads, path_model
 from optlink.tasks.protocol import DesignTask, Search, completed
-from optlink.tasks.results.common import shortest_link
-from optlink.tasks.results.evidence import INCOMPLETE, evidence
+from optlink.tasks.results.common import INCOMPLETE, evidence, shortest_link
 from optlink.tasks.results.path import PathDesign, PathResult
 from optlink.validation.path import validate_path
 

@@ -23,8 +23,7 @@ from optlink.synthesis.batch import Batch
 from optlink.synthesis.batch_search import PERFECT, Candidate, acceptable
 from optlink.synthesis.growth import ContainedFourBar, grow_from_four_bar
 from optlink.synthesis.levenberg_marquardt import minimise
-from optlink.tasks.results.common import OPTIMALITY_CHECK, optimality
-from optlink.tasks.results.evidence import Evidence, evidence, tally
+from optlink.tasks.results.common import OPTIMALITY_CHECK, Evidence, evidence, optimality, tally
 from optlink.tasks.results.path import PathDesign
 from optlink.validation.path import validate_path
 
