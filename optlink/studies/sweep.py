@@ -11,7 +11,7 @@ import time
 import weakref
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -27,15 +27,13 @@ from optlink.execution.store import Progress, Store
 from optlink.problem.arguments import typed
 from optlink.problem.base_model import Recorded, ResultRecord, absent
 from optlink.problem.file import ProblemFile
-from optlink.studies.analysis_task import CHUNK, AnalysisTask, quantity_of
 from optlink.studies.cycle_task import optimum_task
+from optlink.studies.figures_task import analysis_task, simulation_task
 from optlink.studies.grid import AxisRecord, Grid, read_grid
 from optlink.studies.reoptimise_task import SEARCHED, check_backend, chunk_of
-from optlink.studies.simulation_task import SimulationTask, has_clearance, simulate_machine, with_integrator
 from optlink.studies.sweep_task import OPTIMISE, SweepTask
 
 CHANGED = "active_set_changed"
-MAX_ANGLES = 10_000  # largest number of crank angles of an analysis
 BLOCK_ROWS = 10_000  # rows of a table that are read at a time
 LISTED_CHANGES = 200  # active-set changes listed in a result; the table marks all
 TEXT = ("status", "failed", "active", "method", "reason")
@@ -265,9 +263,11 @@ def sweep(
     begin = time.perf_counter()
     grid = read_grid(problem, vary)
     if simulate is not None:
-        task: SweepTask = _simulating(problem, grid, simulate, design)
+        task: SweepTask = simulation_task(problem, grid, simulate, design)
+    elif analyze:
+        task = analysis_task(problem, grid, columns, points, design)
     else:
-        task = _task(problem, grid, analyze, columns, points, design, backend)
+        task = _reoptimising(problem, grid, design, backend)
     evaluated = task.mode != OPTIMISE
     run(task, (), engine, workers, scheduler)  # raises if the options are invalid
     holder = TemporaryFolder() if out is None else None
@@ -299,24 +299,7 @@ def sweep(
         )
 
 
-def _task(
-    problem: ProblemFile,
-    grid: Grid,
-    analyze: bool,
-    columns: Sequence[str],
-    points: int,
-    design: Mapping[str, float] | None,
-    backend: str,
-) -> SweepTask:
-    if analyze:
-        if not 2 <= points <= MAX_ANGLES:
-            raise InputError("out of range", f"Give 2 to {MAX_ANGLES:,} crank angles", key="--points", value=points)
-        quantities = tuple(quantity_of(problem, axis) for axis in grid.axes)
-        design_values = tuple((name, value) for name, value in (design or {}).items() if name not in quantities)
-        sweep_task = AnalysisTask(problem, grid, CHUNK, quantities, tuple(columns), points, design_values)
-        first = Grid(tuple(replace(axis, values=axis.values[:1]) for axis in grid.axes))
-        replace(sweep_task, grid=first).lines(0)  # detects invalid columns or dimensions early
-        return sweep_task
+def _reoptimising(problem: ProblemFile, grid: Grid, design: Mapping[str, float] | None, backend: str) -> SweepTask:
     if design is not None:
         raise InputError("--design has no effect on an optimisation", "Leave --design out, or add --analyze", key="--design")
     check_backend(backend)
@@ -326,19 +309,6 @@ def _task(
     if not task.free:
         raise InputError("no design variables: every dimension is fixed", "Add --analyze, or free a dimension", problem.file)
     return task
-
-
-def _simulating(
-    problem: ProblemFile, grid: Grid, options: Mapping[str, Any], design: Mapping[str, float] | None
-) -> SimulationTask:
-    """Return the simulation task; the names of its figures are those of a short run at the first point."""
-    first = problem.override(grid.changes(0))
-    if clearances := has_clearance(first):
-        options = with_integrator(first, options, design, grid.count)
-    short = {**options, "revolutions": 1} if clearances else options
-    names = tuple(simulate_machine(first, short, design, has_clearances=clearances).figures)
-    values = tuple((design or {}).items())
-    return SimulationTask(problem, grid, 1, names, tuple(options.items()), values)
 
 
 def _about(task: SweepTask) -> dict[str, Any]:
