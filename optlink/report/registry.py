@@ -6,14 +6,11 @@ Each is imported when it is used: a table needs no plotting library.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
 
+from optlink.problem.base_model import ResultRecord
+from optlink.report.table_spec import Summary
 from optlink.report.view import View
-
-if TYPE_CHECKING:
-    from optlink.problem.base_model import ResultRecord
-    from optlink.report.table_spec import Summary
-
 
 REGISTERED: dict[str, View] = {}
 """Views of further kinds of results by the name of the kind."""

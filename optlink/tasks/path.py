@@ -6,7 +6,6 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,15 +13,13 @@ from optlink.errors import Status
 from optlink.execution import interrupts
 from optlink.problem.file import ProblemFile
 from optlink.solvers.contract import MINIMAX
+from optlink.solvers.infeasibility import Explanation, explain, feasible_point
 from optlink.synthesis.batch_search import PER_ROUND, PERFECT, Searcher
 from optlink.tasks.path_search import DesignCollection, Polisher, designs_from_four_bar, has_several_dyads, path_model
 from optlink.tasks.protocol import DesignTask, Search, completed
 from optlink.tasks.results.common import INCOMPLETE, evidence, shortest_link
 from optlink.tasks.results.path import PathDesign, PathResult
 from optlink.validation.path import validate_path
-
-if TYPE_CHECKING:
-    from optlink.solvers.infeasibility import Explanation
 
 MISSED_CHANCE = 0.02  # estimated chance that a better design was missed at which a search ends
 MISSED_CHANCE_IN_ORDER = 0.005  # the same if the order of the points decides: it divides the designs into many small regions
@@ -195,7 +192,6 @@ class SearchRounds:
         All assembly modes and senses of rotation are tried, those of the nearest design first. The order of the points and their
         tolerances are kept while limits are relaxed.
         """
-        from optlink.solvers.infeasibility import Explanation, explain, feasible_point
 
         polisher, near = self.collection.polisher, self.collection.nearest
         task = path_model(self.problem)

@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,22 +14,21 @@ from optlink.errors import Status
 from optlink.execution.runner import ordered
 from optlink.execution.worker import Runs, built, packed
 from optlink.linkage.vector2d import Array
+from optlink.optimization.nlp import NLP
 from optlink.optimization.path_nlp import build_path_nlp, solved_values
 from optlink.problem.file import ProblemFile
 from optlink.problem.path import PathProblem
+from optlink.solvers import multistart
 from optlink.solvers.contract import MINIMAX
+from optlink.solvers.path_exchange import best_slow_stroke, solve_semi_infinite
 from optlink.solvers.solution import Solution
 from optlink.synthesis.batch import Batch
-from optlink.synthesis.batch_search import PERFECT, Candidate, acceptable
+from optlink.synthesis.batch_search import PERFECT, Candidate, Exploration, acceptable
 from optlink.synthesis.growth import ContainedFourBar, grow_from_four_bar
 from optlink.synthesis.levenberg_marquardt import minimise
 from optlink.tasks.results.common import OPTIMALITY_CHECK, Evidence, evidence, optimality, tally
 from optlink.tasks.results.path import PathDesign
 from optlink.validation.path import validate_path
-
-if TYPE_CHECKING:
-    from optlink.optimization.nlp import NLP
-    from optlink.synthesis.batch_search import Exploration
 
 TRIES = 6  # candidates refined in the first round per requested design, while too few are valid
 PER_ROUND = 10  # candidates refined in a later round
@@ -103,15 +102,13 @@ class Polisher:
         near : bool
             Whether the candidate itself satisfies its limits everywhere.
         """
-        from optlink.solvers import multistart as local
-        from optlink.solvers.path_exchange import best_slow_stroke, solve_semi_infinite
 
         file, start = self.files[candidate.variant], self._scaled_point(candidate)
         task, minimax = path_model(file), path_model(file).measure == "max"
         solution = solve_semi_infinite(task, start, MINIMAX if minimax else self.backend, near=near)
         if minimax and solution.status is not Status.OPTIMAL:
-            solution = local.best([solution, solve_semi_infinite(task, start, self.backend, near=near)])
-        begun = local.solution_at(start.nlp, start.x, start.message).objective  # with the exchange points of the solution
+            solution = multistart.best([solution, solve_semi_infinite(task, start, self.backend, near=near)])
+        begun = multistart.solution_at(start.nlp, start.x, start.message).objective  # with the exchange points of the solution
         if minimax and start.usable and solution.objective > begun * (1.0 + 1e-9):
             solution = replace(solution, status=Status.STALLED)  # an optimum, but not that near the start
         solution = best_slow_stroke(task, solution, MINIMAX if minimax else self.backend)
@@ -151,23 +148,20 @@ class Polisher:
         x : array (n,)
             Scaled point.
         """
-        from optlink.solvers import multistart as local
-        from optlink.solvers.path_exchange import solve_semi_infinite
 
-        file, start = self.files[variant], local.solution_at(nlp, nlp.lifted(x), "found by the analysis of limits")
+        file, start = self.files[variant], multistart.solution_at(nlp, nlp.lifted(x), "found by the analysis of limits")
         yield validated_design(file, solve_semi_infinite(path_model(file), start, self.backend))
         yield feasible(validated_design(file, start))
 
     def _scaled_point(self, candidate: Candidate) -> Solution:
         """Return a candidate as a point of its NLP."""
-        from optlink.solvers import multistart as local
 
         nlp = self.programme(candidate.variant, candidate.direction)
         timed = path_model(self.files[candidate.variant]).data.offsets is None
         x = np.concatenate([candidate.x, candidate.t]) if timed else candidate.x
         if len(nlp.variables) > len(x):
             x = np.append(x, 0.0)  # the largest deviation; `given` sets it
-        return local.solution_at(nlp, np.clip(x, nlp.x_low, nlp.x_high), "found by least squares")
+        return multistart.solution_at(nlp, np.clip(x, nlp.x_low, nlp.x_high), "found by least squares")
 
 
 def feasible(design: PathDesign) -> PathDesign:

@@ -3,33 +3,31 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from optlink.optimization.objectives import MEASURES
+from optlink.problem.cycle.model import REQUIRED, StrokeProblem
 from optlink.report.format import figure, joined, si
+from optlink.report.views import study_tables
 from optlink.report.views.certificate_view import clause
 from optlink.report.views.relaxations import contradiction
+from optlink.solvers.solution import LimitState
+from optlink.studies.pareto.epsilon_constraint import Pareto
+from optlink.studies.sensitivity import Sensitivities
+from optlink.studies.sweep import Sweep
+from optlink.studies.tolerance.analysis import ToleranceRecord
+from optlink.tasks.function import FunctionResult
+from optlink.tasks.results.analysis import Analysis
+from optlink.tasks.results.balance import Balance
+from optlink.tasks.results.clearance import ClearanceSimulation
+from optlink.tasks.results.control_comparison import Comparison
+from optlink.tasks.results.cycle import CycleResult
+from optlink.tasks.results.fit import PathFit
+from optlink.tasks.results.path import PathDesign, PathResult
 from optlink.units import percent
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from optlink.solvers.solution import LimitState
-    from optlink.studies.pareto.epsilon_constraint import Pareto
-    from optlink.studies.sensitivity import Sensitivities
-    from optlink.studies.sweep import Sweep
-    from optlink.studies.tolerance.analysis import ToleranceRecord
-    from optlink.tasks.function import FunctionResult
-    from optlink.tasks.results.analysis import Analysis
-    from optlink.tasks.results.balance import Balance
-    from optlink.tasks.results.clearance import ClearanceSimulation
-    from optlink.tasks.results.control_comparison import Comparison
-    from optlink.tasks.results.cycle import CycleResult
-    from optlink.tasks.results.path import PathDesign, PathResult
-    from optlink.validation import Check
+from optlink.validation import Check
 
 NO_BREAK = "\N{NO-BREAK SPACE}"
 ROUNDING = 1e-9  # share of the initial value below which the remainder is rounding error
@@ -47,8 +45,6 @@ def design(outcome: FunctionResult | PathResult | CycleResult, limits: Iterable[
     limits : iterable of LimitState
         Constraints with their shadow prices.
     """
-    from optlink.tasks.results.cycle import CycleResult
-    from optlink.tasks.results.path import PathDesign
 
     best, certified = outcome.best, clause(outcome.certificate)
     if best is None or outcome.conflict:
@@ -74,7 +70,6 @@ def _function(outcome: FunctionResult) -> str:
 
 
 def _path(best: PathDesign) -> str:
-    from optlink.tasks.results.fit import PathFit
 
     task, measured = best.task, best.measured
     unit = task.unit or ""
@@ -98,7 +93,6 @@ def _path(best: PathDesign) -> str:
 
 
 def _cycle(outcome: CycleResult) -> str:
-    from optlink.problem.cycle.model import REQUIRED, StrokeProblem
 
     stroke = isinstance(outcome.task, StrokeProblem)
     goals = [goal for goal in outcome.figures if goal.limit in ("minimised", "maximised")] or outcome.figures[:1]
@@ -138,7 +132,6 @@ def _failed(checks: Sequence[Check]) -> str:
 
 def sensitivities(result: Sensitivities) -> str:
     """Return the conclusion of a sensitivity analysis."""
-    from optlink.report.views import study_tables
 
     if not result.moving:
         return "No prescribed value has an effect on this optimum, to first order."

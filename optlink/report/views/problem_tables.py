@@ -4,30 +4,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from optlink.problem.base_model import Section
+from optlink.problem.cycle.model import CycleProblem
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import POSITIONS, DesignProblem
 from optlink.problem.interval import Interval
 from optlink.problem.mechanism import FourBarSection
+from optlink.problem.path import MARK, START, ZERO, PathProblem
+from optlink.problem.path_requirement import RegionSection, inapplicable_keys
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.law import Table
 from optlink.problem.targets.target_points import TargetPoints
 from optlink.report.table_spec import Part, Summary, TableSpec, quiet, summary, table
-
-if TYPE_CHECKING:
-    from optlink.problem.path import PathProblem
 
 MAX_POINTS = 8  # largest number of points listed
 
 
 def problem(file: ProblemFile) -> Summary:
     """List all settings of a problem: every key with its value or default, in units."""
-    from optlink.problem.cycle.model import CycleProblem
-    from optlink.problem.path import PathProblem
 
     model = file.model
     about = [" ".join(model.about.split())] if model.about else []
@@ -76,7 +73,6 @@ def _effective(model: DesignProblem) -> dict[str, str]:
 
 def _inapplicable(model: PathProblem) -> tuple[Collection[str], Collection[str]]:
     """Return the keys of the requirement and of the limits that do not apply to the kind of problem."""
-    from optlink.problem.path_requirement import inapplicable_keys
 
     kind, four_bar = model.requirement.kind, isinstance(model.mechanism, FourBarSection)
     task = inapplicable_keys("requirement", kind, four_bar=four_bar)
@@ -87,7 +83,6 @@ def _inapplicable(model: PathProblem) -> tuple[Collection[str], Collection[str]]
 
 def effective_values(model: PathProblem) -> dict[str, str]:
     """Return the effective values of optional keys of a path or motion synthesis problem."""
-    from optlink.problem.path import MARK, START, ZERO
 
     values = {"timing": model.timing, "measure": model.measure, "closed": str(model.closed).lower()}
     if model.requirement.kind == "motion":
@@ -142,7 +137,6 @@ ABSENT = {
 
 
 def _plain(name: str, value: object) -> str:
-    from optlink.problem.path_requirement import RegionSection
 
     if value is None:
         return ABSENT.get(name, "no limit")

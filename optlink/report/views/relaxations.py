@@ -9,13 +9,10 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context
-from typing import TYPE_CHECKING
 
 from optlink.report.format import figure, joined
 from optlink.report.table_spec import TableSpec, table
-
-if TYPE_CHECKING:
-    from optlink.solvers.solution import Relaxation
+from optlink.solvers.solution import Relaxation
 
 MARGIN = 1e-6  # relative margin of a printed value: relaxations are found to about this accuracy
 
