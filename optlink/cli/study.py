@@ -235,7 +235,7 @@ def tolerance(
     with console.share("building") as progress:
         result = run(file, tolerances or [], output, crank, limit, progress=progress, **sampling, **goals, **parallel)
     not_achieved = result.allocation is not None and not result.allocation.achieved
-    failed = result.robust is not None and not result.robust.valid
+    failed = result.robust is not None and not result.robust.result.valid
     console.deliver(result, "tolerance", as_json, out, code=1 if not_achieved or failed else 0)
 
 

@@ -77,11 +77,15 @@ class ReoptimiseTask(OptimumTask):
     starts: int = 1
     most: int | None = None
 
+    @property
+    def shared(self) -> bool:
+        """Whether all points have one programme; if not, every point needs its own."""
+        return self.template.model.shares_programme([axis.key for axis in self.grid.axes])
+
     @cached_property
-    def programme(self) -> ParametricProgramme | None:
-        """Common programme of all points; None if every point needs its own."""
-        shared = self.template.model.shares_programme([axis.key for axis in self.grid.axes])
-        return ParametricProgramme(self.template) if shared else None
+    def programme(self) -> ParametricProgramme:
+        """Common programme of all points."""
+        return ParametricProgramme(self.template)
 
     @cached_property
     def fast_override(self) -> FastOverride | None:
@@ -89,7 +93,7 @@ class ReoptimiseTask(OptimumTask):
 
         Tolerances of a robust design are checked against each dimension, so each of its problems is read from the file.
         """
-        if self.programme is None or self.template.spec.requirement.robust is not None:
+        if not self.shared or self.template.spec.requirement.robust is not None:
             return None
         override = FastOverride(self.template.spec, self.grid.axes)
         return override if override.possible else None
@@ -97,7 +101,6 @@ class ReoptimiseTask(OptimumTask):
     @cached_property
     def grid_search(self) -> GridSearch:
         """Search for the optima of the common programme."""
-        assert self.programme is not None
         nlp = BatchNLP(self.programme.nlp, self.template.spec.law)
         large = Blocks(self.grid, self.grid.count)
 
@@ -109,7 +112,7 @@ class ReoptimiseTask(OptimumTask):
 
     def lines(self, index: int) -> list[list[str]]:
         """Return the rows of a chunk."""
-        if self.programme is None:
+        if not self.shared:
             results = (_separately(self.problem.override(self.grid.changes(point)), self.backend) for point in self.span(index))
             return [self.optimum(point, result) for point, result in zip(self.span(index), results, strict=True)]
         rows: dict[int, list[str]] = {}
@@ -126,7 +129,6 @@ class ReoptimiseTask(OptimumTask):
 
     def _problem(self, points: Index) -> BatchProblem:
         """Return parameters and bounds of the programme at points of the grid."""
-        assert self.programme is not None
         if self.fast_override is not None:
             return self.programme.parameters(self.fast_override.model(self.grid.columns(points)), len(points))
         parts = [self.programme.parameters(self.model(point)) for point in points.tolist()]
@@ -134,7 +136,6 @@ class ReoptimiseTask(OptimumTask):
 
     def _search(self, point: int) -> Solution:
         """Return the best result of the searches at a point, the first of which begins at the starting point of the problem."""
-        assert self.programme is not None
         self.programme.bind(self.model(point))
         nlp = self.programme.nlp
         begin = list(multistart.starts(nlp, self.starts, 0))
@@ -146,7 +147,6 @@ class ReoptimiseTask(OptimumTask):
 
     def _search_many(self, point: int) -> list[Solution]:
         """Return the distinct optima of searches at a point from points across the bounds, best first."""
-        assert self.programme is not None
         self.programme.bind(self.model(point))
         nlp, solutions = self.programme.nlp, list[Solution]()
         high = np.where(np.isfinite(nlp.x_high), nlp.x_high, 1.0)
@@ -158,7 +158,6 @@ class ReoptimiseTask(OptimumTask):
 
     def _followed(self, points: Index) -> dict[int, list[str]]:
         """Return the rows of the points at which Newton's method from a neighbouring optimum ends at a verified optimum."""
-        assert self.programme is not None
         nlp, optima = self.programme.nlp, self.grid_search.optima(points)
         solved = np.flatnonzero(optima.optimal)
         points, x, sides, objective = points[solved], optima.x[solved], optima.sides[solved], optima.objective[solved]
@@ -197,7 +196,6 @@ class ReoptimiseTask(OptimumTask):
 
     def _again(self, point: int) -> FoundOptimum:
         """Search for the optimum at a point, starting from a neighbour if there is one."""
-        assert self.programme is not None
         programme, near, corners = self.programme, self.grid_search.nearest(point), self.grid_search.branches(point)
         task = self.model(point)
         programme.bind(task)

@@ -341,7 +341,7 @@ def test_a_study_of_tolerances_reads_those_of_the_file(problem):
     assert worst == pytest.approx(best.objective, rel=1e-9)
     assert [d.name for d in tolerance(problem, ["coupler=0.1 mm"], samples=0, design=best.design).deviations] == ["coupler"]
     again = tolerance(problem, limit="1.85 deg", samples=1 << 12, robust=3.0)
-    assert again.robust.design["coupler"] == pytest.approx(best.design["coupler"], abs=1e-8)
+    assert again.robust.result.design["coupler"] == pytest.approx(best.design["coupler"], abs=1e-8)
     assert again.unrobust.share < again.monte_carlo.share
 
 
@@ -433,11 +433,11 @@ BACK = ("psi0 - 0.22*(phi - phi0)^2", lambda t: -0.22 * t**2)
 def test_yield_of_the_design_with_the_largest_margin(problem, law, span, limit, texts, better):
     """The same linkages of pseudo-random sizes of both designs: how many more keep the limit."""
     found = tolerance(problem, texts, limit=f"{limit} deg", samples=1 << 14, robust="margin")
-    assert found.robust.valid
+    assert found.robust.result.valid
     random, count = np.random.default_rng(8), 60_000
     unit = np.stack([SHAPES[d.shape](random, count) for d in found.deviations], axis=1)
     arguments = (law, math.radians(span), math.radians(limit), found.deviations, unit)
-    own, before = (kept(design, *arguments) for design in (found.robust.design, found.robust.nominal))
+    own, before = (kept(design, *arguments) for design in (found.robust.result.design, found.robust.nominal))
     gained, lost = np.sum(own & ~before), np.sum(before & ~own)
     surplus = (gained - lost) / math.sqrt(gained + lost)  # standard deviations by which chance would favour either
     assert surplus > 5.0 if better else surplus < -3.0
@@ -470,12 +470,12 @@ def test_yield_of_the_design_with_the_largest_margin(problem, law, span, limit, 
 def test_no_design_yields_more_than_the_one_with_most_yield(problem, law, span, limit, texts):
     """By linkages of pseudo-random sizes: not the nominal optimum, not the one with most standard deviations, none nearby."""
     found = tolerance(problem, texts, limit=f"{limit} deg", samples=1 << 14, robust="yield")
-    assert found.robust.valid
+    assert found.robust.result.valid
     assert not found.nominal_yields_more
     random, count = np.random.default_rng(3), 40_000
     unit = np.stack([SHAPES[d.shape](random, count) for d in found.deviations], axis=1)
     arguments = (law, math.radians(span), math.radians(limit), found.deviations, unit)
-    own = kept(found.robust.design, *arguments)
+    own = kept(found.robust.result.design, *arguments)
 
     def surplus(design):
         """Standard deviations by which chance would favour the design that was found."""

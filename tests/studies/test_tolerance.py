@@ -508,9 +508,9 @@ def test_the_margin_design_has_the_most_standard_deviations(monkeypatch, name, l
 
     monkeypatch.setattr("optlink.studies.tolerance.robust_design.solve_nominal", known)
     best = tolerance(problem, texts, limit=f"{limit} deg", samples=1 << 10, robust="margin")
-    assert best.robust.valid
+    assert best.robust.result.valid
     assert best.robust.result.problem.model.mechanism.assembly == mode
-    assert best.robust.value == pytest.approx(math.radians(limit), rel=1e-3)
+    assert best.robust.result.objective == pytest.approx(math.radians(limit), rel=1e-3)
 
     def margin(design):
         nominal = nominal_design(best.robust.result.problem, None, None, design)

@@ -41,21 +41,6 @@ class RobustDesign:
     by_yield: bool = False
 
     @property
-    def design(self) -> Mapping[str, float]:
-        """The design [SI]."""
-        return self.result.design
-
-    @property
-    def value(self) -> float:
-        """Minimised value [rad]; the largest nominal error if the yield was maximised."""
-        return self.result.objective
-
-    @property
-    def valid(self) -> bool:
-        """Whether it is optimal and passes validation."""
-        return self.result.valid
-
-    @property
     def counted(self) -> str:
         """Name of the term added to the error, or "yield" if it was maximised."""
         if self.by_yield:
@@ -65,7 +50,7 @@ class RobustDesign:
     @property
     def free(self) -> dict[str, float]:
         """Design variables [SI]."""
-        return {name: self.design[name] for name in self.result.problem.model.free}
+        return {name: self.result.design[name] for name in self.result.problem.model.free}
 
     @property
     def kkt(self) -> float | None:
@@ -78,11 +63,11 @@ class RobustRecord(Record):
 
     counted: str
     status: Annotated[Status, "result.status"]
-    valid: bool
+    valid: Annotated[bool, "result.valid"]
     kkt: float | None
-    design_SI: Annotated[dict[str, float], "design"]
+    design_SI: Annotated[dict[str, float], "result.design"]
     nominal_design_SI: Annotated[dict[str, float], "nominal"]
-    largest_rad: Annotated[float, "value"]
+    largest_rad: Annotated[float, "result.objective"]
     largest_of_the_nominal_design_rad: Annotated[float, "before"]
     monte_carlo_of_the_nominal_design: MonteCarloRecord | None
     the_nominal_design_yields_more: bool
@@ -137,15 +122,15 @@ def most_reliable(problem: ProblemFile, tolerances: Sequence[str], limit: float,
     """
     redesign = RobustSearch(problem, tolerances, shape)
     before = redesign.least(0.0)
-    if before.value > limit:
-        least = f"{math.degrees(before.value):.4g} deg"
+    if before.result.objective > limit:
+        least = f"{math.degrees(before.result.objective):.4g} deg"
         message = f"no design meets the limit, even without tolerances: the smallest largest error found is {least}"
         raise InputError(message, f"Give more than {least}", problem.file, "--limit", f"{math.degrees(limit):.4g} deg")
     current, sigmas = redesign.least(1.0, before.free), 1.0
     for _ in range(STEPS):  # secant method: the minimum is nearly linear in them
-        rise = (current.value - before.value) / (sigmas - (before.sigmas or 0.0))
-        proposed = min(max(sigmas + (limit - current.value) / max(rise, MIN_SLOPE), 0.0), MAX_SIGMAS)
-        if abs(current.value - limit) <= LIMIT_TOLERANCE * limit or proposed == sigmas:
+        rise = (current.result.objective - before.result.objective) / (sigmas - (before.sigmas or 0.0))
+        proposed = min(max(sigmas + (limit - current.result.objective) / max(rise, MIN_SLOPE), 0.0), MAX_SIGMAS)
+        if abs(current.result.objective - limit) <= LIMIT_TOLERANCE * limit or proposed == sigmas:
             break
         before, current, sigmas = current, redesign.least(proposed, current.free), proposed
     return current
