@@ -255,21 +255,13 @@ class DesignProblem(Problem):
             raise Unusable(message, "Leave psi0 out", "requirement.psi0", str(requirement.psi0))
         turns = self.quantities.get("phi0")
         if turns is not None and max(abs(bound) for bound in turns.bounds) > TURN * (1.0 + 1e-9):
-            raise Unusable(
-                "the start angle lies beyond one revolution",
-                "Give it within -360 deg ... 360 deg",
-                "requirement.from",
-                str(turns),
-            )
+            message = "the start angle lies beyond one revolution"
+            raise Unusable(message, "Give it within -360 deg ... 360 deg", "requirement.from", str(turns))
         check_limits(limits, [COUPLER_JOINT])
         check_robust(requirement.robust, requirement.measure, len(self.tolerances))
         if limits.crank == "double-crank" and requirement.start in DEAD_CENTRES and "phi0" not in self.quantities:
-            raise Unusable(
-                "a double-crank has no dead centres",
-                'Start at an angle: from = "60 deg"',
-                "requirement.from",
-                requirement.start,
-            )
+            remedy = 'Start at an angle: from = "60 deg"'
+            raise Unusable("a double-crank has no dead centres", remedy, "requirement.from", requirement.start)
         _check_law(self)
         super().check()
 
@@ -285,12 +277,8 @@ def _check_law(problem: DesignProblem) -> None:
     defects = [_defect(law, problem.span, phi0, psi0) for phi0, psi0 in starts]
     if all(defects):
         span, begin = (f"{np.degrees(angle):.6g} deg" for angle in (problem.span, starts[0][0]))
-        raise Unusable(
-            f"the law {defects[0]} on the span, {span} from {begin} on",
-            "Change the law, the span or the start",
-            "requirement.law",
-            law.text,
-        )
+        message = f"the law {defects[0]} on the span, {span} from {begin} on"
+        raise Unusable(message, "Change the law, the span or the start", "requirement.law", law.text)
 
 
 def _defect(law: Expression | Function, span: float, phi0: float, psi0: float) -> str | None:

@@ -232,18 +232,12 @@ def check_limits(limits: Limits, joints: Sequence[str]) -> None:
         limits.transmission_at(joint)
     for term, _ in limits_in_file(limits) if limits.crank != "full rotation" else ():
         if term.crank_rocker:
-            raise Unusable(
-                "this limit applies to a crank-rocker only",
-                'Set limits.crank = "full rotation", or leave the limit out',
-                term.key,
-            )
+            remedy = 'Set limits.crank = "full rotation", or leave the limit out'
+            raise Unusable("this limit applies to a crank-rocker only", remedy, term.key)
     if limits.crank == "span" and limits.transmission_over == "revolution":
-        raise Unusable(
-            "a crank that need not turn fully has no whole revolution",
-            'Write transmission_over = "span", or crank = "full rotation"',
-            "limits.transmission_over",
-            "revolution",
-        )
+        message = "a crank that need not turn fully has no whole revolution"
+        remedy = 'Write transmission_over = "span", or crank = "full rotation"'
+        raise Unusable(message, remedy, "limits.transmission_over", "revolution")
 
 
 @dataclass(frozen=True)

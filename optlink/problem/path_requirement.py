@@ -215,11 +215,8 @@ def check_points(
         raise Unusable("no moving body has such a point", remedy, "requirement.point", task.point)
     count = len(points.points)
     if task.kind == "motion" and points.angles is None:
-        raise Unusable(
-            "a pose is a point and an angle, and the angles are missing",
-            'Write points = [{ x = "20 mm", y = "5 mm", angle = "30 deg" }, ...]',
-            "requirement.points",
-        )
+        remedy = 'Write points = [{ x = "20 mm", y = "5 mm", angle = "30 deg" }, ...]'
+        raise Unusable("a pose is a point and an angle, and the angles are missing", remedy, "requirement.points")
     if task.kind == "path" and points.angles is not None:
         raise Unusable("a path has no angles", 'Leave them out, or write kind = "motion"', "requirement.points")
     if not count:
@@ -227,34 +224,19 @@ def check_points(
         raise Unusable("the points are missing", f"Write {example}", "requirement.points")
     least = 3 if task.closed else 2
     if count < least:
-        raise Unusable(
-            f"{count} point{'s are' if count > 1 else ' is'} no {'closed curve' if task.closed else task.kind}",
-            f"Give at least {least}",
-            "requirement.points",
-        )
+        message = f"{count} point{'s are' if count > 1 else ' is'} no {'closed curve' if task.closed else task.kind}"
+        raise Unusable(message, f"Give at least {least}", "requirement.points")
     if task.kind == "motion" and timing == "free":
         _check_distinct_poses(points, closed=bool(task.closed or points.loop))
     if task.timing in ("given", "from start") and points.crank is None:
-        raise Unusable(
-            "the timing is prescribed, but the points have no crank angles",
-            'Write points = [{ x = "20 mm", y = "5 mm", crank = "30 deg" }, ...], or timing = "free"',
-            "requirement.timing",
-            task.timing,
-        )
+        remedy = 'Write points = [{ x = "20 mm", y = "5 mm", crank = "30 deg" }, ...], or timing = "free"'
+        raise Unusable("the timing is prescribed, but the points have no crank angles", remedy, "requirement.timing", task.timing)
     if task.start is not None and timing != "from start":
-        raise Unusable(
-            "this key applies to points that are timed from a start only",
-            'Write timing = "from start", or leave start out',
-            "requirement.start",
-            str(task.start),
-        )
+        message = "this key applies to points that are timed from a start only"
+        raise Unusable(message, 'Write timing = "from start", or leave start out', "requirement.start", str(task.start))
     if task.rotation != "either" and timing != "free":
-        raise Unusable(
-            "the crank angles of the points already state the direction of the crank",
-            'Leave rotation out, or write timing = "free"',
-            "requirement.rotation",
-            task.rotation,
-        )
+        message = "the crank angles of the points already state the direction of the crank"
+        raise Unusable(message, 'Leave rotation out, or write timing = "free"', "requirement.rotation", task.rotation)
 
 
 def _check_distinct_poses(points: TargetPoints, *, closed: bool) -> None:

@@ -292,12 +292,8 @@ def read_quantity(raw: object, kind: str) -> Quantity:
     start, unit = read_scalar(raw["start"], kind, "start")
     within = min(max(start, low), high)
     if not math.isclose(start, within, rel_tol=1e-14):  # rounding: "208 mm" is an ulp above "0.208 m"
-        raise Unusable(
-            "the start lies outside the bounds",
-            f"Choose one from {show(low, kind, unit)} to {show(high, kind, unit)}",
-            "start",
-            raw["start"],
-        )
+        remedy = f"Choose one from {show(low, kind, unit)} to {show(high, kind, unit)}"
+        raise Unusable("the start lies outside the bounds", remedy, "start", raw["start"])
     return Quantity(within, kind, unit, low, high)
 
 

@@ -138,20 +138,12 @@ def check_robust(robust: Robust | None, measure: str, tolerance_count: int) -> N
     if robust is None:
         return
     if not tolerance_count:
-        raise Unusable(
-            "a robust design needs tolerances",
-            'Add the section [tolerances], for example coupler = "0.1 mm"',
-            "requirement.robust",
-            robust.text,
-        )
+        remedy = 'Add the section [tolerances], for example coupler = "0.1 mm"'
+        raise Unusable("a robust design needs tolerances", remedy, "requirement.robust", robust.text)
     if measure not in robust.measures:
         other = f'robust = "{EXPECTED}"' if measure in SQUARES else 'robust = "3 sigma"'
-        raise Unusable(
-            f'"{robust.text}" is not compatible with measure = "{measure}"',
-            f'Write measure = "{robust.measures[0]}", or {other}',
-            "requirement.robust",
-            robust.text,
-        )
+        message = f'"{robust.text}" is not compatible with measure = "{measure}"'
+        raise Unusable(message, f'Write measure = "{robust.measures[0]}", or {other}', "requirement.robust", robust.text)
 
 
 def sizes_of(parts: Sequence[Value]) -> Value:

@@ -98,12 +98,9 @@ class _Task:
         bad = [*self.angles[record.singular | record.jammed | record.undefined], *poles(self.machine, self.angles, self.speed)]
         if bad:
             where = ", ".join(f"{math.degrees(a):.6g}" for a in bad[:3])
-            raise InputError(
-                f"the reactions are not finite at crank angle {where} deg, so the machine cannot be balanced",
-                "`optlink analyze` gives the reason; keep away from singular positions",
-                self.problem.file,
-                "mechanism",
-            )
+            message = f"the reactions are not finite at crank angle {where} deg, so the machine cannot be balanced"
+            remedy = "`optlink analyze` gives the reason; keep away from singular positions"
+            raise InputError(message, remedy, self.problem.file, "mechanism")
 
     def parts(self, x: Array) -> tuple[tuple[AddedCounterweight, ...], tuple[FittedSpring, ...]]:
         """Return counterweights and springs of scaled parameters; omit those of negligible size."""

@@ -175,12 +175,9 @@ class CycleProblem(Problem):
         _ = self.bounds
         if self.mechanism.friction and any(_forced(term) for term in (*self.goals, *self.limits.named.values())):
             guide = next(iter(self.mechanism.friction))
-            raise Unusable(
-                "guide friction is not differentiable where the normal force changes sign",
-                "Optimise without friction, then `optlink analyze` the result with friction",
-                f"mechanism.guides.{guide}.friction",
-                self.mechanism.friction[guide],
-            )
+            message = "guide friction is not differentiable where the normal force changes sign"
+            remedy = "Optimise without friction, then `optlink analyze` the result with friction"
+            raise Unusable(message, remedy, f"mechanism.guides.{guide}.friction", self.mechanism.friction[guide])
         if not self.bodies and not self.loads and any(_forced(goal) for goal in self.goals):
             raise Unusable("no masses and no loads are given, so there are no forces", "Add [bodies] or [loads]", "objective")
         super().check()

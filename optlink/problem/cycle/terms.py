@@ -243,12 +243,8 @@ class Limit(Term):
             for key in (wrong, "exactly"):
                 if getattr(self, key) is not None:
                     right = "min" if wrong == "max" else "max"
-                    raise Unusable(
-                        f"the {self.how} value over the cycle can only be limited by {right}",
-                        f"Write {right}",
-                        key,
-                        getattr(self, key),
-                    )
+                    message = f"the {self.how} value over the cycle can only be limited by {right}"
+                    raise Unusable(message, f"Write {right}", key, getattr(self, key))
         return self
 
     @property

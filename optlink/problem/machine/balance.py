@@ -393,11 +393,8 @@ class BalanceSection(Section):
         """
         if not self.counterweights and not self.springs:
             example = '[[balance.counterweights]] with body = "crank", thickness = "10 mm", density = "7850 kg/m^3"'
-            raise Unusable(
-                "no counterweights or springs are permitted, so balancing has no design variables",
-                f"Add {example}",
-                "counterweights",
-            )
+            message = "no counterweights or springs are permitted, so balancing has no design variables"
+            raise Unusable(message, f"Add {example}", "counterweights")
         weights, springs = [], []
         for k, section in enumerate(self.counterweights):
             with below(f"counterweights.{k}"):

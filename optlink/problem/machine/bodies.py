@@ -92,12 +92,8 @@ class BodySection(Section):
         else:
             moment = self.inertia.value
         if mass == 0.0 and np.any(np.asarray(moment) > 0.0):
-            raise Unusable(
-                "a body without mass has no moment of inertia",
-                "Give it a mass, or remove inertia",
-                "inertia",
-                str(self.inertia),
-            )
+            message = "a body without mass has no moment of inertia"
+            raise Unusable(message, "Give it a mass, or remove inertia", "inertia", str(self.inertia))
         return Inertia(mass, along, across, moment)
 
 

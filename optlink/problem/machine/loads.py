@@ -142,12 +142,8 @@ class LoadSection(Section):
             return TorsionSpring(name, body, against, stiffness, free, damping, middle)
         if not any(guide.slider == self.on for guide in mechanism.guides):
             self._body(mechanism, self.on, "on")
-            raise Unusable(
-                "damping without two points applies to a body in a guide only",
-                "Name a slider, or two points: between = [...]",
-                "on",
-                self.on,
-            )
+            message = "damping without two points applies to a body in a guide only"
+            raise Unusable(message, "Name a slider, or two points: between = [...]", "on", self.on)
         _, _, guide = self._target(mechanism)
         joint = next(g for g in mechanism.guides if g.name == guide)
         assert self.damping is not None

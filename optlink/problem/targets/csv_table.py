@@ -74,12 +74,9 @@ class CsvTable:
         """
         title = self.titles[index]
         if title.endswith("_deg") and REVOLUTION[0] < largest - least < REVOLUTION[1]:
-            raise Unusable(
-                f"column {title} of {self.name} runs from {least:.6g} to {largest:.6g}: this is one revolution in radians",
-                f"Name the column {title.removesuffix('_deg')}_rad, or give its values in degrees",
-                "csv",
-                title,
-            )
+            message = f"column {title} of {self.name} runs from {least:.6g} to {largest:.6g}: this is one revolution in radians"
+            remedy = f"Name the column {title.removesuffix('_deg')}_rad, or give its values in degrees"
+            raise Unusable(message, remedy, "csv", title)
 
 
 def _fault(cell: str, remedy: str) -> tuple[str, str]:

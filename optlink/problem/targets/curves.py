@@ -97,11 +97,8 @@ def expression_curve(raw: Mapping[str, Any]) -> TargetPoints:
     """
     for key, example in (("x", '"20*cos(t)"'), ("y", '"10*sin(t)"'), ("t", '[0, "2*pi"]'), ("unit", '"mm"')):
         if key not in raw:
-            raise Unusable(
-                f"expressions of points need {key}",
-                f'Add {key} = {example}; listed points are written [["20 mm", "25 mm"], ...]',
-                key,
-            )
+            remedy = f'Add {key} = {example}; listed points are written [["20 mm", "25 mm"], ...]'
+            raise Unusable(f"expressions of points need {key}", remedy, key)
     unit, size, count = raw["unit"], metres(raw), read_count(raw)
     spacing = raw.get("spacing", "t")
     if spacing not in ("t", "arc length"):

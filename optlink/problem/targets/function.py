@@ -108,12 +108,8 @@ def read_function(raw: Mapping[str, Any], kind: str = "angle") -> Function:
     span = {"phi": turned * np.linspace(0.0, 1.0, GRID), "phi0": 0.0, "psi0": 0.0}
     worry = function.hazards(span)
     if worry:
-        raise Unusable(
-            f"the function {worry} between x = {low:g} and {high:g}",
-            "Change the function or its range",
-            "function",
-            expression.text,
-        )
+        message = f"the function {worry} between x = {low:g} and {high:g}"
+        raise Unusable(message, "Change the function or its range", "function", expression.text)
     least, largest = function.ends
     if not math.isfinite(largest - least) or largest - least <= 1e-12 * max(abs(least), abs(largest), 1e-300):
         raise Unusable("the function is constant there", "Choose a function that varies", "function", expression.text)

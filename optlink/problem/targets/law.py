@@ -40,23 +40,17 @@ class Table:
 
     def __post_init__(self) -> None:
         if len(self.phi) != len(self.psi):
-            raise Unusable(
-                f"phi has {len(self.phi)} values, psi has {len(self.psi)}",
-                "Give as many values of phi as of psi",
-                "psi",
-            )
+            message = f"phi has {len(self.phi)} values, psi has {len(self.psi)}"
+            raise Unusable(message, "Give as many values of phi as of psi", "psi")
         if len(self.phi) < 2:
             raise Unusable("a table needs at least two rows", "Add rows, or give the law as an expression", "phi")
         steps = np.diff(self.phi)
         bad = np.flatnonzero(steps <= 0.0) if self.phi[-1] > self.phi[0] else np.flatnonzero(steps >= 0.0)
         if bad.size:
             row = int(bad[0]) + 2
-            raise Unusable(
-                f"phi must rise (or fall) from row to row; row {row} does not",
-                "Sort the rows by phi and remove repeated ones",
-                "phi",
-                f"{math.degrees(self.phi[row - 1]):.6g} deg",
-            )
+            message = f"phi must rise (or fall) from row to row; row {row} does not"
+            remedy = "Sort the rows by phi and remove repeated ones"
+            raise Unusable(message, remedy, "phi", f"{math.degrees(self.phi[row - 1]):.6g} deg")
 
     @property
     def span(self) -> float:

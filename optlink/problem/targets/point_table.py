@@ -122,11 +122,8 @@ def read_rows(raw: Sequence[object]) -> PointRows:
     for name in ("crank", "angle"):
         lacks = next((number for number, value in enumerate(columns[name]) if math.isnan(value)), None)
         if name in first_rows and lacks is not None:
-            raise Unusable(
-                f"point {lacks + 1} has no {name}, and point {first_rows[name] + 1} has one",
-                f"Give {name} of all points or of none",
-                f"[{lacks}].{name}",
-            )
+            message = f"point {lacks + 1} has no {name}, and point {first_rows[name] + 1} has one"
+            raise Unusable(message, f"Give {name} of all points or of none", f"[{lacks}].{name}")
     return PointRows({name: np.array(columns[name]) for name in first_rows}, unit)
 
 
@@ -320,10 +317,7 @@ def check_apart(rows: PointRows) -> None:
         if same.any():
             row = int(np.argmax(same))
             in_list = rows.key is None or rows.numbers is not None
-            raise Unusable(
-                f"{rows.named(row, row + 1)} coincide",
-                "Remove one of them" if in_list else "Request another number of points, or check the curve",
-                f"[{row + 1}]" if rows.key is None else rows.key,
-            )
+            remedy = "Remove one of them" if in_list else "Request another number of points, or check the curve"
+            raise Unusable(f"{rows.named(row, row + 1)} coincide", remedy, f"[{row + 1}]" if rows.key is None else rows.key)
     if "angle" not in columns:
         _check_size(rows)

@@ -51,11 +51,8 @@ def read(record: ParetoRecord, file: ProblemFile, path: Path) -> Pareto:
     columns = [objective.column for objective in objectives]
     for k, (objective, objective_record) in enumerate(zip(objectives, record.objectives, strict=True)):
         if objective.column != objective_record.column:
-            raise Contradiction(
-                f"objectives[{k}].column",
-                f"this is not the column of {objective.name} [{objective.unit}]",
-                objective_record.column,
-            )
+            message = f"this is not the column of {objective.name} [{objective.unit}]"
+            raise Contradiction(f"objectives[{k}].column", message, objective_record.column)
     if record.minimised not in columns:
         raise Contradiction("minimised", "this is none of the objectives", record.minimised)
     if len({tuple(point.design) for point in record.front}) > 1:

@@ -157,11 +157,8 @@ def allocate(
         raise InputError("a yield needs a limit", 'Add for example --limit "0.5 deg"', key="--allocate")
     room = limit - np.abs(nominal.base)
     if np.min(room) <= 0.0:
-        raise InputError(
-            "the nominal design exceeds the limit, so no tolerances can meet it",
-            "Give a wider --limit, or a better design",
-            key="--limit",
-        )
+        message = "the nominal design exceeds the limit, so no tolerances can meet it"
+        raise InputError(message, "Give a wider --limit, or a better design", key="--limit")
     coefficients = np.array([costs.get(d.name, d.cost) for d in study.deviations], dtype=float)
     if not np.all(np.isfinite(coefficients)) or np.any(coefficients <= 0.0):
         raise InputError("a cost coefficient must be above zero", "Give for example --cost coupler=2", key="--cost")
