@@ -1,7 +1,5 @@
 """Types of the arguments of public functions, checked against their annotations before any work begins."""
 
-from __future__ import annotations
-
 import functools
 import inspect
 import types

@@ -1,7 +1,5 @@
 """Assignments KEY=VALUE of the command line, such as those of `--set` and `--design`."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

@@ -1,7 +1,5 @@
 """Base models: tables of problem files, and records of results, which write themselves and are read with one check."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

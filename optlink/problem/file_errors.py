@@ -1,7 +1,5 @@
 """Faults of a problem file from the errors of its models, each with file, key, value and remedy."""
 
-from __future__ import annotations
-
 import contextlib
 import datetime
 import difflib

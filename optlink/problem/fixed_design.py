@@ -1,7 +1,5 @@
 """The problem with all design variables fixed at a given design: a machine for `analyze`, `simulate` and pictures."""
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Iterator, Mapping

@@ -1,7 +1,5 @@
 """DesignProblem: function synthesis. The file's sections are the models of this module; its keys are their fields."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Intervals of problem files: limits of a measure, of the angles at joints, of the time ratio of the strokes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

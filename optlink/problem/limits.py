@@ -4,8 +4,6 @@ An entry contains the formula of the optimiser (`values`, elementwise on floats,
 measurement of the validator in motion (`measure`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The linkage of a problem file: a four-bar by four lengths, or any chain of dyads by ground points, links and guides."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from functools import cached_property

@@ -3,8 +3,6 @@
 Its unknowns are the design variables of the mechanism and, without prescribed timing, the crank angles at the points.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Requirement and limits of a path, motion, function or transmission problem, with the checks of their consistency."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from typing import Annotated, Any, Literal

@@ -3,8 +3,6 @@
 A quantity is fixed if it is one value ("500 mm"), a design variable if it is a range ("300..500 mm") or a table with bounds.
 """
 
-from __future__ import annotations
-
 import difflib
 import functools
 import json

@@ -4,8 +4,6 @@ To first order, a deviation d of a dimension changes the error by its derivative
 linkage.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ A template is registered by being in that folder. Its first comment line describ
 type after it has been written; FILE in such a command stands for the name of the file, STEM for this name without its suffix.
 """
 
-from __future__ import annotations
-
 import shlex
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tolerances of dimensions: input from a problem file or the command line, and the resulting deviations."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Animation of a mechanism beside a curve with a moving marker."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pictures of charts: `ChartSpec` drawn with matplotlib in the style of the project."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterable, Sequence

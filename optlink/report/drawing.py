@@ -3,8 +3,6 @@
 Bodies keep their shape, so each is built once from parts in its own axes (bars, plates, blocks, slots) and then placed.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Result files: CSV tables, designs and checkpoints."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import itertools

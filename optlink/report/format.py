@@ -1,7 +1,5 @@
 """Numbers as text, in tables, captions and charts, and their display units."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import re

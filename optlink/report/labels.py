@@ -1,7 +1,5 @@
 """Placement of labels clear of lines and of one another."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 Each is imported when it is used: a table needs no plotting library.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, get_args
 

@@ -3,8 +3,6 @@
 The y axis points down, as in SVG, and angles turn with it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

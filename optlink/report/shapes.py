@@ -1,7 +1,5 @@
 """Shapes of bodies and ground as plain points."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal

@@ -1,7 +1,5 @@
 """Figure style: colours, fonts, display units and saving of figures."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import textwrap

@@ -1,7 +1,5 @@
 """Tables and texts of a result, described independently of terminal and HTML page."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal

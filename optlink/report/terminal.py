@@ -1,7 +1,5 @@
 """Tables and texts of a result on a terminal."""
 
-from __future__ import annotations
-
 import os
 import re
 import sys

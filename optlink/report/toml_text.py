@@ -1,7 +1,5 @@
 """Changes to the text of a problem file that keep its comments and layout."""
 
-from __future__ import annotations
-
 import contextlib
 import tomllib
 from collections.abc import Mapping

@@ -4,8 +4,6 @@ The first step equals the prediction by sensitivities, further steps remove the 
 the final point violates the optimality conditions; the caller detects this and starts a search.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from optlink.errors import Status

@@ -4,8 +4,6 @@ Dimensions and limits are parameters of the programme. The others enter its form
 larger and smaller value of each; central differences of the optimality system at the optimum give their effect.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cached_property

@@ -3,8 +3,6 @@
 Valid only between values that were read and checked; results must equal those of `ProblemFile.override`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar

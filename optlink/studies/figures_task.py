@@ -1,7 +1,5 @@
 """Sweeps without optimisation: a machine analysed, or simulated, at every point of a grid."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

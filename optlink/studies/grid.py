@@ -1,7 +1,5 @@
 """Read the axes of a sweep: `mechanism.frame=450..550 mm:101`, a list of values, or steps of equal ratio."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import re

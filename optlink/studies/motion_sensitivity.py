@@ -3,8 +3,6 @@
 Linear tolerance analysis sums these derivatives. They are exact: casadi differentiates the formulas of the motion itself.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal

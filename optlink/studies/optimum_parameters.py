@@ -1,7 +1,5 @@
 """The parameters of an optimum, and the optima at changed values, found by a new search or from a changed file."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cached_property
 

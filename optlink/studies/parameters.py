@@ -1,7 +1,5 @@
 """Parameters of an optimum: fixed quantities, and all bounds and limits, in display units."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

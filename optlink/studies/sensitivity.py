@@ -3,8 +3,6 @@
 The method is described in `optlink.studies.kkt_derivatives`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace

@@ -3,8 +3,6 @@
 A chunk depends on its number only, so the rows are identical for any engine, number of workers and order.
 """
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import io

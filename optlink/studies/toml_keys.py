@@ -1,7 +1,5 @@
 """Read and write values at keys of a problem file; the numbers of a file that can be changed by hand, with their ranges."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any

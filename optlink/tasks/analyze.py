@@ -1,7 +1,5 @@
 """Analyse a machine over its cycle: motion, reactions, torque and work at constant crank speed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping
 

@@ -1,7 +1,5 @@
 """Optimise the balancing of a machine by a convex programme, with a lower bound of the objective."""
 
-from __future__ import annotations
-
 import importlib
 import math
 import time

@@ -1,7 +1,5 @@
 """Analyse thousands of designs of one machine in one call: selected columns of the analysis, in cache-sized blocks."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Simulate a machine with joint clearance over revolutions of the crank."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import time

@@ -1,7 +1,5 @@
 """Compare kinds of clearance control from several starts, and tune controller parameters."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any

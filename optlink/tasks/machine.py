@@ -1,7 +1,5 @@
 """The machine of a problem, its crank speed and its range of motion."""
 
-from __future__ import annotations
-
 import math
 import weakref
 from collections.abc import Collection, Iterable, Iterator, Mapping

@@ -1,7 +1,5 @@
 """Many clearance simulations as chunks of work: a run depends on its job only, so results are bit-identical for any engine."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields

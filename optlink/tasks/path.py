@@ -1,7 +1,5 @@
 """Solve path and motion synthesis problems: rounds of starts, refined with all limits, until a better design is unlikely."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Refine the candidates of each search round with all limits, and collect distinct valid designs."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """`DesignTask`, which each kind of design problem registers, and common parts of searches: checked options, stages, progress."""
 
-from __future__ import annotations
-
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """Simulate the motion of a machine in time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """CycleProblem: a machine whose design variables are optimised for quantities of its cycle."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ An entry contains the formula of the optimiser (`signal`, elementwise on floats,
 columns from which the validator reads it (`history`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Protocol

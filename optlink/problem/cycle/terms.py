@@ -1,7 +1,5 @@
 """Terms over the cycle of a machine, each to be optimised or limited: torque, forces, motion, strokes, work, dimensions."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self

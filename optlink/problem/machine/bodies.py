@@ -1,7 +1,5 @@
 """Mass properties, gravity and drive of a problem file."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import partial
 from typing import Annotated, Any, Self

@@ -1,7 +1,5 @@
 """The controller of a problem file: controlled output, inverse model and gains."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Annotated, Any
 

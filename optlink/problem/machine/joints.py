@@ -1,7 +1,5 @@
 """The joints of a problem file: the body whose reaction is reported, and the clearance of a pin."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field

@@ -1,7 +1,5 @@
 """Size of a force or torque: a quantity, an expression with its unit, or a table over crank angle, slide or crank speed."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterable, Mapping

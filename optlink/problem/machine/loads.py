@@ -1,7 +1,5 @@
 """The loads of a problem file."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from typing import Annotated, Any, Literal

@@ -1,7 +1,5 @@
 """Problem: a linkage with its masses, loads and drive, checked; input of `analyze` and `simulate`."""
 
-from __future__ import annotations
-
 import datetime
 from collections.abc import Mapping, Sequence
 from functools import cached_property

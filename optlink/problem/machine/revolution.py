@@ -1,7 +1,5 @@
 """Samples of a machine's motion over a revolution, on which its loads and clearances depend."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property

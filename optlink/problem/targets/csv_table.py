@@ -1,7 +1,5 @@
 """CSV files: delimiter, title row, and the rows below it with their numbers in the file."""
 
-from __future__ import annotations
-
 import csv
 import io
 import itertools

@@ -1,7 +1,5 @@
 """Curves sampled evenly by arc length, and curves defined by expressions in t."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -5,8 +5,6 @@ into a postfix program and run on numpy ufuncs, so floats, arrays, casadi symbol
 passed to Python for evaluation.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Function generation: y(x), where x is proportional to the crank angle and y to the output, each over its range."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

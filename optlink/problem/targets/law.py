@@ -1,7 +1,5 @@
 """Motion laws: the output over the crank angle as an expression in phi, phi0, psi0 (for a slide s0), or as a table."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Points listed in the problem file or in a CSV file: read, checked, and reduced if there are too many."""
 
-from __future__ import annotations
-
 import math
 from array import array
 from collections.abc import Mapping, Sequence

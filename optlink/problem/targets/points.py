@@ -1,7 +1,5 @@
 """Target points of a path, or poses of a body: a list, a CSV file, a drawing (SVG), or expressions in t."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from optlink.problem.quantity import Unusable, check_keys

@@ -1,7 +1,5 @@
 """Target points of a path or poses of a body, and functions shared by their readers."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Dimensioned SVG drawing of a mechanism: link lengths, pivots, angle ranges and strokes, in millimetres and degrees."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import re

@@ -1,7 +1,5 @@
 """Export of a design: DXF and SVG drawings at a crank angle, motion as CSV, geometry as JSON."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

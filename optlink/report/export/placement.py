@@ -4,8 +4,6 @@ The drawing is divided into cells. Two texts, or a text and a line, cost what th
 improved in turn until none has a cheaper one. Every share counts the same for both, so that each step lowers the total.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """SVG drawing of a mechanism to scale, in millimetres, for reports and export."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from html import escape

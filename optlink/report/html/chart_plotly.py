@@ -1,7 +1,5 @@
 """Charts of the HTML page: `ChartSpec` as a plotly figure."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping

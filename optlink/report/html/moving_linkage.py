@@ -1,7 +1,5 @@
 """Animated linkage of an HTML page: drawing, slider and quantities that follow it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """HTML report of a design: linkage in motion, result and validation, sensitivities, charts, sources."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Colours of a page in light and in dark mode."""
 
-from __future__ import annotations
-
 import colorsys
 import re
 from collections.abc import Iterable

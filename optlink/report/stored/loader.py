@@ -1,7 +1,5 @@
 """Loading of results: a result.json of any command, or its folder, and its problem."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace

@@ -2,8 +2,6 @@
 
 A result file contains only the name and hash of its problem, which is searched by name and must have that hash."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """The page of a result: its head, its sections with the linkage in motion, the problem and the sources."""
 
-from __future__ import annotations
-
 import platform
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Reading of a stored parameter sweep with its table."""
 
-from __future__ import annotations
-
 import csv
 from collections import Counter
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """View of an analysis: mechanism at its characteristic positions, charts over the cycle, animation."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

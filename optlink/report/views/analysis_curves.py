@@ -1,7 +1,5 @@
 """Time history of a machine over the crank angle, with exact extremes and gaps at load jumps."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

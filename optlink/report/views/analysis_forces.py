@@ -1,7 +1,5 @@
 """Charts of the driving torque, joint reactions, guide forces, work and shaking force of a machine over its cycle."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Charts, files and HTML sections of a balancing result, which is checked against inverse dynamics when it is read."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Drawing of a balanced machine with its counterweights to scale."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

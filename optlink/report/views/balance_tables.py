@@ -1,7 +1,5 @@
 """Tables of a balancing result and of the `[balance]` section."""
 
-from __future__ import annotations
-
 import math
 
 from optlink.problem.machine.balance import BalanceSection

@@ -1,7 +1,5 @@
 """Table, clauses and charts for the certificate of a global optimum, the same for every kind of result."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Charts of a simulation with joint clearance, and the HTML sections of a stored one and of a control comparison."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from functools import partial

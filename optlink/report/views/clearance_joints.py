@@ -1,7 +1,5 @@
 """Charts of the joints with clearance: journal orbits, contact forces, impacts, Poincaré section."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Tables of simulations with joint clearance and of control comparisons."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """Conclusion of every kind of result: verdict, main figures with their limits, and what limits them, in one or two sentences."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 

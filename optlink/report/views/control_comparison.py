@@ -1,7 +1,5 @@
 """Charts of a control comparison, and the HTML sections of a stored one: deviation under each control, several starts."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Pictures and files of a cycle optimisation: minimised and limited quantities over the revolution, both mechanisms."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Tables of a cycle optimisation."""
 
-from __future__ import annotations
-
 import math
 
 from optlink.errors import Status

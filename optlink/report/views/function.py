@@ -1,7 +1,5 @@
 """View of a function synthesis result of a four-bar: mechanism, law and error, transmission angle, objective map, animation."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """Figure and animation of the mechanism with magnified clearances and close-ups of its joints."""
 
-from __future__ import annotations
-
 import math
 import textwrap
 from dataclasses import replace

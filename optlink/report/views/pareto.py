@@ -1,7 +1,5 @@
 """Charts and page of a Pareto front: end points, knee and the design of every point."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping, Sequence
 from functools import partial

@@ -4,8 +4,6 @@ Path and motion: mechanism and curve with the precision points, deviations, alte
 mechanism, output or transmission angles, alternative designs.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

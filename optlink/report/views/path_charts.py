@@ -1,7 +1,5 @@
 """Charts of a path or motion synthesis: close-up of the curve with its deviations, and the deviation at every point."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

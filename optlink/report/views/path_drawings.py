@@ -1,7 +1,5 @@
 """Figures of a synthesised mechanism at its first position, of several designs side by side, and of outputs."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

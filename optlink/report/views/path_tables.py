@@ -1,7 +1,5 @@
 """Tables of a path, motion, function or transmission synthesis result of any linkage."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 

@@ -1,7 +1,5 @@
 """Motion and deviations of a synthesised design, and their captions, shared by all its figures."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import cached_property

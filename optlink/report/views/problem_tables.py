@@ -1,7 +1,5 @@
 """Tables of a problem file and of the list of all shipped ones."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterable, Mapping
 

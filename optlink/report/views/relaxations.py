@@ -3,8 +3,6 @@
 Relaxed values are rounded away from the limit value, so that a limit with the printed value is feasible.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Simulation with clearance by revolutions, folded onto the crank angle, and the axes and curves shared by its charts."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Chart and table of the sensitivities of an optimum to its fixed parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Charts of a simulation in time, and the HTML sections of a stored one: speed and torque, output, reactions, energy balance."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Tables of parametric studies and of Pareto fronts."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Charts and page of a tolerance analysis: variance contributions, band over the crank angle, histogram."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tables of a tolerance analysis: variance contributions, worst case, scatter, yield, tolerance allocation."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Division of a grid into blocks of neighbouring points, each with one point in its middle."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Polynomials through the optima at a few points of a block, for starting points of Newton's method at the others."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Objectives of a machine optimised over its cycle: terms, dimensions, limits by name, and the `objective` of the file."""
 
-from __future__ import annotations
-
 import copy
 import math
 import re

@@ -10,8 +10,6 @@ Y. Y. Haimes, L. S. Lasdon, D. A. Wismer, "On a bicriterion formulation of the p
 system optimization", IEEE Trans. SMC-1 (1971) 296-297.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence

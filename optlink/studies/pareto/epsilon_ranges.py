@@ -1,7 +1,5 @@
 """Ranges of the epsilon constraints of a Pareto front, between the best of the other objectives and of the constrained one."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 from abc import ABC, abstractmethod

@@ -1,7 +1,5 @@
 """Objectives of a four-bar for a law: `error`, and any movable side of a limit or of a design variable."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 

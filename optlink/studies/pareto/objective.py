@@ -1,7 +1,5 @@
 """One objective of a Pareto front."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -5,8 +5,6 @@ its limits by name, and the `objective` of the file. A four-bar for a law has `e
 any movable side of a limit or of a design variable: `limits.transmission_angle.max`, `mechanism.coupler.max`.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -9,8 +9,6 @@ References
 K. W. Chase, Minimum-cost tolerance allocation, ADCATS report 99-5 (1999): one limit and a Lagrange multiplier.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any

@@ -1,7 +1,5 @@
 """The nominal linkage of a tolerance analysis, its deviations, and their effect on an output to first order."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

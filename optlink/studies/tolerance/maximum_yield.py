@@ -9,8 +9,6 @@ References
 T. M. Ragonneau, Z. Zhang, COBYQA (2024), as scipy.optimize.minimize(method="COBYQA").
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

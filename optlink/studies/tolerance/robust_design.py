@@ -4,8 +4,6 @@
 nominal optimum is found as well.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

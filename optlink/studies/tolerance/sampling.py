@@ -1,7 +1,5 @@
 """Quasi-random samples of deviations, confidence intervals of a yield, and options of the tolerance command."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 

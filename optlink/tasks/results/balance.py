@@ -1,7 +1,5 @@
 """Result of balancing: counterweights and springs, measures before and after, shadow prices, trade-off; as data and JSON."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

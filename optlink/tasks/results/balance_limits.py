@@ -1,7 +1,5 @@
 """Limits of a balancing result in display units: at the optimum with their shadow prices, and where they conflict."""
 
-from __future__ import annotations
-
 from optlink.balancing.optimum import Conflict
 from optlink.balancing.socp import NOTHING, BalanceBound, Price
 from optlink.tasks.results.balance import ACTIVE, ActiveLimit, RelaxedLimit

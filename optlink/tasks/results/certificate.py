@@ -1,7 +1,5 @@
 """Certificate of a global optimum: a lower bound of the objective over all designs, and the boxes that prove it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal

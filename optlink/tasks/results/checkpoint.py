@@ -1,7 +1,5 @@
 """Checkpoints of clearance simulations, control comparisons and tunings: what an interrupted run needs to resume."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Literal, TypeVar, get_args
 

@@ -1,7 +1,5 @@
 """The result of a simulation with joint clearance, as data and JSON."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Literal

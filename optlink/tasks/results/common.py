@@ -1,7 +1,5 @@
 """Common interface of search results: validity, optimality checks, evidence of completeness, JSON document."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar, Self, TypeVar

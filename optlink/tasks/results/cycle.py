@@ -1,7 +1,5 @@
 """Result of optimising cycle quantities: dimensions with their validation, figures before and after, as data and JSON."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
