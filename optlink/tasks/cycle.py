@@ -240,17 +240,13 @@ def _no_rotatable_design(problem: ProblemFile, seed: int, starts: int, seconds: 
     """Return the result for a problem without dimensions within the bounds for which the crank turns fully."""
     from optlink.solvers.cycle_starts import SAMPLES
 
-    task = task_of(problem)
-    values = {name: task.quantities[name].value for name in task.free}
-    verification = validate_cycle(task, values)
     note = (
         f"none of {SAMPLES * starts} random designs within the bounds lets the crank turn fully: "
         "widen the bounds, or start from a design that does"
     )
-    times = {"build": 0.0, **seconds, "validate": 0.0}
-    return CycleResult(
-        problem, Status.INFEASIBLE, "none", values, verification.objective, verification, times, seed, starts, notes=(note,)
-    )
+    result = TASK.validate(problem, {})
+    times = result.seconds | seconds
+    return replace(result, status=Status.INFEASIBLE, seconds=times, seed=seed, starts=starts, notes=(note,))
 
 
 def _refined(nlp: CycleNLP, solutions: dict[str, Solution]) -> tuple[CycleNLP, dict[str, Solution]]:
