@@ -15,7 +15,7 @@ from optlink.problem.file import dump
 from optlink.report import terminal
 from optlink.report.html.page import verdict
 from optlink.report.report_model import ReportModel
-from optlink.report.views import cycle_tables
+from optlink.report.views import cycle_tables, path_tables
 from optlink.solvers.solution import LimitState
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.path import solve, validate
@@ -58,6 +58,20 @@ def test_a_poor_path_is_called_poor(star) -> None:
     assert set(named) <= set(limited)
     assert bool(named) == bool([key for key in limited if not key.startswith("requirement.points")])
     assert verdict(ReportModel(star.problem, star, None)).startswith("Valid, poor fit: rms error is")
+
+
+def test_a_design_that_breaks_a_limit_has_no_grade(star) -> None:
+    """Beside "no feasible design found", a grade of the nearest one reads like praise, and its reasons are no remedies."""
+    narrow = star.problem.override({"limits.transmission_angle": ["89.99 deg", "90.01 deg"]})
+    nearest = solve(narrow, starts=60, designs=1)
+    assert nearest.status == "infeasible"
+    for result in (star, nearest):
+        console = terminal.console()
+        with console.capture() as text:
+            console.print(terminal.rendered(path_tables.path_result(result)))
+        status = text.get().partition("Design")[0]
+        assert ("fit" in status) == result.valid
+        assert ("the nearest design is shown" in status) != result.valid
 
 
 def test_points_passed_out_of_order_are_a_reason(star) -> None:

@@ -59,9 +59,9 @@ def path_result(outcome: PathResult) -> Summary:
 
 def _status(outcome: PathResult, best: PathDesign) -> Iterator[Line]:
     count = len(outcome.designs)
-    suffix = f"; {count} distinct design{'s' * (count != 1)} verified" if best.valid else "; the nearest design found"
+    suffix = f"; {count} distinct design{'s' * (count != 1)} verified" if best.valid else "; the nearest design is shown"
     line = search_verdict(best.status, "valid" if best.valid else "not valid", best.valid, outcome.certificate)
-    yield from graded_status(line, best.fit, "" if outcome.starts == 0 else suffix)
+    yield from graded_status(line, best.fit if best.valid else None, "" if outcome.starts == 0 else suffix)
     yield from noted(outcome.notes)
     yield from certificate_lines(outcome.certificate)
 
