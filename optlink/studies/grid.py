@@ -121,7 +121,7 @@ def read_axis(assignment: str) -> Axis:
                 f"the step is too small: the number of points exceeds the limit of a sweep, {MAX_POINTS:,}", "Give a longer step"
             )
         steps = math.floor(ratio)
-        return Axis(key, unit, tuple(a + size * i for i in range(steps + 1)))
+        return Axis(key, unit, tuple(_rounded(a + size * i) for i in range(steps + 1)))
     number = int(count)
     if number < 2:
         raise fault(f"{number} points do not make a range", "Give at least 2 points, or one value with --set")
@@ -135,7 +135,12 @@ def read_axis(assignment: str) -> Axis:
         inner = tuple(a + (b - a) * i / (number - 1) for i in range(1, number - 1))
     if not all(map(math.isfinite, inner)):
         raise fault("the range exceeds the largest number", "Give ends that are nearer to each other")
-    return Axis(key, unit, (a, *inner, b))
+    return Axis(key, unit, (a, *map(_rounded, inner), b))
+
+
+def _rounded(value: float) -> float:
+    """Return a value within a range without rounding errors of the division: 1.4 instead of 1.4000000000000001."""
+    return float(f"{value:.15g}")
 
 
 def _value_list(key: str, values: str, fault: Callable[..., InputError]) -> Axis:

@@ -303,6 +303,9 @@ def _reoptimising(problem: ProblemFile, grid: Grid, design: Mapping[str, float] 
     if design is not None:
         raise InputError("--design has no effect on an optimisation", "Leave --design out, or add --analyze", key="--design")
     check_backend(backend)
+    if problem.task == "balance":
+        remedy = "Run `optlink balance` with --set for each value, or add --analyze"
+        raise InputError("a sweep does not optimise a balancing problem", remedy, problem.file, "balance")
     if problem.task not in ("path", "cycle"):
         problem.spec  # noqa: B018 - raises if there is nothing to solve
     task = optimum_task(problem, grid, backend, chunk_of(grid))

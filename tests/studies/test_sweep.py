@@ -114,6 +114,25 @@ def test_bad_axes_are_reported_with_the_reason(text, words):
         read_grid(problem(), [text])
 
 
+@pytest.mark.parametrize(
+    ("text", "values"),
+    [
+        ("limits.transmission_angle.max=130..136 deg:4", (130.0, 132.0, 134.0, 136.0)),
+        ("mechanism.frame=0.3..0.6 m:4", (0.3, 0.4, 0.5, 0.6)),
+        ("mechanism.frame=0.45..0.55 m step 0.05", (0.45, 0.5, 0.55)),
+        ("mechanism.frame=0.1..1000 m:5 log", (0.1, 1.0, 10.0, 100.0, 1000.0)),
+    ],
+)
+def test_values_of_a_range_have_no_rounding_errors(text, values):
+    """The table listed 0.39999999999999997."""
+    assert read_axis(text).values == values
+
+
+def test_a_balancing_problem_is_not_swept():
+    with pytest.raises(InputError, match=r"does not optimise a balancing problem\..*optlink balance"):
+        sweep(optlink.load("balance-four-bar"), ["mechanism.rocker=70..80 mm:2"])
+
+
 def test_a_million_million_points_are_refused_with_their_size():
     with pytest.raises(InputError) as error:
         sweep(problem(), [f"{FRAME}:1000000", f"{LIMIT}=120..140 deg:1000000"])
