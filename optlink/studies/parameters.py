@@ -143,4 +143,5 @@ def parameters(nlp: NLP) -> list[Parameter]:
 def _displayed(internal: float, scale: Scale) -> float:
     """Return a number of the programme in display units, without rounding errors of scaling."""
     value, size = scale.to_display(internal), abs(scale.to_display(1.0) - scale.to_display(0.0))
-    return 0.0 if abs(value) <= ROUNDING * size else float(f"{value:.14g}")
+    digits = 12 if scale.cosine else 14  # that of 1 deg has 12: 0.9999999999999 deg was shown
+    return 0.0 if abs(value) <= ROUNDING * size else float(f"{value:.{digits}g}")

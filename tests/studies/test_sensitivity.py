@@ -228,6 +228,7 @@ def test_the_range_of_an_inactive_angle_limit_ends_at_the_angle_of_the_design(cr
     crank, frame, coupler, rocker = 100.0, 500.0, *crank_rocker.values.values()
     smallest = math.degrees(math.acos((coupler**2 + rocker**2 - (frame - crank) ** 2) / (2.0 * coupler * rocker)))
     assert crank_rocker["limits.transmission_angle.min"].above.value == pytest.approx(smallest)
+    assert {1.0, 179.0} <= {row.parameter.value for row in crank_rocker.rows}  # was 0.9999999999999 deg
     ends = {end.value for row in crank_rocker.rows if row.parameter.unit == "deg" for end in (row.below, row.above)}
     assert all(0.0 <= end <= 180.0 for end in ends if math.isfinite(end))
 
