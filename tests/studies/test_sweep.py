@@ -845,6 +845,14 @@ def test_the_command_prints_and_writes(tmp_path):
     assert "every point a verified local optimum" in text.stdout
 
 
+def test_varied_values_are_described_by_the_least_and_the_largest():
+    """Of an unsorted list the first and the last were shown, of one value both: "500 ... 500 mm  1 values"."""
+    text = run("crank-rocker", "--vary", f"{LIMIT}=135, 140, 130 deg", "--vary", "mechanism.frame=500 mm").stdout
+    lines = [" ".join(line.split()) for line in text.splitlines()]
+    assert f"{LIMIT} 130 ... 140 deg 3 points" in lines
+    assert "mechanism.frame 500 mm 1 point" in lines
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "arguments", "panels", "legend"),

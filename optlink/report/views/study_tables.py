@@ -137,10 +137,10 @@ def sweep(result: Sweep) -> Summary:
     counted = points(result.grid.count) + (f" ({every})" if len(result.grid.axes) > 1 else "")
     conflict = "Conflicting limits at a point without a design: `optlink solve` with --set at that point"
     status = [(f"{counted}, ", verdict(_point_counts(result), result.complete)), *([conflict] if result.infeasible else [])]
-    axes = [
-        (axis.key, f"{axis.values[0]:g} ... {axis.values[-1]:g} {axis.unit}".rstrip(), quiet(points(len(axis.values))))
-        for axis in result.grid.axes
-    ]
+    axes = []
+    for axis in result.grid.axes:
+        ends = dict.fromkeys(f"{end:g}" for end in (min(axis.values), max(axis.values)))
+        axes.append((axis.key, f"{' ... '.join(ends)} {axis.unit}".rstrip(), quiet(points(len(axis.values)))))
     parts = [table("Varied", "<<>", axes)]
     if result.best is not None:
         omitted = ("status", "valid", "failed", "method", "active_set_changed")
