@@ -499,3 +499,17 @@ def test_control_compensates_three_clearances():
     )  # seven times the work of a run without PID
     assert both.finished
     assert both.trials["inverse+pid"].mean < 0.9 * found.trials["inverse"].mean
+
+
+def test_a_tuning_that_finds_nothing_better_is_written(monkeypatch):
+    def run_jobs(jobs, runs):
+        for k, job in enumerate(jobs):
+            rms = 2e-3 if any(key.startswith("control.") for key in job.problem.overrides) else 1e-3
+            figures = {"rms_rad": rms, "peak_rad": rms, "correction_rms_rad": 0.0, "torque_rms_Nm": 1.0}
+            yield k, parallel_runs.RunResult(figures, "rad", True)
+
+    monkeypatch.setattr(control_comparison, "run_jobs", run_jobs)
+    found = optlink.tune(rocker(), "pid", ("proportional",), evaluations=4, starts=1, **SHORT)
+    assert not found.best
+    assert found.check is None
+    assert "other_starts" not in found.to_dict()

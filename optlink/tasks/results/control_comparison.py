@@ -1,11 +1,9 @@
 """The results of a control comparison and of a tuning, as data and JSON."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from annotated_types import MinLen
@@ -111,10 +109,10 @@ class Comparison(Recorded):
 class OtherStarts(Record):
     """Mean rms error and scatter between starts that the search did not use: parameters of the problem, and best ones (SI)."""
 
-    before: Number
-    before_scatter: Number
-    cost: Number
-    scatter: Number
+    before: Annotated[Number, lambda check: check[0].mean]
+    before_scatter: Annotated[Number, lambda check: check[0].scatter]
+    cost: Annotated[Number, lambda check: check[1].mean]
+    scatter: Annotated[Number, lambda check: check[1].scatter]
 
 
 class TuningRecord(ResultRecord):
@@ -133,24 +131,7 @@ class TuningRecord(ResultRecord):
     tried: Columns
     costs: Column
     scatters: Column
-    other_starts: OtherStarts | None = absent()
-
-    @classmethod
-    def of(cls, result: Tuning, **values: Any) -> Self:
-        """As `Record.of`, with the figures from other starts.
-
-        Parameters
-        ----------
-        result : Tuning
-        **values
-            Values of fields, in place of those of the result.
-        """
-        if result.check is not None:
-            before, best = result.check
-            values["other_starts"] = OtherStarts(
-                before=before.mean, before_scatter=before.scatter, cost=best.mean, scatter=best.scatter
-            )
-        return super().of(result, **values)
+    other_starts: Annotated[OtherStarts | None, lambda result: result.check and OtherStarts.of(result.check)] = absent()
 
 
 @dataclass(frozen=True, repr=False)
