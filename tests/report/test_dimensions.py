@@ -71,10 +71,29 @@ def four_bar(**sizes: str) -> optlink.ProblemFile:
     return optlink.read({"mechanism": {"type": "four-bar", **sizes}})
 
 
+def offset_slider_crank() -> optlink.ProblemFile:
+    lengths = {"mechanism.links.crank.length": "59.76 mm", "mechanism.links.rod.length": "93.64 mm"}
+    return optlink.load("stroke-slider-crank", {**lengths, "mechanism.guides.G.offset": "6.455 mm"})
+
+
+def test_the_offset_of_a_guide_is_dimensioned() -> None:
+    """Without it a slider-crank cannot be built from its drawing."""
+    drawing = dimensioned(optlink.analyze(offset_slider_crank()), "offset")
+    assert "guide of slider at 0°, 6.455 from A" in drawing.words
+    assert "6.455" in [text for text, _ in texts(drawing.svg)]
+    central = dimensioned(optlink.analyze(optlink.load("slider-crank")), "central")
+    assert "guide of slider at 0°, through A" in central.words
+    assert "0" not in [text for text, _ in texts(central.svg)]
+
+
 DRAWN = {
+    "offset": offset_slider_crank,
     "walker": walker,
     "wiper": lambda: four_bar(frame="250 mm", crank="21.21 mm", coupler="249.1 mm", rocker="30 mm", assembly="right"),
-    **{name: (lambda name=name: optlink.load(name)) for name in ("slotted-quick-return", "watt-i", "whitworth", "toggle-press")},
+    **{
+        name: (lambda name=name: optlink.load(name))
+        for name in ("slotted-quick-return", "watt-i", "whitworth", "toggle-press", "shaper-design")
+    },
 }
 
 

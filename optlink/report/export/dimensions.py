@@ -1,4 +1,4 @@
-"""Dimensioned SVG drawing of a mechanism: link lengths, pivots, angle ranges and strokes, in millimetres and degrees."""
+"""Dimensioned SVG drawing of a mechanism: link lengths, pivots, guides, angle ranges and strokes, in millimetres and degrees."""
 
 import itertools
 import math
@@ -64,7 +64,8 @@ def dimensioned(cycle: Analysis, title: str) -> Drawing:
         text = "360°" if high - low >= TURN - 1e-9 else f"{_deg(high - low)}"
         words.append(f"{name} turns fully" if text == "360°" else f"{name} swings {text}")
         sheet.angle(centre, start, low, high, text, _colour(drawn, name))
-    for dimension in (*_links(cycle, drawn), *_strokes(cycle, at, drawn)):
+    guides = list(_guides(cycle, at, drawn))
+    for dimension in (*_links(cycle, drawn), *_strokes(cycle, at, drawn), *(offset for _, offset in guides)):
         sheet.length(dimension)
     for name in cycle.machine.mechanism.ground:
         x, y = drawn.points[name][0] * FLIP
@@ -75,6 +76,7 @@ def dimensioned(cycle: Analysis, title: str) -> Drawing:
         f"{dimension.text.partition(' ')[0]} of {dimension.text.partition(' ')[2]}"
         for dimension in _strokes(cycle, at, drawn, named=True)
     ]
+    words += [text for text, _ in guides]
     described = f"{title}, drawn at a crank angle of {_deg(at)}. Dimensions in mm: {'; '.join(words)}."
     for name in drawn.moving:
         if np.all(np.isfinite(drawn.points[name][0])):
@@ -157,6 +159,26 @@ def _strokes(cycle: Analysis, at: float, drawn: Scene, *, named: bool = False) -
             yield _Length(ends, text, _colour(drawn, guide.slider))
 
 
+def _guides(cycle: Analysis, at: float, drawn: Scene) -> Iterator[tuple[str, _Length]]:
+    """Yield every guide on the frame in words, and its distance from the pivot that places it, else the crank pivot."""
+    mechanism = cycle.machine.mechanism
+    pose = sweep(mechanism, cycle.machine.sizes, [at]).pose
+    for guide in mechanism.guides:
+        if guide.on == FRAME:
+            point, direction = (
+                np.array([float(np.asarray(part)) for part in vector]) for vector in pose.local_line(guide, FRAME)
+            )
+            pivot = (
+                guide.through if isinstance(guide.through, str) and guide.through in mechanism.ground else mechanism.crank.start
+            )
+            place, start, along = drawn.points[pivot][0], 1e3 * point * FLIP, direction * FLIP
+            foot = start + np.dot(place - start, along) * along
+            distance = _mm(float(np.linalg.norm(foot - place)))
+            where = f"through {pivot}" if distance == "0" else f"{distance} from {pivot}"
+            text = f"guide of {guide.slider} at {_deg(math.atan2(direction[1], direction[0]))}, {where}"
+            yield text, _Length((place, foot), "" if distance == "0" else distance, _colour(drawn, guide.slider))
+
+
 def _swings(cycle: Analysis, drawn: Scene) -> Iterator[tuple[str, float, float, Array, float]]:
     """Yield body, ends of its range [rad], ground pivot and direction at the low end, of all bodies with a pivot on the frame."""
     mechanism, at = cycle.machine.mechanism, drawn.angles[0]
@@ -224,7 +246,7 @@ class _Sheet:
         """Add a distance with extension lines, arrows and its text along the line."""
         p, q = dimension.ends
         span = float(np.linalg.norm(q - p))
-        if span < 1e-9:
+        if span < 1e-9 or not dimension.text:
             return
         along, half = (q - p) / span, self._half(dimension.text)
         normal = np.array([along[1], -along[0]])
