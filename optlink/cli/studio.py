@@ -29,7 +29,7 @@ def studio(
     """Open an interactive page: drag points, dimensions and limits, and the optimum follows."""
     missing = [name for name in NEEDED if importlib.util.find_spec(name) is None]
     if missing:
-        remedy = "Install them: pip install 'optlink[studio]'"
+        remedy = 'Install them: pip install "optlink[studio]"'
         raise InputError(f"the studio needs packages that are not installed: {', '.join(missing)}", remedy)
     if problem:
         console.load(problem, None)

@@ -184,7 +184,7 @@ def _faults(error: pydantic.ValidationError, model: type[Problem], raw: Mapping[
             linkage_type = raw["mechanism"].get("type")
             yield Fault(
                 "not a type of linkage",
-                nearest(str(linkage_type), ("four-bar", "dyads")),
+                nearest(str(linkage_type), ("four-bar", "dyads")) + " (slider-crank, six-bar and others: `optlink new --list`)",
                 file,
                 f"{key}.type",
                 _plain(linkage_type),

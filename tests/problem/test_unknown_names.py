@@ -18,6 +18,7 @@ from optlink.errors import InputError
         ("crank-rocker", {"crank": "90 mm"}, 'Did you mean "mechanism.crank"'),
         ("shaper-design", {"coupler.length": "150 mm"}, 'Did you mean "mechanism.links.coupler.length"'),
         ("six-bar", {"mechanism.type": "slider-crank"}, 'Did you mean "dyads"'),
+        ("six-bar", {"mechanism.type": "sliding"}, "(slider-crank, six-bar and others: `optlink new --list`)"),
         ("crank-rocker", {"requirement.kind": "dwell"}, 'Did you mean "path"'),
         ("six-bar", {"bodies.link3.J": "0.1 kg*m^2"}, 'Did you mean "inertia"'),
         ("six-bar", {"mechanism.links.crank.pins": ["A", "B"]}, 'Did you mean "joints"'),
