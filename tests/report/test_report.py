@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 import pytest
+from matplotlib.text import Text
 from PIL import Image
 
 import optlink
@@ -16,7 +17,7 @@ from optlink.io import whole, write_json
 from optlink.report.chart_mpl import draw
 from optlink.report.registry import view_of
 from optlink.report.report_model import report_model_of, solve_or_validate
-from optlink.report.views import function
+from optlink.report.views import cycle, function
 
 
 def test_mechanism_is_drawn_at_its_characteristic_positions(solved):
@@ -170,3 +171,10 @@ def test_the_page_of_a_balancing_problem_says_that_it_shows_the_machine_before()
     problem = optlink.load("balance-four-bar")
     (note,) = report_model_of(problem, solve_or_validate(problem)).notes
     assert "before balancing" in note
+
+
+def test_the_picture_of_an_optimised_machine_names_its_points() -> None:
+    """Its tables speak of the guide force in F, the pressure angle at C or A.x."""
+    design = {"crank.length": 0.047, "rod.length": 0.128, "G.offset": 0.04}  # [m]
+    picture = cycle.mechanisms(optlink.validate(optlink.load("stroke-slider-crank"), design))
+    assert {"A", "B", "C"} <= {text.get_text() for text in picture.findobj(Text)}

@@ -16,6 +16,7 @@ from optlink.problem.cycle.terms import Term
 from optlink.report import chart_spec
 from optlink.report.chart_spec import Array, Axis, ChartSpec, Curve, Panel, crank_angle
 from optlink.report.drawing import Sketch
+from optlink.report.labels import place_labels
 from optlink.report.style import GROUND, LIMIT, MUTED, RESULT, Scale, figure, heading, scale, styled
 from optlink.report.view import View
 from optlink.report.views.path_view import with_verdict
@@ -134,10 +135,11 @@ def mechanisms(result: CycleResult) -> Figure | None:
     axes = fig.subplots()
     if initial is not None:
         _draw_initial(axes, initial, main.scale, at)
-    main.show(axes, sweep(optimal.machine.mechanism, optimal.machine.sizes, at))
+    names = main.show(axes, sweep(optimal.machine.mechanism, optimal.machine.sizes, at))
     grey = {} if initial is None else {"initial_machine": Line2D([], [], color=INITIAL, linewidth=3.0)}
     main.add_legend(fig, 5, **grey)
     fig.suptitle(heading(f"{result.task.title}: at crank angle {math.degrees(float(at[0])):z.1f}°", width))
+    place_labels(fig, names)
     return fig
 
 
