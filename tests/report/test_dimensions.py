@@ -84,6 +84,9 @@ def test_the_offset_of_a_guide_is_dimensioned() -> None:
     central = dimensioned(optlink.analyze(optlink.load("slider-crank")), "central")
     assert "guide of slider at 0°, through A" in central.words
     assert "0" not in [text for text, _ in texts(central.svg)]
+    swinging = dimensioned(optlink.analyze(optlink.load("oscillating-cylinder")), "on a body")
+    assert "guide of piston 15 from D" in swinging.words
+    assert "15" in [text for text, _ in texts(swinging.svg)]
 
 
 DRAWN = {
@@ -92,7 +95,7 @@ DRAWN = {
     "wiper": lambda: four_bar(frame="250 mm", crank="21.21 mm", coupler="249.1 mm", rocker="30 mm", assembly="right"),
     **{
         name: (lambda name=name: optlink.load(name))
-        for name in ("slotted-quick-return", "watt-i", "whitworth", "toggle-press", "shaper-design")
+        for name in ("slotted-quick-return", "watt-i", "whitworth", "toggle-press", "shaper-design", "oscillating-cylinder")
     },
 }
 

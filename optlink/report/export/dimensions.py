@@ -10,6 +10,7 @@ from html import escape
 import numpy as np
 
 from optlink.dynamics.machine import slider_names
+from optlink.linkage.jet import as_jet
 from optlink.linkage.mechanism import FRAME
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
@@ -160,23 +161,21 @@ def _strokes(cycle: Analysis, at: float, drawn: Scene, *, named: bool = False) -
 
 
 def _guides(cycle: Analysis, at: float, drawn: Scene) -> Iterator[tuple[str, _Length]]:
-    """Yield every guide on the frame in words, and its distance from the pivot that places it, else the crank pivot."""
+    """Yield every guide in words, and its distance from the point that places it, else the first of its body."""
     mechanism = cycle.machine.mechanism
     pose = sweep(mechanism, cycle.machine.sizes, [at]).pose
     for guide in mechanism.guides:
-        if guide.on == FRAME:
-            point, direction = (
-                np.array([float(np.asarray(part)) for part in vector]) for vector in pose.local_line(guide, FRAME)
-            )
-            pivot = (
-                guide.through if isinstance(guide.through, str) and guide.through in mechanism.ground else mechanism.crank.start
-            )
-            place, start, along = drawn.points[pivot][0], 1e3 * point * FLIP, direction * FLIP
-            foot = start + np.dot(place - start, along) * along
-            distance = _mm(float(np.linalg.norm(foot - place)))
-            where = f"through {pivot}" if distance == "0" else f"{distance} from {pivot}"
-            text = f"guide of {guide.slider} at {_deg(math.atan2(direction[1], direction[0]))}, {where}"
-            yield text, _Length((place, foot), "" if distance == "0" else distance, _colour(drawn, guide.slider))
+        line = (np.array([as_jet(part).value for part in vector], dtype=float).ravel() for vector in pose.line(guide, guide.on))
+        start, along = (part * FLIP for part in line)
+        near = mechanism.crank.start if guide.on == FRAME else pose.mechanism.bodies[guide.on].start
+        near = guide.through if isinstance(guide.through, str) and guide.through in drawn.points else near
+        place = drawn.points[near][0]
+        foot = 1e3 * start + np.dot(place - 1e3 * start, along) * along
+        distance = _mm(float(np.linalg.norm(foot - place)))
+        where = f"through {near}" if distance == "0" else f"{distance} from {near}"
+        angle = f" at {_deg(math.atan2(*(along * FLIP)[::-1]))}," if guide.on == FRAME else ""
+        text = f"guide of {guide.slider}{angle} {where}"
+        yield text, _Length((place, foot), "" if distance == "0" else distance, _colour(drawn, guide.slider))
 
 
 def _swings(cycle: Analysis, drawn: Scene) -> Iterator[tuple[str, float, float, Array, float]]:
