@@ -468,16 +468,18 @@ def with_scatter(coupler, rocker, sigmas):
 def test_a_robust_design_is_the_best_of_a_search_along_its_limit(problem, sigmas):
     """The largest transmission angle, 135 deg where crank and frame are in line, leaves one length free."""
     found = robust(problem, WIDE, sigmas)
-    assert found.valid
-    assert found.value == pytest.approx(with_scatter(found.design["coupler"], found.design["rocker"], sigmas), rel=1e-6)
+    assert found.result.valid
+    assert found.result.objective == pytest.approx(
+        with_scatter(*(found.result.design[name] for name in ("coupler", "rocker")), sigmas), rel=1e-6
+    )
     assert found.before == pytest.approx(with_scatter(found.nominal["coupler"], found.nominal["rocker"], sigmas), rel=1e-6)
     best = math.inf
     for coupler in np.linspace(0.40, 0.44, 801):
         c = 2.0 * coupler * math.cos(math.radians(135.0))  # coupler^2 + rocker^2 - c rocker = 0.6^2
         rocker = 0.5 * (c + math.sqrt(c * c - 4.0 * (coupler**2 - 0.36)))
         best = min(best, with_scatter(coupler, rocker, sigmas))
-    assert found.value <= best
-    assert found.value == pytest.approx(best, rel=1e-3)
+    assert found.result.objective <= best
+    assert found.result.objective == pytest.approx(best, rel=1e-3)
 
 
 @pytest.mark.slow
