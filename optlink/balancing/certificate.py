@@ -1,7 +1,5 @@
 """Certificate of a second-order cone programme, computed from its dual solution."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Optimal balancing: optimum, shadow prices of the limits, conflicting limits, trade-off between two measures."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Sequence

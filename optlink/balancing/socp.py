@@ -3,8 +3,6 @@
 All quantities are scaled: a measure by its value in the original machine, parameters by a typical mass and length of the machine.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A machine with joint clearance, its drive and its controller, simulated revolution by revolution with constant memory."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Named columns of a machine with joint clearance: motion, clearance, contacts, reactions, torque, energies."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -4,8 +4,6 @@ A normal law gives the force from the penetration delta, its rate, and the appro
 dissipates energy because the force is larger during approach than during separation. No law pulls: negative forces become zero.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -4,8 +4,6 @@ none: constant speed. inverse: the periodic command of the inverse model. pid: a
 output, referred to the crank, added to the constant speed; inverse+pid: added to the command of the inverse model.
 """
 
-from __future__ import annotations
-
 import enum
 from dataclasses import dataclass
 

@@ -12,8 +12,6 @@ References
 Newton-Euler equations by virtual power; wrenches and positions are those of the ideal machine.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property

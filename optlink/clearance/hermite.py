@@ -1,7 +1,5 @@
 """Quintic Hermite interpolation between two rows: zero crossing and maximum."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

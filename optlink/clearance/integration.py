@@ -7,8 +7,6 @@ its path, independently of the integrator's steps. The motion restarts there in 
 The path between two rows is checked by its values and slopes, so a contact shorter than a row is found too.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -7,8 +7,6 @@ output, and no drive has unlimited bandwidth: therefore the correction is a Four
 regularised least squares over the whole revolution. The speed command is the derivative of the series.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import casadi

@@ -1,7 +1,5 @@
 """A revolute joint with clearance: motion of the journal in the bearing, and contact forces."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import NamedTuple
 

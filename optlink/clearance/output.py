@@ -1,7 +1,5 @@
 """Output of a machine: the slide of a slider or the angle of a body, and its deviation from the ideal motion."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

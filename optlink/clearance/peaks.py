@@ -5,8 +5,6 @@ current maximum, the row is stored, integrated again in small steps, and the max
 motion alone, not on the number of rows.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Servo reference: constant speed plus a Fourier-series correction."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -4,8 +4,6 @@ A body is connected to its parent by a pin (coordinate: its own angle) or by a g
 coordinates of its start, and its angle). Ideal joints outside the tree close loops; each gives two equations.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Statistics of a simulation with joint clearance, by revolution: output error, contacts, energy balance, predictability."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Mapping

@@ -4,8 +4,6 @@ Exit codes: 0: done and valid. 1: solved, but not valid or not feasible. 2: inva
 141: the output pipe is closed.
 """
 
-from __future__ import annotations
-
 import contextlib
 import copy
 import errno

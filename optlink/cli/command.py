@@ -1,7 +1,5 @@
 """Commands and groups of the command line: further spellings of options and commands, and one sentence for each mistake."""
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Callable

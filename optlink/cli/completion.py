@@ -1,7 +1,5 @@
 """Completion of arguments in the shell: problems, templates, keys of --set. Nothing heavy is imported, no file is checked."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any

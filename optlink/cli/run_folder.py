@@ -1,7 +1,5 @@
 """Folder of one run: locked during the run, refused to another command or problem, cleared of files of an earlier run."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The command `studio`: a page in the browser on which a linkage is optimised again while one of its handles is dragged."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from typing import Annotated

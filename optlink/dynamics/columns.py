@@ -1,7 +1,5 @@
 """Named columns of a machine in motion: motion, reactions, torque, energies."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import cache, cached_property, partial
 from typing import Any, NamedTuple

@@ -5,8 +5,6 @@ the product k * free length; reactions, torque and shaking forces are linear in 
 programme.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ References
 P. Painleve, Sur les lois du frottement de glissement, C. R. Acad. Sci. 121 (1895): friction may admit no motion, or several.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator

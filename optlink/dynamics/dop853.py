@@ -8,8 +8,6 @@ E. Hairer, S. P. Norsett, G. Wanner: Solving Ordinary Differential Equations I, 
 code DOP853; the digits are those of SciPy (scipy.integrate.DOP853).
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Events of a simulation: crank angles at which the integration restarts or ends, and reasons for its end."""
 
-from __future__ import annotations
-
 import enum
 
 import numpy as np

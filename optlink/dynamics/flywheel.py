@@ -1,7 +1,5 @@
 """Speed fluctuation in the steady state and at the end of a simulation, and flywheel sizing."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -9,8 +9,6 @@ References
 Equation of motion of a machine with one degree of freedom (Eksergian's equation).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -8,8 +8,6 @@ References
 Kinetostatics of Assur groups; each balance is the Newton-Euler equation of one or both bodies of the group.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass

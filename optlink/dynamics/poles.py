@@ -1,7 +1,5 @@
 """Crank angles at which the expression of a load has a pole, a sharp peak, a corner or a jump, also between sampled positions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from typing import NamedTuple

@@ -8,8 +8,6 @@ E. Hairer, S. P. Norsett, G. Wanner: Solving Ordinary Differential Equations I, 
 II.5 (error estimate of orders 5 and 3 combined) and II.6 (dense output). The coefficients are those of their code DOP853.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple

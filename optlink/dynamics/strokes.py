@@ -1,7 +1,5 @@
 """Working and return strokes: the crank ranges in which loads act, and the slow stroke of an output."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass

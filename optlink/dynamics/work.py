@@ -1,7 +1,5 @@
 """Work of the drive over the crank angle, by Gauss quadrature between the angles at which a load jumps."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from optlink.dynamics.inverse import reactions

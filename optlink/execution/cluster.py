@@ -4,8 +4,6 @@ The local cluster opens no network port: scheduler and workers are threads of th
 passes its chunks through a pipe to a process of its own, and there is neither a dashboard nor any other HTTP server.
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import queue

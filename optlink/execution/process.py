@@ -1,7 +1,5 @@
 """A worker process of this machine, connected by pipes."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

@@ -4,8 +4,6 @@ A task (`optlink.execution.worker.ChunkTask`) maps the number of a chunk to its 
 Results arrive in any order.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import queue

@@ -4,8 +4,6 @@ Every file is complete or absent, so an interrupted run resumes from its complet
 A folder that holds another study is never written to.
 """
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import io

@@ -4,8 +4,6 @@ Where the alignment of a group is zero its assembly modes meet: the position is 
 either mode.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple

@@ -5,8 +5,6 @@ References
 L. V. Assur (1914): classification of mechanisms; a mechanism is a driving crank plus groups of zero mobility, added one by one.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property, partial

@@ -1,7 +1,5 @@
 """The five dyads as data types (bodies, joints, assembly mode); the formulas are in `dyads`."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 

@@ -7,8 +7,6 @@ negative where the loop cannot close; there the result is NaN. Nothing is clippe
 A line is a point on it and its unit vector w; its left normal is n = (-w_y, w_x), and offsets count along n.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from optlink.linkage.vector2d import Value, Vector, cross, dot, root

@@ -4,8 +4,6 @@ Every function is refined on an interpolant of its samples and evaluated once mo
 the interpolant is not accurate, more samples are taken. Where several local extrema are nearly equal, all of them are refined.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any

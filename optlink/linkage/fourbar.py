@@ -5,8 +5,6 @@ rocker angle psi counter-clockwise from A -> D. Assembly mode +1: C to the left 
 The transmission angle gamma is the angle B-C-D between coupler and rocker, 0 ... pi.
 """
 
-from __future__ import annotations
-
 import enum
 import math
 from collections.abc import Iterable, Mapping

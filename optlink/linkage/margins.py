@@ -8,8 +8,6 @@ References
 ISO 286-1:2010, table 1: grade IT5 allows 15 um at 100 mm, 1.5e-4 of the length.
 """
 
-from __future__ import annotations
-
 import math
 
 LEAST_ALIGNMENT = math.radians(1.0)

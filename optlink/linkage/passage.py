@@ -4,8 +4,6 @@ At a singular position the formulas of a dyad are 0/0. The joint itself moves sm
 the crank angle, whose derivatives are the velocities and accelerations.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Characteristics of the whole motion: crank ranges, dead centres, strokes, swing angles, time ratios."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

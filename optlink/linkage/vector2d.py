@@ -1,7 +1,5 @@
 """Elementwise functions that numpy lacks, for floats, arrays, complex steps, casadi symbols and jets."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, TypeAlias
 

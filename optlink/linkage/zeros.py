@@ -6,8 +6,6 @@ T. R. Chandrupatla, A new hybrid quadratic/bisection algorithm for finding the z
 derivatives, Advances in Engineering Software 28 (1997) 145-149.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -4,8 +4,6 @@ The residual at one position of the requirement is traced once with its derivati
 of all points. Every figure of a point is the same in any batch.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Expressions of the NLP of cycle optimisation: positions, events, objective terms, rows of limits."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 import math

@@ -4,8 +4,6 @@ Its variables are the design variables, the crank angles of the events (their eq
 that is a maximum over the cycle, its largest value. Rows apply at the nodes of every stroke and at exchange points.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -3,8 +3,6 @@
 The formulas are those of `linkage`, `objectives` and `constraints`, traced once with casadi symbols.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

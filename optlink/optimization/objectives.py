@@ -1,7 +1,5 @@
 """Objective terms: residuals that vanish for a perfect design, elementwise, with name and unit."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Exact derivatives of an output with respect to dimensions, and the error of a law with its scatter."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Pareto fronts of a set of designs: non-dominated points, ends, knee."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -3,8 +3,6 @@
 Its variables are the design variables and, without prescribed timing, the crank angle of every point.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Mapping, Sequence

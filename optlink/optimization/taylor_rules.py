@@ -3,8 +3,6 @@
 Every rule is a function of (centre, low, high), arrays of one shape; NaN where the function is undefined between low and high.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

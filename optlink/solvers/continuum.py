@@ -1,7 +1,5 @@
 """Continua of equally good designs: a flat direction at an optimum, confirmed by a search from a shifted design."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ A larger number of starting points never worsens the result: the starting points
 sequence, no search depends on the others, and the best design is returned.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """Starting points of cycle optimisation: random designs, grouped by their order of events and their slow strokes."""
 
-from __future__ import annotations
-
 import itertools
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence

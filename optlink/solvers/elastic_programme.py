@@ -1,7 +1,5 @@
 """The elastic programme of infeasibility analysis: every limit of an NLP, or both sides of a range, relaxed by a slack."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

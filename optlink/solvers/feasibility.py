@@ -1,7 +1,5 @@
 """Feasibility repair of a starting point by Gauss-Newton steps on the violated limits."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Remez exchange for function synthesis: locate the error peaks between the design positions and level them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 

@@ -10,8 +10,6 @@ J. W. Chinneck and E. W. Dravnieks, Locating minimal infeasible constraint sets 
 157-168.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """IPOPT (through casadi) as a Backend: an interior-point method with exact first and second derivatives."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import casadi

@@ -11,8 +11,6 @@ K. Madsen and H. Schjaer-Jacobsen, Linearly constrained minimax optimization, Ma
 R. Fletcher, Second order corrections for non-differentiable optimization, Lecture Notes in Mathematics 912 (1982) 85-114.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Local searches and multistart: feasibility repair, back end, Newton refinement, optimality check; comparison of back ends."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator

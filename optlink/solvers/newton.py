@@ -4,8 +4,6 @@ A back end stops within its tolerance of the optimum; two or three Newton steps 
 error, which makes two back ends comparable to 1e-6 mm and the multipliers exact.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ References
 R. Hettich, K. O. Kortanek, Semi-infinite programming: theory, methods, and applications, SIAM Review 35 (1993) 380-429.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Exchange method for semi-infinite constraints: maxima over the cycle between the positions of the NLP."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """SciPy's SLSQP as a Backend: sequential least-squares quadratic programming with exact first derivatives."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Four-bars for a hand-drawn curve: a path problem of its points, and the best designs of a short search."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

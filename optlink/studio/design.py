@@ -1,7 +1,5 @@
 """The design on the page: the optimum that follows a drag, or the validated result of the ordinary tasks."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace

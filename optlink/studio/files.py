@@ -1,7 +1,5 @@
 """Exports of the studio: drawings, tables and the report of the present design, and links that contain the problem."""
 
-from __future__ import annotations
-
 import base64
 import binascii
 import tempfile

@@ -4,8 +4,6 @@ A follower serves all problems of the same structure: what varies are parameters
 changes, a new one is built.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Protocol

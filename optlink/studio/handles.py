@@ -1,7 +1,5 @@
 """Handles: the numbers of a problem file that can be dragged, and their positions on the drawing [mm, deg]."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

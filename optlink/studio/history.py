@@ -1,7 +1,5 @@
 """Undo and redo: the steps of a document. The server keeps a copy, so that a failed computation does not lose them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Generic, TypeVar
 

@@ -1,7 +1,5 @@
 """Properties of each kind of problem in the studio: one entry of `KINDS` per kind."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Geometry of a design in motion [mm, deg], as the page draws it: the y axis points up."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

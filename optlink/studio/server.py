@@ -4,8 +4,6 @@ Nothing is answered without the token of the address; a socket must come from th
 machine, so that no page of another origin can use it.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json

@@ -1,7 +1,5 @@
 """One open problem: the requests of its page, and the states that answer them. It runs in its own process."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace

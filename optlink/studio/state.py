@@ -1,7 +1,5 @@
 """The state of the page: a design with its picture, handles, figures, checks and charts, as plain data."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """The canvas of the studio as a widget: its page in a frame, with the same process and messages as the server."""
 
-from __future__ import annotations
-
 import asyncio
 import base64
 import html

@@ -4,8 +4,6 @@ A frame is its length in four bytes, and JSON. The computing runs in the main th
 can be stopped, and ends the process when the server is gone.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Batched multistart for path and motion synthesis: sample, screen by least squares, descend and remove duplicates, in rounds."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any

@@ -9,8 +9,6 @@ References
 F. Freudenstein, Approximate synthesis of four-bar linkages, Trans. ASME 77 (1955) 853-861.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

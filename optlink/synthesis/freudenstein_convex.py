@@ -14,8 +14,6 @@ References
 E. W. Cheney and H. L. Loeb, Numerische Mathematik 3 (1961) 72-75: differential correction, as used in the search for t.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from dataclasses import dataclass

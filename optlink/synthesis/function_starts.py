@@ -1,7 +1,5 @@
 """Starting points of function synthesis: Freudenstein fits and convex first designs (`optlink.synthesis.freudenstein`)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from typing import Any

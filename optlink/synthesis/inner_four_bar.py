@@ -1,7 +1,5 @@
 """Find the four-bar within a linkage of dyads: its crank and a group of two links between the crank and the frame."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -10,8 +10,6 @@ References
 F. Freudenstein, Approximate synthesis of four-bar linkages, Trans. ASME 77 (1955) 853-861.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

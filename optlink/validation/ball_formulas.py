@@ -6,8 +6,6 @@ certificate: crank condition, dead centres, transmission angle, registered limit
 tolerances of points; for each the lower side first.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ points has this distance. The excess over it is the excursion. It is zero for po
 equals the whole distance for collinear points.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Proofs, in ball arithmetic, that a box of designs holds no feasible design with an objective below a bound."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Check whether a result file agrees with its design: objective, angles and figures are recomputed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from typing import Any, TypeGuard

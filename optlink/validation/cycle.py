@@ -1,7 +1,5 @@
 """Validate a machine optimised over its cycle by ordinary inverse dynamics on a refined sweep, one-sided at load jumps."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property

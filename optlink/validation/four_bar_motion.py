@@ -3,8 +3,6 @@
 Designs are worked on in blocks that fit the processor's cache; every figure of a design is the same in any block.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 The optimiser's formulas are not used: the angle between two links follows from measured distances of their joints.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace

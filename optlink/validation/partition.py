@@ -1,7 +1,5 @@
 """Whether boxes cover a larger box completely: exact, in floating-point numbers."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from optlink.linkage.vector2d import Array

@@ -1,7 +1,5 @@
 """Validate path and motion synthesis: sweep the mechanism through the points and all positions between them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

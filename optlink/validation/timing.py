@@ -5,8 +5,6 @@ References
 R. Bellman, Dynamic Programming, Princeton University Press (1957).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

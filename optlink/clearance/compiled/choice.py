@@ -1,7 +1,5 @@
 """Choice of the integrator of a machine with joint clearance from the amount of requested work, independent of the cache."""
 
-from __future__ import annotations
-
 import enum
 from collections.abc import Mapping
 from typing import Any

@@ -9,8 +9,6 @@ E. Hairer, S. P. Norsett, G. Wanner: Solving Ordinary Differential Equations I, 
 orders 5 and 3 combined) and II.6 (dense output). The coefficients are those of their code DOP853.
 """
 
-from __future__ import annotations
-
 from math import cos, sin, sqrt
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Integration of a machine with joint clearance by the compiled engine, with the interface of `Integration`."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Equations of one machine as machine code, kept on the disk: source, cache folder, and the functions that numba compiled."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import importlib.util

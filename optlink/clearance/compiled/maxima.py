@@ -1,7 +1,5 @@
 """Maxima of penetrations, normal forces and torque over a step, between its ends as well as at them. Compiled by numba."""
 
-from __future__ import annotations
-
 from numba import njit
 
 from optlink.clearance.compiled.dop853 import (

@@ -7,8 +7,6 @@ step is repeated with exactly the time until it, corrected by Newton's method on
 `machine.py` imports this file from the cache folder, under the hash of all that it is compiled from.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

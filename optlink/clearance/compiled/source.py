@@ -5,8 +5,6 @@ Numbers of the machine (lengths, masses, stiffnesses) become entries of an argum
 source and one compilation; only small numbers that belong to the formulas (0, 1, 2, 1/2) and exponents are literals.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Switches of the contacts within a step: where a penetration changes its sign, on the dense output. Compiled by numba."""
 
-from __future__ import annotations
-
 from numba import njit
 
 from optlink.clearance.compiled.dop853 import CONSTANTS, GAPS, HELPER, attempt, call, copy, inside

@@ -1,7 +1,5 @@
 """Checkpoints of branch and bound: what an interrupted search needs to continue, with the same bound in the end."""
 
-from __future__ import annotations
-
 import json
 import math
 import time

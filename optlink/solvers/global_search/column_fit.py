@@ -13,8 +13,6 @@ G. H. Golub and V. Pereyra, The differentiation of pseudo-inverses and nonlinear
 SIAM J. Numer. Anal. 10 (1973) 413-432.
 """
 
-from __future__ import annotations
-
 import math
 from itertools import combinations
 from typing import Any

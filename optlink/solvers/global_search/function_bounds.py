@@ -3,8 +3,6 @@
 The rows and their proof are in `optlink.solvers.global_search.function_rows`; here multipliers, cuts and candidates are chosen.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field

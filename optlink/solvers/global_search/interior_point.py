@@ -1,7 +1,5 @@
 """Many small linear programmes at once, by an interior-point method (Mehrotra's predictor and corrector)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from optlink.linkage.vector2d import Array

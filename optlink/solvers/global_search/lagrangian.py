@@ -21,8 +21,6 @@ sections 11-16. C. L. Lawson, Contributions to the theory of linear least maximu
 a least-squares fit that make it the minimax fit.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields

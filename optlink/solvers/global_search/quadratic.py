@@ -1,7 +1,5 @@
 """Polynomials of second order and linear inequalities over the box -1 <= d <= 1: rigorous bounds, elementwise over many boxes."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from optlink.linkage.vector2d import Array

@@ -20,8 +20,6 @@ References
 J. M. McCarthy and G. S. Soh, Geometric Design of Linkages, 2nd ed., Springer 2011 (cognates of a four-bar).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
