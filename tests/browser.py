@@ -72,8 +72,8 @@ def faults(driver: Any, *rules: str) -> list[str]:
     options = {"resultTypes": ["violations"], "selectors": False}  # without what is in order: half the time
     if rules:
         options["runOnly"] = list(rules)
-    found = driver.execute_async_script("axe.run(document, arguments[0]).then(arguments[1])", options)["violations"]
-    return [f"{one['id']}: {one['nodes'][0]['html'][:200]}" for one in found if one["impact"] in ("serious", "critical")]
+    computed = driver.execute_async_script("axe.run(document, arguments[0]).then(arguments[1])", options)["violations"]
+    return [f"{one['id']}: {one['nodes'][0]['html'][:200]}" for one in computed if one["impact"] in ("serious", "critical")]
 
 
 def console(driver: Any) -> list[str]:
@@ -84,5 +84,5 @@ def console(driver: Any) -> list[str]:
 def requests(driver: Any, path: Path) -> list[str]:
     """Every address requested since then, except the page itself and its contents."""
     events = [json.loads(entry["message"])["message"] for entry in driver.get_log("performance")]
-    found = [event["params"]["request"]["url"] for event in events if event["method"] == "Network.requestWillBeSent"]
-    return [address for address in found if address != path.as_uri() and not address.startswith(("data:", "blob:"))]
+    computed = [event["params"]["request"]["url"] for event in events if event["method"] == "Network.requestWillBeSent"]
+    return [address for address in computed if address != path.as_uri() and not address.startswith(("data:", "blob:"))]

@@ -110,16 +110,16 @@ def _levelled(x: Array, side: int, task: Function, n: int, rounds: int) -> tuple
         g = np.hstack([by_g[near], np.zeros((near.sum(), 1)), -np.ones((near.sum(), 1))])
         b = np.concatenate([-error, error, -misses[near]])
         box = [(-reach, reach)] * 5 + [(0.0, None), (0.0, None)]
-        found = linprog([0.0] * 5 + [1.0, price], np.vstack([a, g]), b, bounds=box, method="highs")
-        if found.x is None:
+        result = linprog([0.0] * 5 + [1.0, price], np.vstack([a, g]), b, bounds=box, method="highs")
+        if result.x is None:
             break
-        there = x + found.x[:5]
+        there = x + result.x[:5]
         value = merit(*errors(there, side, task, n))
         if value < best - 1e-13:
             x, gained = there, best - value
             best = value
             error, misses, by_e, by_g = _slopes(x, side, task, n)
-            reach = min(2.0 * reach, 0.5) if gained > 0.5 * (best + gained - found.fun) else reach
+            reach = min(2.0 * reach, 0.5) if gained > 0.5 * (best + gained - result.fun) else reach
         else:
             reach *= 0.3
         if reach < 1e-9:
@@ -135,9 +135,9 @@ def oracle(task: Function, starts: int, seed: int) -> float:
         ends: list[tuple[float, Array]] = []
         for _ in range(starts):
             x = np.concatenate([rng.uniform(np.log(0.15), np.log(6.0), 3), rng.uniform(-np.pi, np.pi, 2)])
-            found = _smooth(x, side, task)
-            if found is not None:
-                ends.append((float(np.max(np.abs(errors(found, side, task, FEW)[0]))), found))
+            computed = _smooth(x, side, task)
+            if computed is not None:
+                ends.append((float(np.max(np.abs(errors(computed, side, task, FEW)[0]))), computed))
         distinct: list[Array] = []
         for _, x in sorted(ends, key=lambda end: end[0]):
             if len(distinct) < 6 and all(np.max(np.abs(x[:3] - other[:3])) > 1e-2 for other in distinct):

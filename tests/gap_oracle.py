@@ -391,10 +391,10 @@ class Equations:
         right[:n] = self.weight
         touches = {name: self.touch(name, q, v, states[name], right) for name in self.gaps}
         right[n:] = quadratic - 2.0 * RESTORING * rate - RESTORING**2 * off
-        _, _, found, info = dgesv(whole, right, overwrite_a=1, overwrite_b=1)
+        _, _, computed, info = dgesv(whole, right, overwrite_a=1, overwrite_b=1)
         if info:
             raise ArithmeticError("the mechanism is at a singular position")
-        return found[:n], -found[n:], touches
+        return computed[:n], -computed[n:], touches
 
     def torque(self, multipliers: Array) -> float:
         return float(multipliers[-1]) if self.setup.torque is None else self.setup.torque
@@ -486,8 +486,8 @@ def run(setup: Setup, t_end: float, t_eval: Iterable[float] | None = None, toler
                 raise ArithmeticError(message)
             steps += 1
             step = _Step(equations, solver, n)
-            found = [(time, name, kind) for name in joints for time, kind in step.switches(name, states[name])]
-            when, name, kind = min(found, default=(math.inf, "", ""))
+            computed = [(time, name, kind) for name in joints for time, kind in step.switches(name, states[name])]
+            when, name, kind = min(computed, default=(math.inf, "", ""))
             t = min(when, solver.t)
             y = step.at(t)
             for joint in joints:
@@ -500,9 +500,9 @@ def run(setup: Setup, t_end: float, t_eval: Iterable[float] | None = None, toler
             drift = max(drift, float(np.max(np.abs(off), initial=0.0)))
         if when < math.inf:
             switch(name, kind)
-    told = _gathered(equations, rows)
-    told.switches, told.contacts, told.drift, told.steps = switches, contacts, drift, steps
-    return told
+    columns = _gathered(equations, rows)
+    columns.switches, columns.contacts, columns.drift, columns.steps = switches, contacts, drift, steps
+    return columns
 
 
 class _Step:
@@ -544,20 +544,20 @@ class _Step:
         """When contact begins or ends, the normal force comes to zero or returns."""
         first, last = self.ends
         (depth0, rate0), (depth1, rate1) = self.depth(name, first), self.depth(name, last)
-        found = []
+        result = []
         sign, kind = (-1.0, "out") if state.touching else (1.0, "in")
         if sign * depth1 > 0.0:
             # After a switch the depth is zero up to rounding: what leaves there can return after its turn only.
             begin = self.turn(name) if sign * rate0 < 0.0 else first
             if begin is not None:
-                found.append((self.root(lambda t: self.depth(name, t)[0], begin, last), kind))
+                result.append((self.root(lambda t: self.depth(name, t)[0], begin, last), kind))
         elif sign * rate0 > 0.0 and sign * rate1 < 0.0:
             turn = self.turn(name)
             if turn is not None and sign * self.depth(name, turn)[0] > 0.0 and sign * depth0 < 0.0:
-                found.append((self.root(lambda t: self.depth(name, t)[0], first, turn), kind))
+                result.append((self.root(lambda t: self.depth(name, t)[0], first, turn), kind))
         if state.touching:
-            found += self.kinks(name, state)
-        return found
+            result += self.kinks(name, state)
+        return result
 
     def kinks(self, name: str, state: State) -> list[tuple[float, str]]:
         """When the normal force comes to zero within a contact, or returns."""

@@ -386,13 +386,13 @@ def _linear(
     assert next(column) == 3 * bodies, "as many unknowns as equations"
     x = np.linalg.solve(matrix, right[..., None])[..., 0]
 
-    found = Solution(x[:, driver])
+    result = Solution(x[:, driver])
     for point, forces in pairs.items():
-        on = found.pins[point] = {body: np.zeros((positions, 2)) for body in k.pins[point]}
+        on = result.pins[point] = {body: np.zeros((positions, 2)) for body in k.pins[point]}
         for body, first, jx, jy in forces:
             on[body] = on[body] + x[:, [jx, jy]]
             on[first] = on[first] - x[:, [jx, jy]]
     for name, (normal, moment) in held.items():
-        found.normal[name], found.moment[name] = x[:, normal], x[:, moment]
-        found.friction[name] = x[:, normal] * ratio.get(name, 0.0)
-    return found
+        result.normal[name], result.moment[name] = x[:, normal], x[:, moment]
+        result.friction[name] = x[:, normal] * ratio.get(name, 0.0)
+    return result

@@ -41,9 +41,9 @@ def four_bar_of(design: PathDesign) -> dict[str, float]:
     return oracle.four_bar(*lengths, **place, along=along, across=across, mode=design.task.side)
 
 
-def judged(design: PathDesign, wanted: Array, *, closed: bool = False, timed: Array | None = None) -> oracle.Report:
+def judged(design: PathDesign, expected: Array, *, closed: bool = False, timed: Array | None = None) -> oracle.Report:
     """The oracle's report of a path design; `wanted` (points, 2): target points in mm."""
-    return oracle.judge_path(four_bar_of(design), wanted, design.crank_angles, closed=closed, timed=timed)
+    return oracle.judge_path(four_bar_of(design), expected, design.crank_angles, closed=closed, timed=timed)
 
 
 # --- round trips: a linkage's own curve ------------------------------------------------------------------------------------
@@ -119,10 +119,10 @@ class Recovery:
 
 def recover(trip: RoundTrip, designs: int = 3) -> Recovery:
     """Search for a linkage through the points, judge everything that comes back."""
-    found = solve(optlink.read(trip.raw), designs=designs)
+    result = solve(optlink.read(trip.raw), designs=designs)
     faults: list[str] = []
     miss = math.inf
-    for rank, design in enumerate(found.designs):
+    for rank, design in enumerate(result.designs):
         timed = None if trip.timing.startswith("free") else trip.crank
         report = judged(design, trip.points, closed=timed is None, timed=timed)
         faults += [f"design {rank}: {name}" for name in defects(report, turning=True)]
@@ -139,10 +139,10 @@ def recover(trip: RoundTrip, designs: int = 3) -> Recovery:
 
 def defects(report: oracle.Report, *, turning: bool) -> list[str]:
     """Defects of order, branch and circuit; of the crank if it must turn fully."""
-    kept = {"order": report.order_ok, "branch": report.branch_ok, "circuit": report.circuit_ok}
+    passed = {"order": report.order_ok, "branch": report.branch_ok, "circuit": report.circuit_ok}
     if turning:
-        kept["does not turn"] = report.turns
-    return [name for name, fine in kept.items() if not fine]
+        passed["does not turn"] = report.turns
+    return [name for name, fine in passed.items() if not fine]
 
 
 # --- random points and poses -----------------------------------------------------------------------------------------------
@@ -235,16 +235,16 @@ def _random_limits(rng: np.random.Generator) -> Raw:
 def faults_of(design: PathDesign, task: RandomTask) -> list[str]:
     """Everything that is wrong with a design that the program calls valid."""
     linkage, phi = four_bar_of(design), design.crank_angles
-    report, found = _report(design, task, linkage), []
-    found += defects(report, turning=task.crank_limit != "span")
+    report, result = _report(design, task, linkage), []
+    result += defects(report, turning=task.crank_limit != "span")
     if task.timing != "free" and report.timing > 1e-9:
-        found.append(f"timing is off by {report.timing:.2e} rad")
+        result.append(f"timing is off by {report.timing:.2e} rad")
     if task.crank is not None and task.timing == "given" and np.max(np.abs(phi - task.crank)) > 1e-9:
-        found.append("not the crank angles given")
+        result.append("not the crank angles given")
     rotation = CRANK_SIGN.get(task.raw["requirement"].get("rotation", ""))
     if rotation is not None and rotation * (phi[-1] - phi[0]) <= 0.0:
-        found.append("turns the wrong way")
-    return found + _wrong_figures(design, task, linkage, report) + _missed_limits(design, task, linkage)
+        result.append("turns the wrong way")
+    return result + _wrong_figures(design, task, linkage, report) + _missed_limits(design, task, linkage)
 
 
 def _report(design: PathDesign, task: RandomTask, linkage: oracle.Design) -> oracle.Report:
@@ -262,10 +262,10 @@ def _wrong_figures(design: PathDesign, task: RandomTask, linkage: oracle.Design,
     squares = task.weights * report.errors**2
     if report.angle_errors.size and task.wanted.shape[1] == 3:
         squares = squares + task.weights * (task.size * report.angle_errors) ** 2
-    measure, told = task.raw["requirement"]["measure"], design.to_dict()
+    measure, document = task.raw["requirement"]["measure"], design.to_dict()
     root = {"sum of squares": np.sum, "rms": np.mean, "max": np.max}[measure](squares) ** 0.5
     claimed = 1e3 * (math.sqrt(design.objective) if measure == "sum of squares" else design.objective)
-    objective, points = told["objective"], told["points"]
+    objective, points = document["objective"], document["points"]
     figures = {
         "objective": (claimed, root),
         "rms": (objective["rms_mm"], report.rms),
@@ -299,40 +299,40 @@ def transmission_range(linkage: oracle.Design, begin: float, end: float) -> tupl
 
 
 def _missed_limits(design: PathDesign, task: RandomTask, linkage: oracle.Design) -> list[str]:
-    limits, found, size = task.limits, [], task.size
+    limits, result, size = task.limits, [], task.size
     begin, end = float(design.crank_angles[0]), float(design.crank_angles[-1])
     span, whole = transmission_range(linkage, begin, end), transmission_range(linkage, 0.0, TURN)
     needed = span if task.crank_limit == "span" else whole
     if abs(design.least_transmission - min(needed[0], math.pi - needed[1])) > LEAST:
-        found.append(f"least transmission angle: {design.least_transmission} is told, it is {needed}")
+        result.append(f"least transmission angle: {design.least_transmission} is told, it is {needed}")
     if "transmission_angle" in limits:
         low, high = (math.radians(number(text)) for text in limits["transmission_angle"])
         over = span if limits.get("transmission_over") == "span" else needed
         if over[0] < low - LIMIT or over[1] > high + LIMIT:
-            found.append(f"transmission angle {over}, limits {low}, {high}")
+            result.append(f"transmission angle {over}, limits {low}, {high}")
     crank, coupler, rocker, frame = lengths = [linkage[name] for name in LENGTHS]
     if task.crank_limit != "span":
         shortest = frame if task.crank_limit == "double-crank" else crank
         if min(lengths) != shortest or not 2.0 * (shortest + max(lengths)) < sum(lengths):
-            found.append(f"is no {task.crank_limit}")
+            result.append(f"is no {task.crank_limit}")
     if "link_ratio" in limits:
         low, high = limits["link_ratio"]
         if not all(low * (1.0 - LIMIT) <= length / frame <= high * (1.0 + LIMIT) for length in (crank, coupler, rocker)):
-            found.append("link ratio")
+            result.append("link ratio")
     if "pivots" in limits:
         d = complex(linkage["x"], linkage["y"]) + frame * np.exp(1j * linkage["direction"])
         for axis, places in {"x": (linkage["x"], d.real), "y": (linkage["y"], d.imag)}.items():
             low, high = (number(text) for text in limits["pivots"][axis])
             if min(places) < low - LIMIT * size or max(places) > high + LIMIT * size:
-                found.append(f"pivots at {axis} = {places}, limits {low}, {high}")
+                result.append(f"pivots at {axis} = {places}, limits {low}, {high}")
     mechanism = task.raw["mechanism"]
     bounds = {name: (linkage[name], mechanism[name]["bounds"]) for name in LENGTHS}
     bounds |= {name: (linkage[name], mechanism["points"]["P"][k]["bounds"]) for k, name in enumerate(("along", "across"))}
     for name, (value, ends) in bounds.items():
         low, high = (number(text) for text in ends)
         if not low - LIMIT * size <= value <= high + LIMIT * size:
-            found.append(f"{name} = {value}, bounds {low}, {high}")
-    return found
+            result.append(f"{name} = {value}, bounds {low}, {high}")
+    return result
 
 
 def number(text: str) -> float:
@@ -423,15 +423,15 @@ def faults_of_slider(design: PathDesign, task: LawTask) -> list[str]:
     linkage, phi0, zero = slider_crank_of(design)
     phi, rises = task.offsets(POSITIONS + 1)
     report = oracle.judge_function(linkage, phi0, zero, phi, rises)
-    found = defects(report, turning=False)
-    errors, told = MEASURES[task.measure](report.errors), design.to_dict()["objective"]
+    computed = defects(report, turning=False)
+    errors, reported = MEASURES[task.measure](report.errors), design.to_dict()["objective"]
     claimed = design.objective * (1e6 if task.measure == "sum of squares" else 1e3)
     figures = {
         "objective": (claimed, errors),
-        "rms": (told["rms_mm"], report.rms),
-        "largest": (told["largest_mm"], report.largest),
+        "rms": (reported["rms_mm"], report.rms),
+        "largest": (reported["largest_mm"], report.largest),
     }
-    return found + _apart(figures, abs(task.travel))
+    return computed + _apart(figures, abs(task.travel))
 
 
 def faults_of_rocker(result: optlink.FunctionResult, task: LawTask) -> list[str]:
@@ -445,20 +445,20 @@ def faults_of_rocker(result: optlink.FunctionResult, task: LawTask) -> list[str]
         for count in (POSITIONS + 1, 6001)
     }
     at, dense = reports[POSITIONS + 1], reports[6001]
-    found = defects(at, turning=False)
+    outcome = defects(at, turning=False)
     errors = dense.errors if task.measure == "max" else at.errors
-    told = result.to_dict()["objective"]
+    claimed = result.to_dict()["objective"]
     figures = {
         "objective": (result.objective, MEASURES[task.measure](errors)),
-        "rms": (math.radians(told["rms_deg"]), at.rms),
-        "largest": (math.radians(told["largest_deg"]), at.largest),
+        "rms": (math.radians(claimed["rms_deg"]), at.rms),
+        "largest": (math.radians(claimed["largest_deg"]), at.largest),
     }
     low, high = transmission_range(linkage, design["phi0"], design["phi0"] + task.turned)
     if low < math.radians(25.0) - LIMIT or high > math.radians(155.0) + LIMIT:
-        found.append(f"transmission angle {low}, {high}")
+        outcome.append(f"transmission angle {low}, {high}")
     if not all(0.05 * (1.0 - LIMIT) <= length / lengths[0] <= 20.0 * (1.0 + LIMIT) for length in lengths[1:]):
-        found.append("link ratio")
-    return found + _apart(figures, 1.0, 1e-6 if task.measure == "max" else FIGURE)
+        outcome.append("link ratio")
+    return outcome + _apart(figures, 1.0, 1e-6 if task.measure == "max" else FIGURE)
 
 
 def _apart(figures: Mapping[str, tuple[float, float]], scale: float, share: float = FIGURE) -> list[str]:

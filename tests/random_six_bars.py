@@ -109,27 +109,27 @@ def positions(design: PathDesign, watt: bool, crank_angles: NDArray[np.float64])
 
 def faults_of_six_bar(design: PathDesign, task: SixBarTask) -> list[str]:
     """What is wrong with a design that is called valid."""
-    found = []
+    result = []
     moving = positions(design, task.watt, np.linspace(0.0, 2.0 * math.pi, MOVES))
     for joint, pins in {"C": "BD", "G": "EF"}.items():
         arms = [moving[pin] - moving[joint] for pin in pins]
         angle = np.abs(np.angle(arms[0] / arms[1]))
         if not np.all(np.isfinite(angle)):
-            found.append(f"{joint} does not close over the whole revolution")
+            result.append(f"{joint} does not close over the whole revolution")
         elif angle.min() < task.least - SHARE or angle.max() > math.pi - task.least + SHARE:
-            found.append(f"transmission at {joint}: {np.degrees(angle.min())} ... {np.degrees(angle.max())} deg")
+            result.append(f"transmission at {joint}: {np.degrees(angle.min())} ... {np.degrees(angle.max())} deg")
     jump = np.max(np.abs(np.diff(moving["P"])))
     if not jump < 0.1 * SIZE:
-        found.append(f"P jumps by {jump} m")
+        result.append(f"P jumps by {jump} m")
     met = positions(design, task.watt, design.crank_angles)["P"]
     error = float(np.sum(np.abs(met - task.points) ** 2))
     if not abs(error - design.objective) <= 1e-6 * design.objective + (1e-9 * SIZE) ** 2:
-        found.append(f"objective {design.objective}, measured {error}")
+        result.append(f"objective {design.objective}, measured {error}")
     steps = np.diff(design.crank_angles)
     if not (np.all(steps > 0.0) or np.all(steps < 0.0)) or abs(steps.sum()) > 2.0 * math.pi:
-        found.append("the points are not met in order within one revolution")
+        result.append("the points are not met in order within one revolution")
     for name, value in design.values.items():
         low, high = (0.008, LONG) if name.endswith("length") else (-FAR, FAR)
         if not low - 1e-9 <= value <= high + 1e-9:
-            found.append(f"{name} = {value} m")
-    return found
+            result.append(f"{name} = {value} m")
+    return result

@@ -52,9 +52,9 @@ def once(name: str, make: Callable[[], Any]) -> Any:
     with _alone(folder):
         if stored.exists():
             return pickle.loads(stored.read_bytes())
-        made = make()
-        stored.write_bytes(pickle.dumps(made))
-    return made
+        result = make()
+        stored.write_bytes(pickle.dumps(result))
+    return result
 
 
 def folder_once(name: str, alone: Path, fill: Callable[[Path], None]) -> Path:

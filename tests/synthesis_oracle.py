@@ -106,10 +106,10 @@ def size(design: Design) -> float:
 
 def complex_points(points: object) -> Complex:
     """Rows (x, y), or complex numbers, as complex numbers."""
-    found = np.asarray(points)
-    if np.iscomplexobj(found):
-        return np.atleast_1d(found).astype(complex)
-    rows = np.atleast_2d(found.astype(float))
+    result = np.asarray(points)
+    if np.iscomplexobj(result):
+        return np.atleast_1d(result).astype(complex)
+    rows = np.atleast_2d(result.astype(float))
     return rows[:, 0] + 1j * rows[:, 1]
 
 
@@ -262,8 +262,8 @@ class _Loop:
             share = min(1.0, longest / move) if move > 0.0 else 1.0
             angle, other = angle + share * one, other + share * two
             if move < 1e-11:  # quadratic: the next is below the rounding
-                found = _State(phi, angle, other)
-                return found if abs(self.columns(found)[0]) < 1e-12 * self.scale else None
+                computed = _State(phi, angle, other)
+                return computed if abs(self.columns(computed)[0]) < 1e-12 * self.scale else None
         return None
 
     def start(self, phi: float) -> _State | None:
@@ -273,9 +273,9 @@ class _Loop:
             angle = TURN * k / 16.0 + 0.1
             c = b + self.coupler * cmath.exp(1j * angle) - self.end
             other = (c * self.u.conjugate()).real / self.coupler if self.slides else cmath.phase(c)
-            found = self.newton(_State(phi, angle, other), 60, 0.5)
-            if found is not None and self.sine(found) * self.mode > 0.0:
-                return found
+            computed = self.newton(_State(phi, angle, other), 60, 0.5)
+            if computed is not None and self.sine(computed) * self.mode > 0.0:
+                return computed
         return None
 
     def go(self, state: _State, phi: float) -> _State | None:
@@ -292,13 +292,13 @@ class _Loop:
                     return None
                 there = phi if step >= abs(phi - state.phi) else state.phi + math.copysign(step, phi - state.phi)
                 by = there - state.phi
-                found = self.newton(_State(there, state.angle + one * by, state.other + two * by), 6, 1.0)
-                if found is not None and self.sine(found) * self.mode > 0.25 * abs(sine):
-                    change = abs(found.angle - state.angle - one * by) + abs(found.other - state.other - two * by)
+                result = self.newton(_State(there, state.angle + one * by, state.other + two * by), 6, 1.0)
+                if result is not None and self.sine(result) * self.mode > 0.25 * abs(sine):
+                    change = abs(result.angle - state.angle - one * by) + abs(result.other - state.other - two * by)
                     if change < 0.1:
                         break
                 step *= 0.5
-            state = found
+            state = result
         return state
 
 
@@ -339,8 +339,8 @@ def follow(design: Design, phi: Values, again: bool = False) -> Followed:
 
 def curve(design: Design, phi: Values) -> tuple[Complex, Array]:
     """Coupler points and coupler angles (continuous while assembled), by continuation; NaN where not assembled."""
-    found = follow(design, np.atleast_1d(np.asarray(phi, dtype=float)), again=True)
-    return found.p, found.angle
+    result = follow(design, np.atleast_1d(np.asarray(phi, dtype=float)), again=True)
+    return result.p, result.angle
 
 
 # --- where it assembles ----------------------------------------------------------------------------------------------------
@@ -383,9 +383,9 @@ def turns_fully(design: Design, positions: int = 720) -> Turning:
     margin = least_sine(design, 0.0, TURN, 2 * positions)
     if margin < MEETING:
         return Turning(False, margin)
-    found = follow(design, np.linspace(0.0, TURN, positions + 1))
-    back = found.reached and abs(found.p[-1] - found.p[0]) < SAME * size(design)
-    return Turning(bool(back and np.all(found.sine * design["mode"] > 0.0)), margin)
+    result = follow(design, np.linspace(0.0, TURN, positions + 1))
+    back = result.reached and abs(result.p[-1] - result.p[0]) < SAME * size(design)
+    return Turning(bool(back and np.all(result.sine * design["mode"] > 0.0)), margin)
 
 
 def assembled(design: Design, samples: int = 1440) -> list[tuple[float, float]]:
@@ -426,18 +426,18 @@ class _Goal:
         return _Goal(self.places[rows], self.angles[rows], self.weight)
 
     def square(self, at: Position) -> Array:
-        found = np.abs(at.p - self.places) ** 2
+        computed = np.abs(at.p - self.places) ** 2
         if self.weight:
-            found = found + (self.weight * wrapped(at.angle - self.angles)) ** 2
-        return np.where(np.isfinite(found), found, np.inf)
+            computed = computed + (self.weight * wrapped(at.angle - self.angles)) ** 2
+        return np.where(np.isfinite(computed), computed, np.inf)
 
     def slope(self, at: Position, mode: float) -> Array:
         """Half the derivative of the square by phi, times the size of `bottom`: finite where the modes meet."""
         error = at.p - self.places
-        found = np.abs(at.bottom) * (error.conj() * at.b_rate).real + mode * at.top * (error.conj() * 1j * (at.p - at.b)).real
+        computed = np.abs(at.bottom) * (error.conj() * at.b_rate).real + mode * at.top * (error.conj() * 1j * (at.p - at.b)).real
         if self.weight:
-            found = found + mode * at.top * self.weight**2 * wrapped(at.angle - self.angles)
-        return found
+            computed = computed + mode * at.top * self.weight**2 * wrapped(at.angle - self.angles)
+        return computed
 
 
 def _feet(design: Design, goal: _Goal, low: Array, high: Array, samples: int) -> tuple[Array, Array]:
@@ -455,13 +455,13 @@ def _feet(design: Design, goal: _Goal, low: Array, high: Array, samples: int) ->
         down = own.slope(direct(design, middle[row] - half[row] * np.cos(mid)), mode) <= 0.0
         left, right = np.where(down, mid, left), np.where(down, right, mid)
     phi = middle[row] - half[row] * np.cos(0.5 * (left + right))
-    found = own.square(direct(design, phi))
+    computed = own.square(direct(design, phi))
     best = np.argmin(value, axis=1)
     every = np.arange(len(low))
     least, where = value[every, best], middle - half * np.cos(tau[best])
-    order = np.argsort(-found, kind="stable")  # the least of a row is written last
-    order = order[found[order] < least[row[order]]]
-    least[row[order]], where[row[order]] = found[order], phi[order]
+    order = np.argsort(-computed, kind="stable")  # the least of a row is written last
+    order = order[computed[order] < least[row[order]]]
+    least[row[order]], where[row[order]] = computed[order], phi[order]
     return np.where(high >= low, np.sqrt(least), np.inf), where
 
 
@@ -476,8 +476,8 @@ def distance_to_curve(points: object, design: Design, samples: int = 1440) -> tu
     for low, high in assembled(design, samples):
         more = 0.01 if high - low == TURN else 0.0
         ends = np.full(len(places), low - more), np.full(len(places), high + more)
-        found, phi = _feet(design, goal, *ends, samples)
-        where, least = np.where(found < least, phi, where), np.minimum(found, least)
+        computed, phi = _feet(design, goal, *ends, samples)
+        where, least = np.where(computed < least, phi, where), np.minimum(computed, least)
     return least, where % TURN
 
 
@@ -540,7 +540,7 @@ class Report:
 
 def judge_path(
     design: Design,
-    wanted: object,
+    expected: object,
     crank_angles: Values,
     *,
     closed: bool = False,
@@ -548,7 +548,7 @@ def judge_path(
     order: bool = True,
 ) -> Report:
     """Wanted points (rows x, y) at claimed crank angles; `timed`: the prescribed ones, up to a common start angle."""
-    places = complex_points(wanted)
+    places = complex_points(expected)
     return _judge(design, _Goal(places, np.zeros(len(places))), crank_angles, closed=closed, timed=timed, order=order)
 
 
@@ -601,8 +601,8 @@ def judge_function(design: Design, phi0: float, psi0: float, phi_offsets: Values
 
 
 def _output_errors(design: Design, phi: Array, aims: Array) -> Array:
-    found: Array = direct(design, phi).output - aims
-    return np.where(np.isfinite(found), found if sliding(design) else wrapped(found), np.inf)
+    computed: Array = direct(design, phi).output - aims
+    return np.where(np.isfinite(computed), computed if sliding(design) else wrapped(computed), np.inf)
 
 
 def _only(others: Array, errors: Array, scale: float) -> Flags:
@@ -612,22 +612,22 @@ def _only(others: Array, errors: Array, scale: float) -> Flags:
 
 def _agree(design: Design, path: Array) -> bool:
     """Whether the continuation reaches all of a path of crank angles, and is where the quadratic is."""
-    found, at = follow(design, path), direct(design, path)
-    return found.reached and bool(np.all(np.abs(found.p - at.p) < SAME * size(design))) and bool(np.all(at.closure > 0.0))
+    result, at = follow(design, path), direct(design, path)
+    return result.reached and bool(np.all(np.abs(result.p - at.p) < SAME * size(design))) and bool(np.all(at.closure > 0.0))
 
 
 def passage(crank_angles: Values) -> tuple[int, Array]:
     """How the crank passes the angles in their order within one revolution: +1 or -1, or 0 if it does not; and its rotations."""
     phi = np.asarray(crank_angles, dtype=float)
-    found: list[tuple[float, int, Array]] = []
+    result: list[tuple[float, int, Array]] = []
     for sign in (1, -1):
         by = np.mod(sign * np.diff(phi), TURN)
         total = float(np.sum(by))
         if np.all((by > EQUAL) & (by < TURN - EQUAL)) and total <= TURN + EQUAL:
-            found.append((total, sign, np.concatenate([[0.0], np.cumsum(by)])))
-    if not found:
+            result.append((total, sign, np.concatenate([[0.0], np.cumsum(by)])))
+    if not result:
         return 0, np.zeros(len(phi))
-    _, sign, rotation = min(found, key=lambda each: each[:2])
+    _, sign, rotation = min(result, key=lambda each: each[:2])
     return (1 if len(phi) == 1 else sign), rotation
 
 
@@ -839,10 +839,10 @@ def random_points(rng: np.random.Generator, n: int) -> Array:
 def random_closed_curve(rng: np.random.Generator, n: int) -> Array:
     """Rows (x, y) along a smooth closed curve of three harmonics, the first point not repeated."""
     t = TURN * np.arange(n) / n
-    found = complex(*rng.uniform(-100.0, 100.0, 2)) + np.zeros(n, dtype=complex)
+    computed = complex(*rng.uniform(-100.0, 100.0, 2)) + np.zeros(n, dtype=complex)
     for k in (1, -1, 2, -2, 3, -3):
-        found += 60.0 / k**2 * complex(*rng.normal(size=2)) * np.exp(1j * k * t)
-    return rows_of(found)
+        computed += 60.0 / k**2 * complex(*rng.normal(size=2)) * np.exp(1j * k * t)
+    return rows_of(computed)
 
 
 def random_poses(rng: np.random.Generator, n: int) -> Array:
@@ -919,5 +919,5 @@ def planted_poses(design: Design, crank_angles: Values, mark: float = 0.0) -> Ar
 
 def planted_outputs(design: Design, crank_angles: Iterable[float]) -> Array:
     """Rocker angles, continuous, or places of the slider that the design itself has."""
-    found = direct(design, np.fromiter(crank_angles, dtype=float)).output
-    return found if sliding(design) else np.unwrap(found)
+    computed = direct(design, np.fromiter(crank_angles, dtype=float)).output
+    return computed if sliding(design) else np.unwrap(computed)

@@ -93,9 +93,9 @@ def test_numbers_of_numpy_and_whole_floats_are_numbers() -> None:
     def used(count: int, value: float, flag: bool, place: Path | None = None, more: float | str = "x"):
         return count, value, flag, place, more
 
-    found = used(np.int64(3), np.float32(0.5), np.bool_(True), "out", more=np.float64(2))
-    assert found == (3, 0.5, True, Path("out"), 2.0)
-    assert [type(value) for value in found] == [int, float, bool, type(Path()), float]
+    computed = used(np.int64(3), np.float32(0.5), np.bool_(True), "out", more=np.float64(2))
+    assert computed == (3, 0.5, True, Path("out"), 2.0)
+    assert [type(value) for value in computed] == [int, float, bool, type(Path()), float]
 
 
 @pytest.mark.parametrize(

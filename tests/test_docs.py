@@ -90,19 +90,23 @@ def slug(heading: str) -> str:
 @cache
 def anchors(path: Path) -> set[str]:
     text = FENCES.sub("", text_of(path))
-    found = set(re.findall(r"\{ #([\w-]+) \}", text))
+    result = set(re.findall(r"\{ #([\w-]+) \}", text))
     for heading in re.findall(r"^#+ (.+)$", text, re.MULTILINE):
-        found.add(slug(re.sub(r"\{ #[\w-]+ \}", "", heading)))
+        result.add(slug(re.sub(r"\{ #[\w-]+ \}", "", heading)))
     if path.name == "validation.md":
-        found |= {group.anchor for group in hook("validation").GROUPS}
-    return found
+        result |= {group.anchor for group in hook("validation").GROUPS}
+    return result
 
 
 def test_every_page_is_in_the_navigation():
     listed = re.findall(r"[:-] (\S+\.md)$", NAV, re.MULTILINE)
     assert len(listed) == len(set(listed))
-    made = {"contributing.md", "changelog.md", *(f"notebooks/{book.stem}.md" for book in (ROOT / "notebooks").glob("*.ipynb"))}
-    assert {page.relative_to(DOCS).as_posix() for page in PAGES} | made == set(listed)
+    generated = {
+        "contributing.md",
+        "changelog.md",
+        *(f"notebooks/{book.stem}.md" for book in (ROOT / "notebooks").glob("*.ipynb")),
+    }
+    assert {page.relative_to(DOCS).as_posix() for page in PAGES} | generated == set(listed)
 
 
 @pytest.mark.parametrize("page", READ, ids=named)
@@ -177,20 +181,20 @@ def calls(line: str) -> list[tuple[list[str], str]]:
     """Calls of optlink in a shell line, as words, each with the file that takes its output."""
     words = shlex.shlex(line, posix=True, punctuation_chars=True)
     words.whitespace_split = True
-    found: list[tuple[list[str], str]] = []
+    result: list[tuple[list[str], str]] = []
     call, target, into = [], "", False
     for word in [*words, ";"]:
         if set(word) <= set(";&|<>"):
             into = word == ">"
             if not into:
                 if call and Path(call[0]).name == "optlink":
-                    found.append((call[1:], target))
+                    result.append((call[1:], target))
                 call, target = [], ""
         elif into:
             target, into = word, False
         else:
             call.append(word)
-    return found
+    return result
 
 
 def commands(page: Path) -> list[list[str]]:

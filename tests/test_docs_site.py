@@ -24,11 +24,11 @@ from tests.validation.test_clearance import simulate
 def test_formulas_become_mathml():
     pytest.importorskip("latex2mathml")
     formulas = hook("formulas")
-    text, found = formulas.marked(
+    text, computed = formulas.marked(
         "An angle $`\\cos \\varphi_0`$.\n\n```math\n\\begin{aligned} a &= b \\\\ c &= d \\end{aligned}\n```\n"
     )
-    assert [formula.count("<mtr>") for formula in found] == [2, 0]
-    assert "<mi>cos</mi><mspace" in found[1]
+    assert [formula.count("<mtr>") for formula in computed] == [2, 0]
+    assert "<mi>cos</mi><mspace" in computed[1]
     assert "$" not in text
     assert "`" not in text
     assert formulas.marked("```sh\necho $`date`$\n```\n") == ("```sh\necho $`date`$\n```\n", [])

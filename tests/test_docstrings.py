@@ -29,9 +29,9 @@ PATHS = re.compile(r"`((?:optlink|tests|docs|problems|benchmarks)/[\w/.]*)`")
 
 def arguments(function: ast.FunctionDef) -> list[str]:
     """Names of the arguments, without self, cls and private ones."""
-    own = function.args
-    more = [argument for argument in (own.vararg, own.kwarg) if argument is not None]
-    names = [argument.arg for argument in (*own.posonlyargs, *own.args, *own.kwonlyargs, *more)]
+    parameters = function.args
+    more = [argument for argument in (parameters.vararg, parameters.kwarg) if argument is not None]
+    names = [argument.arg for argument in (*parameters.posonlyargs, *parameters.args, *parameters.kwonlyargs, *more)]
     return [name for name in names if name not in ("self", "cls") and not name.startswith("_")]
 
 
@@ -64,7 +64,7 @@ def raised(node: ast.AST) -> set[str]:
 
 def lacking(source: str) -> list[str]:
     """Functions of a module whose docstrings miss an argument or exception, or describe an argument that does not exist."""
-    found = []
+    result = []
     for function in public(ast.parse(source).body):
         text = ast.get_docstring(function) or ""
         names, known = arguments(function), described(text)
@@ -73,8 +73,8 @@ def lacking(source: str) -> list[str]:
         _, _, section = text.partition("\nRaises\n------\n")
         wrong += sorted(name for name in raised(function) if not re.search(rf"^(\w+, )*{name}(, \w+)*$", section, re.MULTILINE))
         if wrong:
-            found.append(f"{function.name}: {', '.join(wrong)}")
-    return found
+            result.append(f"{function.name}: {', '.join(wrong)}")
+    return result
 
 
 def commands() -> set[Path]:
@@ -86,8 +86,8 @@ def commands() -> set[Path]:
 
 def test_public_functions_describe_their_arguments() -> None:
     modules = sorted(set((ROOT / "optlink").rglob("*.py")) - commands())
-    found = {str(path.relative_to(ROOT)): lacking(path.read_text(encoding="utf-8")) for path in modules}
-    assert {path: names for path, names in found.items() if names} == {}
+    result = {str(path.relative_to(ROOT)): lacking(path.read_text(encoding="utf-8")) for path in modules}
+    assert {path: names for path, names in result.items() if names} == {}
 
 
 def test_the_check_detects_missing_sections() -> None:

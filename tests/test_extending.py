@@ -88,12 +88,12 @@ def test_a_new_constraint(extended, tmp_path):
     extended("constraint")
     document = solved("solve", "crank-rocker", *changes)
     assert document["design"]["coupler_mm"] / document["design"]["crank_mm"] == pytest.approx(2.5, rel=1e-6)
-    own = next(limit for limit in document["limits"] if limit["key"] == "limits.coupler_ratio" and limit["active"])
-    assert own["bound"] == 2.5
+    limit = next(limit for limit in document["limits"] if limit["key"] == "limits.coupler_ratio" and limit["active"])
+    assert limit["bound"] == 2.5
     step = 1e-4
     further = solved("solve", "crank-rocker", "--set", f"limits.coupler_ratio=[0.1, {2.5 + step}]")
     price = (further["objective"]["value"] - document["objective"]["value"]) / step
-    assert own["multiplier"] == pytest.approx(price, rel=1e-2)
+    assert limit["multiplier"] == pytest.approx(price, rel=1e-2)
     names = {check["name"]: check["passed"] for check in document["validation"]}
     assert names["coupler / crank, largest"]
     assert "coupler / crank" in page(tmp_path, "crank-rocker", *changes)
@@ -173,12 +173,12 @@ def test_a_new_dyad(extended, tmp_path):
     extended("dyad")
     problem = optlink.load("scotch-yoke")
     assert [group.kind for group in problem.model.linkage.groups] == ["yoke"]
-    own = optlink.analyze(problem, points=180)
+    analysis = optlink.analyze(problem, points=180)
     for name, column in reference.columns.items():
-        assert np.allclose(own.columns[name], column, rtol=1e-9, atol=1e-9 * max(1.0, float(np.max(np.abs(column))))), name
+        assert np.allclose(analysis.columns[name], column, rtol=1e-9, atol=1e-9 * max(1.0, float(np.max(np.abs(column))))), name
     assert DYADS["RPP"] is not built_in
     assert solved("analyze", "scotch-yoke")["groups"][0]["kind"] == "yoke"
-    assert np.max(own.columns["input.torque_Nm"]) == pytest.approx(57.129, rel=1e-3)
+    assert np.max(analysis.columns["input.torque_Nm"]) == pytest.approx(57.129, rel=1e-3)
     assert "Scotch yoke" in page(tmp_path, "scotch-yoke")
 
 

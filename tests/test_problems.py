@@ -72,9 +72,9 @@ def test_expected_design_is_reached(name):
     assert result.valid
     checked = 0
     for quantity in ("crank", "coupler", "rocker", "frame"):
-        wanted = getattr(expected, quantity)
-        if wanted is not None:
-            assert result.design[quantity] == pytest.approx(wanted.value, abs=expected.length_tolerance.value)
+        reference = getattr(expected, quantity)
+        if reference is not None:
+            assert result.design[quantity] == pytest.approx(reference.value, abs=expected.length_tolerance.value)
             checked += 1
     if expected.objective is not None:
         assert result.objective == pytest.approx(expected.objective, abs=expected.objective_tolerance)
@@ -97,26 +97,26 @@ def test_best_known_objective_is_reached_or_beaten(name):
         expected.objective == 0.0
     )
     for quantity in ("crank", "coupler", "rocker"):
-        wanted = getattr(expected, quantity)
-        if wanted is not None:
-            assert result.best.values[quantity] == pytest.approx(wanted.value, abs=expected.length_tolerance.value)
+        reference = getattr(expected, quantity)
+        if reference is not None:
+            assert result.best.values[quantity] == pytest.approx(reference.value, abs=expected.length_tolerance.value)
 
 
 def judged(design: optlink.PathDesign) -> oracle.Report:
     """A four-bar of optlink before the oracle."""
-    task, found, data = design.task, design.coupler_linkage, design.task.data
-    assert found is not None
+    task, result, data = design.task, design.coupler_linkage, design.task.data
+    assert result is not None
     linkage = oracle.four_bar(
-        found.frame,
-        found.crank,
-        found.coupler,
-        found.rocker,
-        x=found.x,
-        y=found.y,
-        direction=found.direction,
-        along=found.along,
-        across=found.across,
-        mode=found.side,
+        result.frame,
+        result.crank,
+        result.coupler,
+        result.rocker,
+        x=result.x,
+        y=result.y,
+        direction=result.direction,
+        along=result.along,
+        across=result.across,
+        mode=result.side,
     )
     if task.requirement.kind == "path":
         return oracle.judge_path(linkage, data.columns, design.crank_angles, closed=task.closed, timed=data.offsets)
@@ -153,8 +153,8 @@ def test_expected_figures_are_reached(name):
     analysis = analysed(name)
     expected = analysis.problem.model.expected
     assert len(expected.figures) >= 8
-    for figure, wanted in expected.figures.items():
-        assert analysis.figures[figure] == pytest.approx(wanted, rel=expected.figure_tolerance, abs=1e-9), figure
+    for figure, reference in expected.figures.items():
+        assert analysis.figures[figure] == pytest.approx(reference, rel=expected.figure_tolerance, abs=1e-9), figure
 
 
 @pytest.mark.parametrize("name", MACHINES)
@@ -399,8 +399,8 @@ def test_power_balance_fails_with_a_planted_defect(name, monkeypatch):
         assert energy.imbalance(power_of(energy, problem)) > 1e-3
     with monkeypatch.context() as patch:
         patch.setattr(reactions_module, "wrench", without_centripetal)
-        found = energy.imbalance(power_of(energy, problem))
-    assert found < 1e-9 if name in TURNING_ABOUT_PIVOTS else found > 1e-6
+        computed = energy.imbalance(power_of(energy, problem))
+    assert computed < 1e-9 if name in TURNING_ABOUT_PIVOTS else computed > 1e-6
 
 
 # --- the file as data -------------------------------------------------------------------------------------------------------

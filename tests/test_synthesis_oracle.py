@@ -91,11 +91,11 @@ def test_arc5_is_found_again() -> None:
         return four_bar(*v[:4], along=v[4], across=v[5])
 
     def errors(v: np.ndarray) -> np.ndarray:
-        found = oracle.direct(design(v), ARC5_STEPS).p - targets
-        return np.concatenate([found.real, found.imag])
+        result = oracle.direct(design(v), ARC5_STEPS).p - targets
+        return np.concatenate([result.real, result.imag])
 
-    found = least_squares(errors, [3.6, 2.0, 3.9, 2.7, 1.6, 1.7], xtol=1e-15, ftol=1e-15, gtol=1e-15)
-    report = judge_path(design(found.x), ARC5, ARC5_STEPS, timed=ARC5_STEPS)
+    result = least_squares(errors, [3.6, 2.0, 3.9, 2.7, 1.6, 1.7], xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    report = judge_path(design(result.x), ARC5, ARC5_STEPS, timed=ARC5_STEPS)
     assert report.sse == pytest.approx(7.4158e-7, rel=1e-5)
     assert report.free
     assert report.start == pytest.approx(0.0, abs=1e-12)
@@ -163,9 +163,9 @@ def test_routes_agree(kind: str) -> None:
         assert np.max(np.abs(p - at.p)) < 1e-11 * oracle.size(design)
         assert np.max(np.abs(oracle.wrapped(angle - at.angle))) < 1e-11
         assert np.max(np.abs(np.diff(angle))) < math.pi  # continuous
-        found = oracle.follow(design, phi)
-        assert np.max(np.abs(found.sine**2 - at.closure)) < 1e-11
-        assert np.all(found.sine * design["mode"] > 0.0)
+        result = oracle.follow(design, phi)
+        assert np.max(np.abs(result.sine**2 - at.closure)) < 1e-11
+        assert np.all(result.sine * design["mode"] > 0.0)
 
 
 @pytest.mark.parametrize(("base", "mode"), [(ONE_CIRCUIT, 1), (TWO_CIRCUITS, -1)])
@@ -309,14 +309,14 @@ def test_distance_against_dense_samples(base: dict[str, float]) -> None:
     rng = np.random.default_rng(5)
     reach = oracle.size(base)
     points = rng.uniform(-reach, reach, (20, 2))
-    found, _ = oracle.distance_to_curve(points, base)
+    computed, _ = oracle.distance_to_curve(points, base)
     phi = np.concatenate(
         [0.5 * (h + low) - 0.5 * (h - low) * np.cos(np.linspace(0, math.pi, 20000)) for low, h in oracle.assembled(base)]
     )
     p = oracle.direct(base, phi).p
     dense = np.array([np.nanmin(np.abs(p - point)) for point in oracle.complex_points(points)])
-    assert np.all(found <= dense + 1e-7 * reach)
-    np.testing.assert_allclose(found, dense, atol=1e-5 * reach)
+    assert np.all(computed <= dense + 1e-7 * reach)
+    np.testing.assert_allclose(computed, dense, atol=1e-5 * reach)
 
 
 def test_feet() -> None:

@@ -123,11 +123,11 @@ def test_tape_of_random_expressions(seed: int) -> None:
         columns[0][2] = math.nan
     expected = by_casadi(inputs, [*outputs, slopes], columns).reshape(tape.outputs, rows, points)
     before = [column.copy() for column in columns]
-    found = tape(*columns)
-    np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-13)
+    computed = tape(*columns)
+    np.testing.assert_allclose(computed, expected, rtol=1e-11, atol=1e-13)
     for column, was in zip(columns, before, strict=True):
         np.testing.assert_array_equal(column, was)
-    np.testing.assert_array_equal(tape(*columns), found)  # nothing is kept from one call to the next
+    np.testing.assert_array_equal(tape(*columns), computed)  # nothing is kept from one call to the next
 
 
 @pytest.mark.parametrize(
@@ -139,11 +139,11 @@ def test_a_tape_in_portions(rows: int, points: int) -> None:
     x, y, z = (casadi.SX.sym(name) for name in "xyz")
     tape = NumpyEvaluator([x, y, z], [casadi.sin(x) * y + z, x * x - 2 * z, casadi.SX(4.0)])
     a, b, c = rng.normal(size=(rows, 1)), rng.normal(size=(rows, points)), rng.normal(size=points)
-    found = tape(a, b, c)
-    assert found.shape == (3, rows, points)
-    np.testing.assert_allclose(found[0], np.sin(a) * b + c, rtol=1e-14, atol=1e-15)
-    np.testing.assert_allclose(found[1], np.broadcast_to(a * a - 2.0 * c, (rows, points)), rtol=1e-14, atol=1e-15)
-    assert np.all(found[2] == 4.0)
+    result = tape(a, b, c)
+    assert result.shape == (3, rows, points)
+    np.testing.assert_allclose(result[0], np.sin(a) * b + c, rtol=1e-14, atol=1e-15)
+    np.testing.assert_allclose(result[1], np.broadcast_to(a * a - 2.0 * c, (rows, points)), rtol=1e-14, atol=1e-15)
+    assert np.all(result[2] == 4.0)
 
 
 def test_a_tape_takes_plain_numbers() -> None:
@@ -169,9 +169,9 @@ def test_random_expressions_at_many_positions_at_once(seed: int) -> None:
     outputs = casadi.vertcat(*tangle(rng, [*casadi.vertsplit(shared), *casadi.vertsplit(own)]), shared[0] * shared[1])
     one = casadi.Function("one", [shared, own], [outputs, casadi.jacobian(outputs, own)])
     same, columns = rng.normal(size=2), rng.normal(size=(count, 3))
-    found = elementwise(one, 1, count)(same.reshape(1, 2), columns)
+    computed = elementwise(one, 1, count)(same.reshape(1, 2), columns)
     for k, row in enumerate(columns):
-        for values, expected in zip(found, one(same, row), strict=True):
+        for values, expected in zip(computed, one(same, row), strict=True):
             np.testing.assert_array_equal(np.asarray(values)[k], np.asarray(expected).ravel(order="F"))
 
 

@@ -32,13 +32,13 @@ def test_every_machine_has_a_template():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_template_is_a_problem_file(name):
-    made = template(name)
-    problem = optlink.read(tomllib.loads(made.text), name)
+    text = template(name)
+    problem = optlink.read(tomllib.loads(text.text), name)
     assert problem.model.title
     assert problem.model.about
-    assert 20 < len(made.summary) < 80
-    assert made.commands[0] in (f"optlink {verb} {name}.toml" for verb in ("solve", "analyze", "simulate"))
-    assert len(made.commands) >= 2
+    assert 20 < len(text.summary) < 80
+    assert text.commands[0] in (f"optlink {verb} {name}.toml" for verb in ("solve", "analyze", "simulate"))
+    assert len(text.commands) >= 2
 
 
 def unexplained(text: str) -> list[str]:
@@ -62,11 +62,11 @@ def test_next_command_gives_a_valid_result(name, tmp_path, monkeypatch):
     """The command runs once for this test and for the recipe of the template."""
     monkeypatch.chdir(tmp_path)
     assert run("new", name, "--out", f"{name}.toml").exit_code == 0
-    found, (command, *further) = answer(name), template(name, f"{name}.toml").commands
-    assert Path(f"{name}.toml").read_text(encoding="utf-8") == found.made.text
-    assert command == found.made.commands[0]
-    assert found.result.get("valid", found.result.get("sound", found.result["status"] == "finished")) is True
-    assert not [note for note in found.result.get("notes", ()) if "incomplete" in note]
+    result, (command, *further) = answer(name), template(name, f"{name}.toml").commands
+    assert Path(f"{name}.toml").read_text(encoding="utf-8") == result.made.text
+    assert command == result.made.commands[0]
+    assert result.result.get("valid", result.result.get("sound", result.result["status"] == "finished")) is True
+    assert not [note for note in result.result.get("notes", ()) if "incomplete" in note]
     if name in ("pump", "clearance"):
         for line in further:
             assert run(*shlex.split(line)[1:]).exit_code == 0, line

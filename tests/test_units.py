@@ -274,7 +274,7 @@ composed = st.builds(  # units of a kind, spelled with other units of the same d
         kind,
         re.sub(
             "[a-z]+|N|J|Pa",
-            lambda found: {"m": length, "s": time, "kg": mass, "rad": angle}.get(found[0], found[0]),
+            lambda computed: {"m": length, "s": time, "kg": mass, "rad": angle}.get(computed[0], computed[0]),
             KINDS[kind].si.replace("**", "^"),
         ),
     ),
@@ -309,8 +309,8 @@ numbers = st.floats(1e-9, 1e9) | st.floats(-1e9, -1e-9) | st.just(0.0)
 @example(0.1 + 0.2, UNITS[2])
 def test_displayed_values_can_be_read_back(value, row):
     unit, kind, _ = row
-    found, _ = parse(show(value, kind, unit, digits=17), kind)
-    assert found == pytest.approx(value, rel=4e-16, abs=0.0)
+    computed, _ = parse(show(value, kind, unit, digits=17), kind)
+    assert computed == pytest.approx(value, rel=4e-16, abs=0.0)
 
 
 @seeded

@@ -115,14 +115,14 @@ def test_resumed_compiled_run_is_the_uninterrupted_one_to_the_last_digit():
     problem = optlink.load(SHIPPED[2])
     options = {"control": "inverse+pid", "tolerance": 1e-8}
     whole = simulate_clearance(problem, 3, 100, integrator="compiled", **options)
-    kept: list[dict] = []
-    simulate_clearance(problem, 2, 100, integrator="compiled", checkpoint=kept.append, **options)
-    on = simulate_clearance(problem, 3, 100, resume=kept[-1], **options)  # keeps its integrator
+    checkpoints: list[dict] = []
+    simulate_clearance(problem, 2, 100, integrator="compiled", checkpoint=checkpoints.append, **options)
+    on = simulate_clearance(problem, 3, 100, resume=checkpoints[-1], **options)  # keeps its integrator
     assert on.integrator == "compiled"
     assert dict(on.figures) == dict(whole.figures)
     assert np.array_equal(on["slider.s_m"], whole["slider.s_m"][200:])
     with pytest.raises(InputError, match="another command"):
-        simulate_clearance(problem, 3, 100, resume=kept[-1], integrator="cvodes", **options)
+        simulate_clearance(problem, 3, 100, resume=checkpoints[-1], integrator="cvodes", **options)
 
 
 @pytest.mark.slow
@@ -140,10 +140,10 @@ def test_stalls_and_interrupts_of_the_compiled_engine(monkeypatch):
     raw = optlink.load(SHIPPED[0]).override(
         {"joints.C.modulus": None, "joints.C.stiffness": "1 N/m^1.5", "joints.C.poisson": None}
     )
-    found = simulate_clearance(raw, 3, twin=False, integrator="compiled")
-    assert found.ending is Ending.STALLED
-    assert "deep in its bearing" in found.message
-    assert 0.0 < found.stopped < 0.05
+    result = simulate_clearance(raw, 3, twin=False, integrator="compiled")
+    assert result.ending is Ending.STALLED
+    assert "deep in its bearing" in result.message
+    assert 0.0 < result.stopped < 0.05
     stopped = []
     original = CompiledIntegration._call
 
@@ -154,8 +154,8 @@ def test_stalls_and_interrupts_of_the_compiled_engine(monkeypatch):
         return original(self, rows)
 
     monkeypatch.setattr(CompiledIntegration, "_call", once)
-    found = simulate_clearance(optlink.load(SHIPPED[0]), 30, 36, twin=False, integrator="compiled")
-    assert found.ending is Ending.INTERRUPTED
+    result = simulate_clearance(optlink.load(SHIPPED[0]), 30, 36, twin=False, integrator="compiled")
+    assert result.ending is Ending.INTERRUPTED
     assert len(stopped) == 5
 
 
@@ -194,8 +194,8 @@ def test_translation_gives_the_values_of_casadi():
     text, constants = written({"f": ([x, p], several)})
     values, out = ([0.3, 0.7], [-1.3, 2.9]), [0.0] * len(several)
     python_functions(text)["f"](*values, constants, out)
-    wanted = casadi.Function("f", [x, p], [casadi.vertcat(*several)])(*values)
-    np.testing.assert_allclose(out, np.array(wanted).ravel(), rtol=1e-14)
+    expected = casadi.Function("f", [x, p], [casadi.vertcat(*several)])(*values)
+    np.testing.assert_allclose(out, np.array(expected).ravel(), rtol=1e-14)
     assert {7.25, 0.3, -3.5} <= {round(value, 12) for value in [*constants, -constants[0]]} | {-0.3, 0.3}
     assert not set(np.abs(constants[:-1])) & set(LITERALS)
 
@@ -313,9 +313,9 @@ print(repr(found.figures["rms_m"]), equations.rhs.cache_hits, sum(machine.engine
         assert process.returncode == 0, err
         return out.split()
 
-    found = [end(process) for process in [begin() for _ in range(2)]]
+    computed = [end(process) for process in [begin() for _ in range(2)]]
     last = end(begin())
-    assert {figure for figure, *_ in [*found, last]} == {last[0]}
-    assert "0" in [hits for _, hits, _ in found]  # at least the first one compiled
+    assert {figure for figure, *_ in [*computed, last]} == {last[0]}
+    assert "0" in [hits for _, hits, _ in computed]  # at least the first one compiled
     assert last[1:] == ["1", "1"]
     assert not list(tmp_path.glob("*.tmp"))

@@ -36,9 +36,9 @@ def impact(law, speed, restitution, mass=MASS, stiff=STIFF):
 
     out.terminal, out.direction = True, -1.0
     duration = 20.0 * (mass / stiff) ** 0.4 * speed**-0.2  # some times the period of the elastic impact
-    found = solve_ivp(motion, (0.0, 100.0 * duration), [0.0, speed], events=out, method="DOP853", rtol=1e-11, atol=1e-16)
-    assert found.status == 1
-    return -found.y_events[0][0][1], float(np.max(found.y[0]))
+    result = solve_ivp(motion, (0.0, 100.0 * duration), [0.0, speed], events=out, method="DOP853", rtol=1e-11, atol=1e-16)
+    assert result.status == 1
+    return -result.y_events[0][0][1], float(np.max(result.y[0]))
 
 
 def closed_form(share):

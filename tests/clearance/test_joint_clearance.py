@@ -127,15 +127,15 @@ class Case:
             "gravity": self.gravity,
         }
         if self.bars:
-            found = oracle.four_bar(gaps, side=1.0 if self.assembly == "left" else -1.0, **common)
+            result = oracle.four_bar(gaps, side=1.0 if self.assembly == "left" else -1.0, **common)
         else:
-            found = oracle.slider_crank(gaps, height=self.height, **common)
-        bodies = dict(found.bodies)
+            result = oracle.slider_crank(gaps, height=self.height, **common)
+        bodies = dict(result.bodies)
         for body, (along, across) in self.centroids.items():
             first, second = bodies[body].points
             length = bodies[body].points[second][0] - bodies[body].points[first][0]
             bodies[body] = replace(bodies[body], points={first: (-along, -across), second: (length - along, -across)})
-        return replace(found, bodies=bodies)
+        return replace(result, bodies=bodies)
 
 
 def simulate(raw: Mapping, revolutions: int = 1, points: int = 360, tolerance: float = 1e-9, **more) -> ClearanceSimulation:
@@ -157,17 +157,17 @@ def ending_after(window: float) -> Iterator[None]:
 
 def edited(raw: Mapping, changes: Mapping[str, object]) -> dict:
     """A copy with other values: {"joints.C.clearance": "1 mm"}; None takes a key away."""
-    found = copy.deepcopy(dict(raw))
+    computed = copy.deepcopy(dict(raw))
     for path, value in changes.items():
         *rooms, last = path.split(".")
-        at = found
+        at = computed
         for room in rooms:
             at = at.setdefault(room, {})
         if value is None:
             at.pop(last, None)
         else:
             at[last] = value
-    return found
+    return computed
 
 
 def wrapped(angle):
@@ -178,13 +178,13 @@ def largest(values) -> float:
     return float(np.max(np.abs(values)))
 
 
-def ended(found: ClearanceSimulation) -> list[Impact]:
+def ended(result: ClearanceSimulation) -> list[Impact]:
     """Contacts that are over: one that lasts has no end yet."""
-    return [impact for impact in found.impacts if math.isfinite(impact.end)]
+    return [impact for impact in result.impacts if math.isfinite(impact.end)]
 
 
-def imbalance(found: ClearanceSimulation) -> float:
-    return found.figures["imbalance_J"] / found.figures["largest_energy_J"]
+def imbalance(result: ClearanceSimulation) -> float:
+    return result.figures["imbalance_J"] / result.figures["largest_energy_J"]
 
 
 # --- against the oracle --------------------------------------------------------------------------------------------------
@@ -194,10 +194,10 @@ def differences(case: Case) -> dict[str, float]:
     """Of every column from the oracle's, as shares of its largest value within the window."""
     problem = optlink.read(case.raw)
     with ending_after(case.window):
-        found = simulate_clearance(problem, 1, tolerance=1e-12, twin=False)
-    assert found.ending is Ending.FINISHED, found.message
+        result = simulate_clearance(problem, 1, tolerance=1e-12, twin=False)
+    assert result.ending is Ending.FINISHED, result.message
     rows = round(360 * case.window)
-    time, setup = found["time_s"][:rows], case.setup
+    time, setup = result["time_s"][:rows], case.setup
     other = oracle.run(setup, float(time[-1]), np.concatenate([[0.0], time]))
     machine, off = machine_of(problem), {}
 
@@ -206,37 +206,37 @@ def differences(case: Case) -> dict[str, float]:
 
     for body in setup.bodies:
         angle, omega = other.position[body][:, 2], other.velocity[body][:, 2]
-        put(f"{body}.angle", wrapped(found[f"{body}.angle_rad"][:rows] - angle[1:]), 0.0 * angle, 1.0)
-        put(f"{body}.omega", found[f"{body}.omega_rad_s"], omega)
+        put(f"{body}.angle", wrapped(result[f"{body}.angle_rad"][:rows] - angle[1:]), 0.0 * angle, 1.0)
+        put(f"{body}.omega", result[f"{body}.omega_rad_s"], omega)
     if setup.slider is not None:
-        put("slider.s", found["slider.s_m"], other.position["slider"][:, 0])
-        put("slider.v", found["slider.v_m_s"], other.velocity["slider"][:, 0])
+        put("slider.s", result["slider.s_m"], other.position["slider"][:, 0])
+        put("slider.v", result["slider.v_m_s"], other.velocity["slider"][:, 0])
     for pin, gap in setup.gaps.items():
         sign, strongest = 1.0 if acting_on(machine)[pin][1] == gap.journal else -1.0, largest(other.normal[pin])
         assert strongest > 0.0
         for i, axis in enumerate("xy"):
-            put(f"{pin}.e{axis}", found[f"{pin}.e{axis}_m"], other.gap[pin][:, i], gap.clearance)
-            put(f"{pin}.f{axis}", sign * found[f"{pin}.f{axis}_N"], other.force[pin][:, i], strongest)
-        put(f"{pin}.normal", found[f"{pin}.normal_N"], other.normal[pin])
-        put(f"{pin}.moment", gap.radius * found[f"{pin}.rub_N"], other.moment[pin], gap.radius * strongest)
+            put(f"{pin}.e{axis}", result[f"{pin}.e{axis}_m"], other.gap[pin][:, i], gap.clearance)
+            put(f"{pin}.f{axis}", sign * result[f"{pin}.f{axis}_N"], other.force[pin][:, i], strongest)
+        put(f"{pin}.normal", result[f"{pin}.normal_N"], other.normal[pin])
+        put(f"{pin}.moment", gap.radius * result[f"{pin}.rub_N"], other.moment[pin], gap.radius * strongest)
     for pin, (_, second) in setup.pins.items():
         if pin not in setup.gaps:
             sign = 1.0 if acting_on(machine)[pin][1] == second else -1.0
             for i, axis in enumerate("xy"):
-                put(f"{pin}.f{axis}", sign * found[f"{pin}.f{axis}_N"], other.reaction[pin][:, i], largest(other.reaction[pin]))
-    put("torque", found["input.torque_Nm"], other.torque)
-    put("work of the drive", found["work.drive_J"], other.work)
-    put("impact", sum(found[f"work.{pin}.impact_J"] for pin in setup.gaps), other.impact_loss)
-    put("friction", sum(found[f"work.{pin}.friction_J"] for pin in setup.gaps), other.friction_loss)
-    put("kinetic", found["energy.kinetic_J"], other.kinetic)
-    put("potential", found["energy.potential_J"], other.potential, largest(other.kinetic))
-    put("elastic", found["energy.contact_J"], other.elastic)
-    off["contacts"] = _contacts(found, other.contacts, float(time[-1]), list(setup.gaps))
+                put(f"{pin}.f{axis}", sign * result[f"{pin}.f{axis}_N"], other.reaction[pin][:, i], largest(other.reaction[pin]))
+    put("torque", result["input.torque_Nm"], other.torque)
+    put("work of the drive", result["work.drive_J"], other.work)
+    put("impact", sum(result[f"work.{pin}.impact_J"] for pin in setup.gaps), other.impact_loss)
+    put("friction", sum(result[f"work.{pin}.friction_J"] for pin in setup.gaps), other.friction_loss)
+    put("kinetic", result["energy.kinetic_J"], other.kinetic)
+    put("potential", result["energy.potential_J"], other.potential, largest(other.kinetic))
+    put("elastic", result["energy.contact_J"], other.elastic)
+    off["contacts"] = _contacts(result, other.contacts, float(time[-1]), list(setup.gaps))
     return off
 
 
-def _contacts(found: ClearanceSimulation, contacts: Iterable[oracle.Contact], until: float, pins: list[str]) -> float:
-    mine = [impact for impact in found.impacts if impact.end < until]
+def _contacts(result: ClearanceSimulation, contacts: Iterable[oracle.Contact], until: float, pins: list[str]) -> float:
+    mine = [impact for impact in result.impacts if impact.end < until]
     theirs = sorted((contact for contact in contacts if contact.end < until), key=lambda contact: contact.end)
     assert [pins[impact.gap] for impact in mine] == [contact.joint for contact in theirs]
     off = 0.0
@@ -321,8 +321,8 @@ def _stale_approach(monkeypatch):
     """Every contact has the approach speed of a grazing one."""
     switch = Integration._switch
 
-    def spoilt(self, found):
-        switch(self, found)
+    def spoilt(self, computed):
+        switch(self, computed)
         self.entered = np.full_like(self.entered, SLOWEST)
 
     monkeypatch.setattr(Integration, "_switch", spoilt)
@@ -360,18 +360,18 @@ def test_oracle_detects_a_defect(monkeypatch, spoil):
 
 def assert_ideal(raw: Mapping, revolutions: int, near: float = 1e-3, points: int = 360) -> ClearanceSimulation:
     """The last revolution is that of the ideal machine: motion, reactions, torque."""
-    found = simulate(raw, revolutions, points, 1e-10)
-    assert found.ending is Ending.FINISHED, found.message
+    result = simulate(raw, revolutions, points, 1e-10)
+    assert result.ending is Ending.FINISHED, result.message
     ideal = edited(
         raw, {f"joints.{pin}": ({"on": joint["on"]} if "on" in joint else None) for pin, joint in raw["joints"].items()}
     )
-    wanted = optlink.analyze(optlink.read(ideal), points=points)
-    scales = {unit: max(largest(wanted[n]) for n in wanted.columns if n.endswith(unit)) for unit in ("_N", "_Nm", "_rad_s2")}
+    expected = optlink.analyze(optlink.read(ideal), points=points)
+    scales = {unit: max(largest(expected[n]) for n in expected.columns if n.endswith(unit)) for unit in ("_N", "_Nm", "_rad_s2")}
     compared = 0
-    for name in wanted.columns:
-        if name not in found.columns or name in ("time_s", "crank_angle_deg"):
+    for name in expected.columns:
+        if name not in result.columns or name in ("time_s", "crank_angle_deg"):
             continue
-        mine, ours = found[name][-points:], wanted[name][1:]
+        mine, ours = result[name][-points:], expected[name][1:]
         size = largest(ours)
         for unit, scale in scales.items():
             if name.endswith(unit) and size < 1e-6 * scale:  # none in the ideal machine: what would count beside the others
@@ -379,11 +379,11 @@ def assert_ideal(raw: Mapping, revolutions: int, near: float = 1e-3, points: int
         off = wrapped(mine - ours) if name.endswith("angle_rad") else mine - ours
         assert largest(off) <= near * size, name
         compared += 1
-    forces = [name for name in wanted.columns if name.endswith(("fx_N", "fy_N", "normal_N", "moment_Nm", "torque_Nm"))]
-    told = {name for name in forces if name.partition(".")[0] not in ("frame", *raw.get("loads", {}))}
+    forces = [name for name in expected.columns if name.endswith(("fx_N", "fy_N", "normal_N", "moment_Nm", "torque_Nm"))]
+    reported = {name for name in forces if name.partition(".")[0] not in ("frame", *raw.get("loads", {}))}
     assert compared > 15
-    assert told <= set(found.columns)
-    return found
+    assert reported <= set(result.columns)
+    return result
 
 
 TIGHT = {"clearance": "1e-7 m", "friction": 1e-3, "restitution": 0.5}
@@ -416,23 +416,23 @@ def shipped(name: str, pin: str, journal: str, **joint) -> dict:
     return edited(raw, {"joints": {pin: {**known, **fit, **joint}}, "expected": None})
 
 
-def drift_of_six_bar(found: ClearanceSimulation, cut: str) -> float:
+def drift_of_six_bar(computed: ClearanceSimulation, cut: str) -> float:
     """By how much the links of the six-bar are not where its ideal pins and its guide want them [m]."""
     ends = {}
     for body, pin, length in (("link2", "B", 1.2), ("link3", "D", 0.8), ("link5", "C", 1.2)):
-        angle = found[f"{body}.angle_rad"]
-        start = (1.5, 0.0) if pin == "D" else tuple(found[f"{pin}.{axis}_m"] for axis in "xy")
+        angle = computed[f"{body}.angle_rad"]
+        start = (1.5, 0.0) if pin == "D" else tuple(computed[f"{pin}.{axis}_m"] for axis in "xy")
         ends[body] = start[0] + length * np.cos(angle), start[1] + length * np.sin(angle)
-    slider = 1.5 + found["slider.s_m"], np.zeros_like(found["slider.s_m"])
+    slider = 1.5 + computed["slider.s_m"], np.zeros_like(computed["slider.s_m"])
     points = {"C": [ends["link2"], ends["link3"]], "E": [ends["link5"], slider]}
     return max(largest(np.subtract(one, other)) for pin, (one, other) in points.items() if pin != cut)
 
 
 @pytest.mark.slow
 def test_six_bar_whose_first_loop_stays_closed():
-    found = assert_ideal(shipped("six-bar", "E", "link5", clearance="1e-7 m", friction=1e-3), 2)
-    assert drift_of_six_bar(found, "E") < 1e-12
-    assert imbalance(found) < 1e-7
+    computed = assert_ideal(shipped("six-bar", "E", "link5", clearance="1e-7 m", friction=1e-3), 2)
+    assert drift_of_six_bar(computed, "E") < 1e-12
+    assert imbalance(computed) < 1e-7
 
 
 @pytest.mark.slow
@@ -446,25 +446,25 @@ def test_shaper_with_a_block_without_mass():
 @pytest.mark.slow
 @pytest.mark.parametrize(("pin", "journal"), [("E", "link5"), ("B", "link2"), ("D", "frame")])
 def test_loops_stay_closed_in_a_machine_that_knocks(pin, journal):
-    found = simulate(shipped("six-bar", pin, journal, friction=0.05), 2)
-    assert found.ending is Ending.FINISHED, found.message
-    assert len(found.impacts) > 2
-    assert imbalance(found) < 1e-6
+    result = simulate(shipped("six-bar", pin, journal, friction=0.05), 2)
+    assert result.ending is Ending.FINISHED, result.message
+    assert len(result.impacts) > 2
+    assert imbalance(result) < 1e-6
     if pin == "E":
-        assert drift_of_six_bar(found, pin) < 1e-12
+        assert drift_of_six_bar(result, pin) < 1e-12
 
 
 @pytest.mark.slow
 def test_pin_of_three_bodies_with_one_clearance():
     """At C the journal is on link 2; links 3 and 5 share the bearing, pinned without play."""
-    found = simulate(shipped("six-bar", "C", "link2", friction=0.05), 1)
-    assert imbalance(found) < 1e-6
-    assert len(found.impacts) > 2
-    total = sum(found[f"C.{body}.fx_N"] for body in ("link2", "link3", "link5"))
-    assert largest(total) < 1e-9 * largest(found["C.link2.fx_N"])
-    touching = found["C.contact"] == 1.0
+    result = simulate(shipped("six-bar", "C", "link2", friction=0.05), 1)
+    assert imbalance(result) < 1e-6
+    assert len(result.impacts) > 2
+    total = sum(result[f"C.{body}.fx_N"] for body in ("link2", "link3", "link5"))
+    assert largest(total) < 1e-9 * largest(result["C.link2.fx_N"])
+    touching = result["C.contact"] == 1.0
     assert np.any(touching)
-    assert largest(found["C.link2.fx_N"][~touching]) == 0.0
+    assert largest(result["C.link2.fx_N"][~touching]) == 0.0
 
 
 # --- symmetry ------------------------------------------------------------------------------------------------------------
@@ -477,19 +477,19 @@ def mirrored(raw: Mapping) -> dict:
         value, unit = text.split()
         return f"{-float(value)} {unit}"
 
-    found = copy.deepcopy(dict(raw))
-    found["gravity"][1] = minus_of(found["gravity"][1])
-    for body in found["bodies"].values():
+    computed = copy.deepcopy(dict(raw))
+    computed["gravity"][1] = minus_of(computed["gravity"][1])
+    for body in computed["bodies"].values():
         if "centroid" in body:
             body["centroid"][1] = minus_of(body["centroid"][1])
     for key in ("start", "speed"):
-        found["drive"][key] = minus_of(found["drive"][key])
-    mechanism = found["mechanism"]
+        computed["drive"][key] = minus_of(computed["drive"][key])
+    mechanism = computed["mechanism"]
     if "assembly" in mechanism and mechanism.get("type") == "four-bar":
         mechanism["assembly"] = {"left": "right", "right": "left"}[mechanism["assembly"]]
     else:
         mechanism["guides"]["G"]["through"][1] = minus_of(mechanism["guides"]["G"]["through"][1])
-    return found
+    return computed
 
 
 ODD = ("angle_rad", "angle_deg", "omega_rad_s", "alpha_rad_s2", ".y_m", "ey_m", "fy_N", "rub_N", "slip_m_s", "G.normal_N")
@@ -545,14 +545,14 @@ def test_turned_machine_moves_turned():
 
 def double(raw: Mapping) -> dict:
     """A second rod with a second slider at the same crank pin, in the same place."""
-    found = copy.deepcopy(dict(raw))
-    mechanism = found["mechanism"]
+    computed = copy.deepcopy(dict(raw))
+    mechanism = computed["mechanism"]
     mechanism["links"] |= {"rod2": {"joints": ["B", "E"], "length": "120 mm"}, "slider2": {"joints": ["E"]}}
     mechanism["guides"]["H"] = {"slider": "slider2", "through": "A", "direction": "0 deg"}
     mechanism["assembly"]["E"] = "forward"
-    found["bodies"] |= {"rod2": found["bodies"]["rod"], "slider2": found["bodies"]["slider"]}
-    found["joints"]["E"] = {**found["joints"]["C"], "journal": "rod2"}
-    return found
+    computed["bodies"] |= {"rod2": computed["bodies"]["rod"], "slider2": computed["bodies"]["slider"]}
+    computed["joints"]["E"] = {**computed["joints"]["C"], "journal": "rod2"}
+    return computed
 
 
 @pytest.mark.slow
@@ -563,9 +563,9 @@ def test_two_gaps_that_switch_at_the_same_instant(tolerance):
     one, both = simulate(raw, tolerance=tolerance), simulate(double(raw), tolerance=tolerance)
     assert both.ending is Ending.FINISHED, both.message
     for pin in ("C", "E"):
-        own = [impact for impact in ended(both) if both.gaps[impact.gap].point == pin]
-        assert len(own) == len(ended(one)) > 10
-        for a, b in zip(own, ended(one), strict=True):
+        of_pin = [impact for impact in ended(both) if both.gaps[impact.gap].point == pin]
+        assert len(of_pin) == len(ended(one)) > 10
+        for a, b in zip(of_pin, ended(one), strict=True):
             assert tuple(a)[1:] == pytest.approx(tuple(b)[1:], rel=1e-2)
         assert largest(both[f"{pin}.ex_m"] - one["C.ex_m"]) < 1e-5
     assert imbalance(both) < 1e-6
@@ -589,17 +589,17 @@ def hanging(gaps: str, nominal: float, restitution: float) -> dict:
 @pytest.mark.parametrize("gaps", ["A", "B", "C", "ABC"])
 def test_resting_contact_stays_at_rest(gaps):
     """0.5 mm of fall, some bounces, and then the penetration of the weight, to seven digits, without an end."""
-    found = simulate(hanging(gaps, 600.0, 0.5), 2)
-    late = found["time_s"] > 0.15
-    assert max(impact.end for impact in ended(found)) < 0.1
+    computed = simulate(hanging(gaps, 600.0, 0.5), 2)
+    late = computed["time_s"] > 0.15
+    assert max(impact.end for impact in ended(computed)) < 0.1
     for pin in gaps:
-        assert np.all(found[f"{pin}.contact"][late] == 1.0)
-        wanted = (LOADS[pin] / STIFF) ** (2.0 / 3.0)
-        assert found[f"{pin}.penetration_m"][late] == pytest.approx(wanted, rel=1e-6)
-        assert found[f"{pin}.normal_N"][late] == pytest.approx(LOADS[pin], rel=1e-6)
-        assert largest(found[f"{pin}.approach_m_s"][late]) < 1e-9
+        assert np.all(computed[f"{pin}.contact"][late] == 1.0)
+        expected = (LOADS[pin] / STIFF) ** (2.0 / 3.0)
+        assert computed[f"{pin}.penetration_m"][late] == pytest.approx(expected, rel=1e-6)
+        assert computed[f"{pin}.normal_N"][late] == pytest.approx(LOADS[pin], rel=1e-6)
+        assert largest(computed[f"{pin}.approach_m_s"][late]) < 1e-9
     for pin in "ABC":
-        assert np.abs(found[f"{pin}.fy_N"][late]) == pytest.approx(LOADS[pin], rel=1e-6)
+        assert np.abs(computed[f"{pin}.fy_N"][late]) == pytest.approx(LOADS[pin], rel=1e-6)
 
 
 @cache
@@ -612,9 +612,9 @@ def bouncing(nominal: float, points: int = 360) -> ClearanceSimulation:
 @pytest.mark.parametrize("nominal", [6.0, 60.0, 600.0, 6000.0])
 def test_bounces_do_not_depend_on_the_rows(nominal):
     """The nominal speed sets no more than how far apart the rows are: 28 ms down to 28 us, contacts last 0.2 ms."""
-    found, fine = ended(bouncing(nominal)), ended(bouncing(600.0, 3600))
-    assert len(found) == len(fine)
-    approach, departure = (np.array([getattr(impact, part) for impact in found]) for part in ("approach", "departure"))
+    computed, fine = ended(bouncing(nominal)), ended(bouncing(600.0, 3600))
+    assert len(computed) == len(fine)
+    approach, departure = (np.array([getattr(impact, part) for impact in computed]) for part in ("approach", "departure"))
     assert np.all(departure < approach)
     assert approach[1:] == pytest.approx(departure[:-1], rel=1e-3)  # what rises comes down as fast
     assert approach[:20] == pytest.approx([impact.approach for impact in fine[:20]], rel=1e-4)
@@ -623,22 +623,22 @@ def test_bounces_do_not_depend_on_the_rows(nominal):
 def test_bounces_have_the_restitution_of_the_closed_form():
     first = bouncing(600.0).impacts[0]
     assert first.approach == pytest.approx(math.sqrt(2.0 * 9.81 * 0.5e-3), rel=1e-6)
-    wanted = closed_form(DAMPING["lankarani-nikravesh"](0.9))
-    assert first.departure / first.approach == pytest.approx(wanted, rel=3e-3)  # its weight delays the journal a little
+    expected = closed_form(DAMPING["lankarani-nikravesh"](0.9))
+    assert first.departure / first.approach == pytest.approx(expected, rel=3e-3)  # its weight delays the journal a little
 
 
 def test_slow_crank_carries_its_load_without_chatter():
     """60 rpm, the slider hangs on the rod: once its bounces are over, the contact follows the ideal load."""
     case = Case("hung", {"C": "rod"}, speed=60.0, start=-90.0, joint={**RUBBING, "restitution": 0.5})
     raw = edited(case.raw, {"mechanism.guides.G": {"slider": "slider", "through": "A", "direction": "-90 deg"}})
-    found = simulate(raw, 1)
-    assert max(impact.end for impact in ended(found)) < 0.1
-    late = found["time_s"] > 0.3
-    assert np.all(found["C.contact"][late] == 1.0)
-    wanted = optlink.analyze(optlink.read(edited(raw, {"joints": None})), points=360)
-    load = np.hypot(wanted["C.fx_N"], wanted["C.fy_N"])[1:][late]
-    assert largest(found["C.normal_N"][late] / load - 1.0) < 0.02  # friction lets the journal creep along its bearing
-    assert found["C.penetration_m"][late] == pytest.approx((found["C.normal_N"][late] / STIFF) ** (2.0 / 3.0), rel=1e-3)
+    computed = simulate(raw, 1)
+    assert max(impact.end for impact in ended(computed)) < 0.1
+    late = computed["time_s"] > 0.3
+    assert np.all(computed["C.contact"][late] == 1.0)
+    expected = optlink.analyze(optlink.read(edited(raw, {"joints": None})), points=360)
+    load = np.hypot(expected["C.fx_N"], expected["C.fy_N"])[1:][late]
+    assert largest(computed["C.normal_N"][late] / load - 1.0) < 0.02  # friction lets the journal creep along its bearing
+    assert computed["C.penetration_m"][late] == pytest.approx((computed["C.normal_N"][late] / STIFF) ** (2.0 / 3.0), rel=1e-3)
 
 
 # --- energy --------------------------------------------------------------------------------------------------------------
@@ -648,14 +648,14 @@ def test_slow_crank_carries_its_load_without_chatter():
 @pytest.mark.parametrize("law", DAMPING)
 def test_no_contact_creates_energy(law):
     joint = {"friction": 0.1, "damping": "5 N*s/m", "law": law, "restitution": 0.6}
-    found = simulate(Case(law, {"B": "crank", "C": "rod"}, joint=joint, speed=2000.0).raw, 2)
-    assert len(found.impacts) > 4
-    assert imbalance(found) < 1e-6
+    result = simulate(Case(law, {"B": "crank", "C": "rod"}, joint=joint, speed=2000.0).raw, 2)
+    assert len(result.impacts) > 4
+    assert imbalance(result) < 1e-6
     for pin in "BC":
         for kind in ("impact", "friction"):
-            lost = found[f"work.{pin}.{kind}_J"]
+            lost = result[f"work.{pin}.{kind}_J"]
             assert np.all(np.diff(lost, prepend=0.0) >= (-1e-15 if law == "hertz" else 0.0)), (pin, kind)
-    hertz = max(largest(found[f"work.{pin}.impact_J"]) for pin in "BC")
+    hertz = max(largest(result[f"work.{pin}.impact_J"]) for pin in "BC")
     assert (hertz < 1e-12) is (law == "hertz")
 
 
@@ -663,15 +663,15 @@ def test_no_contact_creates_energy(law):
 def test_machine_under_a_torque():
     """Nothing but the torque feeds it: constant, so its work is the angle's."""
     case = Case("torque", {"B": "crank", "C": "rod"}, torque=6.0, initial=1500.0, speed=3000.0, start=20.0)
-    found = simulate(case.raw, 3)
-    assert imbalance(found) < 1e-6
-    turned = np.radians(found["crank_angle_deg"]) - math.radians(20.0)
-    assert found["work.drive_J"] == pytest.approx(6.0 * turned, rel=1e-7)
-    assert found["crank.omega_rad_s"][-1] > found["crank.omega_rad_s"][0]
-    assert found["time_s"][-1] == pytest.approx(0.06)
-    gained = found["energy.kinetic_J"] + found["energy.potential_J"] + found["energy.contact_J"]
-    lost = sum(found[f"work.{pin}.{kind}_J"] for pin in "BC" for kind in ("impact", "friction"))
-    rest = gained + lost - found["work.drive_J"]
+    computed = simulate(case.raw, 3)
+    assert imbalance(computed) < 1e-6
+    turned = np.radians(computed["crank_angle_deg"]) - math.radians(20.0)
+    assert computed["work.drive_J"] == pytest.approx(6.0 * turned, rel=1e-7)
+    assert computed["crank.omega_rad_s"][-1] > computed["crank.omega_rad_s"][0]
+    assert computed["time_s"][-1] == pytest.approx(0.06)
+    gained = computed["energy.kinetic_J"] + computed["energy.potential_J"] + computed["energy.contact_J"]
+    lost = sum(computed[f"work.{pin}.{kind}_J"] for pin in "BC" for kind in ("impact", "friction"))
+    rest = gained + lost - computed["work.drive_J"]
     assert largest(rest - rest[0]) < 1e-6 * largest(gained)
 
 
@@ -691,57 +691,57 @@ FINE = 3600
 
 def loaded(**loads) -> ClearanceSimulation:
     raw = edited(LOADED.raw, {"loads": loads, "mechanism.ground.S": ["30 mm", "90 mm"]})
-    found = simulate(raw, 1, FINE, 1e-10)
-    assert found.ending is Ending.FINISHED, found.message
-    assert imbalance(found) < 1e-6
-    return found
+    result = simulate(raw, 1, FINE, 1e-10)
+    assert result.ending is Ending.FINISHED, result.message
+    assert imbalance(result) < 1e-6
+    return result
 
 
-def path(power: np.ndarray, found: ClearanceSimulation) -> np.ndarray:
+def path(power: np.ndarray, computed: ClearanceSimulation) -> np.ndarray:
     """Work since the first row, from the power at the rows."""
-    time = found["time_s"]
+    time = computed["time_s"]
     return np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(time))])
 
 
-def since(found: ClearanceSimulation, load: str) -> np.ndarray:
-    work = found[f"work.{load}_J"]
+def since(computed: ClearanceSimulation, load: str) -> np.ndarray:
+    work = computed[f"work.{load}_J"]
     return work - work[0]
 
 
 def test_work_of_a_constant_force():
-    found = loaded(push={"on": "rod", "at": "C", "force": "300 N", "direction": "200 deg"})
+    computed = loaded(push={"on": "rod", "at": "C", "force": "300 N", "direction": "200 deg"})
     way = math.radians(200.0)
-    along = math.cos(way) * found["C.rod.x_m"] + math.sin(way) * found["C.rod.y_m"]
-    assert since(found, "push") == pytest.approx(300.0 * (along - along[0]), abs=1e-6)
+    along = math.cos(way) * computed["C.rod.x_m"] + math.sin(way) * computed["C.rod.y_m"]
+    assert since(computed, "push") == pytest.approx(300.0 * (along - along[0]), abs=1e-6)
 
 
 def test_work_of_a_spring_and_a_damper():
     spring = {"between": ["B", "S"], "stiffness": "8000 N/m", "free_length": "80 mm"}
-    found = loaded(spring=spring, oil={"on": "slider", "damping": "25 N*s/m"})
-    stretch = np.hypot(found["B.x_m"] - 0.03, found["B.y_m"] - 0.09) - 0.08
+    computed = loaded(spring=spring, oil={"on": "slider", "damping": "25 N*s/m"})
+    stretch = np.hypot(computed["B.x_m"] - 0.03, computed["B.y_m"] - 0.09) - 0.08
     stored = 4000.0 * stretch * stretch
-    assert since(found, "spring") == pytest.approx(stored[0] - stored, abs=1e-7)
-    lost = path(25.0 * found["slider.v_m_s"] ** 2, found)
-    assert since(found, "oil") == pytest.approx(-lost, abs=1e-3 * lost[-1])
-    assert np.all(np.diff(found["work.oil_J"]) <= 0.0)
+    assert since(computed, "spring") == pytest.approx(stored[0] - stored, abs=1e-7)
+    lost = path(25.0 * computed["slider.v_m_s"] ** 2, computed)
+    assert since(computed, "oil") == pytest.approx(-lost, abs=1e-3 * lost[-1])
+    assert np.all(np.diff(computed["work.oil_J"]) <= 0.0)
 
 
 def test_work_of_a_torsion_spring_and_of_a_torque():
     twist = {"on": "rod", "torsional_stiffness": "40 N*m/rad", "free_angle": "10 deg"}
-    found = loaded(twist=twist, drag={"on": "rod", "torque": "2 N*m", "acts": "opposing"})
-    bend = wrapped(found["rod.angle_rad"] - math.radians(10.0))
+    computed = loaded(twist=twist, drag={"on": "rod", "torque": "2 N*m", "acts": "opposing"})
+    bend = wrapped(computed["rod.angle_rad"] - math.radians(10.0))
     stored = 20.0 * bend * bend
-    assert since(found, "twist") == pytest.approx(stored[0] - stored, abs=1e-7)
-    assert np.all(np.diff(found["work.drag_J"]) <= 0.0)
-    lost = path(2.0 * np.abs(found["rod.omega_rad_s"]), found)
-    assert since(found, "drag") == pytest.approx(-lost, abs=1e-2 * lost[-1])
+    assert since(computed, "twist") == pytest.approx(stored[0] - stored, abs=1e-7)
+    assert np.all(np.diff(computed["work.drag_J"]) <= 0.0)
+    lost = path(2.0 * np.abs(computed["rod.omega_rad_s"]), computed)
+    assert since(computed, "drag") == pytest.approx(-lost, abs=1e-2 * lost[-1])
 
 
 def test_work_of_a_formula():
-    found = loaded(gas={"on": "slider", "force": {"expression": "200 + 150*sin(phi) - 5*v", "unit": "N"}})
-    force = 200.0 + 150.0 * np.sin(np.radians(found["crank_angle_deg"])) - 5.0 * found["slider.v_m_s"]
-    power = force * found["slider.v_m_s"]
-    assert since(found, "gas") == pytest.approx(path(power, found), abs=1e-4 * largest(path(np.abs(power), found)))
+    computed = loaded(gas={"on": "slider", "force": {"expression": "200 + 150*sin(phi) - 5*v", "unit": "N"}})
+    force = 200.0 + 150.0 * np.sin(np.radians(computed["crank_angle_deg"])) - 5.0 * computed["slider.v_m_s"]
+    power = force * computed["slider.v_m_s"]
+    assert since(computed, "gas") == pytest.approx(path(power, computed), abs=1e-4 * largest(path(np.abs(power), computed)))
 
 
 AT, VALUES = (0.0, 90.0, 180.0, 270.0, 360.0), (0.0, 400.0, 900.0, 200.0, 0.0)
@@ -749,25 +749,25 @@ AT, VALUES = (0.0, 90.0, 180.0, 270.0, 360.0), (0.0, 400.0, 900.0, 200.0, 0.0)
 
 def test_work_of_a_table_over_the_crank_angle():
     table = {"over": "phi", "at": [f"{at} deg" for at in AT], "values": [f"{value} N" for value in VALUES]}
-    found = loaded(gas={"on": "slider", "force": table})
-    power = np.interp(np.remainder(found["crank_angle_deg"], 360.0), AT, VALUES) * found["slider.v_m_s"]
-    assert since(found, "gas") == pytest.approx(path(power, found), abs=1e-4 * largest(path(np.abs(power), found)))
+    computed = loaded(gas={"on": "slider", "force": table})
+    power = np.interp(np.remainder(computed["crank_angle_deg"], 360.0), AT, VALUES) * computed["slider.v_m_s"]
+    assert since(computed, "gas") == pytest.approx(path(power, computed), abs=1e-4 * largest(path(np.abs(power), computed)))
 
 
 def test_work_of_a_table_over_the_slide():
     table = {"over": "s", "at": ["60 mm", "100 mm", "180 mm"], "values": ["0 N", "400 N", "900 N"]}
-    found = loaded(gas={"on": "slider", "force": table})
-    power = np.interp(found["slider.s_m"], (0.06, 0.1, 0.18), (0.0, 400.0, 900.0)) * found["slider.v_m_s"]
-    assert since(found, "gas") == pytest.approx(path(power, found), abs=1e-4 * largest(path(np.abs(power), found)))
+    computed = loaded(gas={"on": "slider", "force": table})
+    power = np.interp(computed["slider.s_m"], (0.06, 0.1, 0.18), (0.0, 400.0, 900.0)) * computed["slider.v_m_s"]
+    assert since(computed, "gas") == pytest.approx(path(power, computed), abs=1e-4 * largest(path(np.abs(power), computed)))
 
 
 def test_motor_curve_drives_the_crank():
     motor = {"over": "omega", "at": ["0 rad/s", "200 rad/s"], "values": ["10 N*m", "0 N*m"]}
     raw = edited(LOADED.raw, {"drive.torque": motor, "drive.initial_speed": "100 rad/s"})
-    found = simulate(raw, 2, tolerance=1e-10)
-    assert found.ending is Ending.FINISHED, found.message
-    assert found["input.torque_Nm"] == pytest.approx(np.maximum(10.0 - 0.05 * found["crank.omega_rad_s"], 0.0), abs=1e-9)
-    assert imbalance(found) < 1e-6
+    result = simulate(raw, 2, tolerance=1e-10)
+    assert result.ending is Ending.FINISHED, result.message
+    assert result["input.torque_Nm"] == pytest.approx(np.maximum(10.0 - 0.05 * result["crank.omega_rad_s"], 0.0), abs=1e-9)
+    assert imbalance(result) < 1e-6
 
 
 # --- switches ------------------------------------------------------------------------------------------------------------
@@ -892,7 +892,7 @@ def test_twin_does_not_disturb_the_run():
 def test_memory_is_bounded_and_all_rows_are_streamed():
     streamed: list[dict] = []
     shares: list[float] = []
-    found = simulate(PERIODIC, 100, 12, stream=lambda rows: streamed.append(dict(rows)), progress=shares.append)
+    result = simulate(PERIODIC, 100, 12, stream=lambda rows: streamed.append(dict(rows)), progress=shares.append)
     assert len(streamed) == 100 > RETAINED_REVOLUTIONS
     assert shares == sorted(shares)
     assert 0.0 < shares[0] < 0.01  # within a revolution too
@@ -900,40 +900,40 @@ def test_memory_is_bounded_and_all_rows_are_streamed():
     for name in ("time_s", "slider.error_m", "C.normal_N"):
         whole = np.concatenate([rows[name] for rows in streamed])
         assert len(whole) == 1200
-        assert np.array_equal(found[name], whole[-12 * RETAINED_REVOLUTIONS :]), name
-    assert set(streamed[0]) == set(found.columns)
-    assert len(found.per_revolution["revolution"]) == len(found.poincare_map["revolution"]) == 100
+        assert np.array_equal(result[name], whole[-12 * RETAINED_REVOLUTIONS :]), name
+    assert set(streamed[0]) == set(result.columns)
+    assert len(result.per_revolution["revolution"]) == len(result.poincare_map["revolution"]) == 100
     error = np.concatenate([rows["slider.error_m"] for rows in streamed])
-    assert found.figures["rms_m"] == pytest.approx(math.sqrt(float(np.mean(error[60:] ** 2))), rel=1e-12)
-    assert found.figures["rms_from_start_m"] == pytest.approx(math.sqrt(float(np.mean(error**2))), rel=1e-12)
+    assert result.figures["rms_m"] == pytest.approx(math.sqrt(float(np.mean(error[60:] ** 2))), rel=1e-12)
+    assert result.figures["rms_from_start_m"] == pytest.approx(math.sqrt(float(np.mean(error**2))), rel=1e-12)
 
 
 def test_every_contact_is_counted_however_few_stay_in_memory(monkeypatch):
     raw = edited(PERIODIC, {"joints.C.law": "hertz", "joints.C.friction": 0.0})
     known = simulate(raw, 1, 90)
     monkeypatch.setattr(statistics_module, "MAX_SUMMARIES", 5)
-    found = simulate(raw, 1, 90)
+    result = simulate(raw, 1, 90)
     counted = len(known.impacts)
-    assert len(found.impacts) < 10 < counted
-    assert found.figures["contacts"] == found.figures["C.contacts"] == counted
-    contacts = clearance_tables.simulation(found).parts[1]
+    assert len(result.impacts) < 10 < counted
+    assert result.figures["contacts"] == result.figures["C.contacts"] == counted
+    contacts = clearance_tables.simulation(result).parts[1]
     assert contacts.rows[0][4].text == str(counted)
 
 
 def test_figures_of_revolutions_are_those_of_their_rows():
-    found = simulate(CHAOTIC, 3, 90)
+    result = simulate(CHAOTIC, 3, 90)
     for k in range(3):
         rows = slice(90 * k, 90 * (k + 1))
-        error = found["slider.error_m"][rows]
-        assert found.per_revolution["rms_m"][k] == pytest.approx(math.sqrt(float(np.mean(error**2))), rel=1e-12)
-        assert found.per_revolution["peak_m"][k] == largest(error)
-        assert found.per_revolution["C.contact_share"][k] == pytest.approx(float(np.mean(found["C.contact"][rows])))
-        assert found.per_revolution["C.normal_max_N"][k] >= np.max(found["C.normal_N"][rows])
-        assert found.poincare_map["C.ex_m"][k] == found["C.ex_m"][rows][-1]
-        during = [impact for impact in found.impacts if k * 0.012 < impact.end <= (k + 1) * 0.012]
-        assert found.per_revolution["impacts"][k] == len(during)
-    assert found.figures["largest_penetration_m"] >= np.max(found["C.penetration_m"])
-    assert found.figures["largest_penetration_m"] == pytest.approx(max(i.penetration for i in found.impacts), rel=1e-9)
+        error = result["slider.error_m"][rows]
+        assert result.per_revolution["rms_m"][k] == pytest.approx(math.sqrt(float(np.mean(error**2))), rel=1e-12)
+        assert result.per_revolution["peak_m"][k] == largest(error)
+        assert result.per_revolution["C.contact_share"][k] == pytest.approx(float(np.mean(result["C.contact"][rows])))
+        assert result.per_revolution["C.normal_max_N"][k] >= np.max(result["C.normal_N"][rows])
+        assert result.poincare_map["C.ex_m"][k] == result["C.ex_m"][rows][-1]
+        during = [impact for impact in result.impacts if k * 0.012 < impact.end <= (k + 1) * 0.012]
+        assert result.per_revolution["impacts"][k] == len(during)
+    assert result.figures["largest_penetration_m"] >= np.max(result["C.penetration_m"])
+    assert result.figures["largest_penetration_m"] == pytest.approx(max(i.penetration for i in result.impacts), rel=1e-9)
 
 
 @pytest.mark.slow
@@ -959,23 +959,23 @@ def test_slow_machine_under_load_is_not_stepped_by_its_contact(monkeypatch):
     calls = []
     solve = Integration._solve
     monkeypatch.setattr(Integration, "_solve", lambda self, *told: calls.append(told[2]) or solve(self, *told))
-    found = simulate(brake(80.0, 3.0), 1, 36, 1e-9)
-    assert found.ending is Ending.FINISHED, found.message
+    result = simulate(brake(80.0, 3.0), 1, 36, 1e-9)
+    assert result.ending is Ending.FINISHED, result.message
     assert max(calls) > 1000  # rows at once
-    assert imbalance(found) < 1e-5
+    assert imbalance(result) < 1e-5
 
 
 @pytest.mark.slow
 def test_slow_machine_agrees_with_an_explicit_method_at_a_tight_tolerance(monkeypatch):
     raw = brake(25.0, 60.0)
-    found = simulate(raw, 1, 90, 1e-9)
+    result = simulate(raw, 1, 90, 1e-9)
     monkeypatch.setattr(plant_module, "SLOW", math.inf)
     true = simulate(raw, 1, 90, 1e-11)
-    assert found.figures["rms_rad"] == pytest.approx(true.figures["rms_rad"], rel=1e-5)
-    assert largest(found["rocker.error_rad"] - true["rocker.error_rad"]) < 1e-4 * true.figures["peak_rad"]
-    assert len(found.impacts) == len(true.impacts)
-    assert found.figures["C.normal_max_N"] == pytest.approx(true.figures["C.normal_max_N"], rel=1e-4)
-    assert imbalance(found) < 1e-6
+    assert result.figures["rms_rad"] == pytest.approx(true.figures["rms_rad"], rel=1e-5)
+    assert largest(result["rocker.error_rad"] - true["rocker.error_rad"]) < 1e-4 * true.figures["peak_rad"]
+    assert len(result.impacts) == len(true.impacts)
+    assert result.figures["C.normal_max_N"] == pytest.approx(true.figures["C.normal_max_N"], rel=1e-4)
+    assert imbalance(result) < 1e-6
 
 
 PEAKED = [
@@ -1010,46 +1010,46 @@ def test_peaks_are_those_of_the_oracle(case):
     if case.torque is None:
         whole["drive"] |= {"torque": "0 N*m", "initial_speed": f"{case.speed} rpm"}
     setup = replace(case.setup, torque=0.0 if case.torque is None else case.torque)
-    found = simulate(whole, 1, 24, 1e-12)
+    result = simulate(whole, 1, 24, 1e-12)
     end = 60.0 * part / case.speed
     other = oracle.run(setup, end, np.linspace(0.0, end, 10_001))
     for name, force in other.normal.items():
-        assert found.figures[f"{name}.normal_max_N"] == pytest.approx(float(np.max(force)), rel=1e-4)
+        assert result.figures[f"{name}.normal_max_N"] == pytest.approx(float(np.max(force)), rel=1e-4)
     deepest = {name: max((one.depth for one in other.contacts if one.joint == name), default=0.0) for name in other.normal}
     for name, depth in deepest.items():
-        assert found.figures[f"{name}.penetration_max_m"] == pytest.approx(depth, rel=1e-6, abs=1e-12)
+        assert result.figures[f"{name}.penetration_max_m"] == pytest.approx(depth, rel=1e-6, abs=1e-12)
 
 
 @pytest.mark.slow
 def test_largest_torque_is_that_of_the_oracle():
     """Of a crank that turns evenly: the drive feels every impact."""
     case = Case("torque", {"B": "rod", "C": "rod"}, speed=1600.0, start=35.0)
-    found = simulate(case.raw, 1, 24, 1e-12)
-    first = found.impacts[0]
+    result = simulate(case.raw, 1, 24, 1e-12)
+    first = result.impacts[0]
     fine = simulate(case.raw, 1, 20_000, 1e-12)
     until = int(0.1 * 20_000)
     end = float(fine["time_s"][until - 1])
     other = oracle.run(case.setup, end, np.linspace(0.0, end, 10_001))
     assert first.begin < end
     assert float(np.max(np.abs(fine["input.torque_Nm"][:until]))) == pytest.approx(largest(other.torque), rel=2e-3)
-    assert found.figures["torque_max_Nm"] >= largest(other.torque) * (1.0 - 1e-9)
-    assert found.figures["torque_max_Nm"] == pytest.approx(largest(fine["input.torque_Nm"]), rel=2e-3)
-    assert found.figures["torque_max_Nm"] >= largest(fine["input.torque_Nm"]) * (1.0 - 1e-9)
+    assert result.figures["torque_max_Nm"] >= largest(other.torque) * (1.0 - 1e-9)
+    assert result.figures["torque_max_Nm"] == pytest.approx(largest(fine["input.torque_Nm"]), rel=2e-3)
+    assert result.figures["torque_max_Nm"] >= largest(fine["input.torque_Nm"]) * (1.0 - 1e-9)
 
 
 @pytest.mark.slow
 def test_peaks_agree_in_all_outputs():
     """In figures, revolutions, contacts and rows."""
-    found = simulate(Case("three", {"A": "crank", "B": "rod", "C": "rod"}, speed=900.0).raw, 2, 40, 1e-10)
-    figures = found.to_dict()["figures"]
+    result = simulate(Case("three", {"A": "crank", "B": "rod", "C": "rod"}, speed=900.0).raw, 2, 40, 1e-10)
+    figures = result.to_dict()["figures"]
     for k, point in enumerate("ABC"):
         depth, force = figures[f"{point}.penetration_max_m"], figures[f"{point}.normal_max_N"]
-        assert depth == np.max(found.per_revolution[f"{point}.penetration_max_m"])
-        assert force == np.max(found.per_revolution[f"{point}.normal_max_N"])
-        assert depth == max(one.penetration for one in found.impacts if one.gap == k)
-        assert depth >= np.max(found[f"{point}.penetration_m"])
-        assert force >= np.max(found[f"{point}.normal_N"])
-    assert figures["torque_max_Nm"] == np.max(found.per_revolution["torque_max_Nm"]) >= largest(found["input.torque_Nm"])
+        assert depth == np.max(result.per_revolution[f"{point}.penetration_max_m"])
+        assert force == np.max(result.per_revolution[f"{point}.normal_max_N"])
+        assert depth == max(one.penetration for one in result.impacts if one.gap == k)
+        assert depth >= np.max(result[f"{point}.penetration_m"])
+        assert force >= np.max(result[f"{point}.normal_N"])
+    assert figures["torque_max_Nm"] == np.max(result.per_revolution["torque_max_Nm"]) >= largest(result["input.torque_Nm"])
 
 
 def test_interrupted_run_returns_what_was_computed():
@@ -1057,12 +1057,12 @@ def test_interrupted_run_returns_what_was_computed():
         if share > 1 / 3:
             raise KeyboardInterrupt
 
-    found = simulate(PERIODIC, 3, 90, progress=stop)
-    assert (found.ending, found.finished, found.revolutions) == (Ending.INTERRUPTED, False, 1)
-    assert found.message == "1 of 3 revolutions were simulated"
+    result = simulate(PERIODIC, 3, 90, progress=stop)
+    assert (result.ending, result.finished, result.revolutions) == (Ending.INTERRUPTED, False, 1)
+    assert result.message == "1 of 3 revolutions were simulated"
     whole = simulate(PERIODIC, 1, 90)
-    assert np.array_equal(found["slider.s_m"][:90], whole["slider.s_m"])
-    assert found.to_dict()["status"] == "interrupted"
+    assert np.array_equal(result["slider.s_m"][:90], whole["slider.s_m"])
+    assert result.to_dict()["status"] == "interrupted"
 
 
 @pytest.mark.slow
@@ -1071,11 +1071,11 @@ def test_run_that_ends_before_it_settles_has_the_statistics_of_all_its_revolutio
         if share > 2 / 12:  # of 12 revolutions, of which the first five are not counted
             raise KeyboardInterrupt
 
-    found, whole = simulate(PERIODIC, 12, 90, progress=stop), simulate(PERIODIC, 2, 90)
-    assert (found.revolutions, found.figures["settled_revolutions"]) == (2, 0.0)
+    result, whole = simulate(PERIODIC, 12, 90, progress=stop), simulate(PERIODIC, 2, 90)
+    assert (result.revolutions, result.figures["settled_revolutions"]) == (2, 0.0)
     for name in ("rms_m", "mean_square_m2", "peak_m", "torque_rms_Nm"):
-        assert found.figures[name] == whole.figures[name] > 0.0, name
-    deviation = clearance_tables.simulation(found).parts[0]
+        assert result.figures[name] == whole.figures[name] > 0.0, name
+    deviation = clearance_tables.simulation(result).parts[0]
     assert deviation.title == "Deviation of slider from the machine without clearance, revolutions 1 ... 2"
 
 
@@ -1107,14 +1107,14 @@ print(found.ending.value, found.revolutions)
 
 def test_journal_that_falls_through_its_bearing_stalls_the_run():
     raw = edited(PERIODIC, {"joints.C.modulus": None, "joints.C.poisson": None, "joints.C.stiffness": "1 N/m^1.5"})
-    found = simulate(raw, 3)
-    assert (found.ending, found.finished, found.revolutions) == (Ending.STALLED, False, 0)
+    result = simulate(raw, 3)
+    assert (result.ending, result.finished, result.revolutions) == (Ending.STALLED, False, 0)
     for part in ("C", "deep in its bearing", " s, crank angle ", " deg, revolution 1"):
-        assert part in found.message
-    assert 0.0 < found.stopped < 0.012
-    assert found.notes
-    assert not any("other integrator" in note for note in found.notes)  # it would fall through as well
-    assert json.loads(json.dumps(found.to_dict(), allow_nan=False))["status"] == "stalled"
+        assert part in result.message
+    assert 0.0 < result.stopped < 0.012
+    assert result.notes
+    assert not any("other integrator" in note for note in result.notes)  # it would fall through as well
+    assert json.loads(json.dumps(result.to_dict(), allow_nan=False))["status"] == "stalled"
 
 
 def test_stall_keeps_the_revolutions_before_it():
@@ -1125,14 +1125,14 @@ def test_stall_keeps_the_revolutions_before_it():
         "joints.C.stiffness": "1e8 N/m^1.5",
         "loads.pull": {"on": "slider", "force": {"expression": "exp(phi/3)", "unit": "N"}},
     }
-    found = simulate(edited(PERIODIC, changes), 12, 90)
-    assert found.ending is Ending.STALLED
-    assert 2 < found.revolutions < 11
-    assert f"revolution {found.revolutions + 1}" in found.message
-    assert len(found["time_s"]) >= 90 * found.revolutions
-    assert len(found.per_revolution["rms_m"]) == found.revolutions
-    assert found["time_s"][-1] <= found.stopped < 0.012 * (found.revolutions + 1)
-    assert f"{found.stopped:.9g} s" in found.message
+    result = simulate(edited(PERIODIC, changes), 12, 90)
+    assert result.ending is Ending.STALLED
+    assert 2 < result.revolutions < 11
+    assert f"revolution {result.revolutions + 1}" in result.message
+    assert len(result["time_s"]) >= 90 * result.revolutions
+    assert len(result.per_revolution["rms_m"]) == result.revolutions
+    assert result["time_s"][-1] <= result.stopped < 0.012 * (result.revolutions + 1)
+    assert f"{result.stopped:.9g} s" in result.message
 
 
 # --- bad input -----------------------------------------------------------------------------------------------------------
@@ -1201,11 +1201,11 @@ def refused(fault, key: str, message: str, remedy: str) -> None:
 
 @pytest.mark.parametrize("what", REFUSED)
 def test_unusable_joint_is_refused(what):
-    changes, *told = REFUSED[what]
+    changes, *words = REFUSED[what]
     with pytest.raises(optlink.InputError) as caught:
         machine(changes)
     (fault,) = caught.value.faults
-    refused(fault, *told)
+    refused(fault, *words)
 
 
 NOT_SIMULATED = {
@@ -1227,12 +1227,12 @@ NOT_SIMULATED = {
 
 @pytest.mark.parametrize("what", NOT_SIMULATED)
 def test_machine_that_cannot_be_simulated_is_refused(what):
-    changes, options, *told = NOT_SIMULATED[what]
+    changes, options, *words = NOT_SIMULATED[what]
     problem = machine(changes)
     with pytest.raises(optlink.InputError) as caught:
         simulate_clearance(problem, 1, twin=False, **options)
     (fault,) = caught.value.faults
-    refused(fault, *told)
+    refused(fault, *words)
 
 
 def test_remedy_for_a_body_without_mass_helps():
@@ -1307,7 +1307,7 @@ def test_progress_is_shown_within_a_revolution():
 @pytest.mark.parametrize("present", mostly_slow((True, False), True))
 def test_a_stall_of_cvodes_names_the_other_integrator(present, monkeypatch):
     monkeypatch.setattr("optlink.tasks.clearance.installed", lambda: present)
-    found = simulate_clearance(machine({"joints.C.damping": "1e12 N*s/m"}), 1, 36, twin=False, integrator="cvodes")
-    assert found.ending is Ending.STALLED
-    (note,) = (note for note in found.notes if "--integrator compiled" in note)
+    result = simulate_clearance(machine({"joints.C.damping": "1e12 N*s/m"}), 1, 36, twin=False, integrator="cvodes")
+    assert result.ending is Ending.STALLED
+    (note,) = (note for note in result.notes if "--integrator compiled" in note)
     assert ("optlink[fast]" in note) is not present

@@ -122,9 +122,9 @@ def alignment(design: dict[str, float], span: float) -> float:
 
 def test_a_valid_law_ends_at_a_stated_angle_from_alignment(file: Any) -> None:
     path = file(SPAN)
-    found = answer("solve", path)
-    assert found["valid"]
-    assert alignment(found["design"], math.radians(-30.0)) == pytest.approx(1.0, abs=1e-4)  # deg, the default limit
+    computed = answer("solve", path)
+    assert computed["valid"]
+    assert alignment(computed["design"], math.radians(-30.0)) == pytest.approx(1.0, abs=1e-4)  # deg, the default limit
 
 
 def test_an_active_alignment_limit_is_shown(file: Any) -> None:
@@ -144,17 +144,17 @@ def test_a_load_in_the_quick_stroke_is_noted(file: Any) -> None:
 
 @pytest.mark.slow
 def test_a_function_result_has_its_assembly_mode_and_machine(file: Any, tmp_path: Path) -> None:
-    found = answer("solve", file(FUNCTION), "--starts", 1, "--out", tmp_path / "out")
-    assert found["valid"]
-    assert found.get("assembly") in ("left", "right")
+    result = answer("solve", file(FUNCTION), "--starts", 1, "--out", tmp_path / "out")
+    assert result["valid"]
+    assert result.get("assembly") in ("left", "right")
     assert run("validate", tmp_path / "problem.toml", "--design", tmp_path / "out" / "result.json").exit_code == 0
     assert run("analyze", tmp_path / "out" / "design.toml").exit_code in (0, 1)  # 1: the crank of a function need not turn fully
 
 
 @pytest.mark.slow
 def test_the_best_distinct_optimum_is_the_reported_objective(file: Any) -> None:
-    found = answer("solve", file(FUNCTION), "--starts", 8)
-    assert found["optima"][0]["objective"] == found["objective"]["value"]
+    computed = answer("solve", file(FUNCTION), "--starts", 8)
+    assert computed["optima"][0]["objective"] == computed["objective"]["value"]
 
 
 @pytest.mark.slow
@@ -178,10 +178,10 @@ def test_a_poor_fit_is_marked_and_its_start_counts_as_a_hit(file: Any) -> None:
 @pytest.mark.slow
 def test_an_infeasible_path_lists_the_conflicting_limits(file: Any) -> None:
     narrow = PATH.replace('crank = { bounds = ["10 mm", "300 mm"] }', 'crank = "290 mm"').replace('"300 mm"] }', '"280 mm"] }')
-    found = answer("solve", file(narrow), "--starts", 40)
-    assert not found["valid"]
-    assert found.get("conflict")
-    assert any("cannot be the shortest link" in note for note in found["notes"])
+    result = answer("solve", file(narrow), "--starts", 40)
+    assert not result["valid"]
+    assert result.get("conflict")
+    assert any("cannot be the shortest link" in note for note in result["notes"])
 
 
 def test_an_evaluated_sweep_without_valid_points_is_exit_code_1() -> None:

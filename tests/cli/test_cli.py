@@ -387,8 +387,8 @@ def test_a_comparison_accepts_tolerance_and_points(monkeypatch):
     taken = []
 
     def compare(*arguments, **options):
-        own = ("progress", "checkpoint", "resume", "workers", "compiling")  # of the command
-        taken.append((arguments[1:], {key: value for key, value in options.items() if key not in own}))
+        ignored = ("progress", "checkpoint", "resume", "workers", "compiling")  # of the command
+        taken.append((arguments[1:], {key: value for key, value in options.items() if key not in ignored}))
         raise optlink.InputError(Fault("enough", "Stop"))
 
     monkeypatch.setattr("optlink.tasks.control_comparison.compare", compare)

@@ -28,8 +28,8 @@ def test_the_page_of_a_changed_problem_needs_no_set(tmp_path, moved):
         subject.write_text((out / "result.json").read_text())
     done = run("report", subject, "-o", tmp_path / "page.html")
     assert done.exit_code == 0, done.output
-    found = load_stored(str(subject))
-    assert found.problem.model.quantities["frame"].value == pytest.approx(0.48)
+    result = load_stored(str(subject))
+    assert result.problem.model.quantities["frame"].value == pytest.approx(0.48)
 
 
 def test_a_record_with_other_overrides_is_refused(tmp_path):

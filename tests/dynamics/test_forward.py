@@ -103,9 +103,9 @@ def test_inverse_after_forward_dynamics_returns_the_torque(name, speed):
         machine = machine.with_(inertias={body: Inertia(1.0, 0.1, 0.02, 0.01) for body in machine.mechanism.bodies})
     torque = 12.5 * np.cos(2.0 * ANGLES)
     alpha = crank_acceleration(machine.moving(ANGLES, 1.0), speed, torque, np.sign(speed))
-    found = reactions(machine.moving(ANGLES, speed, alpha)).torque
+    computed = reactions(machine.moving(ANGLES, speed, alpha)).torque
     scale = np.max(np.abs(reactions(machine.moving(ANGLES, speed)).torque)) + 12.5
-    np.testing.assert_allclose(found, torque, rtol=0.0, atol=1e-11 * scale)
+    np.testing.assert_allclose(computed, torque, rtol=0.0, atol=1e-11 * scale)
 
 
 def test_inverse_after_forward_dynamics_detects_a_wrong_inertia(monkeypatch):
@@ -120,8 +120,8 @@ def test_friction_that_depends_on_the_acceleration_is_undone_too():
     torque = 5.0 * np.sin(ANGLES)
     for speed in (20.0, -20.0):
         alpha = crank_acceleration(machine.moving(ANGLES, 1.0), speed, torque, np.sign(speed))
-        found = reactions(machine.moving(ANGLES, speed, alpha)).torque
-        np.testing.assert_allclose(found, torque, rtol=0.0, atol=1e-11 * 30.0)
+        computed = reactions(machine.moving(ANGLES, speed, alpha)).torque
+        np.testing.assert_allclose(computed, torque, rtol=0.0, atol=1e-11 * 30.0)
 
 
 # --- closed forms ------------------------------------------------------------------------------------------------------
@@ -132,10 +132,10 @@ def test_pendulum_has_the_period_of_the_elliptic_integral():
     problem = crank_alone(gravity="9.81 m/s^2", drive={"torque": "0 N*m", "start": "-30 deg", "duration": "4 s"})
     reduced = (0.25 / 3.0 * 2.0) / (2.0 * 9.81 * 0.25)  # J / (m g l)
     period = 4.0 * math.sqrt(reduced) * float(ellipk(math.sin(math.radians(30.0)) ** 2))
-    found = optlink.simulate(problem, duration=period, rows=4).run
-    np.testing.assert_allclose(np.degrees(found.crank_angle), [-30.0, -90.0, -150.0, -90.0, -30.0], rtol=0.0, atol=1e-7)
-    assert abs(found.speed[-1]) < 1e-8
-    assert found.imbalance < 1e-9 * found.turnover
+    result = optlink.simulate(problem, duration=period, rows=4).run
+    np.testing.assert_allclose(np.degrees(result.crank_angle), [-30.0, -90.0, -150.0, -90.0, -30.0], rtol=0.0, atol=1e-7)
+    assert abs(result.speed[-1]) < 1e-8
+    assert result.imbalance < 1e-9 * result.turnover
 
 
 def test_motor_curve_and_torsional_damper_give_an_exponential():
@@ -144,10 +144,12 @@ def test_motor_curve_and_torsional_damper_give_an_exponential():
         loads={"brake": {"on": "crank", "torsional_damping": "0.3 N*m*s/rad"}},
         drive={"torque": {"expression": "4 - 0.5*omega", "unit": "N*m"}, "duration": "1.5 s"},
     )
-    found = optlink.simulate(problem, rows=30).run
+    result = optlink.simulate(problem, rows=30).run
     inertia = 2.0 * 0.25 / 3.0
-    np.testing.assert_allclose(found.speed, 5.0 * (1.0 - np.exp(-0.8 * found.time / inertia)), rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(found.works["brake"][-1], -0.3 * quad(lambda t: 25.0 * (1.0 - math.exp(-4.8 * t)) ** 2, 0, 1.5)[0])
+    np.testing.assert_allclose(result.speed, 5.0 * (1.0 - np.exp(-0.8 * result.time / inertia)), rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(
+        result.works["brake"][-1], -0.3 * quad(lambda t: 25.0 * (1.0 - math.exp(-4.8 * t)) ** 2, 0, 1.5)[0]
+    )
 
 
 def test_motor_curve_as_a_table_is_the_same_as_the_expression():
@@ -186,9 +188,9 @@ def test_rotor_that_the_torque_cannot_move_stays_and_one_that_it_can_moves_eithe
     assert len(run("-0.59 N*m").time) == 1
     inertia = 2.0 * 0.25 / 3.0
     for sign in (1.0, -1.0):
-        found = run(f"{sign * 0.7} N*m")
-        assert found.ending is Ending.FINISHED
-        assert found.speed[-1] == pytest.approx(sign * 0.1 / inertia, abs=1e-9)
+        result = run(f"{sign * 0.7} N*m")
+        assert result.ending is Ending.FINISHED
+        assert result.speed[-1] == pytest.approx(sign * 0.1 / inertia, abs=1e-9)
 
 
 # --- independent integration --------------------------------------------------------------------------------------------
@@ -220,8 +222,8 @@ def independent(time, gravity, stiffness, free, damping, resistance, torque):
         pull = -stiffness * (x - free) - damping * dx * w - resistance * np.sign(dx * w)
         return [w, (torque + weight + pull * dx - 0.5 * slope * w * w) / inertia]
 
-    found = solve_ivp(right, (0.0, time), [0.3, 5.0], method="DOP853", rtol=1e-11, atol=1e-11, max_step=1e-2)
-    return found.y[:, -1]
+    result = solve_ivp(right, (0.0, time), [0.3, 5.0], method="DOP853", rtol=1e-11, atol=1e-11, max_step=1e-2)
+    return result.y[:, -1]
 
 
 @pytest.mark.parametrize("sign", mostly_slow((1.0, -1.0), -1.0))
@@ -232,12 +234,12 @@ def test_loaded_slider_crank_follows_its_lagrangian(sign):
     )
     if sign < 0.0:  # mirrored at the x axis
         problem = problem.override({"drive.torque": "-2 N*m", "gravity": ["1 m/s^2", "9.81 m/s^2"]})
-    found = optlink.simulate(problem, rows=3).run
+    result = optlink.simulate(problem, rows=3).run
     phi, w = independent(0.4, np.array([1.0, -9.81]), 40.0, 0.3, 2.0, 3.0, 2.0)
-    assert sign * found.crank_angle[-1] == pytest.approx(phi, abs=2e-6)  # the other runs through its jumps
-    assert sign * found.speed[-1] == pytest.approx(w, abs=2e-5)
-    assert found.imbalance < 1e-9 * found.turnover
-    assert found.drift < 1e-9
+    assert sign * result.crank_angle[-1] == pytest.approx(phi, abs=2e-6)  # the other runs through its jumps
+    assert sign * result.speed[-1] == pytest.approx(w, abs=2e-5)
+    assert result.imbalance < 1e-9 * result.turnover
+    assert result.drift < 1e-9
 
 
 @pytest.mark.parametrize("name", ["six-bar", "oscillating-cylinder", "scotch-yoke", "slotted-quick-return", "stephenson-iii"])
@@ -303,10 +305,10 @@ def test_a_machine_compiled_for_another_torque_is_detected():
 
 @pytest.mark.slow
 def test_friction_in_a_guide_takes_energy_and_closes_the_account():
-    found = optlink.simulate(slider_crank(**ROUGH, drive={"torque": "0.5 N*m"}), duration=0.4, rows=50).run
-    assert np.all(np.diff(found.works["friction"]) <= 0.0)
-    assert found.works["friction"][-1] < -0.01
-    assert found.imbalance < 1e-8 * found.turnover
+    result = optlink.simulate(slider_crank(**ROUGH, drive={"torque": "0.5 N*m"}), duration=0.4, rows=50).run
+    assert np.all(np.diff(result.works["friction"]) <= 0.0)
+    assert result.works["friction"][-1] < -0.01
+    assert result.imbalance < 1e-8 * result.turnover
 
 
 # --- published and special cases ----------------------------------------------------------------------------------------
@@ -314,21 +316,23 @@ def test_friction_in_a_guide_takes_energy_and_closes_the_account():
 
 def test_slider_crank_under_a_torque_reaches_the_reference():
     """theta 55.0724438 rad, omega 39.79557704 rad/s after 2 s: printed to the digits that are compared."""
-    found = optlink.simulate(slider_crank(), rows=2)
-    assert found.figures["end.crank_angle_rad"] == pytest.approx(55.0724438, abs=1e-7)
-    assert found.figures["end.speed_rad_s"] == pytest.approx(39.79557704, abs=1e-7)
-    assert found.run.imbalance < 1e-8 * found.run.turnover
-    assert found.run.drift < 1e-9
+    result = optlink.simulate(slider_crank(), rows=2)
+    assert result.figures["end.crank_angle_rad"] == pytest.approx(55.0724438, abs=1e-7)
+    assert result.figures["end.speed_rad_s"] == pytest.approx(39.79557704, abs=1e-7)
+    assert result.run.imbalance < 1e-8 * result.run.turnover
+    assert result.run.drift < 1e-9
 
 
 def test_six_bar_at_constant_speed_for_a_second():
-    found = optlink.simulate(optlink.load("six-bar"))
-    assert found.run.works["input"][-1] == pytest.approx(225.033, abs=1e-3)  # as printed
-    gained = found.run.energy[-1] - found.run.energy[0]
-    assert found.run.works["input"][-1] == pytest.approx(gained - 1000.0 * np.ptp(found["slider.s_m"][[0, -1]]) * -1.0, abs=1e-7)
-    assert found.run.drift < 1e-9
-    assert found.run.imbalance < 1e-8 * found.run.turnover
-    assert "finished" in found.to_dict()["status"]
+    result = optlink.simulate(optlink.load("six-bar"))
+    assert result.run.works["input"][-1] == pytest.approx(225.033, abs=1e-3)  # as printed
+    gained = result.run.energy[-1] - result.run.energy[0]
+    assert result.run.works["input"][-1] == pytest.approx(
+        gained - 1000.0 * np.ptp(result["slider.s_m"][[0, -1]]) * -1.0, abs=1e-7
+    )
+    assert result.run.drift < 1e-9
+    assert result.run.imbalance < 1e-8 * result.run.turnover
+    assert "finished" in result.to_dict()["status"]
 
 
 def test_crank_that_cannot_turn_stops_at_its_dead_position():
@@ -374,9 +378,9 @@ def test_arguments_out_of_range(arguments, key):
 @pytest.mark.parametrize(("torque", "mass"), [(1e30, 1e-130), (1e30, 1e-290), (-1e30, 1e-290)])
 def test_acceleration_whose_square_overflows_stalls_the_run(torque, mass):
     masses = {f"bodies.{body}.mass": f"{mass} kg" for body in ("crank", "rod", "slider")}
-    found = optlink.simulate(optlink.load("slider-crank", {"drive.torque": f"{torque} N*m", **masses}), 1.0, 10)
-    assert found.run.ending is Ending.STALLED
-    assert found.run.stopped < 1e-70
+    result = optlink.simulate(optlink.load("slider-crank", {"drive.torque": f"{torque} N*m", **masses}), 1.0, 10)
+    assert result.run.ending is Ending.STALLED
+    assert result.run.stopped < 1e-70
 
 
 def test_flywheel_keeps_the_fluctuation_in_the_simulation():
@@ -389,10 +393,10 @@ def test_flywheel_keeps_the_fluctuation_in_the_simulation():
     assert wheel.mean_torque == pytest.approx(747.808316959 / TURN, rel=1e-9)
     start = Fluctuation(machine, 10.0, math.radians(62.0)).speeds(wheel.inertia)[0]
     driven = problem.override({"drive.torque": f"{wheel.mean_torque!r} N*m", "drive.initial_speed": f"{float(start)!r} rad/s"})
-    found = optlink.simulate(driven, duration=0.7, rows=4000, flywheel=wheel.inertia)
-    assert found.figures["last_turn.fluctuation"] == pytest.approx(0.05, rel=2e-3)  # the mean is over time there
-    turns = np.abs(found.run.crank_angle - math.radians(62.0) - TURN)
-    assert found.run.speed[np.argmin(turns)] == pytest.approx(start, rel=1e-4)  # periodic
+    result = optlink.simulate(driven, duration=0.7, rows=4000, flywheel=wheel.inertia)
+    assert result.figures["last_turn.fluctuation"] == pytest.approx(0.05, rel=2e-3)  # the mean is over time there
+    turns = np.abs(result.run.crank_angle - math.radians(62.0) - TURN)
+    assert result.run.speed[np.argmin(turns)] == pytest.approx(start, rel=1e-4)  # periodic
 
 
 @pytest.mark.parametrize("rows", [7, 400])
@@ -400,11 +404,11 @@ def test_last_revolution_is_measured_between_the_rows_of_the_table(rows):
     """A pendulum that turns over: speed and period from the energy integral."""
     w0, g = 12.0, 3.0 * 9.81 / (2.0 * 0.5)  # uniform bar of 0.5 m on its end, started horizontally: w^2 = w0^2 - 2 g sin(phi)
     problem = crank_alone(gravity="9.81 m/s^2").override({"drive.initial_speed": f"{w0} rad/s"})
-    found = optlink.simulate(problem, rows=rows).figures
+    computed = optlink.simulate(problem, rows=rows).figures
     fastest, slowest = math.sqrt(w0**2 + 2.0 * g), math.sqrt(w0**2 - 2.0 * g)
     period = quad(lambda phi: 1.0 / math.sqrt(w0**2 - 2.0 * g * math.sin(phi)), 0.0, TURN)[0]
-    assert found["last_turn.mean_speed_rad_s"] == pytest.approx(TURN / period, rel=1e-6)
-    assert found["last_turn.fluctuation"] == pytest.approx((fastest - slowest) * period / TURN, rel=1e-4)
+    assert computed["last_turn.mean_speed_rad_s"] == pytest.approx(TURN / period, rel=1e-6)
+    assert computed["last_turn.fluctuation"] == pytest.approx((fastest - slowest) * period / TURN, rel=1e-4)
 
 
 @pytest.mark.slow

@@ -46,15 +46,15 @@ def by_hand(friction, angle, speed, torque, sense):
     second = -CRANK * cosine - CRANK**2 * (cosine**2 - sine**2) / root - CRANK**4 * (sine * cosine) ** 2 / root**3
     along, across = root / ROD, -CRANK * sine / ROD  # of the rod, from the crank to the slider
     slip = np.sign(first) * sense
-    found = []
+    result = []
     for pressed in (1.0, -1.0):  # sign of the normal force -S across
         pull = along + friction * pressed * slip * across  # of the rod and of friction, per rod force
         lever = CRANK * (cosine * across - sine * along)
         equations = [[INERTIA, lever], [MASS * first, -pull]]
         alpha, force = np.linalg.solve(equations, [torque, -MASS * second * speed**2])
         if pressed * -force * across >= 0.0:
-            found.append(alpha)
-    return found
+            result.append(alpha)
+    return result
 
 
 @pytest.mark.parametrize("friction", [0.2, 1.2, 1.6])
@@ -73,11 +73,11 @@ def test_acceleration_is_the_only_one_that_satisfies_the_equations_of_motion(fri
 
 
 def test_machine_that_starts_backwards_has_the_friction_of_that_sense_in_its_first_row():
-    found = optlink.simulate(slider_crank(0.3, "-2 N*m", start="70 deg", duration="0.1 s"))
-    assert found.run.ending is Ending.FINISHED
+    result = optlink.simulate(slider_crank(0.3, "-2 N*m", start="70 deg", duration="0.1 s"))
+    assert result.run.ending is Ending.FINISHED
     expected = by_hand(0.3, np.radians(70.0), 0.0, -2.0, -1.0)
-    assert found["crank.alpha_rad_s2"][0] == pytest.approx(expected[0], rel=1e-9)
-    assert found["crank.alpha_rad_s2"][1] == pytest.approx(expected[0], rel=1e-2)
+    assert result["crank.alpha_rad_s2"][0] == pytest.approx(expected[0], rel=1e-9)
+    assert result["crank.alpha_rad_s2"][1] == pytest.approx(expected[0], rel=1e-2)
 
 
 @pytest.mark.parametrize("friction", [0.3, 1.2, 1.6, 2.5])
@@ -92,11 +92,11 @@ def test_resting_machine_starts_only_if_nothing_else_satisfies_coulombs_law(fric
             rest = np.sqrt(1.0 - across**2) <= friction * abs(across)
             expected = Ending.UNDETERMINED if len(ways) + rest > 1 else Ending.AT_REST if rest else Ending.FINISHED
             assert len(ways) + rest > 0
-            found = optlink.simulate(
+            result = optlink.simulate(
                 slider_crank(friction, f"{torque} N*m", start=f"{degrees} deg", duration="1 ms", initial_speed="0 rad/s")
             )
-            assert found.run.ending is expected, (torque, degrees)
-            assert found.finished is (expected is not Ending.UNDETERMINED)
+            assert result.run.ending is expected, (torque, degrees)
+            assert result.finished is (expected is not Ending.UNDETERMINED)
             seen.add(expected)
     few = {Ending.FINISHED} if friction < 1.0 else {Ending.FINISHED, Ending.AT_REST}
     assert seen - {Ending.UNDETERMINED} == few
@@ -109,10 +109,10 @@ def test_machines_with_no_or_several_accelerations_are_reported(speed, torque):
         expected = by_hand(1.9, np.radians(degrees), speed, torque, np.sign(speed))
         if len(expected) == 1:
             continue
-        found = optlink.simulate(
+        result = optlink.simulate(
             slider_crank(1.9, f"{torque} N*m", start=f"{degrees} deg", duration="1 ms", initial_speed=f"{speed} rad/s")
         )
-        assert found.run.ending is (Ending.UNDETERMINED if expected else Ending.JAMMED)
-        assert any(("more than one motion" if expected else "no motion") in note for note in found.notes)
-        seen.add(found.run.ending)
+        assert result.run.ending is (Ending.UNDETERMINED if expected else Ending.JAMMED)
+        assert any(("more than one motion" if expected else "no motion") in note for note in result.notes)
+        seen.add(result.run.ending)
     assert seen

@@ -382,7 +382,7 @@ def kinematics(moving: Moving, speed: object = None) -> Kinematics:
 
 
 def masses(machine: Machine) -> dict[str, Mass]:
-    return {body: Mass(own.mass, own.along, own.across, own.moment) for body, own in machine.inertias.items()}
+    return {body: Mass(inertia.mass, inertia.along, inertia.across, inertia.moment) for body, inertia in machine.inertias.items()}
 
 
 def expected(moving: Moving, k: Kinematics | None = None, **known: object) -> Solution:
@@ -398,37 +398,37 @@ def flat(vector: Sequence[object], like: np.ndarray) -> np.ndarray:
     return np.stack(np.broadcast_arrays(*vector, like)[:2], axis=-1)
 
 
-def close(found: np.ndarray, wanted: np.ndarray, tolerance: float, least: float, what: str) -> None:
+def close(computed: np.ndarray, reference: np.ndarray, tolerance: float, least: float, what: str) -> None:
     """Equal to a share of the largest value of the quantity (`least`: what counts as nothing beside the others)."""
-    scale = max(float(np.nanmax(np.abs(wanted), initial=0.0)), 1e-3 * least)
-    np.testing.assert_allclose(found, wanted, rtol=0.0, atol=tolerance * scale, err_msg=what)
+    scale = max(float(np.nanmax(np.abs(reference), initial=0.0)), 1e-3 * least)
+    np.testing.assert_allclose(computed, reference, rtol=0.0, atol=tolerance * scale, err_msg=what)
 
 
-def check(found: Reactions, wanted: Solution, tolerance: float = SAME, where: np.ndarray | slice = slice(None)) -> None:
+def check(result: Reactions, reference: Solution, tolerance: float = SAME, where: np.ndarray | slice = slice(None)) -> None:
     """Every reaction on every body, every guide, the torque."""
-    like = np.zeros_like(wanted.torque)
-    force = max(float(np.nanmax(np.abs(f))) for bodies in wanted.pins.values() for f in bodies.values())
-    moment = float(np.nanmax(np.abs(wanted.torque)))
-    close((found.torque + like)[where], wanted.torque[where], tolerance, 0.0, "torque")
-    assert found.pins.keys() == wanted.pins.keys()
-    for point, bodies in wanted.pins.items():
-        assert found.pins[point].keys() == bodies.keys()
+    like = np.zeros_like(reference.torque)
+    force = max(float(np.nanmax(np.abs(f))) for bodies in reference.pins.values() for f in bodies.values())
+    moment = float(np.nanmax(np.abs(reference.torque)))
+    close((result.torque + like)[where], reference.torque[where], tolerance, 0.0, "torque")
+    assert result.pins.keys() == reference.pins.keys()
+    for point, bodies in reference.pins.items():
+        assert result.pins[point].keys() == bodies.keys()
         for body, on in bodies.items():
-            close(flat(found.pins[point][body], like)[where], on[where], tolerance, force, f"pin {point} on {body}")
-    assert found.guides.keys() == wanted.normal.keys()
-    for name, guide in found.guides.items():
-        close((guide.normal + like)[where], wanted.normal[name][where], tolerance, force, f"normal force in {name}")
-        close((guide.friction + like)[where], wanted.friction[name][where], tolerance, force, f"friction in {name}")
-        close((guide.moment + like)[where], wanted.moment[name][where], tolerance, moment, f"moment in {name}")
+            close(flat(result.pins[point][body], like)[where], on[where], tolerance, force, f"pin {point} on {body}")
+    assert result.guides.keys() == reference.normal.keys()
+    for name, guide in result.guides.items():
+        close((guide.normal + like)[where], reference.normal[name][where], tolerance, force, f"normal force in {name}")
+        close((guide.friction + like)[where], reference.friction[name][where], tolerance, force, f"friction in {name}")
+        close((guide.moment + like)[where], reference.moment[name][where], tolerance, moment, f"moment in {name}")
 
 
 def check_balance(moving: Moving, k: Kinematics, tolerance: float = SAME) -> None:
     """What the driver and the loads feed in is what inertia and weight take up."""
-    machine, found = moving.machine, reactions(moving)
+    machine, result = moving.machine, reactions(moving)
     loads = k.power([acting for load in machine.loads for acting in exerted(load, k)])
-    for name, guide in found.guides.items():
+    for name, guide in result.guides.items():
         loads = loads + guide.friction * k.slide(name)[1]
-    driver, taken = found.torque * k.omega, k.power_of_masses(masses(machine), machine.gravity)
+    driver, taken = result.torque * k.omega, k.power_of_masses(masses(machine), machine.gravity)
     scale = np.max(np.abs([driver, taken, loads]))
     np.testing.assert_allclose(driver + loads, taken, rtol=0.0, atol=tolerance * scale)
 
@@ -504,20 +504,20 @@ def test_motion_is_that_of_the_loop_equations(example, speed, acceleration):
 @every_drive
 def test_reactions_are_those_of_newton_and_euler(example, speed, acceleration):
     moving = machine_of(example.name).moving(example.phi, speed, acceleration)
-    found = reactions(moving)
-    check(found, expected(moving))
-    assert found.jammed is False
-    for guide in found.guides.values():
+    result = reactions(moving)
+    check(result, expected(moving))
+    assert result.jammed is False
+    for guide in result.guides.values():
         assert np.max(np.abs(guide.friction)) <= 1e-12 * np.max(np.abs(guide.normal))
-    for sine in found.singularity.values():
+    for sine in result.singularity.values():
         assert np.all((np.abs(sine) > 0.1) & (np.abs(sine) <= 1.0 + 1e-12))
 
 
 @every_machine
 def test_guide_forces_state_their_point_and_direction(example):
     moving = machine_of(example.name).moving(example.phi, 7.0)
-    k, found = kinematics(moving), reactions(moving)
-    for name, guide in found.guides.items():
+    k, result = kinematics(moving), reactions(moving)
+    for name, guide in result.guides.items():
         line, place = k.line(name), k.material(k.guides[name].slider, k.runner(k.guides[name]))[0]
         np.testing.assert_allclose(flat(guide.point, k.phi), place, rtol=0.0, atol=1e-12)
         force = flat(guide.force, k.phi)
@@ -533,15 +533,15 @@ def test_forces_of_a_pin_sum_to_zero(example):
 
 
 def test_check_of_pins_detects_a_force_transmitted_once_only():
-    found = reactions(machine_of("pins of three and four bodies").moving(PHI, 7.0, 3.0))
+    result = reactions(machine_of("pins of three and four bodies").moving(PHI, 7.0, 3.0))
     for body in ("link2", "link3", "link5"):
-        bodies = {name: force for name, force in found.pins["C"].items() if name != body}
+        bodies = {name: force for name, force in result.pins["C"].items() if name != body}
         with pytest.raises(AssertionError, match="C"):
-            check_pins(replace(found, pins={**found.pins, "C": bodies}), PHI)
+            check_pins(replace(result, pins={**result.pins, "C": bodies}), PHI)
 
 
-def check_pins(found: Reactions, like: np.ndarray) -> None:
-    for point, bodies in found.pins.items():
+def check_pins(result: Reactions, like: np.ndarray) -> None:
+    for point, bodies in result.pins.items():
         forces = np.array([flat(force, like) for force in bodies.values()])
         np.testing.assert_allclose(np.sum(forces, axis=0), 0.0, atol=1e-12 * np.max(np.abs(forces)), err_msg=point)
 
@@ -564,8 +564,8 @@ def test_energies_are_those_of_the_centroids(example):
     check_energies(moving, kinematics(moving), masses(moving.machine))
 
 
-def check_energies(moving: Moving, k: Kinematics, own: Mapping[str, Mass]) -> None:
-    kinetic, potential = k.energy(own, GRAVITY)
+def check_energies(moving: Moving, k: Kinematics, of_body: Mapping[str, Mass]) -> None:
+    kinetic, potential = k.energy(of_body, GRAVITY)
     np.testing.assert_allclose(moving.kinetic, kinetic, rtol=1e-11)
     springs = np.zeros_like(k.phi)
     for load in moving.machine.loads:
@@ -578,10 +578,12 @@ def check_energies(moving: Moving, k: Kinematics, own: Mapping[str, Mass]) -> No
 @pytest.mark.parametrize("part", ["mass", "along", "across", "moment"])
 def test_energy_check_detects_a_wrong_parameter(part):
     moving = machine_of("Watt I").moving(PHI, -7.0)
-    k, own = kinematics(moving), masses(moving.machine)
-    check_energies(moving, k, own)
+    k, of_body = kinematics(moving), masses(moving.machine)
+    check_energies(moving, k, of_body)
     with pytest.raises(AssertionError):
-        check_energies(moving, k, {**own, "rod": replace(own["rod"], **{part: getattr(own["rod"], part) * (1.0 + 1e-8)})})
+        check_energies(
+            moving, k, {**of_body, "rod": replace(of_body["rod"], **{part: getattr(of_body["rod"], part) * (1.0 + 1e-8)})}
+        )
 
 
 def spring_energy(load: Load, k: Kinematics) -> np.ndarray:
@@ -601,20 +603,20 @@ def spring_energy(load: Load, k: Kinematics) -> np.ndarray:
 @every_machine
 def test_torque_parts_are_those_of_each_cause_alone_and_sum_to_the_torque(example):
     moving = machine_of(example.name).moving(example.phi, 7.0, 20.0)
-    found, k = torque_parts(moving), kinematics(moving)
-    own, loads = masses(moving.machine), [acting for load in moving.machine.loads for acting in exerted(load, k)]
+    result, k = torque_parts(moving), kinematics(moving)
+    of_body, loads = masses(moving.machine), [acting for load in moving.machine.loads for acting in exerted(load, k)]
     alone = {
-        "inertia": newton_euler(k, own, (0.0, 0.0)).torque,
-        "gravity": newton_euler(k, own, GRAVITY, inertia=False).torque,
+        "inertia": newton_euler(k, of_body, (0.0, 0.0)).torque,
+        "gravity": newton_euler(k, of_body, GRAVITY, inertia=False).torque,
         "load": newton_euler(k, {}, (0.0, 0.0), loads).torque,
     }
     torque = reactions(moving).torque
     scale = np.max(np.abs([torque, *alone.values()]))
-    assert found.keys() == alone.keys()
+    assert result.keys() == alone.keys()
     for cause, part in alone.items():
         assert np.max(np.abs(part)) > 1e-3 * scale, "every cause matters"
-        np.testing.assert_allclose(found[cause], part, rtol=0.0, atol=SAME * scale, err_msg=cause)
-    np.testing.assert_allclose(sum(found.values()), torque, rtol=0.0, atol=1e-13 * scale)
+        np.testing.assert_allclose(result[cause], part, rtol=0.0, atol=SAME * scale, err_msg=cause)
+    np.testing.assert_allclose(sum(result.values()), torque, rtol=0.0, atol=1e-13 * scale)
 
 
 def test_friction_counts_among_the_loads():
@@ -631,8 +633,8 @@ def test_friction_counts_among_the_loads():
 def check_regressor(moving: Moving, parts: dict[str, tuple[Reactions, ...]]) -> None:
     """Inertial parameters times the regressor against the oracle without loads."""
     machine = moving.machine
-    wanted = newton_euler(kinematics(moving), masses(machine), machine.gravity)
-    like = np.zeros_like(wanted.torque)
+    reference = newton_euler(kinematics(moving), masses(machine), machine.gravity)
+    like = np.zeros_like(reference.torque)
     terms = []
     for body, inertia in machine.inertias.items():
         centre = np.array([inertia.along, inertia.across])
@@ -641,21 +643,21 @@ def check_regressor(moving: Moving, parts: dict[str, tuple[Reactions, ...]]) -> 
         np.testing.assert_allclose(inertia.parameters, parameters, rtol=1e-14)
         terms += list(zip(parameters, parts[body], strict=True))
     total = Solution(sum(weight * (part.torque + like) for weight, part in terms))
-    for point, bodies in wanted.pins.items():
+    for point, bodies in reference.pins.items():
         total.pins[point] = {b: sum(w * flat(part.pins[point][b], like) for w, part in terms) for b in bodies}
-    for name in wanted.normal:
+    for name in reference.normal:
         total.normal[name] = sum(w * (part.guides[name].normal + like) for w, part in terms)
         total.friction[name] = sum(w * (part.guides[name].friction + like) for w, part in terms)
         total.moment[name] = sum(w * (part.guides[name].moment + like) for w, part in terms)
-    force = max(np.max(np.abs(f)) for bodies in wanted.pins.values() for f in bodies.values())
-    close(total.torque, wanted.torque, SAME, 0.0, "torque")
-    for point, bodies in wanted.pins.items():
+    force = max(np.max(np.abs(f)) for bodies in reference.pins.values() for f in bodies.values())
+    close(total.torque, reference.torque, SAME, 0.0, "torque")
+    for point, bodies in reference.pins.items():
         for body in bodies:
             close(total.pins[point][body], bodies[body], SAME, force, f"pin {point} on {body}")
-    for name in wanted.normal:
-        close(total.normal[name], wanted.normal[name], SAME, force, name)
-        close(total.friction[name], wanted.friction[name], SAME, force, name)
-        close(total.moment[name], wanted.moment[name], SAME, np.max(np.abs(wanted.torque)), name)
+    for name in reference.normal:
+        close(total.normal[name], reference.normal[name], SAME, force, name)
+        close(total.friction[name], reference.friction[name], SAME, force, name)
+        close(total.moment[name], reference.moment[name], SAME, np.max(np.abs(reference.torque)), name)
 
 
 @every_machine
@@ -696,25 +698,25 @@ def test_shaking_check_detects_gravity_another_pivot_and_a_sign(monkeypatch):
         check_shaking(moving, k, shaking(moving))
 
 
-def check_shaking(moving: Moving, k: Kinematics, found: Wrench) -> None:
+def check_shaking(moving: Moving, k: Kinematics, result: Wrench) -> None:
     """Minus the rates of the momentum and of the angular momentum about the crank pivot."""
     pivot = np.tile(moving.machine.mechanism.ground["A"], (len(k.phi), 1))
     force, moment = k.momentum_rate(masses(moving.machine), pivot)
-    np.testing.assert_allclose(flat(found.force, k.phi), -force, rtol=0.0, atol=SAME * np.max(np.abs(force)))
-    np.testing.assert_allclose(found.moment, -moment, rtol=0.0, atol=SAME * np.max(np.abs(moment)))
+    np.testing.assert_allclose(flat(result.force, k.phi), -force, rtol=0.0, atol=SAME * np.max(np.abs(force)))
+    np.testing.assert_allclose(result.moment, -moment, rtol=0.0, atol=SAME * np.max(np.abs(moment)))
 
 
 @every_machine
 def test_shaking_without_gravity_and_loads_is_the_frame_reaction(example):
     """Reactions on the frame, the counter-torque of the driver and the forces of the guides are all that reaches it."""
     moving = machine_of(example.name).with_(gravity=(0.0, 0.0), loads=()).moving(example.phi, 7.0, -30.0)
-    k, found = kinematics(moving), reactions(moving)
-    total, about = np.zeros((len(k.phi), 2)), -found.torque
-    for point, bodies in found.pins.items():
+    k, result = kinematics(moving), reactions(moving)
+    total, about = np.zeros((len(k.phi), 2)), -result.torque
+    for point, bodies in result.pins.items():
         if FRAME in bodies:
             force, place = flat(bodies[FRAME], k.phi), np.array(example.ground[point]) - example.ground["A"]
             total, about = total + force, about + place[0] * force[:, 1] - place[1] * force[:, 0]
-    for name, guide in found.guides.items():
+    for name, guide in result.guides.items():
         if k.guides[name].on == FRAME:
             force, place = -flat(guide.force, k.phi), flat(guide.point, k.phi) - example.ground["A"]
             total, about = total + force, about - guide.moment + place[:, 0] * force[:, 1] - place[:, 1] * force[:, 0]
@@ -766,27 +768,27 @@ ACTING = {  # point -> (by, on): outer joints first what is placed before, inner
 def test_directions_of_reactions_are_as_documented(name):
     machine = machine_of(name)
     moving = machine.moving(PHI, 7.0, 5.0)
-    found, wanted = reactions(moving), expected(moving)
+    result, reference = reactions(moving), expected(moving)
     assert acting_on(machine) == ACTING[name]
     assert reported_on(machine) == {point: on for point, (_, on) in ACTING[name].items()}
     for point, (by, on) in ACTING[name].items():
-        told = flat(found.pin(machine, point), PHI)
-        scale = np.max(np.abs(told))
-        np.testing.assert_allclose(told, wanted.pins[point][on], rtol=0.0, atol=SAME * scale)
+        forces = flat(result.pin(machine, point), PHI)
+        scale = np.max(np.abs(forces))
+        np.testing.assert_allclose(forces, reference.pins[point][on], rtol=0.0, atol=SAME * scale)
         if by != "pin":
-            np.testing.assert_allclose(told, -wanted.pins[point][by], rtol=0.0, atol=SAME * scale)
+            np.testing.assert_allclose(forces, -reference.pins[point][by], rtol=0.0, atol=SAME * scale)
             assert scale > 0.1, "the sign would be lost in nothing"
 
 
 def test_a_reaction_is_reported_on_the_named_body():
     machine = machine_of("pins of three and four bodies").with_(reported={"C": "link5", "B": "crank"})
     moving = machine.moving(PHI, 7.0)
-    found, wanted = reactions(moving), expected(moving)
+    result, reference = reactions(moving), expected(moving)
     assert acting_on(machine)["C"] == ("pin", "link5")
     assert acting_on(machine)["B"] == ("link2", "crank")
     for point, body in machine.reported.items():
-        told = flat(found.pin(machine, point), PHI)
-        np.testing.assert_allclose(told, wanted.pins[point][body], rtol=0.0, atol=SAME * np.max(np.abs(told)))
+        forces = flat(result.pin(machine, point), PHI)
+        np.testing.assert_allclose(forces, reference.pins[point][body], rtol=0.0, atol=SAME * np.max(np.abs(forces)))
 
 
 # --- friction ---------------------------------------------------------------------------------------------------------------
@@ -800,9 +802,9 @@ def rough(example: Example, mu: float) -> Machine:
     return machine_of(example.name).with_(friction={guide.name: mu * (1 + n) for n, guide in enumerate(example.guides)})
 
 
-def check_opposed(found: Reactions, k: Kinematics, mu: Mapping[str, float]) -> None:
+def check_opposed(result: Reactions, k: Kinematics, mu: Mapping[str, float]) -> None:
     """mu |N| against the sliding of the oracle: signed, so that N * friction * v alone does not decide."""
-    for name, guide in found.guides.items():
+    for name, guide in result.guides.items():
         _, v = k.slide(name)
         opposed = -mu[name] * np.abs(guide.normal) * np.sign(v)
         np.testing.assert_allclose(guide.friction, opposed, rtol=1e-9, atol=1e-9 * np.max(np.abs(guide.normal)))
@@ -813,12 +815,12 @@ def check_opposed(found: Reactions, k: Kinematics, mu: Mapping[str, float]) -> N
 @every_drive
 def test_friction_is_mu_times_the_normal_force_against_the_motion(example, speed, acceleration):
     moving = rough(example, 0.11).moving(example.phi, speed, acceleration)
-    found, k = reactions(moving), kinematics(moving)
-    wanted = expected(moving, k)
-    np.testing.assert_array_equal(wanted.consistent, 1)
-    check(found, wanted)
-    assert not np.any(found.jammed)
-    check_opposed(found, k, moving.machine.friction)
+    result, k = reactions(moving), kinematics(moving)
+    reference = expected(moving, k)
+    np.testing.assert_array_equal(reference.consistent, 1)
+    check(result, reference)
+    assert not np.any(result.jammed)
+    check_opposed(result, k, moving.machine.friction)
     check_balance(moving, k)
 
 
@@ -858,17 +860,17 @@ def test_a_jammed_guide_is_reported_and_has_no_reactions(name, mu):
     """
     example = BY_NAME[name]
     moving = rough(example, mu).moving(np.linspace(0.0, 2.0 * np.pi, 180, endpoint=False) + 0.013, 7.0)
-    found, wanted = reactions(moving), expected(moving)
-    decided = wanted.consistent <= 1
-    stuck, clear = wanted.consistent == 0, wanted.consistent == 1
+    result, reference = reactions(moving), expected(moving)
+    decided = reference.consistent <= 1
+    stuck, clear = reference.consistent == 0, reference.consistent == 1
     assert stuck.sum() > 5
     assert clear.sum() > 5
-    np.testing.assert_array_equal(found.jammed[decided], stuck[decided])
-    np.testing.assert_array_equal(np.isnan(found.torque)[decided], stuck[decided])
+    np.testing.assert_array_equal(result.jammed[decided], stuck[decided])
+    np.testing.assert_array_equal(np.isnan(result.torque)[decided], stuck[decided])
     nothing = np.zeros(stuck.shape)
-    guides = [np.isnan(guide.normal + nothing) | np.isnan(guide.moment + nothing) for guide in found.guides.values()]
+    guides = [np.isnan(guide.normal + nothing) | np.isnan(guide.moment + nothing) for guide in result.guides.values()]
     np.testing.assert_array_equal(np.any(guides, axis=0)[decided], stuck[decided])
-    check(found, wanted, where=clear)
+    check(result, reference, where=clear)
 
 
 def test_a_wedge_jams_beyond_the_angle_of_friction_by_hand():
@@ -883,17 +885,17 @@ def test_a_wedge_jams_beyond_the_angle_of_friction_by_hand():
     for mu, jams in ((0.05, False), (0.5, False), (0.9, True), (1.5, True)):
         machine = Machine(mechanism, {}, loads=(push,), friction={"way": mu})
         moving = machine.moving(phi, 3.0)
-        found = reactions(moving)
+        result = reactions(moving)
         (x, y), sense = moving.position("B"), np.sign(moving.slides["way"][1])
         slope = y / (moving.position("C")[0] - x)  # tan(beta), of the rod downward to the slider
         stuck = mu * np.abs(slope) > 1.0
         assert stuck.any() == jams
         assert not stuck.all()
-        np.testing.assert_array_equal(found.jammed, stuck)
-        assert np.isnan(found.torque[stuck]).all()
+        np.testing.assert_array_equal(result.jammed, stuck)
+        assert np.isnan(result.torque[stuck]).all()
         normal = 10.0 * sense * slope / (1.0 - mu * np.abs(slope))
-        np.testing.assert_allclose(found.guides["way"].normal[~stuck], normal[~stuck], rtol=1e-10)
-        pull = flat(found.pins["B"]["rod"], phi)[:, 0]  # what the crank exerts on the rod, along the way
+        np.testing.assert_allclose(result.guides["way"].normal[~stuck], normal[~stuck], rtol=1e-10)
+        pull = flat(result.pins["B"]["rod"], phi)[:, 0]  # what the crank exerts on the rod, along the way
         np.testing.assert_allclose(pull[~stuck], (sense * (10.0 + mu * np.abs(normal)))[~stuck], rtol=1e-10)
 
 
@@ -918,15 +920,15 @@ def centric() -> Machine:
 @pytest.mark.parametrize("side", [1, -1], ids=["just after", "just before"])
 def test_at_a_reversal_the_side_decides(speed, phi, side):
     machine = centric()
-    found = reactions(machine.moving(np.array([phi]), speed, side=side))
+    computed = reactions(machine.moving(np.array([phi]), speed, side=side))
     near = np.array([phi + side * np.sign(speed) * 1e-7])  # after, in time
     moving = machine.moving(near, speed)
-    wanted = expected(moving)
-    check(found, wanted, 1e-5)
-    check(reactions(moving), wanted)
+    reference = expected(moving)
+    check(computed, reference, 1e-5)
+    check(reactions(moving), reference)
     opposite = reactions(machine.moving(np.array([phi]), speed, side=-side))
     with pytest.raises(AssertionError):
-        check(opposite, wanted, 1e-2)
+        check(opposite, reference, 1e-2)
 
 
 @pytest.mark.parametrize("direction", [1, -1])
@@ -938,13 +940,13 @@ def test_from_rest_loads_oppose_the_rotation_to_come(name, direction):
     slow = kinematics(moving, speed=direction)  # the senses of a crank that creeps
     loads = [acting for load in machine.loads for acting in exerted(load, k, slow)]
     senses = {guide: np.sign(slow.slide(guide)[1]) for guide in machine.friction}
-    wanted = newton_euler(k, masses(machine), machine.gravity, loads, machine.friction, senses)
-    np.testing.assert_array_equal(wanted.consistent, 1)
-    check(reactions(moving), wanted)
+    reference = newton_euler(k, masses(machine), machine.gravity, loads, machine.friction, senses)
+    np.testing.assert_array_equal(reference.consistent, 1)
+    check(reactions(moving), reference)
     if machine.switching:
         other = machine.moving(PHI, 0.0, 30.0, direction=-direction)
         with pytest.raises(AssertionError):
-            check(reactions(other), wanted, 1e-3)
+            check(reactions(other), reference, 1e-3)
 
 
 @pytest.mark.parametrize("name", ["centric", "Whitworth", "pins of three and four bodies"])
@@ -953,12 +955,14 @@ def test_rest_at_one_position_of_many_does_not_disturb_the_others(name):
     machine = centric() if name == "centric" else rough(BY_NAME[name], 0.07)
     speed = np.array([0.0, 0.5, 4.0, 0.0])
     together = machine.moving(PHI[:4], speed, 9.0)
-    found = values(reactions(together))
+    computed = values(reactions(together))
     for k in range(4):
         alone = values(reactions(machine.moving(PHI[k : k + 1], float(speed[k]), 9.0, direction=1)))
         for quantity, value in alone.items():
-            wanted = float(np.ravel(value)[0])
-            np.testing.assert_allclose((found[quantity] + 0.0 * PHI[:4])[k], wanted, rtol=1e-10, atol=1e-9, err_msg=quantity)
+            reference = float(np.ravel(value)[0])
+            np.testing.assert_allclose(
+                (computed[quantity] + 0.0 * PHI[:4])[k], reference, rtol=1e-10, atol=1e-9, err_msg=quantity
+            )
 
 
 @every_machine
@@ -973,15 +977,15 @@ def test_a_motion_at_another_speed_is_the_even_one_scaled(example):
 # --- one formula for batches, symbols and complex steps ---------------------------------------------------------------------
 
 
-def values(found: Reactions) -> dict[str, object]:
+def values(result: Reactions) -> dict[str, object]:
     """Every number of a solution by name."""
-    named = {"torque": found.torque}
-    for point, bodies in found.pins.items():
+    named = {"torque": result.torque}
+    for point, bodies in result.pins.items():
         named |= {f"{point} {body} {axis}": v for body, force in bodies.items() for axis, v in zip("xy", force, strict=True)}
-    for name, guide in found.guides.items():
+    for name, guide in result.guides.items():
         named |= {f"{name} normal": guide.normal, f"{name} friction": guide.friction, f"{name} moment": guide.moment}
         named |= {f"{name} {axis}": v for axis, v in zip("xy", guide.force, strict=True)}
-    return named | {f"sine {joint}": sine for joint, sine in found.singularity.items()}
+    return named | {f"sine {joint}": sine for joint, sine in result.singularity.items()}
 
 
 @every_machine
@@ -993,8 +997,8 @@ def test_batch_is_the_loop(example, mu):
     designs = 3
     lengths = {name: length * rng.uniform(0.99, 1.01, (designs, 1)) for name, length in machine.sizes.items()}
     heavy = {
-        body: Inertia(*(getattr(own, part) * rng.uniform(0.8, 1.2, (designs, 1)) for part in Parameters._fields))
-        for body, own in machine.inertias.items()
+        body: Inertia(*(getattr(inertia, part) * rng.uniform(0.8, 1.2, (designs, 1)) for part in Parameters._fields))
+        for body, inertia in machine.inertias.items()
     }
     phi, speed = example.phi[::4], rng.uniform(2.0, 6.0, example.phi[::4].size)
     batch = values(reactions(machine.with_(sizes=lengths, inertias=heavy).moving(phi, speed, 5.0)))
@@ -1003,7 +1007,8 @@ def test_batch_is_the_loop(example, mu):
         one = machine.with_(
             sizes={name: float(length[row, 0]) for name, length in lengths.items()},
             inertias={
-                body: Inertia(*(float(getattr(own, part)[row, 0]) for part in Parameters._fields)) for body, own in heavy.items()
+                body: Inertia(*(float(getattr(inertia, part)[row, 0]) for part in Parameters._fields))
+                for body, inertia in heavy.items()
             },
         )
         loop[row, column] = values(reactions(one.moving(phi[column : column + 1], float(speed[column]), 5.0)))
@@ -1041,9 +1046,9 @@ def symbolic(machine: Machine) -> tuple[casadi.Function, casadi.Function, list[s
 def check_symbols(whole: casadi.Function, machine: Machine, names: Sequence[str]) -> None:
     lengths = list(machine.sizes.values())
     rows = np.array([np.array(whole([*lengths, phi])).ravel() for phi in PHI])
-    found = values(traced(machine, PHI))
+    computed = values(traced(machine, PHI))
     for k, name in enumerate(names):
-        expected_values = found[name] + 0.0 * PHI
+        expected_values = computed[name] + 0.0 * PHI
         scale = max(np.max(np.abs(expected_values)), 1.0)
         np.testing.assert_allclose(rows[:, k], expected_values, rtol=0.0, atol=1e-12 * scale, err_msg=name)
 
@@ -1091,10 +1096,10 @@ def test_a_dead_position_is_detected_by_its_sine_without_a_warning():
     mechanism = assemble("parallelogram", {"A": (0.0, 0.0), "D": (0.5, 0.0)}, links, (), (), "crank", {"C": "left of B-D"})
     machine = Machine(mechanism, {}, {"coupler": Inertia(1.0, 0.2, 0.1, 0.02)}, GRAVITY)
     phi = np.array([0.0, 1e-6, 0.5, 1.0])
-    found = reactions(machine.moving(phi, 2.0))
-    sine = np.abs(found.singularity["C"])
+    result = reactions(machine.moving(phi, 2.0))
+    sine = np.abs(result.singularity["C"])
     assert not sine[0] > 1e-7
-    assert not np.abs(found.torque[0]) < 1e3 * np.abs(found.torque[2])  # infinite, but for rounding
+    assert not np.abs(result.torque[0]) < 1e3 * np.abs(result.torque[2])  # infinite, but for rounding
     assert sine[1] < 1e-5
     assert np.all((sine[2:] > 0.1) & (sine[2:] <= 1.0))
     clear = machine.moving(phi[2:], 2.0)
@@ -1112,10 +1117,10 @@ def fails(check_it: Callable[[], None]) -> bool:
     return False
 
 
-def verdicts(moving: Moving, k: Kinematics, wanted: Solution) -> dict[str, bool]:
+def verdicts(moving: Moving, k: Kinematics, reference: Solution) -> dict[str, bool]:
     """Which of the checks fail."""
     return {
-        "oracle": fails(lambda: check(reactions(moving), wanted, 1e-6)),
+        "oracle": fails(lambda: check(reactions(moving), reference, 1e-6)),
         "balance": fails(lambda: check_balance(moving, k, 1e-6)),
         "energy": fails(lambda: check_energy(moving, k, 1e-6)),
     }
@@ -1129,9 +1134,9 @@ def at_the_centroid(honest: Callable) -> Callable:
             if acting.body == FRAME:
                 yield acting
                 continue
-            own, state = moving.machine.inertias[acting.body], moving.state(acting.body)
+            inertia, state = moving.machine.inertias[acting.body], moving.state(acting.body)
             x, y = state.axis
-            arm = own.along * x - own.across * y, own.along * y + own.across * x
+            arm = inertia.along * x - inertia.across * y, inertia.along * y + inertia.across * x
             yield acting._replace(point=(state.start[0] + arm[0], state.start[1] + arm[1]))
 
     return act
@@ -1154,12 +1159,12 @@ MOVED = [
 def test_checks_see_a_load_moved_to_the_centroid(name, kind, monkeypatch):
     machine = machine_of(name)
     moving = machine.moving(PHI, 7.0, 3.0)
-    k, wanted = kinematics(moving), expected(moving)
-    assert not any(verdicts(moving, k, wanted).values())
+    k, reference = kinematics(moving), expected(moving)
+    assert not any(verdicts(moving, k, reference).values())
     monkeypatch.setattr(kind, "act", at_the_centroid(kind.act))
-    found = verdicts(machine.moving(PHI, 7.0, 3.0), k, wanted)
+    computed = verdicts(machine.moving(PHI, 7.0, 3.0), k, reference)
     turns = any(isinstance(load, kind) and np.any(k.turning(body)[1]) for load in machine.loads for body in bodies_of(load))
-    assert found == {"oracle": True, "balance": turns, "energy": turns}
+    assert computed == {"oracle": True, "balance": turns, "energy": turns}
 
 
 def bodies_of(load: Load) -> list[str]:
@@ -1195,25 +1200,25 @@ HONEST_WRENCH = reactions_module.wrench
 @pytest.mark.parametrize("defect", [without_steiner, without_centripetal, turned_gravity])
 def test_checks_see_a_wrong_wrench(name, defect, monkeypatch):
     moving = machine_of(name).moving(PHI, 7.0, 3.0)
-    k, wanted = kinematics(moving), expected(moving)
+    k, reference = kinematics(moving), expected(moving)
     monkeypatch.setattr(reactions_module, "wrench", defect)
-    assert all(verdicts(moving, k, wanted).values())
+    assert all(verdicts(moving, k, reference).values())
 
 
 @pytest.mark.parametrize("name", ["Watt I", "slider-crank with offset and tilt", "Whitworth"])
 def test_checks_see_a_sign_in_a_balance(name, monkeypatch):
     moving = machine_of(name).moving(PHI, 7.0, 3.0)
-    k, wanted = kinematics(moving), expected(moving)
+    k, reference = kinematics(moving), expected(moving)
     monkeypatch.setattr(dyad_balances, "moment_row", other_lever)
-    assert all(verdicts(moving, k, wanted).values())
+    assert all(verdicts(moving, k, reference).values())
 
 
 @pytest.mark.parametrize("example", [e for e in EXAMPLES if len(e.kinds) > 1], ids=str)
 def test_checks_see_a_reaction_that_is_not_carried_on(example, monkeypatch):
     moving = machine_of(example.name).moving(PHI, 7.0, 3.0)
-    k, wanted = kinematics(moving), expected(moving)
+    k, reference = kinematics(moving), expected(moving)
     monkeypatch.setattr(reactions_module.ForceBalance, "_carry", lambda self, body, point, force, moment: None)
-    assert all(verdicts(moving, k, wanted).values())
+    assert all(verdicts(moving, k, reference).values())
 
 
 @pytest.mark.parametrize(
@@ -1222,12 +1227,12 @@ def test_checks_see_a_reaction_that_is_not_carried_on(example, monkeypatch):
 def test_checks_see_a_guide_moment_that_is_not_carried_on(example, monkeypatch):
     """Of a guide on a moving body the force alone is handed on."""
     moving = machine_of(example.name).moving(PHI, 7.0, 3.0)
-    k, wanted = kinematics(moving), expected(moving)
+    k, reference = kinematics(moving), expected(moving)
     honest = reactions_module.ForceBalance._carry
     monkeypatch.setattr(
         reactions_module.ForceBalance, "_carry", lambda self, body, point, force, moment: honest(self, body, point, force, 0.0)
     )
-    found = verdicts(moving, k, wanted)
+    computed = verdicts(moving, k, reference)
     carried = any(
         len({link.body for link in group.links} & set(guide.bodies)) == 1 and guide.other(link.body) != FRAME
         for group in moving.machine.mechanism.groups
@@ -1235,22 +1240,22 @@ def test_checks_see_a_guide_moment_that_is_not_carried_on(example, monkeypatch):
         for link in group.links
         if link.body in guide.bodies
     )
-    assert found == dict.fromkeys(found, carried)
+    assert computed == dict.fromkeys(computed, carried)
 
 
 @pytest.mark.parametrize("name", ["four-bar with springs", "Whitworth"])
 def test_checks_see_a_driver_torque_of_the_wrong_sign_or_a_lost_load(name, monkeypatch):
     machine = machine_of(name)
     moving = machine.moving(PHI, 7.0, 3.0)
-    k, wanted = kinematics(moving), expected(moving)
+    k, reference = kinematics(moving), expected(moving)
     wrong = reactions(moving)
     with pytest.raises(AssertionError, match="torque"):
-        check(replace(wrong, torque=-wrong.torque), wanted)
+        check(replace(wrong, torque=-wrong.torque), reference)
     for lost in machine.loads:
-        kept = tuple(load for load in machine.loads if load is not lost)
+        others = tuple(load for load in machine.loads if load is not lost)
         with pytest.raises(AssertionError):
-            check(reactions(machine.with_(loads=kept).moving(PHI, 7.0, 3.0)), wanted, 1e-6)
-    assert not any(verdicts(moving, k, wanted).values())
+            check(reactions(machine.with_(loads=others).moving(PHI, 7.0, 3.0)), reference, 1e-6)
+    assert not any(verdicts(moving, k, reference).values())
 
 
 def test_motion_check_detects_a_wrong_acceleration(monkeypatch):
@@ -1279,5 +1284,5 @@ def test_acceleration_of_the_motion_that_a_force_opposes_is_the_derivative_of_it
         return machine.loads[0].reversing(machine.moving(at, 3.0))[0]
 
     expected = 3.0 * (velocity(angles + step) - velocity(angles - step)) / (2.0 * step)
-    found = machine.loads[0].reversing(machine.moving(angles, 3.0))[1]
-    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-8)
+    computed = machine.loads[0].reversing(machine.moving(angles, 3.0))[1]
+    np.testing.assert_allclose(computed, expected, rtol=0.0, atol=1e-8)

@@ -40,8 +40,8 @@ def machine(**changes: object) -> ProblemFile:
 
 def test_a_machine_with_a_speed_of_zero_is_simulated_from_rest():
     """A crank alone with a constant torque: half the angular acceleration times the time squared."""
-    found = optlink.simulate(machine())
-    turned = np.radians(found["crank_angle_deg"][-1] - found["crank_angle_deg"][0])
+    computed = optlink.simulate(machine())
+    turned = np.radians(computed["crank_angle_deg"][-1] - computed["crank_angle_deg"][0])
     assert turned == pytest.approx(0.5 * (0.5 / 0.01), rel=1e-6)
 
 
@@ -60,5 +60,5 @@ def test_a_force_without_a_value_at_the_start_is_no_rest(key):
     """log(0): neither sense of rotation can be judged, so that the machine stays at rest is not known."""
     formula = {"expression": "log(omega)", "unit": "N*m"}
     value = {"on": "crank", "torque": formula} if key == "loads.work" else formula
-    found = optlink.simulate(machine().override({key: value}))
-    assert (found.run.ending, found.finished) == (Ending.STALLED, False)
+    result = optlink.simulate(machine().override({key: value}))
+    assert (result.run.ending, result.finished) == (Ending.STALLED, False)

@@ -31,8 +31,8 @@ def own(end):
 
 
 def numbers(rates, *at):
-    made = attempt(rates, np.column_stack, *at)
-    return made._replace(rates=np.array(made.rates))
+    step = attempt(rates, np.column_stack, *at)
+    return step._replace(rates=np.array(step.rates))
 
 
 def scipys(end):
@@ -47,11 +47,11 @@ def differences(end=7.0):
     steps, theirs = own(end), list(scipys(end))
     middles = np.array([0.3 * step.time + 0.7 * step.end for step in steps])
     inside = states_at(middles, steps)
-    found = [
+    computed = [
         (abs(step.end - to), np.max(np.abs(here - curve(middle))))
         for step, (_, to, _, curve), here, middle in zip(steps, theirs, inside, middles, strict=False)
     ]
-    return *np.max(found, axis=0), len(steps), len(theirs)
+    return *np.max(computed, axis=0), len(steps), len(theirs)
 
 
 def test_steps_and_states_are_those_of_scipy():

@@ -48,13 +48,13 @@ class ClearingTask(DesignTask):
     section, model = "clearing", ClearingProblem
 
     def search(self, problem, search):
-        found = float(extremes(lambda at: distances(problem, at)[None, :], np.linspace(0.0, 2.0 * np.pi, 361))[1][0, 0])
+        computed = float(extremes(lambda at: distances(problem, at)[None, :], np.linspace(0.0, 2.0 * np.pi, 361))[1][0, 0])
         swept, least = float(np.min(distances(problem, np.linspace(0.0, 2.0 * np.pi, 20001)))), problem.model.clearing.least.value
         checks = (
-            Check("least distance", found >= least, found * 1e3, f">= {least * 1e3:.6g}", "mm"),
-            Check("agrees with a sweep", abs(found - swept) <= 1e-6 * swept, abs(found - swept) * 1e3, "<= 1e-06", ""),
+            Check("least distance", computed >= least, computed * 1e3, f">= {least * 1e3:.6g}", "mm"),
+            Check("agrees with a sweep", abs(computed - swept) <= 1e-6 * swept, abs(computed - swept) * 1e3, "<= 1e-06", ""),
         )
-        return ClearingResult(problem, found, Validation(checks, swept))
+        return ClearingResult(problem, computed, Validation(checks, swept))
 
 
 add_task("clearing", ClearingTask)

@@ -85,11 +85,11 @@ CASES: dict[str, CouplerLinkage] = {
 
 def ranges_inside(linkage: CouplerLinkage, inset: float = 0.02) -> list[np.ndarray]:
     """Crank angles in each range, a share of its width away from its ends unless the crank turns fully."""
-    found = []
+    result = []
     for low, high in reachable(*linkage.lengths):
         keep = 0.0 if high - low > 6.28318 else inset * (high - low)
-        found.append(np.linspace(low + keep, high - keep, 121))
-    return found
+        result.append(np.linspace(low + keep, high - keep, 121))
+    return result
 
 
 def joints(linkage: CouplerLinkage, phi: np.ndarray, side: np.ndarray | int | None = None) -> tuple[np.ndarray, ...]:
@@ -119,32 +119,32 @@ def sine_of(linkage: CouplerLinkage, phi: np.ndarray) -> np.ndarray:
 
 
 def check_curve(
-    cognate: Cognate, phi: np.ndarray, own: CouplerLinkage | None = None, side: np.ndarray | int | None = None
+    cognate: Cognate, phi: np.ndarray, coupler_linkage: CouplerLinkage | None = None, side: np.ndarray | int | None = None
 ) -> int:
     """The cognate, solved by `joints` at its own crank angle, has its coupler point where the original has it.
 
     Only where its C is well conditioned (sine of the transmission angle above 0.01); returns at how many positions that was.
     """
-    own = own or cognate.linkage
+    coupler_linkage = coupler_linkage or cognate.linkage
     angle = np.asarray(cognate.crank_angle(phi))
-    good = sine_of(own, angle) > 0.01
-    side = np.broadcast_to(own.side if side is None else side, phi.shape)
-    wanted, found = joints(cognate.original, phi[good])[-1], joints(own, angle[good], side[good])[-1]
-    np.testing.assert_allclose(np.abs(found - wanted), 0.0, atol=1e-12 * extent(own, cognate.original))
+    good = sine_of(coupler_linkage, angle) > 0.01
+    side = np.broadcast_to(coupler_linkage.side if side is None else side, phi.shape)
+    expected, computed = joints(cognate.original, phi[good])[-1], joints(coupler_linkage, angle[good], side[good])[-1]
+    np.testing.assert_allclose(np.abs(computed - expected), 0.0, atol=1e-12 * extent(coupler_linkage, cognate.original))
     return int(np.count_nonzero(good))
 
 
 def check_lengths(linkage: CouplerLinkage, b: np.ndarray, c: np.ndarray, p: np.ndarray, tolerance: float) -> None:
     """Its links as long as it says, the coupler triangle not mirrored, from positions alone."""
     a, d = plane(linkage.pivots[0]), plane(linkage.pivots[1])
-    for found, wanted in (
+    for computed, expected in (
         (b - a, linkage.crank),
         (c - b, linkage.coupler),
         (c - d, linkage.rocker),
         (d - a, linkage.frame),
         (p - b, math.hypot(linkage.along, linkage.across)),
     ):
-        np.testing.assert_allclose(np.abs(found), wanted, rtol=0.0, atol=tolerance)
+        np.testing.assert_allclose(np.abs(computed), expected, rtol=0.0, atol=tolerance)
     np.testing.assert_allclose((p - b) / (c - b) * linkage.coupler, complex(linkage.along, linkage.across), atol=10.0 * tolerance)
 
 
@@ -164,16 +164,16 @@ def roberts(linkage: CouplerLinkage, phi: np.ndarray) -> tuple[np.ndarray, ...]:
 # --- the construction ----------------------------------------------------------------------------------------------
 
 
-def both(found: Cognates) -> tuple[Cognate, Cognate]:
-    assert found.at_crank_pivot is not None
-    assert found.at_rocker_pivot is not None
-    return found.at_crank_pivot, found.at_rocker_pivot
+def both(result: Cognates) -> tuple[Cognate, Cognate]:
+    assert result.at_crank_pivot is not None
+    assert result.at_rocker_pivot is not None
+    return result.at_crank_pivot, result.at_rocker_pivot
 
 
 def the_ones(linkage: CouplerLinkage, phi: np.ndarray) -> list[Cognate]:
     """Both four-bars, each driven from both ends, for the range of `phi`."""
-    found = both(cognates(linkage, float(phi[len(phi) // 2])))
-    return [*found, *(cognate.driven_from_rocker for cognate in found)]
+    computed = both(cognates(linkage, float(phi[len(phi) // 2])))
+    return [*computed, *(cognate.driven_from_rocker for cognate in computed)]
 
 
 @seeded
@@ -189,12 +189,12 @@ def test_joints_are_those_of_the_roberts_diagram(linkage):
         np.testing.assert_allclose(e, a + shape * (d - a), rtol=0.0, atol=atol)  # it stands still; A-D-E is similar to B-C-P
         for cognate in known:
             at_a = cognate.follows[2] != "crank" and cognate.follows[0] != "crank"
-            wanted = {True: (a, e[0], m, x), False: (d, e[0], n, y)}[at_a]
+            expected = {True: (a, e[0], m, x), False: (d, e[0], n, y)}[at_a]
             if cognate.turns_as != "coupler":
-                wanted = wanted[1], wanted[0], wanted[3], wanted[2]
+                expected = expected[1], expected[0], expected[3], expected[2]
             pose = cognate.pose(phi)
-            for found, place in zip((*cognate.linkage.pivots, pose.b, pose.c, pose.p), (*wanted, p), strict=True):
-                np.testing.assert_allclose(np.abs(plane(found) - place), 0.0, atol=atol)
+            for computed, place in zip((*cognate.linkage.pivots, pose.b, pose.c, pose.p), (*expected, p), strict=True):
+                np.testing.assert_allclose(np.abs(plane(computed) - place), 0.0, atol=atol)
 
 
 @seeded
@@ -202,17 +202,21 @@ def test_joints_are_those_of_the_roberts_diagram(linkage):
 def test_links_keep_their_length_and_solve_the_loop_in_their_mode(linkage):
     for phi in ranges_inside(linkage):
         for cognate in the_ones(linkage, phi):
-            own, pose = cognate.linkage, cognate.pose(phi)
+            coupler_linkage, pose = cognate.linkage, cognate.pose(phi)
             b, c, p = (plane(v) for v in (pose.b, pose.c, pose.p))
-            check_lengths(own, b, c, p, 2e-12 * extent(own, linkage))
-            clear = sine_of(own, np.asarray(cognate.crank_angle(phi))) > 0.01
-            reach = complex(*own.pivots[1]) - b
+            check_lengths(coupler_linkage, b, c, p, 2e-12 * extent(coupler_linkage, linkage))
+            clear = sine_of(coupler_linkage, np.asarray(cognate.crank_angle(phi))) > 0.01
+            reach = complex(*coupler_linkage.pivots[1]) - b
             left = np.where((np.conj(reach) * (c - b)).imag > 0.0, 1, -1)
             np.testing.assert_array_equal(left[clear], cognate.side_at(phi)[clear])
-            solved = own.pose(cognate.crank_angle(phi), cognate.side_at(phi))
+            solved = coupler_linkage.pose(cognate.crank_angle(phi), cognate.side_at(phi))
             np.testing.assert_allclose(np.asarray(solved.margin)[clear], np.asarray(pose.margin)[clear], rtol=1e-8, atol=1e-9)
-            crank = own.crank * np.exp(1j * (own.direction + np.asarray(cognate.crank_angle(phi))))
-            np.testing.assert_allclose(np.abs(b - complex(own.x, own.y) - crank), 0.0, atol=2e-12 * extent(own, linkage))
+            crank = coupler_linkage.crank * np.exp(1j * (coupler_linkage.direction + np.asarray(cognate.crank_angle(phi))))
+            np.testing.assert_allclose(
+                np.abs(b - complex(coupler_linkage.x, coupler_linkage.y) - crank),
+                0.0,
+                atol=2e-12 * extent(coupler_linkage, linkage),
+            )
 
 
 # --- the same curve, at the same time ------------------------------------------------------------------------------
@@ -303,28 +307,32 @@ def test_timed_cognates_keep_angular_velocity_and_point_motion(name):
     sizes = dict(zip(("crank", "coupler", "rocker", "frame"), linkage.lengths, strict=True))
     for phi in ranges_inside(linkage, 0.1):
         motion = sweep(four_bar(linkage.side), sizes, phi)
-        wanted = linkage.pose(Jet(phi, 1.0)).p
+        reference = linkage.pose(Jet(phi, 1.0)).p
         for cognate in the_ones(linkage, phi):
-            own, angle = cognate.linkage, cognate.crank_angle(Jet(phi, 1.0))
+            coupler_linkage, angle = cognate.linkage, cognate.crank_angle(Jet(phi, 1.0))
             turned = motion.body_angle(cognate.turns_as)
             np.testing.assert_allclose(angle.rate, turned.rate, atol=1e-11)
             np.testing.assert_allclose(angle.acceleration, turned.acceleration, atol=1e-10)
-            good = sine_of(own, angle.value) > 0.2
-            solved = own.pose(angle, cognate.side_at(phi)).p
-            for parallel, found, expected in zip(cognate.pose(Jet(phi, 1.0)).p, solved, wanted, strict=True):
+            good = sine_of(coupler_linkage, angle.value) > 0.2
+            solved = coupler_linkage.pose(angle, cognate.side_at(phi)).p
+            for parallel, computed, expected in zip(cognate.pose(Jet(phi, 1.0)).p, solved, reference, strict=True):
                 for part in ("value", "rate", "acceleration"):
                     np.testing.assert_allclose(getattr(parallel, part), getattr(expected, part), atol=1e-10)
-                    np.testing.assert_allclose(getattr(found, part)[good], getattr(expected, part)[good], atol=1e-9)
+                    np.testing.assert_allclose(getattr(computed, part)[good], getattr(expected, part)[good], atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["crank-rocker", "crank-rocker, crossed", "double-crank"])
 def test_a_cognate_is_an_ordinary_mechanism_of_the_package(name):
     linkage = CASES[name]
-    own = both(cognates(linkage))[1].linkage
-    bar = replace(four_bar(own.side), points=(BodyPoint("P", "coupler", own.along, own.across),))
-    motion = sweep(bar, dict(zip(("crank", "coupler", "rocker", "frame"), own.lengths, strict=True)), REVOLUTION)
-    found = motion.position("P") @ (1.0, 1j) * cmath.exp(1j * own.direction) + complex(own.x, own.y)
-    np.testing.assert_allclose(found, joints(linkage, REVOLUTION)[-1], atol=1e-14)
+    coupler_linkage = both(cognates(linkage))[1].linkage
+    bar = replace(
+        four_bar(coupler_linkage.side), points=(BodyPoint("P", "coupler", coupler_linkage.along, coupler_linkage.across),)
+    )
+    motion = sweep(bar, dict(zip(("crank", "coupler", "rocker", "frame"), coupler_linkage.lengths, strict=True)), REVOLUTION)
+    computed = motion.position("P") @ (1.0, 1j) * cmath.exp(1j * coupler_linkage.direction) + complex(
+        coupler_linkage.x, coupler_linkage.y
+    )
+    np.testing.assert_allclose(computed, joints(linkage, REVOLUTION)[-1], atol=1e-14)
 
 
 # --- the family ----------------------------------------------------------------------------------------------------
@@ -349,8 +357,8 @@ def test_cognates_of_a_cognate_are_the_other_two_of_the_three(linkage):
     assume(abs(math.cos(linkage.direction)) > 1e-3 and min(abs(math.cos(c.linkage.direction)) for c in (first, second)) > 1e-3)
     family = [linkage, first.linkage, second.linkage]
     for member in family:
-        found = [member, *(cognate.linkage for cognate in both(cognates(member)))]
-        assert sorted([same(one, other) for other in family].index(True) for one in found) == [0, 1, 2]
+        computed = [member, *(cognate.linkage for cognate in both(cognates(member)))]
+        assert sorted([same(one, other) for other in family].index(True) for one in computed) == [0, 1, 2]
 
 
 @seeded
@@ -384,15 +392,22 @@ def test_chebyshevs_linkage_has_the_lambda_linkage_as_cognate():
     first, second = both(cognates(linkage, math.atan2(4.0, 3.0)))
     assert linkage.inversion is Inversion.DOUBLE_ROCKER
     lambda_linkage = (1.0, 2.5, 2.5, 2.0, 5.0, 0.0, 0.0, 0.0, 0.0)
-    own = first.linkage
-    assert (*own.lengths, own.along, own.across, own.x, own.y, own.direction) == pytest.approx(lambda_linkage, abs=1e-14)
+    coupler_linkage = first.linkage
+    assert (
+        *coupler_linkage.lengths,
+        coupler_linkage.along,
+        coupler_linkage.across,
+        coupler_linkage.x,
+        coupler_linkage.y,
+        coupler_linkage.direction,
+    ) == pytest.approx(lambda_linkage, abs=1e-14)
     assert first.inversion is Inversion.CRANK_ROCKER
     assert first.turns_as == "coupler"
     mirrored = second.driven_from_rocker.linkage
     assert mirrored.lengths == pytest.approx(lambda_linkage[:4])
     assert mirrored.pivots[0] == pytest.approx((4.0, 0.0))
     assert mirrored.pivots[1] == pytest.approx((2.0, 0.0))
-    pose = own.pose(np.linspace(np.pi / 2.0, 1.5 * np.pi, 181))  # the straight part: half a turn of the crank
+    pose = coupler_linkage.pose(np.linspace(np.pi / 2.0, 1.5 * np.pi, 181))  # the straight part: half a turn of the crank
     x, y = pose.p
     assert np.ptp(x) == pytest.approx(4.0, abs=1e-9)
     assert np.ptp(y) < 0.02 * np.ptp(x)
@@ -467,9 +482,9 @@ def test_the_ends_of_a_range_belong_to_it(linkage):
         first, second = both(cognates(linkage, 0.999 * low + 0.001 * high))
         assert second.linkage.side == -linkage.side
         for at in (low, high, low + 2.0 * np.pi, high - 4.0 * np.pi):
-            found = both(cognates(linkage, at))
-            assert found[1] == second
-            assert found[0] == first or not first.keeps_side
+            computed = both(cognates(linkage, at))
+            assert computed[1] == second
+            assert computed[0] == first or not first.keeps_side
 
 
 @seeded

@@ -294,10 +294,10 @@ def test_gap_and_margin_check_see_links_that_do_not_reach():
     """By hand: B and D are 5 apart, the links 1 and 3 long; the pins of a slider 0.3 apart, its offset 0.5."""
     ground, crank = {"A": (0.0, 0.0), "D": (6.0, 0.0)}, Link("crank", "A", "B", 1.0)
     links = (crank, Link("one", "B", "C", 1.0), Link("two", "D", "C", 3.0))
-    for phi, wanted in ((0.0, 5.0 - 4.0), (math.pi, 7.0 - 4.0)):
+    for phi, expected in ((0.0, 5.0 - 4.0), (math.pi, 7.0 - 4.0)):
         parts = Parts(ground, links, modes={"C": "left of B-D"})
         pose = parts.pose(phi)
-        np.testing.assert_allclose(parts.mechanism.groups[0].gap(pose), wanted, rtol=1e-14)
+        np.testing.assert_allclose(parts.mechanism.groups[0].gap(pose), expected, rtol=1e-14)
         assert pose.margins["C"] < 0.0
     near = Parts({"A": (0.0, 0.0), "D": (1.5, 0.0)}, links, modes={"C": "left of B-D"})
     np.testing.assert_allclose(near.mechanism.groups[0].gap(near.pose(0.0)), 2.0 - 0.5, rtol=1e-14)  # too near
@@ -350,9 +350,9 @@ def check_rates(parts: Parts, phi: np.ndarray, motion: Motion) -> None:
         first = (8.0 * (near - back) - (far - beyond)) / (12.0 * h)
         twice = (16.0 * (near + back) - (far + beyond) - 30.0 * here) / (12.0 * h**2)
         size = max(1.0, float(np.max(np.abs(here))))
-        for found, wanted, tolerance, unit_of in ((rate, first, 1e-7, abs(speed)), (second, twice, 1e-4, speed**2)):
-            scale = max(float(np.max(np.abs(wanted))), size * unit_of)
-            np.testing.assert_allclose(found, wanted, rtol=0.0, atol=tolerance * scale, err_msg=what)
+        for computed, expected, tolerance, unit_of in ((rate, first, 1e-7, abs(speed)), (second, twice, 1e-4, speed**2)):
+            scale = max(float(np.max(np.abs(expected))), size * unit_of)
+            np.testing.assert_allclose(computed, expected, rtol=0.0, atol=tolerance * scale, err_msg=what)
 
     for point in mechanism.owners:
         compare(lambda m, point=point: m.position(point), motion.velocity(point), motion.acceleration(point), point)
@@ -482,10 +482,10 @@ def check_covariance(parts: Parts, phi: np.ndarray, change: Change, changed: Mec
     for point in parts.mechanism.owners:
         for part, way in ((Motion.position, change), (Motion.velocity, still), (Motion.acceleration, still)):
             before = part(one, point)
-            wanted = np.stack(way.vector(before[:, 0], before[:, 1]), axis=-1)
-            scale = np.max(np.abs(wanted)) + change.factor
+            expected = np.stack(way.vector(before[:, 0], before[:, 1]), axis=-1)
+            scale = np.max(np.abs(expected)) + change.factor
             np.testing.assert_allclose(
-                part(other, point), wanted, rtol=0.0, atol=1e-9 * scale, err_msg=f"{point} {part.__name__}"
+                part(other, point), expected, rtol=0.0, atol=1e-9 * scale, err_msg=f"{point} {part.__name__}"
             )
     for joint in one.pose.margins:
         np.testing.assert_allclose(other.margin(joint), one.margin(joint), rtol=0.0, atol=1e-8)

@@ -20,8 +20,8 @@ GRID = np.linspace(0.0, TURN, 1441)
 
 def test_distinct_values_are_those_of_numpy():
     for values in ([], [2.0], [3, 1, 3, 2, 1, 1], np.random.default_rng(0).integers(0, 9, (6, 7)) / 3.0):
-        found = distinct(np.asarray(values))
-        np.testing.assert_array_equal(found, np.unique(values), strict=True)
+        computed = distinct(np.asarray(values))
+        np.testing.assert_array_equal(computed, np.unique(values), strict=True)
 
 
 def family(seed, count=60):
@@ -46,9 +46,9 @@ def family(seed, count=60):
     return function
 
 
-def far(function, found):
+def far(function, computed):
     """By how much an extreme is missed, as a share of the size of its function, and how untrue it is of the angle named."""
-    angles, values = found
+    angles, values = computed
     dense = np.linspace(0.0, TURN, 20_001)
     samples, step, missed, untrue = function(dense), dense[1], 0.0, 0.0
     for row, own in enumerate(samples):
@@ -147,22 +147,22 @@ def test_rounding_beside_others_of_its_kind_is_not_refined():
 def test_zeros_are_those_of_brentq(seed):
     function = family(seed, 20)
     values = function(GRID)
-    for row, found in enumerate(zeros(function, GRID)):
+    for row, computed in enumerate(zeros(function, GRID)):
         change = np.flatnonzero(values[row, :-1] * values[row, 1:] < 0.0)
         brackets = [(GRID[k], GRID[k + 1]) for k in change]
         roots = [brentq(lambda at, row=row: function(np.array([at]))[row, 0], a, b, xtol=1e-15, rtol=1e-15) for a, b in brackets]
-        assert found == pytest.approx(roots, abs=1e-12)
+        assert computed == pytest.approx(roots, abs=1e-12)
 
 
 def test_zeros_end_behind_the_change_of_sign():
     def function(angles):
         return np.array([np.tanh(1e6 * (angles - 1.0)), np.where(angles < 2.5, -1.0, 1.0), (angles - 3.0) ** 3])
 
-    for row, (found, at) in enumerate(zip(zeros(function, GRID), (1.0, 2.5, 3.0), strict=True)):
-        assert len(found) == 1
-        assert found[0] == pytest.approx(at, abs=1e-14 if row else 1e-12)
-        assert function(found)[row, 0] >= 0.0
-        assert function(found - 2e-15 * at)[row, 0] <= 0.0
+    for row, (computed, at) in enumerate(zip(zeros(function, GRID), (1.0, 2.5, 3.0), strict=True)):
+        assert len(computed) == 1
+        assert computed[0] == pytest.approx(at, abs=1e-14 if row else 1e-12)
+        assert function(computed)[row, 0] >= 0.0
+        assert function(computed - 2e-15 * at)[row, 0] <= 0.0
 
 
 def test_a_zero_at_zero_costs_no_more_than_another():
@@ -175,8 +175,8 @@ def test_a_zero_at_zero_costs_no_more_than_another():
     grid = np.linspace(-0.01, 6.0, 300)
     samples = function(grid)
     for shift in (0.0, 1.0):
-        found = zeros(lambda angles: function(angles - shift), grid + shift, samples=samples)[0]  # noqa: B023
-        assert found == pytest.approx([shift, shift + math.pi], abs=1e-15 + 4e-16 * shift)
+        computed = zeros(lambda angles: function(angles - shift), grid + shift, samples=samples)[0]  # noqa: B023
+        assert computed == pytest.approx([shift, shift + math.pi], abs=1e-15 + 4e-16 * shift)
     assert len(calls) < 20
     assert max(calls[1:]) == 2  # the samples are known
 
@@ -238,8 +238,8 @@ def test_zeros_with_derivatives_are_those_without(phase: float) -> None:
     def slope(_k: int, angle: float) -> tuple[float, float]:
         return math.sin(3.1 * angle - phase), 3.1 * math.cos(3.1 * angle - phase)
 
-    found = zeros(lambda angles: np.sin(3.1 * angles - phase)[None], np.array([0.0, 1.0]), slope=slope)
-    assert found[0] == pytest.approx([phase / 3.1], abs=1e-15)
+    computed = zeros(lambda angles: np.sin(3.1 * angles - phase)[None], np.array([0.0, 1.0]), slope=slope)
+    assert computed[0] == pytest.approx([phase / 3.1], abs=1e-15)
 
 
 def test_newton_ends_at_rounding_noise_of_the_function():
@@ -251,8 +251,8 @@ def test_newton_ends_at_rounding_noise_of_the_function():
         return np.sin(angles - root)[None, :]
 
     grid = np.linspace(0.0, 2.0, 11)
-    (found,) = zeros(values, grid, slope=lambda _, at: (math.sin(at - root) + next(noise), math.cos(at - root)))
-    assert found == pytest.approx([root], abs=1e-14)
+    (computed,) = zeros(values, grid, slope=lambda _, at: (math.sin(at - root) + next(noise), math.cos(at - root)))
+    assert computed == pytest.approx([root], abs=1e-14)
     assert sum(calls) == len(grid)
 
 
@@ -284,10 +284,10 @@ def test_nearly_equal_extremes_of_random_fourier_series_are_those_of_all_their_z
         return np.einsum("ik,ikn->in", sizes * orders**kind, (np.cos, np.sin)[kind](arguments))
 
     grid = np.linspace(0.0, TURN, 722)  # an odd number of steps
-    found = extremes(lambda angles: series(angles, 0), grid, periodic=True)[1]
+    computed = extremes(lambda angles: series(angles, 0), grid, periodic=True)[1]
     for row, flat in enumerate(zeros(lambda angles: series(angles, 1), np.linspace(0.0, TURN, 4001))):
         values = series(flat, 0)[row]
-        np.testing.assert_allclose(found[row], [values.min(), values.max()], rtol=0.0, atol=1e-12 * np.ptp(values))
+        np.testing.assert_allclose(computed[row], [values.min(), values.max()], rtol=0.0, atol=1e-12 * np.ptp(values))
 
 
 def test_rows_with_several_nearly_equal_extremes_and_rows_without_a_value():

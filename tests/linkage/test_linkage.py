@@ -117,12 +117,12 @@ def check_lengths(mechanism: Mechanism, points: Mapping[str, tuple], sizes: Mapp
     """Every link as long as it is said to be, measured between its joints."""
     for link in mechanism.links:
         (x0, y0), (x1, y1) = points[link.start], points[link.end]
-        wanted = sizes[link.length] if isinstance(link.length, str) else link.length
-        np.testing.assert_allclose(np.hypot(x1 - x0, y1 - y0), wanted, rtol=1e-11, err_msg=link.body)
+        expected = sizes[link.length] if isinstance(link.length, str) else link.length
+        np.testing.assert_allclose(np.hypot(x1 - x0, y1 - y0), expected, rtol=1e-11, err_msg=link.body)
 
 
-def same_angle(found: float, wanted: float, tolerance: float) -> None:
-    assert abs(math.remainder(found - wanted, 2.0 * math.pi)) <= tolerance, (found, wanted)
+def same_angle(computed: float, expected: float, tolerance: float) -> None:
+    assert abs(math.remainder(computed - expected, 2.0 * math.pi)) <= tolerance, (computed, expected)
 
 
 # --- dyads and poses -----------------------------------------------------------------------------------------------
@@ -312,8 +312,8 @@ def test_unknown_body():
 def test_pose_agrees_with_the_triangle(lengths, side):
     motion = sweep(four_bar(side), sized(lengths), REVOLUTION)
     c, d = motion.position("C"), motion.position("D")
-    found = np.arctan2(c[:, 1] - d[:, 1], c[:, 0] - d[:, 0])
-    gap = np.remainder(found - rocker_angle(lengths, REVOLUTION, side) + np.pi, 2.0 * np.pi) - np.pi
+    computed = np.arctan2(c[:, 1] - d[:, 1], c[:, 0] - d[:, 0])
+    gap = np.remainder(computed - rocker_angle(lengths, REVOLUTION, side) + np.pi, 2.0 * np.pi) - np.pi
     np.testing.assert_allclose(gap, 0.0, atol=1e-9)
 
 
@@ -355,10 +355,10 @@ def test_time_ratio_is_that_of_the_sweep(lengths, side):
     (a, _), (b, _) = limit_positions(lengths, side)
     turned = (b - a) % math.tau
     slow, fast = max(turned, math.tau - turned), min(turned, math.tau - turned)
-    found = float(time_ratio(*lengths, side))
-    np.testing.assert_allclose(found, slow / fast, rtol=1e-5)
-    assert found >= 1.0
-    np.testing.assert_allclose(time_ratio(*lengths, -side), found, rtol=1e-12)
+    computed = float(time_ratio(*lengths, side))
+    np.testing.assert_allclose(computed, slow / fast, rtol=1e-5)
+    assert computed >= 1.0
+    np.testing.assert_allclose(time_ratio(*lengths, -side), computed, rtol=1e-12)
 
 
 def test_time_ratio_is_one_for_a_centric_linkage_and_theirs_differ():
@@ -453,10 +453,10 @@ def test_a_length_that_is_not_finite_cannot_be_assembled(lengths):
 @pytest.mark.parametrize(("lengths", "inversion", "slack"), TEXTBOOK)
 @pytest.mark.parametrize("scale", [1.0, 1e-3, 1e-6])
 def test_textbook_classes(lengths, inversion, slack, scale):
-    found = grashof(*(scale * length for length in lengths))
-    assert found.inversion is inversion
-    assert found.slack == pytest.approx(scale * slack, abs=1e-9 * scale)
-    assert found.inversion.crank_turns == (inversion in (Inversion.CRANK_ROCKER, Inversion.DOUBLE_CRANK))
+    result = grashof(*(scale * length for length in lengths))
+    assert result.inversion is inversion
+    assert result.slack == pytest.approx(scale * slack, abs=1e-9 * scale)
+    assert result.inversion.crank_turns == (inversion in (Inversion.CRANK_ROCKER, Inversion.DOUBLE_CRANK))
 
 
 def test_every_class_has_its_own_name_and_is_met_above():
@@ -509,9 +509,9 @@ def test_conditions_are_labelled_by_what_they_compare():
     """Each label read as arithmetic gives its slack."""
     values = dict(zip(LENGTHS, (0.31, 0.52, 0.47, 0.23), strict=True))
     for conditions in (crank_rocker_conditions, double_crank_conditions):
-        found = conditions(**values)
-        assert len(found) == 6
-        for label, slack in found.items():
+        result = conditions(**values)
+        assert len(result) == 6
+        for label, slack in result.items():
             left, right = (sum(values[name] for name in part.split(" + ")) for part in label.split(" <= "))
             assert slack == pytest.approx(right - left, abs=1e-15), label
 
@@ -611,9 +611,9 @@ def check_rates(motion: Motion, point: str) -> None:
     back, beyond = at(-1.0), at(-2.0)
     first = (8.0 * (near - back) - (far - beyond)) / (12.0 * h) * motion.speed
     second = (16.0 * (near + back) - (far + beyond) - 30.0 * at(0.0)) / (12.0 * h**2) * motion.speed**2
-    for found, expected, tolerance in ((motion.velocity(point), first, 1e-7), (motion.acceleration(point), second, 1e-5)):
+    for computed, expected, tolerance in ((motion.velocity(point), first, 1e-7), (motion.acceleration(point), second, 1e-5)):
         scale = float(np.max(np.abs(expected)))
-        np.testing.assert_allclose(found, expected, rtol=tolerance, atol=tolerance * scale)
+        np.testing.assert_allclose(computed, expected, rtol=tolerance, atol=tolerance * scale)
 
 
 @fewer

@@ -90,10 +90,10 @@ def coupler_point_pose(side: int) -> Callable[..., list[object]]:
 
     def pose(crank, coupler, rocker, frame, along, across, phi):
         sizes = {"crank": crank, "coupler": coupler, "rocker": rocker, "frame": frame, "along": along, "across": across}
-        found = mechanism.pose(sizes, vector2d.unit(phi))
-        moving = [found.points[name] for name in ("B", "C", "P", "Q")]
-        moving += [found.direction(link.body) for link in mechanism.links]
-        return [coordinate for vector in moving for coordinate in vector] + [found.margins["C"]]
+        result = mechanism.pose(sizes, vector2d.unit(phi))
+        moving = [result.points[name] for name in ("B", "C", "P", "Q")]
+        moving += [result.direction(link.body) for link in mechanism.links]
+        return [coordinate for vector in moving for coordinate in vector] + [result.margins["C"]]
 
     return pose
 
@@ -361,8 +361,8 @@ def one_by_one(case: Case, rows: tuple[tuple[float, ...], ...]) -> np.ndarray:
 def batched(case: Case, rows: tuple[tuple[float, ...], ...]) -> np.ndarray:
     grid = case.points(rows)
     columns = [grid[:, :1, i] for i in range(grid.shape[-1] - 1)]
-    found = case.function(*columns, grid[0, :, -1])
-    return np.stack([np.broadcast_to(v, grid.shape[:2]) for v in found], axis=-1)
+    computed = case.function(*columns, grid[0, :, -1])
+    return np.stack([np.broadcast_to(v, grid.shape[:2]) for v in computed], axis=-1)
 
 
 class Traced:
@@ -427,10 +427,10 @@ def check_complex_step(case: Case) -> None:
         stepped = grid.astype(complex)
         stepped[:, i] += 1j * TINY
         columns = [stepped[:, k] for k in range(grid.shape[-1])]
-        found = np.stack(
+        computed = np.stack(
             [np.broadcast_to(np.imag(np.asarray(v, complex)) / TINY, len(grid)) for v in case.function(*columns)], -1
         )
-        np.testing.assert_allclose(found, exact[:, :, i], rtol=SAME, atol=1e-13, err_msg=f"d / d argument {i}")
+        np.testing.assert_allclose(computed, exact[:, :, i], rtol=SAME, atol=1e-13, err_msg=f"d / d argument {i}")
 
 
 def check_jets(case: Case, form: str) -> None:
@@ -440,9 +440,9 @@ def check_jets(case: Case, form: str) -> None:
             jets = [Jet(*map(float, parts)) for parts in zip(x, v, a, strict=True)]
         else:
             jets = [Jet(*(np.array([p]) for p in parts)) for parts in zip(x, v, a, strict=True)]
-        found = [y if isinstance(y, Jet) else Jet(y) for y in case.function(*jets)]
+        computed = [y if isinstance(y, Jet) else Jet(y) for y in case.function(*jets)]
         values, rates, accelerations = (
-            np.array([float(np.squeeze(getattr(y, part))) for y in found]) for part in ("value", "rate", "acceleration")
+            np.array([float(np.squeeze(getattr(y, part))) for y in computed]) for part in ("value", "rate", "acceleration")
         )
         rate, acceleration = traced(case).motion(x, v, a)
         np.testing.assert_allclose(values, traced(case).values(x), rtol=SAME, atol=1e-14)
@@ -508,8 +508,8 @@ def test_every_elementwise_function_is_compared():
                 assert f"{name} " in f"{names} ", name
     assert set(DOMAINS) == set(FUNCTIONS)
     compared = {row.limit for name in LIMITS for row in rows_of(name)}
-    wanted = {f"limits.{key}" for key in type(problem().limits).model_fields} - {"limits.transmission_over"}
-    assert compared == wanted
+    expected = {f"limits.{key}" for key in type(problem().limits).model_fields} - {"limits.transmission_over"}
+    assert compared == expected
 
 
 @pytest.mark.parametrize("start", ["-300 deg", "60 deg", "340 deg", "360 deg", "-360 deg"])
@@ -524,8 +524,8 @@ def check_rows_over_a_span(rule: DesignProblem) -> None:
     design = rule.design({})
     phi = design["phi0"] + rule.span * np.linspace(0.0, 1.0, 2001)
     cosine = fourbar.transmission_cosine(*(design[name] for name in fourbar.LENGTHS), np.cos(phi))
-    found = [float(r.value) for r in constraints.rows(rule, design, rule.reach(design), 0.5) if r.scale.cosine]
-    np.testing.assert_allclose([min(found), max(found)], [np.min(cosine), np.max(cosine)], atol=1e-6)
+    computed = [float(r.value) for r in constraints.rows(rule, design, rule.reach(design), 0.5) if r.scale.cosine]
+    np.testing.assert_allclose([min(computed), max(computed)], [np.min(cosine), np.max(cosine)], atol=1e-6)
 
 
 @pytest.mark.parametrize("coupler_longer", [True, False], ids=["coupler longer", "crank longer"])
@@ -592,10 +592,10 @@ def test_bounds_of_the_rows_are_the_limits_of_the_file():
     wide = {"transmission_angle": ["40 deg", "130 deg"], "time_ratio": {"max": 1.5}, **ALL}
     rule = problem(None, None, wide)
     design = rule.design({})
-    found = {row.label: row for row in constraints.rows(rule, design, rule.reach(design), 0.5)}
+    result = {row.label: row for row in constraints.rows(rule, design, rule.reach(design), 0.5)}
 
     def displayed(words: str) -> tuple[float, float]:
-        (row,) = (row for label, row in found.items() if words in label)
+        (row,) = (row for label, row in result.items() if words in label)
         return tuple(row.scale.to_display(bound) if math.isfinite(bound) else bound for bound in (row.low, row.high))
 
     assert displayed("smallest transmission angle") == (-math.inf, pytest.approx(40.0, rel=1e-12))
@@ -605,7 +605,7 @@ def test_bounds_of_the_rows_are_the_limits_of_the_file():
     assert displayed("frame length") == (pytest.approx(1.0, rel=1e-12), pytest.approx(9000.0, rel=1e-12))
     assert displayed("moving link / frame") == (0.01, 9.0)
     assert displayed("crank <= rocker")[1] == displayed("crank + frame <=")[1] == math.inf
-    (row,) = (row for label, row in found.items() if "crank + frame <=" in label)
+    (row,) = (row for label, row in result.items() if "crank + frame <=" in label)
     slack = design["coupler"] + design["rocker"] - design["crank"] - design["frame"]
     reserve = slack * 1e3 - row.scale.to_display(row.value - row.low)
     assert reserve == pytest.approx(0.1 * max(design[name] for name in fourbar.LENGTHS), rel=1e-6)  # a ten-thousandth, in mm
@@ -718,11 +718,11 @@ class Programme:
     def points(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """x and p: the start, and random ones around it, all with a value; the objective on a scale of its own."""
         rng = np.random.default_rng(11)
-        found = []
+        result = []
         for k in range(4):
             x = self.nlp.x_start * (1.0 + (0.06 * rng.uniform(-1.0, 1.0, len(self.nlp.x_start)) if k else 0.0))
-            found.append((x, np.array([rng.uniform(0.01, 10.0), *self.nlp.p[1:]])))
-        return found
+            result.append((x, np.array([rng.uniform(0.01, 10.0), *self.nlp.p[1:]])))
+        return result
 
     def numpy(self, x: Sequence[object], p: np.ndarray) -> tuple[object, np.ndarray]:
         """Objective and rows of the limits by numpy alone, from the same formulas but along another route."""
@@ -768,25 +768,25 @@ PROGRAMMES = (
 every_programme = pytest.mark.parametrize("name", PROGRAMMES)
 
 
-def check_programme_values(nlp: NLP, own: Programme) -> None:
-    for x, p in own.points:
+def check_programme_values(nlp: NLP, formulas: Programme) -> None:
+    for x, p in formulas.points:
         f, g = nlp.values(x, p)
         point = nlp.at(x, p)
         assert point.finite
-        expected_f, expected_g = own.numpy(x, p)
+        expected_f, expected_g = formulas.numpy(x, p)
         np.testing.assert_allclose(f, expected_f, rtol=SAME)
         np.testing.assert_allclose(g, expected_g, rtol=SAME, atol=1e-14)
         np.testing.assert_allclose(point.f, f, rtol=1e-15)
         np.testing.assert_allclose(point.g, g, rtol=1e-15)
 
 
-def check_programme_complex_step(nlp: NLP, own: Programme) -> None:
-    for x, p in own.points:
+def check_programme_complex_step(nlp: NLP, formulas: Programme) -> None:
+    for x, p in formulas.points:
         point = nlp.at(x, p)
         for i in range(len(x)):
             stepped = x.astype(complex)
             stepped[i] += 1j * TINY
-            f, g = own.numpy(list(stepped), p)
+            f, g = formulas.numpy(list(stepped), p)
             np.testing.assert_allclose(np.imag(f) / TINY, point.gradient[i], rtol=1e-11, atol=1e-13)
             np.testing.assert_allclose(np.imag(g.astype(complex)) / TINY, point.jacobian[:, i], rtol=SAME, atol=1e-13)
 
@@ -800,8 +800,8 @@ def differences(function: Callable[[np.ndarray], np.ndarray], x: np.ndarray, h: 
     return np.stack(columns, axis=-1)
 
 
-def check_programme_differences(nlp: NLP, own: Programme) -> None:
-    for x, p in own.points:
+def check_programme_differences(nlp: NLP, formulas: Programme) -> None:
+    for x, p in formulas.points:
         point = nlp.at(x, p)
         slope = differences(lambda y, p=p: np.append(*nlp.values(y, p)[::-1]), x)
         scale = max(1.0, float(np.max(np.abs(point.gradient))))
@@ -809,45 +809,45 @@ def check_programme_differences(nlp: NLP, own: Programme) -> None:
         np.testing.assert_allclose(point.gradient, slope[-1], rtol=1e-8, atol=1e-8 * scale)
 
 
-def check_programme_hessian(nlp: NLP, own: Programme) -> None:
+def check_programme_hessian(nlp: NLP, formulas: Programme) -> None:
     rng = np.random.default_rng(13)
-    for x, p in own.points:
+    for x, p in formulas.points:
         multipliers = rng.uniform(-1.0, 1.0, len(nlp.rows))
 
         def gradient(y: np.ndarray, p: np.ndarray = p, multipliers: np.ndarray = multipliers) -> np.ndarray:
-            point = own.nlp.at(y, p)
+            point = formulas.nlp.at(y, p)
             return point.gradient + point.jacobian.T @ multipliers
 
         expected = differences(gradient, x)
-        found = nlp.hessian(x, p, multipliers)
+        result = nlp.hessian(x, p, multipliers)
         scale = max(1.0, float(np.max(np.abs(expected))))
-        np.testing.assert_allclose(found, found.T, rtol=1e-12, atol=1e-13 * scale)
-        np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-8 * scale)
+        np.testing.assert_allclose(result, result.T, rtol=1e-12, atol=1e-13 * scale)
+        np.testing.assert_allclose(result, expected, rtol=1e-8, atol=1e-8 * scale)
 
 
 @every_programme
 def test_programme_has_the_values_of_its_formulas(name):
-    own = programme(name)
-    check_programme_values(own.nlp, own)
+    formulas = programme(name)
+    check_programme_values(formulas.nlp, formulas)
 
 
 @pytest.mark.parametrize("name", [n for n in PROGRAMMES if n not in ("time ratio", "span")])
 def test_programme_derivatives_are_the_complex_step(name):
-    own = programme(name)
-    assert own.complex_step
-    check_programme_complex_step(own.nlp, own)
+    formulas = programme(name)
+    assert formulas.complex_step
+    check_programme_complex_step(formulas.nlp, formulas)
 
 
 @every_programme
 def test_programme_derivatives_are_the_differences(name):
-    own = programme(name)
-    check_programme_differences(own.nlp, own)
+    formulas = programme(name)
+    check_programme_differences(formulas.nlp, formulas)
 
 
 @every_programme
 def test_programme_hessian_is_the_difference_of_gradients(name):
-    own = programme(name)
-    check_programme_hessian(own.nlp, own)
+    formulas = programme(name)
+    check_programme_hessian(formulas.nlp, formulas)
 
 
 @every_programme
@@ -924,7 +924,7 @@ class Doctored:
     ],
 )
 def test_programme_checks_see_a_planted_defect(part, check):
-    own = programme("shipped")
-    check(Doctored(own.nlp, "nothing"), own)
+    formulas = programme("shipped")
+    check(Doctored(formulas.nlp, "nothing"), formulas)
     with pytest.raises(AssertionError):
-        check(Doctored(own.nlp, part), own)
+        check(Doctored(formulas.nlp, part), formulas)

@@ -33,8 +33,8 @@ def same_derivatives(nlp: NLP) -> None:
     p[0], multipliers = 1.7, random.standard_normal(len(nlp.rows))
     one, other = nlp.at(x, p), plain.at(x, p)
     pairs = [(getattr(one, name), getattr(other, name)) for name in ("f", "gradient", "g", "jacobian")]
-    for own, expected in [*pairs, (nlp.hessian(x, p, multipliers), plain.hessian(x, p, multipliers))]:
-        np.testing.assert_allclose(own, expected, rtol=0.0, atol=1e-12 * np.max(np.abs(expected), initial=1e-300))
+    for values, expected in [*pairs, (nlp.hessian(x, p, multipliers), plain.hessian(x, p, multipliers))]:
+        np.testing.assert_allclose(values, expected, rtol=0.0, atol=1e-12 * np.max(np.abs(expected), initial=1e-300))
 
 
 @pytest.mark.parametrize("machine", mostly_slow(MACHINES, "peaks"))

@@ -102,13 +102,13 @@ def _arguments(case: Case, low: Any, high: Any, rng: np.random.Generator) -> tup
     weights = sign[:, None] * size[:, None] * rng.dirichlet(np.ones(n + 1), case.arity)
 
     def values(x: list[Any]) -> list[Any]:
-        found = []
+        result = []
         for row in weights:
             total = x[0] * x[-1] * float(row[n])
             for weight, one in zip(row, x, strict=False):
                 total = total + one * float(weight)
-            found.append(total + case.offset if case.offset else total)
-        return found
+            result.append(total + case.offset if case.offset else total)
+        return result
 
     return values(unknowns), values
 
@@ -206,10 +206,10 @@ UNDEFINED: list[tuple[Formula, float, float]] = [
 @pytest.mark.parametrize(("formula", "low", "high"), UNDEFINED)
 def test_undefined_regions_have_no_bound(formula: Formula, low: float, high: float) -> None:
     [x] = TaylorModel.unknowns(np.array([[low]]), np.array([[high]]))
-    found = formula(x)
-    assert not np.any(np.isfinite(found.remainder))
-    assert np.all(found.low == -np.inf)
-    assert np.all(found.high == np.inf)
+    result = formula(x)
+    assert not np.any(np.isfinite(result.remainder))
+    assert np.all(result.low == -np.inf)
+    assert np.all(result.high == np.inf)
 
 
 def test_a_root_that_is_defined_in_a_part_of_the_box_is_bounded_there() -> None:
@@ -240,10 +240,10 @@ def _product_without_third_order(monkeypatch: pytest.MonkeyPatch) -> None:
     multiply = taylor_model._multiply
 
     def second_order(a: Any, b: Any) -> Any:
-        found = multiply(a, b)
+        result = multiply(a, b)
         a, b = taylor_model._two(a, b)
         (ga, qa), (gb, qb) = a.sizes, b.sizes
-        return TaylorModel(found.coefficients, np.maximum(found.remainder - (ga * qb + qa * (gb + qb)), 0.0), found.count)
+        return TaylorModel(result.coefficients, np.maximum(result.remainder - (ga * qb + qa * (gb + qb)), 0.0), result.count)
 
     monkeypatch.setattr(taylor_model, "_multiply", second_order)
 

@@ -96,16 +96,16 @@ def test_values_of_every_term_are_those_of_the_analysis(speed):
     cycle = Cycle(problem, nlp.design(nlp.x_start))
     _, g = nlp.values(nlp.x_start, nlp.p)
     for bound in problem.bounds:
-        own = [(row.scale.to_display(value), row) for row, value in zip(nlp.rows, g, strict=True) if row.limit == bound.key]
+        rows = [(row.scale.to_display(value), row) for row, value in zip(nlp.rows, g, strict=True) if row.limit == bound.key]
         unit = optlink.units.factor(bound.interval.unit, bound.interval.kind) if bound.interval.kind else 1.0
-        figures = np.array([value * unit for value, _ in own])
-        found, measured = (np.min if bound.term.how == "least" else np.max)(figures), cycle.figure(bound.term)
+        figures = np.array([value * unit for value, _ in rows])
+        computed, measured = (np.min if bound.term.how == "least" else np.max)(figures), cycle.figure(bound.term)
         assert math.isfinite(measured), bound.name
         if not bound.term.extreme:
-            np.testing.assert_allclose(found, measured, rtol=1e-7, err_msg=bound.name)
+            np.testing.assert_allclose(computed, measured, rtol=1e-7, err_msg=bound.name)
         else:
-            np.testing.assert_allclose(found, measured, rtol=0.05, err_msg=bound.name)
-            beyond = (measured - found) if bound.term.how == "least" else (found - measured)
+            np.testing.assert_allclose(computed, measured, rtol=0.05, err_msg=bound.name)
+            beyond = (measured - computed) if bound.term.how == "least" else (computed - measured)
             assert beyond <= 1e-9 * abs(measured), bound.name
 
 
@@ -114,9 +114,9 @@ def test_work_of_the_stroke_and_mean_torque_are_those_of_the_cutting_force():
     nlp = programme()
     stroke = 5880.0 * Cycle(nlp.traced.problem, nlp.design(nlp.x_start)).figure(nlp.traced.problem.limits.named["stroke"])
     _, g = nlp.values(nlp.x_start, nlp.p)
-    found = {row.limit: row.scale.to_display(value) for row, value in zip(nlp.rows, g, strict=True)}
-    assert found["limits.work"] == pytest.approx(stroke, rel=1e-8)
-    assert found["limits.mean_torque"] == pytest.approx(stroke / (2.0 * math.pi), rel=1e-8)
+    computed = {row.limit: row.scale.to_display(value) for row, value in zip(nlp.rows, g, strict=True)}
+    assert computed["limits.work"] == pytest.approx(stroke, rel=1e-8)
+    assert computed["limits.mean_torque"] == pytest.approx(stroke / (2.0 * math.pi), rel=1e-8)
 
 
 def test_static_torque_by_virtual_work():

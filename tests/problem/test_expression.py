@@ -101,8 +101,8 @@ def test_values_agree_with_hand_calculation(text, expected):
 
 
 def test_arrays_broadcast():
-    found = value("psi0 + (phi - phi0)^2", phi=np.array([1.0, 2.0, 3.0]), phi0=np.array([[0.5], [1.5]]))
-    np.testing.assert_allclose(found, [[2.35, 4.35, 8.35], [2.35, 2.35, 4.35]], rtol=1e-14)
+    computed = value("psi0 + (phi - phi0)^2", phi=np.array([1.0, 2.0, 3.0]), phi0=np.array([[0.5], [1.5]]))
+    np.testing.assert_allclose(computed, [[2.35, 4.35, 8.35], [2.35, 2.35, 4.35]], rtol=1e-14)
 
 
 @pytest.mark.parametrize("text", ["1/(phi - phi0)", "sqrt(phi - 2)", "phi0*(2 - 2)", "0/3*phi", "(1/2)^-1 - phi", "-phi/-2"])
@@ -158,10 +158,10 @@ MATH: dict[str, Callable[[float], float]] = {
 def quietly(function: Callable, *arguments: float) -> np.float64:
     """Python's own value; NaN where Python raises."""
     try:
-        found = function(*map(float, arguments))
+        computed = function(*map(float, arguments))
     except (ArithmeticError, ValueError):
-        found = math.nan
-    return np.float64(math.nan if isinstance(found, complex) else found)
+        computed = math.nan
+    return np.float64(math.nan if isinstance(computed, complex) else computed)
 
 
 def number(x: float) -> Tree:
@@ -415,16 +415,16 @@ def test_any_text_is_a_law_or_a_law_error(text):
 
 def test_expressions_are_not_evaluated_by_python():
     def guilty(source: str) -> list[str]:
-        found = []
+        result = []
         for node in ast.walk(ast.parse(source)):
             if isinstance(node, ast.Call):
                 called = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
                 of = getattr(getattr(node.func, "value", None), "id", "")
                 if called in {"eval", "exec", "literal_eval", "__import__"} or (called == "compile" and of != "re"):
-                    found.append(called)
+                    result.append(called)
             if isinstance(node, ast.Import | ast.ImportFrom):
-                found += [alias.name for alias in node.names if alias.name in {"ast", "builtins", "importlib", "literal_eval"}]
-        return found
+                result += [alias.name for alias in node.names if alias.name in {"ast", "builtins", "importlib", "literal_eval"}]
+        return result
 
     assert guilty(inspect.getsource(expression)) == []
     planted = ["eval('1')", "exec('1')", "compile('1', '', 'eval')", "import ast", "ast.literal_eval('1')", "b.eval('1')"]
@@ -462,9 +462,9 @@ HAZARDS = [
 
 @pytest.mark.parametrize(("text", "says"), HAZARDS, ids=[text for text, _ in HAZARDS])
 def test_hazards_are_found(text, says):
-    found = parse(text, NAMES).hazards({**HERE, "phi": GRID})
-    assert found is not None
-    assert says in found
+    computed = parse(text, NAMES).hazards({**HERE, "phi": GRID})
+    assert computed is not None
+    assert says in computed
 
 
 @pytest.mark.parametrize(

@@ -403,8 +403,8 @@ def test_bad_csv_names_the_row(tmp_path, content, words):
 def test_csv_is_the_table_in_the_file(tmp_path):
     (tmp_path / "force.csv").write_text("force_kN; s_mm\n0; 500\n\n2; 600\n1; 700\n")
     base = load("six-bar").raw
-    told = {"over": "s", "at": ["500 mm", "600 mm", "700 mm"], "values": ["0 kN", "2 kN", "1 kN"]}
-    loads = [{"on": "slider", "force": size} for size in ({"over": "s", "csv": "force.csv"}, told)]
+    table = {"over": "s", "at": ["500 mm", "600 mm", "700 mm"], "values": ["0 kN", "2 kN", "1 kN"]}
+    loads = [{"on": "slider", "force": size} for size in ({"over": "s", "csv": "force.csv"}, table)]
     one, other = (read({**base, "loads": {"process": own}}, folder=tmp_path) for own in loads)
     assert one.model.loads == other.model.loads
     before = one.hash

@@ -359,11 +359,11 @@ def panels(name: str) -> dict[str, object]:
 
 def bodies_in(axes) -> dict[str, list]:
     """Lines and outlines of each body."""
-    found: dict[str, list] = {}
+    result: dict[str, list] = {}
     for artist in axes.get_children():
         if isinstance(artist, Line2D | Polygon) and artist.get_gid() and artist.get_zorder() < 3.5:
-            found.setdefault(artist.get_gid(), []).append(artist)
-    return found
+            result.setdefault(artist.get_gid(), []).append(artist)
+    return result
 
 
 @pytest.mark.slow
@@ -390,9 +390,9 @@ def test_every_body_is_drawn_once_in_every_position_and_inside_the_limits(name):
     shown = list(picture(name, "mechanism").axes)
     assert len({(axes.get_xlim(), axes.get_ylim()) for axes in shown}) == 1  # one scale
     for axes in shown:
-        found = bodies_in(axes)
+        computed = bodies_in(axes)
         for body in result.machine.mechanism.bodies:
-            assert len(found[body]) == len(sketch.parts[body]) > 0, body
+            assert len(computed[body]) == len(sketch.parts[body]) > 0, body
         for artist in axes.get_children():
             if isinstance(artist, Line2D | Polygon) and artist.get_transform() == axes.transData:
                 xy = np.asarray(artist.get_xydata() if isinstance(artist, Line2D) else artist.get_xy(), dtype=float)
@@ -572,9 +572,9 @@ def test_labels_avoid_curves_and_stay_inside_the_axes():
     ],
 )
 def test_units_suit_the_size(largest, unit, shown, factor):
-    found = style.scale(largest, unit)
-    assert (found.unit, found.factor) == (shown, pytest.approx(factor))
-    assert style.scale(-largest, unit) == found
+    result = style.scale(largest, unit)
+    assert (result.unit, result.factor) == (shown, pytest.approx(factor))
+    assert style.scale(-largest, unit) == result
 
 
 def test_numbers_have_five_digits_and_a_minus_sign():

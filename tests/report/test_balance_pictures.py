@@ -43,14 +43,14 @@ def charts(name: str, changed: bool) -> dict[str, Figure]:
 
 @functools.cache
 def drawn(picture: str, name: str = "balance-six-bar", changed: bool = False) -> Figure:
-    made = balance_drawing.mechanism(result(name, changed)) if picture == "mechanism" else charts(name, changed)[picture]
-    assert made is not None
-    made.draw_without_rendering()
-    return made
+    figure = balance_drawing.mechanism(result(name, changed)) if picture == "mechanism" else charts(name, changed)[picture]
+    assert figure is not None
+    figure.draw_without_rendering()
+    return figure
 
 
-def lines(made: Figure, gid: str) -> list[Line2D]:
-    return [line for axes in made.axes for line in axes.get_lines() if line.get_gid() == gid]
+def lines(figure: Figure, gid: str) -> list[Line2D]:
+    return [line for axes in figure.axes for line in axes.get_lines() if line.get_gid() == gid]
 
 
 CASES = [("balance-six-bar", False), ("balance-four-bar", False), ("balance-four-bar", True)]
@@ -60,10 +60,10 @@ CASES = [("balance-six-bar", False), ("balance-four-bar", False), ("balance-four
 @pytest.mark.parametrize("picture", ["before_after", "hodograph", "mechanism", "trade"])
 @pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(map(str, case)))
 def test_bars_beyond_the_axes_are_not_clipped_silently(picture, case):
-    made = drawn(picture, *case)
-    whole = made.bbox
-    ticks = {label for axes in made.axes for axis in (axes.xaxis, axes.yaxis) for label in axis.get_ticklabels(which="both")}
-    texts = [text for text in made.findobj(Text) if text.get_visible() and text.get_text().strip() and text not in ticks]
+    figure = drawn(picture, *case)
+    whole = figure.bbox
+    ticks = {label for axes in figure.axes for axis in (axes.xaxis, axes.yaxis) for label in axis.get_ticklabels(which="both")}
+    texts = [text for text in figure.findobj(Text) if text.get_visible() and text.get_text().strip() and text not in ticks]
     assert texts
     for text in texts:
         box = text.get_window_extent()
@@ -77,11 +77,11 @@ def test_bars_beyond_the_axes_are_not_clipped_silently(picture, case):
 @pytest.mark.parametrize("quantity", ["shaking moment", "driving torque"])
 def test_curves_show_the_machine_before_and_after_balancing(quantity):
     """Against the inverse dynamics at the drawn crank angles, in the unit of the axis."""
-    found, made = result(), drawn("before_after")
-    for name, machine in (("initial", found.original), ("balanced", found.heavier)):
-        line = lines(made, f"{name} {quantity}")[0]
+    outcome, figure = result(), drawn("before_after")
+    for name, machine in (("initial", outcome.original), ("balanced", outcome.heavier)):
+        line = lines(figure, f"{name} {quantity}")[0]
         x, y = (np.asarray(part, dtype=float) for part in (line.get_xdata(), line.get_ydata()))
-        expected = quantities_of(machine.moving(np.radians(x), found.speed), [BalanceMeasure(quantity)], found.about)[0][:, 0]
+        expected = quantities_of(machine.moving(np.radians(x), outcome.speed), [BalanceMeasure(quantity)], outcome.about)[0][:, 0]
         assert "[N·m]" in line.axes.get_ylabel()
         assert y == pytest.approx(expected, rel=1e-9, abs=1e-9 * float(np.max(np.abs(expected))))
         assert abs(x[-1] - x[0]) == pytest.approx(360.0)
@@ -89,15 +89,15 @@ def test_curves_show_the_machine_before_and_after_balancing(quantity):
 
 @pytest.mark.slow
 def test_a_limit_is_a_line_on_either_side():
-    made = drawn("before_after", "balance-four-bar", True)
-    found = result("balance-four-bar", True)
-    bound = next(limit.bound for limit in found.limits if limit.name == "largest driving torque")
-    heights = sorted(float(np.asarray(line.get_ydata())[0]) for line in lines(made, "limit"))
+    figure = drawn("before_after", "balance-four-bar", True)
+    outcome = result("balance-four-bar", True)
+    bound = next(limit.bound for limit in outcome.limits if limit.name == "largest driving torque")
+    heights = sorted(float(np.asarray(line.get_ydata())[0]) for line in lines(figure, "limit"))
     assert len(heights) == 2
     assert heights[0] == -heights[1]
-    torque = lines(made, "balanced driving torque")[0]
+    torque = lines(figure, "balanced driving torque")[0]
     factor = float(np.max(np.abs(np.asarray(torque.get_ydata())))) / float(
-        np.max(np.abs(found.columns["after.driving_torque_Nm"]))
+        np.max(np.abs(outcome.columns["after.driving_torque_Nm"]))
     )
     assert heights[1] == pytest.approx(bound * factor, rel=1e-9)
     assert float(np.max(np.abs(np.asarray(torque.get_ydata())))) <= heights[1] * (1.0 + 1e-6)
@@ -105,12 +105,12 @@ def test_a_limit_is_a_line_on_either_side():
 
 def test_discs_are_to_scale_and_in_their_place():
     """Radius from the mass; the centre lies where body axes put it, in both positions."""
-    found, made = result(), drawn("mechanism")
-    for axes, angle in zip(made.axes, (62.0, 242.0), strict=True):
+    outcome, figure = result(), drawn("mechanism")
+    for axes, angle in zip(figure.axes, (62.0, 242.0), strict=True):
         assert axes.get_aspect() == 1.0
         discs = {patch.get_gid(): patch for patch in axes.patches if isinstance(patch, Circle)}
-        assert set(discs) == {f"counterweight {one.body}" for one in found.added}
-        for one in found.added:
+        assert set(discs) == {f"counterweight {one.body}" for one in outcome.added}
+        for one in outcome.added:
             patch = discs[f"counterweight {one.body}"]
             assert patch.radius == pytest.approx(1e3 * math.sqrt(one.mass / (math.pi * 7850.0 * 0.04)), rel=1e-9)
             if one.body == "crank":
@@ -123,23 +123,23 @@ def test_discs_are_to_scale_and_in_their_place():
 
 @pytest.mark.slow
 def test_a_free_weight_is_dashed_and_a_spring_is_drawn():
-    made, found = drawn("mechanism", "balance-four-bar", True), result("balance-four-bar", True)
-    assert found.added[0].radius is None
-    patch = next(p for p in made.axes[0].patches if isinstance(p, Circle))
+    figure, outcome = drawn("mechanism", "balance-four-bar", True), result("balance-four-bar", True)
+    assert outcome.added[0].radius is None
+    patch = next(p for p in figure.axes[0].patches if isinstance(p, Circle))
     assert patch.get_linestyle() == "--"
-    assert patch.radius == pytest.approx(1e3 * found.added[0].gyration, rel=1e-9)
-    if found.springs:
-        assert any(artist.get_gid() == "tie" for artist in made.axes[0].get_children())
+    assert patch.radius == pytest.approx(1e3 * outcome.added[0].gyration, rel=1e-9)
+    if outcome.springs:
+        assert any(artist.get_gid() == "tie" for artist in figure.axes[0].get_children())
 
 
 def test_hodograph_has_equal_scales_and_both_paths():
-    made, found = drawn("hodograph"), result()
-    axes = made.axes[0]
+    figure, outcome = drawn("hodograph"), result()
+    axes = figure.axes[0]
     assert axes.get_aspect() == 1.0
     for when, name in (("before", "initial"), ("after", "balanced")):
-        x, y = (np.asarray(part) for part in lines(made, f"hodograph {name}")[0].get_data())
-        assert x[:-1] == pytest.approx(found.columns[f"{when}.shaking_force_x_N"])
-        assert y[:-1] == pytest.approx(found.columns[f"{when}.shaking_force_y_N"])
+        x, y = (np.asarray(part) for part in lines(figure, f"hodograph {name}")[0].get_data())
+        assert x[:-1] == pytest.approx(outcome.columns[f"{when}.shaking_force_x_N"])
+        assert y[:-1] == pytest.approx(outcome.columns[f"{when}.shaking_force_y_N"])
         assert (x[0], y[0]) == (x[-1], y[-1])
 
 
@@ -150,18 +150,18 @@ def test_complete_balance_is_shown_as_zero():
 
 
 def test_trade_off_marks_ends_knee_and_initial_machine():
-    made, found = drawn("trade"), result().trade
-    axes = made.axes[0]
-    x, y = (np.asarray(part) for part in lines(made, "realised")[0].get_data())
-    assert x == pytest.approx([point.realised[0] for point in found.points])
-    assert y == pytest.approx([point.realised[1] for point in found.points])
-    given = lines(made, "initial")[0].get_data()
-    assert (given[0][0], given[1][0]) == pytest.approx(found.before)
-    told = " ".join(text.get_text() for text in axes.texts)
+    figure, outcome = drawn("trade"), result().trade
+    axes = figure.axes[0]
+    x, y = (np.asarray(part) for part in lines(figure, "realised")[0].get_data())
+    assert x == pytest.approx([point.realised[0] for point in outcome.points])
+    assert y == pytest.approx([point.realised[1] for point in outcome.points])
+    given = lines(figure, "initial")[0].get_data()
+    assert (given[0][0], given[1][0]) == pytest.approx(outcome.before)
+    printed = " ".join(text.get_text() for text in axes.texts)
     for words in ("least shaking force", "least driving torque", "knee", "initial machine"):
-        assert words in told
-    masses = lines(made, "mass crank")[0].get_ydata()
-    assert np.asarray(masses) == pytest.approx([point.masses.get("crank", 0.0) for point in found.points])
+        assert words in printed
+    masses = lines(figure, "mass crank")[0].get_ydata()
+    assert np.asarray(masses) == pytest.approx([point.masses.get("crank", 0.0) for point in outcome.points])
 
 
 def test_no_pictures_without_data():

@@ -88,8 +88,8 @@ def test_an_open_proof_states_its_bound_and_how_to_continue(unfinished):
     assert "proven" not in conclusions.design(unfinished, ())
     assert unfinished.to_dict()["message"].startswith("a local optimum")
     assert "better than that of the local search" not in text
-    found = replace(unfinished, certificate=replace(unfinished.certificate, improved=True))
-    assert "better than that of the local search" in shown(found)
+    computed = replace(unfinished, certificate=replace(unfinished.certificate, improved=True))
+    assert "better than that of the local search" in shown(computed)
 
 
 def test_a_path_certificate_has_display_units():
@@ -137,9 +137,9 @@ def test_the_boxes_cover_the_bounds_once_and_one_holds_the_design(solved):
 
 
 def test_an_infeasible_problem_has_boxes_and_no_design(opposed):
-    found = charts(opposed)
-    assert found["boxes"].panels[0].marks == []
-    assert "bounds" not in found
+    computed = charts(opposed)
+    assert computed["boxes"].panels[0].marks == []
+    assert "bounds" not in computed
 
 
 def test_the_bounds_meet_at_the_end(solved):
@@ -174,14 +174,14 @@ def stored(document, folder):
 
 def test_a_stored_certificate_is_that_of_the_result(solved, tmp_path):
     model = stored(solved.to_dict(), tmp_path)
-    found = model.result.certificate
-    assert (found.text, found.lower_bound, found.boxes) == (
+    result = model.result.certificate
+    assert (result.text, result.lower_bound, result.boxes) == (
         solved.certificate.text,
         solved.certificate.lower_bound,
         solved.certificate.boxes,
     )
-    assert np.array_equal(found.history, solved.certificate.history)
-    assert np.array_equal(found.covers[0].low, solved.certificate.covers[0].low)
+    assert np.array_equal(result.history, solved.certificate.history)
+    assert np.array_equal(result.covers[0].low, solved.certificate.covers[0].low)
     assert {"boxes", "bounds"} <= set(charts(model.result))
     assert any("certificate of the global optimum is that of the file" in note for note in model.notes)
 
@@ -189,9 +189,9 @@ def test_a_stored_certificate_is_that_of_the_result(solved, tmp_path):
 def test_a_stored_infeasible_certificate_is_restored(opposed, tmp_path):
     path = tmp_path / "result.json"
     path.write_text(json.dumps(opposed.to_dict()), encoding="utf-8")
-    found = load_stored(str(path), changes=[f"{key}={value}" for key, value in OPPOSED.items()]).result.certificate
-    assert found.status == "infeasible"
-    assert math.isinf(found.lower_bound)
+    result = load_stored(str(path), changes=[f"{key}={value}" for key, value in OPPOSED.items()]).result.certificate
+    assert result.status == "infeasible"
+    assert math.isinf(result.lower_bound)
 
 
 DAMAGED = {

@@ -151,18 +151,18 @@ def picture(name: str, kind: str) -> Figure | None:
 
 
 def shown(name: str, kind: str) -> Figure:
-    made = picture(name, kind)
-    assert made is not None
-    return made
+    figure = picture(name, kind)
+    assert figure is not None
+    return figure
 
 
-def by_gid(made: Figure, gid: str) -> list:
-    return [artist for axes in made.axes for artist in axes.get_children() if artist.get_gid() == gid]
+def by_gid(figure: Figure, gid: str) -> list:
+    return [artist for axes in figure.axes for artist in axes.get_children() if artist.get_gid() == gid]
 
 
-def words(made: Figure) -> str:
+def words(figure: Figure) -> str:
     """Everything that is written, titles with their lines joined."""
-    return " ".join(" ".join(text.get_text() for text in made.findobj(Text) if text.get_visible()).split())
+    return " ".join(" ".join(text.get_text() for text in figure.findobj(Text) if text.get_visible()).split())
 
 
 # --- folding onto the crank angle --------------------------------------------------------------------------------------------
@@ -215,16 +215,16 @@ def test_rows_are_assigned_to_revolutions() -> None:
 @pytest.mark.parametrize("name", MACHINES)
 def test_every_chart_is_drawn_with_units(name: str) -> None:
     for kind in KINDS:
-        made = picture(name, kind)
-        if made is None:
+        figure = picture(name, kind)
+        if figure is None:
             assert {"impacts": not simulated(name).impacts, "error": name == "stalled", "section": name == "stalled"}[kind]
             continue
-        made.draw_without_rendering()
-        for axes in made.axes:
+        figure.draw_without_rendering()
+        for axes in figure.axes:
             for label in (axes.get_xlabel(), axes.get_ylabel()):
                 assert not label or "[" in label or label in ("revolution", "revolutions since the start", "imbalance / largest")
-        width = made.get_figwidth() * made.dpi
-        for text in (made._suptitle, *(legend for legend in made.legends)):
+        width = figure.get_figwidth() * figure.dpi
+        for text in (figure._suptitle, *(legend for legend in figure.legends)):
             box = text.get_window_extent()
             assert box.x0 >= -1.0
             assert box.x1 <= width + 1.0
@@ -266,24 +266,24 @@ def test_all_files_are_written(tmp_path: Path) -> None:
 
 
 def test_displacement() -> None:
-    result, made = simulated("periodic"), shown("periodic", "displacement")
-    assert len(made.axes) == 4
-    (line,) = by_gid(made, "error")
+    result, figure = simulated("periodic"), shown("periodic", "displacement")
+    assert len(figure.axes) == 4
+    (line,) = by_gid(figure, "error")
     np.testing.assert_allclose(line.get_ydata(), result["slider.error_m"][-217:] * 1e6)
     np.testing.assert_allclose(line.get_xdata(), result["time_s"][-217:])
-    (output,) = by_gid(made, "output")
+    (output,) = by_gid(figure, "output")
     np.testing.assert_allclose(output.get_ydata(), result["slider.s_m"][-217:] * 1e3)
-    assert made.axes[0].get_ylabel() == "slider: slide [mm]"
-    assert made.axes[3].get_xlim() == (0.0, 360.0)
-    assert len(by_gid(made, "revolution")) == 4  # two ends of revolutions in each panel over time
-    assert "revolutions 6 to 13, the last one bold" in words(made)
+    assert figure.axes[0].get_ylabel() == "slider: slide [mm]"
+    assert figure.axes[3].get_xlim() == (0.0, 360.0)
+    assert len(by_gid(figure, "revolution")) == 4  # two ends of revolutions in each panel over time
+    assert "revolutions 6 to 13, the last one bold" in words(figure)
 
 
 def test_an_angle_is_shown_in_degrees() -> None:
-    made = shown("four-bar", "displacement")
-    assert made.axes[0].get_ylabel() == "rocker: angle [deg]"
-    assert made.axes[1].get_ylabel() == "deviation [deg]"
-    (output,) = by_gid(made, "output")
+    figure = shown("four-bar", "displacement")
+    assert figure.axes[0].get_ylabel() == "rocker: angle [deg]"
+    assert figure.axes[1].get_ylabel() == "deviation [deg]"
+    (output,) = by_gid(figure, "output")
     np.testing.assert_allclose(output.get_ydata(), np.degrees(np.unwrap(simulated("four-bar")["rocker.angle_rad"])))
     turning = shown("drag link", "displacement")
     bold = by_gid(turning, "last revolution")[0].get_ydata()
@@ -300,20 +300,20 @@ def test_clockwise_motion_is_drawn_to_the_right() -> None:
 
 
 def test_error_states_the_statistics() -> None:
-    result, made = simulated("periodic"), shown("periodic", "error")
-    np.testing.assert_allclose(by_gid(made, "rms")[0].get_ydata(), result.per_revolution["rms_m"] * 1e6)
-    np.testing.assert_allclose(by_gid(made, "peak")[0].get_ydata(), result.per_revolution["peak_m"] * 1e6)
-    np.testing.assert_allclose(by_gid(made, "whole")[0].get_ydata(), result.figures["rms_m"] * 1e6)
-    assert f"RMS {rough(result.figures['rms_m'], 'm')}" in words(made)
-    assert "running-in, left out" in words(made)
+    result, figure = simulated("periodic"), shown("periodic", "error")
+    np.testing.assert_allclose(by_gid(figure, "rms")[0].get_ydata(), result.per_revolution["rms_m"] * 1e6)
+    np.testing.assert_allclose(by_gid(figure, "peak")[0].get_ydata(), result.per_revolution["peak_m"] * 1e6)
+    np.testing.assert_allclose(by_gid(figure, "whole")[0].get_ydata(), result.figures["rms_m"] * 1e6)
+    assert f"RMS {rough(result.figures['rms_m'], 'm')}" in words(figure)
+    assert "running-in, left out" in words(figure)
     assert "running-in" not in words(shown("fast", "error"))
 
 
 def test_orbit_has_contact_outside_the_circle_and_flight_inside() -> None:
     for name, count in (("chaotic", 1), ("three gaps", 3)):
-        result, made = simulated(name), shown(name, "orbit")
-        assert len(made.axes) == count
-        for gap, axes in zip(result.gaps, made.axes, strict=True):
+        result, figure = simulated(name), shown(name, "orbit")
+        assert len(figure.axes) == count
+        for gap, axes in zip(result.gaps, figure.axes, strict=True):
             assert axes.get_aspect() == 1.0
             radius = gap.clearance * 1e6
             lines = {line.get_gid(): np.hypot(*line.get_data()) for line in axes.lines if line.get_gid()}
@@ -326,7 +326,7 @@ def test_orbit_has_contact_outside_the_circle_and_flight_inside() -> None:
             assert deepest >= np.max(depth)
             factor = clearance_joints.magnification(gap, deepest)
             assert factor > 1.0
-            assert f"beyond the circle {factor:g}-fold" in words(made)
+            assert f"beyond the circle {factor:g}-fold" in words(figure)
             assert math.isclose(np.nanmax(lines["in contact"]), radius + factor * np.max(depth) * 1e6, rel_tol=1e-9)
             assert np.nanmax(lines["in contact"]) < axes.get_xlim()[1]
     gap = simulated("chaotic").gaps[0]
@@ -335,9 +335,9 @@ def test_orbit_has_contact_outside_the_circle_and_flight_inside() -> None:
 
 
 def test_force_shades_the_contact() -> None:
-    result, made = simulated("chaotic"), shown("chaotic", "force")
-    assert len(made.axes) == 2
-    top, bottom = made.axes
+    result, figure = simulated("chaotic"), shown("chaotic", "force")
+    assert len(figure.axes) == 2
+    top, bottom = figure.axes
     last = RevolutionCurves(result).rows(1)
     normal = result["C.normal_N"][last]
     (bold,) = (line for line in top.lines if line.get_gid() == "last revolution")
@@ -350,20 +350,20 @@ def test_force_shades_the_contact() -> None:
     assert bottom.get_ylabel().startswith("penetration [µm]")
     assert bottom.get_ylim()[0] == 0.0
     assert len(shown("three gaps", "force").axes) == 6
-    assert not by_gid(made, "friction")  # there is none
+    assert not by_gid(figure, "friction")  # there is none
     assert by_gid(shown("periodic", "force"), "friction")
 
 
 def test_torque_against_the_ideal_machine() -> None:
-    result, made = simulated("periodic"), shown("periodic", "torque")
-    ideal = by_gid(made, "ideal")[0]
+    result, figure = simulated("periodic"), shown("periodic", "torque")
+    ideal = by_gid(figure, "ideal")[0]
     analysis = optlink.analyze(result.problem, 360)
     torque = analysis["input.torque_Nm"]
     x = analysis["crank_angle_deg"]
     np.testing.assert_allclose(np.interp(x, *ideal.get_data()), torque, atol=1e-3 * np.max(np.abs(torque)))
-    (last,) = by_gid(made, "last revolution")
+    (last,) = by_gid(figure, "last revolution")
     assert math.isclose(np.nanmax(np.abs(last.get_ydata())), np.max(np.abs(result["input.torque_Nm"][-73:])))
-    assert len(made.axes) == 1
+    assert len(figure.axes) == 1
     hit = shown("fast", "torque")
     assert len(hit.axes) in (1, 2)
     given = shown("torque", "torque")
@@ -374,37 +374,37 @@ def test_torque_against_the_ideal_machine() -> None:
 def test_two_views_of_a_torque_that_hides_the_ideal_one() -> None:
     result = simulated("periodic")
     columns = {**result.columns, "input.torque_Nm": np.where(np.arange(13 * 72) % 72 == 10, 500.0, 1.0)}
-    made = drawn(replace(result, columns=columns))["torque"]
-    assert len(made.axes) == 2
-    assert made.axes[0].get_ylim()[1] > 500.0 > 20.0 > made.axes[1].get_ylim()[1]
-    assert "cut off" in " ".join(text.get_text() for text in made.axes[1].texts)
+    figure = drawn(replace(result, columns=columns))["torque"]
+    assert len(figure.axes) == 2
+    assert figure.axes[0].get_ylim()[1] > 500.0 > 20.0 > figure.axes[1].get_ylim()[1]
+    assert "cut off" in " ".join(text.get_text() for text in figure.axes[1].texts)
 
 
 def test_energy_account_closes() -> None:
     for name in ("periodic", "three gaps", "torque"):
-        result, made = simulated(name), shown(name, "energy")
-        assert len(made.axes) == 3
-        fed, gained = by_gid(made, "work drive")[0].get_ydata(), by_gid(made, "gained")[0].get_ydata()
+        result, figure = simulated(name), shown(name, "energy")
+        assert len(figure.axes) == 3
+        fed, gained = by_gid(figure, "work drive")[0].get_ydata(), by_gid(figure, "gained")[0].get_ydata()
         lost = [
-            line for gap in result.gaps for kind in ("impact", "friction") for line in by_gid(made, f"lost {gap.point}.{kind}")
+            line for gap in result.gaps for kind in ("impact", "friction") for line in by_gid(figure, f"lost {gap.point}.{kind}")
         ]
         assert len(lost) >= len(result.gaps)
-        factor = by_gid(made, "total")[0].get_ydata()[-1] / (fed - gained)[-1]  # another prefix
+        factor = by_gid(figure, "total")[0].get_ydata()[-1] / (fed - gained)[-1]  # another prefix
         missing = (fed - gained) * factor - sum(line.get_ydata() for line in lost)
         assert np.max(np.abs(missing)) < 1e-3 * np.max(np.abs(fed)) * factor
-        share = by_gid(made, "imbalance")[0].get_ydata()
+        share = by_gid(figure, "imbalance")[0].get_ydata()
         assert np.max(share) <= 2.1 * result.figures["imbalance_J"] / result.figures["largest_energy_J"]
-        assert "of the largest energy" in words(made)
+        assert "of the largest energy" in words(figure)
 
 
 def test_poincare_section_detects_periodic_motion() -> None:
-    made = shown("periodic", "section")
-    assert len(made.axes) == 2
-    texts = words(made)
+    figure = shown("periodic", "section")
+    assert len(figure.axes) == 2
+    texts = words(figure)
     assert "periodic: the journals' positions repeat every revolution" in texts
     assert "agree over the 13 revolutions compared" in texts
     assert clearance_joints.repetition(RevolutionCurves(simulated("periodic")))[0] == 1
-    assert len(by_gid(made, "early")[0].get_xdata()) == 5
+    assert len(by_gid(figure, "early")[0].get_xdata()) == 5
     texts = words(shown("chaotic", "section"))
     assert "not periodic" in texts
     assert "sensitive: runs at two tolerances diverge after" in texts
@@ -422,20 +422,20 @@ def test_poincare_section_detects_longer_periods() -> None:
 
 
 def test_impacts() -> None:
-    result, made = simulated("three gaps"), shown("three gaps", "impacts")
+    result, figure = simulated("three gaps"), shown("three gaps", "impacts")
     for k, gap in enumerate(result.gaps):
-        own = [impact for impact in result.impacts if impact.gap == k]
-        (line,) = by_gid(made, f"approach {gap.point}")
-        np.testing.assert_allclose(line.get_ydata(), [impact.approach for impact in own])
-        np.testing.assert_allclose(line.get_xdata(), [impact.begin * 20.0 for impact in own])
-        assert f"{gap.point}: {gap.journal} in {gap.bearing}: {len(own)}" in words(made)
+        of_gap = [impact for impact in result.impacts if impact.gap == k]
+        (line,) = by_gid(figure, f"approach {gap.point}")
+        np.testing.assert_allclose(line.get_ydata(), [impact.approach for impact in of_gap])
+        np.testing.assert_allclose(line.get_xdata(), [impact.begin * 20.0 for impact in of_gap])
+        assert f"{gap.point}: {gap.journal} in {gap.bearing}: {len(of_gap)}" in words(figure)
     assert "impacts" not in drawn(replace(result, impacts=()))
 
 
 def test_close_ups_show_the_journal_positions() -> None:
     for name in ("three gaps", "four-bar", "clockwise"):
-        result, made = simulated(name), shown(name, "mechanism")
-        stage, strip = made.axes
+        result, figure = simulated(name), shown(name, "mechanism")
+        stage, strip = figure.axes
         turns = RevolutionCurves(result)
         last = slice(len(turns.time) - turns.points, None)
         forces = np.max([result[f"{gap.point}.normal_N"][last] for gap in result.gaps], axis=0)
@@ -452,7 +452,7 @@ def test_close_ups_show_the_journal_positions() -> None:
                 assert inside == (abs(bearing.radius - 1.0) < 1e-9)
         arrows = [patch for patch in strip.patches if isinstance(patch, FancyArrowPatch)]
         assert 1 <= len(arrows) <= len(result.gaps)
-        assert "-fold" in words(made)
+        assert "-fold" in words(figure)
 
 
 def test_ideal_joints_stay_closed_with_magnified_deviations() -> None:
@@ -487,23 +487,23 @@ def compared():
 
 
 def test_compensation() -> None:
-    made = pictures(control_comparison.compensation(compared().examples))["compensation"]
-    assert len(made.axes) == 2
+    figure = pictures(control_comparison.compensation(compared().examples))["compensation"]
+    assert len(figure.axes) == 2
     examples = compared().examples
     before = examples["none"].figures["rms_m"]
-    unit = made.axes[0].get_ylabel().removeprefix("deviation of slider ")
+    unit = figure.axes[0].get_ylabel().removeprefix("deviation of slider ")
     factor = {"[mm]": 1e3, "[µm]": 1e6}[unit]
     for name, result in examples.items():
-        (line,) = by_gid(made, f"mean {name}")
+        (line,) = by_gid(figure, f"mean {name}")
         mean = np.mean(result["slider.error_m"].reshape(2, 60), axis=0) * factor
         assert set(np.round(mean, 6)) <= set(np.round(line.get_ydata(), 6))
         rms = f"{'no control' if name == 'none' else name}: RMS {result.figures['rms_m'] * factor:.4g} {unit.strip('[]')}"
-        assert rms in words(made)
-        assert bool(by_gid(made, f"correction {name}")) == (name != "none")
-    assert f"({(examples['inverse+pid'].figures['rms_m'] / before - 1.0) * 100.0:+.0f} %)".replace("-", "−") in words(made)
-    at = sorted({round(line.get_xdata()[0]) % 360 for line in by_gid(made, "standstill")})
+        assert rms in words(figure)
+        assert bool(by_gid(figure, f"correction {name}")) == (name != "none")
+    assert f"({(examples['inverse+pid'].figures['rms_m'] / before - 1.0) * 100.0:+.0f} %)".replace("-", "−") in words(figure)
+    at = sorted({round(line.get_xdata()[0]) % 360 for line in by_gid(figure, "standstill")})
     assert at == [0, 180]
-    assert made.axes[1].get_ylabel().endswith("[deg]")
+    assert figure.axes[1].get_ylabel().endswith("[deg]")
     [alone] = control_comparison.compensation({"none": simulated("periodic")})
     assert len(alone.panels) == 1
 
@@ -511,9 +511,9 @@ def test_compensation() -> None:
 def test_comparison_files(tmp_path: Path) -> None:
     written = view_of("control comparison").write(compared(), tmp_path)
     assert [path.name for path in written] == ["result.json", "compensation.png", "trials.png"]
-    made = pictures([control_comparison.trials(compared())])["trials"]
-    points = by_gid(made, "root mean square")
+    figure = pictures([control_comparison.trials(compared())])["trials"]
+    points = by_gid(figure, "root mean square")
     assert len(points) == 2
-    factor = {"deviation [mm]": 1e3, "deviation [µm]": 1e6}[made.axes[0].get_xlabel()]
+    factor = {"deviation [mm]": 1e3, "deviation [µm]": 1e6}[figure.axes[0].get_xlabel()]
     np.testing.assert_allclose(points[0].get_xdata(), compared().trials["none"].rms * factor)
-    assert "2 revolutions from each of 2 starts" in words(made)
+    assert "2 revolutions from each of 2 starts" in words(figure)

@@ -180,9 +180,9 @@ def check_points(result: dict[str, Any], machine: dict[str, Any], point: str) ->
     assert way * (crank[1] - crank[0]) > 0.0
     after = np.abs(crank - crank[0])
     for axis in "xy":
-        found = np.interp(np.abs(angles - angles[0]), after, column(machine, f"{point}.{axis}_m"))
-        np.testing.assert_allclose(found * 1e3, best["points"][f"{axis}_mm"], atol=0.05)  # between rows 1 deg apart
-        assert found[0] * 1e3 == pytest.approx(best["points"][f"{axis}_mm"][0], abs=1e-7)
+        computed = np.interp(np.abs(angles - angles[0]), after, column(machine, f"{point}.{axis}_m"))
+        np.testing.assert_allclose(computed * 1e3, best["points"][f"{axis}_mm"], atol=0.05)  # between rows 1 deg apart
+        assert computed[0] * 1e3 == pytest.approx(best["points"][f"{axis}_mm"][0], abs=1e-7)
 
 
 def check_transmission(result: dict[str, Any], machine: dict[str, Any]) -> None:

@@ -114,11 +114,11 @@ def texts(svg: str) -> Iterator[tuple[str, np.ndarray]]:
 def test_texts_are_clear_of_each_other_and_in_the_drawing(name: str) -> None:
     drawing = dimensioned(optlink.analyze(DRAWN[name]()), name)
     left, top, wide, high = map(float, re.findall(r'viewBox="(\S+) (\S+) (\S+) (\S+)"', drawing.svg)[0])
-    found = list(texts(drawing.svg))
-    assert len(found) >= 7
-    for k, (text, place) in enumerate(found):
+    computed = list(texts(drawing.svg))
+    assert len(computed) >= 7
+    for k, (text, place) in enumerate(computed):
         assert np.all((place > [left, top]) & (place < [left + wide, top + high])), text
-        for other, beside in found[:k]:
+        for other, beside in computed[:k]:
             assert not covers(place, beside), (text, other)
 
 

@@ -66,13 +66,13 @@ def test_a_design_variable_is_validated(rocker):
     before = rocker.drawing.value
     rocker.sliders["rocker"].value = 215.0
     design = {"coupler": rocker.sliders["coupler"].value / 1e3, "rocker": 0.215}
-    own = optlink.validate(optlink.load("crank-rocker"), design)
-    assert rocker.result.objective == pytest.approx(own.objective, rel=1e-12)
+    reference = optlink.validate(optlink.load("crank-rocker"), design)
+    assert rocker.result.objective == pytest.approx(reference.objective, rel=1e-12)
     assert not rocker.result.valid
-    failed = [check.name for check in own.validation.checks if not check.passed]
+    failed = [check.name for check in reference.validation.checks if not check.passed]
     assert failed
     assert all(f"{name}</" in rocker.status.value for name in failed)
-    assert f"{len(failed)} of {len(own.validation.checks)} checks fail" in rocker.status.value
+    assert f"{len(failed)} of {len(reference.validation.checks)} checks fail" in rocker.status.value
     assert rocker.drawing.value != before
     rocker.optimise()
     assert rocker.result.valid
@@ -81,17 +81,17 @@ def test_a_design_variable_is_validated(rocker):
 
 def test_a_changed_limit_is_reoptimised(rocker):
     rocker.sliders[LIMIT].value = 125.0
-    own = optlink.solve(optlink.load("crank-rocker", {LIMIT: "125 deg"}))
-    assert rocker.result.objective == pytest.approx(own.objective, rel=1e-9)
-    assert rocker.sliders["coupler"].value == pytest.approx(1e3 * own.design["coupler"], rel=1e-9)
+    reference = optlink.solve(optlink.load("crank-rocker", {LIMIT: "125 deg"}))
+    assert rocker.result.objective == pytest.approx(reference.objective, rel=1e-9)
+    assert rocker.sliders["coupler"].value == pytest.approx(1e3 * reference.design["coupler"], rel=1e-9)
     assert rocker.problem.raw["limits"]["transmission_angle"][1] == "125.0 deg"
     rocker.live.value = False
     rocker.sliders[LIMIT].value = 120.0
-    assert rocker.result.design["coupler"] == pytest.approx(own.design["coupler"], rel=1e-9)
+    assert rocker.result.design["coupler"] == pytest.approx(reference.design["coupler"], rel=1e-9)
     assert not rocker.result.valid
     rocker.button.click()
     assert rocker.result.valid
-    assert rocker.result.objective > own.objective
+    assert rocker.result.objective > reference.objective
 
 
 @pytest.mark.slow
@@ -133,8 +133,8 @@ def test_machines_are_analysed(shaper):
     assert "torque" in shaper.chart.value
     before = shaper.chart.value
     shaper.sliders["mechanism.links.crank.length"].value = 100.0
-    own = optlink.analyze(optlink.load("shaper", {"mechanism.links.crank.length": "100 mm"}))
-    assert shaper.result.figures == own.figures
+    reference = optlink.analyze(optlink.load("shaper", {"mechanism.links.crank.length": "100 mm"}))
+    assert shaper.result.figures == reference.figures
     assert shaper.chart.value != before
     assert not hasattr(shaper.panel.children[0].children[0].children[-1], "on_click")
 

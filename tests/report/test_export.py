@@ -67,11 +67,11 @@ def holes(block) -> list[np.ndarray]:
 
 def assembled(drawing: Drawing) -> dict[str, list[np.ndarray]]:
     """Centres of the holes of every block of the assembly, where ezdxf puts them."""
-    found = {}
+    computed = {}
     for insert in drawing.modelspace().query('INSERT[layer=="ASSEMBLY"]'):
         parts = insert.virtual_entities()
-        found[insert.dxf.name] = [np.array(part.dxf.center)[:2] for part in parts if part.dxftype() == "CIRCLE"]
-    return found
+        computed[insert.dxf.name] = [np.array(part.dxf.center)[:2] for part in parts if part.dxftype() == "CIRCLE"]
+    return computed
 
 
 def written(about: ReportModel, path: Path, **options) -> Drawing:
@@ -193,13 +193,13 @@ def test_the_assembly_stands_at_the_crank_angle(crank_rocker_subject, tmp_path):
 def area(polyline) -> float:
     """Of the polygon, and of the circular segment over every edge with a bulge: tan(a quarter of the arc)."""
     corners = polyline.get_points("xyb")
-    found = 0.0
+    computed = 0.0
     for (x, y, bulge), (u, v, _) in zip(corners, [*corners[1:], corners[0]], strict=True):
-        found += (x * v - y * u) / 2
+        computed += (x * v - y * u) / 2
         if bulge:
             arc, chord = 4 * math.atan(bulge), math.hypot(u - x, v - y)
-            found += (chord / (2 * math.sin(arc / 2))) ** 2 / 2 * (arc - math.sin(arc))
-    return found
+            computed += (chord / (2 * math.sin(arc / 2))) ** 2 / 2 * (arc - math.sin(arc))
+    return computed
 
 
 @pytest.mark.parametrize(
@@ -528,12 +528,12 @@ def boxes_of_names(drawing: str) -> dict[str, tuple[float, float, float, float]]
     shown = (
         r'data-point="([^"]*)"[^>]*><text x="([-\d.]+)" y="([-\d.]+)"( text-anchor="end")?[^>]*>(?:<title>[^<]*</title>)?([^<]*)<'
     )
-    found = {}
+    computed = {}
     for name, x, y, end, text in re.findall(shown, drawing):
         width = 0.6 * size * len(text)
         left = float(x) - (width if end else 0.0)
-        found[name] = left, float(y) - size, left + width, float(y) + 0.2 * size
-    return found
+        computed[name] = left, float(y) - size, left + width, float(y) + 0.2 * size
+    return computed
 
 
 def test_long_point_names_do_not_overlap_in_the_animation():

@@ -153,8 +153,8 @@ def signed_zeros(source: str) -> list[str]:
 def test_no_number_with_fixed_decimals_is_a_negative_zero() -> None:
     assert signed_zeros('f"{x:+.1%} {x:.{n}f} {x:+z.1f} {x:.3g}"') == ["+.1%", ".{n}f"]
     package = Path(optlink.__file__).parent
-    found = {str(path): specs for path in package.rglob("*.py") if (specs := signed_zeros(path.read_text(encoding="utf-8")))}
-    assert found == {}
+    computed = {str(path): specs for path in package.rglob("*.py") if (specs := signed_zeros(path.read_text(encoding="utf-8")))}
+    assert computed == {}
     assert (fixed(-4e-4, 3), fixed(-6e-4, 3), figure(-0.0, "mm")) == ("0.000", "-0.001", "0 mm")
 
 

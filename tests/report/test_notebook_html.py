@@ -20,8 +20,8 @@ LARGEST = 150_000  # bytes
 
 
 def motion(html: str) -> dict[str, Any]:
-    (found,) = re.findall(r'data-motion="([^"]*)"', html)
-    return json.loads(unescape(found))
+    (computed,) = re.findall(r'data-motion="([^"]*)"', html)
+    return json.loads(unescape(computed))
 
 
 @pytest.fixture(scope="module")

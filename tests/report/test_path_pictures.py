@@ -74,9 +74,9 @@ def made(raw: dict, values: dict[str, float], angles: np.ndarray) -> PathDesign:
     return PathDesign(problem, full, angles, proof.objective, Status.NOT_SEARCHED, proof)
 
 
-def outcome(*found: PathDesign, nearest: PathDesign | None = None) -> PathResult:
-    problem = (found[0] if found else nearest).problem
-    return PathResult(problem, tuple(found), nearest, "ipopt", 0, 100, evidence([10, 90]), {})
+def outcome(*computed: PathDesign, nearest: PathDesign | None = None) -> PathResult:
+    problem = (computed[0] if computed else nearest).problem
+    return PathResult(problem, tuple(computed), nearest, "ipopt", 0, 100, evidence([10, 90]), {})
 
 
 def path_raw(target: np.ndarray, tolerances: np.ndarray | None = None, side: str = "left", **more: object) -> dict:
@@ -184,20 +184,20 @@ POINTED = ("path", "tolerances", "lift", "exact", "two poses", "poses", "slider"
 
 @functools.cache
 def picture(name: str, kind: str) -> Figure:
-    draw, found = view.VIEW.drawings.get(kind), result(name)
-    drawn = draw(found) if draw else pictures([chart for chart in view.charts(found) if chart.file == kind])[kind]
+    draw, computed = view.VIEW.drawings.get(kind), result(name)
+    drawn = draw(computed) if draw else pictures([chart for chart in view.charts(computed) if chart.file == kind])[kind]
     assert drawn is not None
     return drawn
 
 
-def drawings(found: PathResult) -> dict[str, Figure | None]:
+def drawings(computed: PathResult) -> dict[str, Figure | None]:
     """Every picture of a result by its file name."""
-    return {name: draw(found) for name, draw in view.VIEW.drawings.items()} | pictures(view.charts(found))
+    return {name: draw(computed) for name, draw in view.VIEW.drawings.items()} | pictures(view.charts(computed))
 
 
 def line(axes, gid: str) -> np.ndarray:
-    (found,) = (each for each in axes.get_lines() if each.get_gid() == gid)
-    return np.asarray(found.get_xydata())
+    (computed,) = (each for each in axes.get_lines() if each.get_gid() == gid)
+    return np.asarray(computed.get_xydata())
 
 
 def generated(name: str) -> np.ndarray:
@@ -229,10 +229,10 @@ def test_target_points_are_drawn_at_their_coordinates(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["path", "tolerances", "poses", "slider", "many"])
 def test_the_curve_agrees_with_the_oracle(name):
-    own = SLIDER if name == "slider" else oracle_of(result(name).best)
+    linkage = SLIDER if name == "slider" else oracle_of(result(name).best)
     for axes in picture(name, "path").axes:
         drawn = line(axes, "run")[:: 7 if len(line(axes, "run")) > 200 else 1]
-        assert np.max(oracle.distance_to_curve(drawn, own, 360)[0]) < 1e-6
+        assert np.max(oracle.distance_to_curve(drawn, linkage, 360)[0]) < 1e-6
         away = np.linalg.norm(line(axes, "run")[:, None] - generated(name)[None], axis=-1).min(axis=0)
         assert np.max(away) < 1.0  # the curve is drawn past every generated point
 
@@ -322,9 +322,9 @@ def test_bars_are_the_deviations(name):
     target = np.array(result(name).problem.model.target_points.points) * 1e3
     miss = generated(name) - target
     np.testing.assert_allclose(bars(panels[0], "distances"), np.linalg.norm(miss, axis=1), rtol=1e-7)
-    own = SLIDER if name == "slider" else oracle_of(result(name).best)
+    linkage = SLIDER if name == "slider" else oracle_of(result(name).best)
     phi, step = result(name).best.crank_angles, 1e-5
-    ahead = oracle.rows_of(oracle.direct(own, phi + step).p) - oracle.rows_of(oracle.direct(own, phi - step).p)
+    ahead = oracle.rows_of(oracle.direct(linkage, phi + step).p) - oracle.rows_of(oracle.direct(linkage, phi - step).p)
     along = ahead / np.linalg.norm(ahead, axis=1)[:, None]
     np.testing.assert_allclose(bars(panels[1], "along the curve"), np.sum(miss * along, axis=1), atol=1e-6)
     left = np.column_stack([-along[:, 1], along[:, 0]])
@@ -400,13 +400,13 @@ def test_transmission_angles_are_those_of_the_cosine_law():
 
 def test_generated_output_is_drawn_with_its_law():
     panels = picture("function", "curve").axes
-    found, target = line(panels[0], "generated generated"), line(panels[0], "target")
-    np.testing.assert_allclose(found[:, 1], oracle.direct(SLIDER, np.radians(found[:, 0])).output, atol=1e-7)
+    computed, target = line(panels[0], "generated generated"), line(panels[0], "target")
+    np.testing.assert_allclose(computed[:, 1], oracle.direct(SLIDER, np.radians(computed[:, 0])).output, atol=1e-7)
     share = (np.radians(target[:, 0]) - math.radians(-70.0)) / (0.5 * math.pi)
     root = np.sqrt(0.1 + 0.9 * share)
     law = 75.0 + 40.0 * (root - math.sqrt(0.1)) / (1.0 - math.sqrt(0.1))
     np.testing.assert_allclose(target[:, 1], law, atol=1e-7)
-    np.testing.assert_allclose(line(panels[1], "error")[:, 1], found[:, 1] - law, atol=1e-7)
+    np.testing.assert_allclose(line(panels[1], "error")[:, 1], computed[:, 1] - law, atol=1e-7)
     assert panels[0].get_ylabel() == "place along G [mm]"
     assert len(line(panels[1], "positions")) == 25
 
@@ -415,12 +415,12 @@ def test_generated_output_is_drawn_with_its_law():
 
 
 def test_designs_are_drawn_side_by_side_with_cognates_named():
-    found = result("cognates").designs
-    one, two = oracle_of(found[0]), oracle_of(found[1])
+    computed = result("cognates").designs
+    one, two = oracle_of(computed[0]), oracle_of(computed[1])
     assert abs(one["coupler"] - two["coupler"]) > 1.0
     same, _ = oracle.distance_to_curve(oracle.planted_path(two, np.linspace(0.1, 6.2, 40)), one, 720)
     assert np.max(same) < 1e-8
-    assert tables.cognate_sources(found) == {1: 0}
+    assert tables.cognate_sources(computed) == {1: 0}
     panels = picture("cognates", "designs").axes
     assert len(panels) == 3
     titles = [axes.get_title() for axes in panels]
@@ -520,10 +520,10 @@ def test_columns_of_poses_tolerances_functions_and_transmission():
     aims = np.array(result("poses").problem.model.target_points.angles)
     np.testing.assert_allclose(turned, oracle.wrapped(oracle.planted_poses(PLANTED, PART)[:, 2] - aims), atol=1e-10)
     np.testing.assert_allclose(view.columns(result("tolerances").best)["tolerance_m"], TOLERANCES * MM)
-    found = view.columns(result("function").best)
-    outputs_ = oracle.direct(SLIDER, found["crank_angle_rad"]).output * MM
-    np.testing.assert_allclose(found["generated_m"], outputs_, atol=1e-10)
-    np.testing.assert_allclose(found["distance_m"], np.abs(found["generated_m"] - found["target_m"]), atol=1e-12)
+    computed = view.columns(result("function").best)
+    outputs_ = oracle.direct(SLIDER, computed["crank_angle_rad"]).output * MM
+    np.testing.assert_allclose(computed["generated_m"], outputs_, atol=1e-10)
+    np.testing.assert_allclose(computed["distance_m"], np.abs(computed["generated_m"] - computed["target_m"]), atol=1e-12)
     assert list(view.columns(result("transmission").best)) == ["point", "crank_angle_rad", "C.transmission_rad"]
 
 
@@ -550,8 +550,8 @@ def test_the_mark_of_the_film_is_the_mechanism(name, monkeypatch):
             assert steps.min() == pytest.approx(math.radians(-70.0))
             assert steps.max() == pytest.approx(math.radians(20.0))
     else:
-        own = SLIDER if name == "slider" else PLANTED
-        np.testing.assert_allclose(marks, oracle.rows_of(oracle.direct(own, steps).p), atol=1e-6)
+        linkage = SLIDER if name == "slider" else PLANTED
+        np.testing.assert_allclose(marks, oracle.rows_of(oracle.direct(linkage, steps).p), atol=1e-6)
 
 
 def test_passed_points_are_highlighted():
@@ -602,9 +602,9 @@ def test_labels_stay_inside_and_do_not_overlap(name, kind):
 # --- terminal ----------------------------------------------------------------------------------------------------------------
 
 
-def printed(found: PathResult, width: int) -> str:
+def printed(computed: PathResult, width: int) -> str:
     page = Console(file=io.StringIO(), width=width, highlight=False, markup=False, emoji=False)
-    page.print(terminal.rendered(tables.path_result(found)))
+    page.print(terminal.rendered(tables.path_result(computed)))
     return page.file.getvalue()
 
 
@@ -625,21 +625,21 @@ def test_numbers_are_not_wrapped(name, width):
 
 def table_of(text: str) -> dict[str, list[str]]:
     """Rows of the table of designs: values by name."""
-    found: dict[str, list[str]] = {}
+    computed: dict[str, list[str]] = {}
     after = text[text.index("Designs, best first") :]
     for row in after[: after.index("Cognates") if "Cognates" in after else None].splitlines():
         cells = re.split(r"\s{2,}", row.strip())
-        found.setdefault(cells[0], []).extend(cells[1:])
-    return found
+        computed.setdefault(cells[0], []).extend(cells[1:])
+    return computed
 
 
 @pytest.mark.parametrize("width", [80, 120])
 def test_designs_are_columns_with_unbroken_numbers(width):
-    found = result("cognates").designs
+    computed = result("cognates").designs
     rows = table_of(printed(result("cognates"), width))
     for name in ("crank", "P.across", "A.x"):
-        assert [float(cell) for cell in rows[name][1:]] == pytest.approx([d.values[name] * 1e3 for d in found], rel=1e-5)
-    assert [float(cell) for cell in rows["sum of squares"][1:]] == pytest.approx([d.objective * 1e6 for d in found], rel=1e-4)
+        assert [float(cell) for cell in rows[name][1:]] == pytest.approx([d.values[name] * 1e3 for d in computed], rel=1e-5)
+    assert [float(cell) for cell in rows["sum of squares"][1:]] == pytest.approx([d.objective * 1e6 for d in computed], rel=1e-4)
     assert rows["same curve as"] == ["cognate of 1"]
     assert rows["assembly"] == ["left", "right", "left"]
     assert "design 2" in printed(result("cognates"), width)

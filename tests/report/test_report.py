@@ -69,13 +69,13 @@ def test_a_large_four_bar_is_drawn_in_metres(crank_rocker):
 
 def test_law_chart_shows_target_generated_and_error(solved):
     top, bottom = draw(function.law(solved)).axes
-    target, found, marks = (line.get_xydata() for line in top.get_lines()[:3])
+    target, computed, marks = (line.get_xydata() for line in top.get_lines()[:3])
     start = math.degrees(solved.design["phi0"])
     assert target[0] == pytest.approx([start, math.degrees(solved.design["psi0"])])
     assert target[-1, 1] - target[0, 1] == pytest.approx(30.0)
     assert len(marks) == 30
     (error,) = (line.get_ydata() for line in bottom.get_lines() if line.get_gid() == "error")
-    np.testing.assert_allclose(error, target[:, 1] - found[:, 1], atol=1e-9)
+    np.testing.assert_allclose(error, target[:, 1] - computed[:, 1], atol=1e-9)
     assert np.max(np.abs(error)) == pytest.approx(2.29005, abs=1e-4)
 
 

@@ -97,12 +97,12 @@ class Reader(HTMLParser):
 
     def handle_starttag(self, tag, attributes):
         self.inside.append(tag)
-        found = dict(attributes)
+        result = dict(attributes)
         self.scripts += tag == "script"
-        self.kept = found.get("id", "") if tag == "script" else ""
+        self.kept = result.get("id", "") if tag == "script" else ""
         self.addresses += [value for key, value in attributes if key in ("src", "href", "data", "action", "poster", "srcset")]
         self.handlers += [key for key, _ in attributes if key.startswith("on")]
-        self.ids += [found["id"]] if "id" in found else []
+        self.ids += [result["id"]] if "id" in result else []
 
     def handle_endtag(self, tag):
         while self.inside and self.inside.pop() != tag:
@@ -241,9 +241,9 @@ def test_a_page_names_author_part_and_date(tmp_path):
 
 def test_every_chart_is_a_valid_plotly_figure(about):
     """plotly's own checker refuses what its schema does not have."""
-    found = chart_plotly.charts(charts(about))
-    assert found
-    for chart in found:
+    computed = chart_plotly.charts(charts(about))
+    assert computed
+    for chart in computed:
         go.Figure(chart.figure)
         assert any(any(value is not None for value in trace["y"]) for trace in chart.figure["data"])
 
@@ -269,11 +269,11 @@ def test_page_sensitivities_agree_with_reoptimisation(crank_rocker_subject):
     more, less = chart_plotly.chart(*sensitivity.charts(answers)).figure["data"]
     values = dict(zip(more["text"], more["x"], strict=True))["largest transmission angle: 135 deg + 1 deg"]
     assert dict(zip(less["text"], less["x"], strict=True))["largest transmission angle: 135 deg − 1 deg"] == -values
-    found = []
+    result = []
     for most in (134.9, 135.1):
         file = optlink.load("crank-rocker", {"limits.transmission_angle": ["45 deg", f"{most} deg"]})
-        found.append(optlink.solve(file).objective)
-    assert values == pytest.approx(100.0 * (found[1] - found[0]) / 0.2 / crank_rocker_subject.objective, rel=1e-3)
+        result.append(optlink.solve(file).objective)
+    assert values == pytest.approx(100.0 * (result[1] - result[0]) / 0.2 / crank_rocker_subject.objective, rel=1e-3)
     assert values == pytest.approx(-1.929, abs=1e-3)
     text = page(crank_rocker_subject)
     assert "Sensitivities" in text
@@ -307,7 +307,7 @@ def evil_problem(folder: Path) -> Path:
     text = EVIL.replace("\\", "\\\\").replace('"', '\\"')
     path = folder / "evil.toml"
     raw = (Path(__file__).parents[2] / "problems" / "crank-rocker.toml").read_text()
-    raw = re.sub(r'^(title|source) = ".*"$', lambda found: f'{found[1]} = "{text}"', raw, flags=re.MULTILINE)
+    raw = re.sub(r'^(title|source) = ".*"$', lambda computed: f'{computed[1]} = "{text}"', raw, flags=re.MULTILINE)
     path.write_text(re.sub(r'about = """.*?"""', f'about = "{text}"', raw, flags=re.DOTALL))
     return path
 
@@ -446,12 +446,12 @@ def test_a_result_finds_its_problem_in_its_folder(tmp_path):
 def test_the_hash_of_a_problem_is_the_same_in_every_process():
     """Otherwise no result file would find its problem; the order of a set depends on the hash seed."""
     code = "import optlink; print([optlink.load(name).hash for name in optlink.shipped()])"
-    found = set()
+    result = set()
     for seed in ("1", "2", "3"):
         environment = {**os.environ, "PYTHONHASHSEED": seed}
         done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
-        found.add(done.stdout)
-    assert len(found) == 1
+        result.add(done.stdout)
+    assert len(result) == 1
 
 
 def test_a_stored_design_is_validated_again(results, tmp_path):

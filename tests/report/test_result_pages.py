@@ -109,13 +109,13 @@ def document(results: Path, name: str) -> dict:
 
 @cache
 def sheet(results: Path, name: str) -> PageContent:
-    found = load_stored(str(results / name))
-    assert isinstance(found, StoredStudy)
-    return _page(found, 90)
+    computed = load_stored(str(results / name))
+    assert isinstance(computed, StoredStudy)
+    return _page(computed, 90)
 
 
-def trace(made: PageContent, name: str) -> dict:
-    return next(one for chart in made.charts for one in chart.figure["data"] if one["name"].startswith(name))
+def trace(page: PageContent, name: str) -> dict:
+    return next(one for chart in page.charts for one in chart.figure["data"] if one["name"].startswith(name))
 
 
 def numbers(values: list) -> np.ndarray:
@@ -151,9 +151,9 @@ def test_a_page_is_complete_small_and_safe(results, pages, name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", RECORDED)
 def test_every_chart_is_a_valid_plotly_figure(results, name):
-    made = sheet(results, name)
-    assert made.charts
-    for chart in made.charts:
+    page = sheet(results, name)
+    assert page.charts
+    for chart in page.charts:
         go.Figure(chart.figure)
         if chart.picks is not None:
             assert all(len(row) == len(chart.picks.names) for row in chart.picks.rows)
@@ -164,15 +164,15 @@ def test_every_chart_is_a_valid_plotly_figure(results, name):
 @pytest.mark.slow
 def test_a_simulation_at_constant_speed_is_the_analysis(results):
     """Published extremes of the torque and of the slide, read from the curves."""
-    made = sheet(results, "course")
-    torque = numbers(trace(made, "driving torque")["y"])
+    page = sheet(results, "course")
+    torque = numbers(trace(page, "driving torque")["y"])
     assert np.max(torque) == pytest.approx(278.8344391, rel=2e-4)
     assert np.min(torque) == pytest.approx(-320.0521365, rel=2e-4)
-    slide = numbers(trace(made, "position")["y"])
+    slide = numbers(trace(page, "position")["y"])
     assert np.ptp(slide) == pytest.approx(373.9041584796, rel=1e-4)
-    stops = made.moving.stops
+    stops = page.moving.stops
     assert stops.values[-1] == pytest.approx(2 * math.pi / 10.0)  # a revolution at 10 rad/s
-    crank = numbers(made.moving.readouts[0].values)
+    crank = numbers(page.moving.readouts[0].values)
     assert np.diff(crank) == pytest.approx(360.0 / (len(crank) - 1), abs=2e-3)
 
 
@@ -195,27 +195,27 @@ def test_a_simulation_is_drawn_with_the_sizes_that_ran(tmp_path):
 
 @pytest.mark.slow
 def test_an_orbit_stays_in_its_gap(results):
-    record, made = document(results, "play"), sheet(results, "play")
+    record, page = document(results, "play"), sheet(results, "play")
     [gap] = record["gaps"]
-    circle = trace(made, "clearance")
+    circle = trace(page, "clearance")
     assert np.hypot(numbers(circle["x"]), numbers(circle["y"])) == pytest.approx(gap["clearance"] * 1e3, rel=1e-5)
     deepest = max(record["columns"][f"{gap['point']}.penetration_m"])
-    remark = next(chart.remark for chart in made.charts if chart.title.startswith("Journal orbit"))
+    remark = next(chart.remark for chart in page.charts if chart.title.startswith("Journal orbit"))
     times = float(re.search(r"beyond the circle (\S+)-fold", remark)[1])
     for name in ("apart", "in contact"):
-        path = trace(made, name)
+        path = trace(page, name)
         away = np.hypot(numbers(path["x"]), numbers(path["y"]))
         assert np.nanmax(away) <= (gap["clearance"] + times * deepest) * 1e3 + 1e-6
-    error = numbers(trace(made, "deviation of rocker")["y"])
+    error = numbers(trace(page, "deviation of rocker")["y"])
     assert np.nanmax(np.abs(error)) <= math.degrees(record["figures"]["peak_rad"]) * (1 + 1e-6)
 
 
 @pytest.mark.slow
 def test_a_stored_balance_is_verified_again(results, tmp_path):
     """The full force balance leaves no shaking force (Berkof and Lowen 1969); a heavier weight in the file is detected."""
-    made, record = sheet(results, "balance"), document(results, "balance")
-    assert np.max(np.abs(numbers(trace(made, "balanced shaking force")["y"]))) < 1e-9
-    shaking = next(chart for chart in made.charts if chart.title == "Shaking and drive")
+    page, record = sheet(results, "balance"), document(results, "balance")
+    assert np.max(np.abs(numbers(trace(page, "balanced shaking force")["y"]))) < 1e-9
+    shaking = next(chart for chart in page.charts if chart.title == "Shaking and drive")
     given = numbers(shaking.figure["data"][0]["y"])
     rms = next(one["before"] for one in record["measures"] if one["name"] == "rms shaking force")
     assert np.sqrt(np.mean(given[:-1] ** 2)) == pytest.approx(rms, rel=1e-6)
@@ -227,19 +227,19 @@ def test_a_stored_balance_is_verified_again(results, tmp_path):
 
 @pytest.mark.slow
 def test_the_tolerances_of_a_page_add_up(results):
-    record, made = document(results, "tolerance"), sheet(results, "tolerance")
-    bands = {one["name"]: one for one in made.charts[0].figure["data"] if "customdata" in one}
+    record, page = document(results, "tolerance"), sheet(results, "tolerance")
+    bands = {one["name"]: one for one in page.charts[0].figure["data"] if "customdata" in one}
     assert bands.keys() == {"coupler", "rocker"}
     assert np.sum([numbers(one["customdata"]) for one in bands.values()], axis=0) == pytest.approx(100.0, abs=1e-4)
-    assert numbers(made.charts[0].figure["data"][-1]["y"]) == pytest.approx(100.0, abs=1e-4)
-    inside, beyond = (np.sum(numbers(trace(made, name)["y"])) for name in ("within the limit", "beyond it"))
+    assert numbers(page.charts[0].figure["data"][-1]["y"]) == pytest.approx(100.0, abs=1e-4)
+    inside, beyond = (np.sum(numbers(trace(page, name)["y"])) for name in ("within the limit", "beyond it"))
     assert inside + beyond == pytest.approx(100.0)
     edges = np.array(record["monte_carlo"]["histogram"]["edges"])
     held = np.array(record["monte_carlo"]["histogram"]["counts"])
     below = np.sum(held[edges[1:] <= record["limit"]]) / held.sum()
     above = np.sum(held[edges[:-1] <= record["limit"]]) / held.sum()
     assert below <= record["monte_carlo"]["yield"] <= above  # counted one by one, between the bins around the limit
-    text = made.html()
+    text = page.html()
     assert f"Yield {100 * record['monte_carlo']['yield']:.3f} %" in text
     low, high = record["monte_carlo"]["yield_interval_95_percent"]
     assert f"{100 * low:.3f} % ... {100 * high:.3f} %" in text
@@ -264,39 +264,39 @@ def test_conclusions_state_the_main_figures(results):
 @pytest.mark.slow
 def test_a_sweep_by_its_table(results):
     """Best row and changes of the active set, found in the CSV file by other means."""
-    made = sheet(results, "sweep")
+    page = sheet(results, "sweep")
     with (results / "sweep" / "sweep.csv").open() as file:
         rows = list(csv.DictReader(file))
     best = min(range(len(rows)), key=lambda k: float(rows[k]["objective_rad2"]))
-    picks = made.charts[0].picks
+    picks = page.charts[0].picks
     assert picks.first == best
     assert float(picks.rows[best][picks.names.index("coupler [mm]")]) == pytest.approx(float(rows[best]["coupler_mm"]), rel=1e-6)
     places = [
         float(new["limits.transmission_angle.max_deg"]) for old, new in itertools.pairwise(rows) if old["active"] != new["active"]
     ]
     assert places  # from some angle on the limit holds no more
-    assert [shape["x0"] for shape in made.charts[0].figure["layout"]["shapes"]] == pytest.approx(places)
+    assert [shape["x0"] for shape in page.charts[0].figure["layout"]["shapes"]] == pytest.approx(places)
     frame = 1e3 * load_stored(str(results / "sweep")).problem.model.quantities["frame"].value
-    assert made.moving.scene.points["D"][0][0] == pytest.approx(frame)
+    assert page.moving.scene.points["D"][0][0] == pytest.approx(frame)
 
 
 @pytest.mark.slow
 def test_a_map_has_every_point_at_its_place(results):
-    made = sheet(results, "map")
-    shaded = trace(made, "objective")
+    page = sheet(results, "map")
+    shaded = trace(page, "objective")
     with (results / "map" / "sweep.csv").open() as file:
         for row in csv.DictReader(file):
             i = shaded["y"].index(float(row["mechanism.frame_mm"]))
             j = min(range(4), key=lambda k: abs(shaded["x"][k] - float(row["limits.transmission_angle.max_deg"])))
             assert shaded["z"][i][j] == pytest.approx(float(row["objective_rad2"]), rel=1e-5)
             number = shaded["customdata"][i][j]
-            assert made.charts[0].picks.rows[number][0] == f"{float(row['mechanism.frame_mm']):g}"
+            assert page.charts[0].picks.rows[number][0] == f"{float(row['mechanism.frame_mm']):g}"
 
 
 @pytest.mark.slow
 def test_a_front_by_its_table(results):
     """The knee by the distance from the chord, and every design that can be picked."""
-    made = sheet(results, "front")
+    page = sheet(results, "front")
     with (results / "front" / "front.csv").open() as file:
         rows = list(csv.DictReader(file))
     names = list(rows[0])[:2]
@@ -304,11 +304,11 @@ def test_a_front_by_its_table(results):
     scaled = (points - points.min(axis=0)) / np.ptp(points, axis=0)
     chord = scaled[-1] - scaled[0]
     off = (scaled - scaled[0]) @ np.array([-chord[1], chord[0]])
-    picks = made.charts[0].picks
+    picks = page.charts[0].picks
     assert picks.first == int(np.argmax(np.abs(off)))
     for row, record in zip(rows, picks.rows, strict=True):
         assert float(record[picks.names.index("rocker [mm]")]) == pytest.approx(float(row["rocker_mm"]), rel=1e-6)
-    crank, rocker = (made.moving.scene.points[name] for name in "BC")
+    crank, rocker = (page.moving.scene.points[name] for name in "BC")
     assert np.hypot(*(rocker - crank).T) == pytest.approx(float(rows[picks.first]["coupler_mm"]), rel=1e-9)
 
 
@@ -322,11 +322,11 @@ def test_three_objectives_have_a_colour(results, tmp_path):
     record["ends"]["swing_deg"], record["knee"] = 1, None
     record["reference"]["swing_deg"] = 41.0
     (tmp_path / "result.json").write_text(json.dumps(record))
-    made = _page(load_stored(str(tmp_path)), 90)
-    cloud = made.charts[0].figure["data"][0]
+    page = _page(load_stored(str(tmp_path)), 90)
+    cloud = page.charts[0].figure["data"][0]
     assert cloud["marker"]["color"] == [40.0 + k for k in range(len(record["front"]))]
-    assert "swing [deg] (more is better)" in made.charts[0].picks.names
-    go.Figure(made.charts[0].figure)
+    assert "swing [deg] (more is better)" in page.charts[0].picks.names
+    go.Figure(page.charts[0].figure)
 
 
 def test_a_machine_that_stays_at_rest_has_a_page(tmp_path):
@@ -335,9 +335,9 @@ def test_a_machine_that_stays_at_rest_has_a_page(tmp_path):
     done = run("simulate", "shaper", *change, "--json")
     (tmp_path / "result.json").write_text(done.stdout)
     assert len(json.loads(done.stdout)["columns"]["time_s"]) == 1
-    made = run("report", str(tmp_path), *change, "-o", str(tmp_path / "a.html"))
-    assert made.exit_code == 0
-    assert "Came to rest" in made.stdout
+    command = run("report", str(tmp_path), *change, "-o", str(tmp_path / "a.html"))
+    assert command.exit_code == 0
+    assert "Came to rest" in command.stdout
 
 
 def test_conflicting_limits_are_listed(tmp_path):

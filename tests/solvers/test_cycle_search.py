@@ -98,9 +98,9 @@ def test_a_time_ratio_with_a_direction_makes_that_stroke_the_slow_one(stroke, sp
     ratio = {"quantity": "time ratio", "of": "piston", "stroke": stroke, "exactly": 1.2}
     result = solve(problem(PUMP, limits__ratio=ratio, drive__speed=speed), starts=1)
     assert result.valid
-    found = rotations(result)
-    other = next(name for name in found if name != stroke)
-    assert found[stroke] / found[other] == pytest.approx(1.2, abs=0.03)
+    computed = rotations(result)
+    other = next(name for name in computed if name != stroke)
+    assert computed[stroke] / computed[other] == pytest.approx(1.2, abs=0.03)
     assert result.built is not None
     assert result.to_dict()["strokes"]["piston slides"]["slow_stroke"] == stroke
 
@@ -141,8 +141,8 @@ def test_a_ratio_below_a_limit_is_that_of_the_slow_stroke_in_either_direction():
     changes = {"limits__ratio": ratio, "limits__rod": low, "mechanism__guides__G__offset": offset}
     result = solve(problem(PUMP, **changes, loads__delivery__stroke="forward"), starts=2)
     assert result.valid
-    found = rotations(result)
-    assert max(found.values()) / min(found.values()) <= 1.03
+    outcome = rotations(result)
+    assert max(outcome.values()) / min(outcome.values()) <= 1.03
 
 
 @pytest.mark.parametrize(
@@ -197,12 +197,12 @@ def test_more_starting_points_are_never_worse(seed):
         drive__speed=f"{rng.choice([-1, 1]) * rng.uniform(30.0, 300.0)} rpm",
         limits__ratio__min=float(rng.uniform(1.0, 1.15)),
     )
-    found = [solve(file, starts=count, seed=seed) for count in (1, 3, 8)]
-    assert found[-1].valid
-    for few, more in itertools.pairwise(found):
+    computed = [solve(file, starts=count, seed=seed) for count in (1, 3, 8)]
+    assert computed[-1].valid
+    for few, more in itertools.pairwise(computed):
         assert (not more.valid, more.objective) <= (not few.valid, few.objective * (1.0 + 1e-9))
     usual = solve(file, seed=seed)
-    assert usual.objective == found[-1].objective
+    assert usual.objective == computed[-1].objective
 
 
 @pytest.mark.slow
@@ -228,10 +228,10 @@ def test_a_design_without_the_dead_centres_of_its_limits_is_refused(monkeypatch)
     order = OrderSearch(build_programme(trace, begin), begin, ("ipopt",))
 
     def end_at(values):
-        found = multistart.solution_at(order.nlp, order.nlp.x_of(values), "")
-        end = replace(found, design=dict(values), status=Status.STALLED, objective=0.5 * found.objective)
+        result = multistart.solution_at(order.nlp, order.nlp.x_of(values), "")
+        end = replace(result, design=dict(values), status=Status.STALLED, objective=0.5 * result.objective)
         monkeypatch.setattr(order, "_from", lambda *_, **__: end)
-        monkeypatch.setattr(order, "_exchanged", lambda found, _: found)
+        monkeypatch.setattr(order, "_exchanged", lambda computed, _: computed)
         order.advance(0)
         return order.runs["ipopt"][-1]
 

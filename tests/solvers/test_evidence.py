@@ -47,9 +47,9 @@ def test_a_better_optimum_is_missed_no_more_often_than_estimated() -> None:
         shares = rng.dirichlet(np.full(rng.integers(1, 30), 1.0))
         ranks = rng.permutation(len(shares))  # 0 is the best optimum
         counts = rng.multinomial(50, shares)
-        found = sorted((ranks[i], counts[i]) for i in np.flatnonzero(counts))
-        missed.append(found[0][0] > 0)
-        estimated.append(evidence([int(count) for _, count in found]).missed)
+        computed = sorted((ranks[i], counts[i]) for i in np.flatnonzero(counts))
+        missed.append(computed[0][0] > 0)
+        estimated.append(evidence([int(count) for _, count in computed]).missed)
     assert np.mean(missed) <= np.mean(estimated) <= 3.0 * np.mean(missed)
 
 

@@ -89,15 +89,15 @@ def test_the_bound_of_a_sum_of_rows_exceeds_all_samples_and_is_close():
         one = LinkageSet(1, low[0], high[0], (0.1, 5.0), (0.5, 2.5))
         rows = Rows.joined([loop_rows(one, X, 0.8 * X, 1e-3), *coupler_rows(one, X, 0.8 * X, 1e-3, low, high)], 1)
         weights = rng.uniform(0.0, 1.0, rows.k3.shape) * (rng.uniform(0.0, 1.0, rows.k3.shape) < 0.1)
-        found = largest(rows, weights, low, high)[0]
+        computed = largest(rows, weights, low, high)[0]
         ends = [np.linspace(low[0, k], high[0, k], 5) for k in range(4)]
         points = np.stack(np.meshgrid(*ends), axis=-1).reshape(-1, 4)
         reach = 1.0 + points[:, 2] + points[:, 3]  # of K3
         sums = [np.sum(weights * values_at(rows, p, k3)) for p, r in zip(points, reach, strict=True) for k3 in (-r, r)]
-        assert found >= max(sums)
-        assert largest(rows, weights - 2.0 * (weights == 0.0), low, high)[0] == found  # no negative multiplier takes part
+        assert computed >= max(sums)
+        assert largest(rows, weights - 2.0 * (weights == 0.0), low, high)[0] == computed  # no negative multiplier takes part
         if size < 0.01:
-            assert found <= max(sums) + 60.0 * size * (1.0 + centre[2] + centre[3]) ** 2 * np.sum(weights)
+            assert computed <= max(sums) + 60.0 * size * (1.0 + centre[2] + centre[3]) ** 2 * np.sum(weights)
 
 
 @pytest.mark.parametrize(
@@ -170,22 +170,22 @@ def test_linkages_near_a_dead_position_are_searched_where_the_lengths_permit_the
 def test_a_search_without_a_good_design_finds_one_and_bounds_it():
     file = optlink.load("function-sin", overrides={"mechanism.assembly": "left"})
     seen = []
-    found = certify_function(file.spec, 0.006, gap=0.3, progress=lambda share, gap: seen.append((share, gap)))
+    result = certify_function(file.spec, 0.006, gap=0.3, progress=lambda share, gap: seen.append((share, gap)))
     best = optlink.load("function-sin").spec.expected.objective
-    assert found.status == "closed"
-    assert 0.7 * best <= 0.7 * found.best == pytest.approx(found.lower)
-    assert found.lower <= best < found.best < 0.006
-    design, side = found.better[-1]
+    assert result.status == "closed"
+    assert 0.7 * best <= 0.7 * result.best == pytest.approx(result.lower)
+    assert result.lower <= best < result.best < 0.006
+    design, side = result.better[-1]
     assert side == 1
-    assert optlink.validate(file, design).objective == pytest.approx(found.best, rel=1e-6)  # measured in motion
+    assert optlink.validate(file, design).objective == pytest.approx(result.best, rel=1e-6)  # measured in motion
     assert all(0.0 <= share <= 1.0 and 0.0 <= gap <= 1.0 for share, gap in seen)
 
 
 def test_a_search_that_is_stopped_claims_nothing_beyond_its_last_level():
     problem = optlink.load("function-exp").spec
-    found = certify_function(problem, problem.expected.objective, boxes=300)
-    assert (found.status, found.lower, found.gap) == ("stopped", 0.0, 1.0)
-    assert len(found.open) > 0
+    result = certify_function(problem, problem.expected.objective, boxes=300)
+    assert (result.status, result.lower, result.gap) == ("stopped", 0.0, 1.0)
+    assert len(result.open) > 0
 
     def interrupt(share, gap):
         raise KeyboardInterrupt
@@ -197,10 +197,10 @@ def test_a_function_that_no_four_bar_follows_is_bounded_over_boxes_of_designs():
     """Beyond 45 deg the rows do not hold: the proof is that of any other problem."""
     law = {"function": "sin(8*x)", "x": [0.0, 6.283], "input": "90 deg", "output": "170 deg"}
     problem = optlink.load("function-sin", {"requirement.law": law, "mechanism.assembly": "left"})
-    found = optlink.solve(problem, starts=1, certify=False)
-    assert found.valid
-    assert found.objective > 0.25 * math.pi
-    assert certify(found, boxes=100.0).certificate.status == "not closed"
+    result = optlink.solve(problem, starts=1, certify=False)
+    assert result.valid
+    assert result.objective > 0.25 * math.pi
+    assert certify(result, boxes=100.0).certificate.status == "not closed"
 
 
 RECIPROCAL = {"function": "1/x", "x": [1, 2], "input": "90 deg", "output": "-90 deg"}
@@ -211,24 +211,24 @@ RECIPROCAL = {"function": "1/x", "x": [1, 2], "input": "90 deg", "output": "-90 
 def test_the_shipped_designs_are_global_optima(name):
     problem = optlink.load(name).spec
     best = problem.expected.objective
-    found = certify_function(problem, best, gap=1e-3)
-    assert (found.status, len(found.better)) == ("closed", 0)
-    assert (1.0 - 1.001e-3) * best <= found.lower < best
+    result = certify_function(problem, best, gap=1e-3)
+    assert (result.status, len(result.better)) == ("closed", 0)
+    assert (1.0 - 1.001e-3) * best <= result.lower < best
     x = problem.span * 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, 121)))
     grid = np.arange(0.0, 2.0 * np.pi, 0.35)
     steps = first_steps(x, problem.requirement.law.rise(x), grid, grid, ratios=(0.05, 20.0), count=12)
-    assert min(step.bound for step in steps if step.proven) >= found.lower  # convex programmes, with bounds of their own
+    assert min(step.bound for step in steps if step.proven) >= result.lower  # convex programmes, with bounds of their own
 
 
 @pytest.mark.slow
 def test_an_optimum_at_its_transmission_limit_is_certified():
     problem = optlink.load("function-sin", overrides={"requirement.law": RECIPROCAL}).spec
-    found = certify_function(problem, 0.0028877333, gap=1e-3)
-    assert found.status == "closed"
-    assert found.lower == pytest.approx(0.0028877333, rel=1.001e-3)
+    result = certify_function(problem, 0.0028877333, gap=1e-3)
+    assert result.status == "closed"
+    assert result.lower == pytest.approx(0.0028877333, rel=1.001e-3)
     free = optlink.load(
         "function-sin", overrides={"requirement.law": RECIPROCAL, "limits.transmission_angle": ["20 deg", "160 deg"]}
     )
     wider = certify_function(free.spec, 0.0028877333, gap=0.05)
     assert wider.better  # the limit is what keeps linkages with a smaller error out
-    assert wider.lower < found.lower
+    assert wider.lower < result.lower

@@ -47,11 +47,11 @@ def certified(problem, gap=1e-6, **options):
 
 def test_the_crank_rocker_is_proven_by_default(crank_rocker):
     result = optlink.solve(crank_rocker)
-    found = result.certificate
-    assert found.status == GLOBAL
-    assert found.gap < 1e-6
-    assert found.lower_bound < result.objective
-    assert found.boxes < 1_000
+    outcome = result.certificate
+    assert outcome.status == GLOBAL
+    assert outcome.gap < 1e-6
+    assert outcome.lower_bound < result.objective
+    assert outcome.boxes < 1_000
     assert optlink.solve(crank_rocker, certify=False).certificate is None
 
 
@@ -94,8 +94,8 @@ def test_processes_change_no_digit_of_a_long_proof(crank_rocker, monkeypatch, en
         return parts, search.boxes, search.lower, search.history
 
     def within_one_process():
-        found = (searched(None, math.inf, divisible=divisible) for divisible in (True, False))
-        return [(figures(search), search.lower) for search in found]
+        computed = (searched(None, math.inf, divisible=divisible) for divisible in (True, False))
+        return [(figures(search), search.lower) for search in computed]
 
     alone, narrow = once("a long proof", within_one_process)
     with pool(engine, 2) as runs:
@@ -139,8 +139,8 @@ def test_one_unknown_on_which_no_limit_depends(crank_rocker, solved):
 def test_a_longer_search_raises_the_bound(crank_rocker):
     problem = crank_rocker.override(FREE_FRAME)
     bounds = [certified(problem, 1e-4, boxes=boxes).certificate for boxes in (400, 1_600, math.inf)]
-    assert [found.status for found in bounds] == [NOT_CLOSED, NOT_CLOSED, WITHIN_GAP]
-    lower = [found.lower_bound for found in bounds]
+    assert [result.status for result in bounds] == [NOT_CLOSED, NOT_CLOSED, WITHIN_GAP]
+    lower = [result.lower_bound for result in bounds]
     assert lower == sorted(lower)
     assert bounds[0].open_boxes > 0
     history = bounds[-1].history
@@ -270,9 +270,9 @@ def test_no_point_that_satisfies_the_rows_is_cut_off(n):
     low, high = quadratic.cut_box(rows, most)
     points = rng.uniform(-1.0, 1.0, (4000, n))
     inside = np.all(np.einsum("bmn,pn->bpm", rows, points) <= most[:, None, :], axis=2)
-    kept = np.all((points >= low[:, None, :]) & (points <= high[:, None, :]), axis=2)
-    assert not np.any(inside & ~kept)
-    assert np.mean(~kept) > 0.2
+    satisfied = np.all((points >= low[:, None, :]) & (points <= high[:, None, :]), axis=2)
+    assert not np.any(inside & ~satisfied)
+    assert np.mean(~satisfied) > 0.2
 
 
 class Bowl:
@@ -417,7 +417,7 @@ def contradicted(problem):
     from optlink.tasks import function
 
     result = certified(problem, 1e-4, boxes=20_000)
-    found = result.certificate
+    outcome = result.certificate
     points = grid(problem.spec, 41)
     objective = objective_at(problem.spec, points)
     best = float(np.min(objective))
@@ -425,7 +425,7 @@ def contradicted(problem):
         if math.isfinite(objective[k]):
             local = function.solve(problem, begin=dict(zip(problem.spec.free, points[k].tolist(), strict=True)))
             best = min(best, local.objective if local.valid else math.inf)
-    return best < found.lower_bound * (1.0 - 1e-9), found
+    return best < outcome.lower_bound * (1.0 - 1e-9), outcome
 
 
 @pytest.mark.slow
@@ -437,8 +437,8 @@ def test_no_certificate_of_a_random_problem_is_contradicted():
             problem = random_problem(rng)
         except InputError:  # a law or span that no file may have
             continue
-        wrongly, found = contradicted(problem)
+        wrongly, result = contradicted(problem)
         assert not wrongly
-        statuses.append(found.status)
+        statuses.append(result.status)
     assert statuses.count(NOT_CLOSED) <= 1
     assert statuses.count(WITHIN_GAP) >= 8

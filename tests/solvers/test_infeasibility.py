@@ -34,26 +34,26 @@ def transmission() -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def found() -> Explanation:
+def reason() -> Explanation:
     problem = optlink.load("function-sin", {"mechanism.assembly": "left", **LIMITS})
-    reason = explain(build(problem.spec))
-    assert isinstance(reason, Explanation)
-    return reason
+    explanation = explain(build(problem.spec))
+    assert isinstance(explanation, Explanation)
+    return explanation
 
 
 @pytest.mark.slow
-def test_conflicting_transmission_and_ratio_limits_are_listed(found: Explanation) -> None:
-    named = {(item.key, item.sense) for item in found.conflict}
+def test_conflicting_transmission_and_ratio_limits_are_listed(reason: Explanation) -> None:
+    named = {(item.key, item.sense) for item in reason.conflict}
     assert {key for key, _ in named} == {"limits.transmission_angle", "limits.link_ratio"}
     assert {("limits.transmission_angle", sense) for sense in ("<=", ">=")} <= named  # the ratios need one side alone
-    assert all(math.isfinite(item.relaxed) for item in found.conflict)
+    assert all(math.isfinite(item.relaxed) for item in reason.conflict)
 
 
-def test_a_relaxation_is_the_least_that_a_grid_of_linkages_shows(found: Explanation) -> None:
+def test_a_relaxation_is_the_least_that_a_grid_of_linkages_shows(reason: Explanation) -> None:
     """Both sides of the range give by the same angle, although the rows are cosines."""
     least, largest = transmission()
     needed = float(np.nanmin(np.maximum(80.0 - least, largest - 82.0)))
-    sides = {item.sense: item for item in found.conflict if item.key == "limits.transmission_angle"}
+    sides = {item.sense: item for item in reason.conflict if item.key == "limits.transmission_angle"}
     assert all(side.both_sides for side in sides.values())
     for side in sides.values():
         assert side.amount == pytest.approx(needed, abs=0.5)  # between the linkages of the grid
@@ -77,10 +77,10 @@ def test_limits_missed_by_little_more_than_the_solver_tolerance_are_listed(miss:
     r, d, a = 0.1, 0.5, 0.4  # m
     best = math.degrees(math.acos(r * d / (a * math.sqrt(d**2 + r**2 - a**2))))
     limit = [f"{best + miss!r} deg", f"{180.0 - best - miss!r} deg"]
-    found = solve(optlink.load("crank-rocker", {"mechanism.coupler": "400 mm", "limits.transmission_angle": limit}))
-    assert found.status.value == "infeasible"
-    assert {item.key for item in found.conflict} == {"limits.transmission_angle"}
-    assert all(item.amount == pytest.approx(miss, abs=math.degrees(2e-8)) for item in found.conflict)
+    result = solve(optlink.load("crank-rocker", {"mechanism.coupler": "400 mm", "limits.transmission_angle": limit}))
+    assert result.status.value == "infeasible"
+    assert {item.key for item in result.conflict} == {"limits.transmission_angle"}
+    assert all(item.amount == pytest.approx(miss, abs=math.degrees(2e-8)) for item in result.conflict)
 
 
 @pytest.mark.slow
@@ -91,8 +91,8 @@ def test_both_sides_of_a_range_are_relaxed_as_one() -> None:
     sin(swing/2) frame/coupler, least for the shortest rocker.
     """
     file = optlink.load(TEMPLATES / "wiper.toml", {"limits.swing_angle": "100 deg"})
-    found = solve(file.override({"limits.transmission_angle": ["45 deg", "135 deg"]}), starts=5)
-    low, high = (item for item in found.conflict if item.key == "limits.transmission_angle")
+    result = solve(file.override({"limits.transmission_angle": ["45 deg", "135 deg"]}), starts=5)
+    low, high = (item for item in result.conflict if item.key == "limits.transmission_angle")
     assert low.both_sides
     assert high.both_sides
     frame, rocker, half = 250.0, 30.0, math.radians(50.0)
@@ -128,6 +128,6 @@ def test_the_tightest_limit_is_that_of_a_grid(name, sense, other):
     grid = crank_rockers(1.331, 38)
     point = dict(zip(("coupler", "rocker"), 1e-3 * grid[:, np.argsort(grid[other])[grid.shape[1] // 2]], strict=True))
     nlp = build(problem.spec)
-    found = tightest(nlp, f"mechanism.{name}", sense, nlp.x_of(point, bounded=False))
+    computed = tightest(nlp, f"mechanism.{name}", sense, nlp.x_of(point, bounded=False))
     best = np.min(grid[1 - other]) if sense == "<=" else np.max(grid[1 - other])
-    assert 0.0 <= (best - found) * (1.0 if sense == "<=" else -1.0) <= 2.0  # two steps of the grid
+    assert 0.0 <= (best - computed) * (1.0 if sense == "<=" else -1.0) <= 2.0  # two steps of the grid

@@ -96,13 +96,13 @@ def test_an_interrupted_proof_keeps_the_design(solved, monkeypatch):
         return own(self, low, high, threshold)
 
     monkeypatch.setattr(LagrangianBounds, "bounded", bounded)
-    found = certify(solved)
-    assert found.interrupted
-    assert found.valid
-    assert found.design == solved.design
-    assert found.certificate.status == "not closed"
-    assert found.certificate.open_boxes > 0
-    assert 0.0 <= found.certificate.lower_bound < found.objective
+    result = certify(solved)
+    assert result.interrupted
+    assert result.valid
+    assert result.design == solved.design
+    assert result.certificate.status == "not closed"
+    assert result.certificate.open_boxes > 0
+    assert 0.0 <= result.certificate.lower_bound < result.objective
 
 
 def test_an_interrupt_before_the_first_box_keeps_the_design(solved, monkeypatch):
@@ -110,10 +110,10 @@ def test_an_interrupt_before_the_first_box_keeps_the_design(solved, monkeypatch)
         raise KeyboardInterrupt
 
     monkeypatch.setattr("optlink.tasks.certify.box_problem", stop)
-    found = certify(solved)
-    assert found.interrupted
-    assert found.valid
-    assert found.certificate is None
+    result = certify(solved)
+    assert result.interrupted
+    assert result.valid
+    assert result.certificate is None
 
 
 def test_the_history_of_several_assembly_modes_is_that_of_one_search():
@@ -139,9 +139,9 @@ def test_an_interrupt_while_the_checkpoint_is_read_leaves_it_and_proves_nothing(
 
     with monkeypatch.context() as interrupting:
         interrupting.setattr(Checkpoint, "read", stop)
-        found = certify(solved, folder=tmp_path, resume=True)
-    assert found.interrupted
-    assert found.certificate is None
+        result = certify(solved, folder=tmp_path, resume=True)
+    assert result.interrupted
+    assert result.certificate is None
     assert [file.read_bytes() for file in tmp_path.iterdir()] == [before]
     assert certify(solved, folder=tmp_path, resume=True).certificate.status == "global"
     assert not list(tmp_path.iterdir())
@@ -157,6 +157,6 @@ def test_an_interrupt_while_the_checkpoint_of_a_timed_path_is_read_leaves_it(mon
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Checkpoint, "read", stop)
-    found = certify(result, 1e-3, folder=tmp_path, resume=True)
-    assert (found.interrupted, found.certificate) == (True, None)
+    outcome = certify(result, 1e-3, folder=tmp_path, resume=True)
+    assert (outcome.interrupted, outcome.certificate) == (True, None)
     assert file.read_bytes() == before

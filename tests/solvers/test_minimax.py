@@ -52,14 +52,14 @@ def circle(points: Array, least: float = -math.inf) -> NLP:
 
 def smallest_radius(points: Array) -> float:
     """Of a circle around all points: one through two or three of them is the smallest."""
-    found = []
+    result = []
     for pair in itertools.combinations(points, 2):
-        found.append((0.5 * np.add(*pair), 0.5 * float(np.linalg.norm(np.subtract(*pair)))))
+        result.append((0.5 * np.add(*pair), 0.5 * float(np.linalg.norm(np.subtract(*pair)))))
     for a, b, c in itertools.combinations(points, 3):
         system = 2.0 * np.array([b - a, c - a])
         centre = np.linalg.solve(system, [b @ b - a @ a, c @ c - a @ a])
-        found.append((centre, float(np.linalg.norm(centre - a))))
-    around = [radius for centre, radius in found if np.all(np.linalg.norm(points - centre, axis=1) <= radius * (1.0 + 1e-12))]
+        result.append((centre, float(np.linalg.norm(centre - a))))
+    around = [radius for centre, radius in result if np.all(np.linalg.norm(points - centre, axis=1) <= radius * (1.0 + 1e-12))]
     return min(around)
 
 

@@ -69,10 +69,10 @@ def test_an_infeasible_transmission_problem_names_its_limits_and_their_amounts(m
 @pytest.mark.slow
 def test_a_crank_that_is_longer_than_all_cannot_be_the_shortest_link() -> None:
     mechanism = {**MOVER["mechanism"], "crank": "420 mm", "coupler": {"bounds": ["80 mm", "260 mm"]}}
-    found = solve(optlink.read({**MOVER, "mechanism": mechanism, "limits": {}}), starts=60)
-    assert not found.valid
-    assert found.conflict
-    assert any("cannot be the shortest link" in note for note in found.notes)
+    result = solve(optlink.read({**MOVER, "mechanism": mechanism, "limits": {}}), starts=60)
+    assert not result.valid
+    assert result.conflict
+    assert any("cannot be the shortest link" in note for note in result.notes)
 
 
 def test_a_law_with_the_longest_crank_is_reported() -> None:

@@ -38,8 +38,8 @@ def kept(x: Array, bounds: Bounder, threshold: float, seed: int) -> NDArray[np.b
     share = rng.random((BOXES, len(x)))
     share[:20] = np.round(share[:20])
     low, high = np.maximum(x - share * width, bounds.low), np.minimum(x + (1.0 - share) * width, bounds.high)
-    found = bounds.bounded(low, high, threshold)
-    return (found.test == OPEN) & np.all((found.low < x + 1e-12) & (found.high > x - 1e-12), axis=1)
+    result = bounds.bounded(low, high, threshold)
+    return (result.test == OPEN) & np.all((result.low < x + 1e-12) & (result.high > x - 1e-12), axis=1)
 
 
 def planted(seed: int) -> tuple[dict[str, float], dict[str, Any], dict[str, Any], np.random.Generator]:
@@ -103,13 +103,13 @@ def largest_error(seed: int) -> NDArray[np.bool_]:
     requirement = {"law": law, "measure": "max"}
     model = optlink.read({"title": "t", "mechanism": section, "requirement": requirement, "limits": limits}).model
     search = FunctionSearch(model, error, None, None)  # type: ignore[arg-type]
-    found = np.zeros(BOXES, dtype=bool)
+    computed = np.zeros(BOXES, dtype=bool)
     for one in linkage_sets(model, error):  # type: ignore[arg-type]
         turn = one.low[:2] + np.remainder([phi0, psi0] - one.low[:2], TURN)
         x = np.array([*turn, linkage["frame"] / linkage["crank"], linkage["frame"] / linkage["rocker"]])
         if one.side == linkage["mode"] and np.all((x > one.low - 1e-9) & (x < one.high + 1e-9)):
-            found |= kept(x, search._bounds(one), error, seed)
-    return found
+            computed |= kept(x, search._bounds(one), error, seed)
+    return computed
 
 
 def motion_law(seed: int) -> NDArray[np.bool_]:
@@ -137,27 +137,27 @@ KINDS = {"timed path": timed_path, "largest error": largest_error, "motion law":
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_box_with_a_planted_design_is_discarded(kind: str) -> None:
-    lost = {seed: int(np.sum(~found)) for seed in SEEDS if not np.all(found := KINDS[kind](seed))}
+    lost = {seed: int(np.sum(~computed)) for seed in SEEDS if not np.all(computed := KINDS[kind](seed))}
     assert lost == {}
 
 
 def tighter_path(monkeypatch: pytest.MonkeyPatch) -> None:
-    own = TimedPathBounds.bounded
-    monkeypatch.setattr(TimedPathBounds, "bounded", lambda self, low, high, most: own(self, low, high, 0.9 * most))
+    original = TimedPathBounds.bounded
+    monkeypatch.setattr(TimedPathBounds, "bounded", lambda self, low, high, most: original(self, low, high, 0.9 * most))
 
 
 def tighter_rows(monkeypatch: pytest.MonkeyPatch) -> None:
-    own = function_bounds.loop_rows
-    monkeypatch.setattr(function_bounds, "loop_rows", lambda linkages, x, y, t: own(linkages, x, y, 0.9 * t))
+    original = function_bounds.loop_rows
+    monkeypatch.setattr(function_bounds, "loop_rows", lambda linkages, x, y, t: original(linkages, x, y, 0.9 * t))
 
 
 def larger_residuals(monkeypatch: pytest.MonkeyPatch) -> None:
-    own = DesignBoxes.over
+    original = DesignBoxes.over
 
     def larger(self: DesignBoxes, low: Array, high: Array) -> Any:
-        found = own(self, low, high)
-        found.residuals.coefficients[0] *= 1.1
-        return found
+        result = original(self, low, high)
+        result.residuals.coefficients[0] *= 1.1
+        return result
 
     monkeypatch.setattr(DesignBoxes, "over", larger)
 

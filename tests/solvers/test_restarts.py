@@ -54,11 +54,11 @@ def test_an_optimum_far_below_the_start_is_not_searched_again(monkeypatch: pytes
 
 
 def test_the_hessian_taken_from_ipopt_is_that_of_the_programme() -> None:
-    own, taken = (build_path_nlp(optlink.load("path-closed18").variants()[0].model) for _ in range(2))  # type: ignore[arg-type]
+    generated, taken = (build_path_nlp(optlink.load("path-closed18").variants()[0].model) for _ in range(2))  # type: ignore[arg-type]
     compiled(taken)
-    multipliers = np.linspace(-1.0, 1.0, len(own.rows))
-    x = own.x_start + 0.01
-    expected = own.hessian(x, own.p, multipliers)
+    multipliers = np.linspace(-1.0, 1.0, len(generated.rows))
+    x = generated.x_start + 0.01
+    expected = generated.hessian(x, generated.p, multipliers)
     assert np.max(np.abs(expected - expected.T)) == 0.0
     assert taken.hessian(x, taken.p, multipliers) == pytest.approx(expected, rel=1e-9, abs=1e-9)
     assert "_hessian" in vars(taken)
@@ -68,13 +68,13 @@ def test_the_hessian_taken_from_ipopt_is_that_of_the_programme() -> None:
 def test_the_conditions_of_an_optimum_are_those_of_its_design(name: str) -> None:
     """Refinement computes them; they are not computed again."""
     nlp = build(optlink.load("crank-rocker").spec)
-    found = solve_from(nlp, nlp.x_start, name)
-    point = nlp.at(found.x, found.p)
-    own = stationarity(nlp, found.x, point)
-    assert found.conditions.active == own.active
-    assert found.kkt == own.kkt <= 1e-12
-    np.testing.assert_array_equal(found.conditions.multipliers, own.multipliers)
-    np.testing.assert_array_equal(found.g, point.g)
+    result = solve_from(nlp, nlp.x_start, name)
+    point = nlp.at(result.x, result.p)
+    conditions = stationarity(nlp, result.x, point)
+    assert result.conditions.active == conditions.active
+    assert result.kkt == conditions.kkt <= 1e-12
+    np.testing.assert_array_equal(result.conditions.multipliers, conditions.multipliers)
+    np.testing.assert_array_equal(result.g, point.g)
 
 
 def test_ipopt_begins_at_its_start_where_the_interior_of_the_bounds_has_no_value() -> None:

@@ -89,28 +89,28 @@ def test_no_design_in_a_box_is_better_than_its_bound(case: str) -> None:
 
 
 def no_remainder(monkeypatch: pytest.MonkeyPatch) -> None:
-    own = TimedPathBounds.columns_over
-    monkeypatch.setattr(TimedPathBounds, "columns_over", lambda *x: (lambda f: (f[0], 0.0 * f[1], *f[2:]))(own(*x)))
+    original = TimedPathBounds.columns_over
+    monkeypatch.setattr(TimedPathBounds, "columns_over", lambda *x: (lambda f: (f[0], 0.0 * f[1], *f[2:]))(original(*x)))
 
 
 def no_tangent(monkeypatch: pytest.MonkeyPatch) -> None:
-    own = TimedPathBounds.columns_over
+    original = TimedPathBounds.columns_over
 
     def without(self: TimedPathBounds, low: Array, high: Array) -> tuple[Array, ...]:
-        found = own(self, low, high)
-        found[0][:, len(self.low)] = 0.0  # of the last unknown
-        return found
+        computed = original(self, low, high)
+        computed[0][:, len(self.low)] = 0.0  # of the last unknown
+        return computed
 
     monkeypatch.setattr(TimedPathBounds, "columns_over", without)
 
 
 def other_sign(monkeypatch: pytest.MonkeyPatch) -> None:
-    own = TimedPathBounds.columns_over
+    original = TimedPathBounds.columns_over
 
     def turned(self: TimedPathBounds, low: Array, high: Array) -> tuple[Array, ...]:
-        found = own(self, low, high)
-        found[0][..., found[0].shape[-1] // 2 :] *= -1.0
-        return found
+        computed = original(self, low, high)
+        computed[0][..., computed[0].shape[-1] // 2 :] *= -1.0
+        return computed
 
     monkeypatch.setattr(TimedPathBounds, "columns_over", turned)
 
@@ -135,8 +135,8 @@ def test_designs_have_the_value_at_the_centre_of_their_box(case: str, assembly: 
             continue
         pose = problem.linkage.pose(design, unit(np.asarray(problem.crank_angles(design, None))))
         x, y = pose.point("P")
-        wanted = problem.data.columns
-        objective = float(np.sum((x - wanted[:, 0]) ** 2 + (y - wanted[:, 1]) ** 2))
+        expected = problem.data.columns
+        objective = float(np.sum((x - expected[:, 0]) ** 2 + (y - expected[:, 1]) ** 2))
         record = bounds.bounded(point[None] - 1e-9, point[None] + 1e-9, objective)
         if record.test[0] != TESTS.index("limits"):
             seen += 1
@@ -149,9 +149,9 @@ def test_the_bound_of_all_positions_is_not_below_that_of_fewer() -> None:
     points, known = np.array([1.0, 1j]) @ rng.normal(size=(2, 10)), np.array([np.ones(10), 1j * np.ones(10)])
     fit = ColumnFit(points, known, whole=True, size=1.0, rounding=0.0)
     column = rng.normal(size=(1, 1, 20)) * np.array([1.0, 0.0, 0.0])[None, :, None]
-    found = [fit.bounds(column, np.zeros((1, 20)), np.array([k]), 0.0)[2][0] for k in range(len(fit.square))]
-    assert len(found) == 1 + 10 + 45
-    assert all(value < found[0] for value in found[1:])
+    computed = [fit.bounds(column, np.zeros((1, 20)), np.array([k]), 0.0)[2][0] for k in range(len(fit.square))]
+    assert len(computed) == 1 + 10 + 45
+    assert all(value < computed[0] for value in computed[1:])
 
 
 def test_search_closes_about_the_optimum() -> None:

@@ -91,14 +91,14 @@ def test_rows_are_those_of_single_searches(vary, overrides):
         overrides = {**overrides, "mechanism.rocker": {"start": "205 mm", "bounds": ["100 mm", "900 mm"]}}
     problem = optlink.load("crank-rocker", overrides)
     table = sweep(problem, vary, workers=1).columns
-    own = task(vary, **overrides)
-    rng, count = np.random.default_rng(2), own.grid.count
+    study = task(vary, **overrides)
+    rng, count = np.random.default_rng(2), study.grid.count
     assert len(set(table["active"])) > 1
     assert np.count_nonzero(table["method"] == FOLLOWED) > 0.5 * count
     for point in rng.choice(count, 12, replace=False).tolist():
-        single = multistart.solve_from(build(own.model(point)), build(own.model(point)).x_start, "ipopt")
+        single = multistart.solve_from(build(study.model(point)), build(study.model(point)).x_start, "ipopt")
         assert table["valid"][point]
-        assert table[own.objective_column][point] == pytest.approx(single.objective, rel=1e-9)
+        assert table[study.objective_column][point] == pytest.approx(single.objective, rel=1e-9)
         for name in ("coupler", "rocker"):
             assert table[f"{name}_mm"][point] == pytest.approx(1e3 * single.design[name], rel=1e-8)
         assert table["active"][point] == "; ".join(reoptimise_task.active(single))
@@ -128,18 +128,18 @@ def test_chunks_of_large_grids_are_larger():
 
 def test_a_wrong_row_of_a_batch_is_invalid(monkeypatch):
     """A coupler that is 0.1 mm too short, an objective that is wrong by 2e-6: the validator rejects these rows and no others."""
-    own = task(["mechanism.frame=490..510 mm:30"])
-    real = own.grid_search.optima
+    study = task(["mechanism.frame=490..510 mm:30"])
+    real = study.grid_search.optima
 
     def wrong(points):
-        found = real(points)
-        found.x[4, 0] -= 2e-4
-        found.objective[20] *= 1.0 + 2e-6
-        return replace(found)
+        result = real(points)
+        result.x[4, 0] -= 2e-4
+        result.objective[20] *= 1.0 + 2e-6
+        return replace(result)
 
-    monkeypatch.setattr(own.grid_search, "optima", wrong)
-    rows = own.lines(0)
-    names = own.columns
+    monkeypatch.setattr(study.grid_search, "optima", wrong)
+    rows = study.lines(0)
+    names = study.columns
     valid = [row[names.index("valid")] for row in rows]
     assert [point for point, word in enumerate(valid) if word != "true"] == [4, 20]
     assert "objective measured in motion" in rows[4][names.index("failed")]
@@ -166,8 +166,8 @@ def test_neighbours_correct_a_search_that_ends_in_a_worse_optimum(monkeypatch):
     vary = ["mechanism.crank=98..102 mm:21"]
     expected = task(vary, **WIDE).lines(0)
     monkeypatch.setattr("optlink.studies.batch.blocks.MAX_BLOCK_POINTS", 7)
-    own = task(vary, **WIDE)
-    search, nlp = own.grid_search, own.programme.nlp
+    study = task(vary, **WIDE)
+    search, nlp = study.grid_search, study.programme.nlp
     assert search.blocks.counts == (3,)
     real = search.search
 
@@ -183,8 +183,8 @@ def test_neighbours_correct_a_search_that_ends_in_a_worse_optimum(monkeypatch):
         return good
 
     monkeypatch.setattr(search, "search", misled)
-    rows = own.lines(0)
-    column = own.columns.index(own.objective_column)
+    rows = study.lines(0)
+    column = study.columns.index(study.objective_column)
     assert [float(row[column]) for row in rows] == pytest.approx([float(row[column]) for row in expected], rel=1e-9)
     assert len(search._others(np.array([1]), [[0, 2]])[0]) == 2
     assert search._others(np.array([0]), [[1]]) == [{1}]
@@ -205,10 +205,10 @@ def test_random_starts_correct_searches_that_end_in_a_worse_optimum():
 def test_rows_at_the_end_of_a_sweep_can_have_another_branch():
     """Where the rocker is at its bound the best of two optima exists at the end of the sweep alone: a fifth to a third better."""
     vary = ["mechanism.crank=20..300 mm:15"]
-    own = task(vary, **WIDE)
-    rows, column = own.lines(0), own.columns.index(own.objective_column)
+    study = task(vary, **WIDE)
+    rows, column = study.lines(0), study.columns.index(study.objective_column)
     for point in (0, 1, 7):
-        nlp = build(own.model(point))
+        nlp = build(study.model(point))
         ends = [multistart.solve_from(nlp, x, "ipopt") for x in multistart.starts(nlp, 12, 1)]
         best = multistart.best(ends)
         assert best.usable
@@ -236,9 +236,9 @@ def fine_rows() -> list[list[str]]:
 @pytest.mark.slow
 def test_coarse_blocks_need_fewer_searches_for_the_same_optima(fine_rows, monkeypatch):
     monkeypatch.setattr(reoptimise_task, "coarse_block", lambda count: 0)
-    own = task(FINE, 2600)
-    assert own.grid_search.coarse is None
-    every, names = own.lines(0), own.columns
+    study = task(FINE, 2600)
+    assert study.grid_search.coarse is None
+    every, names = study.lines(0), study.columns
     searched = [sum(row[names.index("method")] == reoptimise_task.SEARCHED for row in rows) for rows in (fine_rows, every)]
     assert searched[0] <= 0.6 * searched[1]
     numbers = [np.array([[float(cell) for cell in row[:5]] for row in rows]) for rows in (fine_rows, every)]
@@ -255,32 +255,32 @@ def test_rows_of_coarse_blocks_do_not_depend_on_the_batch(fine_rows, monkeypatch
 
 
 def test_the_prediction_of_a_block_is_close_to_its_optima():
-    own = task(FINE)
-    search = own.grid_search.coarse
+    study = task(FINE)
+    search = study.grid_search.coarse
     blocks = search.blocks
-    points = np.flatnonzero(blocks.of(np.arange(own.grid.count)) == 7)
-    found = search.optima(points)
+    points = np.flatnonzero(blocks.of(np.arange(study.grid.count)) == 7)
+    result = search.optima(points)
     x, _ = search._predictions_of(np.array([7]))[7].at(np.unravel_index(points, blocks.shape))
     middle = search.at_middle(7).x
-    assert np.max(np.abs(x - found.x)) < 1e-5 < 1e-3 < np.max(np.abs(middle - found.x))
+    assert np.max(np.abs(x - result.x)) < 1e-5 < 1e-3 < np.max(np.abs(middle - result.x))
     nodes = blocks.points(block_nodes(blocks.ends(7)))
-    np.testing.assert_allclose(x[np.searchsorted(points, nodes)], found.x[np.searchsorted(points, nodes)], rtol=1e-9)
+    np.testing.assert_allclose(x[np.searchsorted(points, nodes)], result.x[np.searchsorted(points, nodes)], rtol=1e-9)
 
 
 def test_a_block_with_two_active_sets_has_no_prediction():
-    own = task(["mechanism.coupler.max=405..420 mm:150"])  # the bound of the coupler is active up to 412.865 mm
-    search = own.grid_search
+    study = task(["mechanism.coupler.max=405..420 mm:150"])  # the bound of the coupler is active up to 412.865 mm
+    search = study.grid_search
     assert set(search._predictions_of(np.array([*search.blocks]))) == {0, 2}
     assert block_nodes([(0, 28)]) is None
-    assert [own.tolist() for own in block_nodes([(0, 40), (3, 3)])] == [[0, 4, 14, 26, 36, 40], [3]]
+    assert [study.tolist() for study in block_nodes([(0, 40), (3, 3)])] == [[0, 4, 14, 26, 36, 40], [3]]
 
 
 @pytest.mark.slow
 def test_fine_blocks_are_searched_where_a_coarse_search_ends_elsewhere(monkeypatch):
     """One of 13 coarse searches ends at an optimum of 0.36 instead of 0.0012 rad^2."""
     vary = ["mechanism.crank=98..102 mm:2601"]
-    own = task(vary, 2601, **WIDE)
-    fine, nlp = own.grid_search, own.programme.nlp
+    study = task(vary, 2601, **WIDE)
+    fine, nlp = study.grid_search, study.programme.nlp
     coarse = fine.coarse
     real, bad = coarse.search, coarse.blocks.middle(4)
 
@@ -293,8 +293,8 @@ def test_fine_blocks_are_searched_where_a_coarse_search_ends_elsewhere(monkeypat
 
     monkeypatch.setattr(coarse, "search", misled)
     points = np.arange(bad - 20, bad + 20)
-    found = fine.optima(points)
+    result = fine.optima(points)
     assert coarse.calm(np.arange(8)).tolist() == [True, True, True, False, False, False, True, True]
     assert len(fine._searches) > 0
     monkeypatch.setattr(coarse, "search", real)
-    np.testing.assert_allclose(found.objective, task(vary, **WIDE).grid_search.optima(points).objective, rtol=1e-9)
+    np.testing.assert_allclose(result.objective, task(vary, **WIDE).grid_search.optima(points).objective, rtol=1e-9)

@@ -119,14 +119,14 @@ def test_a_translated_shaper_has_the_same_sensitivities(shaper):
 @pytest.mark.parametrize("name", ["pump", pytest.param("shaper", marks=pytest.mark.slow)])
 def test_forces_scale_together(name, request):
     """What is minimised is linear in loads and limits of forces, and in masses times gravity or the square of the speed."""
-    found = request.getfixturevalue(name)
+    result = request.getfixturevalue(name)
 
     def weighed(keys):
-        return sum(row.parameter.value * row.objective for row in found.rows if row.parameter.key.startswith(keys))
+        return sum(row.parameter.value * row.objective for row in result.rows if row.parameter.key.startswith(keys))
 
     loads = weighed(("loads.", "limits.guide"))
     masses, gravity, speed = weighed("bodies."), weighed("gravity"), 0.5 * weighed("drive.speed")
-    objective = found.solution.objective
+    objective = result.solution.objective
     assert masses == pytest.approx(gravity + speed, rel=1e-6)
     assert loads + gravity + speed == pytest.approx(objective, rel=1e-7)
 
@@ -177,8 +177,8 @@ def test_sensitivities_without_an_optimum_are_refused():
 
 @pytest.mark.slow
 def test_all_derivatives_agree_with_reoptimisation():
-    found = sensitivities(optlink.read(PUMP), starts=1, check=True)
-    for row in found.moving:
+    result = sensitivities(optlink.read(PUMP), starts=1, check=True)
+    for row in result.moving:
         assert row.check is not None
         assert row.check.gap < 1e-5, row.parameter.key
 
@@ -187,11 +187,11 @@ def test_all_derivatives_agree_with_reoptimisation():
 @pytest.mark.parametrize(("name", "gap"), [("shaper-design", 1e-5), ("press-toggle", 1e-3)])
 def test_some_derivatives_agree_with_reoptimisation(name, gap):
     """Three, evenly spread over the keys."""
-    found = sensitivities(optlink.load(name), starts=1)
-    chosen = [found.moving[k * len(found.moving) // 3] for k in range(3)]
-    known = sensitivity_module.CycleParameters(found.problem, sensitivity_module.KKTSystem(found.solution))
+    result = sensitivities(optlink.load(name), starts=1)
+    chosen = [result.moving[k * len(result.moving) // 3] for k in range(3)]
+    known = sensitivity_module.CycleParameters(result.problem, sensitivity_module.KKTSystem(result.solution))
     for row in chosen:
-        check = sensitivity_module._searched_again(known, found.solution, row, "ipopt", degenerate=False)
+        check = sensitivity_module._searched_again(known, result.solution, row, "ipopt", degenerate=False)
         assert check is not None
         assert check.gap < gap, row.parameter.key
 
@@ -199,11 +199,11 @@ def test_some_derivatives_agree_with_reoptimisation(name, gap):
 @pytest.mark.parametrize("name", ["pump", pytest.param("shaper", marks=pytest.mark.slow)])
 def test_every_key_can_be_set(name, request):
     """Every reported key can be set to its reported value."""
-    found = request.getfixturevalue(name)
-    for row in found.rows:
+    result = request.getfixturevalue(name)
+    for row in result.rows:
         p = row.parameter
-        again = found.problem.override({p.key: f"{p.value!r} {p.unit}".strip() if p.unit else p.value})
-        assert again.model.free == found.problem.model.free
+        again = result.problem.override({p.key: f"{p.value!r} {p.unit}".strip() if p.unit else p.value})
+        assert again.model.free == result.problem.model.free
 
 
 def test_a_coordinate_has_a_key():
@@ -229,8 +229,8 @@ def changed(**changes):
 def test_only_numbers_are_parameters():
     """Not the digits in an expression, a file's name or a unit; of a table all values together."""
     force = {"expression": "-20*v - 5*sin(phi)", "unit": "N"}
-    found = sensitivities(changed(loads__drag={"on": "ram", "force": force}), starts=1)
-    assert [row.parameter.key for row in found.rows if row.parameter.key.startswith("loads.")] == ["loads.pumping.force"]
+    result = sensitivities(changed(loads__drag={"on": "ram", "force": force}), starts=1)
+    assert [row.parameter.key for row in result.rows if row.parameter.key.startswith("loads.")] == ["loads.pumping.force"]
     table = {"over": "phi", "at": ["0 deg", "120 deg", "240 deg"], "values": ["0 N", "-60 N", "-20 N"]}
     problem = changed(loads__gas={"on": "ram", "force": table})
     row = sensitivities(problem, starts=1)["loads.gas.force.values"]
@@ -252,5 +252,5 @@ def test_one_per_cent_of_a_negative_speed_increases_its_magnitude(pump):
 
 @pytest.mark.slow
 def test_tilted_gravity_has_two_parameters():
-    found = sensitivities(changed(gravity=["1 m/s^2", "-9.7 m/s^2"]), starts=1)
-    assert {"gravity.x", "gravity.y"} <= {row.parameter.key for row in found.moving}
+    result = sensitivities(changed(gravity=["1 m/s^2", "-9.7 m/s^2"]), starts=1)
+    assert {"gravity.x", "gravity.y"} <= {row.parameter.key for row in result.moving}

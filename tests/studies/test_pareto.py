@@ -106,10 +106,10 @@ def test_nondominated_points_are_selected():
 def test_knee_of_a_quarter_circle_is_its_middle():
     t = np.linspace(0.0, 0.5 * np.pi, 91)
     front = np.stack([7.0 * (1.0 - np.sin(t)), 300.0 * (1.0 - np.cos(t))], axis=1)
-    found = knee(front)
-    assert found is not None
-    assert found[0] == 45
-    assert found[1] == pytest.approx(1.0 - math.sqrt(0.5), rel=1e-12)
+    computed = knee(front)
+    assert computed is not None
+    assert computed[0] == 45
+    assert computed[1] == pytest.approx(1.0 - math.sqrt(0.5), rel=1e-12)
     assert ends(front) == (90, 0)
     assert knee(front[::-1] * [1.0, -1.0] + [0.0, 300.0]) is None  # bulges the other way
     assert knee(np.stack([t, -t], axis=1)) is None
@@ -122,10 +122,10 @@ def test_knee_of_a_sphere_lies_on_its_diagonal():
         for a, b in itertools.product(angles, angles)
     ]
     # ends of the sphere are where one cost is zero, and the others are one: the plane u + v + w = 2
-    found = knee(np.array(points))
-    assert found is not None
-    assert np.array(points)[found[0]] == pytest.approx(np.full(3, 1.0 - math.sqrt(1.0 / 3.0)), abs=0.03)
-    assert found[1] == pytest.approx((2.0 - 3.0 * (1.0 - math.sqrt(1.0 / 3.0))) / math.sqrt(3.0), abs=1e-3)
+    computed = knee(np.array(points))
+    assert computed is not None
+    assert np.array(points)[computed[0]] == pytest.approx(np.full(3, 1.0 - math.sqrt(1.0 / 3.0)), abs=0.03)
+    assert computed[1] == pytest.approx((2.0 - 3.0 * (1.0 - math.sqrt(1.0 / 3.0))) / math.sqrt(3.0), abs=1e-3)
 
 
 # --- four-bars for a law -----------------------------------------------------------------------------------------------
@@ -354,9 +354,9 @@ def test_the_limit_on_an_objective_is_replaced_and_others_stay(press):
             }.items()
         }
     )
-    found = read_objectives(limited, "stroke of ram, limits.angle")
-    assert [aim.name for aim in found] == ["stroke of ram", LEAST]
-    walked = epsilon_problem(limited, found, {0: 1.0}, {1: "60 deg"})
+    computed = read_objectives(limited, "stroke of ram, limits.angle")
+    assert [aim.name for aim in computed] == ["stroke of ram", LEAST]
+    walked = epsilon_problem(limited, computed, {0: 1.0}, {1: "60 deg"})
     assert set(walked.raw["limits"]) == {"rod", "front_2"}
     assert walked.raw["limits"]["front_2"]["min"] == "60 deg"
 
@@ -391,8 +391,8 @@ def test_a_search_starts_at_the_requested_point(press):
 def test_a_programme_with_another_bound_is_the_one_that_is_built_for_it():
     """Rows in display units and limits of peaks are the same as with the bound in the file."""
     problem = optlink.load("shaper-design")
-    found = read_objectives(problem, "peak torque, guide force in F")
-    one, other = (epsilon_problem(problem, found, {0: 1.0}, {1: f"{bound} N"}) for bound in (1500.0, 1320.0))
+    computed = read_objectives(problem, "peak torque, guide force in F")
+    one, other = (epsilon_problem(problem, computed, {0: 1.0}, {1: f"{bound} N"}) for bound in (1500.0, 1320.0))
     made, expected = cycle_task.CycleProgramme(one, "slsqp").nlp, cycle_task.CycleProgramme(other, "slsqp").nlp
     moved = cycle_task.with_bounds(made, {"limits.front_2.max": 1320.0})
 
@@ -500,8 +500,8 @@ def test_ends_are_kept_and_not_searched_again(press, tmp_path, monkeypatch):
         patch.setattr(epsilon_ranges, "solve_cycle", fails_third)
         with pytest.raises(KeyboardInterrupt):
             pareto(press, words, tmp_path / "run", points=5, workers=1)
-    kept = json.loads((tmp_path / "run" / ENDS).read_text(encoding="utf-8"))
-    assert list(kept) == ["least rod.length", "best least transmission angle at E", "crc32"]
+    stored = json.loads((tmp_path / "run" / ENDS).read_text(encoding="utf-8"))
+    assert list(stored) == ["least rod.length", "best least transmission angle at E", "crc32"]
     calls[0] = 3
 
     def fails_never(*arguments, **options):
@@ -566,13 +566,13 @@ def test_killed_three_times_and_resumed(press, tmp_path):
     assert 1 <= len(searched) <= 4
     for _ in range(2):
         killed([*asked, "--resume"], out, "chunks/*/0*.csv", 0.1 * rng.random())
-    kept = len(list(out.glob("chunks/*/0*.csv")))
-    assert 2 <= kept < 4
+    complete = len(list(out.glob("chunks/*/0*.csv")))
+    assert 2 <= complete < 4
     done = subprocess.run(
         [sys.executable, "-m", "optlink", "study", *asked, "--resume", "--json"],
         cwd=ROOT, capture_output=True, text=True, check=True,
     )  # fmt: skip
-    assert json.loads(done.stdout)["points_done_now"] == 14 - 4 * kept
+    assert json.loads(done.stdout)["points_done_now"] == 14 - 4 * complete
     assert (out / "sweep.csv").read_bytes() == whole.path.read_bytes()
     assert json.loads((out / ENDS).read_text(encoding="utf-8")) == json.loads(
         (tmp_path / "whole" / ENDS).read_text(encoding="utf-8")

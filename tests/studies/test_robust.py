@@ -116,13 +116,13 @@ CASES = [("3 sigma", "max"), ("1.5 sigma", "max"), ("worst case", "max"), ("expe
 @pytest.mark.parametrize(("robust", "measure"), mostly_slow(CASES, CASES[0], CASES[3]))
 def test_a_robust_design_is_the_best_along_its_limit(problem, robust, measure):
     changed = problem.override({"requirement.robust": robust, "requirement.measure": measure})
-    found = solve(changed, "both")
-    assert found.valid, [check for check in found.validation.checks if not check.passed]
+    result = solve(changed, "both")
+    assert result.valid, [check for check in result.validation.checks if not check.passed]
     coupler, rocker, least = along_the_limit(robust)
-    assert found.objective == pytest.approx(least, rel=1e-7)
-    assert found.design["coupler"] == pytest.approx(coupler, abs=2e-6)
-    assert found.design["rocker"] == pytest.approx(rocker, abs=2e-6)
-    assert found.objective == pytest.approx(figure(found.design["coupler"], found.design["rocker"], robust), rel=1e-8)
+    assert result.objective == pytest.approx(least, rel=1e-7)
+    assert result.design["coupler"] == pytest.approx(coupler, abs=2e-6)
+    assert result.design["rocker"] == pytest.approx(rocker, abs=2e-6)
+    assert result.objective == pytest.approx(figure(result.design["coupler"], result.design["rocker"], robust), rel=1e-8)
 
 
 @pytest.mark.slow
@@ -137,15 +137,15 @@ def test_rms_is_the_root_of_the_mean_expected_square(problem):
 
 def test_the_expected_square_is_that_of_samples(problem):
     """Linkages of pseudo-random sizes, each moved exactly."""
-    found = solve(problem.override({"requirement.robust": "expected value", "requirement.measure": "sum of squares"}))
+    result = solve(problem.override({"requirement.robust": "expected value", "requirement.measure": "sum of squares"}))
     random, count = np.random.default_rng(4), 20_000
     by = {name: sigma * random.standard_normal((count, 1)) for name, sigma in SIGMAS.items()}
     by["rocker"] = 0.8e-3 * random.uniform(-1.0, 1.0, (count, 1))
     by["C.clearance"] = 0.2e-3 * np.cos(random.uniform(0.0, math.pi, (count, 1)))
-    squares = np.sum(errors(found.design["coupler"], found.design["rocker"], by) ** 2, axis=1)
-    assert found.objective == pytest.approx(np.mean(squares), abs=4.0 * np.std(squares) / math.sqrt(count))
-    drawn = np.sum(errors(found.design["coupler"], found.design["rocker"]) ** 2)
-    assert found.objective - drawn > 20.0 * np.std(squares) / math.sqrt(count)  # what tolerances add is no rounding
+    squares = np.sum(errors(result.design["coupler"], result.design["rocker"], by) ** 2, axis=1)
+    assert result.objective == pytest.approx(np.mean(squares), abs=4.0 * np.std(squares) / math.sqrt(count))
+    drawn = np.sum(errors(result.design["coupler"], result.design["rocker"]) ** 2)
+    assert result.objective - drawn > 20.0 * np.std(squares) / math.sqrt(count)  # what tolerances add is no rounding
 
 
 def test_a_start_that_the_drawing_meets_is_judged_too(problem):
@@ -168,13 +168,13 @@ def test_measured_deviations_shift_the_mean(problem, tmp_path):
     (tmp_path / "parts.csv").write_text("coupler_mm\n" + "\n".join(f"{1e3 * v:.17g}" for v in values))
     for robust in ("2 sigma", "worst case"):
         changes = {"tolerances": {"coupler": str(tmp_path / "parts.csv")}, "requirement.robust": robust}
-        found = solve(problem.override(changes))
-        assert found.valid
-        error = errors(found.design["coupler"], found.design["rocker"])
-        by = slopes(found.design["coupler"], found.design["rocker"])[1]
+        result = solve(problem.override(changes))
+        assert result.valid
+        error = errors(result.design["coupler"], result.design["rocker"])
+        by = slopes(result.design["coupler"], result.design["rocker"])[1]
         both = [error + by * d for d in ((values.min(), values.max()) if robust == "worst case" else (np.mean(values),))]
         spread = 0.0 if robust == "worst case" else 2.0 * np.std(values) * np.abs(by)
-        assert found.objective == pytest.approx(max(np.max(np.abs(e) + spread) for e in both), rel=1e-8)
+        assert result.objective == pytest.approx(max(np.max(np.abs(e) + spread) for e in both), rel=1e-8)
 
 
 @pytest.mark.slow
@@ -182,12 +182,12 @@ def test_measured_pivots_move_as_they_are_measured(problem, tmp_path):
     """To which side matters: a pivot that is off one way turns the frame that way."""
     for pivot, way in (("A.x", -1.0), ("A.y", -1.0), ("D.y", 1.0)):
         (tmp_path / "pins.csv").write_text(f"{pivot}_mm\n1.0\n2.0\n")
-        found = solve(problem.override({"tolerances": {pivot: str(tmp_path / "pins.csv")}, "requirement.robust": "0 sigma"}))
-        assert found.valid, [check for check in found.validation.checks if not check.passed]
+        result = solve(problem.override({"tolerances": {pivot: str(tmp_path / "pins.csv")}, "requirement.robust": "0 sigma"}))
+        assert result.valid, [check for check in result.validation.checks if not check.passed]
         same = {"A.x": "D.x", "A.y": "D.y"}.get(pivot, pivot)  # the frame carried along: the other pivot, the other way
-        coupler, rocker, h = found.design["coupler"], found.design["rocker"], 1e-6
+        coupler, rocker, h = result.design["coupler"], result.design["rocker"], 1e-6
         by = (errors(coupler, rocker, {same: h}) - errors(coupler, rocker, {same: -h})) / (2.0 * h)
-        assert found.objective == pytest.approx(np.max(np.abs(errors(coupler, rocker) + 1.5e-3 * way * by)), rel=1e-8)
+        assert result.objective == pytest.approx(np.max(np.abs(errors(coupler, rocker) + 1.5e-3 * way * by)), rel=1e-8)
 
 
 @pytest.mark.slow
@@ -196,13 +196,13 @@ def test_a_function_is_robust_anywhere_in_its_range():
     problem = optlink.load(
         "function-sin", {"tolerances": {"crank": "0.2 mm", "coupler": "0.2 mm"}, "requirement.robust": "3 sigma"}
     )
-    found = solve(problem)
-    assert found.valid
+    result = solve(problem)
+    assert result.valid
     plain = solution("function-sin")
     x = np.linspace(0.0, math.pi / 2.0, 4001)
     largest = []
-    for design in (found.design, plain.design):
-        side = 1.0 if (found if design is found.design else plain).problem.spec.side > 0 else -1.0
+    for design in (result.design, plain.design):
+        side = 1.0 if (result if design is result.design else plain).problem.spec.side > 0 else -1.0
         sizes = [design[name] for name in ("crank", "coupler", "rocker", "frame")]
 
         def psi(by=(0.0, 0.0), sizes=sizes, side=side, phi=design["phi0"] + x):
@@ -214,7 +214,7 @@ def test_a_function_is_robust_anywhere_in_its_range():
         h = 1e-7
         by = [(psi((h, 0.0)) - psi((-h, 0.0))) / (2.0 * h), (psi((0.0, h)) - psi((0.0, -h))) / (2.0 * h)]
         largest.append(np.max(np.abs(error) + 3.0 * np.hypot(*by) * 0.2e-3 / 3.0))
-    assert found.objective == pytest.approx(largest[0], rel=1e-5)
+    assert result.objective == pytest.approx(largest[0], rel=1e-5)
     assert largest[0] < 0.9 * largest[1]  # and the design that is nominal optimum is worse when it is built
 
 
@@ -223,24 +223,24 @@ def test_a_function_is_robust_anywhere_in_its_range():
 
 @pytest.mark.slow
 def test_the_effect_of_a_tolerance_is_its_derivative(problem):
-    found = sensitivities(problem, starts=4, check=True)
-    assert found.gap < 1e-4
-    coupler = found["tolerances.coupler"]
+    result = sensitivities(problem, starts=4, check=True)
+    assert result.gap < 1e-4
+    coupler = result["tolerances.coupler"]
     assert coupler.parameter.value == pytest.approx(1.0)
     assert coupler.parameter.unit == "mm"
     low, high = (solve(problem.override({"tolerances.coupler": f"{1.0 + d} mm"})).objective for d in (-1e-3, 1e-3))
     assert coupler.objective == pytest.approx((high - low) / 2e-3, rel=1e-5)
     assert coupler.objective > 0.0
     assert coupler.below.value == -math.inf  # was -10 mm: a tolerance is not negative
-    uniform, step = found["tolerances.rocker"], 1e-3
+    uniform, step = result["tolerances.rocker"], 1e-3
     low, high = (solve(problem.override({"tolerances.rocker": f"{0.8 + d} mm"})).objective for d in (-step, step))
     assert uniform.objective == pytest.approx((high - low) / (2.0 * step), rel=1e-5)
 
 
 @pytest.mark.slow
 def test_shadow_prices_agree_with_relaxed_limits(problem):
-    found = solve(problem)
-    (held,) = [limit for limit in found.solution.limits if limit.multiplier]
+    result = solve(problem)
+    (held,) = [limit for limit in result.solution.limits if limit.multiplier]
     assert held.name == "largest transmission angle"
     low, high = (
         solve(problem.override({"limits.transmission_angle": ["45 deg", f"{135.0 + d} deg"]})).objective for d in (-1e-3, 1e-3)
@@ -271,10 +271,10 @@ def test_a_law_of_a_linkage_with_extra_points_is_drawn(tmp_path):
 
 def test_a_tolerance_without_effect_changes_nothing(problem):
     """Its standard deviation is nought everywhere, where a square root has no slope."""
-    found = solve(problem.override({"mechanism.points": {"P": ["10 mm", "5 mm"]}, "tolerances": {"P.along": "1 mm"}}))
+    result = solve(problem.override({"mechanism.points": {"P": ["10 mm", "5 mm"]}, "tolerances": {"P.along": "1 mm"}}))
     plain = solve(problem.override({"requirement.robust": None}))
-    assert found.valid
-    assert found.objective == pytest.approx(plain.objective, abs=1e-10)
+    assert result.valid
+    assert result.objective == pytest.approx(plain.objective, abs=1e-10)
 
 
 # --- the validator -----------------------------------------------------------------------------------------------------
@@ -282,10 +282,10 @@ def test_a_tolerance_without_effect_changes_nothing(problem):
 
 @pytest.mark.slow
 def test_the_validator_measures_the_error_with_tolerances_itself(problem):
-    found = solve(problem)
-    named = {check.name: check for check in found.validation.checks}
+    result = solve(problem)
+    named = {check.name: check for check in result.validation.checks}
     assert named["error with tolerances measured in motion"].value < 1e-8
-    assert named["error with tolerances, 3 sigma, has a value"].value == pytest.approx(math.degrees(found.objective))
+    assert named["error with tolerances, 3 sigma, has a value"].value == pytest.approx(math.degrees(result.objective))
     given = validate(problem, {"coupler": 0.42, "rocker": 0.225})
     assert given.objective == pytest.approx(figure(0.42, 0.225, "3 sigma"), rel=1e-8)
 
@@ -294,19 +294,19 @@ def test_the_validator_measures_the_error_with_tolerances_itself(problem):
 @pytest.mark.parametrize(("robust", "measure"), CASES)
 def test_a_wrong_scatter_fails_validation(problem, robust, measure):
     changed = problem.override({"requirement.robust": robust, "requirement.measure": measure})
-    found = solve(changed)
+    result = solve(changed)
     plain = solve(changed.override({"requirement.robust": None}))
-    assert plain.objective < found.objective
-    for claim in (found.objective * (1.0 + 1e-5), plain.objective):
-        failed = [check.name for check in prove(changed.spec, found.design, claim).checks if not check.passed]
+    assert plain.objective < result.objective
+    for claim in (result.objective * (1.0 + 1e-5), plain.objective):
+        failed = [check.name for check in prove(changed.spec, result.design, claim).checks if not check.passed]
         assert failed == ["error with tolerances measured in motion"]
 
 
 def test_the_validator_fails_on_a_changed_linkage(problem):
     """The same lengths in the other assembly mode move otherwise, and so does what tolerances do."""
-    found = solve(problem)
+    result = solve(problem)
     mirrored = problem.override({"mechanism.assembly": "right"}).spec.linkage
-    failed = [c.name for c in prove(problem.spec, found.design, found.objective, mirrored).checks if not c.passed]
+    failed = [c.name for c in prove(problem.spec, result.design, result.objective, mirrored).checks if not c.passed]
     assert "error with tolerances measured in motion" in failed
 
 
@@ -315,9 +315,9 @@ def test_the_validator_fails_on_a_changed_linkage(problem):
 
 @pytest.mark.slow
 def test_a_sweep_over_a_tolerance_and_over_a_length(problem):
-    found = sweep(problem, ["tolerances.rocker=0.2..1 mm:2"])
-    assert found.complete
-    for value, objective in zip(found.columns["tolerances.rocker_mm"], found.columns["objective_rad"], strict=True):
+    result = sweep(problem, ["tolerances.rocker=0.2..1 mm:2"])
+    assert result.complete
+    for value, objective in zip(result.columns["tolerances.rocker_mm"], result.columns["objective_rad"], strict=True):
         one = problem.override({"tolerances.rocker": {"tolerance": f"{value} mm", "distribution": "uniform"}})
         assert objective == pytest.approx(solve(one).objective, rel=1e-8)
     lengths = sweep(problem, ["mechanism.frame=490..510 mm:2"])
@@ -331,13 +331,13 @@ def test_a_sweep_over_a_tolerance_and_over_a_length(problem):
 
 @pytest.mark.slow
 def test_a_study_of_tolerances_reads_those_of_the_file(problem):
-    found = tolerance(problem, limit="1.85 deg", samples=1 << 12)
-    assert [d.name for d in found.deviations] == list(SIZES)
-    for deviation in found.deviations:
+    result = tolerance(problem, limit="1.85 deg", samples=1 << 12)
+    assert [d.name for d in result.deviations] == list(SIZES)
+    for deviation in result.deviations:
         assert deviation.sigma == pytest.approx(SIGMAS[deviation.name])
     best = solve(problem)
-    assert found.nominal.sizes["coupler"] == pytest.approx(best.design["coupler"])
-    worst = np.max(np.abs(found.nominal.base) + 3.0 * found.sigma)
+    assert result.nominal.sizes["coupler"] == pytest.approx(best.design["coupler"])
+    worst = np.max(np.abs(result.nominal.base) + 3.0 * result.sigma)
     assert worst == pytest.approx(best.objective, rel=1e-9)
     assert [d.name for d in tolerance(problem, ["coupler=0.1 mm"], samples=0, design=best.design).deviations] == ["coupler"]
     again = tolerance(problem, limit="1.85 deg", samples=1 << 12, robust=3.0)
@@ -348,8 +348,8 @@ def test_a_study_of_tolerances_reads_those_of_the_file(problem):
 @pytest.mark.slow
 def test_costs_of_the_file_are_used_in_an_allocation(problem):
     given = {"limit": "2.2 deg", "target_yield": 0.99, "samples": 1 << 10, "design": solve(problem).design}
-    own = tolerance(problem, **given).allocation
-    assert own.costs.tolist() == [1.0, 1.0, 2.0, 1.0, 1.0, 1.0]
+    allocation = tolerance(problem, **given).allocation
+    assert allocation.costs.tolist() == [1.0, 1.0, 2.0, 1.0, 1.0, 1.0]
     assert tolerance(problem, costs={"rocker": 5.0}, **given).allocation.costs[2] == 5.0
 
 
@@ -432,17 +432,17 @@ BACK = ("psi0 - 0.22*(phi - phi0)^2", lambda t: -0.22 * t**2)
 )
 def test_yield_of_the_design_with_the_largest_margin(problem, law, span, limit, texts, better):
     """The same linkages of pseudo-random sizes of both designs: how many more keep the limit."""
-    found = tolerance(problem, texts, limit=f"{limit} deg", samples=1 << 14, robust="margin")
-    assert found.robust.result.valid
+    result = tolerance(problem, texts, limit=f"{limit} deg", samples=1 << 14, robust="margin")
+    assert result.robust.result.valid
     random, count = np.random.default_rng(8), 60_000
-    unit = np.stack([SHAPES[d.shape](random, count) for d in found.deviations], axis=1)
-    arguments = (law, math.radians(span), math.radians(limit), found.deviations, unit)
-    own, before = (kept(design, *arguments) for design in (found.robust.result.design, found.robust.nominal))
+    unit = np.stack([SHAPES[d.shape](random, count) for d in result.deviations], axis=1)
+    arguments = (law, math.radians(span), math.radians(limit), result.deviations, unit)
+    own, before = (kept(design, *arguments) for design in (result.robust.result.design, result.robust.nominal))
     gained, lost = np.sum(own & ~before), np.sum(before & ~own)
     surplus = (gained - lost) / math.sqrt(gained + lost)  # standard deviations by which chance would favour either
     assert surplus > 5.0 if better else surplus < -3.0
-    assert found.nominal_yields_more is not better
-    for carlo, share in ((found.monte_carlo, np.mean(own)), (found.unrobust, np.mean(before))):
+    assert result.nominal_yields_more is not better
+    for carlo, share in ((result.monte_carlo, np.mean(own)), (result.unrobust, np.mean(before))):
         assert carlo.share == pytest.approx(share, abs=4.0 * math.sqrt(max(share * (1.0 - share), 1e-4) / count))
         assert carlo.interval[0] <= carlo.share <= carlo.interval[1]
 
@@ -469,26 +469,26 @@ def test_yield_of_the_design_with_the_largest_margin(problem, law, span, limit, 
 )
 def test_no_design_yields_more_than_the_one_with_most_yield(problem, law, span, limit, texts):
     """By linkages of pseudo-random sizes: not the nominal optimum, not the one with most standard deviations, none nearby."""
-    found = tolerance(problem, texts, limit=f"{limit} deg", samples=1 << 14, robust="yield")
-    assert found.robust.result.valid
-    assert not found.nominal_yields_more
+    result = tolerance(problem, texts, limit=f"{limit} deg", samples=1 << 14, robust="yield")
+    assert result.robust.result.valid
+    assert not result.nominal_yields_more
     random, count = np.random.default_rng(3), 40_000
-    unit = np.stack([SHAPES[d.shape](random, count) for d in found.deviations], axis=1)
-    arguments = (law, math.radians(span), math.radians(limit), found.deviations, unit)
-    own = kept(found.robust.result.design, *arguments)
+    unit = np.stack([SHAPES[d.shape](random, count) for d in result.deviations], axis=1)
+    arguments = (law, math.radians(span), math.radians(limit), result.deviations, unit)
+    least = kept(result.robust.result.design, *arguments)
 
     def surplus(design):
         """Standard deviations by which chance would favour the design that was found."""
         other = kept(design, *arguments)
-        gained, lost = np.sum(own & ~other), np.sum(other & ~own)
+        gained, lost = np.sum(least & ~other), np.sum(other & ~least)
         return (gained - lost) / math.sqrt(max(gained + lost, 1))
 
     margin = tolerance(problem, texts, limit=f"{limit} deg", samples=0, robust="margin").robust
-    assert surplus(found.robust.nominal) > 3.0
+    assert surplus(result.robust.nominal) > 3.0
     assert surplus(margin.design) > -1.0
-    base, tried = found.robust.result.problem, 0
+    base, tried = result.robust.result.problem, 0
     while tried < 10:
-        near = {name: value + random.normal() * 0.01 * abs(value) for name, value in found.robust.free.items()}
+        near = {name: value + random.normal() * 0.01 * abs(value) for name, value in result.robust.free.items()}
         if optlink.validate(base, near).valid:
             tried += 1
             assert surplus(base.spec.design(near)) > -2.5
@@ -507,17 +507,17 @@ def test_no_design_yields_more_than_the_one_with_most_yield(problem, law, span, 
 def test_an_allocation_keeps_its_yield_whatever_the_distributions(texts, limit, target):
     design = {"coupler": 0.412865417, "rocker": 0.23224617}
     given = {"design": design, "target_yield": target, "samples": 1 << 14}
-    found = tolerance(optlink.load("crank-rocker"), texts, limit=f"{limit} deg", **given)
-    assert found.allocation.achieved
+    result = tolerance(optlink.load("crank-rocker"), texts, limit=f"{limit} deg", **given)
+    assert result.allocation.achieved
     random, count = np.random.default_rng(77), 100_000
-    unit = np.stack([SHAPES[d.shape](random, count) for d in found.deviations], axis=1) * found.allocation.tolerances
-    unit /= [d.tolerance for d in found.deviations]
+    unit = np.stack([SHAPES[d.shape](random, count) for d in result.deviations], axis=1) * result.allocation.tolerances
+    unit /= [d.tolerance for d in result.deviations]
     full = optlink.load("crank-rocker").spec.design(design)
 
     def law(t):
         return 2.0 / (3.0 * math.pi) * t**2
 
-    share = np.mean(kept(full, law, math.pi / 2.0, math.radians(limit), found.deviations, unit))
+    share = np.mean(kept(full, law, math.pi / 2.0, math.radians(limit), result.deviations, unit))
     assert share == pytest.approx(target, abs=4.0 * math.sqrt(target * (1.0 - target) / count))
 
 
@@ -574,9 +574,9 @@ def test_the_command_solves_reports_and_validates(problem, tmp_path):
     assert document["objective"]["measure"] == "max"
     assert document["objective"]["tolerances_SI"]["coupler"] == pytest.approx(1e-3)
     assert document["objective"]["largest_deg"] < math.degrees(document["objective"]["value"])
-    told = run("solve", "crank-rocker-robust", "--set", "tolerances.coupler=2 mm")
-    assert told.exit_code == 0, told.output
-    assert "max with 3 sigma" in told.output
+    command = run("solve", "crank-rocker-robust", "--set", "tolerances.coupler=2 mm")
+    assert command.exit_code == 0, command.output
+    assert "max with 3 sigma" in command.output
     checked = run("validate", "crank-rocker-robust", "--design", str(tmp_path / "result.json"))
     assert checked.exit_code == 0, checked.output
     shown = run("show", "crank-rocker-robust").output
@@ -626,8 +626,8 @@ def test_other_kinds_of_problems_are_not_robust():
     with pytest.raises(InputError, match="unknown key"):
         optlink.load("shaper-design", {"objective.robust": "3 sigma"})
     path = optlink.load("path-arc5", {"tolerances": {"coupler": "0.01 mm", "P.along": "0.01 mm"}})
-    found = tolerance(path, output="P.x", samples=0)
-    assert [d.name for d in found.deviations] == ["coupler", "P.along"]
+    result = tolerance(path, output="P.x", samples=0)
+    assert [d.name for d in result.deviations] == ["coupler", "P.along"]
     with pytest.raises(InputError, match="unknown dimension"):
         optlink.load("path-arc5", {"tolerances": {"couplr": "0.01 mm"}})
 
@@ -683,7 +683,7 @@ def test_worst_case_whose_tolerances_change_sign_at_the_worst_angle():
 
     best = minimize(worst, (0.281, 0.196, 5.01), method="Nelder-Mead", options={"xatol": 1e-10, "fatol": 1e-13, "maxfev": 2000})
     for backend in ("ipopt", "slsqp"):
-        found = solve(problem, backend, starts=1)
-        assert found.valid, [check for check in found.validation.checks if not check.passed]
-        assert found.objective == pytest.approx(best.fun, rel=1e-6)
-        assert found.objective == pytest.approx(worst([found.design[name] for name in ("coupler", "rocker", "phi0")]), rel=1e-7)
+        result = solve(problem, backend, starts=1)
+        assert result.valid, [check for check in result.validation.checks if not check.passed]
+        assert result.objective == pytest.approx(best.fun, rel=1e-6)
+        assert result.objective == pytest.approx(worst([result.design[name] for name in ("coupler", "rocker", "phi0")]), rel=1e-7)

@@ -143,14 +143,14 @@ def test_every_key_of_a_dimension_can_be_changed(name, several):
 
 @pytest.mark.parametrize("direction", ["0 deg", "37 deg"])
 def test_rotating_the_guide_only_rotates_the_crank(direction):
-    found = sensitivities(optlink.load("law-slider-crank", {"mechanism.guides.G.direction": direction}))
-    row = found["mechanism.guides.G.direction"]
+    result = sensitivities(optlink.load("law-slider-crank", {"mechanism.guides.G.direction": direction}))
+    row = result["mechanism.guides.G.direction"]
     assert row.objective == 0.0  # was -1.2e-13 of it by 1 deg
     assert row.design.pop("start") == pytest.approx(1.0)
     assert not any(row.design.values())
     assert (row.below.value, row.above.value) == (-math.inf, math.inf)  # was 3.8 deg, where C should have been aligned
-    bound = found["start, largest allowed"]  # which is a limit once it is less than a revolution from the other one
-    assert bound.below.value == pytest.approx(found.values["start"])
+    bound = result["start, largest allowed"]  # which is a limit once it is less than a revolution from the other one
+    assert bound.below.value == pytest.approx(result.values["start"])
     assert bound.below.event == "the bound of start is reached"
 
 
@@ -162,8 +162,8 @@ def test_peaks_of_a_limit_move_within_the_range_of_validity():
     assert row.below.value < -60.0  # was -4.9 mm
     assert row.above.value > 60.0
     for value in (0.0, -60.0, 60.0):
-        found = optlink.solve(problem.override({"mechanism.ground.A": ["0 mm", f"{value} mm"]}))
-        active = {limit.name for limit in found.solution.limits if limit.active}
+        result = optlink.solve(problem.override({"mechanism.ground.A": ["0 mm", f"{value} mm"]}))
+        active = {limit.name for limit in result.solution.limits if limit.active}
         assert active == {"transmission angle at C", "transmission angle at E"}
 
 
@@ -213,14 +213,14 @@ def test_the_validity_range_ends_where_a_bound_becomes_inactive():
 
 def test_the_validity_range_ends_where_another_limit_becomes_active():
     """A limit of the smallest angle just below the one that the optimum has."""
-    found = [check.value for check in solved().validation.checks if check.name == "smallest transmission angle"]
-    limits = {"limits.transmission_angle": [f"{found[0] - 0.05!r} deg", "135 deg"]}
+    computed = [check.value for check in solved().validation.checks if check.name == "smallest transmission angle"]
+    limits = {"limits.transmission_angle": [f"{computed[0] - 0.05!r} deg", "135 deg"]}
     row = sensitivities(optlink.load("crank-rocker", limits))["mechanism.frame"]
     ends = {end.event: end.value for end in (row.below, row.above)}
     at = ends["smallest transmission angle is reached"]
     there = optlink.solve(optlink.load("crank-rocker", {"mechanism.frame": f"{at!r} mm"}))
     reached = [check.value for check in there.validation.checks if check.name == "smallest transmission angle"]
-    assert reached[0] == pytest.approx(found[0] - 0.05, abs=1e-3)
+    assert reached[0] == pytest.approx(computed[0] - 0.05, abs=1e-3)
 
 
 def test_the_range_of_an_inactive_angle_limit_ends_at_the_angle_of_the_design(crank_rocker):
@@ -291,9 +291,9 @@ SIZES = {"crank": 1.0, "coupler": 4.12865417, "rocker": 2.3224617, "frame": 5.0}
 def test_output_angle_table():
     rows = np.array([[float(x) for x in line.split()] for line in TABLE.strip().splitlines()])
     linkage = optlink.load("crank-rocker").model.linkage
-    found = output_sensitivity(linkage, SIZES, np.radians(rows[:, 0]), "rocker")
-    np.testing.assert_allclose(np.degrees(found.value), rows[:, 1], atol=1e-5)
-    np.testing.assert_allclose(np.column_stack([found.by[name] for name in SIZES]), rows[:, 2:], atol=1e-5, rtol=0.0)
+    result = output_sensitivity(linkage, SIZES, np.radians(rows[:, 0]), "rocker")
+    np.testing.assert_allclose(np.degrees(result.value), rows[:, 1], atol=1e-5)
+    np.testing.assert_allclose(np.column_stack([result.by[name] for name in SIZES]), rows[:, 2:], atol=1e-5, rtol=0.0)
 
 
 @pytest.mark.parametrize("name", ["crank-rocker", "six-bar", "shaper", "slider-crank"])
@@ -310,12 +310,12 @@ def test_outputs_of_every_kind_against_central_differences(name):
         return motion.position(point)[:, "xy".index(axis)]
 
     for output in output_names(model.linkage):
-        found = output_sensitivity(model.linkage, sizes, angles, output)
-        np.testing.assert_allclose(np.exp(1j * found.value), np.exp(1j * measured(output, sizes)), atol=1e-12)
+        result = output_sensitivity(model.linkage, sizes, angles, output)
+        np.testing.assert_allclose(np.exp(1j * result.value), np.exp(1j * measured(output, sizes)), atol=1e-12)
         for size, value in sizes.items():
             step = 1e-6 * max(1.0, abs(value))
             above, below = (measured(output, {**sizes, size: value + way}) for way in (step, -step))
-            np.testing.assert_allclose(found.by[size], (above - below) / (2.0 * step), atol=2e-7, rtol=1e-6)
+            np.testing.assert_allclose(result.by[size], (above - below) / (2.0 * step), atol=2e-7, rtol=1e-6)
 
 
 def test_unknown_outputs_suggest_the_nearest_name():

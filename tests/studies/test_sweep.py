@@ -300,14 +300,14 @@ def test_models_made_directly_are_those_of_the_file(vary):
     direct = FastOverride(template, grid.axes)
     assert direct.possible
     for point in range(grid.count):
-        made, read = direct.model(grid.values(point)), file.override(grid.changes(point)).spec
-        assert {k: (q.value, q.bounds) for k, q in made.quantities.items()} == {
+        direct_model, read = direct.model(grid.values(point)), file.override(grid.changes(point)).spec
+        assert {k: (q.value, q.bounds) for k, q in direct_model.quantities.items()} == {
             k: (q.value, q.bounds) for k, q in read.quantities.items()
         }
         for key in ("transmission_angle", "time_ratio", "swing_angle"):
-            one, other = getattr(made.limits, key), getattr(read.limits, key)
+            one, other = getattr(direct_model.limits, key), getattr(read.limits, key)
             assert (one.low, one.high) == (other.low, other.high)
-        assert made.start_position({k: q.value for k, q in made.quantities.items()}) == read.start_position(
+        assert direct_model.start_position({k: q.value for k, q in direct_model.quantities.items()}) == read.start_position(
             {k: q.value for k, q in read.quantities.items()}
         )
 
@@ -386,22 +386,22 @@ def command(out: Path, *more: str, workers: int = 2) -> list[str]:
 @pytest.mark.slow
 def test_killed_twice_and_resumed(undisturbed, tmp_path):
     """SIGKILL, with one process and with two, each time a random while after the next chunk was written: nothing is lost."""
-    out, rng, kept = tmp_path / "run", random.Random(7), 0
+    out, rng, complete = tmp_path / "run", random.Random(7), 0
     for kill in range(2):
         arguments = command(out, *(["--resume"] if kill else []), workers=1 + kill)
         run = subprocess.Popen(arguments, cwd=ROOT, stdout=subprocess.DEVNULL)
         begin = time.monotonic()
-        while len(list(out.glob("chunks/*/0*.csv"))) <= kept and time.monotonic() - begin < 60.0:
+        while len(list(out.glob("chunks/*/0*.csv"))) <= complete and time.monotonic() - begin < 60.0:
             assert run.poll() is None
             time.sleep(0.01)
         time.sleep(0.1 * rng.random())
         run.kill()
         run.wait()
         now = len(list(out.glob("chunks/*/0*.csv")))
-        assert kept < now <= 4
-        kept = now
+        assert complete < now <= 4
+        complete = now
     done = subprocess.run([*command(out, "--resume"), "--json"], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert json.loads(done.stdout)["points_done_now"] == POINTS - 100 * kept
+    assert json.loads(done.stdout)["points_done_now"] == POINTS - 100 * complete
     assert (out / "sweep.csv").read_bytes() == undisturbed
     assert not (out / "chunks").exists()
 
@@ -628,8 +628,8 @@ class Square:
 
 @pytest.mark.slow
 def test_a_worker_that_dies_costs_only_its_chunk(tmp_path):
-    found = {index: answer.value for index, answer in runner.run(Square(tmp_path, deadly=3), range(12), workers=2)}
-    assert found == {index: index * index for index in range(12)}
+    computed = {index: answer.value for index, answer in runner.run(Square(tmp_path, deadly=3), range(12), workers=2)}
+    assert computed == {index: index * index for index in range(12)}
     done = {index: len((tmp_path / f"done-{index}").read_text()) for index in range(12)}
     assert done == {index: 2 if index == 3 else 1 for index in range(12)}
 
@@ -764,10 +764,10 @@ def test_a_dead_scheduler_gives_one_sentence_and_loses_no_chunk(undisturbed, tmp
     sentences = [line for line in output.splitlines() if line.strip()]
     assert len(sentences) == 1, output
     assert f"the Dask scheduler {address} did not answer" in sentences[0]
-    kept = len(list(out.glob("chunks/*/0*.csv")))
-    assert 1 <= kept < 4
+    complete = len(list(out.glob("chunks/*/0*.csv")))
+    assert 1 <= complete < 4
     resumed = sweep(problem(), [f"{FRAME}:{POINTS}"], out, resume=True, workers=1)
-    assert resumed.done == POINTS - 100 * kept
+    assert resumed.done == POINTS - 100 * complete
     assert (out / "sweep.csv").read_bytes() == undisturbed
 
 
@@ -793,9 +793,9 @@ def test_a_cluster_of_this_machine_listens_on_no_port(tmp_path):
         assert len(listening(own)) == 1  # such a port would be seen
     seen = []
 
-    def look(done: int, wanted: int) -> None:
+    def look(done: int, expected: int) -> None:
         workers = children() - others
-        if 0 < done < wanted:
+        if 0 < done < expected:
             seen.append((len(workers), listening(own | workers)))
 
     before, others = listening(own), children()  # the browser of other tests among them
@@ -997,17 +997,17 @@ def test_fronts_stay_within_the_bounds_of_sizes(objectives, words):
 
 
 @pytest.mark.parametrize(
-    ("name", "wanted"),
+    ("name", "expected"),
     [
         ("transmission-optimal", "a swing and a good transmission are prescribed here"),
         ("motion-3-poses", "poses of a body are prescribed here"),
         ("path-ellipse10", "points of a path are prescribed here"),
     ],
 )
-def test_problems_without_a_front_state_the_requirement(name, wanted):
+def test_problems_without_a_front_state_the_requirement(name, expected):
     done = CliRunner().invoke(app, ["study", "pareto", name, "--objectives", "error, coupler.max"])
     assert done.exit_code == 2
-    assert wanted in done.stderr
+    assert expected in done.stderr
 
 
 def test_a_single_point_is_reported_in_the_singular(tmp_path):

@@ -84,8 +84,10 @@ def exact(of, sign: float) -> float:
     """The least value of sign * of over a revolution, closed in on by a bounded search from a fine grid."""
     grid = np.linspace(0.0, 2.0 * math.pi, 4001)
     at = grid[np.argmin(sign * of(grid))]
-    found = minimize_scalar(lambda phi: sign * of(phi), bounds=(at - 0.01, at + 0.01), method="bounded", options={"xatol": 1e-11})
-    return sign * found.fun
+    result = minimize_scalar(
+        lambda phi: sign * of(phi), bounds=(at - 0.01, at + 0.01), method="bounded", options={"xatol": 1e-11}
+    )
+    return sign * result.fun
 
 
 @pytest.mark.parametrize("speed", ["9 rad/s", "-9 rad/s"])
@@ -242,10 +244,12 @@ def test_dimensions_that_move_no_joint_can_be_varied(pump):
     path.write_text(text)
     file = optlink.load(str(path))
     (name,) = (name for name in file.model.mechanism.quantities if name.endswith(("Q.along", "Q.x")))
-    found, clear = batch_extremes(file, {name: [0.04, 0.055]}, ["Q.x_m", "input.torque_Nm"])
+    computed, clear = batch_extremes(file, {name: [0.04, 0.055]}, ["Q.x_m", "input.torque_Nm"])
     assert clear.all()
-    assert found["Q.x_m"][:, 1] == pytest.approx([math.sqrt((0.131 + R) ** 2 - OFFSET**2) + x for x in (0.04, 0.055)], rel=1e-9)
-    assert found["input.torque_Nm"][0].tolist() == found["input.torque_Nm"][1].tolist()
+    assert computed["Q.x_m"][:, 1] == pytest.approx(
+        [math.sqrt((0.131 + R) ** 2 - OFFSET**2) + x for x in (0.04, 0.055)], rel=1e-9
+    )
+    assert computed["input.torque_Nm"][0].tolist() == computed["input.torque_Nm"][1].tolist()
 
 
 @pytest.mark.slow
@@ -275,9 +279,9 @@ def test_batches_find_the_least_force_and_skip_ambiguous_samples():
         file = optlink.load(name).override({"drive.speed": f"{speed} rad/s"})
         least = optlink.analyze(file).extremes[f"{joint}.f_N"].least
         size, quantity = next(iter(file.model.mechanism.quantities.items()))
-        found, clear = batch_extremes(file, {size: [quantity.value]}, [f"{joint}.f_N"])
+        computed, clear = batch_extremes(file, {size: [quantity.value]}, [f"{joint}.f_N"])
         assert clear.tolist() == [decided]
-        assert found[f"{joint}.f_N"][0, 0] == pytest.approx(least, rel=1e-6)
+        assert computed[f"{joint}.f_N"][0, 0] == pytest.approx(least, rel=1e-6)
 
 
 @pytest.mark.slow
@@ -287,15 +291,15 @@ def test_a_peak_at_a_row_of_a_load_table_is_that_of_the_analysis(pump):
     table += 'values = ["0 N", "300 N", "0 N", "0 N", "310 N", "0 N"] }'
     problem = optlink.load(pump(f'[loads.stop]\non = "plunger"\n{table}\n'))
     names = ["input.torque_Nm.max", "input.torque_Nm.min"]
-    found = sweep(problem, ["mechanism.links.rod.length=131..133 mm:3"], analyze=True, columns=names, workers=1).columns
+    computed = sweep(problem, ["mechanism.links.rod.length=131..133 mm:3"], analyze=True, columns=names, workers=1).columns
     for i, rod in enumerate((131, 132, 133)):
         figures = optlink.analyze(problem.override({"mechanism.links.rod.length": f"{rod} mm"})).figures
-        assert [found[name][i] for name in names] == pytest.approx([figures[name] for name in names], rel=1e-9)
+        assert [computed[name][i] for name in names] == pytest.approx([figures[name] for name in names], rel=1e-9)
 
 
 def test_the_pace_of_a_slow_sweep_is_not_zero():
-    found = sweep(optlink.load("crank-rocker"), ["mechanism.frame=490..500 mm:2"])
+    computed = sweep(optlink.load("crank-rocker"), ["mechanism.frame=490..500 mm:2"])
     for seconds, done, pace in ((80.0, 5, "(0.062 a second"), (4.0, 3600, "(900 a second")):
-        said = str(study_tables.sweep(replace(found, seconds=seconds, done=done, searched=2)).parts[-1])
+        said = str(study_tables.sweep(replace(computed, seconds=seconds, done=done, searched=2)).parts[-1])
         assert pace in said
         assert "all by a search" in said

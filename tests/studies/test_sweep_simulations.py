@@ -102,5 +102,5 @@ def test_an_analysis_refuses_a_requirement_and_names_what_varies_it():
 @pytest.mark.parametrize("speed", ["1 rpm", "2 rpm", "7 rpm"])
 def test_a_run_of_one_revolution_has_a_last_revolution_at_any_speed(speed):
     """Its end is one revolution within rounding: at 2 rpm the figures were missing."""
-    found = optlink.simulate(optlink.load("crank-rocker", {"drive.speed": speed}))
-    assert found.figures["last_turn.mean_speed_rad_s"] == pytest.approx(float(speed.split()[0]) * math.pi / 30.0)
+    result = optlink.simulate(optlink.load("crank-rocker", {"drive.speed": speed}))
+    assert result.figures["last_turn.mean_speed_rad_s"] == pytest.approx(float(speed.split()[0]) * math.pi / 30.0)

@@ -63,14 +63,14 @@ def study(problem, texts, output="rocker", angles=(0.0, 60.0, 120.0, 240.0), lim
 
 
 def test_worst_case_and_rss_are_the_tables_sensitivities_combined(problem):
-    found = study(problem, FOUR)
+    result = study(problem, FOUR)
     rows = np.array(list(TABLE.values())) / 0.1 * np.array(list(SIZES.values()))  # rad
-    np.testing.assert_allclose(found.worst[1], np.sum(np.abs(rows), axis=1), rtol=1e-5)
-    np.testing.assert_allclose(found.worst[0], -np.sum(np.abs(rows), axis=1), rtol=1e-5)
-    np.testing.assert_allclose(found.rss, np.sqrt(np.sum(rows**2, axis=1)), rtol=1e-5)
-    np.testing.assert_allclose(found.sigma, found.rss / 3.0, rtol=1e-12)
+    np.testing.assert_allclose(result.worst[1], np.sum(np.abs(rows), axis=1), rtol=1e-5)
+    np.testing.assert_allclose(result.worst[0], -np.sum(np.abs(rows), axis=1), rtol=1e-5)
+    np.testing.assert_allclose(result.rss, np.sqrt(np.sum(rows**2, axis=1)), rtol=1e-5)
+    np.testing.assert_allclose(result.sigma, result.rss / 3.0, rtol=1e-12)
     shares = (rows**2 / np.sum(rows**2, axis=1)[:, None]).T
-    np.testing.assert_allclose(found.contributions, shares, rtol=3e-5)
+    np.testing.assert_allclose(result.contributions, shares, rtol=3e-5)
 
 
 def test_the_error_over_the_span_changes_like_the_rocker_angle(problem):
@@ -87,7 +87,7 @@ def test_the_error_over_the_span_changes_like_the_rocker_angle(problem):
 def test_pivots_that_deviate(problem):
     """D lifted by h turns the frame and lengthens it in second order; D to the right lengthens it."""
     angles = np.radians([0.0, 60.0, 120.0, 240.0])
-    found = study(problem, ["D.x=0.1 mm", "D.y=0.1 mm", "A.x=0.1 mm", "A.y=0.1 mm"])
+    result = study(problem, ["D.x=0.1 mm", "D.y=0.1 mm", "A.x=0.1 mm", "A.y=0.1 mm"])
     h = 1e-6
 
     def psi(**by):
@@ -96,16 +96,16 @@ def test_pivots_that_deviate(problem):
 
     for i, key in enumerate("xy"):
         slope = (psi(**{key: h}) - psi(**{key: -h})) / (2.0 * h)
-        np.testing.assert_allclose(found.by[i], slope, rtol=1e-7)
-        np.testing.assert_allclose(found.by[2 + i], -slope, rtol=1e-7)  # the other pivot the other way: the crank stays
+        np.testing.assert_allclose(result.by[i], slope, rtol=1e-7)
+        np.testing.assert_allclose(result.by[2 + i], -slope, rtol=1e-7)  # the other pivot the other way: the crank stays
 
 
 def test_a_clearance_is_a_length_of_the_coupler(problem):
     """A gap in any direction, at any pin, moves the rocker at most as the coupler longer by that gap does."""
     pins = ("A", "B", "C", "D")
-    found = study(problem, [*(f"{pin}.clearance=0.05 mm" for pin in pins), "coupler=0.05 mm"])
-    np.testing.assert_allclose(found.by[:4], np.tile(found.by[4], (4, 1)))
-    assert {d.size for d in found.deviations} == {"coupler"}
+    result = study(problem, [*(f"{pin}.clearance=0.05 mm" for pin in pins), "coupler=0.05 mm"])
+    np.testing.assert_allclose(result.by[:4], np.tile(result.by[4], (4, 1)))
+    assert {d.size for d in result.deviations} == {"coupler"}
     gap, directions = 1e-6, np.linspace(0.0, 2.0 * math.pi, 721)
     for at, degrees in enumerate((0.0, 60.0, 120.0, 240.0)):
         phi = math.radians(degrees)
@@ -114,7 +114,7 @@ def test_a_clearance_is_a_length_of_the_coupler(problem):
             b = 0.1 * np.exp(1j * phi) + gap * np.exp(1j * direction)
             moved.append(rocker_angle(abs(b), *list(LENGTHS.values())[1:], np.angle(b)))
         change = np.abs(np.array(moved) - rocker_angle(*LENGTHS.values(), phi))
-        assert np.max(change) == pytest.approx(abs(found.by[4, at]) * gap, rel=1e-4)
+        assert np.max(change) == pytest.approx(abs(result.by[4, at]) * gap, rel=1e-4)
         assert np.sqrt(np.mean(change[:-1] ** 2)) == pytest.approx(np.max(change) / math.sqrt(2.0), rel=1e-3)
 
 
@@ -173,15 +173,15 @@ def test_a_clearance_with_another_effect_than_a_length_is_refused(output, link):
             for h in [1e-6]
         ]
         try:
-            found = tolerance(file, [f"{pin}.clearance=0.1 mm"], output, angles, samples=1 << 13)
+            result = tolerance(file, [f"{pin}.clearance=0.1 mm"], output, angles, samples=1 << 13)
         except InputError as error:
             assert not size
             assert "not that of the length of one link" in str(error)
             continue
         scatter = 1e-4 * np.hypot(*np.transpose(answers)) / math.sqrt(2.0)
-        np.testing.assert_allclose(found.sigma, scatter, rtol=1e-5)
-        np.testing.assert_allclose(found.monte_carlo.sigma, scatter, rtol=1e-2)
-        assert not size or found.deviations[0].size == f"{size}.length"
+        np.testing.assert_allclose(result.sigma, scatter, rtol=1e-5)
+        np.testing.assert_allclose(result.monte_carlo.sigma, scatter, rtol=1e-2)
+        assert not size or result.deviations[0].size == f"{size}.length"
 
 
 # --- samples -----------------------------------------------------------------------------------------------------------
@@ -221,12 +221,12 @@ def test_the_interval_is_wilsons(good, count):
 
 
 def test_every_sample_is_moved_exactly(problem):
-    found = study(problem, [*FOUR, "D.y=1 mm"])
+    result = study(problem, [*FOUR, "D.y=1 mm"])
     random = np.random.default_rng(0)
     by = random.normal(0.0, 1e-3, (50, 5))
     names = [*LENGTHS, "D.y"]
-    change = found.nominal.change({name: by[:, i : i + 1] for i, name in enumerate(names)})
-    phi = found.nominal.crank_angles
+    change = result.nominal.change({name: by[:, i : i + 1] for i, name in enumerate(names)})
+    phi = result.nominal.crank_angles
     sizes = [LENGTHS[name] + by[:, i : i + 1] for i, name in enumerate(LENGTHS)]
     np.testing.assert_allclose(change, rocker_angle(*sizes, phi, by[:, 4:]) - rocker_angle(*LENGTHS.values(), phi), atol=1e-12)
 
@@ -234,18 +234,18 @@ def test_every_sample_is_moved_exactly(problem):
 @pytest.mark.parametrize("shape", ["normal", "uniform", "triangular"])
 def test_small_tolerances_scatter_as_the_linear_model_says(problem, shape):
     small = ["crank=0.005 mm", "coupler=0.01 mm", "rocker=0.008 mm", "C.clearance=0.004 mm"]
-    found = study(problem, small, shape=shape)
-    carlo = monte_carlo(found, 1 << 14, 5)
-    assert np.all(np.abs(carlo.sigma - found.sigma) < 2.0 * carlo.sigma_error)
-    assert np.all(np.abs(carlo.mean) < 2.0 * found.sigma / math.sqrt(carlo.samples))
-    assert np.all(carlo.most <= found.worst[1] * (1.001 if shape != "normal" else 2.0))
+    result = study(problem, small, shape=shape)
+    carlo = monte_carlo(result, 1 << 14, 5)
+    assert np.all(np.abs(carlo.sigma - result.sigma) < 2.0 * carlo.sigma_error)
+    assert np.all(np.abs(carlo.mean) < 2.0 * result.sigma / math.sqrt(carlo.samples))
+    assert np.all(carlo.most <= result.worst[1] * (1.001 if shape != "normal" else 2.0))
     kurtosis = 3.0  # nearly, of a sum; the standard error of a sigma is then sigma / sqrt(2 n)
     np.testing.assert_allclose(carlo.sigma_error, carlo.sigma * math.sqrt((kurtosis - 1.0) / 4.0 / carlo.samples), rtol=0.25)
 
 
 def test_a_yield_at_one_angle_is_that_of_the_normal_distribution(problem):
-    found = study(problem, FOUR, angles=(60.0,))
-    limit = 2.0 * float(found.sigma[0])
+    result = study(problem, FOUR, angles=(60.0,))
+    limit = 2.0 * float(result.sigma[0])
     carlo = monte_carlo(study(problem, FOUR, angles=(60.0,), limit=limit), 1 << 15, 0)
     low, high = carlo.interval
     assert low < scipy.stats.norm.cdf(2.0) - scipy.stats.norm.cdf(-2.0) < high
@@ -271,45 +271,45 @@ def test_a_yield_over_the_span_is_that_of_other_samples(problem):
 
 
 def test_linkages_that_cannot_be_assembled_fail(problem):
-    found = study(problem, ["frame=130 mm uniform"], angles=(180.0,), limit=10.0)
-    carlo = monte_carlo(found, 1 << 13, 0)
+    computed = study(problem, ["frame=130 mm uniform"], angles=(180.0,), limit=10.0)
+    carlo = monte_carlo(computed, 1 << 13, 0)
     longest = 0.41286542 + 0.23224617 - 0.1 - 0.5  # of the frame, before the loop cannot close
     assert carlo.stuck / carlo.samples == pytest.approx((0.13 - longest) / 0.26, abs=2e-3)
     assert carlo.good == carlo.samples - carlo.stuck
 
 
 def test_memory_is_flat(problem):
-    found, peaks = study(problem, FOUR, "error", None), []
+    computed, peaks = study(problem, FOUR, "error", None), []
     for samples in (1 << 13, 1 << 13, 1 << 16):  # the first one loads scipy
         tracemalloc.start()
-        monte_carlo(found, samples, 0)
+        monte_carlo(computed, samples, 0)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[2] < 1.2 * peaks[1] + 1e6
 
 
-def sums(found):
+def sums(result):
     """All figures of the samples, to the last digit."""
-    arrays = found.mean, found.sigma, found.sigma_error, found.least, found.most, found.counts, found.edges
-    return [array.tobytes() for array in arrays], found.good, found.linear, found.stuck
+    arrays = result.mean, result.sigma, result.sigma_error, result.least, result.most, result.counts, result.edges
+    return [array.tobytes() for array in arrays], result.good, result.linear, result.stuck
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["local", "dask"])
 def test_processes_change_no_digit(problem, monkeypatch, engine):
     """Four pieces of work, the last one shorter; a block that is skipped wrongly would repeat or miss samples."""
-    found, done = study(problem, FOUR, "error", None, math.radians(2.32)), []
-    whole = monte_carlo(found, 3 * (1 << 13) + 700, 5)
+    computed, done = study(problem, FOUR, "error", None, math.radians(2.32)), []
+    whole = monte_carlo(computed, 3 * (1 << 13) + 700, 5)
     monkeypatch.setattr("optlink.studies.tolerance.monte_carlo.CHUNK", 1 << 13)
-    alone = monte_carlo(found, whole.samples, 5)
+    alone = monte_carlo(computed, whole.samples, 5)
     with pool(engine, 2) as runs:
-        shared = monte_carlo(found, whole.samples, 5, done.append, runs)
+        shared = monte_carlo(computed, whole.samples, 5, done.append, runs)
     assert sums(shared) == sums(alone)
     assert len(done) == 4
     assert done[-1] == 1.0
     assert (alone.good, alone.linear, alone.counts.tolist()) == (whole.good, whole.linear, whole.counts.tolist())
     np.testing.assert_allclose(alone.sigma, whole.sigma, rtol=1e-12)
-    assert sums(monte_carlo(found, whole.samples, 6)) != sums(alone)
+    assert sums(monte_carlo(computed, whole.samples, 6)) != sums(alone)
 
 
 def test_the_design_is_that_of_solve(problem):
@@ -326,14 +326,14 @@ def test_measured_deviations(problem, tmp_path, monkeypatch):
     values = random.normal(0.05, 0.02, 500)
     (tmp_path / "parts.csv").write_text("coupler_mm\n" + "\n".join(map(repr, values.tolist())) + "\n")
     monkeypatch.chdir(tmp_path)
-    found = study(problem, ["coupler=parts.csv"], angles=(60.0,))
+    result = study(problem, ["coupler=parts.csv"], angles=(60.0,))
     slope = -0.431796 / 0.1 * 1e-3
-    assert found.shift[0] == pytest.approx(slope * np.mean(values), rel=1e-5)
-    assert found.sigma[0] == pytest.approx(abs(slope) * np.std(values), rel=1e-5)
-    assert found.worst[0][0] == pytest.approx(slope * np.max(values), rel=1e-5)
-    carlo = monte_carlo(found, 1 << 14, 0)
-    assert carlo.mean[0] == pytest.approx(found.shift[0], rel=2e-3)
-    assert carlo.sigma[0] == pytest.approx(found.sigma[0], rel=2e-3)
+    assert result.shift[0] == pytest.approx(slope * np.mean(values), rel=1e-5)
+    assert result.sigma[0] == pytest.approx(abs(slope) * np.std(values), rel=1e-5)
+    assert result.worst[0][0] == pytest.approx(slope * np.max(values), rel=1e-5)
+    carlo = monte_carlo(result, 1 << 14, 0)
+    assert carlo.mean[0] == pytest.approx(result.shift[0], rel=2e-3)
+    assert carlo.sigma[0] == pytest.approx(result.sigma[0], rel=2e-3)
     (tmp_path / "parts.csv").write_text("coupler_mm\n0,05\n0,07\n0,06\n")
     with pytest.raises(InputError, match=r"row 2 of parts\.csv has 2 cells, the title row has 1.*decimals have a point"):
         study(problem, ["coupler=parts.csv"], angles=(60.0,))
@@ -348,27 +348,27 @@ def test_a_machine_with_a_slider():
     quantities = problem.model.mechanism.quantities
     crank, rod = (next(name for name in quantities if name.startswith(start)) for start in ("crank", "rod"))
     r, length = quantities[crank].value, quantities[rod].value
-    found = tolerance(problem, [f"{crank}=0.1 mm", f"{rod}=0.1 mm"], "E.x", limit="0.25 mm", samples=1 << 12)
-    phi = found.nominal.crank_angles
+    result = tolerance(problem, [f"{crank}=0.1 mm", f"{rod}=0.1 mm"], "E.x", limit="0.25 mm", samples=1 << 12)
+    phi = result.nominal.crank_angles
     long = np.sqrt(length**2 - (r * np.sin(phi)) ** 2)
-    np.testing.assert_allclose(found.by[1], length / long, rtol=1e-9)
-    np.testing.assert_allclose(found.by[0], np.cos(phi) - r * np.sin(phi) ** 2 / long, rtol=1e-9, atol=1e-12)
-    assert found.monte_carlo.share > 0.99
-    assert not np.any(found.nominal.base)
+    np.testing.assert_allclose(result.by[1], length / long, rtol=1e-9)
+    np.testing.assert_allclose(result.by[0], np.cos(phi) - r * np.sin(phi) ** 2 / long, rtol=1e-9, atol=1e-12)
+    assert result.monte_carlo.share > 0.99
+    assert not np.any(result.nominal.base)
 
 
 @pytest.mark.slow
 def test_a_path_is_solved_first():
-    found = tolerance(optlink.load("path-arc5"), ["coupler=0.01 mm", "P.along=0.01 mm"], "P.x", samples=0)
-    np.testing.assert_allclose(np.degrees(found.nominal.crank_angles), [30.0, 45.0, 60.0, 75.0, 90.0])
-    np.testing.assert_allclose(1e3 * found.nominal.value, [3.0, 2.759, 2.372, 1.89, 1.355], atol=2e-3)
-    assert found.monte_carlo is None
-    assert np.all(found.sigma > 0.0)
+    result = tolerance(optlink.load("path-arc5"), ["coupler=0.01 mm", "P.along=0.01 mm"], "P.x", samples=0)
+    np.testing.assert_allclose(np.degrees(result.nominal.crank_angles), [30.0, 45.0, 60.0, 75.0, 90.0])
+    np.testing.assert_allclose(1e3 * result.nominal.value, [3.0, 2.759, 2.372, 1.89, 1.355], atol=2e-3)
+    assert result.monte_carlo is None
+    assert np.all(result.sigma > 0.0)
 
 
 def test_the_design_is_solved_first(problem):
-    found = tolerance(problem, ["coupler=0.1 mm"], "rocker", samples=0)
-    assert 1e3 * found.nominal.sizes["coupler"] == pytest.approx(412.86542, abs=1e-3)
+    result = tolerance(problem, ["coupler=0.1 mm"], "rocker", samples=0)
+    assert 1e3 * result.nominal.sizes["coupler"] == pytest.approx(412.86542, abs=1e-3)
 
 
 # --- allocation --------------------------------------------------------------------------------------------------------
@@ -400,15 +400,15 @@ def allocated(problem):
 
 def test_the_allocation_keeps_the_yield(problem, allocated):
     """By other samples and the law of cosines; a little looser, and it would not."""
-    found = allocated.allocation
-    assert found.achieved
-    assert found.gap < 1e-6
+    result = allocated.allocation
+    assert result.achieved
+    assert result.gap < 1e-6
     random = np.random.default_rng(2)
     phi = allocated.nominal.crank_angles
     target = rocker_angle(*LENGTHS.values(), phi[0]) + 2.0 / (3.0 * math.pi) * (phi - phi[0]) ** 2
     unit = random.normal(0.0, 1.0 / 3.0, (16_000, 4))
     for wider, low, high in ((1.0, 0.9655, 0.9745), (1.1, 0.90, 0.965), (0.9, 0.975, 1.0)):
-        by = wider * unit * found.tolerances
+        by = wider * unit * result.tolerances
         psi = rocker_angle(*[LENGTHS[name] + by[:, i : i + 1] for i, name in enumerate(LENGTHS)], phi)
         assert low < np.mean(np.max(np.abs(target - psi), axis=1) <= math.radians(2.32)) < high
 
@@ -416,13 +416,13 @@ def test_the_allocation_keeps_the_yield(problem, allocated):
 @pytest.mark.slow
 def test_no_cheaper_tolerances_keep_the_yield(problem, allocated):
     """Neighbours of the same cost yield no more, to first order."""
-    found = allocated.allocation
-    best = monte_carlo(study(problem, _texts(found.tolerances), "error", None, allocated.limit), 1 << 14, 9)
+    result = allocated.allocation
+    best = monte_carlo(study(problem, _texts(result.tolerances), "error", None, allocated.limit), 1 << 14, 9)
     for i, j in itertools.permutations(range(4), 2):
-        t = found.tolerances.copy()
+        t = result.tolerances.copy()
         t[i] *= 1.3
-        t *= np.sum(found.costs / t) / found.cost
-        assert np.sum(found.costs / t) == pytest.approx(found.cost)
+        t *= np.sum(result.costs / t) / result.cost
+        assert np.sum(result.costs / t) == pytest.approx(result.cost)
         other = monte_carlo(study(problem, _texts(t), "error", None, allocated.limit), 1 << 14, 9)
         assert other.share < best.share + 2e-3, (i, j)
 
@@ -434,11 +434,11 @@ def _texts(sizes):
 @pytest.mark.slow
 def test_tolerances_without_effect_are_unchanged():
     problem = optlink.load("six-bar")
-    found = tolerance(
+    result = tolerance(
         problem, ["link2.length=0.1 mm", "link5.length=0.1 mm"], "link3", limit="0.02 deg", target_yield=0.99, samples=512
     )
-    assert found.allocation.free == ("link5.length",)
-    assert found.allocation.tolerances[1] == pytest.approx(1e-4)
+    assert result.allocation.free == ("link5.length",)
+    assert result.allocation.tolerances[1] == pytest.approx(1e-4)
 
 
 # --- robust designs ----------------------------------------------------------------------------------------------------
@@ -467,28 +467,28 @@ def with_scatter(coupler, rocker, sigmas):
 @pytest.mark.parametrize("sigmas", [pytest.param(0.0, marks=pytest.mark.slow), 3.0, None])
 def test_a_robust_design_is_the_best_of_a_search_along_its_limit(problem, sigmas):
     """The largest transmission angle, 135 deg where crank and frame are in line, leaves one length free."""
-    found = robust(problem, WIDE, sigmas)
-    assert found.result.valid
-    assert found.result.objective == pytest.approx(
-        with_scatter(*(found.result.design[name] for name in ("coupler", "rocker")), sigmas), rel=1e-6
+    result = robust(problem, WIDE, sigmas)
+    assert result.result.valid
+    assert result.result.objective == pytest.approx(
+        with_scatter(*(result.result.design[name] for name in ("coupler", "rocker")), sigmas), rel=1e-6
     )
-    assert found.before == pytest.approx(with_scatter(found.nominal["coupler"], found.nominal["rocker"], sigmas), rel=1e-6)
+    assert result.before == pytest.approx(with_scatter(result.nominal["coupler"], result.nominal["rocker"], sigmas), rel=1e-6)
     best = math.inf
     for coupler in np.linspace(0.40, 0.44, 801):
         c = 2.0 * coupler * math.cos(math.radians(135.0))  # coupler^2 + rocker^2 - c rocker = 0.6^2
         rocker = 0.5 * (c + math.sqrt(c * c - 4.0 * (coupler**2 - 0.36)))
         best = min(best, with_scatter(coupler, rocker, sigmas))
-    assert found.result.objective <= best
-    assert found.result.objective == pytest.approx(best, rel=1e-3)
+    assert result.result.objective <= best
+    assert result.result.objective == pytest.approx(best, rel=1e-3)
 
 
 @pytest.mark.slow
 def test_a_robust_design_yields_more_than_the_nominal_optimum(problem):
-    found = tolerance(problem, WIDE, limit="2.2 deg", samples=1 << 13, robust=3.0)
-    assert found.monte_carlo.interval[0] > 0.99
-    assert found.unrobust.interval[1] < 0.5
+    result = tolerance(problem, WIDE, limit="2.2 deg", samples=1 << 13, robust=3.0)
+    assert result.monte_carlo.interval[0] > 0.99
+    assert result.unrobust.interval[1] < 0.5
     minimax = robust(problem, WIDE, 0.0)
-    close = [tolerance(problem, WIDE, limit="1.8 deg", samples=1 << 14, design=d.free) for d in (found.robust, minimax)]
+    close = [tolerance(problem, WIDE, limit="1.8 deg", samples=1 << 14, design=d.free) for d in (result.robust, minimax)]
     assert close[0].monte_carlo.interval[0] > close[1].monte_carlo.share
 
 
@@ -516,8 +516,8 @@ def test_the_margin_design_has_the_most_standard_deviations(monkeypatch, name, l
 
     def margin(design):
         nominal = nominal_design(best.robust.result.problem, None, None, design)
-        found = linear_analysis(problem, nominal, best.deviations, best.limit)
-        return np.min((found.limit - np.abs(nominal.base)) / found.sigma)
+        result = linear_analysis(problem, nominal, best.deviations, best.limit)
+        return np.min((result.limit - np.abs(nominal.base)) / result.sigma)
 
     free = best.robust.free
     assert margin(free) == pytest.approx(best.robust.sigmas, abs=2e-2)

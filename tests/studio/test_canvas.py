@@ -27,14 +27,14 @@ def variables(text: str, selector: str) -> dict[str, str]:
 
 
 def test_the_colours_are_those_of_the_report():
-    own = (ASSETS / "studio.css").read_text()
+    css = (ASSETS / "studio.css").read_text()
     report = (ASSETS.parents[1] / "report" / "assets" / "page.css").read_text()
     for selector in (":root {", ":root[data-theme=dark] {"):
         shared = variables(report, selector)
         assert len(shared) >= 9
-        assert shared.items() <= variables(own, selector).items()
+        assert shared.items() <= variables(css, selector).items()
     drawn = (style.CRANK, *style.BODIES, style.GROUND, style.MUTED, style.TARGET)
-    dark = variables(own, ":root[data-theme=dark] {")
+    dark = variables(css, ":root[data-theme=dark] {")
     assert {light: dark[f"--c{light[1:]}"] for light in drawn} == theme.palette(drawn)
 
 
@@ -57,8 +57,8 @@ def address():
     pytest.importorskip("selenium", reason="selenium is not installed")
     from tests.studio.browser import studio
 
-    with studio() as found:
-        yield found
+    with studio() as computed:
+        yield computed
 
 
 @pytest.fixture
@@ -155,12 +155,12 @@ def test_a_drag_continues_over_the_panel(page):
     panel = page.find("#panel").rect["x"]
     knob = page.find(f'[data-handle="{FRAME}"] .ring').rect["x"]
     steps = round((panel + 60.0 - knob) / 8.0)
-    wanted = 500.0 + 8.0 * steps / page.scale
+    expected = 500.0 + 8.0 * steps / page.scale
     page.press(FRAME)
     page.move([(8, 0)] * steps)
     page.release()
     page.verified()
-    assert value(page, "frame") == pytest.approx(wanted, abs=1.0)
+    assert value(page, "frame") == pytest.approx(expected, abs=1.0)
 
 
 @pytest.mark.slow
@@ -264,11 +264,11 @@ import("/assets/live.js").then(({ Live }) => {
 
 @pytest.mark.slow
 def test_only_the_latest_drag_is_answered(page):
-    found = page.driver.execute_async_script(ANSWERS)
-    assert found["first"] == 1
-    assert found["values"] == [[1, 0, True], [2, 4, True], [3, 9, False]]
-    assert found["shown"] == [1, 1, 3, 3]
-    assert found["dropped"] == 1
+    computed = page.driver.execute_async_script(ANSWERS)
+    assert computed["first"] == 1
+    assert computed["values"] == [[1, 0, True], [2, 4, True], [3, 9, False]]
+    assert computed["shown"] == [1, 1, 3, 3]
+    assert computed["dropped"] == 1
 
 
 @pytest.mark.slow
@@ -277,17 +277,17 @@ def test_a_drawing_behind_the_linkage_to_scale(page, tmp_path):
     ezdxf = pytest.importorskip("ezdxf")
     from selenium.webdriver.common.action_chains import ActionChains
 
-    made = ezdxf.new(units=1)  # inches
-    space = made.modelspace()
+    drawing = ezdxf.new(units=1)  # inches
+    space = drawing.modelspace()
     space.add_line((0.0, 0.0), (4.0, 0.0))
     space.add_circle((1.0, 1.0), 0.5)
     space.add_arc((2.0, 0.0), 1.0, 0.0, 180.0)
     space.add_lwpolyline([(0.0, 0.0, 1.0), (2.0, 0.0, 0.0), (2.0, 2.0, 0.0)], format="xyb", close=True)
-    made.saveas(tmp_path / "drawing.dxf")
+    drawing.saveas(tmp_path / "drawing.dxf")
     text = (tmp_path / "drawing.dxf").read_text()
     read = "const done = arguments[1]; import('/assets/dxf.js').then(({ readDxf }) => done(readDxf(arguments[0])))"
-    found = page.driver.execute_async_script(read, text)
-    line, circle, arc, polyline = (np.array(one) for one in found["lines"])
+    computed = page.driver.execute_async_script(read, text)
+    line, circle, arc, polyline = (np.array(one) for one in computed["lines"])
     assert np.allclose(line, [[0.0, 0.0], [101.6, 0.0]])
     assert np.allclose(np.hypot(*(circle - 25.4).T), 12.7)
     assert np.allclose(arc[[0, -1]], [[76.2, 0.0], [25.4, 0.0]])

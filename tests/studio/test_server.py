@@ -136,10 +136,10 @@ def test_only_the_page_of_this_server_is_answered() -> None:
 
     answer = http()
     assert answer["status"] == 200
-    told = {name.decode(): value.decode() for name, value in answer["headers"]}
-    assert "default-src 'self'" in told["content-security-policy"]
-    assert all(word in told["set-cookie"] for word in ("HttpOnly", "SameSite=strict", studio.token))
-    cookie = told["set-cookie"].partition(";")[0]
+    headers = {name.decode(): value.decode() for name, value in answer["headers"]}
+    assert "default-src 'self'" in headers["content-security-policy"]
+    assert all(word in headers["set-cookie"] for word in ("HttpOnly", "SameSite=strict", studio.token))
+    cookie = headers["set-cookie"].partition(";")[0]
     assert http("", cookie=cookie)["status"] == 200
     assert http("", cookie=f"{cookie}x")["status"] == 403
     assert http("")["status"] == 403

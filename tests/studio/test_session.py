@@ -86,8 +86,8 @@ def test_a_move_shows_the_optimum_of_the_moved_problem_without_a_verdict(page: P
         assert state["checks"] is None
         unit = "mm" if handle.startswith("mechanism") else "deg"
         best = optlink.solve(optlink.load("crank-rocker", {handle: f"{value} {unit}"}), certify=False)
-        for name, found in values(state).items():
-            assert found == pytest.approx(1e3 * best.design[name], rel=1e-9), handle
+        for name, computed in values(state).items():
+            assert computed == pytest.approx(1e3 * best.design[name], rel=1e-9), handle
 
 
 def test_a_released_design_agrees_with_the_saved_file(page: Page) -> None:
@@ -195,10 +195,10 @@ def test_a_drag_to_an_impossible_value_is_refused_with_a_reason(page: Page, hand
 
 def test_a_problem_that_a_page_kept_is_opened_with_its_changes(page: Page) -> None:
     """As after a lost connection: the text of the last state, which was not saved."""
-    kept = page.state("drag", handle="mechanism.frame", value=510.0, moving=False)["document"]
+    document = page.state("drag", handle="mechanism.frame", value=510.0, moving=False)["document"]
     assert "text" not in page.state("drag", handle="mechanism.frame", value=511.0, moving=True)["document"]
-    again = Page().state("open", text=kept["text"], title=kept["name"], origin="")
-    assert again["document"] | {"can_undo": True} == kept
+    again = Page().state("open", text=document["text"], title=document["name"], origin="")
+    assert again["document"] | {"can_undo": True} == document
     page.ask("undo")
 
 
@@ -291,9 +291,9 @@ def test_a_changed_text_has_the_changed_values_and_all_other_lines(name: str) ->
 def test_a_section_is_written_again_where_its_layout_cannot_be_kept() -> None:
     text = 'title = "x"\n# kept\n[limits]\ncrank = "full rotation" # told\n'
     old, new = tables(text, ""), {"title": "x", "limits": {"crank": "span", "link_ratio": [0.1, 9.0]}}
-    made = rewritten(text, old, new)
-    assert tables(made, "") == new
-    assert "# kept" in made
+    changed = rewritten(text, old, new)
+    assert tables(changed, "") == new
+    assert "# kept" in changed
 
 
 def test_a_released_dimension_stays_in_its_line() -> None:
@@ -307,9 +307,9 @@ def test_a_released_dimension_stays_in_its_line() -> None:
 def test_the_title_of_a_document_is_no_path() -> None:
     from optlink.studio.document import from_text
 
-    made = from_text(named("crank-rocker").text, "../../etc/x y;.toml")
-    assert isinstance(made, Document)
-    assert made.file == "xy.toml"
+    document = from_text(named("crank-rocker").text, "../../etc/x y;.toml")
+    assert isinstance(document, Document)
+    assert document.file == "xy.toml"
 
 
 @pytest.mark.slow
@@ -331,9 +331,9 @@ def test_a_drawn_curve_gets_four_bars_and_a_drawing() -> None:
         assert state["status"] == "verified"
         assert max(point["deviation"] for point in state["targets"]["points"]) == pytest.approx(item["error"], rel=1e-3)
     for format in ("dxf", "svg", "csv", "html"):
-        made = page.ask("export", format=format)[0]
-        assert made["name"] == f"drawn-curve.{format}"
-        assert len(made["text"]) > 1000
+        answer = page.ask("export", format=format)[0]
+        assert answer["name"] == f"drawn-curve.{format}"
+        assert len(answer["text"]) > 1000
 
 
 @pytest.mark.slow

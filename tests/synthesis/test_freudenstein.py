@@ -33,7 +33,7 @@ LAWS = {
 }
 
 
-def wanted(name: str, share: np.ndarray = SHARE) -> tuple[np.ndarray, np.ndarray]:
+def positions(name: str, share: np.ndarray = SHARE) -> tuple[np.ndarray, np.ndarray]:
     span, rise, law, _ = LAWS[name]
     return np.radians(span * share), np.radians(rise * law(share))
 
@@ -80,14 +80,14 @@ def test_four_bars_are_recovered(measure: str, turned: tuple[int, int]) -> None:
     for _ in range(25):
         true, phi = random_four_bar(rng)
         psi = np.unwrap(rocker_angle(true, true.phi0 + phi) - true.psi0)
-        (found,) = first_steps(phi, psi - psi[0], true.phi0 + turned[0] * np.pi, true.psi0 + turned[1] * np.pi, measure)
+        (result,) = first_steps(phi, psi - psi[0], true.phi0 + turned[0] * np.pi, true.psi0 + turned[1] * np.pi, measure)
         for name in ("crank", "coupler", "rocker"):
-            assert getattr(found, name) == pytest.approx(getattr(true, name), rel=1e-9)
-        assert abs(np.exp(1j * found.phi0) - np.exp(1j * true.phi0)) < 1e-12
-        assert abs(np.exp(1j * found.psi0) - np.exp(1j * true.psi0)) < 1e-12
-        assert found.side == true.side
-        assert max(found.error, found.residual) < 1e-9
-        assert found.proven
+            assert getattr(result, name) == pytest.approx(getattr(true, name), rel=1e-9)
+        assert abs(np.exp(1j * result.phi0) - np.exp(1j * true.phi0)) < 1e-12
+        assert abs(np.exp(1j * result.psi0) - np.exp(1j * true.psi0)) < 1e-12
+        assert result.side == true.side
+        assert max(result.error, result.residual) < 1e-9
+        assert result.proven
 
 
 def test_short_motions_leave_all_digits() -> None:
@@ -98,8 +98,8 @@ def test_short_motions_leave_all_digits() -> None:
         true, phi = random_four_bar(rng)
         phi = 0.06 * phi
         psi = np.unwrap(rocker_angle(true, true.phi0 + phi) - true.psi0)
-        (found,) = first_steps(phi, psi - psi[0], true.phi0, true.psi0)
-        errors.append(max(abs(getattr(found, name) / getattr(true, name) - 1.0) for name in ("crank", "coupler", "rocker")))
+        (computed,) = first_steps(phi, psi - psi[0], true.phi0, true.psi0)
+        errors.append(max(abs(getattr(computed, name) / getattr(true, name) - 1.0) for name in ("crank", "coupler", "rocker")))
     assert np.median(errors) < 2e-12
     assert max(errors) < 2e-9  # the worst conditioned one multiplies the rounding of its angles by 1e6
 
@@ -140,7 +140,7 @@ def test_a_grid_is_not_left() -> None:
 
 
 def test_a_linkage_that_does_not_assemble_on_its_way_is_rejected() -> None:
-    """Four wanted positions on one mode, two on either side of a gap that the crank cannot cross."""
+    """Four prescribed positions on one mode, two on either side of a gap that the crank cannot cross."""
     step = FirstStep(**nothing(side=1, crank=1.0, coupler=0.6, rocker=0.7, phi0=-0.9, psi0=0.0))
     assert np.isnan(
         sweep(four_bar(), {"crank": 1.0, "coupler": 0.6, "rocker": 0.7, "frame": 1.0}, 0.0).body_angle("rocker").value
@@ -148,8 +148,8 @@ def test_a_linkage_that_does_not_assemble_on_its_way_is_rejected() -> None:
     phi = np.array([-0.9, -0.5, 0.5, 0.9]) + 0.9
     psi = np.unwrap(rocker_angle(step, step.phi0 + phi))
     assert np.all(np.isfinite(psi))
-    for found in first_steps(phi, psi - psi[0], step.phi0, float(psi[0])):
-        assert found.error > 0.1 * DEGREE
+    for result in first_steps(phi, psi - psi[0], step.phi0, float(psi[0])):
+        assert result.error > 0.1 * DEGREE
 
 
 # --- classical functions ---------------------------------------------------------------------------------------------
@@ -158,9 +158,9 @@ def test_a_linkage_that_does_not_assemble_on_its_way_is_rejected() -> None:
 @pytest.mark.parametrize("name", list(LAWS))
 def test_classical_functions_come_close_to_their_optimum(name: str) -> None:
     """Measured: 1.105, 1.035 and 1.043 times the best known largest error, before any nonlinear programme."""
-    phi, psi = wanted(name)
+    phi, psi = positions(name)
     best = first_steps(phi, psi, HALF_TURN, HALF_TURN, "max", RATIOS, 5)[0]
-    dense = wanted(name, np.linspace(0.0, 1.0, 2001))
+    dense = positions(name, np.linspace(0.0, 1.0, 2001))
     error = np.max(np.abs(rocker_error(best, *dense))) / DEGREE
     assert 0.999 * LAWS[name][-1] < error < 1.15 * LAWS[name][-1]
     assert best.error == pytest.approx(np.max(np.abs(rocker_error(best, phi, psi))), rel=1e-9)
@@ -172,11 +172,11 @@ def test_classical_functions_come_close_to_their_optimum(name: str) -> None:
 @pytest.mark.parametrize("name", list(LAWS))
 def test_every_step_is_a_proper_linkage(name: str) -> None:
     """Sorted, distinct, one mode over the whole range, ratios met; a planted wrong mode is seen by the same oracle."""
-    phi, psi = wanted(name)
+    phi, psi = positions(name)
     steps = first_steps(phi, psi, HALF_TURN, HALF_TURN, "rms", (0.2, 5.0), 8)
     assert len(steps) == 8
     assert [step.error for step in steps] == sorted(step.error for step in steps)
-    fine = wanted(name, np.linspace(0.0, 1.0, 501))
+    fine = positions(name, np.linspace(0.0, 1.0, 501))
     for step in steps:
         assert all(0.2 * (1 - 1e-6) < size < 5.0 * (1 + 1e-6) for size in (step.crank, step.coupler, step.rocker))
         assert np.sqrt(np.mean(rocker_error(step, phi, psi) ** 2)) == pytest.approx(step.error, rel=1e-9)
@@ -188,7 +188,7 @@ def test_every_step_is_a_proper_linkage(name: str) -> None:
 
 
 def test_only_required_linkages_are_kept() -> None:
-    phi, psi = wanted("sin")
+    phi, psi = positions("sin")
 
     def keep(crank: np.ndarray, coupler: np.ndarray, rocker: np.ndarray, *rest: np.ndarray) -> np.ndarray:
         assert all(a.shape == crank.shape for a in (coupler, rocker, *rest))
@@ -222,15 +222,15 @@ def certificate(step: FirstStep, phi: np.ndarray, psi: np.ndarray, t: float, rat
     """
     matrix, right = band(step, phi, psi, t)
     low, high = 1.0 / ratios[1], 1.0 / ratios[0]
-    found = linprog(
+    result = linprog(
         [0.0, 0.0, 0.0, 1.0],
         A_ub=np.column_stack([matrix, -np.ones(len(right))]),
         b_ub=right,
         bounds=[(low, high), (low, high), (None, None), (None, None)],
         method="highs",
     )
-    assert found.status == 0
-    p = -found.ineqlin.marginals
+    assert result.status == 0
+    p = -result.ineqlin.marginals
     assert np.min(p) >= 0.0
     assert np.sum(p) == pytest.approx(1.0, abs=1e-9)
     pull = matrix.T @ p
@@ -246,7 +246,7 @@ def certificate(step: FirstStep, phi: np.ndarray, psi: np.ndarray, t: float, rat
 )
 def test_largest_error_is_proven_least(name: str, ratios: tuple[float, float]) -> None:
     """For random given starts: the linkage's own constants meet its band, and the dual says that none meets a narrower one."""
-    phi, psi = wanted(name, np.linspace(0.0, 1.0, 25))
+    phi, psi = positions(name, np.linspace(0.0, 1.0, 25))
     rng = np.random.default_rng(11)
     proven = limited = 0
     for phi0, psi0 in rng.uniform(0.0, np.pi, (40, 2)):
@@ -273,7 +273,7 @@ def test_largest_error_is_proven_least(name: str, ratios: tuple[float, float]) -
 
 def test_error_of_a_proven_optimum_alternates() -> None:
     """Three constants: the largest error is met four times at least, its sign changing (Chebyshev)."""
-    phi, psi = wanted("exp")
+    phi, psi = positions("exp")
     step = first_steps(phi, psi, -120.0 * DEGREE, -140.0 * DEGREE, "max", RATIOS)[0]
     error = rocker_error(step, phi, psi)
     peaks = np.sign(error[np.abs(error) > (1.0 - 1e-3) * step.error])
@@ -283,7 +283,7 @@ def test_error_of_a_proven_optimum_alternates() -> None:
 @pytest.mark.parametrize("ratios", [RATIOS, (0.3, 2.5)])
 def test_least_squares_bound(ratios: tuple[float, float]) -> None:
     """Against bounded least squares (scipy) of the model linearised by differences about the step."""
-    phi, psi = wanted("sin", np.linspace(0.0, 1.0, 25))
+    phi, psi = positions("sin", np.linspace(0.0, 1.0, 25))
     rng = np.random.default_rng(12)
     closed = solved = 0
     for phi0, psi0 in rng.uniform(0.0, np.pi, (40, 2)):
@@ -344,20 +344,20 @@ def test_any_multipliers_give_a_bound() -> None:
         room = rng.uniform(0.0, 1.0, 2)
         p = np.where(rng.random(8) < 0.3, rng.random(8), 0.0) + rng.normal(size=8) * 1e-3
         bound = freudenstein_convex.lower_bound(matrix, vector, rows, room, (-np.ones(3), np.ones(3)), p[:6], p[6:])
-        found = linprog(
+        result = linprog(
             [0.0, 0.0, 0.0, 1.0],
             A_ub=np.block([[matrix, -np.ones((6, 1))], [rows, np.zeros((2, 1))]]),
             b_ub=np.concatenate([-vector, room]),
             bounds=[(-1.0, 1.0)] * 3 + [(None, None)],
         )
-        assert bound <= found.fun + 1e-9
-        useful += bound > found.fun - 1.0
+        assert bound <= result.fun + 1e-9
+        useful += bound > result.fun - 1.0
     assert useful > 30
 
 
 def test_a_lying_solver_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever multipliers and steps come back as "optimal": the error is measured, and the bound stays below the optimum."""
-    phi, psi = wanted("log10")
+    phi, psi = positions("log10")
     start = (0.9, 1.3)
     honest = first_steps(phi, psi, *start, "max", RATIOS)[0]
     rng = np.random.default_rng(1)
@@ -371,12 +371,12 @@ def test_a_lying_solver_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None
 
     monkeypatch.setattr(freudenstein_convex.ConvexFit, "__call__", lie)
     for _ in range(10):
-        (told,) = first_steps(phi, psi, *start, "max", RATIOS)
-        assert told.status == "optimal"
-        assert told.error >= honest.bound
-        assert told.bound <= honest.error
-        assert np.max(np.abs(rocker_error(told, phi, psi))) == pytest.approx(told.error, rel=1e-9)
-        assert told.proven == (told.error <= honest.error * (1.0 + 3e-4) and told.bound > 0.0)
+        (step,) = first_steps(phi, psi, *start, "max", RATIOS)
+        assert step.status == "optimal"
+        assert step.error >= honest.bound
+        assert step.bound <= honest.error
+        assert np.max(np.abs(rocker_error(step, phi, psi))) == pytest.approx(step.error, rel=1e-9)
+        assert step.proven == (step.error <= honest.error * (1.0 + 3e-4) and step.bound > 0.0)
     monkeypatch.setattr(freudenstein_convex.ConvexFit, "__call__", lambda self, *data: None)
     (silent,) = first_steps(phi, psi, *start, "max", RATIOS)
     assert (silent.status, silent.bound, silent.proven) == ("no answer", 0.0, False)

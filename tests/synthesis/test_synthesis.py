@@ -70,7 +70,7 @@ def batch(request: pytest.FixtureRequest) -> Batch:
 def sample(batch: Batch, count: int, seed: int = 0) -> tuple[Array, Array]:
     """Random designs that assemble at their points, nowhere near where modes meet, and inside their bounds."""
     rng = np.random.default_rng(seed)
-    found: list[tuple[Array, Array]] = []
+    result: list[tuple[Array, Array]] = []
     for _ in range(200):
         x = random_starts.random_designs(batch, 400, rng)
         t = random_starts.random_crank_angles(batch, 400, rng) if batch.free_timing else np.zeros((400, len(batch.data.columns)))
@@ -79,10 +79,10 @@ def sample(batch: Batch, count: int, seed: int = 0) -> tuple[Array, Array]:
         with np.errstate(all="ignore"):
             pose = mechanism.pose(batch.values(x), unit(batch.crank_angles(x, t)))
             whole = np.all([np.all(pose.margins[g.joint] > 0.02, axis=1) for g in mechanism.groups], axis=0)
-        found.append((x[whole], t[whole]))
-        if sum(len(each) for each, _ in found) >= count:
+        result.append((x[whole], t[whole]))
+        if sum(len(each) for each, _ in result) >= count:
             break
-    x, t = (np.concatenate(parts)[:count] for parts in zip(*found, strict=True))
+    x, t = (np.concatenate(parts)[:count] for parts in zip(*result, strict=True))
     assert len(x) == count
     return x, t
 
@@ -202,18 +202,18 @@ def test_fit_of_a_four_bar_is_complex_least_squares(name: str) -> None:
     values, angles = batch.values(x), batch.crank_angles(x, t)
     fitted, moved = fit.fit(x, angles)
     assert np.array_equal(moved, angles)  # crank angles count from the frame, which turns with the rest
-    found = cost_of(batch, fitted, t)
+    computed = cost_of(batch, fitted, t)
     with np.errstate(all="ignore"):
         pose = batch.problem.linkage.pose(values, unit(angles))
     arm = [np.broadcast_to(c, angles.shape) for c in pose.point("B")]
     axis = [np.broadcast_to(c, angles.shape) for c in pose.direction("coupler")]
-    wanted = batch.data.columns[:, 0] + 1j * batch.data.columns[:, 1]
+    expected = batch.data.columns[:, 0] + 1j * batch.data.columns[:, 1]
     size, roots = batch.problem.size, batch.data.roots
     for k in range(len(x)):
-        basis = np.stack([np.ones(len(wanted)), (arm[0][k] + 1j * arm[1][k]) / size, axis[0][k] + 1j * axis[1][k]], axis=1)
-        best = np.linalg.lstsq(basis * roots[:, None], wanted / size * roots, rcond=None)[0]
-        left = np.sum(np.abs((basis @ best - wanted / size) * roots) ** 2)
-        assert found[k] == pytest.approx(left, rel=1e-6, abs=1e-10)
+        basis = np.stack([np.ones(len(expected)), (arm[0][k] + 1j * arm[1][k]) / size, axis[0][k] + 1j * axis[1][k]], axis=1)
+        best = np.linalg.lstsq(basis * roots[:, None], expected / size * roots, rcond=None)[0]
+        left = np.sum(np.abs((basis @ best - expected / size) * roots) ** 2)
+        assert computed[k] == pytest.approx(left, rel=1e-6, abs=1e-10)
 
 
 def test_a_weight_draws_the_fit_to_its_point() -> None:
@@ -324,8 +324,8 @@ def minimum_by_scipy(batch: Batch, x: Array, t: Array) -> float:
     more = [np.full(len(t), math.inf)] if batch.free_timing else []
     begin = np.concatenate([x, t]) if batch.free_timing else x
     bounds = (np.concatenate([batch.low, *(-m for m in more)]), np.concatenate([batch.high, *more]))
-    found = least_squares(f, begin, slopes, bounds, xtol=1e-15, ftol=1e-15, gtol=1e-12, max_nfev=4000)
-    return 2.0 * float(found.cost)
+    result = least_squares(f, begin, slopes, bounds, xtol=1e-15, ftol=1e-15, gtol=1e-12, max_nfev=4000)
+    return 2.0 * float(result.cost)
 
 
 DESCENDED = [
@@ -478,12 +478,12 @@ def test_candidates_keep_order_and_rotation(rotation: str) -> None:
     files = optlink.read(document(four_bar_section("either"), closed=True, rotation=rotation)).variants()
     searcher = Searcher([file.model for file in files], 0)
     searcher.advance()
-    found = searcher.advance()
-    assert found.starts == 180
-    assert found.candidates
-    costs = [candidate.cost for candidate in found.candidates]
+    result = searcher.advance()
+    assert result.starts == 180
+    assert result.candidates
+    costs = [candidate.cost for candidate in result.candidates]
     assert costs == sorted(costs)
-    for candidate in found.candidates:
+    for candidate in result.candidates:
         assert candidate.direction == (1 if rotation == "counter-clockwise" else -1)
         steps = np.diff(candidate.t) * candidate.direction
         assert np.all(steps >= STEP)
@@ -574,10 +574,10 @@ def test_a_round_does_not_depend_on_the_rounds_computed_with_it() -> None:
     files = optlink.read(document(four_bar_section("either"), closed=True)).variants()
     one, ahead = (Searcher([file.model for file in files], 0) for _ in range(2))
     for k in range(2):
-        found, other = one.advance(), ahead.advance(2)
-        assert (found.starts, found.rounds) == (other.starts, other.rounds) == ((60, 180)[k], k + 1)
-        assert [c.cost for c in found.candidates] == pytest.approx([c.cost for c in other.candidates], rel=1e-9)
-        assert [c.cost for c in found.repaired] == pytest.approx([c.cost for c in other.repaired], rel=1e-9)
+        result, other = one.advance(), ahead.advance(2)
+        assert (result.starts, result.rounds) == (other.starts, other.rounds) == ((60, 180)[k], k + 1)
+        assert [c.cost for c in result.candidates] == pytest.approx([c.cost for c in other.candidates], rel=1e-9)
+        assert [c.cost for c in result.repaired] == pytest.approx([c.cost for c in other.repaired], rel=1e-9)
 
 
 def test_designs_do_not_stop_on_the_way_along_a_valley():
@@ -623,6 +623,6 @@ def test_a_search_with_exact_designs_takes_few_steps(monkeypatch: pytest.MonkeyP
     """The variable projection went on for 200 steps although full steps converge at once from the designs of the descent."""
     advance, steps = levenberg_marquardt._advance, []
     monkeypatch.setattr(levenberg_marquardt, "_advance", lambda *given: (steps.append(1), advance(*given))[1])
-    found = Searcher([file.model for file in optlink.load("path-vline6").variants()], 0).advance()
-    assert sum(candidate.cost <= PERFECT for candidate in found.candidates) >= 3
+    result = Searcher([file.model for file in optlink.load("path-vline6").variants()], 0).advance()
+    assert sum(candidate.cost <= PERFECT for candidate in result.candidates) >= 3
     assert len(steps) < 150

@@ -138,12 +138,12 @@ def test_extremes_without_a_value_are_nan():
 
 
 def test_zeros_are_exact_and_gaps_are_none():
-    found = zeros(
+    computed = zeros(
         lambda phi: np.array([np.cos(phi), np.where(phi > 3.0, np.nan, phi - 2.0), 1.0 + phi * phi]), np.linspace(0, 6, 50)
     )
-    np.testing.assert_allclose(found[0], [0.5 * math.pi, 1.5 * math.pi], rtol=0.0, atol=2e-15)
-    np.testing.assert_allclose(found[1], [2.0], atol=1e-15)
-    assert len(found[2]) == 0
+    np.testing.assert_allclose(computed[0], [0.5 * math.pi, 1.5 * math.pi], rtol=0.0, atol=2e-15)
+    np.testing.assert_allclose(computed[1], [2.0], atol=1e-15)
+    assert len(computed[2]) == 0
 
 
 @pytest.mark.parametrize("speed", [3.0, -3.0])
@@ -167,9 +167,9 @@ def test_work_detects_an_omitted_jump(monkeypatch):
 
 
 def test_jumps_are_the_dead_centres_of_the_shaper():
-    found = jumps(machine_of(optlink.load("shaper")), 0.0, TURN)
+    computed = jumps(machine_of(optlink.load("shaper")), 0.0, TURN)
     limit = math.asin(125.0 / 275.0)
-    np.testing.assert_allclose(found, [math.pi + limit, TURN - limit], rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(computed, [math.pi + limit, TURN - limit], rtol=0.0, atol=1e-14)
 
 
 # --- ranges, strokes ------------------------------------------------------------------------------------------------------
@@ -186,13 +186,13 @@ def test_reachable_ranges_are_those_of_the_four_bar_theory(crank, coupler, rocke
         return  # narrower than the grid
     if theory and theory[0][1] - theory[0][0] > TURN - 0.02:
         theory = [(0.0, TURN)] if theory[0][1] - theory[0][0] > TURN - 1e-9 else theory
-    found = cycle.reachable(four_bar(), sizes)
-    assert len(found.ranges) == len(theory) or (found.full and len(theory) == 1)
-    if not found.full:
-        starts = sorted(math.remainder(low, TURN) for low, _ in found.ranges)
+    result = cycle.reachable(four_bar(), sizes)
+    assert len(result.ranges) == len(theory) or (result.full and len(theory) == 1)
+    if not result.full:
+        starts = sorted(math.remainder(low, TURN) for low, _ in result.ranges)
         expected = sorted(math.remainder(low, TURN) for low, _ in theory)
         assert all(abs(math.remainder(a - b, TURN)) < 1e-6 for a, b in zip(starts, expected, strict=True))
-        assert sum(b - a for a, b in found.ranges) == pytest.approx(sum(b - a for a, b in theory), abs=2e-6)
+        assert sum(b - a for a, b in result.ranges) == pytest.approx(sum(b - a for a, b in theory), abs=2e-6)
 
 
 def offset_slider_crank(offset):
@@ -285,12 +285,12 @@ def test_batch_agrees_with_single_analyses(name):
     columns += [
         name for name in MotionColumns(machine_of(problem).moving(np.array([1.0]))).columns if name.endswith((".fx_N", ".s_m"))
     ]
-    found = optlink.analyze_batch(problem, designs, columns, points=500)
+    computed = optlink.analyze_batch(problem, designs, columns, points=500)
     for k in (0, 20, 36):
         alone = optlink.analyze(problem, 500, design={key: float(values[k]) for key, values in designs.items()})
         for column in columns:
             scale = np.max(np.abs(alone[column])) + 1e-9
-            np.testing.assert_allclose(found[column][k], alone[column][:-1], rtol=0.0, atol=1e-10 * scale, err_msg=column)
+            np.testing.assert_allclose(computed[column][k], alone[column][:-1], rtol=0.0, atol=1e-10 * scale, err_msg=column)
 
 
 def test_batch_memory_does_not_exceed_its_result():
@@ -298,17 +298,17 @@ def test_batch_memory_does_not_exceed_its_result():
     for count in (100, 1000):
         designs = {"link2.length": np.linspace(1.15, 1.25, count)}
         tracemalloc.start()
-        found = optlink.analyze_batch(problem, designs)
-        extra.append(tracemalloc.get_traced_memory()[1] - found["input.torque_Nm"].nbytes)
+        computed = optlink.analyze_batch(problem, designs)
+        extra.append(tracemalloc.get_traced_memory()[1] - computed["input.torque_Nm"].nbytes)
         tracemalloc.stop()
     assert extra[1] < 1.2 * extra[0]
 
 
 def test_batch_has_no_value_where_a_design_cannot_be_assembled():
-    found = optlink.analyze_batch(optlink.load("six-bar"), {"link3.length": [0.8, 0.3]})["input.torque_Nm"]
-    assert np.all(np.isfinite(found[0]))
-    assert np.any(np.isnan(found[1]))
-    assert np.any(np.isfinite(found[1]))
+    computed = optlink.analyze_batch(optlink.load("six-bar"), {"link3.length": [0.8, 0.3]})["input.torque_Nm"]
+    assert np.all(np.isfinite(computed[0]))
+    assert np.any(np.isnan(computed[1]))
+    assert np.any(np.isfinite(computed[1]))
 
 
 @pytest.mark.parametrize(
@@ -630,8 +630,8 @@ def test_a_load_table_of_a_revolution_may_jump_at_its_end(start, at, values, wor
     problem = optlink.load("slider-crank").override(changes)
     result = optlink.analyze(problem, points=8)
     assert result.work == pytest.approx(-work, rel=1e-11)
-    found = result.extremes["brake.torque_Nm"]
-    assert (found.least, found.largest) == pytest.approx((min(values), max(values)), rel=1e-6)
+    outcome = result.extremes["brake.torque_Nm"]
+    assert (outcome.least, outcome.largest) == pytest.approx((min(values), max(values)), rel=1e-6)
     load, phi, angle = problem.model.loads["brake"].torque, np.linspace(-7.0, 14.0, 500), casadi.SX.sym("angle")
     with symbols_in_numpy():
         traced = casadi.Function("table", [angle], [load({"phi": angle})])
@@ -724,10 +724,10 @@ def test_torsion_spring_across_the_branch_of_the_angle():
     }
     result = optlink.analyze(optlink.read(raw), points=90)
     rocker = np.unwrap(result["rocker.angle_rad"])
-    found = -result["spring.torque_Nm"] / 10.0
-    np.testing.assert_allclose(np.diff(found), np.diff(rocker), atol=1e-12)
+    computed = -result["spring.torque_Nm"] / 10.0
+    np.testing.assert_allclose(np.diff(computed), np.diff(rocker), atol=1e-12)
     assert abs(result.work) < 1e-9
-    np.testing.assert_allclose(np.remainder(found - rocker - math.radians(60.0) + 1.0, TURN), 1.0, atol=1e-9)
+    np.testing.assert_allclose(np.remainder(computed - rocker - math.radians(60.0) + 1.0, TURN), 1.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("direction", [0.0, 70.0, 100.0])
@@ -892,9 +892,9 @@ def test_internal_drag_opposes_the_relative_motion():
 )
 def test_least_joint_force_is_found_where_the_force_almost_vanishes(name, speed, joint):
     """Two sharp minima: between even positions the deeper one may look the higher."""
-    found = optlink.analyze(optlink.load(name), points=36_000, speed=speed)
-    least = float(np.min(np.hypot(found[f"{joint}.fx_N"], found[f"{joint}.fy_N"])))
-    assert 0.9 * least <= found.extremes[f"{joint}.f_N"].least <= least * (1.0 + 1e-9)
+    result = optlink.analyze(optlink.load(name), points=36_000, speed=speed)
+    least = float(np.min(np.hypot(result[f"{joint}.fx_N"], result[f"{joint}.fy_N"])))
+    assert 0.9 * least <= result.extremes[f"{joint}.f_N"].least <= least * (1.0 + 1e-9)
 
 
 @pytest.mark.parametrize(
@@ -912,6 +912,6 @@ def test_a_simulation_names_loads_that_grow_without_bound(torque, speed, where):
     driven = speed == "torque"
     problem = on_the_crank(torque).override({"drive.start": "0 deg", "drive.torque": "20 N*m" if driven else None})
     result = optlink.simulate(problem, 0.22, 10, None if driven else speed)
-    found = [note for note in result.notes if "grows without bound" in note]
+    computed = [note for note in result.notes if "grows without bound" in note]
     words = f"brake grows without bound at crank angle {where} deg: forces and torque have no largest value there"
-    assert found == ([words] if where else [])
+    assert computed == ([words] if where else [])

@@ -63,7 +63,7 @@ def run(*arguments: str):
 
 
 @pytest.mark.parametrize(
-    ("text", "wanted"),
+    ("text", "expected"),
     [
         ("rms shaking force", BalanceMeasure("shaking force", "rms")),
         ("force", BalanceMeasure("shaking force", "rms")),
@@ -74,9 +74,9 @@ def run(*arguments: str):
         ("rms torque from 90 to 180 deg", BalanceMeasure("driving torque", "rms", arc=(math.pi / 2, math.pi))),
     ],
 )
-def test_measures_are_read(text, wanted):
-    assert read_measure(text) == wanted
-    assert read_measure(str(wanted)) == wanted
+def test_measures_are_read(text, expected):
+    assert read_measure(text) == expected
+    assert read_measure(str(expected)) == expected
 
 
 @pytest.mark.parametrize("text", ["", "maximise force", "rms", "reaction", "force of crank", 3, "torque from 90 to 80 deg", None])
@@ -118,8 +118,8 @@ def test_effects_are_those_of_the_inverse_dynamics(name):
     for quantity, expected in zip(
         asked, quantities_of(heavier.moving(moving.motion.crank_angle, moving.motion.speed), asked, about), strict=True
     ):
-        found = effects.affine(quantity).at(parameters)
-        assert found == pytest.approx(expected, rel=1e-9, abs=1e-10 * float(np.max(np.abs(expected))) + 1e-12)
+        computed = effects.affine(quantity).at(parameters)
+        assert computed == pytest.approx(expected, rel=1e-9, abs=1e-10 * float(np.max(np.abs(expected))) + 1e-12)
 
 
 def test_shaking_moment_about_another_point():
@@ -138,12 +138,12 @@ def test_shaking_moment_about_another_point():
 
 def bodies_of(result: optlink.Balance) -> list[Body]:
     """The balanced four-bar as the textbook has it."""
-    found = dict(zip(("crank", "coupler", "rocker"), BARS, strict=True))
+    outcome = dict(zip(("crank", "coupler", "rocker"), BARS, strict=True))
     for one in result.added:
-        found[one.body] = found[one.body] + disc(
+        outcome[one.body] = outcome[one.body] + disc(
             one.mass, complex(*one.place), one.specification.thickness, one.specification.density
         )
-    return list(found.values())
+    return list(outcome.values())
 
 
 TEXTBOOK = {
@@ -182,7 +182,7 @@ def test_optimum_of_the_four_bar_against_a_textbook_and_local_search(measure):
         start = np.concatenate(
             [rng.uniform(0.02, 0.14, 1), rng.uniform(-0.7, 0.7, 2), rng.uniform(0.02, 0.14, 1), rng.uniform(-0.7, 0.7, 2)]
         )
-        found = minimize(
+        outcome = minimize(
             lambda x: value(motion, bodies(x)) / result.before,
             start,
             method="SLSQP",
@@ -190,8 +190,8 @@ def test_optimum_of_the_four_bar_against_a_textbook_and_local_search(measure):
             constraints=limits,
             options={"maxiter": 300, "ftol": 1e-13},
         )
-        if max(-float(limit["fun"](found.x)) for limit in limits) < 1e-9:
-            best = min(best, float(found.fun))
+        if max(-float(limit["fun"](outcome.x)) for limit in limits) < 1e-9:
+            best = min(best, float(outcome.fun))
     assert best >= result.objective / result.before * (1.0 - 1e-7)
     if measure.startswith("rms"):  # a local search can follow these to the end
         assert best == pytest.approx(result.objective / result.before, rel=1e-4)
@@ -355,8 +355,8 @@ def test_a_free_counterweight_is_equivalent_to_two_points():
     assert one.mass == pytest.approx(0.1, rel=1e-9)
     assert sum(0.05 * abs(p) ** 2 for p in points) == pytest.approx(one.parameters.moment, rel=1e-9)
     assert max(abs(p) for p in points) <= 0.06 * (1.0 + 1e-7)
-    made = Body(0.1, 0.05 * sum(points), sum(0.05 * abs(p) ** 2 for p in points))
-    value = rms(Motion(*LENGTHS, ANGLES, 1.0).moment(BARS[0], BARS[1], BARS[2] + made))
+    body = Body(0.1, 0.05 * sum(points), sum(0.05 * abs(p) ** 2 for p in points))
+    value = rms(Motion(*LENGTHS, ANGLES, 1.0).moment(BARS[0], BARS[1], BARS[2] + body))
     assert value == pytest.approx(result.objective, rel=1e-8)
 
 
@@ -412,14 +412,14 @@ def test_discs_that_miss_the_bound_are_reported(mass):
         place = 0.1524 + 0.16 * complex(*x)
         return rms(motion.torque(BARS[0], coupler + disc(mass, place, 0.3, 19000.0), BARS[2])) / result.before
 
-    rng, found = np.random.default_rng(2), []
+    rng, outcome = np.random.default_rng(2), []
     inside = {"type": "ineq", "fun": lambda x: 1.0 - x[0] ** 2 - x[1] ** 2}
     for start in rng.uniform(-0.7, 0.7, (20, 2)):
         done = minimize(value, start, method="SLSQP", constraints=inside, options={"ftol": 1e-14, "maxiter": 200})
         if inside["fun"](done.x) > -1e-8:
-            found.append(float(done.fun))
-    assert min(found) >= result.lower / result.before * (1.0 - 1e-8)
-    assert result.objective / result.before == pytest.approx(min(found), rel=1e-6)
+            outcome.append(float(done.fun))
+    assert min(outcome) >= result.lower / result.before * (1.0 - 1e-8)
+    assert result.objective / result.before == pytest.approx(min(outcome), rel=1e-6)
 
 
 @pytest.mark.slow
@@ -502,8 +502,8 @@ def test_six_bar_single_measures(measure):
 
 def test_six_bar_reductions():
     """In per cent against the given masses, as the documentation says."""
-    found = {measure: 100.0 * six_bar(measure).reduction for measure in SINGLE}
-    assert found == pytest.approx(REDUCTIONS, abs=0.01)
+    computed = {measure: 100.0 * six_bar(measure).reduction for measure in SINGLE}
+    assert computed == pytest.approx(REDUCTIONS, abs=0.01)
 
 
 REDUCTIONS = {
@@ -543,9 +543,9 @@ def test_six_bar_against_local_search(measure):
     rng, best = np.random.default_rng(8), math.inf
     for _ in range(4):
         start = np.array([rng.uniform(1, 10), *rng.uniform(-0.1, 0.1, 2), rng.uniform(1, 10), *rng.uniform(-0.1, 0.1, 2)])
-        found = minimize(value, start, method="SLSQP", constraints=limits, bounds=[(0.0, 30.0), (-0.4, 0.4), (-0.4, 0.4)] * 2)
-        if min(float(limit["fun"](found.x)) for limit in limits) > -1e-6:
-            best = min(best, float(found.fun))
+        outcome = minimize(value, start, method="SLSQP", constraints=limits, bounds=[(0.0, 30.0), (-0.4, 0.4), (-0.4, 0.4)] * 2)
+        if min(float(limit["fun"](outcome.x)) for limit in limits) > -1e-6:
+            best = min(best, float(outcome.fun))
     assert best >= result.objective / result.before * (1.0 - 1e-5)  # for what its limits are missed by
     assert best == pytest.approx(result.objective / result.before, rel=0.05)
 
@@ -711,10 +711,10 @@ def test_a_point_outside_its_cones_is_not_proven(monkeypatch):
     monkeypatch.setattr(certificate, "_certified", wrong)
     problem = programme_of(optlink.load("balance-six-bar"))
     cp = problem.cp
-    found = certificate.solved(
+    result = certificate.solved(
         cp, cp.Problem(cp.Minimize(problem.expression(BalanceMeasure("shaking force"))), problem.constraints())
     )
-    assert not found.proven
+    assert not result.proven
 
 
 def test_programmes_are_parametrised():
@@ -750,10 +750,10 @@ def test_a_wrong_moment_of_a_torque_column_is_detected(monkeypatch):
     true = effects_module.regressor
 
     def wrong(moving):
-        found = true(moving)
-        for reactions in found.values():
+        outcome = true(moving)
+        for reactions in outcome.values():
             reactions[3].torque = -reactions[3].torque
-        return found
+        return outcome
 
     monkeypatch.setattr(effects_module, "regressor", wrong)
     result = optlink.balance(four_bar("rms driving torque", [{**COUPLER, "mass": "0.1 kg"}]))

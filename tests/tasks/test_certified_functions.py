@@ -16,15 +16,15 @@ def test_the_certificate_of_a_local_optimum_finds_the_global_one_in_the_other_as
     local = function.solve(right, "ipopt", begin=WORSE)
     assert local.valid
     assert local.objective == pytest.approx(0.00567908, rel=1e-5)
-    found = certify(local, gap=1e-3, original=problem)
-    assert found.valid
-    assert found.assembly == "left"
-    assert found.objective == pytest.approx(problem.spec.expected.objective, rel=1e-6)
-    proof = found.certificate
+    result = certify(local, gap=1e-3, original=problem)
+    assert result.valid
+    assert result.assembly == "left"
+    assert result.objective == pytest.approx(problem.spec.expected.objective, rel=1e-6)
+    proof = result.certificate
     assert (proof.status, proof.improved, proof.open_boxes) == ("within gap", True, 0)
-    assert 0.999 * found.objective <= proof.lower_bound < found.objective
+    assert 0.999 * result.objective <= proof.lower_bound < result.objective
     one_mode = certify(local, gap=1e-3).certificate  # the other mode is no part of this problem
     assert (one_mode.status, one_mode.improved) == ("within gap", False)
-    assert one_mode.lower_bound > found.objective
+    assert one_mode.lower_bound > result.objective
     stopped = certify(local, gap=1e-3, boxes=200, original=problem)
     assert (stopped.certificate.status, stopped.certificate.lower_bound) == ("not closed", 0.0)

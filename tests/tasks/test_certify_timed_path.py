@@ -40,8 +40,8 @@ def test_a_better_design_in_a_box_is_found_and_becomes_the_result(name: str) -> 
 
 def test_a_stopped_proof_states_the_remaining_share() -> None:
     result, _, _ = near_optimum("path-arc5", 0.0)
-    found = certify(result, gap=0.9, boxes=5_000, original=optlink.load("path-arc5"))
-    certificate = found.certificate
+    outcome = certify(result, gap=0.9, boxes=5_000, original=optlink.load("path-arc5"))
+    certificate = outcome.certificate
     assert certificate.status == NOT_CLOSED
     assert certificate.open_boxes > 0
     assert certificate.lower_bound <= BEST["path-arc5"]
@@ -54,7 +54,7 @@ def test_timed_arc_is_globally_optimal() -> None:
     limits = {"limits.link_ratio": [0.333, 3.0], "limits.transmission_angle": ["18 deg", "162 deg"]}
     result, _, _ = near_optimum("path-arc5", 0.0, **limits)
     assert result.valid
-    found = certify(result, gap=1e-3, original=optlink.load("path-arc5", limits))
-    assert found.certificate.status == WITHIN_GAP
-    assert found.certificate.lower_bound == pytest.approx(BEST["path-arc5"], rel=2e-3)
-    assert found.certificate.lower_bound <= BEST["path-arc5"]
+    outcome = certify(result, gap=1e-3, original=optlink.load("path-arc5", limits))
+    assert outcome.certificate.status == WITHIN_GAP
+    assert outcome.certificate.lower_bound == pytest.approx(BEST["path-arc5"], rel=2e-3)
+    assert outcome.certificate.lower_bound <= BEST["path-arc5"]

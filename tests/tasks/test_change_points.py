@@ -41,11 +41,11 @@ def four_bar_problem(lengths, unit="mm", assembly="left", start="20 deg", **more
 
 def collinear(crank, coupler, rocker, frame):
     """Crank angles [deg] at which all four links lie on one line: there the distance of B and D is a sum or difference."""
-    found = []
+    result = []
     for angle, distance in ((0.0, abs(frame - crank)), (180.0, frame + crank)):
         if min(abs(distance - (coupler + rocker)), abs(distance - abs(coupler - rocker))) < 1e-9 * frame:
-            found.append(angle)
-    return found
+            result.append(angle)
+    return result
 
 
 def drawn_change_points(count, seed):
@@ -68,10 +68,10 @@ def drawn_change_points(count, seed):
 def test_change_points_are_found_at_collinear_links_whatever_the_rounding(lengths, scale):
     sizes = dict(zip(LENGTHS, (scale * length for length in lengths), strict=True))
     ranges = reachable(four_bar(1), sizes)
-    found = [math.degrees(p.crank_angle) for p in ranges.singular]
+    computed = [math.degrees(p.crank_angle) for p in ranges.singular]
     expected = [at for at in collinear(*lengths) if ranges.holding(math.radians(at))]
-    assert found == pytest.approx(expected, abs=1e-9)
-    assert found
+    assert computed == pytest.approx(expected, abs=1e-9)
+    assert computed
     crank, coupler, rocker, frame = lengths
     turns = all(abs(coupler - rocker) <= d + 1e-9 and d <= coupler + rocker + 1e-9 for d in (abs(frame - crank), frame + crank))
     assert ranges.full == turns
@@ -218,8 +218,8 @@ def continued(lengths, side, count):
         last, before, first = (turned[k - n][chosen[k - n]] for n in (1, 2, 3))
         expected = last**3 * before**-3 * first
         chosen.append(int(abs(turned[k][1] - expected) < abs(turned[k][0] - expected)))
-    found = both[chosen, np.arange(count)]
-    return phi, np.unwrap(found)
+    computed = both[chosen, np.arange(count)]
+    return phi, np.unwrap(computed)
 
 
 CONTINUED = [
@@ -348,11 +348,11 @@ def test_dyads_are_followed_like_four_bars(mode):
         },
         "assembly": {"C": mode},
     }
-    found = optlink.analyze(optlink.read(raw), points=90)
+    result = optlink.analyze(optlink.read(raw), points=90)
     same = optlink.analyze(four_bar_problem(lengths, assembly="right, continue" if "right" in mode else "continue"), points=90)
-    assert found.cycle == pytest.approx(4.0 * math.pi)
+    assert result.cycle == pytest.approx(4.0 * math.pi)
     for name in ("C.x_m", "rocker.omega_rad_s", "rocker.alpha_rad_s2", "input.torque_Nm"):
-        np.testing.assert_allclose(found[name], same[name], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(result[name], same[name], rtol=1e-9, atol=1e-9)
 
 
 def test_slider_of_crank_and_rod_of_one_length_moves_harmonically():
@@ -464,16 +464,16 @@ def test_batch_leaves_out_designs_whose_motion_is_not_determined():
     frames = np.array([0.19, 0.2 - 1e-5, 0.2, 0.2 + 1e-14])
     columns = ("rocker.omega_rad_s", "input.torque_Nm")
     problem = four_bar_problem((50.0, 150.0, 100.0, 200.0))
-    found = optlink.analyze_batch(problem, {"frame": frames}, columns, points=45)
-    assert sorted(found.singular) == [2, 3]
-    assert "180 deg" in found.singular[2]
-    assert np.all(np.isnan(found["input.torque_Nm"]) == np.array([[False], [False], [True], [True]]))
+    result = optlink.analyze_batch(problem, {"frame": frames}, columns, points=45)
+    assert sorted(result.singular) == [2, 3]
+    assert "180 deg" in result.singular[2]
+    assert np.all(np.isnan(result["input.torque_Nm"]) == np.array([[False], [False], [True], [True]]))
     followed = optlink.analyze_batch(problem.override({"mechanism.assembly": "continue"}), {"frame": frames}, columns, points=45)
     assert not followed.singular
     one = optlink.analyze(four_bar_problem((50.0, 150.0, 100.0, 200.0), assembly="continue"), points=45)
     for name in columns:
         np.testing.assert_array_equal(followed[name][2], one[name][:90])
-        np.testing.assert_allclose(followed[name][0], np.tile(found[name][0], 2), rtol=1e-9)
+        np.testing.assert_allclose(followed[name][0], np.tile(result[name][0], 2), rtol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -564,13 +564,13 @@ def rocker_times(problem):
 def drawn_long_cycles(count, seed):
     """Random four-bars with one change point and a crank that turns fully: both branches differ, and follow one another."""
     rng = np.random.default_rng(seed)
-    found = []
-    while len(found) < count:
+    result = []
+    while len(result) < count:
         short, one, other = (float(length) for length in np.sort(rng.uniform(30.0, 200.0, 3)))
         lengths = (short, one, other, one + other - short)
         if other - short > 10.0 and one - short > 10.0:
-            found.append(tuple(lengths[i] for i in (0, *(1 + rng.permutation(3)))))
-    return found
+            result.append(tuple(lengths[i] for i in (0, *(1 + rng.permutation(3)))))
+    return result
 
 
 @pytest.mark.slow
@@ -599,14 +599,14 @@ def test_batch_covers_the_whole_cycle_of_two_revolutions():
         rocker_load("backward"),
         rocker_load("slow", drive={"start": "20 deg", "speed": "-2 rad/s"}),
     ):
-        found = optlink.analyze_batch(problem, {"frame": frames}, columns, points=45)
+        computed = optlink.analyze_batch(problem, {"frame": frames}, columns, points=45)
         for k, frame in enumerate(frames):
             one = optlink.analyze(problem, points=45, design={"frame": float(frame)})
             rows = round(45 * one.cycle / (2.0 * math.pi))
             for name in columns:
-                assert found[name].shape == (3, 90)
+                assert computed[name].shape == (3, 90)
                 size = np.max(np.abs(one[name]))
-                np.testing.assert_allclose(found[name][k], np.resize(one[name][:rows], 90), rtol=1e-9, atol=1e-9 * size)
+                np.testing.assert_allclose(computed[name][k], np.resize(one[name][:rows], 90), rtol=1e-9, atol=1e-9 * size)
 
 
 # --- refusals ------------------------------------------------------------------------------------------------------------------

@@ -60,8 +60,8 @@ def test_pid_follows_its_equation():
 
 def test_pid_keeps_its_limit_and_does_not_wind_up():
     pid = PID(Gains(0.0, 100.0, 0.0, limit=0.2), 1e-2)
-    found = [pid(1.0) for _ in range(50)]
-    assert max(found) <= 0.2
+    computed = [pid(1.0) for _ in range(50)]
+    assert max(computed) <= 0.2
     wound = PID(Gains(0.0, 100.0, 0.0), 1e-2)
     for _ in range(50):
         wound(1.0)
@@ -164,12 +164,12 @@ def test_inverse_solution_is_the_best_of_its_harmonics(parts):
         missing = inverse.close(inverse.angles + turned)[0] - inverse.target
         return float(np.mean(missing**2 + (regularisation * turned) ** 2))
 
-    found = inverse.solve(3e-3, 4)
-    best = cost(found)
+    result = inverse.solve(3e-3, 4)
+    best = cost(result)
     assert best < 0.5 * cost(np.zeros(1, dtype=complex))
     for k in range(5):
         for change in (1e-4, -1e-4, 1e-4j, -1e-4j):
-            other = found.copy()
+            other = result.copy()
             other[k] += change
             assert cost(other) >= best - 1e-18
     assert cost(inverse.solve(3e-3, 8)) < best
@@ -177,10 +177,10 @@ def test_inverse_solution_is_the_best_of_its_harmonics(parts):
 
 def test_leverage_stays_finite_at_the_dead_centres(parts):
     machine, _, output = parts
-    found = leverage(machine, output, np.array([0.0, np.pi, 0.5 * np.pi]), 5e-3)
-    np.testing.assert_allclose(found[:2], 0.0, atol=1e-12)
+    computed = leverage(machine, output, np.array([0.0, np.pi, 0.5 * np.pi]), 5e-3)
+    np.testing.assert_allclose(computed[:2], 0.0, atol=1e-12)
     slope = -CRANK  # of the slider over the crank angle at 90 deg
-    assert found[2] == pytest.approx(slope / (slope**2 + 5e-3**2), rel=1e-12)
+    assert computed[2] == pytest.approx(slope / (slope**2 + 5e-3**2), rel=1e-12)
 
 
 @pytest.mark.slow
@@ -199,9 +199,9 @@ def test_inverse_command_follows_a_clockwise_crank(problem):
 def test_resumed_run_is_the_uninterrupted_one_to_the_last_digit(problem):
     for control in ("none", "inverse+pid"):
         whole = optlink.simulate_clearance(problem, 3, 100, control=control, tolerance=1e-8)
-        kept: list[dict] = []
-        optlink.simulate_clearance(problem, 2, 100, control=control, tolerance=1e-8, checkpoint=kept.append)
-        saved = json.loads(json.dumps(kept[-1]))
+        checkpoints: list[dict] = []
+        optlink.simulate_clearance(problem, 2, 100, control=control, tolerance=1e-8, checkpoint=checkpoints.append)
+        saved = json.loads(json.dumps(checkpoints[-1]))
         on = optlink.simulate_clearance(problem, 3, 100, control=control, tolerance=1e-8, resume=saved)
         assert dict(on.figures) == dict(whole.figures)
         assert on.prediction == whole.prediction
@@ -212,30 +212,30 @@ def test_resumed_run_is_the_uninterrupted_one_to_the_last_digit(problem):
 
 @pytest.mark.slow
 def test_compare_tabulates_all_kinds_of_control(problem):
-    found = optlink.compare(problem, 2, 2, seed=3, points=100)
-    assert list(found.trials) == ["none", "inverse", "pid", "inverse+pid"]
-    assert found.finished
-    assert found.gain("none") == 0.0
-    np.testing.assert_array_equal(found.starts, control_comparison.random_crank_angles(2, 3))
-    assert not np.array_equal(found.starts, control_comparison.random_crank_angles(2, 4))
-    for trials in found.trials.values():
+    result = optlink.compare(problem, 2, 2, seed=3, points=100)
+    assert list(result.trials) == ["none", "inverse", "pid", "inverse+pid"]
+    assert result.finished
+    assert result.gain("none") == 0.0
+    np.testing.assert_array_equal(result.starts, control_comparison.random_crank_angles(2, 3))
+    assert not np.array_equal(result.starts, control_comparison.random_crank_angles(2, 4))
+    for trials in result.trials.values():
         assert trials.rms.shape == (2,)
         assert trials.mean == pytest.approx(np.mean(trials.rms))
-    assert np.all(found.trials["none"].correction == 0.0)
-    assert found.gain("inverse") > 0.25
-    document = found.to_dict()
+    assert np.all(result.trials["none"].correction == 0.0)
+    assert result.gain("inverse") > 0.25
+    document = result.to_dict()
     assert document["schema"] == "optlink/control-comparison/2"
     json.dumps(document, allow_nan=False)
 
 
 @pytest.mark.slow
 def test_tuning_is_never_worse_than_reported(problem):
-    found = optlink.tune(problem, "inverse", ("regularisation", "bandwidth"), evaluations=4, starts=1, revolutions=2)
-    assert found.cost == min(found.before, np.min(found.costs))
-    assert bool(found.best) == (np.min(found.costs) < found.before)
-    assert found.costs.shape == (4,)
+    result = optlink.tune(problem, "inverse", ("regularisation", "bandwidth"), evaluations=4, starts=1, revolutions=2)
+    assert result.cost == min(result.before, np.min(result.costs))
+    assert bool(result.best) == (np.min(result.costs) < result.before)
+    assert result.costs.shape == (4,)
     again = optlink.simulate_clearance(
-        found.problem,
+        result.problem,
         2,
         200,
         control="inverse",
@@ -243,9 +243,9 @@ def test_tuning_is_never_worse_than_reported(problem):
         tolerance=1e-8,
         twin=False,
     )
-    assert again.figures["rms_m"] == pytest.approx(found.cost, rel=1e-12)
-    if found.best:
-        assert found.to_dict()["other_starts"]["cost"] == found.check[1].mean
+    assert again.figures["rms_m"] == pytest.approx(result.cost, rel=1e-12)
+    if result.best:
+        assert result.to_dict()["other_starts"]["cost"] == result.check[1].mean
     with pytest.raises(InputError, match="no such parameter"):
         optlink.tune(problem, names=("gain",))
 
@@ -254,8 +254,8 @@ def test_tuning_is_never_worse_than_reported(problem):
 def test_shipped_gains_are_better_than_either_part_alone(problem):
     """The PID on top of the inverse model takes away more than the inverse model."""
     kinds = ("inverse", "inverse+pid")
-    found = optlink.compare(problem, 4, 1, seed=5, kinds=kinds, tolerance=1e-7)
-    assert found.trials["inverse+pid"].mean < 0.97 * found.trials["inverse"].mean
+    result = optlink.compare(problem, 4, 1, seed=5, kinds=kinds, tolerance=1e-7)
+    assert result.trials["inverse+pid"].mean < 0.97 * result.trials["inverse"].mean
 
 
 SHORT = {"revolutions": 2, "points": 60, "tolerance": 1e-6}
@@ -282,29 +282,29 @@ def test_comparison_in_processes_is_the_same_to_the_bit(engine):
 
 @pytest.mark.slow
 def test_interrupted_comparison_resumes_from_completed_runs(monkeypatch):
-    kept: list[dict] = []
+    checkpoints: list[dict] = []
     options = {"starts": 3, "seed": 2, "kinds": ("none", "inverse"), **SHORT, **QUICK}
     whole = optlink.compare(rocker(), **options)
 
     def stop(document: dict) -> None:
-        kept.append(json.loads(json.dumps(document, allow_nan=False)))
+        checkpoints.append(json.loads(json.dumps(document, allow_nan=False)))
         if document["complete"] == 4:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         optlink.compare(rocker(), checkpoint=stop, **options)
-    assert (kept[-1]["complete"], kept[-1]["total"]) == (4, 6)
+    assert (checkpoints[-1]["complete"], checkpoints[-1]["total"]) == (4, 6)
     performed = []
     perform = parallel_runs.run_job
     monkeypatch.setattr(parallel_runs, "run_job", lambda job: performed.append((job.control, job.start)) or perform(job))
-    on = optlink.compare(rocker(), resume=kept[-1], **options)
+    on = optlink.compare(rocker(), resume=checkpoints[-1], **options)
     assert len(performed) == 4  # the first start of each kind, for the pictures, and the two that were missing
     for kind, trials in whole.trials.items():
         np.testing.assert_array_equal(on.trials[kind].rms, trials.rms)
     with pytest.raises(InputError, match="another command"):
-        optlink.compare(rocker(), resume=kept[-1], **{**options, "seed": 3})
+        optlink.compare(rocker(), resume=checkpoints[-1], **{**options, "seed": 3})
     with pytest.raises(InputError, match="was changed since it was written"):
-        optlink.compare(rocker(), resume={**kept[-1], "runs": kept[-1]["runs"][:3]}, **options)
+        optlink.compare(rocker(), resume={**checkpoints[-1], "runs": checkpoints[-1]["runs"][:3]}, **options)
 
 
 @pytest.mark.slow
@@ -312,16 +312,16 @@ def test_runs_that_stall_have_no_figures():
     """A run that stalls at once has no deviation: it must not count as one without deviation, which no control could beat."""
     sinking = {"joints.C.modulus": None, "joints.C.poisson": None, "joints.C.stiffness": "1 N/m^1.5"}
     problem = optlink.load("crank-rocker-clearance", sinking)
-    found = optlink.compare(problem, starts=1, kinds=("none", "pid"), **SHORT)
-    assert (found.finished, found.status) == (False, "stalled")
-    for trials in found.trials.values():
+    result = optlink.compare(problem, starts=1, kinds=("none", "pid"), **SHORT)
+    assert (result.finished, result.status) == (False, "stalled")
+    for trials in result.trials.values():
         assert math.isnan(trials.mean)
         assert trials.stalled == 1
-    text = str(clearance_tables.comparison(found))
+    text = str(clearance_tables.comparison(result))
     assert "Stalled: 1 of 1 runs with control pid, which therefore has no mean" in text
-    assert found.to_dict()["trials"]["pid"]["mean"] is None
-    assert control_comparison_view.charts(found) == []
-    assert conclusions.comparison(found) == "No controller completed its runs."
+    assert result.to_dict()["trials"]["pid"]["mean"] is None
+    assert control_comparison_view.charts(result) == []
+    assert conclusions.comparison(result) == "No controller completed its runs."
     tuned = optlink.tune(problem, "pid", evaluations=4, starts=1, **SHORT)
     assert (tuned.finished, tuned.status, dict(tuned.best)) == (False, "stalled", {})
     assert "No result: with every parameter set, that of the problem too, a run stalled" in str(clearance_tables.tuning(tuned))
@@ -334,19 +334,19 @@ def test_one_run_of_several_that_stalls_leaves_its_control_without_a_mean():
     assert (trials.finished, trials.stalled, trials.rms[0]) == (False, 1, 1e-3)
     assert math.isnan(trials.mean)
     full = control_comparison._trials(runs[:1] * 2)
-    found = Comparison(optlink.load("slider-crank-clearance"), {"none": full, "pid": trials}, np.zeros(2), 0, 2, {}, "m")
-    [chart] = control_comparison_view.charts(found)
+    computed = Comparison(optlink.load("slider-crank-clearance"), {"none": full, "pid": trials}, np.zeros(2), 0, 2, {}, "m")
+    [chart] = control_comparison_view.charts(computed)
     assert [label for _, label in chart.panels[0].y.ticks] == ["no control"]
-    assert conclusions.comparison(found).endswith("Not every run was completed.")
+    assert conclusions.comparison(computed).endswith("Not every run was completed.")
 
 
 @pytest.fixture(scope="module")
 def saved():
     """The checkpoints of a simulation and of a comparison, as read from their files."""
-    kept: list[dict] = []
-    optlink.simulate_clearance(rocker(), 1, 60, tolerance=1e-6, checkpoint=kept.append)
-    optlink.compare(rocker(), starts=1, kinds=("none",), checkpoint=kept.append, **SHORT)
-    return [json.loads(json.dumps(document)) for document in kept]
+    checkpoints: list[dict] = []
+    optlink.simulate_clearance(rocker(), 1, 60, tolerance=1e-6, checkpoint=checkpoints.append)
+    optlink.compare(rocker(), starts=1, kinds=("none",), checkpoint=checkpoints.append, **SHORT)
+    return [json.loads(json.dumps(document)) for document in checkpoints]
 
 
 def test_checkpoints_of_other_kinds_are_refused(saved):
@@ -426,24 +426,24 @@ def test_best_parameters_of_a_tuning_are_compared_from_other_starts(monkeypatch)
             yield k, parallel_runs.RunResult(figures, "rad", True)
 
     monkeypatch.setattr(control_comparison, "run_jobs", run_jobs)
-    found = optlink.tune(rocker(), "pid", ("proportional",), evaluations=8, starts=2, seed=3, **SHORT)
-    assert found.best
-    assert found.cost < found.before
-    before, best = found.check
-    assert (best.mean - before.mean) == pytest.approx(found.before - found.cost)
+    result = optlink.tune(rocker(), "pid", ("proportional",), evaluations=8, starts=2, seed=3, **SHORT)
+    assert result.best
+    assert result.cost < result.before
+    before, best = result.check
+    assert (best.mean - before.mean) == pytest.approx(result.before - result.cost)
     assert used == {True: searched, False: set(control_comparison.random_crank_angles(2, 4))}
-    assert found.to_dict()["other_starts"]["cost"] == best.mean
-    text = str(clearance_tables.tuning(found))
+    assert result.to_dict()["other_starts"]["cost"] == best.mean
+    text = str(clearance_tables.tuning(result))
     assert "The best parameters are not better from other starts" in text
     assert "Use them" not in text
 
 
 @pytest.mark.slow
 def test_tuning_resumes_and_stops_runs_that_cannot_win():
-    kept: list[dict] = []
+    checkpoints: list[dict] = []
     options = {"evaluations": 5, "starts": 2, "seed": 4, **SHORT, **QUICK}
-    whole = optlink.tune(rocker(), "pid", ("proportional",), checkpoint=kept.append, **options)
-    middle = json.loads(json.dumps(kept[2], allow_nan=False))
+    whole = optlink.tune(rocker(), "pid", ("proportional",), checkpoint=checkpoints.append, **options)
+    middle = json.loads(json.dumps(checkpoints[2], allow_nan=False))
     on = optlink.tune(rocker(), "pid", ("proportional",), resume=middle, **options)
     np.testing.assert_array_equal(on.costs, whole.costs)
     assert dict(on.best) == dict(whole.best)
@@ -490,15 +490,15 @@ def test_interrupt_stops_a_comparison_and_keeps_completed_runs(tmp_path):
 def test_control_compensates_three_clearances():
     """At 1200 rpm: the inverse model takes away a quarter at least, PID on top of it more; means of three starts and of one."""
     file = optlink.load("slider-crank-three-gaps")
-    found = optlink.compare(file, 11, 3, kinds=("none", "inverse"), tolerance=1e-6, **QUICK)
-    assert found.finished
-    assert found.trials["none"].mean == pytest.approx(1.307e-3, rel=0.02)
-    assert found.gain("inverse") > 0.25
+    result = optlink.compare(file, 11, 3, kinds=("none", "inverse"), tolerance=1e-6, **QUICK)
+    assert result.finished
+    assert result.trials["none"].mean == pytest.approx(1.307e-3, rel=0.02)
+    assert result.gain("inverse") > 0.25
     both = optlink.compare(
         file, 11, 1, kinds=("inverse+pid",), tolerance=1e-6, **QUICK
     )  # seven times the work of a run without PID
     assert both.finished
-    assert both.trials["inverse+pid"].mean < 0.9 * found.trials["inverse"].mean
+    assert both.trials["inverse+pid"].mean < 0.9 * result.trials["inverse"].mean
 
 
 def test_a_tuning_that_finds_nothing_better_is_written(monkeypatch):
@@ -509,7 +509,7 @@ def test_a_tuning_that_finds_nothing_better_is_written(monkeypatch):
             yield k, parallel_runs.RunResult(figures, "rad", True)
 
     monkeypatch.setattr(control_comparison, "run_jobs", run_jobs)
-    found = optlink.tune(rocker(), "pid", ("proportional",), evaluations=4, starts=1, **SHORT)
-    assert not found.best
-    assert found.check is None
-    assert "other_starts" not in found.to_dict()
+    result = optlink.tune(rocker(), "pid", ("proportional",), evaluations=4, starts=1, **SHORT)
+    assert not result.best
+    assert result.check is None
+    assert "other_starts" not in result.to_dict()

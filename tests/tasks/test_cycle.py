@@ -52,15 +52,15 @@ def test_both_back_ends_design_the_same_shaper():
 
 
 def test_optimal_shaper_beats_the_initial_one_of_equal_stroke():
-    given, found = given_shaper(), shaper().analysis
-    assert found is not None
+    given, result = given_shaper(), shaper().analysis
+    assert result is not None
     assert given.figures["ram.stroke_m"] == pytest.approx(0.5, rel=1e-12)
-    assert found.figures["ram.stroke_m"] == pytest.approx(0.5, rel=1e-8)
-    assert found.figures["ram.time_ratio"] == pytest.approx(1.8, rel=1e-8)
+    assert result.figures["ram.stroke_m"] == pytest.approx(0.5, rel=1e-8)
+    assert result.figures["ram.time_ratio"] == pytest.approx(1.8, rel=1e-8)
     assert peak(given, "input.torque_Nm") == pytest.approx(1015.358, rel=1e-6)
-    assert peak(found, "input.torque_Nm") <= 0.976 * peak(given, "input.torque_Nm")
-    assert found.figures["B.f_N.max"] <= 0.75 * given.figures["B.f_N.max"]
-    assert peak(found, "F.normal_N") <= 1500.0 * (1.0 + 1e-6) < peak(given, "F.normal_N")
+    assert peak(result, "input.torque_Nm") <= 0.976 * peak(given, "input.torque_Nm")
+    assert result.figures["B.f_N.max"] <= 0.75 * given.figures["B.f_N.max"]
+    assert peak(result, "F.normal_N") <= 1500.0 * (1.0 + 1e-6) < peak(given, "F.normal_N")
 
 
 @pytest.mark.slow
@@ -168,8 +168,8 @@ def test_toggle_press_with_corners_in_its_load():
     assert result.objective == pytest.approx(expected.objective, abs=expected.objective_tolerance)
     assert result.initial_analysis is not None
     assert result.analysis is not None
-    given, found = (peak(analysis, "input.torque_Nm") for analysis in (result.initial_analysis, result.analysis))
-    assert found <= 0.95 * given
+    given, computed = (peak(analysis, "input.torque_Nm") for analysis in (result.initial_analysis, result.analysis))
+    assert computed <= 0.95 * given
     assert result.analysis.figures["ram.s_m.max"] == pytest.approx(0.5989, rel=1e-8)
     assert result.analysis.figures["F.normal_N.max"] <= 3500.0 * (1.0 + 1e-6)
 

@@ -210,8 +210,8 @@ def crank_of(stroke: float, rod: float, offset: float) -> float:
     low, high = 0.0, rod - abs(offset)
     for _ in range(200):
         crank = 0.5 * (low + high)
-        found = math.sqrt((rod + crank) ** 2 - offset**2) - math.sqrt((rod - crank) ** 2 - offset**2)
-        low, high = (crank, high) if found < stroke else (low, crank)
+        computed = math.sqrt((rod + crank) ** 2 - offset**2) - math.sqrt((rod - crank) ** 2 - offset**2)
+        low, high = (crank, high) if computed < stroke else (low, crank)
     return 0.5 * (low + high)
 
 
@@ -219,8 +219,8 @@ def crank_of(stroke: float, rod: float, offset: float) -> float:
 def test_press_against_a_simplex_search_over_its_free_sizes():
     """Offset and rod are searched by Nelder and Mead, the crank follows from the stroke; the cycle is measured as a machine's."""
     file = machine("press", objective=term("guide force", of="F"), limits__guide=None)
-    found = solve(file, "slsqp", starts=2)
-    task = found.task
+    result = solve(file, "slsqp", starts=2)
+    task = result.task
 
     def measured(x: np.ndarray) -> float:
         offset, rod = 1e-3 * np.clip(x, [-60.0, 150.0], [60.0, 500.0])
@@ -231,7 +231,7 @@ def test_press_against_a_simplex_search_over_its_free_sizes():
         minimize(measured, start, method="Nelder-Mead", options={"xatol": 1e-5, "fatol": 1e-7, "maxiter": 150}).fun
         for start in ([0.0, 300.0], [20.0, 450.0])
     )
-    assert found.objective == pytest.approx(best, rel=1e-6)
+    assert result.objective == pytest.approx(best, rel=1e-6)
 
 
 BESIDE = {
@@ -253,12 +253,12 @@ def test_positions_near_a_peak_are_not_constrained(name):
     values = {key: 1e-3 * value for key, value in BESIDE.items()}
     trace = TracedCycle(task)
     begin = StartGroup(trace.structure(values), (values,))
-    found = search_all(trace, [begin], (name,)).best[name]
-    assert found.status is Status.OPTIMAL
-    lower = Cycle(task, found.design)
-    assert found.objective == pytest.approx(lower.objective(), rel=1e-7)
+    result = search_all(trace, [begin], (name,)).best[name]
+    assert result.status is Status.OPTIMAL
+    lower = Cycle(task, result.design)
+    assert result.objective == pytest.approx(lower.objective(), rel=1e-7)
     assert lower.objective() < Cycle(task, values).objective() - 0.5
-    assert all(check.passed for check in validate_cycle(task, found.design).checks)
+    assert all(check.passed for check in validate_cycle(task, result.design).checks)
 
 
 def test_a_result_measures_each_term_of_a_machine_once(monkeypatch):

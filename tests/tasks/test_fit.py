@@ -86,8 +86,8 @@ def test_points_passed_out_of_order_are_a_reason(star) -> None:
 @pytest.mark.slow
 def test_poses_that_rotate_farther_than_the_coupler_are_a_reason() -> None:
     section = four_bar_section("left", **SIZES, points=SPOT)
-    found = solve(optlink.read(document(section, TURNED)), starts=60, designs=1)
-    best = found.best
+    result = solve(optlink.read(document(section, TURNED)), starts=60, designs=1)
+    best = result.best
     assert best is not None
     assert best.fit.grade == "poor"
     reason = next(each for each in best.fit.reasons if "the poses turn through 330 deg" in each.reason)
@@ -141,9 +141,9 @@ def test_verdict_and_json_contain_the_grade(tmp_path) -> None:
     assert run.exit_code == 0
     assert "valid, poor fit: rms error is" in " ".join(run.stdout.split())
     assert "Poor fit, likely reason:" in run.stdout
-    told = json.loads(CliRunner().invoke(app, ["solve", str(file), "--starts", "60", "--designs", "1", "--json"]).stdout)
-    assert told["fit"]["grade"] == "poor"
-    assert told["fit"]["share"] == pytest.approx(told["fit"]["error"] / told["fit"]["size"])
+    answer = json.loads(CliRunner().invoke(app, ["solve", str(file), "--starts", "60", "--designs", "1", "--json"]).stdout)
+    assert answer["fit"]["grade"] == "poor"
+    assert answer["fit"]["share"] == pytest.approx(answer["fit"]["error"] / answer["fit"]["size"])
 
 
 def test_show_lists_defaults_of_omitted_keys() -> None:
@@ -190,11 +190,11 @@ def test_a_linkage_of_the_best_transmission_is_graded(swing: float, ratio: float
     for reach in (s["frame"] - s["crank"], s["frame"] + s["crank"]):
         cosine = (s["coupler"] ** 2 + s["rocker"] ** 2 - reach**2) / (2.0 * s["coupler"] * s["rocker"])
         angles.append(math.degrees(math.acos(abs(cosine))))
-    told = result.to_dict()["fit"]
-    assert told["grade"] == grade
-    assert 90.0 - math.degrees(told["error"]) == pytest.approx(min(angles), abs=1e-6)
+    fit = result.to_dict()["fit"]
+    assert fit["grade"] == grade
+    assert 90.0 - math.degrees(fit["error"]) == pytest.approx(min(angles), abs=1e-6)
     assert ("good" if min(angles) >= 45.0 else "fair" if min(angles) >= 40.0 else "poor") == grade
-    remedies = {each["remedy"] for each in told["reasons"]}
+    remedies = {each["remedy"] for each in fit["reasons"]}
     assert remedies >= ({"change limits.swing_angle", "change limits.time_ratio"} if grade == "poor" else set())
     shown = verdict(ReportModel(result.problem, result, None))
     assert shown.startswith("Valid, poor transmission" if grade == "poor" else "Valid: every check passed")
@@ -259,10 +259,10 @@ def test_a_machine_with_the_best_transmission_angle_is_graded() -> None:
     result = solve_cycle(drag_link(**changes, **{"limits.stroke.min": "100 mm"}), starts=1)
     assert result.valid
     angle = math.degrees(math.acos(result.values["crank.length"] / result.values["rod.length"]))
-    told = result.to_dict()["fit"]
-    assert 90.0 - math.degrees(told["error"]) == pytest.approx(angle, abs=1e-4)
-    assert told["grade"] == "poor"
-    assert "widen limits.stroke" in {each["remedy"] for each in told["reasons"]}
+    fit = result.to_dict()["fit"]
+    assert 90.0 - math.degrees(fit["error"]) == pytest.approx(angle, abs=1e-4)
+    assert fit["grade"] == "poor"
+    assert "widen limits.stroke" in {each["remedy"] for each in fit["reasons"]}
 
 
 def test_an_error_larger_than_the_path_has_no_exponent():

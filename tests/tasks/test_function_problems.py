@@ -85,8 +85,8 @@ def known() -> list[float]:
 @cache
 def default_answer(number: int) -> optlink.FunctionResult:
     """The answer with default options, computed once for all tests of a run."""
-    found: optlink.FunctionResult = once(f"function problem {number}", lambda: optlink.solve(optlink.read(case(number).raw)))
-    return found
+    computed: optlink.FunctionResult = once(f"function problem {number}", lambda: optlink.solve(optlink.read(case(number).raw)))
+    return computed
 
 
 def measured(result: optlink.FunctionResult, task: Function) -> tuple[float, float]:
@@ -99,9 +99,9 @@ def measured(result: optlink.FunctionResult, task: Function) -> tuple[float, flo
 @pytest.mark.slow
 @pytest.mark.parametrize("number", CHOSEN)
 def test_the_default_result_is_as_good_as_the_oracle_and_claims_nothing_it_refutes(number: int) -> None:
-    made = case(number)
+    problem = case(number)
     result = default_answer(number)
-    error, missed = measured(result, made.task)
+    error, missed = measured(result, problem.task)
     assert result.valid
     assert missed <= 1e-6
     assert error == pytest.approx(result.objective, rel=1e-5)
@@ -115,8 +115,8 @@ def test_the_default_result_is_as_good_as_the_oracle_and_claims_nothing_it_refut
 def test_more_starts_are_never_worse(number: int) -> None:
     """The answer of N starts is the best of those of its first ones: valid stays valid, and no better one is lost."""
     file = optlink.read({**case(number).raw})
-    found = [optlink.solve(file, starts=starts, seed=number) for starts in (1, 8, 14)]
-    for fewer, more in itertools.pairwise(found):
+    computed = [optlink.solve(file, starts=starts, seed=number) for starts in (1, 8, 14)]
+    for fewer, more in itertools.pairwise(computed):
         assert more.valid >= fewer.valid
         assert more.objective <= fewer.objective or not fewer.valid
 

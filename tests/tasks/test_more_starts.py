@@ -31,8 +31,8 @@ def short(**changes: object) -> optlink.ProblemFile:
 def short_of_both_modes() -> optlink.FunctionResult:
     """The same in both assembly modes, searched from the first starts alone; computed once for all tests of a run."""
     file = short(**{"mechanism.assembly": "either"})
-    found: optlink.FunctionResult = once("short function of both modes", lambda: optlink.solve(file, starts=1))
-    return found
+    computed: optlink.FunctionResult = once("short function of both modes", lambda: optlink.solve(file, starts=1))
+    return computed
 
 
 @pytest.mark.parametrize("file", [optlink.load("crank-rocker"), short()], ids=["law", "function"])
@@ -87,22 +87,22 @@ def test_a_valid_design_is_not_lost_to_an_invalid_better_one() -> None:
     points = start_sequence(file.spec, nlp, 0, None)
     one = FunctionSearch(file.spec, nlp, "ipopt")
     one.advance(points.first[0])
-    kept = one.result
+    best = one.result
     judge = one.judge
 
     def flattering(solution: multistart.Solution) -> object:
-        made = judge(solution)
-        bad = [check.__class__(check.name, False, check.value, check.limit, check.unit) for check in made.validation.checks]
-        return type(made)(
+        judged = judge(solution)
+        bad = [check.__class__(check.name, False, check.value, check.limit, check.unit) for check in judged.validation.checks]
+        return type(judged)(
             type(solution)(**{**vars(solution), "objective": 0.5 * solution.objective}),
-            made.design,
-            type(made.validation)(tuple(bad), made.validation.objective),
+            judged.design,
+            type(judged.validation)(tuple(bad), judged.validation.objective),
         )
 
     one.judge, one.optima = flattering, []  # type: ignore[method-assign,assignment]
     one.advance(SearchStart(points.first[0].x, random=True, close=True))
     assert one.starts == 2
-    assert one.result is kept
+    assert one.result is best
 
 
 @pytest.mark.slow
@@ -121,9 +121,9 @@ def test_three_seeds_agree_where_the_first_steps_miss_the_best_optimum() -> None
     law = {"function": "1/x", "x": [1, 2], "input": "90 deg", "output": "90 deg"}
     changes = {"requirement.law": law, "mechanism.assembly": "right"}
     file = optlink.load("function-log10", changes)
-    found = [optlink.solve(file, seed=seed) for seed in range(3)]
-    assert all(result.valid for result in found)
-    assert {round(math.degrees(result.objective), 6) for result in found} == {0.326990}
+    computed = [optlink.solve(file, seed=seed) for seed in range(3)]
+    assert all(result.valid for result in computed)
+    assert {round(math.degrees(result.objective), 6) for result in computed} == {0.326990}
 
 
 @pytest.mark.slow
@@ -157,10 +157,10 @@ def test_every_result_states_its_assembly_mode() -> None:
 
 @pytest.mark.slow
 def test_a_given_design_is_checked_in_the_assembly_mode_that_fits_it() -> None:
-    either, found = short(**{"mechanism.assembly": "either"}), short_of_both_modes()
-    checked = optlink.validate(either, {name: found.design[name] for name in either.spec.free})
-    assert checked.assembly == found.assembly
-    assert checked.objective == pytest.approx(found.objective, rel=1e-6)
+    either, result = short(**{"mechanism.assembly": "either"}), short_of_both_modes()
+    checked = optlink.validate(either, {name: result.design[name] for name in either.spec.free})
+    assert checked.assembly == result.assembly
+    assert checked.objective == pytest.approx(result.objective, rel=1e-6)
 
 
 @pytest.mark.slow
@@ -172,9 +172,9 @@ def test_the_written_machine_moves_like_the_design(tmp_path: Path) -> None:
     for result in (optlink.solve(optlink.load("crank-rocker"), starts=1), short_of_both_modes()):
         View(design=VIEW.design).write(result, tmp_path)
         machine = optlink.load(tmp_path / "design.toml")
-        found = optlink.analyze(machine)
+        outcome = optlink.analyze(machine)
         assert machine.raw["mechanism"].get("assembly", "left") == result.assembly
-        crank, rocker = found.columns["crank_angle_deg"], found.columns["rocker.angle_rad"]
+        crank, rocker = outcome.columns["crank_angle_deg"], outcome.columns["rocker.angle_rad"]
         at = np.degrees(result.design["phi0"] + 0.5 * result.problem.spec.span)
         k = int(np.argmin(np.abs(np.remainder(crank - at + 180.0, 360.0) - 180.0)))
         offset = math.remainder(math.radians(crank[k]) - result.design["phi0"], 2.0 * math.pi)
@@ -197,9 +197,9 @@ def test_a_law_of_three_variables_is_searched_from_random_starts_by_default():
     }
     law = {"law": "psi0 + 0.2*(phi - phi0)^2", "span": "40 deg", "measure": "max", "from": {"bounds": ["0 deg", "360 deg"]}}
     problem = optlink.read({"mechanism": mechanism, "requirement": law, "limits": {"transmission_angle": ["35 deg", "145 deg"]}})
-    one, found = optlink.solve(problem, starts=1), optlink.solve(problem)
+    one, result = optlink.solve(problem, starts=1), optlink.solve(problem)
     assert one.valid
-    assert found.valid
-    assert found.objective < 0.1 * one.objective
-    assert found.starts > 24
-    assert found.evidence.missed <= 0.025
+    assert result.valid
+    assert result.objective < 0.1 * one.objective
+    assert result.starts > 24
+    assert result.evidence.missed <= 0.025

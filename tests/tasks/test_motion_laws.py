@@ -79,10 +79,10 @@ def test_six_bar_follows_a_law() -> None:
     """Both back ends find the same, and an expression at the rows of the table is the same problem."""
     table = optlink.load("law-six-bar")
     expression = table.override({"requirement.law": SIX_BAR, "requirement.span": "180 deg", "requirement.points": 12})
-    found = [solution("law-six-bar"), solve(table, "slsqp", designs=1), solve(expression, designs=1)]
-    assert all(result.valid for result in found)
-    assert [result.objective for result in found[:2]] == pytest.approx([table.model.expected.objective] * 2, rel=1e-6)
-    assert [result.objective for result in found[1:]] == pytest.approx([found[0].objective] * 2, rel=1e-7)
+    computed = [solution("law-six-bar"), solve(table, "slsqp", designs=1), solve(expression, designs=1)]
+    assert all(result.valid for result in computed)
+    assert [result.objective for result in computed[:2]] == pytest.approx([table.model.expected.objective] * 2, rel=1e-6)
+    assert [result.objective for result in computed[1:]] == pytest.approx([computed[0].objective] * 2, rel=1e-7)
 
 
 LINKS = {
@@ -139,8 +139,8 @@ def test_law_counted_from_the_frame_has_no_output_at_the_start() -> None:
 
 def test_table_counted_from_the_frame_brings_its_own_start() -> None:
     angles = np.radians(np.linspace(20.0, 110.0, 13))
-    made = slides({"crank.length": 0.025, "rod.length": 0.090, "G.offset": 0.010}, angles)
-    rows = {"phi": [f"{a!r} rad" for a in angles.tolist()], "s": [f"{s!r} m" for s in made.tolist()], "measured_from": "frame"}
+    strokes = slides({"crank.length": 0.025, "rod.length": 0.090, "G.offset": 0.010}, angles)
+    rows = {"phi": [f"{a!r} rad" for a in angles.tolist()], "s": [f"{s!r} m" for s in strokes.tolist()], "measured_from": "frame"}
     file = slider_crank(law=rows, span=None, points=None)
     assert set(file.model.free) == {"crank.length", "rod.length", "G.offset"}
     result = solve(file)
@@ -204,10 +204,10 @@ def test_validation_takes_the_assembly_mode_that_fits_the_law(assembly: str) -> 
     angles = np.linspace(20.0, 110.0, 31) if assembly == "forward" else np.linspace(70.0, 160.0, 31)
     law = {"phi": [f"{a!r} deg" for a in angles.tolist()], "s": [f"{s!r} m" for s in rows.tolist()], "measured_from": "frame"}
     file = slider_crank(law=law, span=None, points=None).override({"mechanism.assembly": {"C": "either"}})
-    found = optlink.validate(file, {"crank.length": 0.025, "rod.length": 0.090, "G.offset": 0.010})
-    assert found.valid
-    assert found.best.assembly == {"C": assembly}
-    assert found.objective < 1e-24
+    result = optlink.validate(file, {"crank.length": 0.025, "rod.length": 0.090, "G.offset": 0.010})
+    assert result.valid
+    assert result.best.assembly == {"C": assembly}
+    assert result.objective < 1e-24
 
 
 def test_a_search_from_beyond_a_limit_of_many_positions_stays_near() -> None:
@@ -216,7 +216,7 @@ def test_a_search_from_beyond_a_limit_of_many_positions_stays_near() -> None:
     free = {"mechanism.guides.G.offset": {"bounds": ["-50 mm", "50 mm"]}, "requirement.start": "-172.5 deg"}
     law = {"requirement.law": {"slide": "72.8 + 20.52*(phi - phi0)", "unit": "mm"}, "requirement.span": "-247.1 deg"}
     limits = {"limits": {"crank": "span", "transmission_angle": ["31.9 deg", "150.9 deg"]}, "requirement.points": 11}
-    found = optlink.solve(optlink.load("law-slider-crank", length | free | law | limits), starts=1)
+    result = optlink.solve(optlink.load("law-slider-crank", length | free | law | limits), starts=1)
     rod, offset = np.meshgrid(np.linspace(143.5, 160.0, 34), np.linspace(-50.0, 50.0, 201))
     angles = np.radians(np.linspace(-172.5, -172.5 - 247.1, 12))
     over = np.radians(np.linspace(-172.5, -172.5 - 247.1, 1000))
@@ -224,8 +224,8 @@ def test_a_search_from_beyond_a_limit_of_many_positions_stays_near() -> None:
     met = (cosines[0] <= math.cos(math.radians(31.9))) & (cosines[1] >= math.cos(math.radians(150.9)))
     reached = [77.5 * np.cos(a) + np.sqrt(rod**2 - (offset - 77.5 * np.sin(a)) ** 2) for a in angles]
     total = sum((x - 72.8 - 20.52 * (a - angles[0])) ** 2 for x, a in zip(reached, angles, strict=True))
-    assert found.valid
-    assert found.designs[0].objective <= 1e-6 * float(np.min(total[met])) * (1.0 + 1e-9)
+    assert result.valid
+    assert result.designs[0].objective <= 1e-6 * float(np.min(total[met])) * (1.0 + 1e-9)
 
 
 def arm(start: str, bounds: tuple[str, str], law: str = "psi0 + 0.4*sin(phi - phi0)") -> optlink.ProblemFile:
@@ -250,9 +250,9 @@ def test_a_search_crosses_the_wrap_of_an_unbounded_angle(backend: str) -> None:
 
 def test_an_optimum_at_the_jump_has_no_active_bound_there() -> None:
     best = math.degrees(optlink.solve(arm("100 deg", ("0 deg", "360 deg")), starts=1).design["phi0"])
-    found = optlink.solve(arm("100 deg", (f"{best - 360.0!r} deg", f"{best!r} deg")), starts=1).solution
-    assert found is not None
-    assert [limit.name for limit in found.limits if limit.active] == ["coupler"]
+    result = optlink.solve(arm("100 deg", (f"{best - 360.0!r} deg", f"{best!r} deg")), starts=1).solution
+    assert result is not None
+    assert [limit.name for limit in result.limits if limit.active] == ["coupler"]
 
 
 def test_a_start_angle_that_the_law_contains_as_such_has_bounds() -> None:

@@ -130,8 +130,8 @@ def test_best_transmission_of_a_crank_rocker():
     raw = {"title": "t", "mechanism": mechanism, "requirement": {"kind": "transmission"}, "limits": limits}
     best = solve(optlink.read(raw)).best
     assert best.valid
-    found = [best.values[name] * 1e3 for name in ("crank", "coupler", "rocker")]
-    np.testing.assert_allclose(found, [46.67, 116.16, 73.88], atol=0.005)
+    computed = [best.values[name] * 1e3 for name in ("crank", "coupler", "rocker")]
+    np.testing.assert_allclose(computed, [46.67, 116.16, 73.88], atol=0.005)
     assert math.degrees(best.least_transmission) == pytest.approx(37.733, abs=1e-3)
 
 
@@ -199,19 +199,19 @@ def test_unreachable_points_give_a_nearest_miss():
 def test_the_shadow_price_agrees_with_reoptimisation(measure):
     """The frame of the ellipse is at its bound of 80 mm: central differences of 0.2 % against the multiplier."""
 
-    own = solve(optlink.load("path-ellipse10", {"requirement.measure": measure}), designs=1, starts=240).best
-    price = next(limit.multiplier for limit in own.limits if limit.key == "mechanism.frame" and limit.active)
-    programme = own.solution.nlp
+    reference = solve(optlink.load("path-ellipse10", {"requirement.measure": measure}), designs=1, starts=240).best
+    price = next(limit.multiplier for limit in reference.limits if limit.key == "mechanism.frame" and limit.active)
+    programme = reference.solution.nlp
     at = [variable.name for variable in programme.variables].index("frame")
 
     def best(bound):
         high = programme.x_high.copy()
         high[at] = bound * 1e-3 / programme.variables[at].size
-        again = solve_from(replace(programme, x_high=high, cache={}), np.minimum(own.solution.x, high), "ipopt")
+        again = solve_from(replace(programme, x_high=high, cache={}), np.minimum(reference.solution.x, high), "ipopt")
         assert again.usable
         return again.objective
 
-    assert best(80.0) == pytest.approx(own.objective, rel=1e-9)
+    assert best(80.0) == pytest.approx(reference.objective, rel=1e-9)
     assert price == pytest.approx((best(80.16) - best(79.84)) / 0.32, rel=1e-3)
     assert price < 0.0
 
@@ -221,20 +221,20 @@ def test_the_shadow_price_agrees_with_reoptimisation(measure):
 def test_a_given_design_is_validated_at_independent_crank_angles(name):
     """Dynamic programming on the given sizes finds the crank angles again that the search found with them."""
     task = optlink.load(name)
-    found = solution(name).best
-    again = optlink.tasks.path.validate(task, found.values)
+    result = solution(name).best
+    again = optlink.tasks.path.validate(task, result.values)
     assert again.valid
-    assert again.best.assembly == found.assembly
-    assert math.sqrt(again.objective) == pytest.approx(math.sqrt(found.objective), rel=1e-6, abs=1e-10 * found.task.size)
-    turned = np.remainder(again.best.crank_angles - found.crank_angles + np.pi, 2.0 * np.pi) - np.pi
+    assert again.best.assembly == result.assembly
+    assert math.sqrt(again.objective) == pytest.approx(math.sqrt(result.objective), rel=1e-6, abs=1e-10 * result.task.size)
+    turned = np.remainder(again.best.crank_angles - result.crank_angles + np.pi, 2.0 * np.pi) - np.pi
     assert np.max(np.abs(turned)) < 1e-5
 
 
 @pytest.mark.slow
 def test_a_failed_given_design_names_the_failed_checks():
     task = optlink.load("path-ellipse10")
-    found = solution("path-ellipse10").best
-    wrong = optlink.tasks.path.validate(task, {**found.values, "rocker": 0.09, "crank": 0.03})
+    result = solution("path-ellipse10").best
+    wrong = optlink.tasks.path.validate(task, {**result.values, "rocker": 0.09, "crank": 0.03})
     assert not wrong.valid
     failed = {check.name for check in wrong.best.validation.checks if not check.passed}
     assert "rocker within its bounds" in failed

@@ -41,9 +41,9 @@ def test_four_seeds_agree_on_nine_exact_points() -> None:
     raw, _ = exact_task(41)
     task = optlink.read(raw)
     for seed in range(4):
-        found = solve(task, seed=seed, designs=1)
-        assert found.designs[0].exact, seed
-        assert found.evidence.missed == 0.0
+        result = solve(task, seed=seed, designs=1)
+        assert result.designs[0].exact, seed
+        assert result.evidence.missed == 0.0
 
 
 @pytest.mark.slow
@@ -51,9 +51,9 @@ def test_seeds_agree_on_a_poor_fit_and_report_an_incomplete_search() -> None:
     """Nine points in an order that no four-bar follows: nearly all starts end out of order, and few reach the best value."""
     raw, size = exact_task(7, scrambled=True)
     task = optlink.read(raw)
-    found = [solve(task, seed=seed, designs=1) for seed in range(2)]
-    assert found[0].designs[0].error == pytest.approx(found[1].designs[0].error, rel=1e-3)
-    for each in found:
+    computed = [solve(task, seed=seed, designs=1) for seed in range(2)]
+    assert computed[0].designs[0].error == pytest.approx(computed[1].designs[0].error, rel=1e-3)
+    for each in computed:
         assert MM * each.designs[0].error > 1e-6 * size
         assert each.evidence.missed > MISSED_CHANCE
         notes = [note for note in each.notes if note.startswith("search incomplete: ")]
@@ -86,17 +86,17 @@ def test_reordered_candidates_are_refined_until_several_rounds_of_them_improve_n
     search = Searcher([path_model(file) for file in files], 0)
     refined = []
     for _ in range(IDLE_ROUNDS + 2):
-        found = search.advance()
-        collection.add(found)
-        refined.append(any(candidate in collection._ends for candidate in found.repaired))
+        result = search.advance()
+        collection.add(result)
+        refined.append(any(candidate in collection._ends for candidate in result.repaired))
     first = refined.index(True)
     assert refined[first:] == [True] * IDLE_ROUNDS + [False] * (len(refined) - first - IDLE_ROUNDS)
-    found = search.advance()
+    result = search.advance()
     collection._idle = IDLE_ROUNDS - 1
-    kept, collection.designs = collection.designs[0], [replace(collection.designs[-1], objective=1.0)]
-    collection.add(Exploration(repaired=found.repaired))
+    best, collection.designs = collection.designs[0], [replace(collection.designs[-1], objective=1.0)]
+    collection.add(Exploration(repaired=result.repaired))
     assert collection.designs[0].objective < 1.0 - OBJECTIVE_TOLERANCE
-    assert collection.designs[0].objective >= kept.objective * (1.0 - OBJECTIVE_TOLERANCE)
+    assert collection.designs[0].objective >= best.objective * (1.0 - OBJECTIVE_TOLERANCE)
     assert collection._idle == 0
 
 
@@ -119,11 +119,11 @@ def random_points(seed: int) -> dict[str, Any]:
 
 def monotone(seed: int, numbers: tuple[int | None, ...]) -> None:
     task = optlink.read(random_points(seed))
-    results = sorted((solve(task, starts=n, designs=1) for n in numbers), key=lambda found: found.starts)
+    results = sorted((solve(task, starts=n, designs=1) for n in numbers), key=lambda result: result.starts)
     best = math.inf
-    for found in results:
-        objective = found.objective if found.valid else math.inf
-        assert objective <= best * (1.0 + 1e-12), (seed, found.starts, objective, best)
+    for result in results:
+        objective = result.objective if result.valid else math.inf
+        assert objective <= best * (1.0 + 1e-12), (seed, result.starts, objective, best)
         best = objective
 
 
@@ -145,11 +145,11 @@ def test_hits_are_counted_after_polishing_with_limits() -> None:
     for measure in ("sum of squares", "max"):
         raw = random_points(1)
         raw["requirement"]["measure"] = measure
-        found = solve(optlink.read(raw), starts=180, designs=1)
-        assert found.valid
-        assert any(limit.active for limit in found.designs[0].limits)
-        assert found.hits >= 2, measure
-        assert found.evidence.starts >= found.hits
+        result = solve(optlink.read(raw), starts=180, designs=1)
+        assert result.valid
+        assert any(limit.active for limit in result.designs[0].limits)
+        assert result.hits >= 2, measure
+        assert result.evidence.starts >= result.hits
 
 
 @pytest.mark.slow

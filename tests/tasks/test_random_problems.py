@@ -32,11 +32,11 @@ LAW_STARTS = 8
 def judged(seed: int) -> int:
     """Solve a random problem; the number of designs that are called valid, none of which has a fault."""
     task = random_task(seed)
-    found = solve(optlink.read(task.raw), starts=STARTS)
-    for rank, design in enumerate(found.designs):
+    result = solve(optlink.read(task.raw), starts=STARTS)
+    for rank, design in enumerate(result.designs):
         assert design.valid
         assert not (faults := faults_of(design, task)), (seed, rank, faults)
-    return len(found.designs)
+    return len(result.designs)
 
 
 @pytest.mark.slow
@@ -54,10 +54,10 @@ def judged_law(seed: int, *, slides: bool) -> bool:
     task = random_law_task(seed, slides=slides)
     file = optlink.read(task.raw)
     if slides:
-        found = solve(file, starts=STARTS, designs=2)
-        faults = [faults_of_slider(design, task) for design in found.designs]
+        outcome = solve(file, starts=STARTS, designs=2)
+        faults = [faults_of_slider(design, task) for design in outcome.designs]
         assert not any(faults), (seed, faults)
-        return found.valid
+        return outcome.valid
     result = optlink.solve(file, starts=LAW_STARTS)
     if result.valid:
         assert not (wrong := faults_of_rocker(result, task)), (seed, wrong)

@@ -20,9 +20,9 @@ FEW = 3  # linkages
 @pytest.mark.parametrize("seed", mostly_slow(range(FEW), 0))
 @pytest.mark.parametrize("timing", TIMINGS)
 def test_a_curve_of_a_known_four_bar_is_recovered(timing: str, seed: int) -> None:
-    found = recover(round_trip(1000 + seed, COUNTS[0], timing), designs=1)
-    assert not found.faults, found
-    assert found.recovered, found
+    result = recover(round_trip(1000 + seed, COUNTS[0], timing), designs=1)
+    assert not result.faults, result
+    assert result.recovered, result
 
 
 @pytest.mark.slow
@@ -32,9 +32,9 @@ def test_many_curves_are_recovered(timing: str, count: int) -> None:
     """Size and place do not matter: every timing and every number of points has plain, tiny, huge, turned and shifted curves."""
     names, first = list(VARIANTS), 2 * COUNTS.index(count) + TIMINGS.index(timing)
     for seed in (first, first + 1):
-        found = recover(round_trip(seed, count, timing, **VARIANTS[names[seed % len(names)]]), designs=1)
-        assert not found.faults, (seed, found)
-        assert found.recovered, (seed, found)
+        result = recover(round_trip(seed, count, timing, **VARIANTS[names[seed % len(names)]]), designs=1)
+        assert not result.faults, (seed, result)
+        assert result.recovered, (seed, result)
 
 
 def test_a_variant_is_the_same_linkage_moved() -> None:
@@ -56,10 +56,10 @@ def test_a_curve_of_no_four_bar_is_not_recovered(timing: str) -> None:
     trip = round_trip(1001, 18, timing)
     points = trip.points.copy()
     points[7] += 0.01 * trip.size
-    found = recover(dataclasses.replace(trip, points=points), designs=1)
-    assert not found.faults
-    assert not found.recovered
-    assert found.miss > 1e4 * RECOVERED
+    result = recover(dataclasses.replace(trip, points=points), designs=1)
+    assert not result.faults
+    assert not result.recovered
+    assert result.miss > 1e4 * RECOVERED
 
 
 def test_the_other_assembly_mode_is_detected() -> None:

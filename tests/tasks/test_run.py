@@ -145,13 +145,19 @@ def test_the_command_solves_a_balancing_problem(tmp_path) -> None:
 @pytest.mark.slow
 def test_results_have_a_one_line_summary() -> None:
     """Whatever a result holds, a prompt shows its problem, status and objective."""
-    made = [solution(name) for name in ("crank-rocker", "path-arc5", "shaper-design", "balance-four-bar")]
-    made += [optlink.analyze(QUESTIONS["shaper"]), QUESTIONS["shaper"], made[0].solution, made[1].best]
-    made += [made[0].validation, optlink.simulate(QUESTIONS["slider-crank"], rows=10), made[4].machine, made[4].machine.mechanism]
-    made += [made[4].machine.moving([0.0, 1.0]).motion]
-    for result in made:
+    results = [solution(name) for name in ("crank-rocker", "path-arc5", "shaper-design", "balance-four-bar")]
+    results += [optlink.analyze(QUESTIONS["shaper"]), QUESTIONS["shaper"], results[0].solution, results[1].best]
+    results += [
+        results[0].validation,
+        optlink.simulate(QUESTIONS["slider-crank"], rows=10),
+        results[4].machine,
+        results[4].machine.mechanism,
+    ]
+    results += [results[4].machine.moving([0.0, 1.0]).motion]
+    for result in results:
         assert len(repr(result)) < 120
         assert "\n" not in repr(result)
     assert (
-        repr(made[0]) == "<FunctionResult 'crank-rocker': optimal, valid, objective 0.00759237, globally optimal within 0.0001 %>"
+        repr(results[0])
+        == "<FunctionResult 'crank-rocker': optimal, valid, objective 0.00759237, globally optimal within 0.0001 %>"
     )

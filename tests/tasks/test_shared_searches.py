@@ -20,11 +20,11 @@ PATH = {"designs": 3, "starts": 60}
 
 def digits(result: Any) -> list[object]:
     """All figures of a path result, bit by bit."""
-    found: list[object] = [result.starts, repr(result.evidence), result.notes]
+    computed: list[object] = [result.starts, repr(result.evidence), result.notes]
     for one in result.designs:
-        found += [x.hex() for x in (one.objective, *one.values.values(), *one.crank_angles)]
-        found += [one.status, repr(one.validation.checks), repr(one.limits)]
-    return found
+        computed += [x.hex() for x in (one.objective, *one.values.values(), *one.crank_angles)]
+        computed += [one.status, repr(one.validation.checks), repr(one.limits)]
+    return computed
 
 
 def shared(name: str, runs: Runs | None, **options: Any) -> Any:
@@ -40,23 +40,23 @@ def backwards(task: ChunkTask, todo: Iterable[int]) -> Iterator[tuple[int, Chunk
 
 def exchanged(task: ChunkTask, todo: Iterable[int]) -> Iterator[tuple[int, ChunkResult]]:
     """The same with a defect: each refined design is taken for that of the candidate at the other end."""
-    found = dict(backwards(task, todo))
-    count = len(found) if isinstance(task, PolishTask) else 0
-    yield from ((index, found[count - 1 - index if count else index]) for index in found)
+    computed = dict(backwards(task, todo))
+    count = len(computed) if isinstance(task, PolishTask) else 0
+    yield from ((index, computed[count - 1 - index if count else index]) for index in computed)
 
 
 def cycle_digits(result: Any) -> list[object]:
     """All figures of a machine, bit by bit."""
-    found: list[object] = [result.starts, result.notes, repr(result.validation.checks)]
+    computed: list[object] = [result.starts, result.notes, repr(result.validation.checks)]
     for one in (result, *result.optima):
-        found += [x.hex() for x in (one.objective, *one.design.values())]
-    return [*found, *(one.count for one in result.optima)]
+        computed += [x.hex() for x in (one.objective, *one.design.values())]
+    return [*computed, *(one.count for one in result.optima)]
 
 
 def other_starts(task: ChunkTask, todo: Iterable[int]) -> Iterator[tuple[int, ChunkResult]]:
     """A defect: each local search is taken for that from the starting point at the other end."""
-    found = dict(backwards(task, todo))
-    yield from ((index, found[len(found) - 1 - index]) for index in found)
+    computed = dict(backwards(task, todo))
+    yield from ((index, computed[len(computed) - 1 - index]) for index in computed)
 
 
 def pressed(after: int) -> Runs:
@@ -163,6 +163,6 @@ def test_processes_outlive_a_task_of_which_no_further_result_is_needed() -> None
         del first
         rest = list(ordered(OwnProcess(), 50, runs))
     assert [index for index, _ in some + rest] == [0, 1, 2, *range(50)]
-    own = {process for _, process in some + rest}
-    assert len(own) <= 2
-    assert os.getpid() not in own
+    processes = {process for _, process in some + rest}
+    assert len(processes) <= 2
+    assert os.getpid() not in processes

@@ -32,10 +32,10 @@ STARTS = 60  # of the batch
 
 def test_peaks_are_found_between_positions_of_the_grid() -> None:
     grid = np.linspace(0.0, 1.0, 41)
-    found = peaks(lambda at: np.array([np.sin(7.0 * at), -1.0 - at * (1.0 - at)]), grid)
-    assert [(peak.row, round(peak.at, 6)) for peak in found] == [(0, 0.224399), (0, 1.0)]
-    assert found[0].height == pytest.approx(1.0, abs=1e-12)
-    assert isinstance(found[0], RowPeak)
+    computed = peaks(lambda at: np.array([np.sin(7.0 * at), -1.0 - at * (1.0 - at)]), grid)
+    assert [(peak.row, round(peak.at, 6)) for peak in computed] == [(0, 0.224399), (0, 1.0)]
+    assert computed[0].height == pytest.approx(1.0, abs=1e-12)
+    assert isinstance(computed[0], RowPeak)
 
 
 def test_the_exchange_of_positions_ends_where_a_round_does_not_move(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -60,17 +60,17 @@ def test_a_six_bar_contains_the_curve_of_its_four_bar(watt: bool) -> None:
     assert part is not None
     assert (part.arms is not None) is watt
     four_bars = solve(part.file, starts=STARTS).designs
-    made = 0
+    count = 0
     for file, four_bar in itertools.product(task.file.variants(), four_bars):
         assert isinstance(file.model, PathProblem)
         batch = Batch(file.model)
-        own = replace(part, file=four_bar.problem)
-        x, t = grow_from_four_bar(own, batch, four_bar.values, four_bar.crank_angles, 5, np.random.default_rng(0))
+        contained = replace(part, file=four_bar.problem)
+        x, t = grow_from_four_bar(contained, batch, four_bar.values, four_bar.crank_angles, 5, np.random.default_rng(0))
         r = batch.residuals(x, t)[0]
-        made += len(x)
+        count += len(x)
         whole = np.sum(r * r, axis=(1, 2)) * file.model.size**2
         assert whole == pytest.approx(np.full(len(x), four_bar.objective), rel=1e-5)
-    assert made >= 3
+    assert count >= 3
 
 
 def judge(seed: int) -> tuple[float, float]:

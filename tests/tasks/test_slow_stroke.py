@@ -54,9 +54,9 @@ def by_hand(crank: float, rod: float, offset: float) -> tuple[float, float]:
 )
 def test_strokes_are_named_with_their_crank_ranges(sense, offset):
     """Dead centres by hand; which stroke is slow changes with the side of the offset and with the sense of the crank."""
-    found = optlink.analyze(press(drive__speed=f"{50 * sense} rpm", mechanism__guides__G__offset=f"{offset} mm"), points=720)
+    result = optlink.analyze(press(drive__speed=f"{50 * sense} rpm", mechanism__guides__G__offset=f"{offset} mm"), points=720)
     far, near = (math.degrees(at) for at in by_hand(0.045, 0.190, 1e-3 * offset))
-    record = json.loads(json.dumps(found.to_dict(), default=list))["strokes"]["ram"]
+    record = json.loads(json.dumps(result.to_dict(), default=list))["strokes"]["ram"]
     turned = sense * (far - near) % 360.0
     assert record["forward"]["crank_rotation_deg"] == pytest.approx(turned, abs=1e-9)
     assert record["forward"]["crank_from_deg"] == pytest.approx(near % 360.0, abs=1e-9)
@@ -64,7 +64,7 @@ def test_strokes_are_named_with_their_crank_ranges(sense, offset):
     assert record["backward"]["crank_from_deg"] == pytest.approx(far % 360.0, abs=1e-9)
     assert record["slow_stroke"] == ("forward" if turned > 180.0 else "backward")
     assert (record["working_stroke"], record["working_loads"]) == ("forward", ["pressing"])
-    share = float(np.mean(found["ram.v_m_s"][:-1] > 0.0))  # the independent route: how long the ram moves forward
+    share = float(np.mean(result["ram.v_m_s"][:-1] > 0.0))  # the independent route: how long the ram moves forward
     assert turned == pytest.approx(360.0 * share, abs=0.6)
 
 
@@ -85,10 +85,10 @@ def test_a_load_in_the_quick_stroke_gets_a_note():
 
 @pytest.mark.parametrize("speed", ["50 rpm", "-50 rpm"])
 def test_a_load_of_the_slow_stroke_follows_the_sense_of_the_crank(speed):
-    found = optlink.analyze(press(loads__pressing__stroke="slow", drive__speed=speed), points=3600)
-    acting = np.abs(found["pressing.fx_N"]) > 0.0
-    strokes = {stroke.pace: stroke for stroke in found.strokes["ram"].strokes(found.speed)}
-    (item,) = found.acting
+    result = optlink.analyze(press(loads__pressing__stroke="slow", drive__speed=speed), points=3600)
+    acting = np.abs(result["pressing.fx_N"]) > 0.0
+    strokes = {stroke.pace: stroke for stroke in result.strokes["ram"].strokes(result.speed)}
+    (item,) = result.acting
     assert item.pace == "slow"
     assert item.stroke == strokes["slow"].name
     assert 360.0 * float(np.mean(acting)) == pytest.approx(math.degrees(strokes["slow"].rotation), abs=0.5)
@@ -113,8 +113,8 @@ def test_the_least_difference_of_the_strokes_decides_not_rounding(factor, equal)
         low, high = (offset, high) if abs(2.0 * (near - far - math.pi)) < factor * LEAST_DIFFERENCE else (low, offset)
     for turned in ("0 deg", "33 deg", "-90 deg"):
         changes = {"mechanism__guides__G__offset": f"{offset!r} m", "mechanism__guides__G__direction": turned}
-        found = optlink.analyze(press(**changes))
-        assert (found.to_dict()["strokes"]["ram"]["slow_stroke"] is None) is equal
+        result = optlink.analyze(press(**changes))
+        assert (result.to_dict()["strokes"]["ram"]["slow_stroke"] is None) is equal
         if equal:
             with pytest.raises(InputError, match="equally long"):
                 press(**changes, loads__pressing__stroke="quick")
@@ -125,11 +125,11 @@ def test_the_least_difference_of_the_strokes_decides_not_rounding(factor, equal)
 def test_each_design_of_a_batch_has_its_own_slow_stroke():
     """The slow stroke changes with the side of the offset; every row is that of the design alone, none where neither is slow."""
     file, offsets = press(loads__pressing__stroke="slow"), np.array([35.0, -35.0, 0.0, 12.0, -3.0]) * 1e-3
-    found = optlink.analyze_batch(file, {"G.offset": offsets}, points=90)["input.torque_Nm"]
-    assert np.all(np.isnan(found[2]))
+    computed = optlink.analyze_batch(file, {"G.offset": offsets}, points=90)["input.torque_Nm"]
+    assert np.all(np.isnan(computed[2]))
     for k in (0, 1, 3, 4):
         alone = optlink.analyze(file, 90, design={"G.offset": float(offsets[k])})["input.torque_Nm"][:-1]
-        np.testing.assert_allclose(found[k], alone, rtol=1e-9, atol=1e-9 * np.max(np.abs(alone)))
+        np.testing.assert_allclose(computed[k], alone, rtol=1e-9, atol=1e-9 * np.max(np.abs(alone)))
 
 
 def test_solved_linkages_name_their_strokes():
@@ -178,11 +178,11 @@ def shown_and_recorded(path, **changes):
     tables = [
         next(k for k, line in enumerate(lines) if line.startswith(title)) for title in ("Strokes of", "Working and", "Extremes")
     ]
-    found = [
+    computed = [
         [" ".join(line.split()[:2]) for line in lines[a:b] if line.split()[1:2] in (["slides"], ["swings"])]
         for a, b in itertools.pairwise(tables)
     ]
-    return *found, json.loads(CliRunner().invoke(app, ["analyze", str(path), "--json"]).stdout)
+    return *computed, json.loads(CliRunner().invoke(app, ["analyze", str(path), "--json"]).stdout)
 
 
 @pytest.mark.parametrize(
@@ -232,8 +232,8 @@ def test_the_slow_stroke_of_a_force_against_another_body_is_that_of_their_relati
             "push": {"on": "rocker", "at": "C", "force": "20 N", "direction": direction, "stroke": "slow", "against": "crank"}
         },
     }
-    found = optlink.analyze(optlink.read(raw))
-    assert float(np.mean(found["push.crank.fx_N"] != 0.0)) == pytest.approx(share, abs=0.01)
+    computed = optlink.analyze(optlink.read(raw))
+    assert float(np.mean(computed["push.crank.fx_N"] != 0.0)) == pytest.approx(share, abs=0.01)
 
 
 def test_a_force_that_opposes_the_motion_of_a_pin_against_a_body_of_the_pin_is_refused():

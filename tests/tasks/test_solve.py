@@ -234,10 +234,10 @@ def test_infeasible_transmission_limits(crank_rocker, backend):
 @pytest.mark.parametrize("limits", [pytest.param((80.0, 100.0), marks=pytest.mark.slow), (70.0, 95.0)])
 def test_the_relaxation_of_a_range_is_the_least_one(crank_rocker, limits):
     """Also of a range that is not centred on 90 deg, and as its printed values."""
-    found = optlink.solve(crank_rocker.override({"limits.transmission_angle": [f"{x} deg" for x in limits]})).conflict
-    assert [item.sense for item in found] == [">=", "<="]
-    low, high = (item.relaxed for item in found)
-    printed = [outward(item, 6) for item in found]
+    computed = optlink.solve(crank_rocker.override({"limits.transmission_angle": [f"{x} deg" for x in limits]})).conflict
+    assert [item.sense for item in computed] == [">=", "<="]
+    low, high = (item.relaxed for item in computed)
+    printed = [outward(item, 6) for item in computed]
     for changed, feasible in (((low - 0.01, high + 0.01), True), (printed, True), ((low + 0.01, high), False)):
         result = optlink.solve(crank_rocker.override({"limits.transmission_angle": [f"{x!r} deg" for x in changed]}))
         assert (result.status is Status.OPTIMAL) == feasible, changed

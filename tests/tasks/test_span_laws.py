@@ -63,22 +63,22 @@ def faults(seed: int) -> list[str]:
     raw = random_law(seed)
     problem = optlink.read(raw)
     result = solve(problem, starts=1)
-    found = []
+    outcome = []
     design, task = result.design, problem.spec
     if result.valid:
         angle = alignment(design, task.span)
         if not angle >= LEAST:
-            found.append(f"locks: {angle:.3g} deg from alignment")
+            outcome.append(f"locks: {angle:.3g} deg from alignment")
         longest = max(design[name] for name in ("crank", "coupler", "rocker", "frame"))
         gap = abs(design["coupler"] - design["crank"])
         if task.requirement.start == "inner dead centre" and not gap >= LEAST * 1e-4 * longest:
-            found.append(f"kite: {gap / longest:.3g} of the longest link between crank and coupler")
+            outcome.append(f"kite: {gap / longest:.3g} of the longest link between crank and coupler")
         given = validate(problem, {name: design[name] for name in task.free})
         if not given.valid:
-            found.append(f"given back it fails: {[check.name for check in given.validation.checks if not check.passed]}")
+            outcome.append(f"given back it fails: {[check.name for check in given.validation.checks if not check.passed]}")
     elif result.status.value == "optimal":
-        found.append(f"optimal, not valid: {[check.name for check in result.validation.checks if not check.passed]}")
-    return found
+        outcome.append(f"optimal, not valid: {[check.name for check in result.validation.checks if not check.passed]}")
+    return outcome
 
 
 def test_the_default_margins_are_those_of_the_oracle() -> None:
@@ -88,7 +88,7 @@ def test_the_default_margins_are_those_of_the_oracle() -> None:
 @pytest.mark.slow
 def test_no_random_span_law_of_many_locks() -> None:
     """Every sixtieth of 3000; that the limit against it is met where it is active is tested below."""
-    wrong = {seed: found for seed in LAWS if (found := faults(seed))}
+    wrong = {seed: computed for seed in LAWS if (computed := faults(seed))}
     assert wrong == {}
 
 

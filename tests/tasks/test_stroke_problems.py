@@ -152,8 +152,8 @@ def test_limits_of_the_transmission_angle_of_a_machine() -> None:
     changes = {"limits.pressure_angle": "60 deg", "limits.transmission_angle": {"E": ["40 deg", "140 deg"]}}
     model = optlink.load("press-toggle", changes).model
     assert isinstance(model, CycleProblem)
-    found = [(bound.key, bound.term.words) for bound in model.bounds if "angle" in bound.key and "rod" not in bound.key]
-    assert found == [
+    computed = [(bound.key, bound.term.words) for bound in model.bounds if "angle" in bound.key and "rod" not in bound.key]
+    assert computed == [
         ("limits.pressure_angle", "peak pressure angle at C"),
         ("limits.transmission_angle.E", "least transmission angle at E"),
         ("limits.transmission_angle.E", "largest transmission angle at E"),

@@ -33,12 +33,12 @@ def forward_over_backward(lengths: tuple[float, ...], side: int, sense: float, c
 
 def crank_rockers(count: int, seed: int) -> list[tuple[float, ...]]:
     rng = np.random.default_rng(seed)
-    found: list[tuple[float, ...]] = []
-    while len(found) < count:
+    result: list[tuple[float, ...]] = []
+    while len(result) < count:
         lengths = rng.uniform(0.1, 1.0, 4)
         if lengths[0] == lengths.min() and lengths[0] + lengths.max() < 0.49 * lengths.sum():
-            found.append(tuple(lengths))
-    return found
+            result.append(tuple(lengths))
+    return result
 
 
 @pytest.mark.parametrize(("side", "sense"), mostly_slow(itertools.product((1, -1), (1, -1)), (1, 1), (-1, -1)))
@@ -94,8 +94,8 @@ def measured(design: dict[str, float], assembly: str, sense: float) -> float:
 def test_a_law_meets_the_time_ratio_of_the_named_stroke(stroke, span, assembly):
     result = solve(law({"exactly": 1.15, "stroke": stroke}, span, assembly), starts=6)
     assert result.valid
-    found = measured(dict(result.design), assembly, span)
-    assert (found if stroke == "forward" else 1.0 / found) == pytest.approx(1.15, rel=1e-3)
+    computed = measured(dict(result.design), assembly, span)
+    assert (computed if stroke == "forward" else 1.0 / computed) == pytest.approx(1.15, rel=1e-3)
     names = [check.name for check in result.validation.checks]
     assert f"time ratio, {stroke} over {OTHER[stroke]}, least" in names
     turned = validate(law({"exactly": 1.15, "stroke": OTHER[stroke]}, span, assembly), result.design)
@@ -141,8 +141,8 @@ def test_the_best_transmission_meets_the_time_ratio_of_the_named_stroke(assembly
     best = solve(optlink.read(raw), starts=60).best
     assert best is not None
     assert best.valid
-    found = measured(dict(best.values), assembly, 1.0)
-    assert (found if stroke == "forward" else 1.0 / found) == pytest.approx(1.1, rel=1e-3)
+    computed = measured(dict(best.values), assembly, 1.0)
+    assert (computed if stroke == "forward" else 1.0 / computed) == pytest.approx(1.1, rel=1e-3)
 
 
 LENGTHS_OF_PATH = (0.05, 0.16, 0.12, 0.17)
@@ -163,7 +163,7 @@ def traced(sense: float, side: int) -> list[dict[str, str]]:
 def test_a_path_meets_the_time_ratio_of_the_named_stroke(sense, side):
     """The curve of a known four-bar: met exactly with the stroke that this one has, missed with the other."""
     true = forward_over_backward(LENGTHS_OF_PATH, side, sense)
-    own, other = ("forward", "backward") if true > 1.0 else ("backward", "forward")
+    named, other = ("forward", "backward") if true > 1.0 else ("backward", "forward")
     length = {"bounds": ["20 mm", "400 mm"]}
     mechanism = dict.fromkeys(LENGTHS, length) | {"type": "four-bar", "assembly": "left" if side > 0 else "right"}
     place = {"bounds": ["-200 mm", "200 mm"]}
@@ -174,15 +174,15 @@ def test_a_path_meets_the_time_ratio_of_the_named_stroke(sense, side):
         "requirement": {"kind": "path", "points": traced(sense, side)},
     }
     errors = {}
-    for stroke in (own, other):
+    for stroke in (named, other):
         file = optlink.read({**raw, "limits": {"time_ratio": {"min": 1.01, "stroke": stroke}}})
         best = solve(file, starts=200).best
         assert best is not None
         assert best.valid
-        found = measured(dict(best.values), str(mechanism["assembly"]), sense)
-        assert (found if stroke == "forward" else 1.0 / found) >= 1.01 - 1e-3
+        computed = measured(dict(best.values), str(mechanism["assembly"]), sense)
+        assert (computed if stroke == "forward" else 1.0 / computed) >= 1.01 - 1e-3
         errors[stroke] = best.objective
-    assert errors[own] < 1e-9
+    assert errors[named] < 1e-9
     assert errors[other] > 1e-6
 
 

@@ -108,8 +108,8 @@ def test_largest_pressure_angle_of_a_slider_crank(offset: float, excess: float) 
     result = validate(optlink.load("law-slider-crank", dict([key])), MADE | {"G.offset": offset})
     (check,) = (check for check in result.validation.checks if "pressure" in check.name or "smallest trans" in check.name)
     assert check.passed == (excess > 0.0)
-    found = check.value if "pressure" in check.name else 90.0 - check.value
-    assert found == pytest.approx(most - excess, abs=1e-9)
+    computed = check.value if "pressure" in check.name else 90.0 - check.value
+    assert computed == pytest.approx(most - excess, abs=1e-9)
     assert math.degrees(result.best.least_transmission) == pytest.approx(90.0 - most + excess, abs=1e-9)
 
 
@@ -127,8 +127,8 @@ def test_pressure_angle_of_a_four_bar_of_dyads_is_that_of_the_four_bar() -> None
     dyads = validate(file, design)
     assert four_bar.valid
     assert dyads.valid
-    found = [next(c.value for c in r.validation.checks if c.name == "largest pressure angle") for r in (four_bar, dyads)]
-    assert found == pytest.approx([45.0, 45.0], abs=1e-6)
+    computed = [next(c.value for c in r.validation.checks if c.name == "largest pressure angle") for r in (four_bar, dyads)]
+    assert computed == pytest.approx([45.0, 45.0], abs=1e-6)
     assert dyads.objective == pytest.approx(four_bar.objective, rel=1e-9)
     nlp = build_path_nlp(file.model)
     values = nlp.values(nlp.x_of(design), nlp.p)[1]
@@ -144,12 +144,12 @@ def test_named_dyads_have_specific_limits_and_others_the_general_one() -> None:
     def limits(changes: Raw) -> dict[str, tuple[float, float]]:
         model = optlink.load("law-six-bar", {f"limits.{key}": value for key, value in changes.items()}).model
         assert isinstance(model, PathProblem)
-        found = {}
+        computed = {}
         for joint in ("C", "E"):
             limit = model.limits.transmission_at(joint)
             if limit is not None:
-                found[limit.key.removeprefix("limits.")] = tuple(round(math.degrees(b), 9) for b in (limit.low, limit.high))
-        return found
+                computed[limit.key.removeprefix("limits.")] = tuple(round(math.degrees(b), 9) for b in (limit.low, limit.high))
+        return computed
 
     both = {"transmission_angle": {"min": "40 deg", "max": "140 deg", "E": ["30 deg", "120 deg"]}}
     assert limits(both) == {"transmission_angle": (40.0, 140.0), "transmission_angle.E": (30.0, 120.0)}
@@ -190,12 +190,12 @@ def test_span_limits_do_not_apply_beyond_the_span() -> None:
     assert whole.valid
     assert span.valid
     assert span.objective < 0.9 * whole.objective
-    found = span.best
-    begin, end = found.crank_angles[[0, -1]]
+    result = span.best
+    begin, end = result.crank_angles[[0, -1]]
     pressure = {}
     for name, angles in {"span": np.linspace(begin, end, 2001), "turn": np.linspace(0.0, TURN, 2001)}.items():
-        height = found.values["crank.length"] * np.sin(angles) - found.values["G.offset"]
-        pressure[name] = math.degrees(math.asin(np.max(np.abs(height)) / found.values["rod.length"]))
+        height = result.values["crank.length"] * np.sin(angles) - result.values["G.offset"]
+        pressure[name] = math.degrees(math.asin(np.max(np.abs(height)) / result.values["rod.length"]))
     assert pressure["span"] == pytest.approx(20.0, abs=1e-5)
     assert pressure["turn"] > 21.0
 
@@ -206,18 +206,18 @@ def test_price_of_the_limit_is_the_difference_of_two_optima(key: str) -> None:
     limit, _, side = key.partition(".")
     stated = ["45 deg", "135 deg"] if side == "min" else "45 deg"
     file = optlink.load("law-slider-crank", {f"limits.{limit}": stated})
-    found = {}
+    computed = {}
     for backend in ("ipopt", "slsqp"):
         for bound in (44.95, 45.0, 45.05):
             result = solve(file.override({f"limits.{key}": f"{bound} deg"}), backend, starts=120, designs=1)
             assert result.valid
-            found[backend, bound] = result
+            computed[backend, bound] = result
     for backend in ("ipopt", "slsqp"):
-        limits = found[backend, 45.0].best.limits
+        limits = computed[backend, 45.0].best.limits
         (price,) = (one.multiplier for one in limits if one.key == f"limits.{limit}" and one.active)
-        slope = (found[backend, 45.05].objective - found[backend, 44.95].objective) / 0.1
+        slope = (computed[backend, 45.05].objective - computed[backend, 44.95].objective) / 0.1
         assert price == pytest.approx(slope, rel=1e-3)
-    assert found["slsqp", 45.0].objective == pytest.approx(found["ipopt", 45.0].objective, rel=1e-7)
+    assert computed["slsqp", 45.0].objective == pytest.approx(computed["ipopt", 45.0].objective, rel=1e-7)
 
 
 @pytest.mark.slow

@@ -86,11 +86,11 @@ def test_complete_balance(both):
     assert both.exact
     assert both.objective < 1e-10 * both.before
     assert both.gap < 1e-7
-    found, wanted = added(both), closed_form(*BARS)
-    assert wanted == pytest.approx((BARS[0].mr + CRANK_MR, BARS[2].mr + ROCKER_MR), rel=1e-9)
-    for body, bare, moment, noted in zip(("crank", "rocker"), (BARS[0], BARS[2]), wanted, (CRANK_MR, ROCKER_MR), strict=True):
-        assert found[body] + bare.mr == pytest.approx(moment, rel=1e-10, abs=1e-13)
-        assert found[body] == pytest.approx(noted, rel=1e-9, abs=1e-13)
+    computed, expected = added(both), closed_form(*BARS)
+    assert expected == pytest.approx((BARS[0].mr + CRANK_MR, BARS[2].mr + ROCKER_MR), rel=1e-9)
+    for body, bare, moment, noted in zip(("crank", "rocker"), (BARS[0], BARS[2]), expected, (CRANK_MR, ROCKER_MR), strict=True):
+        assert computed[body] + bare.mr == pytest.approx(moment, rel=1e-10, abs=1e-13)
+        assert computed[body] == pytest.approx(noted, rel=1e-9, abs=1e-13)
 
 
 def test_complete_balance_in_complex_numbers(both):

@@ -20,7 +20,7 @@ COUNT = 150
 def random_designs(rule: DesignProblem, count: int, seed: int) -> list[dict[str, float]]:
     """Designs about the optimum and far from it, some with a wrong angle or length, some with a value missing."""
     rng = np.random.default_rng(seed)
-    found = []
+    result = []
     for k in range(count):
         spread = (1e-7, 1e-3, 0.3)[k % 3]
         design = rule.design({name: value * (1.0 + spread * rng.uniform(-1.0, 1.0)) for name, value in OPTIMUM.items()})
@@ -28,8 +28,8 @@ def random_designs(rule: DesignProblem, count: int, seed: int) -> list[dict[str,
             design[("phi0", "psi0", "crank", "frame")[k // 10 % 4]] += rng.choice([1e-6, 1e-3, 1.0])
         if k % 25 == 2:
             design[("coupler", "phi0", "psi0", "rocker")[k // 25 % 4]] = math.nan
-        found.append(design)
-    return found
+        result.append(design)
+    return result
 
 
 def columns(designs: list[dict[str, float]]) -> dict[str, np.ndarray]:

@@ -60,10 +60,10 @@ def test_points_in_line_do_not_hide_an_overshoot() -> None:
     assert "points 4 and 5" in fit.reasons[0].remedy
     outcome = validate(best.problem, {})
     assert "between points 4 and 5" in conclusion(outcome, ())
-    told = best.to_dict()
-    assert told["fit"]["grade"] == "poor"
-    assert told["objective"]["largest_between_mm"] == pytest.approx(place(0.0) - place(-20.0), abs=2e-3)
-    assert len(told["points"]["between_mm"]) == 5
+    document = best.to_dict()
+    assert document["fit"]["grade"] == "poor"
+    assert document["objective"]["largest_between_mm"] == pytest.approx(place(0.0) - place(-20.0), abs=2e-3)
+    assert len(document["points"]["between_mm"]) == 5
 
 
 def test_a_motion_along_the_line_is_met_between_its_points() -> None:
@@ -94,9 +94,9 @@ def test_the_sagitta_is_that_of_the_circle() -> None:
     for steps in ((30.0,) * 12, (20.0, 40.0) * 6):
         at = np.radians(np.cumsum(steps))
         arc = 1.0 - np.cos(0.5 * np.radians(np.roll(steps, -1)))
-        found = sagittas(np.stack([np.cos(at), np.sin(at)], axis=1), closed=True, around=True)
-        assert np.all(found >= arc - 1e-12)
-        assert np.max(found / arc) < 2.3
+        computed = sagittas(np.stack([np.cos(at), np.sin(at)], axis=1), closed=True, around=True)
+        assert np.all(computed >= arc - 1e-12)
+        assert np.max(computed / arc) < 2.3
     line = np.array([[0.0, 0.0], [1.0, 0.0], [3.0, 0.0], [4.0, 0.0]])
     assert sagittas(line, closed=False, around=False) == pytest.approx([0.0, 0.0, 0.0])
     dwell = np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [5.0, 1.0]])

@@ -48,27 +48,27 @@ def _checked(problem: Any, document: Document, folder: Path) -> CertificateCheck
     return check_certificate(problem, path)
 
 
-def _failed(found: CertificateCheck) -> str:
-    assert not found.valid
-    return "; ".join(check.name for check in found.checks if not check.passed)
+def _failed(result: CertificateCheck) -> str:
+    assert not result.valid
+    return "; ".join(check.name for check in result.checks if not check.passed)
 
 
 def test_a_sound_certificate_holds(narrow: tuple[Any, Document], tmp_path: Path) -> None:
     problem, document = narrow
-    found = _checked(problem, document, tmp_path)
-    assert found.valid, found.checks
-    assert found.boxes == len(document["covers"][0]["test"]) > 10
-    assert found.gap <= 1e-6
-    assert found.objective == pytest.approx(document["objective"], rel=1e-12)
-    assert 0.0 < found.gap == pytest.approx(1.0 - document["lower_bound"] / document["objective"], rel=1e-6)
+    result = _checked(problem, document, tmp_path)
+    assert result.valid, result.checks
+    assert result.boxes == len(document["covers"][0]["test"]) > 10
+    assert result.gap <= 1e-6
+    assert result.objective == pytest.approx(document["objective"], rel=1e-12)
+    assert 0.0 < result.gap == pytest.approx(1.0 - document["lower_bound"] / document["objective"], rel=1e-6)
 
 
 def test_a_certificate_that_no_design_is_feasible_holds(tmp_path: Path) -> None:
     problem = optlink.load("crank-rocker", NO_DESIGN)
     document = _certificate(problem)
     assert document["status"] == "infeasible"
-    found = _checked(problem, document, tmp_path)
-    assert found.valid, found.checks
+    result = _checked(problem, document, tmp_path)
+    assert result.valid, result.checks
     feasible = optlink.load("crank-rocker")  # the same boxes, of a problem that has designs
     assert "violates none of the limits" in " ".join(
         check.name for check in _checked(feasible, document | {"problem_hash": feasible.hash}, tmp_path).checks
@@ -78,8 +78,8 @@ def test_a_certificate_that_no_design_is_feasible_holds(tmp_path: Path) -> None:
 def test_a_certificate_holds_where_no_design_variable_changes_the_missed_limit(tmp_path: Path) -> None:
     fixed = {"mechanism.coupler": "300 mm", "mechanism.rocker": "200 mm", "requirement.psi0": {"bounds": ["60 deg", "120 deg"]}}
     problem = optlink.load("crank-rocker", fixed)
-    found = _checked(problem, _certificate(problem), tmp_path)
-    assert found.valid, found.checks
+    result = _checked(problem, _certificate(problem), tmp_path)
+    assert result.valid, result.checks
 
 
 @pytest.mark.slow
@@ -157,10 +157,10 @@ def test_a_bound_between_optimum_and_a_worse_design_is_refuted(narrow: tuple[Any
     objective = validate(model, worse).objective
     assert objective > 1.001 * document["objective"]
     for bound, holds in ((document["lower_bound"], True), (0.5 * (objective + document["objective"]), False)):
-        found = _checked(problem, document | {"design": worse, "objective": objective, "lower_bound": bound}, tmp_path)
-        assert found.valid == holds
+        result = _checked(problem, document | {"design": worse, "objective": objective, "lower_bound": bound}, tmp_path)
+        assert result.valid == holds
         if not holds:
-            assert "violates none of the limits and has a lower objective" in " ".join(check.name for check in found.checks)
+            assert "violates none of the limits and has a lower objective" in " ".join(check.name for check in result.checks)
 
 
 def test_wrong_multipliers_do_not_matter(narrow: tuple[Any, Document], tmp_path: Path) -> None:
@@ -168,8 +168,8 @@ def test_wrong_multipliers_do_not_matter(narrow: tuple[Any, Document], tmp_path:
     document = copy.deepcopy(document)
     for row in document["covers"][0]["multipliers"]:
         row.update({str(k): 3.0 for k in range(4)})
-    found = _checked(problem, document | {"lower_bound": 0.9 * document["objective"]}, tmp_path)
-    assert found.valid, found.checks
+    result = _checked(problem, document | {"lower_bound": 0.9 * document["objective"]}, tmp_path)
+    assert result.valid, result.checks
 
 
 def _negative(document: Document) -> None:
@@ -312,19 +312,19 @@ def test_balls_contain_values_and_derivatives() -> None:
                     ).value
 
                 box = [Ball.unknown(k, 2, centre[k], flint.arb(scale[k])) for k in range(2)]
-                found = formula(*box)
-                assert found.known
-                assert found.centre.overlaps(at([0, 0]))
+                result = formula(*box)
+                assert result.known
+                assert result.centre.overlaps(at([0, 0]))
                 d = [flint.arb(x) for x in rng.uniform(-1.0, 1.0, 2)]
-                assert found.value.contains(at(d))
-                assert found.range.contains(at(d))
-                assert lower_bound(found) <= at(d)
+                assert result.value.contains(at(d))
+                assert result.range.contains(at(d))
+                assert lower_bound(result) <= at(d)
                 near = flint.arb(0, 1e-9)
                 for i in range(2):
                     unit = [step * (k == i) for k in range(2)]
                     up, down = (at([x + sign * u for x, u in zip(d, unit, strict=True)]) for sign in (1, -1))
-                    assert (found.gradient[0, i] + near).contains((up - down) / (2 * step))
-                    assert (found.hessian[i, i] + near).contains((up - 2 * at(d) + down) / (step * step))
+                    assert (result.gradient[0, i] + near).contains((up - down) / (2 * step))
+                    assert (result.hessian[i, i] + near).contains((up - 2 * at(d) + down) / (step * step))
 
 
 def test_definite_matrices() -> None:
@@ -373,9 +373,9 @@ def test_tangent_plane_of_a_convex_quantity() -> None:
 @pytest.mark.slow
 def test_crank_rocker(tmp_path: Path) -> None:
     problem = optlink.load("crank-rocker")
-    found = _checked(problem, _certificate(problem), tmp_path)
-    assert found.valid, found.checks
-    assert found.boxes > 200
+    result = _checked(problem, _certificate(problem), tmp_path)
+    assert result.valid, result.checks
+    assert result.boxes > 200
 
 
 @pytest.mark.parametrize(
@@ -396,8 +396,8 @@ def test_deviations_and_limits_are_those_of_the_search(name: str) -> None:
         for (_, slack), value, remainder in zip(slacks, models.slacks.value[0], models.slacks.remainder[0], strict=True):
             assert not np.isfinite(remainder) or float(slack.centre) == pytest.approx(value, rel=1e-9, abs=1e-12)
         compared = 0
-        for position, found in enumerate(problem.deviations(values, start)):
-            for k, one in enumerate(found):
+        for position, computed in enumerate(problem.deviations(values, start)):
+            for k, one in enumerate(computed):
                 if one.model is not None:
                     compared += 1
                     assert float(one.model.centre) == pytest.approx(models.residuals.value[0, position, k], rel=1e-9, abs=1e-12)

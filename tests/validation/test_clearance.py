@@ -63,11 +63,11 @@ COLUMNS = {
 @cache
 def simulate(rpm: int, friction: float, revolutions: int, points: int = STEPS, tolerance: float = 1e-11) -> ClearanceSimulation:
     problem = optlink.load("slider-crank-clearance", {"joints.C.friction": friction})
-    found: ClearanceSimulation = once(
+    computed: ClearanceSimulation = once(
         f"clearance at {rpm} rpm, friction {friction}, {revolutions} revolutions of {points} rows, {tolerance}",
         lambda: simulate_clearance(problem, revolutions, points, rpm * RPM, tolerance=tolerance, twin=False),
     )
-    return found
+    return computed
 
 
 def first_impact(rpm: int, tolerance: float, points: int = STEPS) -> Impact:
@@ -112,8 +112,8 @@ def test_first_impact(rpm, tolerance):
 
 @pytest.mark.parametrize("rpm", SPEEDS)
 def test_first_impact_to_the_digits_that_were_noted(rpm):
-    found = first_impact(rpm, 1e-12)
-    mine = (found.begin, math.degrees(found.crank_angle), found.approach, found.penetration, found.end, found.departure)
+    result = first_impact(rpm, 1e-12)
+    mine = (result.begin, math.degrees(result.crank_angle), result.approach, result.penetration, result.end, result.departure)
     assert mine == pytest.approx(IMPACTS[rpm], rel=3e-9)
     assert mine[:3] == pytest.approx(IMPACTS[rpm][:3], rel=3e-11)
 
@@ -131,42 +131,42 @@ def test_first_impact_does_not_depend_on_the_rows():
 @pytest.mark.parametrize("rpm", SPEEDS)
 def test_revolution_eleven(rpm):
     """Within 5 nm: the deviation of the slider itself is 0.5 mm."""
-    table, found = read_csv(DATA / f"clearance_mu01_{rpm}rpm.csv"), simulate(rpm, 0.1, 25)
+    table, computed = read_csv(DATA / f"clearance_mu01_{rpm}rpm.csv"), simulate(rpm, 0.1, 25)
     rows = 10 * STEPS - 1 + np.arange(STEPS + 1)  # the last row of revolution 10 is the beginning of revolution 11
     assert len(table["t"]) == len(rows)
-    np.testing.assert_allclose(found["crank_angle_deg"][rows] - 3600.0, table["theta_deg"], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(computed["crank_angle_deg"][rows] - 3600.0, table["theta_deg"], rtol=0.0, atol=1e-9)
     for column, (name, near) in COLUMNS.items():
-        np.testing.assert_allclose(found[name][rows], table[column], rtol=0.0, atol=near, err_msg=column)
-    direction = np.degrees(np.arctan2(found["C.ey_m"], found["C.ex_m"]))[rows]
+        np.testing.assert_allclose(computed[name][rows], table[column], rtol=0.0, atol=near, err_msg=column)
+    direction = np.degrees(np.arctan2(computed["C.ey_m"], computed["C.ex_m"]))[rows]
     off = np.remainder(direction - table["contact_dir_deg"] + 180.0, 360.0) - 180.0
     assert np.max(np.abs(off)) < 1e-3
-    assert np.all(found["C.contact"][rows] == 1.0)
+    assert np.all(computed["C.contact"][rows] == 1.0)
 
 
 @pytest.mark.parametrize("rpm", mostly_slow(SPEEDS, 5000, 1200))
 def test_revolution_eleven_at_the_usual_tolerance(rpm):
     """Published agreement: 1 um."""
-    table, found = read_csv(DATA / f"clearance_mu01_{rpm}rpm.csv"), simulate(rpm, 0.1, 11, tolerance=1e-9)
+    table, computed = read_csv(DATA / f"clearance_mu01_{rpm}rpm.csv"), simulate(rpm, 0.1, 11, tolerance=1e-9)
     rows = 10 * STEPS - 1 + np.arange(STEPS + 1)
-    assert np.max(np.abs(found["slider.s_m"][rows] - table["x_slider"])) < 2e-7
+    assert np.max(np.abs(computed["slider.s_m"][rows] - table["x_slider"])) < 2e-7
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rpm", SPEEDS)
 def test_deviation_over_twenty_revolutions(rpm):
-    found = simulate(rpm, 0.1, 25)
-    assert found.figures["settled_revolutions"] == 20.0
-    assert found.figures["rms_m"] == pytest.approx(RMS[rpm], rel=1e-3)
-    error = found["slider.error_m"][5 * STEPS :]
-    assert found.figures["rms_m"] == pytest.approx(float(np.sqrt(np.mean(error * error))), rel=1e-12)
+    result = simulate(rpm, 0.1, 25)
+    assert result.figures["settled_revolutions"] == 20.0
+    assert result.figures["rms_m"] == pytest.approx(RMS[rpm], rel=1e-3)
+    error = result["slider.error_m"][5 * STEPS :]
+    assert result.figures["rms_m"] == pytest.approx(float(np.sqrt(np.mean(error * error))), rel=1e-12)
 
 
 @pytest.mark.parametrize("rpm", ONE_AND_ALL)
 def test_contact_becomes_permanent_and_the_motion_periodic(rpm):
-    found = simulate(rpm, 0.1, 25)
-    assert max(impact.end for impact in found.impacts if math.isfinite(impact.end)) * rpm / 60.0 < 1.0  # in the first revolution
-    assert found.per_revolution["C.contact_share"][1:] == pytest.approx(1.0)
-    changes = np.max(np.abs(np.diff(found["slider.error_m"].reshape(25, STEPS), axis=0)), axis=1)
+    result = simulate(rpm, 0.1, 25)
+    assert max(impact.end for impact in result.impacts if math.isfinite(impact.end)) * rpm / 60.0 < 1.0  # in the first revolution
+    assert result.per_revolution["C.contact_share"][1:] == pytest.approx(1.0)
+    changes = np.max(np.abs(np.diff(result["slider.error_m"].reshape(25, STEPS), axis=0)), axis=1)
     assert np.all(changes[2:13] < changes[1:12])
     assert changes[-1] < 3e-8
     assert changes[-1] < 1e-3 * changes[4]
@@ -175,11 +175,11 @@ def test_contact_becomes_permanent_and_the_motion_periodic(rpm):
 @pytest.mark.parametrize(("rpm", "switches"), [(5000, 43), pytest.param(1200, 63, marks=pytest.mark.slow)])
 def test_number_of_switches(rpm, switches):
     """Begins and ends of contacts; the last begins and stays."""
-    found = simulate(rpm, 0.1, 25)
-    ends = [impact for impact in found.impacts if math.isfinite(impact.end)]
-    assert found["C.contact"][-1] == 1.0
+    result = simulate(rpm, 0.1, 25)
+    ends = [impact for impact in result.impacts if math.isfinite(impact.end)]
+    assert result["C.contact"][-1] == 1.0
     assert 2 * len(ends) + 1 == switches
-    assert int(np.sum(found.per_revolution["impacts"])) == len(ends)
+    assert int(np.sum(result.per_revolution["impacts"])) == len(ends)
 
 
 @pytest.mark.parametrize("rpm", ONE_AND_ALL)
@@ -196,11 +196,11 @@ def test_energy_account_closes(rpm):
 @pytest.mark.slow
 def test_statistics_of_the_chaotic_motion():
     """0.408 mm; single runs scatter by some per cent."""
-    found = simulate(5000, 0.0, 20, 360, 1e-10)
-    assert found.figures["rms_from_start_m"] == pytest.approx(0.408e-3, rel=0.1)
-    assert found.figures["imbalance_J"] < 1e-6 * found.figures["largest_energy_J"]
-    assert found.figures["C.friction.work_J"] == 0.0
-    assert np.all(np.diff(found["work.C.impact_J"]) >= 0.0)  # contacts lose energy, never gain
+    result = simulate(5000, 0.0, 20, 360, 1e-10)
+    assert result.figures["rms_from_start_m"] == pytest.approx(0.408e-3, rel=0.1)
+    assert result.figures["imbalance_J"] < 1e-6 * result.figures["largest_energy_J"]
+    assert result.figures["C.friction.work_J"] == 0.0
+    assert np.all(np.diff(result["work.C.impact_J"]) >= 0.0)  # contacts lose energy, never gain
 
 
 @pytest.mark.slow
@@ -208,16 +208,16 @@ def test_runs_at_two_tolerances_part_without_friction_only():
     """They part by 100 um after 1.4 to 3.4 revolutions; here half of that counts as parted."""
     for friction, chaotic in ((0.0, True), (0.1, False)):
         problem = optlink.load("slider-crank-clearance", {"joints.C.friction": friction})
-        found = simulate_clearance(problem, 6, STEPS, 5000 * RPM)
-        assert found.prediction is not None
-        assert found.prediction.chaotic is chaotic
-        assert (found.prediction.parted is not None and 0.5 < found.prediction.parted < 5.0) is chaotic
-        assert any("sensitive" in note for note in found.notes) is chaotic
+        result = simulate_clearance(problem, 6, STEPS, 5000 * RPM)
+        assert result.prediction is not None
+        assert result.prediction.chaotic is chaotic
+        assert (result.prediction.parted is not None and 0.5 < result.prediction.parted < 5.0) is chaotic
+        assert any("sensitive" in note for note in result.notes) is chaotic
 
 
 def test_result_is_a_json_document():
-    told = json.loads(json.dumps(simulate(5000, 0.1, 25).to_dict(), allow_nan=False))
-    assert told["schema"] == "optlink/clearance/2"
-    assert (told["status"], told["finished"]) == ("finished", True)
-    assert told["impacts"][0]["gap"] == "C"
-    assert set(told["columns"]) == set(told["meanings"])
+    document = json.loads(json.dumps(simulate(5000, 0.1, 25).to_dict(), allow_nan=False))
+    assert document["schema"] == "optlink/clearance/2"
+    assert (document["status"], document["finished"]) == ("finished", True)
+    assert document["impacts"][0]["gap"] == "C"
+    assert set(document["columns"]) == set(document["meanings"])

@@ -33,11 +33,11 @@ def test_a_result_file_that_agrees_with_its_design_is_valid(solved):
 
 def test_a_result_file_with_another_objective_is_not_valid(solved):
     name, document, path = solved
-    own = json.loads(json.dumps(document))
-    for part in (own, *own.get("designs", [])):
+    changed_document = json.loads(json.dumps(document))
+    for part in (changed_document, *changed_document.get("designs", [])):
         if "objective" in part:
             part["objective"]["value"] *= 0.98
-    path.write_text(json.dumps(own))
+    path.write_text(json.dumps(changed_document))
     done = run("validate", name, "--design", path)
     assert done.exit_code == 1
     assert "objective of the result" in " ".join(done.output.split())
@@ -45,12 +45,12 @@ def test_a_result_file_with_another_objective_is_not_valid(solved):
 
 def test_a_result_file_with_other_angles_is_not_valid(solved):
     name, document, path = solved
-    own = json.loads(json.dumps(document))
+    changed_document = json.loads(json.dumps(document))
     if name == "crank-rocker":
-        own["design"]["psi0_deg"] += 0.2
+        changed_document["design"]["psi0_deg"] += 0.2
     else:
-        own["designs"][0]["points"]["crank_deg"][2] += 0.2
-    path.write_text(json.dumps(own))
+        changed_document["designs"][0]["points"]["crank_deg"][2] += 0.2
+    path.write_text(json.dumps(changed_document))
     assert run("validate", name, "--design", path).exit_code == 1
 
 
@@ -105,9 +105,9 @@ def machine(tmp_path_factory):
 def changed(machine, change):
     """Exit code, names of the checks that fail and warnings of `validate` for the result file after a change."""
     problem, document, path = machine
-    own = json.loads(json.dumps(document))
-    change(own)
-    path.write_text(json.dumps(own))
+    copy = json.loads(json.dumps(document))
+    change(copy)
+    path.write_text(json.dumps(copy))
     done = run("validate", problem, "--design", path, "--json")
     failed = [check["name"] for check in json.loads(done.stdout)["validation"] if not check["passed"]]
     return done.exit_code, f"{'; '.join(failed)} {done.stderr}"

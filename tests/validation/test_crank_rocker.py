@@ -60,8 +60,8 @@ def transcription(l2: float, l3: float, points: int = 30) -> tuple[float, float,
 
 def test_objective_equals_the_textbook_s_own_formulas(crank_rocker):
     for l2, l3 in ((412.86542, 232.24617), (412.26, 232.2417), (430.0, 300.0), (300.0, 420.0)):
-        found = optlink.validate(crank_rocker, {"coupler": l2 / 1e3, "rocker": l3 / 1e3}).objective
-        assert found == pytest.approx(transcription(l2, l3)[0], rel=1e-11)
+        computed = optlink.validate(crank_rocker, {"coupler": l2 / 1e3, "rocker": l3 / 1e3}).objective
+        assert computed == pytest.approx(transcription(l2, l3)[0], rel=1e-11)
 
 
 def test_no_feasible_neighbour_on_a_grid_is_better(solved):

@@ -145,11 +145,11 @@ def slider_crank(phi: np.ndarray) -> Closed:
     crank = crank_of(phi, 10.0)
     b = arm(crank, 0.1)
     rod, e = to_line(b, 0.3)
-    found = Closed({"crank": crank, "rod": rod}, {"B": b, "E": e}, {"slider": e.real}, gravity=0.0)
-    found.bar("crank", 0.2, still(0.0), 0.1)
-    found.bar("rod", 0.2, b, 0.3)
-    found.lump(0.4, e)
-    return found
+    result = Closed({"crank": crank, "rod": rod}, {"B": b, "E": e}, {"slider": e.real}, gravity=0.0)
+    result.bar("crank", 0.2, still(0.0), 0.1)
+    result.bar("rod", 0.2, b, 0.3)
+    result.lump(0.4, e)
+    return result
 
 
 def four_bar_of(crank: np.ndarray, r: float, a: float, b: float, pivot: complex, side: int) -> tuple[np.ndarray, ...]:
@@ -163,19 +163,19 @@ def watt(phi: np.ndarray) -> Closed:
     e, f = b + arm(coupler, (48 - 124j) * MM), still((170 + 45j) * MM) + arm(rocker, (168 + 85j) * MM)
     rod, leg, g = two_links(e, f, 147 * MM, 138 * MM, -1)
     p = f + arm(leg, (151 + 124j) * MM)
-    found = Closed(
+    result = Closed(
         {"crank": crank, "coupler": coupler, "rocker": rocker, "rod": rod, "leg": leg},
         {"B": b, "C": c, "E": e, "F": f, "G": g, "P": p},
     )
-    found.bar("crank", 0.15, still(0.0), 50 * MM)
-    found.mass("coupler", 0.4, 1.6e-3, b, (67 - 41j) * MM)
-    found.mass("rocker", 0.45, 1.5e-3, still((170 + 45j) * MM), (89 + 28j) * MM)
-    found.bar("rod", 0.2, e, 147 * MM)
-    found.mass("leg", 0.5, 2.2e-3, f, (96 + 41j) * MM)
+    result.bar("crank", 0.15, still(0.0), 50 * MM)
+    result.mass("coupler", 0.4, 1.6e-3, b, (67 - 41j) * MM)
+    result.mass("rocker", 0.45, 1.5e-3, still((170 + 45j) * MM), (89 + 28j) * MM)
+    result.bar("rod", 0.2, e, 147 * MM)
+    result.mass("leg", 0.5, 2.2e-3, f, (96 + 41j) * MM)
     degrees = np.degrees(phi) % 360.0
-    found.forces.append((p, 1j * 60.0 * np.clip(np.minimum((degrees - 95) / 20, (285 - degrees) / 20), 0.0, 1.0)))
-    found.torques.append(("rocker", -0.8 * np.sign(rocker[1])))
-    return found
+    result.forces.append((p, 1j * 60.0 * np.clip(np.minimum((degrees - 95) / 20, (285 - degrees) / 20), 0.0, 1.0)))
+    result.torques.append(("rocker", -0.8 * np.sign(rocker[1])))
+    return result
 
 
 def stephenson(phi: np.ndarray) -> Closed:
@@ -184,18 +184,18 @@ def stephenson(phi: np.ndarray) -> Closed:
     b, coupler, rocker, c = four_bar_of(crank, 40 * MM, 96 * MM, 130 * MM, 121 * MM, +1)
     e = b + arm(coupler, (156 + 7j) * MM)
     link, lever, g = two_links(e, pivot, 106.5 * MM, 100 * MM, +1)
-    found = Closed(
+    result = Closed(
         {"crank": crank, "coupler": coupler, "rocker": rocker, "link": link, "lever": lever}, {"B": b, "C": c, "E": e, "G": g}
     )
-    found.bar("crank", 0.3, still(0.0), 40 * MM)
-    found.mass("coupler", 0.6, 1.4e-3, b, (78 + 3j) * MM)
-    found.bar("rocker", 0.4, still(121 * MM), 130 * MM)
-    found.bar("link", 0.35, e, 106.5 * MM)
-    found.mass("lever", 0.9, 4e-3, pivot, 0.0)
+    result.bar("crank", 0.3, still(0.0), 40 * MM)
+    result.mass("coupler", 0.6, 1.4e-3, b, (78 + 3j) * MM)
+    result.bar("rocker", 0.4, still(121 * MM), 130 * MM)
+    result.bar("link", 0.35, e, 106.5 * MM)
+    result.mass("lever", 0.9, 4e-3, pivot, 0.0)
     turned = np.angle(np.exp(1j * (lever[0] - math.pi)))
-    found.torques.append(("lever", -12.0 * turned - 0.2 * lever[1]))
-    found.torques.append(("lever", 3.0 + 2.0 * np.cos(phi - math.pi / 4)))
-    return found
+    result.torques.append(("lever", -12.0 * turned - 0.2 * lever[1]))
+    result.torques.append(("lever", 3.0 + 2.0 * np.cos(phi - math.pi / 4)))
+    return result
 
 
 def whitworth(phi: np.ndarray) -> Closed:
@@ -205,18 +205,18 @@ def whitworth(phi: np.ndarray) -> Closed:
     d = arm(toward, -90 * MM)
     slotted = toward + np.array([math.pi, 0.0, 0.0])[:, None]
     coupler, e = to_line(d, 320 * MM)
-    found = Closed(
+    result = Closed(
         {"crank": crank, "arm": slotted, "block": toward, "coupler": coupler},
         {"B": b, "D": d, "E": e},
         {"block": slide, "ram": e.real},
     )
-    found.bar("crank", 3.0, still(-50j * MM), 100 * MM)
-    found.lump(0.8, b)
-    found.mass("arm", 6.0, 0.045, still(0.0), -20 * MM)
-    found.bar("coupler", 2.5, d, 320 * MM)
-    found.lump(25.0, e)
-    found.forces.append((e, np.where(e[1].real < 0.0, 2000.0, 0.0)))  # it moves towards -x in its slow stroke
-    return found
+    result.bar("crank", 3.0, still(-50j * MM), 100 * MM)
+    result.lump(0.8, b)
+    result.mass("arm", 6.0, 0.045, still(0.0), -20 * MM)
+    result.bar("coupler", 2.5, d, 320 * MM)
+    result.lump(25.0, e)
+    result.forces.append((e, np.where(e[1].real < 0.0, 2000.0, 0.0)))  # it moves towards -x in its slow stroke
+    return result
 
 
 def toggle_press(phi: np.ndarray) -> Closed:
@@ -226,14 +226,14 @@ def toggle_press(phi: np.ndarray) -> Closed:
     rod, upper, c = two_links(b, still(0.0), 473 * MM, 300 * MM, +1)
     s = 2.0 * -c.imag  # an isosceles triangle on the ram's line
     lower, e = polar(-1j * s - c)[1], -1j * s
-    found = Closed({"crank": crank, "rod": rod, "upper": upper, "lower": lower}, {"B": b, "C": c, "E": e}, {"ram": s})
-    found.bar("crank", 5.0, a, 60 * MM)
-    found.bar("rod", 8.0, b, 473 * MM)
-    found.bar("upper", 6.0, still(0.0), 300 * MM)
-    found.bar("lower", 6.0, c, 300 * MM)
-    found.lump(40.0, e)
-    found.forces.append((e, np.where(s[1] > 0.0, 1j * pressing(s[0]), 0.0)))
-    return found
+    result = Closed({"crank": crank, "rod": rod, "upper": upper, "lower": lower}, {"B": b, "C": c, "E": e}, {"ram": s})
+    result.bar("crank", 5.0, a, 60 * MM)
+    result.bar("rod", 8.0, b, 473 * MM)
+    result.bar("upper", 6.0, still(0.0), 300 * MM)
+    result.bar("lower", 6.0, c, 300 * MM)
+    result.lump(40.0, e)
+    result.forces.append((e, np.where(s[1] > 0.0, 1j * pressing(s[0]), 0.0)))
+    return result
 
 
 def pressing(s: np.ndarray) -> np.ndarray:
@@ -244,12 +244,12 @@ def scotch_yoke(phi: np.ndarray) -> Closed:
     crank = crank_of(phi, 300 * RPM)
     b = arm(crank, 40 * MM)
     s, still_standing = b.real, np.zeros((3, len(phi)))
-    found = Closed({"crank": crank, "yoke": still_standing}, {"B": b, "Y": s + 0j}, {"block": b.imag, "yoke": s})
-    found.bar("crank", 0.6, still(0.0), 40 * MM)
-    found.lump(0.5, b)
-    found.lump(6.0, s + 0j)
-    found.forces.append((s + 0j, -900.0 * s[1] * np.abs(s[1])))
-    return found
+    result = Closed({"crank": crank, "yoke": still_standing}, {"B": b, "Y": s + 0j}, {"block": b.imag, "yoke": s})
+    result.bar("crank", 0.6, still(0.0), 40 * MM)
+    result.lump(0.5, b)
+    result.lump(6.0, s + 0j)
+    result.forces.append((s + 0j, -900.0 * s[1] * np.abs(s[1])))
+    return result
 
 
 def slotted_quick_return(phi: np.ndarray) -> Closed:
@@ -261,14 +261,14 @@ def slotted_quick_return(phi: np.ndarray) -> Closed:
     x = chain(rocker, h * cot, -h / sine**2, 2.0 * h * cot / sine**2)
     die = chain(rocker, h / sine, -h * cot / sine, h / sine * (1.0 + 2.0 * cot**2))
     d = x + still(1j * h)
-    found = Closed(
+    result = Closed(
         {"crank": crank, "rocker": rocker, "block": rocker, "die": rocker},
         {"B": b, "D": d},
         {"block": slide, "die": die, "ram": x},
     )
-    found.bar("crank", 2.0, still(250j * MM), 100 * MM)
-    found.bar("rocker", 7.0, still(0.0), 560 * MM)
-    found.lump(30.0, d)
+    result.bar("crank", 2.0, still(250j * MM), 100 * MM)
+    result.bar("rocker", 7.0, still(0.0), 560 * MM)
+    result.lump(30.0, d)
     reach = (700 - 150) * MM - x[0]  # the spring ends 150 mm before the ram's pin
     pull = 800.0 * (reach - 330 * MM)
     cutting = np.where(x[1] < 0.0, 1500.0, 0.0)  # it moves towards -x in its slow stroke
@@ -281,9 +281,9 @@ def slotted_quick_return(phi: np.ndarray) -> Closed:
         normal = weight + size * np.cos(t)
         fitting.append(np.where(sign * normal >= 0.0, normal, np.nan))
     assert np.all(np.isfinite(fitting[0]) ^ np.isfinite(fitting[1])), "one sign of the normal force fits, and one alone"
-    found.normal = np.where(np.isfinite(fitting[0]), *fitting)
-    found.forces.append((d, pull + cutting - 0.1 * np.abs(found.normal) * way))
-    return found
+    result.normal = np.where(np.isfinite(fitting[0]), *fitting)
+    result.forces.append((d, pull + cutting - 0.1 * np.abs(result.normal) * way))
+    return result
 
 
 def oscillating_cylinder(phi: np.ndarray) -> Closed:
@@ -295,14 +295,14 @@ def oscillating_cylinder(phi: np.ndarray) -> Closed:
     slide = chain(d, reach, d[0] / reach, -(offset**2) / reach**3)
     share = chain(d, offset / d[0], -offset / d[0] ** 2, 2.0 * offset / d[0] ** 3)
     cylinder = toward - arcsine(share)
-    found = Closed({"crank": crank, "piston": cylinder, "cylinder": cylinder}, {"B": b}, {"piston": slide})
-    found.bar("crank", 1.0, still(0.0), 60 * MM)
-    found.mass("piston", 0.8, 1.2e-3, b, -70 * MM)
-    found.mass("cylinder", 2.5, 6e-3, pivot, (60 + 15j) * MM)
+    result = Closed({"crank": crank, "piston": cylinder, "cylinder": cylinder}, {"B": b}, {"piston": slide})
+    result.bar("crank", 1.0, still(0.0), 60 * MM)
+    result.mass("piston", 0.8, 1.2e-3, b, -70 * MM)
+    result.mass("cylinder", 2.5, 6e-3, pivot, (60 + 15j) * MM)
     way = np.exp(1j * toward[0])
-    found.forces.append((b, -1500.0 * (d[0] - 280 * MM) * way))  # the spring; its other end stands still
-    found.dissipated = 900.0 * slide[1] ** 2
-    return found
+    result.forces.append((b, -1500.0 * (d[0] - 280 * MM) * way))  # the spring; its other end stands still
+    result.dissipated = 900.0 * slide[1] ** 2
+    return result
 
 
 SHIPPED: dict[str, Callable[[np.ndarray], Closed]] = {
@@ -327,9 +327,9 @@ def closed(name: str) -> Closed:
     return SHIPPED[name](PHI)
 
 
-def same(found: np.ndarray, wanted: np.ndarray, tolerance: float = SAME) -> None:
-    scale = max(float(np.max(np.abs(wanted))), 1e-9)
-    np.testing.assert_allclose(found, np.broadcast_to(wanted, found.shape), rtol=0.0, atol=tolerance * scale)
+def same(result: np.ndarray, expected: np.ndarray, tolerance: float = SAME) -> None:
+    scale = max(float(np.max(np.abs(expected))), 1e-9)
+    np.testing.assert_allclose(result, np.broadcast_to(expected, result.shape), rtol=0.0, atol=tolerance * scale)
 
 
 # --- every mechanism ----------------------------------------------------------------------------------------------------------

@@ -51,9 +51,9 @@ LOOSE = {"transmission_angle": ["30 deg", "150 deg"], "link_ratio": [0.2, 3.0]}
 
 def quantities(design: Mapping[str, float]) -> dict[str, float]:
     """A design of the oracle [mm] as one of ours [m]."""
-    found = {name: 1e-3 * design[name] for name in LENGTHS}
-    found |= {"A.x": 1e-3 * design["x"], "A.y": 1e-3 * design["y"], "direction": design["direction"]}
-    return found | {"P.along": 1e-3 * design["along"], "P.across": 1e-3 * design["across"]}
+    computed = {name: 1e-3 * design[name] for name in LENGTHS}
+    computed |= {"A.x": 1e-3 * design["x"], "A.y": 1e-3 * design["y"], "direction": design["direction"]}
+    return computed | {"P.along": 1e-3 * design["along"], "P.across": 1e-3 * design["across"]}
 
 
 def planted(limits: Mapping[str, object] = LOOSE, **more: Any) -> PathProblem:
@@ -94,8 +94,8 @@ def test_the_figures_are_those_of_the_oracle() -> None:
     for mode in ("path", "motion"):
         off = PLANTED + rng.normal(size=PLANTED.shape)
         poses = np.column_stack([off, oracle.direct(DESIGN, PHI).angle + 0.1 * rng.normal(size=6) + 0.3])
-        wanted = off if mode == "path" else poses
-        problem = planted(points=wanted, **({} if mode == "path" else {"angle_length": "25 mm"}))
+        expected = off if mode == "path" else poses
+        problem = planted(points=expected, **({} if mode == "path" else {"angle_length": "25 mm"}))
         extra = {} if mode == "path" else {"mark": 0.3}
         measured = deviations(problem, quantities(DESIGN) | extra, PHI)
         if mode == "path":
@@ -172,9 +172,9 @@ def test_not_grashof() -> None:
     phi = 0.3 + 0.2 * np.arange(5)
     assert np.all(np.isfinite(oracle.direct(long, phi).output))
     spots = oracle.planted_path(long, phi)
-    found = failed(planted(points=spots, limits={}), long, phi, 0.0)
-    assert {"grashof", "assembled"} <= found
-    assert "objective" not in found
+    computed = failed(planted(points=spots, limits={}), long, phi, 0.0)
+    assert {"grashof", "assembled"} <= computed
+    assert "objective" not in computed
     assert not oracle.judge_path(long, spots, phi).turns
     assert failed(planted(points=spots, limits={"crank": "span"}), long, phi, 0.0) == set()
 
@@ -186,9 +186,9 @@ def test_a_gap_between_the_points() -> None:
     assert len(ranges) == 2
     phi = np.sort(np.concatenate([0.5 * (low + high) + 0.2 * (high - low) * np.array([-1.0, 0.0, 1.0]) for low, high in ranges]))
     spots = oracle.planted_path(design, phi)
-    found = failed(planted(points=spots, limits={"crank": "span"}), design, phi, 0.0)
-    assert "assembled" in found
-    assert "objective" not in found
+    computed = failed(planted(points=spots, limits={"crank": "span"}), design, phi, 0.0)
+    assert "assembled" in computed
+    assert "objective" not in computed
     assert not oracle.judge_path(design, spots, phi).circuit_ok
 
 
@@ -331,8 +331,8 @@ def test_a_size_beyond_its_bound() -> None:
 def test_linkages_that_never_assemble() -> None:
     """No exception and no pass: figures that are not numbers fail."""
     apart = {**DESIGN, "coupler": 5.0, "rocker": 6.0}
-    found = failed(planted(limits={}), apart, PHI, 0.0)
-    assert {"reached", "assembled", "objective"} <= found
+    computed = failed(planted(limits={}), apart, PHI, 0.0)
+    assert {"reached", "assembled", "objective"} <= computed
 
 
 @pytest.mark.slow

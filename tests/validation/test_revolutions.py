@@ -95,7 +95,7 @@ def test_with_a_free_angle_at_the_start_a_table_begins_with_its_first_row():
 
 
 @pytest.mark.parametrize(
-    ("wanted", "moved", "passed"),
+    ("expected", "moved", "passed"),
     [
         ([math.nan, 0.0, 3.0], [0.0, 0.0, 3.0], True),  # the law begins at the second position
         ([math.nan, 0.0, 3.0], [0.0, 0.0, 3.0 - math.tau], False),
@@ -105,10 +105,10 @@ def test_with_a_free_angle_at_the_start_a_table_begins_with_its_first_row():
         ([0.0, 3.0, 6.0], [0.0, math.nan, math.nan], False),
     ],
 )
-def test_positions_without_a_value_do_not_drop_the_check(wanted, moved, passed):
+def test_positions_without_a_value_do_not_drop_the_check(expected, moved, passed):
     """Of one design among others, to which the check applies."""
     other = [0.0, 3.0, 6.0]
-    [check] = revolutions_check(np.array([wanted, other]), lambda: np.array([moved, other]))
+    [check] = revolutions_check(np.array([expected, other]), lambda: np.array([moved, other]))
     assert check.passed[1]
     assert check.applies[0] == (passed is not None)
     assert passed is None or check.passed[0] == passed

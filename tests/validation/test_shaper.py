@@ -113,31 +113,31 @@ def test_every_column_of_the_table_is_compared(case):
 @pytest.mark.parametrize("way", ["call", "command"])
 @pytest.mark.parametrize("case", SPEEDS)
 def test_every_column_agrees(case, way, cycles, tmp_path):
-    found = cycles[case].columns if way == "call" else by_command(tmp_path, "--step", "15 deg", "--speed", case)
-    for name, wanted in read_csv(DATA / SPEEDS[case][1]).items():
+    computed = cycles[case].columns if way == "call" else by_command(tmp_path, "--step", "15 deg", "--speed", case)
+    for name, expected in read_csv(DATA / SPEEDS[case][1]).items():
         sign, column = COLUMNS[name]
-        scale = ZERO.get(name, np.max(np.abs(wanted)))
+        scale = ZERO.get(name, np.max(np.abs(expected)))
         assert scale > 0.1
-        np.testing.assert_allclose(sign * found[column], wanted, rtol=0.0, atol=1e-9 * scale, err_msg=f"{name}: {column}")
+        np.testing.assert_allclose(sign * computed[column], expected, rtol=0.0, atol=1e-9 * scale, err_msg=f"{name}: {column}")
 
 
 @pytest.mark.parametrize("case", SPEEDS)
 def test_positions_between_the_table_rows(case, cycles):
     """Block and rocker turn together, the ram does not turn, and the block exerts no moment in its guide: it has no mass."""
-    found = cycles[case]
+    computed = cycles[case]
     for kind in ("angle_rad", "omega_rad_s", "alpha_rad_s2"):
-        np.testing.assert_allclose(found[f"block.{kind}"], found[f"rocker.{kind}"], rtol=1e-12)
-        assert np.all(found[f"ram.{kind}"] == 0.0)
-    assert np.max(np.abs(found["G.moment_Nm"])) < 1e-9 * ZERO["MF"]
+        np.testing.assert_allclose(computed[f"block.{kind}"], computed[f"rocker.{kind}"], rtol=1e-12)
+        assert np.all(computed[f"ram.{kind}"] == 0.0)
+    assert np.max(np.abs(computed["G.moment_Nm"])) < 1e-9 * ZERO["MF"]
 
 
 @pytest.mark.parametrize("column", ["ram.v_m_s", "F.normal_N", "input.torque_inertia_Nm", "C.fy_N"])
 def test_a_planted_deviation_is_found(column, cycles):
     """The tolerance is sharp: a sign, degrees for radians, or one part in a hundred million would not pass."""
     (name,) = (k for k, (_, v) in COLUMNS.items() if v == column)
-    wanted, found = read_csv(DATA / SPEEDS["64 rpm"][1])[name], cycles["64 rpm"][column]
-    for spoilt in (-found, np.degrees(found), found * (1.0 + 1e-8)):
-        assert np.max(np.abs(spoilt - wanted)) > 1e-9 * np.max(np.abs(wanted))
+    expected, computed = read_csv(DATA / SPEEDS["64 rpm"][1])[name], cycles["64 rpm"][column]
+    for spoilt in (-computed, np.degrees(computed), computed * (1.0 + 1e-8)):
+        assert np.max(np.abs(spoilt - expected)) > 1e-9 * np.max(np.abs(expected))
 
 
 # --- limits, extremes, work --------------------------------------------------------------------------------------------
@@ -149,8 +149,8 @@ def test_limits_by_hand(cycles):
     high, low = (
         side * ROCKER * math.sin(half) - math.sqrt(COUPLER**2 - (RAM - ROCKER * math.cos(half)) ** 2) for side in (1.0, -1.0)
     )
-    for found in cycles.values():
-        ram, rocker = found.strokes["ram"], found.swings["rocker"]
+    for result in cycles.values():
+        ram, rocker = result.strokes["ram"], result.swings["rocker"]
         assert [ram.low, ram.high] == pytest.approx([low, high], rel=1e-12)
         assert [low * 1e3, high * 1e3] == pytest.approx([-417.137832736, 128.316712718], rel=1e-11)
         assert ram.span == pytest.approx(STROKE, rel=1e-12)
@@ -162,8 +162,8 @@ def test_limits_by_hand(cycles):
 def test_time_ratio_by_hand(cycles):
     """(180 degrees + swing) to (180 degrees - swing): the textbook's formula for a quick return."""
     swing = 2.0 * math.asin(CRANK / HEIGHT)
-    for found in cycles.values():
-        for ratio in (found.strokes["ram"].time_ratio, found.swings["rocker"].time_ratio):
+    for result in cycles.values():
+        for ratio in (result.strokes["ram"].time_ratio, result.swings["rocker"].time_ratio):
             assert ratio == pytest.approx((math.pi + swing) / (math.pi - swing), rel=1e-11)
             assert ratio == pytest.approx(1.85876244996, rel=1e-11)
 
@@ -216,11 +216,11 @@ def test_work_per_revolution_is_that_of_the_cut(case, cycles):
 
 @pytest.mark.parametrize("case", SPEEDS)
 def test_cutting_force_acts_in_the_slow_stroke_towards_minus_x(case, fine):
-    found = fine[case]
-    cutting = found["ram.v_m_s"] < 0.0
-    np.testing.assert_array_equal(found["cutting.fx_N"], np.where(cutting, CUT, 0.0))
+    result = fine[case]
+    cutting = result["ram.v_m_s"] < 0.0
+    np.testing.assert_array_equal(result["cutting.fx_N"], np.where(cutting, CUT, 0.0))
     assert np.mean(cutting[:-1]) == pytest.approx(234.0714 / 360.0, abs=2.0 / 720.0)  # of the positions: the slow stroke
-    assert np.degrees(found.jumps) == pytest.approx([207.0357, 360.0 - 27.0357], abs=1e-4)
+    assert np.degrees(result.jumps) == pytest.approx([207.0357, 360.0 - 27.0357], abs=1e-4)
 
 
 # --- the linear system, written out ------------------------------------------------------------------------------------
@@ -300,48 +300,48 @@ def test_the_system_has_15_unknowns(cycles):
     assert unknowns == 3 * len(mechanism.bodies) == len(UNKNOWNS) == 15
     for angle in np.radians(np.arange(0.0, 360.0, 15.0)):
         assert np.linalg.matrix_rank(system(angle)[0]) == 15
-    for found in cycles.values():
-        assert max(np.max(np.abs(found[name])) for name in ("G.moment_Nm", "F.moment_Nm")) == pytest.approx(0.0, abs=1e-9)
+    for computed in cycles.values():
+        assert max(np.max(np.abs(computed[name])) for name in ("G.moment_Nm", "F.moment_Nm")) == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("case", SPEEDS)
 def test_the_system_written_out_agrees(case, fine):
     """Without Assur groups: one system of 15 equations per position, accelerations of the centroids from those of D and E."""
-    found = fine[case]
-    acceleration = {name: np.array([found[f"{name}.ax_m_s2"], found[f"{name}.ay_m_s2"]]) for name in "DE"}
+    computed = fine[case]
+    acceleration = {name: np.array([computed[f"{name}.ax_m_s2"], computed[f"{name}.ay_m_s2"]]) for name in "DE"}
     acceleration |= {"rocker": acceleration["D"] / 2.0, "coupler": (acceleration["D"] + acceleration["E"]) / 2.0}
     acceleration["ram"] = acceleration["E"]
-    for i, angle in enumerate(np.radians(found["crank_angle_deg"])):
+    for i, angle in enumerate(np.radians(computed["crank_angle_deg"])):
         right = np.zeros(15)
         for k, (body, (mass, inertia)) in enumerate(MASSES.items(), start=2):
             right[3 * k : 3 * k + 2] = mass * (acceleration[body][:, i] + [0.0, GRAVITY])
-            right[3 * k + 2] = inertia * found[f"{body}.alpha_rad_s2"][i]
-        right[12] -= found["cutting.fx_N"][i]
+            right[3 * k + 2] = inertia * computed[f"{body}.alpha_rad_s2"][i]
+        right[12] -= computed["cutting.fx_N"][i]
         solved = np.linalg.solve(system(angle)[0], right)
-        told = [found[column][i] for column in TOLD.values()]
+        row = [computed[column][i] for column in TOLD.values()]
         assert list(TOLD) == list(UNKNOWNS)
-        np.testing.assert_allclose(told, solved, rtol=0.0, atol=1e-11 * 18000.0)  # of the largest force
+        np.testing.assert_allclose(row, solved, rtol=0.0, atol=1e-11 * 18000.0)  # of the largest force
 
 
 @pytest.mark.parametrize("case", SPEEDS)
 def test_power_balance_at_each_position(case, fine):
     """Torque and cutting force feed in what kinetic and potential energy take up; against the largest power."""
-    found, (speed, _) = fine[case], SPEEDS[case]
-    v = {name: np.array([found[f"{name}.vx_m_s"], found[f"{name}.vy_m_s"]]) for name in "DE"}
-    a = {name: np.array([found[f"{name}.ax_m_s2"], found[f"{name}.ay_m_s2"]]) for name in "DE"}
+    computed, (speed, _) = fine[case], SPEEDS[case]
+    v = {name: np.array([computed[f"{name}.vx_m_s"], computed[f"{name}.vy_m_s"]]) for name in "DE"}
+    a = {name: np.array([computed[f"{name}.ax_m_s2"], computed[f"{name}.ay_m_s2"]]) for name in "DE"}
     for place, kind in (("rocker", v), ("rocker", a)):
         kind[place] = kind["D"] / 2.0
     for kind in (v, a):
         kind["coupler"], kind["ram"] = (kind["D"] + kind["E"]) / 2.0, kind["E"]
-    taken = np.zeros_like(found["time_s"])
+    taken = np.zeros_like(computed["time_s"])
     for body, (mass, inertia) in MASSES.items():
         taken += mass * (v[body] * a[body]).sum(axis=0) + mass * GRAVITY * v[body][1]
-        taken += inertia * found[f"{body}.omega_rad_s"] * found[f"{body}.alpha_rad_s2"]
-    given = speed * found["input.torque_Nm"] + found["cutting.fx_N"] * found["ram.v_m_s"]
+        taken += inertia * computed[f"{body}.omega_rad_s"] * computed[f"{body}.alpha_rad_s2"]
+    given = speed * computed["input.torque_Nm"] + computed["cutting.fx_N"] * computed["ram.v_m_s"]
     np.testing.assert_allclose(given, taken, rtol=0.0, atol=1e-11 * 1100.0 * speed)
-    np.testing.assert_allclose(found["input.power_W"], speed * found["input.torque_Nm"], rtol=1e-12)
-    split = sum(found[f"input.torque_{part}_Nm"] for part in ("inertia", "gravity", "load"))
-    np.testing.assert_allclose(split, found["input.torque_Nm"], rtol=0.0, atol=1e-11 * 1100.0)
+    np.testing.assert_allclose(computed["input.power_W"], speed * computed["input.torque_Nm"], rtol=1e-12)
+    split = sum(computed[f"input.torque_{part}_Nm"] for part in ("inertia", "gravity", "load"))
+    np.testing.assert_allclose(split, computed["input.torque_Nm"], rtol=0.0, atol=1e-11 * 1100.0)
 
 
 # --- one-sided values at the ends of the stroke ------------------------------------------------------------------------
@@ -355,11 +355,11 @@ def test_discontinuities_of_the_cutting_force(case, end, cycles):
     Every reaction jumps by what the cutting force asks of it; the torque does not, as the ram stands still there, nor does
     anything of the motion. Tolerance: 1e-9 of the largest jump, 14.7 kN.
     """
-    found, (speed, _) = cycles[case], SPEEDS[case]
-    before, after = (MotionColumns(found.machine.moving(found.jumps[end : end + 1], speed, side=side)) for side in (-1, 1))
+    result, (speed, _) = cycles[case], SPEEDS[case]
+    before, after = (MotionColumns(result.machine.moving(result.jumps[end : end + 1], speed, side=side)) for side in (-1, 1))
     sign = (-1.0, 1.0)[end]
     assert [before["cutting.fx_N"][0], after["cutting.fx_N"][0]] == pytest.approx([CUT, 0.0] if end == 0 else [0.0, CUT])
-    asked = cutting_alone(found.jumps[end])
+    asked = cutting_alone(result.jumps[end])
     for name, column in TOLD.items():
         jump = after[column][0] - before[column][0]
         assert jump == pytest.approx(sign * asked[name], abs=1e-9 * 14700.0), name
@@ -404,12 +404,12 @@ def test_the_y_reaction_is_no_vibration(problem, fine):
     """
     slow = analyze(problem, points=720, speed=1e-3)
     for name in ("A.fy_N", "B.fy_N", "C.fy_N"):
-        quasi, found = slow[name], fine["1 rad/s"][name]
-        assert np.max(np.abs(found - quasi)) < 0.01 * np.max(np.abs(quasi))
+        quasi, computed = slow[name], fine["1 rad/s"][name]
+        assert np.max(np.abs(computed - quasi)) < 0.01 * np.max(np.abs(quasi))
         assert np.max(quasi) - np.min(quasi) > 11000.0  # and yet it fluctuates
-    for found in fine.values():
-        inclined = -found["A.fx_N"] / np.tan(found["rocker.angle_rad"])
-        np.testing.assert_allclose(found["A.fy_N"], inclined, rtol=0.0, atol=1e-11 * 18000.0)
+    for computed in fine.values():
+        inclined = -computed["A.fx_N"] / np.tan(computed["rocker.angle_rad"])
+        np.testing.assert_allclose(computed["A.fy_N"], inclined, rtol=0.0, atol=1e-11 * 18000.0)
 
 
 def test_the_torque_is_rougher_in_the_return_at_64_rpm_alone(fine):
@@ -418,14 +418,14 @@ def test_the_torque_is_rougher_in_the_return_at_64_rpm_alone(fine):
     Roughness is told by the range of the torque in each stroke and by its steepest slope over the crank angle; the limits are
     round numbers beside 5 % and 138 %, 8 % and 218 %.
     """
-    told = {}
-    for case, found in fine.items():
-        torque, back = found["input.torque_Nm"][:-1], found["ram.v_m_s"][:-1] > 0.0
-        slope = np.abs(np.gradient(torque, np.radians(found["crank_angle_deg"][:-1])))
-        told[case] = np.ptp(torque[back]) / np.ptp(torque[~back]), np.max(slope[back]) / np.max(slope[~back])
-    assert told["1 rad/s"][0] < 0.06
-    assert told["1 rad/s"][1] < 0.1
-    assert told["64 rpm"][0] > 1.3
-    assert told["64 rpm"][1] > 2.0
-    work = {case: found["input.torque_Nm"][found["ram.v_m_s"] < 0.0] for case, found in fine.items()}
+    roughness = {}
+    for case, computed in fine.items():
+        torque, back = computed["input.torque_Nm"][:-1], computed["ram.v_m_s"][:-1] > 0.0
+        slope = np.abs(np.gradient(torque, np.radians(computed["crank_angle_deg"][:-1])))
+        roughness[case] = np.ptp(torque[back]) / np.ptp(torque[~back]), np.max(slope[back]) / np.max(slope[~back])
+    assert roughness["1 rad/s"][0] < 0.06
+    assert roughness["1 rad/s"][1] < 0.1
+    assert roughness["64 rpm"][0] > 1.3
+    assert roughness["64 rpm"][1] > 2.0
+    work = {case: computed["input.torque_Nm"][computed["ram.v_m_s"] < 0.0] for case, computed in fine.items()}
     assert np.max(np.abs(work["64 rpm"] - work["1 rad/s"])) < 0.06 * np.max(work["1 rad/s"])  # the working stroke hardly differs

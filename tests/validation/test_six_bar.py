@@ -108,11 +108,11 @@ def test_every_column_of_the_table_is_compared():
 
 @pytest.mark.parametrize("way", ["call", "command"])
 def test_every_column_agrees(way, cycle, tmp_path):
-    found = cycle.columns if way == "call" else by_command(tmp_path, "--step", "15 deg")
-    for name, wanted in read_csv(TABLE).items():
-        assert np.max(np.abs(wanted)) > 0.1  # no column is all zero: its largest value is a fair scale
+    computed = cycle.columns if way == "call" else by_command(tmp_path, "--step", "15 deg")
+    for name, expected in read_csv(TABLE).items():
+        assert np.max(np.abs(expected)) > 0.1  # no column is all zero: its largest value is a fair scale
         np.testing.assert_allclose(
-            found[COLUMNS[name]], wanted, rtol=0.0, atol=1e-9 * np.max(np.abs(wanted)), err_msg=f"{name}: {COLUMNS[name]}"
+            computed[COLUMNS[name]], expected, rtol=0.0, atol=1e-9 * np.max(np.abs(expected)), err_msg=f"{name}: {COLUMNS[name]}"
         )
 
 
@@ -128,16 +128,16 @@ def test_pin_at_c_is_in_balance(cycle):
 def test_a_planted_deviation_is_found(column, cycle):
     """The tolerance is sharp: a sign, degrees for radians, or one part in a hundred million would not pass."""
     (name,) = (k for k, v in COLUMNS.items() if v == column)
-    wanted = read_csv(TABLE)[name]
+    expected = read_csv(TABLE)[name]
     for spoilt in (-cycle[column], np.degrees(cycle[column]), cycle[column] * (1.0 + 1e-8)):
-        assert np.max(np.abs(spoilt - wanted)) > 1e-9 * np.max(np.abs(wanted))
+        assert np.max(np.abs(spoilt - expected)) > 1e-9 * np.max(np.abs(expected))
 
 
 # --- extremes, strokes, work -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("figure", "wanted"),
+    ("figure", "expected"),
     [
         ("input.torque_Nm.max", 278.8344391),
         ("input.torque_Nm.min", -320.0521365),
@@ -149,8 +149,8 @@ def test_a_planted_deviation_is_found(column, cycle):
         ("input.work_J.max", 259.773891),
     ],
 )
-def test_extremes_and_stroke(cycle, figure, wanted):
-    assert cycle.figures[figure] == pytest.approx(wanted, rel=1e-6)
+def test_extremes_and_stroke(cycle, figure, expected):
+    assert cycle.figures[figure] == pytest.approx(expected, rel=1e-6)
 
 
 def test_stroke_has_every_digit(cycle):
@@ -163,14 +163,14 @@ def test_stroke_has_every_digit(cycle):
 )
 def test_where_the_extremes_are_met(cycle, name, least_deg, largest_deg):
     """Angles were noted to 1e-3 degrees, those of the work from samples."""
-    found = cycle.extremes[name]
-    assert math.degrees(found.least_at) % 360.0 == pytest.approx(least_deg, abs=1e-3)
-    assert math.degrees(found.largest_at) % 360.0 == pytest.approx(largest_deg, abs=1e-3)
+    result = cycle.extremes[name]
+    assert math.degrees(result.least_at) % 360.0 == pytest.approx(least_deg, abs=1e-3)
+    assert math.degrees(result.largest_at) % 360.0 == pytest.approx(largest_deg, abs=1e-3)
 
 
-def energy_route(found: Analysis, angle: float) -> float:
+def energy_route(result: Analysis, angle: float) -> float:
     """Work of the drive since the start [J] without its torque: gain of kinetic and potential energy, less what the force did."""
-    moving = found.machine.moving(np.array([math.radians(62.0), angle]), found.speed)
+    moving = result.machine.moving(np.array([math.radians(62.0), angle]), result.speed)
     gain = np.diff(moving.kinetic)[0] + np.diff(moving.potential)[0]
     return float(gain - LOAD * np.diff(moving.slides["F"][0])[0])
 
@@ -178,26 +178,28 @@ def energy_route(found: Analysis, angle: float) -> float:
 @pytest.mark.parametrize("which", ["least", "largest"])
 def test_extremes_of_work_by_the_energies(cycle, which):
     """The least work of -101.926927 J in the reference is a sampled one. The exact extreme lies 1.4e-4 J lower."""
-    found = cycle.extremes["input.work_J"]
-    angle = getattr(found, f"{which}_at")
-    assert getattr(found, which) == pytest.approx(energy_route(cycle, angle), abs=1e-9)
+    result = cycle.extremes["input.work_J"]
+    angle = getattr(result, f"{which}_at")
+    assert getattr(result, which) == pytest.approx(energy_route(cycle, angle), abs=1e-9)
     around = [energy_route(cycle, angle + shift) for shift in (-1e-4, 1e-4)]
-    assert min(around) > found.least if which == "least" else max(around) < found.largest
+    assert min(around) > result.least if which == "least" else max(around) < result.largest
 
 
 def test_least_work_against_the_sampled_one(cycle):
     """-101.92706497 J exactly, -101.926927 J sampled: apart by 5e-7 of the largest work, hence 1e-6 of that on the latter."""
-    found = cycle.extremes["input.work_J"]
-    assert found.least == pytest.approx(-101.92706497, abs=1e-8)
-    assert found.least == pytest.approx(-101.926927, abs=1e-6 * found.largest)
-    assert found.least < -101.926927
+    result = cycle.extremes["input.work_J"]
+    assert result.least == pytest.approx(-101.92706497, abs=1e-8)
+    assert result.least == pytest.approx(-101.926927, abs=1e-6 * result.largest)
+    assert result.least < -101.926927
 
 
 def test_work_after_one_second(problem):
     """10 rad/s for 1 s: a revolution, whose work is zero, and 10 - 2 pi rad more. Noted as 225.033, cut off: 1e-3."""
-    found = analyze(problem, step=10.0 - 2.0 * math.pi)
-    assert found["input.work_J"][1] == pytest.approx(energy_route(found, math.radians(found["crank_angle_deg"][1])), abs=1e-9)
-    assert found["input.work_J"][1] == pytest.approx(225.033, abs=1e-3)
+    computed = analyze(problem, step=10.0 - 2.0 * math.pi)
+    assert computed["input.work_J"][1] == pytest.approx(
+        energy_route(computed, math.radians(computed["crank_angle_deg"][1])), abs=1e-9
+    )
+    assert computed["input.work_J"][1] == pytest.approx(225.033, abs=1e-3)
 
 
 def test_a_constant_force_does_no_work_in_a_revolution(cycle):
@@ -217,8 +219,8 @@ def test_an_opposing_force_does(problem):
 
 def test_an_opposing_force_jumps_by_twice_its_size(problem):
     """At a reversal of the slider the force turns round; no velocity, so no power and no torque is lost in that."""
-    found = analyze(problem.override({"loads.process.acts": "opposing"}))
-    before, after = (reactions(found.machine.moving(found.jumps, SPEED, side=side)) for side in (-1, 1))
+    result = analyze(problem.override({"loads.process.acts": "opposing"}))
+    before, after = (reactions(result.machine.moving(result.jumps, SPEED, side=side)) for side in (-1, 1))
     pull = after.pins["E"]["slider"][0] - before.pins["E"]["slider"][0]
     assert np.abs(pull) == pytest.approx([2.0 * LOAD] * 2, rel=1e-12)
     assert after.torque == pytest.approx(before.torque, abs=1e-9)
@@ -235,32 +237,32 @@ BODIES = {  # mass [kg], moment of inertia about the centroid [kg m^2], ends (ce
 }
 
 
-def point(found: Analysis, name: str, kind: str) -> np.ndarray:
+def point(computed: Analysis, name: str, kind: str) -> np.ndarray:
     """Velocity ("v") or acceleration ("a") of a point from its columns, (2, positions)."""
     if name in "AD":
-        return np.zeros((2, len(found["time_s"])))
+        return np.zeros((2, len(computed["time_s"])))
     unit = {"v": "m_s", "a": "m_s2"}[kind]
-    return np.array([found[f"{name}.{kind}{axis}_{unit}"] for axis in "xy"])
+    return np.array([computed[f"{name}.{kind}{axis}_{unit}"] for axis in "xy"])
 
 
-def centroid(found: Analysis, body: str, kind: str) -> np.ndarray:
+def centroid(computed: Analysis, body: str, kind: str) -> np.ndarray:
     _, _, start, end = BODIES[body]
-    return (point(found, start, kind) + point(found, end, kind)) / 2.0
+    return (point(computed, start, kind) + point(computed, end, kind)) / 2.0
 
 
-def rate_of_energy(found: Analysis) -> np.ndarray:
+def rate_of_energy(computed: Analysis) -> np.ndarray:
     """d/dt of kinetic and potential energy [W], body by body."""
-    total = np.zeros_like(found["time_s"])
+    total = np.zeros_like(computed["time_s"])
     for body, (mass, inertia, _, _) in BODIES.items():
-        v, a = centroid(found, body, "v"), centroid(found, body, "a")
+        v, a = centroid(computed, body, "v"), centroid(computed, body, "a")
         total += mass * (v * a).sum(axis=0) + mass * GRAVITY * v[1]
-        total += inertia * found[f"{body}.omega_rad_s"] * found[f"{body}.alpha_rad_s2"]
+        total += inertia * computed[f"{body}.omega_rad_s"] * computed[f"{body}.alpha_rad_s2"]
     return total
 
 
-def unbalanced_power(found: Analysis, torque: np.ndarray) -> np.ndarray:
+def unbalanced_power(computed: Analysis, torque: np.ndarray) -> np.ndarray:
     """What a driving torque feeds in beyond what the energies take up and the load gives [W]."""
-    return SPEED * torque + LOAD * found["slider.v_m_s"] - rate_of_energy(found)
+    return SPEED * torque + LOAD * computed["slider.v_m_s"] - rate_of_energy(computed)
 
 
 def test_power_balance_at_each_position(fine):
@@ -270,12 +272,12 @@ def test_power_balance_at_each_position(fine):
     np.testing.assert_allclose(split, fine["input.torque_Nm"], rtol=0.0, atol=1e-11 * 320.0)
 
 
-def unbalanced_force(found: Analysis, axis: str, guide: np.ndarray) -> np.ndarray:
+def unbalanced_force(computed: Analysis, axis: str, guide: np.ndarray) -> np.ndarray:
     """Reactions of the frame, weight and load, less mass times acceleration, for the whole machine [N]."""
     k = "xy".index(axis)
-    total = found[f"A.f{axis}_N"] + found[f"D.f{axis}_N"] + (LOAD if axis == "x" else guide)
+    total = computed[f"A.f{axis}_N"] + computed[f"D.f{axis}_N"] + (LOAD if axis == "x" else guide)
     for body, (mass, *_) in BODIES.items():
-        total = total - mass * (centroid(found, body, "a")[k] + (GRAVITY if axis == "y" else 0.0))
+        total = total - mass * (centroid(computed, body, "a")[k] + (GRAVITY if axis == "y" else 0.0))
     return total
 
 

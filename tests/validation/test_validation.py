@@ -56,8 +56,8 @@ def failed(proof: Validation) -> set[str]:
     return {kind(check.name) for check in proof.checks if not check.passed}
 
 
-def measured(proof: Validation, wanted: str) -> float:
-    (check,) = (check for check in proof.checks if kind(check.name) == wanted)
+def measured(proof: Validation, expected: str) -> float:
+    (check,) = (check for check in proof.checks if kind(check.name) == expected)
     return check.value
 
 
@@ -179,10 +179,10 @@ VALID = {
 def test_valid_designs_pass(name):
     rule, design = VALID[name]
     design = design or rule.design(OPTIMUM if rule.free else {})
-    found = validate(rule, design)
-    assert failed(found) == set()
-    assert found.objective > 0.0
-    assert failed(validate(rule, design, found.objective)) == set()
+    result = validate(rule, design)
+    assert failed(result) == set()
+    assert result.objective > 0.0
+    assert failed(validate(rule, design, result.objective)) == set()
 
 
 def own_angle(design: Mapping[str, float], phi: float, side: int) -> float:
@@ -204,8 +204,8 @@ def test_objective_is_that_of_the_triangle(measure, side):
     errors = []
     for i in range(1, 31):
         turned = i * math.pi / 2.0 / 30.0
-        wanted = start + 2.0 / (3.0 * math.pi) * turned**2
-        errors.append(math.remainder(wanted - own_angle(design, design["phi0"] + turned, side), math.tau))
+        reference = start + 2.0 / (3.0 * math.pi) * turned**2
+        errors.append(math.remainder(reference - own_angle(design, design["phi0"] + turned, side), math.tau))
     square = sum(error**2 for error in errors)
     expected = {"sum of squares": square, "rms": math.sqrt(square / 30), "max": max(map(abs, errors))}[measure]
     assert validate(rule, design).objective == pytest.approx(expected, rel=1e-10)
@@ -213,9 +213,9 @@ def test_objective_is_that_of_the_triangle(measure, side):
 
 def test_swing_and_time_ratio_are_measured():
     rule = VALID["all limits"][0]
-    found = {check.name: check.value for check in validate(rule, rule.design(OPTIMUM)).checks}
-    swings = [value for name, value in found.items() if kind(name) == "swing"]
-    ratios = [value for name, value in found.items() if kind(name) == "time ratio"]
+    result = {check.name: check.value for check in validate(rule, rule.design(OPTIMUM)).checks}
+    swings = [value for name, value in result.items() if kind(name) == "swing"]
+    ratios = [value for name, value in result.items() if kind(name) == "time ratio"]
     assert swings == [pytest.approx(math.degrees(swing(*BEST_LENGTHS, 1)), abs=1e-9)] * 2
     assert ratios == [pytest.approx(time_ratio(*BEST_LENGTHS, 1), abs=1e-9)] * 2
 
@@ -294,15 +294,15 @@ def nearly_aligned(angle: float, **limits: object) -> DesignProblem:
 
 @cache
 def defects() -> dict[str, Defect]:
-    found: dict[str, Defect] = {}
+    computed: dict[str, Defect] = {}
     claimed = validate(SHIPPED, BEST).objective
     loosely = validate(LOOSE, LOOSE_DESIGN).objective
     for body in ("crank", "coupler", "rocker"):
         for sign in (1, -1):
             name = f"{body} {sign:+d} micrometre"
             longer = stretched(LOOSE, LOOSE_DESIGN, body, sign * 1e-6)
-            found[name] = defect(LOOSE, LOOSE_DESIGN, "lengths", mechanism=longer)
-            found[f"{name}, at the optimum"] = defect(
+            computed[name] = defect(LOOSE, LOOSE_DESIGN, "lengths", mechanism=longer)
+            computed[f"{name}, at the optimum"] = defect(
                 SHIPPED,
                 BEST,
                 "lengths, psi0, objective",
@@ -310,27 +310,27 @@ def defects() -> dict[str, Defect]:
                 objective=claimed,
                 mechanism=stretched(SHIPPED, BEST, body, sign * 1e-6),
             )
-    found["coupler and rocker swapped"] = defect(LOOSE, LOOSE_DESIGN, "lengths", mechanism=exchanged(LOOSE))
-    found["coupler and rocker swapped, at the optimum"] = defect(
+    computed["coupler and rocker swapped"] = defect(LOOSE, LOOSE_DESIGN, "lengths", mechanism=exchanged(LOOSE))
+    computed["coupler and rocker swapped, at the optimum"] = defect(
         SHIPPED, BEST, "lengths, at rest, in line, psi0", mechanism=exchanged(SHIPPED)
     )
-    found["wrong side"] = defect(LOOSE, LOOSE_DESIGN, "branch", mechanism=four_bar(-1))
-    found["wrong side, at the optimum"] = defect(
+    computed["wrong side"] = defect(LOOSE, LOOSE_DESIGN, "branch", mechanism=four_bar(-1))
+    computed["wrong side, at the optimum"] = defect(
         SHIPPED, BEST, "branch, at rest, in line, psi0, objective", objective=claimed, mechanism=four_bar(-1)
     )
-    found["changes its side"] = defect(LOOSE, LOOSE_DESIGN, "circuit, branch", mechanism=flipping(LOOSE))
+    computed["changes its side"] = defect(LOOSE, LOOSE_DESIGN, "circuit, branch", mechanism=flipping(LOOSE))
     degrees = {**BEST, "phi0": math.degrees(BEST["phi0"])}
-    found["degrees for radians"] = defect(SHIPPED, degrees, "at rest, in line, psi0")
-    found["degrees for radians, claimed"] = defect(SHIPPED, degrees, "at rest, in line, psi0, objective", objective=claimed)
-    found["degrees for radians in psi0"] = defect(SHIPPED, {**BEST, "psi0": math.degrees(BEST["psi0"])}, "psi0")
+    computed["degrees for radians"] = defect(SHIPPED, degrees, "at rest, in line, psi0")
+    computed["degrees for radians, claimed"] = defect(SHIPPED, degrees, "at rest, in line, psi0, objective", objective=claimed)
+    computed["degrees for radians in psi0"] = defect(SHIPPED, {**BEST, "psi0": math.degrees(BEST["psi0"])}, "psi0")
     inner = dead_centre(*BEST_LENGTHS, 1, False)
     there = {**BEST, "phi0": float(inner.phi), "psi0": float(inner.psi)}
-    found["the other dead centre"] = defect(SHIPPED, there, "in line")
-    found["the other dead centre, psi0 of the first"] = defect(SHIPPED, {**BEST, "phi0": there["phi0"]}, "in line, psi0")
-    found["phi0 off by a hundredth of a degree"] = defect(
+    computed["the other dead centre"] = defect(SHIPPED, there, "in line")
+    computed["the other dead centre, psi0 of the first"] = defect(SHIPPED, {**BEST, "phi0": there["phi0"]}, "in line, psi0")
+    computed["phi0 off by a hundredth of a degree"] = defect(
         SHIPPED, {**BEST, "phi0": BEST["phi0"] + math.radians(0.01)}, "at rest", "psi0, in line"
     )
-    found["psi0 off by a millionth"] = defect(SHIPPED, {**BEST, "psi0": BEST["psi0"] + 1e-6}, "psi0")
+    computed["psi0 off by a millionth"] = defect(SHIPPED, {**BEST, "psi0": BEST["psi0"] + 1e-6}, "psi0")
     wide = problem(None, None, {"transmission_angle": ["5 deg", "175 deg"]})
     for name, values in {
         "coupler above": {"coupler": 0.90001, "rocker": 0.7},
@@ -340,9 +340,9 @@ def defects() -> dict[str, Defect]:
         "fixed frame changed": {**OPTIMUM, "frame": 0.50001},
     }.items():
         shape = "grashof, assembled, branch, circuit, lengths, smallest, largest, finite" if "below" in name else ""
-        found[name] = defect(wide, wide.design(values), "bounds", shape)
-    found["phi0 that is given changed"] = defect(LOOSE, {**LOOSE_DESIGN, "phi0": 1.0}, "bounds")
-    found["psi0 that is given changed"] = defect(LOOSE, {**LOOSE_DESIGN, "psi0": 2.0}, "bounds")
+        computed[name] = defect(wide, wide.design(values), "bounds", shape)
+    computed["phi0 that is given changed"] = defect(LOOSE, {**LOOSE_DESIGN, "phi0": 1.0}, "bounds")
+    computed["psi0 that is given changed"] = defect(LOOSE, {**LOOSE_DESIGN, "psi0": 2.0}, "bounds")
     # where the modes meet, rounding decides whether C exists and on which side; what cannot be assembled has no lengths
     meet, gone = "assembled, branch, lengths, circuit, finite", "grashof, assembled, branch, circuit, lengths"
     for name, values, must, may in (
@@ -356,7 +356,7 @@ def defects() -> dict[str, Defect]:
         ("impossible", (0.1, 0.2, 0.1, 0.9), gone + ", finite", ""),
     ):
         rule = fixed(*values)
-        found[name] = defect(rule, rule.design({}), must, may)
+        computed[name] = defect(rule, rule.design({}), must, may)
     moved = problem(
         lengths(0.3, 0.2, 0.25, 0.34),
         {"from": "40 deg", "span": "60 deg", "psi0": "100 deg"},
@@ -365,10 +365,10 @@ def defects() -> dict[str, Defect]:
     # 0.01 mm between crank and coupler of a kite, 1e-4 of the rocker being 0.03 mm; at its other end 0.66 deg from alignment
     apart = {"crank": "span", "transmission_angle": None, "alignment": "0.1 deg"}
     folds = problem(lengths(0.1, 0.10001, 0.3, 0.3), {"from": "inner dead centre"}, apart)
-    found["crank pin on its pivot"] = defect(folds, folds.design({}), "apart")
+    computed["crank pin on its pivot"] = defect(folds, folds.design({}), "apart")
     nearly = nearly_aligned(0.5)
-    found["nearly in line at the end"] = defect(nearly, nearly.design({}), "assembled")
-    found["span beyond the reach"] = defect(moved, moved.design({}), "assembled, branch, circuit, lengths, finite")
+    computed["nearly in line at the end"] = defect(nearly, nearly.design({}), "assembled")
+    computed["span beyond the reach"] = defect(moved, moved.design({}), "assembled, branch, circuit, lengths, finite")
     for name, limits, must in (
         ("transmission angle 0.001 deg too large", {"transmission_angle": ["45 deg", "134.999 deg"]}, "largest"),
         ("transmission angle 0.001 deg too small", {"transmission_angle": ["70.38018 deg", "136 deg"]}, "smallest"),
@@ -384,46 +384,46 @@ def defects() -> dict[str, Defect]:
         ("crank too short for its frame", {"link_ratio": [0.20001, 0.9]}, "link ratio"),
         ("coupler too long for its frame", {"link_ratio": [0.1, 0.8257]}, "link ratio"),
     ):
-        found[name] = defect(problem(None, None, limits), BEST, must)
+        computed[name] = defect(problem(None, None, limits), BEST, must)
     least, largest = span_extremes(SHIPPED, BEST)
     for name, limit in {
         "smallest": [f"{least + 0.001} deg", "179 deg"],
         "largest": ["1 deg", f"{largest - 0.001} deg"],
     }.items():
         over = problem(None, None, {"transmission_angle": limit, "transmission_over": "span"})
-        found[f"transmission angle over the span, {name}"] = defect(over, BEST, name)
+        computed[f"transmission angle over the span, {name}"] = defect(over, BEST, name)
     # the extreme lies between two positions of the sweep, 6e-5 deg away from the nearer one
     past = {"from": "60.1 deg", "psi0": "120 deg", "span": "150 deg"}
     extremes = span_extremes(problem(None, past), LOOSE_DESIGN | {"phi0": math.radians(60.1)})
     limit = {"transmission_angle": ["1 deg", f"{extremes[1] - 1e-5!r} deg"], "transmission_over": "span"}
     between = problem(None, past, limit)
-    found["transmission angle between two positions"] = defect(
+    computed["transmission angle between two positions"] = defect(
         between, between.design({"coupler": 0.41, "rocker": 0.3}), "largest"
     )
     swings = fixed(0.3, 0.2, 0.25, 0.34, swing_angle=["1 deg", "170 deg"])
-    found["swing of what does not turn"] = defect(
+    computed["swing of what does not turn"] = defect(
         swings, swings.design({}), "grashof, assembled", "branch, circuit, lengths, finite, dead centres, swing"
     )
     triple = fixed(0.3, 0.2, 0.2, 0.45, swing_angle=["1 deg", "170 deg"])
-    found["no dead centres"] = defect(
+    computed["no dead centres"] = defect(
         triple, triple.design({}), "dead centres, grashof, assembled", "branch, circuit, lengths, finite"
     )
-    found["objective off by 1e-5"] = defect(SHIPPED, BEST, "objective", objective=claimed * (1.0 + 1e-5))
-    found["objective off by -1e-5"] = defect(SHIPPED, BEST, "objective", objective=claimed * (1.0 - 1e-5))
-    found["objective of the wrong sign"] = defect(SHIPPED, BEST, "objective", objective=-claimed)
-    found["objective that is no number"] = defect(SHIPPED, BEST, "objective", objective=math.nan)
-    found["objective of another problem"] = defect(LOOSE, LOOSE_DESIGN, "objective", objective=2.0 * loosely)
+    computed["objective off by 1e-5"] = defect(SHIPPED, BEST, "objective", objective=claimed * (1.0 + 1e-5))
+    computed["objective off by -1e-5"] = defect(SHIPPED, BEST, "objective", objective=claimed * (1.0 - 1e-5))
+    computed["objective of the wrong sign"] = defect(SHIPPED, BEST, "objective", objective=-claimed)
+    computed["objective that is no number"] = defect(SHIPPED, BEST, "objective", objective=math.nan)
+    computed["objective of another problem"] = defect(LOOSE, LOOSE_DESIGN, "objective", objective=2.0 * loosely)
     for name, law in {
         "law of the wrong sign": "psi0 - 2/(3*pi)*(phi - phi0)^2",
         "law off by a thousandth": "psi0 + 2.002/(3*pi)*(phi - phi0)^2",
         "law measured from the frame": "psi0 + 2/(3*pi)*phi^2",
     }.items():
-        found[name] = defect(problem(None, {"law": law}), BEST, "objective", objective=claimed)
-    found["one point left out"] = defect(problem(None, {"points": 29}), BEST, "objective", objective=claimed)
+        computed[name] = defect(problem(None, {"law": law}), BEST, "objective", objective=claimed)
+    computed["one point left out"] = defect(problem(None, {"points": 29}), BEST, "objective", objective=claimed)
     # psi0 is 1.75 at the optimum, and 2.19 at the start where the law is first followed
     rootless = problem(None, {"law": "psi0 + 0.1*sqrt(psi0 - 1.9)"})
-    found["law without a value"] = defect(rootless, rootless.design(OPTIMUM), "finite")
-    return found
+    computed["law without a value"] = defect(rootless, rootless.design(OPTIMUM), "finite")
+    return computed
 
 
 def span_extremes(rule: DesignProblem, design: Mapping[str, float]) -> tuple[float, float]:
@@ -439,10 +439,10 @@ def span_extremes(rule: DesignProblem, design: Mapping[str, float]) -> tuple[flo
 def test_planted_defect_fails_its_check_and_no_other(name):
     case = defects()[name]
     proof = validate(case.rule, case.design, case.objective, case.mechanism)
-    found = failed(proof)
+    computed = failed(proof)
     assert not proof.valid
-    assert found >= case.must
-    assert found <= case.must | case.may
+    assert computed >= case.must
+    assert computed <= case.must | case.may
 
 
 def test_every_check_fails_once():
@@ -503,17 +503,17 @@ def test_verdict_on_random_designs_is_that_of_the_formulas(coupler, rocker):
     least, largest = transmission(values)
     assume(not min(abs(least - 45.0), abs(largest - 135.0)) < 1e-4)
     proof = validate(SHIPPED, design)
-    found = failed(proof)
-    assert ("bounds" in found) == (not (0.1 <= coupler <= 0.9 and 0.1 <= rocker <= 0.9))
-    assert ("grashof" in found) == (kind_of.inversion is not Inversion.CRANK_ROCKER)
-    if "grashof" not in found:
-        assert found <= {"bounds", "smallest", "largest"}
-        assert ("smallest" in found) == (least < 45.0)
-        assert ("largest" in found) == (largest > 135.0)
+    computed = failed(proof)
+    assert ("bounds" in computed) == (not (0.1 <= coupler <= 0.9 and 0.1 <= rocker <= 0.9))
+    assert ("grashof" in computed) == (kind_of.inversion is not Inversion.CRANK_ROCKER)
+    if "grashof" not in computed:
+        assert computed <= {"bounds", "smallest", "largest"}
+        assert ("smallest" in computed) == (least < 45.0)
+        assert ("largest" in computed) == (largest > 135.0)
         assert measured(proof, "smallest") == pytest.approx(least, abs=1e-7)
         assert measured(proof, "largest") == pytest.approx(largest, abs=1e-7)
     else:
-        assert "assembled" in found
+        assert "assembled" in computed
 
 
 WIDE = {"transmission_angle": ["20 deg", "160 deg"]}
