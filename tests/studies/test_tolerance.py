@@ -632,18 +632,6 @@ def test_unreachable_angles_are_reported(problem):
         nominal_design(problem, "rocker", np.radians([0.0, 180.0]), {"coupler": 0.25, "rocker": 0.24})
 
 
-@pytest.mark.slow
-def test_an_output_independent_of_the_dimensions(tmp_path):
-    result = run(
-        "crank-rocker", "--tolerance", "A.x=0.1 mm", "--quantity", "crank", "--limit", "1 deg", *GIVEN, "--out", str(tmp_path)
-    )
-    assert result.exit_code == 0, result.output
-    document = json.loads((tmp_path / "result.json").read_text())
-    assert document["monte_carlo"]["yield"] == 1.0
-    assert max(document["monte_carlo"]["sigma"]) < 1e-12
-    assert max(document["linear"]["sigma"]) == 0.0
-
-
 def test_costs_and_yields_are_read():
     assert read_yield("99.7 %") == pytest.approx(0.997)
     assert read_yield("0.5") == 0.5

@@ -164,8 +164,6 @@ def allocate(
     sigma_per_tolerance = np.array([d.sigma / d.tolerance for d in study.deviations])  # standard deviation per tolerance
     weights = np.square((sigma_per_tolerance[:, None] * study.by / room).T)
     moves = np.max(weights, axis=0) > 0.0
-    if not np.any(moves):
-        raise InputError("no tolerance has an effect on the output", "Choose another --quantity", key="--allocate")
     unit, gap = least_cost(weights[:, moves], coefficients[moves])
     if gap > PROVEN:
         raise SolverError(f"the least cost of tolerances is not proven: {gap:.1e} of it is open")
