@@ -277,7 +277,7 @@ def _wrong_figures(design: PathDesign, task: RandomTask, linkage: oracle.Design,
     figures = {name: (np.array(one, dtype=float), other) for name, (one, other) in figures.items()}  # null is not a number
     rounding = ROUNDING * max(task.size, oracle.size(linkage))
     return [
-        f"{name}: {np.max(one)!r} is told, {np.max(other)!r} found"
+        f"{name}: {np.max(one)!r} is reported, {np.max(other)!r} measured"
         for name, (one, other) in figures.items()
         if not np.all(np.abs(one - other) <= FIGURE * np.abs(other) + rounding)
     ]
@@ -304,7 +304,7 @@ def _missed_limits(design: PathDesign, task: RandomTask, linkage: oracle.Design)
     span, whole = transmission_range(linkage, begin, end), transmission_range(linkage, 0.0, TURN)
     needed = span if task.crank_limit == "span" else whole
     if abs(design.least_transmission - min(needed[0], math.pi - needed[1])) > LEAST:
-        result.append(f"least transmission angle: {design.least_transmission} is told, it is {needed}")
+        result.append(f"least transmission angle: {design.least_transmission} is reported, it is {needed}")
     if "transmission_angle" in limits:
         low, high = (math.radians(number(text)) for text in limits["transmission_angle"])
         over = span if limits.get("transmission_over") == "span" else needed
@@ -463,7 +463,7 @@ def faults_of_rocker(result: optlink.FunctionResult, task: LawTask) -> list[str]
 
 def _apart(figures: Mapping[str, tuple[float, float]], scale: float, share: float = FIGURE) -> list[str]:
     return [
-        f"{name}: {one!r} is told, {other!r} found"
+        f"{name}: {one!r} is reported, {other!r} measured"
         for name, (one, other) in figures.items()
         if not abs(one - other) <= share * abs(other) + ROUNDING * scale
     ]

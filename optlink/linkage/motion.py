@@ -90,7 +90,6 @@ class Motion:
         speed : Value [rad/s]
         acceleration : Value [rad/s^2]
         """
-
         square, steady = speed * speed, isinstance(acceleration, float) and acceleration == 0.0
 
         def scale(x: Value) -> Value:

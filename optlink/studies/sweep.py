@@ -27,10 +27,11 @@ from optlink.execution.store import Progress, Store
 from optlink.problem.arguments import typed
 from optlink.problem.base_model import Recorded, ResultRecord, absent
 from optlink.problem.file import ProblemFile
+from optlink.studies.analysis_task import analysis_task
 from optlink.studies.cycle_task import optimum_task
-from optlink.studies.figures_task import analysis_task, simulation_task
 from optlink.studies.grid import AxisRecord, Grid, read_grid
 from optlink.studies.reoptimise_task import SEARCHED, check_backend, chunk_of
+from optlink.studies.simulation_task import simulation_task
 from optlink.studies.sweep_task import OPTIMISE, SweepTask
 
 CHANGED = "active_set_changed"

@@ -28,7 +28,7 @@ from optlink.tasks.function import FunctionResult
 from optlink.tasks.function_search import certified_by_default
 from optlink.tasks.protocol import completed
 from optlink.tasks.results.certificate import GLOBAL, GLOBAL_GAP, INFEASIBLE, NOT_CLOSED, WITHIN_GAP, Certificate, Cover, exact
-from optlink.tasks.results.common import INCOMPLETE
+from optlink.tasks.results.evidence import INCOMPLETE
 from optlink.version import VERSION
 
 if TYPE_CHECKING:

@@ -19,8 +19,9 @@ from optlink.problem.quantity import input_of
 from optlink.solvers.solution import Solution
 from optlink.tasks.analyze import quick_stroke_notes
 from optlink.tasks.protocol import DesignTask, Search, agreement
-from optlink.tasks.results.common import Optimum, optimality, tally
+from optlink.tasks.results.common import Optimum, optimality
 from optlink.tasks.results.cycle import CycleResult, analysis_of, task_of
+from optlink.tasks.results.evidence import tally
 from optlink.units import factor
 from optlink.validation.check import Check, Validation
 from optlink.validation.cycle import validate_cycle

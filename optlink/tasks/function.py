@@ -33,7 +33,8 @@ from optlink.solvers.solution import Relaxation, Solution
 from optlink.tasks.machine import check_names, turning_machine
 from optlink.tasks.protocol import DesignTask, Search, Timer, agreement, part
 from optlink.tasks.results.certificate import CertificateRecord
-from optlink.tasks.results.common import Evidence, SingleRecord, SingleResult, evidence, shortest_link
+from optlink.tasks.results.common import SingleRecord, SingleResult, shortest_link
+from optlink.tasks.results.evidence import Evidence, evidence
 from optlink.tasks.results.fit import Fit, law_fit
 from optlink.units import show
 from optlink.validation import Check, validate as validate_law

@@ -27,7 +27,8 @@ from optlink.solvers import multistart
 from optlink.solvers.contract import CLOSE
 from optlink.solvers.function_exchange import add_peak_errors
 from optlink.solvers.solution import Solution
-from optlink.tasks.results.common import Optimum, evidence, optimality, tally, verified
+from optlink.tasks.results.common import Optimum, optimality, verified
+from optlink.tasks.results.evidence import evidence, tally
 from optlink.validation import Validation, validate as validate_law
 
 if TYPE_CHECKING:

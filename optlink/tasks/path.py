@@ -15,7 +15,8 @@ from optlink.solvers.infeasibility import Explanation, explain, feasible_point
 from optlink.synthesis.batch_search import PER_ROUND, PERFECT, Searcher
 from optlink.tasks.path_search import DesignCollection, Polisher, designs_from_four_bar, has_several_dyads, path_model
 from optlink.tasks.protocol import DesignTask, Search, completed
-from optlink.tasks.results.common import INCOMPLETE, evidence, shortest_link
+from optlink.tasks.results.common import shortest_link
+from optlink.tasks.results.evidence import INCOMPLETE, evidence
 from optlink.tasks.results.path import PathDesign, PathResult
 from optlink.validation.path import validate_path
 
@@ -190,7 +191,6 @@ class SearchRounds:
         All assembly modes and senses of rotation are tried, those of the nearest design first. The order of the points and their
         tolerances are kept while limits are relaxed.
         """
-
         polisher, near = self.collection.polisher, self.collection.nearest
         task = path_model(self.problem)
         senses = {"counter-clockwise": (1,), "clockwise": (-1,)}.get(task.requirement.rotation or "", (1, -1))

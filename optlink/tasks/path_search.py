@@ -24,7 +24,8 @@ from optlink.synthesis.batch import Batch
 from optlink.synthesis.batch_search import PERFECT, Candidate, Exploration, acceptable
 from optlink.synthesis.growth import ContainedFourBar, grow_from_four_bar
 from optlink.synthesis.levenberg_marquardt import minimise
-from optlink.tasks.results.common import OPTIMALITY_CHECK, Evidence, evidence, optimality, tally
+from optlink.tasks.results.common import OPTIMALITY_CHECK, optimality
+from optlink.tasks.results.evidence import Evidence, evidence, tally
 from optlink.tasks.results.path import PathDesign
 from optlink.validation.path import validate_path
 
@@ -100,7 +101,6 @@ class Polisher:
         near : bool
             Whether the candidate itself satisfies its limits everywhere.
         """
-
         file, start = self.files[candidate.variant], self._scaled_point(candidate)
         task, minimax = path_model(file), path_model(file).measure == "max"
         solution = solve_semi_infinite(task, start, MINIMAX if minimax else self.backend, near=near)
@@ -146,14 +146,12 @@ class Polisher:
         x : array (n,)
             Scaled point.
         """
-
         file, start = self.files[variant], multistart.solution_at(nlp, nlp.lifted(x), "found by the analysis of limits")
         yield validated_design(file, solve_semi_infinite(path_model(file), start, self.backend))
         yield feasible(validated_design(file, start))
 
     def _scaled_point(self, candidate: Candidate) -> Solution:
         """Return a candidate as a point of its NLP."""
-
         nlp = self.programme(candidate.variant, candidate.direction)
         timed = path_model(self.files[candidate.variant]).data.offsets is None
         x = np.concatenate([candidate.x, candidate.t]) if timed else candidate.x

@@ -26,7 +26,7 @@ from optlink.report.style import LIMIT
 from optlink.report.views import path as view, path_drawings, path_tables as tables
 from optlink.report.views.path_charts import CloseUp
 from optlink.report.views.path_view import PathView
-from optlink.tasks.results.common import evidence
+from optlink.tasks.results.evidence import evidence
 from optlink.tasks.results.path import PathDesign, PathResult
 from optlink.validation.path import validate_path
 from tests import synthesis_oracle as oracle

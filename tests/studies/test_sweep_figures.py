@@ -139,7 +139,7 @@ def test_both_routes_to_a_row_agree(pump, monkeypatch):
     file = optlink.load(str(pump()))
     batched = sweep(file, vary, analyze=True, columns=columns, workers=1).columns
     assert np.all(batched["valid"])
-    monkeypatch.setattr("optlink.studies.figures_task.AnalysisTask._batched", lambda *_: {})
+    monkeypatch.setattr("optlink.studies.analysis_task.AnalysisTask._batched", lambda *_: {})
     alone = sweep(file, vary, analyze=True, columns=columns, workers=1).columns
     for name in list(batched)[2:-3]:
         rounding = (

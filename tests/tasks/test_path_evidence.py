@@ -13,7 +13,7 @@ import optlink
 from optlink.synthesis.batch_search import Exploration, Searcher
 from optlink.tasks.path import MISSED_CHANCE, solve
 from optlink.tasks.path_search import IDLE_ROUNDS, OBJECTIVE_TOLERANCE, DesignCollection, Polisher, path_model
-from optlink.tasks.results.common import percent
+from optlink.tasks.results.evidence import percent
 from tests import synthesis_oracle as oracle
 from tests.stated import document, four_bar_section, free
 

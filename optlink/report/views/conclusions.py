@@ -43,7 +43,6 @@ def design(outcome: FunctionResult | PathResult | CycleResult, limits: Iterable[
     limits : iterable of LimitState
         Constraints with their shadow prices.
     """
-
     best, certified = outcome.best, clause(outcome.certificate)
     if best is None or outcome.conflict:
         return _sentences(contradiction(outcome.conflict, outcome.together) or "No design was found.", certified)
@@ -130,7 +129,6 @@ def _failed(checks: Sequence[Check]) -> str:
 
 def sensitivities(result: Sensitivities) -> str:
     """Return the conclusion of a sensitivity analysis."""
-
     if not result.moving:
         return "No prescribed value has an effect on this optimum, to first order."
     first, base = result.moving[0], result.solution.objective

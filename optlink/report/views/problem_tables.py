@@ -23,7 +23,6 @@ MAX_POINTS = 8  # largest number of points listed
 
 def problem(file: ProblemFile) -> Summary:
     """List all settings of a problem: every key with its value or default, in units."""
-
     model = file.model
     about = [" ".join(model.about.split())] if model.about else []
     parts: list[Part] = []
@@ -71,7 +70,6 @@ def _effective(model: DesignProblem) -> dict[str, str]:
 
 def _inapplicable(model: PathProblem) -> tuple[Collection[str], Collection[str]]:
     """Return the keys of the requirement and of the limits that do not apply to the kind of problem."""
-
     kind, four_bar = model.requirement.kind, isinstance(model.mechanism, FourBarSection)
     task = inapplicable_keys("requirement", kind, four_bar=four_bar)
     if kind not in ("path", "motion"):
@@ -81,7 +79,6 @@ def _inapplicable(model: PathProblem) -> tuple[Collection[str], Collection[str]]
 
 def effective_values(model: PathProblem) -> dict[str, str]:
     """Return the effective values of optional keys of a path or motion synthesis problem."""
-
     values = {"timing": model.timing, "measure": model.measure, "closed": str(model.closed).lower()}
     if model.requirement.kind == "motion":
         values["angle_length"] = f"{1e3 * model.radian:.6g} mm"

@@ -24,7 +24,7 @@ from optlink.report.style import BODIES, LIMIT, MUTED, RESULT, charts_per_row
 from optlink.report.view import View
 from optlink.report.views import conclusions, study_tables
 from optlink.report.views.revolutions import runs
-from optlink.studies.figures_task import FIGURES
+from optlink.studies.analysis_task import FIGURES
 from optlink.studies.grid import Axis
 from optlink.studies.sweep import CHANGED, TEXT, Sweep, SweepRecord
 

@@ -25,9 +25,11 @@ from optlink.problem.quantity import check_choice, nearest
 from optlink.problem.tolerances import CHOICES, NORMAL, SHAPES
 from optlink.studies.tolerance import robust_design
 from optlink.studies.tolerance.allocation import Allocation, AllocationRecord, allocate
-from optlink.studies.tolerance.linear import ERROR, LinearAnalysis, linear_analysis, nominal_design, read_deviations
+from optlink.studies.tolerance.linear import LinearAnalysis, linear_analysis
 from optlink.studies.tolerance.maximum_yield import maximise_yield
 from optlink.studies.tolerance.monte_carlo import CHUNK, MonteCarlo, MonteCarloRecord, Progress, monte_carlo
+from optlink.studies.tolerance.nominal import ERROR, nominal_design
+from optlink.studies.tolerance.options import read_deviations
 from optlink.studies.tolerance.robust_design import YIELD, RobustDesign, RobustRecord, check_law
 from optlink.units import DISPLAYED, UnitProblem, parse
 

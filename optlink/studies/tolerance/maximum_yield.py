@@ -22,8 +22,10 @@ from optlink.linkage.vector2d import Array
 from optlink.optimization.nlp import NLP, build
 from optlink.problem.file import ProblemFile
 from optlink.problem.tolerances import NORMAL, Deviation
-from optlink.studies.tolerance.linear import linear_analysis, nominal_design, read_deviations
+from optlink.studies.tolerance.linear import linear_analysis
 from optlink.studies.tolerance.monte_carlo import largest_errors, monte_carlo
+from optlink.studies.tolerance.nominal import nominal_design
+from optlink.studies.tolerance.options import read_deviations
 from optlink.studies.tolerance.robust_design import RobustDesign, RobustSearch
 from optlink.studies.tolerance.sampling import sample_deviations
 from optlink.tasks.function import validate

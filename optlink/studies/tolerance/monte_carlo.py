@@ -18,7 +18,8 @@ from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import Array
 from optlink.problem.base_model import Column, Contradiction, Number, Record, itself
 from optlink.problem.tolerances import Deviation
-from optlink.studies.tolerance.linear import LinearAnalysis, Nominal
+from optlink.studies.tolerance.linear import LinearAnalysis
+from optlink.studies.tolerance.nominal import Nominal
 from optlink.studies.tolerance.sampling import sample_deviations, wilson
 
 BLOCK_SIZE = 12_000  # positions per block, so that intermediate arrays fit in the processor cache

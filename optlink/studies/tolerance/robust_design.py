@@ -14,8 +14,8 @@ from optlink.problem.base_model import Record, absent
 from optlink.problem.file import ProblemFile
 from optlink.problem.robust import MAX_SIGMAS, WORST
 from optlink.problem.tolerances import NORMAL
-from optlink.studies.tolerance.linear import read_tolerances
 from optlink.studies.tolerance.monte_carlo import MonteCarloRecord
+from optlink.studies.tolerance.options import read_tolerances
 from optlink.tasks.function import FunctionResult, solve, validate
 from optlink.tasks.protocol import completed
 from optlink.tasks.run import solve as solve_nominal

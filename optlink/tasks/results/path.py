@@ -28,7 +28,8 @@ from optlink.solvers.solution import LimitState, Relaxation, Solution
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.analysis import stroke_document
 from optlink.tasks.results.certificate import Certificate, CertificateRecord, message
-from optlink.tasks.results.common import INCOMPLETE, Evidence, SearchRecord, verified
+from optlink.tasks.results.common import SearchRecord, verified
+from optlink.tasks.results.evidence import INCOMPLETE, Evidence
 from optlink.tasks.results.fit import Fit, FitRecord, path_fit, transmission_fit
 from optlink.units import DISPLAYED
 from optlink.validation.between import excursions

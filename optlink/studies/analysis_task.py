@@ -1,4 +1,4 @@
-"""Sweeps without optimisation: a machine analysed, or simulated, at every point of a grid."""
+"""Sweep task that analyses the machine at every point of a grid."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from optlink.dynamics.columns import MotionColumns, pin_columns
-from optlink.dynamics.ending import Ending
 from optlink.dynamics.machine import Machine, slider_names
 from optlink.errors import InputError
 from optlink.linkage.alignment import positions_text
@@ -21,10 +20,8 @@ from optlink.studies.grid import Axis, Grid
 from optlink.studies.sweep_task import FiguresTask, MachineFigures
 from optlink.tasks.analyze import analyze
 from optlink.tasks.batch import analyze_batch, batch_extremes, reaction_parts
-from optlink.tasks.clearance import check_simulations, simulate_clearance
 from optlink.tasks.machine import crank_speed, machine_of
 from optlink.tasks.results.analysis import Analysis
-from optlink.tasks.simulate import simulate
 from optlink.units import factor
 
 CHUNK = 2000  # designs per chunk
@@ -240,116 +237,3 @@ def analysis_task(
     first = Grid(tuple(replace(axis, values=axis.values[:1]) for axis in grid.axes))
     replace(task, grid=first).lines(0)  # detects invalid columns or dimensions early
     return task
-
-
-@dataclass(frozen=True)
-class SimulationTask(FiguresTask):
-    """Figures of the simulation of the machine at every point.
-
-    Parameters
-    ----------
-    figures : tuple of str
-        Names of the figures, those of a simulation at the first point.
-    stated : tuple of (str, value)
-        Options: revolutions, points, control, tolerance, duration [s], speed [rad/s].
-    design : tuple of (str, float) [SI]
-        Design variables that are not varied.
-    """
-
-    mode = "simulate"
-
-    figures: tuple[str, ...]
-    stated: tuple[tuple[str, Any], ...]
-    design: tuple[tuple[str, float], ...]
-
-    @property
-    def options(self) -> dict[str, Any]:
-        """Options of every simulation, and the given design."""
-        return {"options": dict(self.stated), "design": dict(self.design)}
-
-    def machines(self, points: range) -> Iterator[MachineFigures]:
-        """Yield the figures of the simulations at points of the grid."""
-        return map(self.simulated, points)
-
-    @cached_property
-    def has_clearance(self) -> bool:
-        """Whether there are joints with clearance."""
-        return self.problem.override(self.grid.changes(0)).model.has_clearance
-
-    def simulated(self, point: int) -> MachineFigures:
-        """Return the figures of a simulation, with its ending as status."""
-        try:
-            file = self.problem.override(self.grid.changes(point))
-            design = {name: value for name, value in self.design if name in file.model.free} or None
-            result = simulate_machine(file, dict(self.stated), design, has_clearances=self.has_clearance)
-        except InputError as error:
-            return MachineFigures({}, "not simulated", error.faults[0].message)
-        if result.status == Ending.INTERRUPTED.value:  # a row is complete or absent
-            raise KeyboardInterrupt
-        return result
-
-
-def simulate_machine(
-    problem: ProblemFile, options: Mapping[str, Any], design: Mapping[str, float] | None, *, has_clearances: bool
-) -> MachineFigures:
-    """Simulate one machine.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-    options : mapping
-        See `SimulationTask`.
-    design : mapping of str to float [SI], optional
-    has_clearances : bool
-        Whether joints have clearance.
-
-    Returns
-    -------
-    MachineFigures
-        Its status is the ending of the run, its reason empty unless that is incomplete.
-
-    Raises
-    ------
-    InputError
-        If the simulation is not possible.
-    """
-    settings = dict(options)
-    if has_clearances:
-        simulation = simulate_clearance(problem, design=design, twin=False, **settings)
-        return MachineFigures(simulation.figures, simulation.ending.value, "" if simulation.finished else simulation.message)
-    if "points" in settings:
-        settings["rows"] = settings.pop("points")
-    ideal = simulate(problem, design=design, **settings)
-    reason = "" if ideal.finished else f"{ideal.run.ending.text} (at {ideal.run.stopped:.9g} s)"
-    return MachineFigures(ideal.figures, ideal.run.ending.value, reason)
-
-
-def simulation_task(
-    problem: ProblemFile, grid: Grid, options: Mapping[str, Any], design: Mapping[str, float] | None
-) -> SimulationTask:
-    """Return the task that simulates every point; the names of its figures are those of a short run at the first one.
-
-    With joint clearance, its integrator is the one that is fastest for all points.
-
-    Parameters
-    ----------
-    problem : ProblemFile
-    grid : Grid
-    options : mapping
-        See `SimulationTask`.
-    design : mapping of str to float [SI], optional
-
-    Raises
-    ------
-    InputError
-        If the first point cannot be simulated.
-    """
-    first, short = problem.override(grid.changes(0)), options
-    clearances = first.model.has_clearance
-    if clearances:
-        settings = {"control": "none", "revolutions": 20, "points": 360, "tolerance": 1e-10, **options}
-        _, integrator = check_simulations(first, design=design, runs=grid.count, **settings)
-        options = {**options, "integrator": integrator} if integrator != "cvodes" else options
-        short = {**options, "revolutions": 1}
-    names = tuple(simulate_machine(first, short, design, has_clearances=clearances).figures)
-    return SimulationTask(problem, grid, 1, names, tuple(options.items()), tuple((design or {}).items()))
