@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -63,6 +63,18 @@ class Document:
     def file(self) -> str:
         """Name of the file."""
         return f"{self.name}.toml"
+
+    def changed_on_disk(self, known: Collection[str]) -> bool:
+        """Return whether the file in its folder has other contents than these, as an editor has changed it.
+
+        Parameters
+        ----------
+        known : collection of str
+        """
+        try:
+            return (self.folder / self.file).read_text(encoding="utf-8-sig") not in known
+        except (OSError, ValueError):
+            return False
 
     def with_changes(self, changes: Mapping[str, object]) -> Document:
         """Return the document with other values at dotted keys; comments and layout are kept.

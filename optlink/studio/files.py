@@ -14,7 +14,7 @@ from optlink.studio.design import Design
 MEDIA = {"dxf": "image/vnd.dxf", "svg": "image/svg+xml", "html": "text/html", "csv": "text/csv"}
 
 
-def exported(design: Design, name: str, format: Any) -> dict[str, Any]:
+def exported(design: Design, name: str, format: str) -> dict[str, Any]:
     """Return a file of a design: its name, media type and text.
 
     Parameters

@@ -116,6 +116,12 @@ class Link:
         """The present document as a message; None before the first one."""
         return None if self._history is None else self._history.present
 
+    def resumption(self, ident: int) -> dict[str, Any] | None:
+        """Return the request, with this id, that opens the problem again with its history; None before the first problem."""
+        if self._history is None:
+            return None
+        return {"type": "resume", "id": ident, "steps": self._history.steps, "at": self._history.at, "origin": self._origin}
+
     def request(self, request: dict[str, Any]) -> None:
         """Accept a request of the page."""
         if request["type"] == STOP:
@@ -188,6 +194,8 @@ class Link:
             self._history, self._origin = History(step["steps"], step["at"]), step["origin"]
         elif self._history is not None and step["step"] == "add":
             self._history.add(step["document"])
+        elif self._history is not None and step["step"] == "save":
+            self._origin = self._history.present["text"]
         elif self._history is not None:
             self._history.move(step["way"])
 
@@ -211,9 +219,9 @@ class Link:
         else:
             await asyncio.sleep(RESTART_DELAY)
         self.worker = await self._another()
-        if self._history is not None:
-            steps = {"steps": self._history.steps, "at": self._history.at, "origin": self._origin}
-            self._waiting.appendleft({"type": "resume", "id": self._latest, **steps})
+        resumption = self.resumption(self._latest)
+        if resumption is not None:
+            self._waiting.appendleft(resumption)
         self._next()
 
     async def close(self) -> None:

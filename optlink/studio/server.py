@@ -63,6 +63,9 @@ class Studio:
     def __init__(self, port: int, initial: str | None = None) -> None:
         self.port, self.opened, self.token = port, initial, secrets.token_urlsafe(32)
         self.links: set[Link] = set()
+        self._pages: dict[
+            str, Link
+        ] = {}  # by the name of the page; a page that reconnects continues with the history of its last one
         self._spare: asyncio.Task[Worker] | None = None
         for ending, media in TYPES.items():
             mimetypes.add_type(media, ending)
@@ -143,12 +146,18 @@ class Studio:
             except WebSocketDisconnect:
                 raise ConnectionError from None
 
-        link = Link(await self._worker(), send, self._worker)
+        link, page = Link(await self._worker(), send, self._worker), ws.query_params.get("page", "")
+        before = self._pages.pop(page, None)
+        name, begin = self.opened, {"type": "start", "id": 0, "name": self.opened}
+        if before is not None and (resumption := before.resumption(0)) is not None:
+            name, begin = resumption["steps"][-1]["name"], resumption
+        page = page if before is not None else secrets.token_urlsafe(8)
+        self._pages[page] = link
         self.links.add(link)
         try:
-            await ws.send_text(json.dumps(hello(self.opened)))
-            if self.opened is not None:
-                link.request({"type": "start", "id": 0, "name": self.opened})
+            await ws.send_text(json.dumps({**hello(name), "page": page}))
+            if name is not None:
+                link.request(begin)
             await _listen(ws, link)
         except WebSocketDisconnect:
             pass

@@ -28,7 +28,7 @@ from optlink.studio.document import Document, from_template, from_text, named, s
 from optlink.studio.files import deflated, exported, inflated
 from optlink.studio.follow import Follower
 from optlink.studio.handles import Handle, handles, same_kind
-from optlink.studio.history import History
+from optlink.studio.history import MAX_STEPS, History
 from optlink.studio.kinds import follower, kind_of, structure
 from optlink.studio.picture import Picture
 
@@ -83,6 +83,8 @@ class Session:
             act(self, request)
         except OptlinkError as error:
             self.fault(str(error))
+        except OSError as error:  # no folder for temporary files, or no space
+            self.fault(f"A file cannot be read or written: {error.strerror or error}. Set TMPDIR to a folder with free space")
         except KeyboardInterrupt:
             self._answer("progress", fraction=1.0, text="stopped")
         except RecursionError:
@@ -108,7 +110,7 @@ class Session:
             document = from_text(inflated(_text(request, "fragment")), _text(request, "title", "shared"))
         else:
             document = from_text(_text(request, "text"), _text(request, "title", "problem"))
-        self._begin([document], origin=_text(request, "origin", document.text))
+        self._begin([document])
 
     def _begin(self, steps: list[Document], at: int = 0, origin: str | None = None, design: Design | None = None) -> None:
         """Open a document, or one with its history: `at` is the index of the present step, `origin` the text that was opened."""
@@ -173,9 +175,13 @@ class Session:
         self._settle()
 
     def _save(self, request: Mapping[str, Any]) -> None:
-        document = self._document
+        assert self._history is not None
+        document, steps = self._document, self._history.steps
+        changed = len(steps) < MAX_STEPS and document.changed_on_disk({self._origin, *(step.text for step in steps)})
         self._origin = document.text
-        self._answer("file", name=document.file, media="application/toml", text=document.text, files=document.files)
+        self._answer("kept", step="save")
+        fields = {"text": document.text, "files": document.files, "changed_on_disk": changed}
+        self._answer("file", name=document.file, media="application/toml", **fields)
 
     def _link(self, request: Mapping[str, Any]) -> None:
         if self._document.files:
@@ -186,7 +192,7 @@ class Session:
     def _export(self, request: Mapping[str, Any]) -> None:
         if self._last is None:
             raise InputError("there is no design yet", "Wait for the search")
-        self._answer("file", **exported(self._last[0], self._document.name, request.get("format")))
+        self._answer("file", **exported(self._last[0], self._document.name, _text(request, "format")))
 
     def _draw(self, request: Mapping[str, Any]) -> None:
         from optlink.studio.curve import CurveSearch, curve_problem

@@ -11,12 +11,14 @@ import sys
 import urllib.error
 import urllib.request
 from collections.abc import AsyncIterator
+from pathlib import Path
 from typing import Any
 
 import psutil
 import pytest
 import websockets
 
+from optlink.studio.document import named
 from optlink.studio.link import Link
 from optlink.studio.server import FULL, MAX_PAGES, Studio, parsed
 
@@ -262,6 +264,43 @@ def test_the_history_outlives_the_process_that_computes() -> None:
         [("resume", 7, 2, 4)], [("resume", 7, 1, 4)], [("resume", 7, 0, 4)], []
     ]  # fmt: skip
     assert [one["message"].partition(". ")[2].split()[0] for one in sent] == ["Your", "The", "The", "Open"]
+
+
+async def _reconnection(folder: Path) -> None:
+    text = named("crank-rocker").text.partition("[expected]")[0]
+    law = text[text.index("law = ") : text.index("measure = ")]
+    (folder / "mine.toml").write_text(
+        text.replace(law, 'law = { csv = "law.csv" }\nfrom = "outer dead centre"\n'), encoding="utf-8"
+    )
+    rows = [f"{phi},{phi**2 / 135}" for phi in range(0, 91, 5)]
+    (folder / "law.csv").write_text("\n".join(["phi_deg,psi_deg", *rows]), encoding="utf-8")
+    async with studio(str(folder / "mine.toml")) as (address, token, _):
+        async with socket(address, token) as ws:
+            page = (await until(ws, "hello"))["page"]
+            await until(ws, "state", status="verified", searching=False)
+            for ident, value in ((1, "510 mm"), (2, "520 mm")):
+                await ws.send(json.dumps({"type": "set", "id": ident, "key": "mechanism.frame", "value": value}))
+                await until(ws, "state", id=ident, searching=False)
+            await ws.send(json.dumps({"type": "save", "id": 3}))
+            await until(ws, "file")
+        for frame, changed in (("520 mm", False), ("510 mm", True)):
+            async with socket(address, f"{token}&page={page}") as ws:
+                hello = await until(ws, "hello")
+                assert (hello["page"], hello["opened"]) == (page, "mine")
+                document = (await until(ws, "state", searching=False))["document"]
+                assert f'frame = "{frame}"' in document["text"]
+                assert (document["can_undo"], document["changed"]) == (True, changed)
+                await ws.send(json.dumps({"type": "undo", "id": 4}))
+                await until(ws, "state", id=4, searching=False)
+        async with socket(address, token) as ws:
+            assert (await until(ws, "hello"))["page"] != page
+            assert 'frame = "500 mm"' in (await until(ws, "state"))["document"]["text"]
+
+
+@pytest.mark.slow
+def test_a_page_that_reconnects_continues_with_its_history(tmp_path: Path) -> None:
+    """Also with a problem that reads other files, which the page could not open again by itself."""
+    asyncio.run(_reconnection(tmp_path))
 
 
 async def _crash() -> None:

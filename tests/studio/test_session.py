@@ -193,15 +193,6 @@ def test_a_drag_to_an_impossible_value_is_refused_with_a_reason(page: Page, hand
     assert values(states[-1]) == pytest.approx(values(before), rel=1e-9)
 
 
-def test_a_problem_that_a_page_kept_is_opened_with_its_changes(page: Page) -> None:
-    """As after a lost connection: the text of the last state, which was not saved."""
-    document = page.state("drag", handle="mechanism.frame", value=510.0, moving=False)["document"]
-    assert "text" not in page.state("drag", handle="mechanism.frame", value=511.0, moving=True)["document"]
-    again = Page().state("open", text=document["text"], title=document["name"], origin="")
-    assert again["document"] | {"can_undo": True} == document
-    page.ask("undo")
-
-
 def test_a_limit_that_is_dragged_to_zero_keeps_its_handle(page: Page) -> None:
     page.ask("drag", handle="limits.transmission_angle.min", value=0.0, moving=True)
     back = page.state("drag", handle="limits.transmission_angle.min", value=40.0, moving=True)
@@ -230,6 +221,37 @@ def test_handles_keep_their_kind_while_one_is_dragged() -> None:
         state = page.state("drag", handle="mechanism.links.link2.length", value=length, moving=True)
         assert {one["id"]: (one["kind"], "at" in one) for one in state["handles"]} == rest
         assert (state["status"], words in state["conclusion"]) == (status, True), (length, state["conclusion"])
+
+
+def test_saving_says_that_an_editor_has_changed_the_file(tmp_path: Path) -> None:
+    """Who copies the saved file over it would lose that change without notice."""
+    file = tmp_path / "mine.toml"
+    text = named("crank-rocker").text
+    file.write_text(text, encoding="utf-8")
+    page = Page(patient=False)
+    page.ask("start", name=str(file))
+    page.ask("set", key="mechanism.frame", value="510 mm")
+    (answer,) = page.ask("save")
+    assert not answer["changed_on_disk"]
+    file.write_text(answer["text"], encoding="utf-8")  # the saved file in its place
+    page.ask("set", key="mechanism.frame", value="520 mm")
+    assert not page.ask("save")[0]["changed_on_disk"]
+    file.write_text(text.replace("100 mm", "101 mm"), encoding="utf-8")
+    assert page.ask("save")[0]["changed_on_disk"]
+    file.unlink()
+    assert not page.ask("save")[0]["changed_on_disk"]
+
+
+def test_an_export_that_cannot_be_written_is_a_fault(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    (fault,) = page.ask("export", format=["dxf"])
+    assert "expected a text" in fault["message"]
+
+    def full(*arguments: Any, **more: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("tempfile.TemporaryDirectory", full)
+    (fault,) = page.ask("export", format="dxf")
+    assert fault["message"].startswith("A file cannot be read or written: No space left on device.")
 
 
 def test_a_text_from_the_page_cannot_read_files(tmp_path: Any) -> None:

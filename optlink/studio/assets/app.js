@@ -4,7 +4,7 @@ import { dropDown, keyboard, takeFiles } from "./commands.js";
 import { Curve } from "./curve.js";
 import { $, download, hint, sentence, setText, svg, toast } from "./dom.js";
 import { Handles } from "./handles.js";
-import { again, keep, lost } from "./kept.js";
+import { keep, lost } from "./kept.js";
 import { Linkage } from "./linkage.js";
 import { embedded, keptToken, Live } from "./live.js";
 import { Motion } from "./motion.js";
@@ -12,7 +12,7 @@ import { Panel, verdictOf } from "./panel.js";
 import { guide, Search } from "./search.js";
 import { Start } from "./start.js";
 import "./theme.js";
-import { round125, View } from "./view.js";
+import { extent, round125, View } from "./view.js";
 
 const EMPTY = [-120, -80, 320, 200]; // box of an empty canvas [mm]
 const root = document.documentElement;
@@ -183,7 +183,6 @@ function preview(scene) {
 }
 
 // --- what the server says -------------------------------------------------------------------------------------------------------
-
 let refit = true; // the next state is another problem
 let entering = true; // its first design is still to come
 
@@ -229,7 +228,7 @@ function take(next) {
   panel.cursor(motion.angle);
   verdict(next.status);
   const { can_undo: undo, can_redo: redo } = next.document;
-  titled(keep(next.document));
+  titled(keep(next));
   $("undo").disabled = !undo;
   $("redo").disabled = !redo;
   for (const name of ["save", "export", "share", "search"]) {
@@ -238,17 +237,15 @@ function take(next) {
   root.dataset.open = "";
 }
 
+function saved() {
+  state.document.changed = false;
+  titled(state.document);
+}
+
 function titled({ title, changed }) {
   setText($("title"), title);
   document.title = `${changed ? "• " : ""}${title} – optlink studio`;
   $("title").classList.toggle("changed", Boolean(changed));
-}
-
-// Box of the linkage and its targets.
-function extent({ box }, targets) {
-  const places = [...(targets?.points || []), ...(targets?.poses || [])].map((one) => one.at);
-  const [xs, ys] = [0, 1].map((k) => [box[k], box[k + 2], ...places.map((at) => at[k])]);
-  return [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
 }
 
 let computing = 0;
@@ -271,8 +268,6 @@ const live = new Live(keptToken(), {
     if (fragment && !message.opened) {
       ask("open", { fragment });
       history.replaceState(null, "", location.pathname);
-    } else if (again()) {
-      ask("open", again());
     } else if (message.opened) {
       start.hide();
       refit = true;
@@ -288,13 +283,12 @@ const live = new Live(keptToken(), {
   },
   progress: ({ fraction, text }) => search.take(fraction, text),
   candidates: (message) => (busy(false), curve.candidates(message)),
-  file({ name, media, text, base64, files }) {
+  file({ name, media, text, files, changed_on_disk: stale }) {
     busy(false);
-    download(name, media, text ?? Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0)));
-    toast(`${name} saved in your downloads.${files?.length ? ` It reads ${files.join(", ")}: keep the files together.` : ""}`);
+    download(name, media, text);
+    toast(`${name} saved in your downloads.${files?.length ? ` It reads ${files.join(", ")}: keep the files together.` : ""}${stale ? ` ${name} has changed on disk since it was opened: the saved file does not contain that change.` : ""}`, stale);
     if (media === "application/toml" && state) {
-      state.document.changed = false;
-      titled(state.document);
+      saved();
     }
   },
   link({ fragment }) {
@@ -316,7 +310,13 @@ const live = new Live(keptToken(), {
       start.show(false);
     }
   },
-  closed: (why) => (busy(false), lost(() => live.connect(), why)),
+  closed(why) {
+    busy(false);
+    start.hide(); // it would cover the message
+    knobs.held = null;
+    fresh = lost(() => live.connect(), saved, why);
+    redraw();
+  },
 });
 
 // A state that was overtaken before it was drawn may hold outlines that its follower leaves out.

@@ -104,6 +104,7 @@ export function hint(text, actions = [], lasts = false) {
   lasting = lasts && Boolean(text);
   const node = $("hint");
   node.hidden = !text;
+  node.classList.toggle("lasting", lasting);
   node.replaceChildren(text || "", ...actions.flatMap(({ text: words, run }) => [" ", el("button", { text: words, class: "inline", onclick: run })]));
 }
 

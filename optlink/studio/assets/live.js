@@ -61,6 +61,7 @@ export class Live {
     socket.addEventListener("message", (event) => socket === this.socket && this.receive(JSON.parse(event.data)));
     socket.addEventListener("close", (event) => {
       if (socket === this.socket) {
+        this.flying = this.waiting = null;
         this.listeners.closed(event.reason);
       }
     });
@@ -68,8 +69,8 @@ export class Live {
 
   opened() {
     const scheme = location.protocol === "https:" ? "wss" : "ws";
-    const query = this.token ? `?token=${encodeURIComponent(this.token)}` : "";
-    return new WebSocket(`${scheme}://${location.host}/live${query}`);
+    const query = new URLSearchParams({ ...(this.token && { token: this.token }), ...(this.page && { page: this.page }) });
+    return new WebSocket(`${scheme}://${location.host}/live?${query}`);
   }
 
   get open() {
@@ -123,6 +124,7 @@ export class Live {
         this.listeners.state(message);
       }
     } else if (type === "hello") {
+      this.page = message.page; // by which the studio opens the problem again, with its history
       this.listeners.hello(message);
     } else {
       this.listeners[type]?.(message);

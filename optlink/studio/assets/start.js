@@ -100,11 +100,15 @@ export class Start {
   }
 
   async file(file) {
-    const text = await file.text();
-    if (text.length > LARGEST) {
-      toast(`${file.name} is too large for a problem file (at most 900 kB).`, true);
-      return;
+    try {
+      const text = new TextDecoder("utf-8", { fatal: true }).decode(await file.arrayBuffer());
+      if (text.length > LARGEST) {
+        toast(`${file.name} is too large for a problem file (at most 900 kB).`, true);
+      } else {
+        this.pick(() => this.actions.open({ text, title: file.name }));
+      }
+    } catch (error) {
+      toast(error instanceof TypeError ? `${file.name} is not UTF-8 text. Save the file as UTF-8.` : `${file.name} cannot be read: ${error.message}`, true);
     }
-    this.pick(() => this.actions.open({ text, title: file.name }));
   }
 }

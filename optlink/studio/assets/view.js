@@ -3,6 +3,13 @@ const LEAST = 1e-4;
 const MOST = 1e5; // scale [px/mm]
 const SMALL = 0.35; // share of the view below which a linkage is shown larger
 
+// Box of a linkage and its targets.
+export function extent({ box }, targets) {
+  const places = [...(targets?.points || []), ...(targets?.poses || [])].map((one) => one.at);
+  const [xs, ys] = [0, 1].map((k) => [box[k], box[k + 2], ...places.map((at) => at[k])]);
+  return [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
+}
+
 export class View {
   constructor(node, changed) {
     this.node = node;
