@@ -75,20 +75,24 @@ def folder(path: Path, option: str = "--out") -> Path:
 def whole(path: Path) -> Iterator[Path]:
     """Yield a temporary file name; rename it to `path` on success, remove it on failure.
 
-    For a symbolic link the target is replaced, not the link; a pipe or device is written directly.
+    For a symbolic link the target is replaced, not the link; a pipe or device, such as /dev/stdout, is written directly.
 
     Raises
     ------
     InputError
         If the file cannot be written.
+    BrokenPipeError
+        If the reader has closed the pipe.
     """
-    path = path.resolve() if path.is_symlink() else path
     if path.exists() and not path.is_file():
         try:
             yield path
+        except BrokenPipeError:
+            raise
         except OSError as error:
             raise InputError(f"cannot write there: {error.strerror}", "Choose another place", str(path)) from None
         return
+    path = path.resolve() if path.is_symlink() else path
     temporary = None
     try:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem[:40]}-", suffix=path.suffix)

@@ -305,6 +305,17 @@ def test_a_closed_pipe_is_not_a_failure(arguments):
 
 
 @posix
+def test_a_table_goes_to_standard_output_until_the_reader_closes_it():
+    words = f"{sys.executable} -m optlink analyze scotch-yoke --points 5000 --csv /dev/stdout"
+    for reader, code in (("cat", 0), ("head -n 1", 141)):
+        done = subprocess.run(
+            ["bash", "-c", f"{words} | {reader}; exit ${{PIPESTATUS[0]}}"], capture_output=True, text=True, check=False
+        )
+        assert (done.returncode, done.stderr) == (code, "")
+        assert done.stdout.startswith("crank_angle_deg,")
+
+
+@posix
 def test_closed_streams_are_not_a_failure(tmp_path):
     """Such as `>&-` of a shell: nothing is printed, and nothing of the one stream appears on the other."""
     words = f"{sys.executable} -m optlink show nowhere --json"

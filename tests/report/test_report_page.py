@@ -381,8 +381,8 @@ def test_results_that_cannot_be_shown(results, tmp_path):
         "version": ({**good, "schema": "optlink/function/99"}, "has another format version"),
         "none": ({"a": 1}, "not a result of optlink"),
         "hash": ({**good, "problem_hash": "0" * 16}, "of another problem or version"),
-        "name": ({**good, "problem": "nobodys"}, "is not found"),
-        "path": ({**good, "problem": "../../etc/passwd"}, "is not found"),
+        "name": ({**good, "problem": "nobodys"}, "no shipped problem, and not found"),
+        "path": ({**good, "problem": "../../etc/passwd"}, "and not found"),
         "damaged": ({**good, "design": {}}, "lacks coupler, rocker"),
         "status": ({**good, "status": "fine"}, "damaged"),
         "limits": ({**good, "limits": [{"name": 1}]}, "damaged"),
@@ -434,7 +434,9 @@ def test_a_result_finds_its_problem_in_its_folder(tmp_path):
     mine.write_text(raw.replace('frame = "500 mm"', 'frame = "490 mm"'))
     recorded(tmp_path / "out", "solve", str(mine))
     result, out = str(tmp_path / "out" / "result.json"), str(tmp_path / "a.html")
-    assert run("report", result, "-o", out).exit_code == 2
+    missing = run("report", result, "-o", out)
+    assert missing.exit_code == 2
+    assert "--problem FOLDER/mine.toml" in missing.stderr
     assert run("report", result, "-o", out, "--problem", str(mine)).exit_code == 0
     for folder in (tmp_path / "out", tmp_path):
         (folder / "mine.toml").write_bytes(mine.read_bytes())

@@ -165,8 +165,8 @@ def problem_of(about: _Head | ResultRecord, path: Path, problem: str | None = No
                 return variant
         hashes.append(file.hash)
     if not places:
-        remedy = f"Name its problem file: --problem {name}.toml"
-        raise InputError(f"the problem {name} of this result is not found", remedy, str(path), "problem", name)
+        where = "no shipped problem, and not found beside the result, in the folder above it or in the working directory"
+        raise InputError(where, f"Give the path of its file: --problem FOLDER/{name}.toml", str(path), "problem", name)
     difference = f"its problem has the hash {expected}, {places[0]} has {hashes[0]}"
     remedy = "Name the problem file: --problem FILE, and state its changes again by --set; or solve again"
     raise InputError(f"the result is that of another problem or version: {difference}", remedy, str(path), "problem_hash")
