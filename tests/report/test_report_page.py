@@ -14,7 +14,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import plotly.graph_objects as go
@@ -24,7 +23,7 @@ import optlink
 from optlink.report.export.dimensions import dimensioned
 from optlink.report.format import pretty
 from optlink.report.html import chart_plotly, theme
-from optlink.report.html.page import charts, page, sensitivities_of, verdict, write_page
+from optlink.report.html.page import charts, page, sensitivities_of, write_page
 from optlink.report.html.shell import MAX_BYTES, four_digits
 from optlink.report.report_model import ReportModel, report_model_of, solve_or_validate
 from optlink.report.scene import scene
@@ -703,9 +702,3 @@ def test_injected_scripts_are_blocked_by_the_security_policy(driver, tmp_path, c
     assert asked == ["http://127.0.0.1:9/x.png"]
     assert complaints
     assert driver.execute_script("return window.caught === 1")
-
-
-def test_the_verdict_writes_torques_as_the_tables_do() -> None:
-    best = SimpleNamespace(fit=None, comparison="objective 218.78 N*m (-17.1 %)")
-    subject = SimpleNamespace(result=SimpleNamespace(best=best), valid=True)
-    assert verdict(subject) == "Valid: every check passed; objective 218.78 N·m (-17.1 %)"  # type: ignore[arg-type]

@@ -13,7 +13,7 @@ import optlink
 from optlink.cli.app import app
 from optlink.problem.file import dump
 from optlink.report import terminal
-from optlink.report.html.page import verdict
+from optlink.report.html.page import page, verdict
 from optlink.report.report_model import ReportModel
 from optlink.report.views import cycle_tables, path_tables
 from optlink.solvers.solution import LimitState
@@ -245,7 +245,10 @@ def test_an_objective_without_a_target_is_compared_with_the_initial_design(least
     change = torque(crank, rod) / torque(0.05, 0.13) - 1.0
     assert f"initial design{' ' if feasible else ', '}{torque(0.05, 0.13):.5g} N·m" in shown
     assert ("does not meet the limits)" in shown) != feasible
-    assert f"({100.0 * change:+.1f} %" in verdict(ReportModel(result.problem, result, None))
+    header = page(ReportModel(result.problem, result, None)).partition("<h1")[2].partition("<h2")[0]
+    assert header.count(f"(−{-100.0 * change:.1f} %)" if change < 0.0 else f"(+{100.0 * change:.1f} %)") == 1
+    assert header.count("%") == 1  # the change is stated once
+    assert ("; the initial design does not meet the limits." in header) != feasible
 
 
 def test_a_machine_with_the_best_transmission_angle_is_graded() -> None:

@@ -1,20 +1,20 @@
 """HTML report of a design: linkage in motion, result and validation, sensitivities, charts, sources."""
 
 import functools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from optlink.errors import Status
 from optlink.io import whole
 from optlink.report.chart_spec import ChartSpec
-from optlink.report.format import product, single_units
+from optlink.report.format import single_units
 from optlink.report.html import chart_plotly
 from optlink.report.html.moving_linkage import Moving, turning
 from optlink.report.html.shell import PageSection, StoredStudy
 from optlink.report.registry import table_of, view_of
 from optlink.report.report_model import ReportModel
 from optlink.report.stored.stored_study import study_page
-from optlink.report.table_spec import Paragraph, Part, Summary, TableSpec
+from optlink.report.table_spec import Paragraph, Part, Span, Summary, TableSpec
 from optlink.report.views import (
     analysis_charts,
     analysis_forces,
@@ -65,7 +65,7 @@ def _report(model: ReportModel) -> StoredStudy:
             verdict=verdict(model),
             valid=model.valid,
             conclusion=_conclusion(model, shown),
-            status=shown.status.lines,
+            status=_status(model, shown),
             sections=list(_sections(model, shown, effects)),
             moving=functools.partial(animation_of, model),
             by=_method(model),
@@ -128,10 +128,8 @@ def verdict(model: ReportModel | StoredStudy) -> str:
     if isinstance(model.result, Analysis):
         return f"{model.result.status[0].upper()}{model.result.status[1:]}"
     if model.valid:
-        best = getattr(model.result, "best", None)
-        fit, comparison = (getattr(best, name, None) for name in ("fit", "comparison"))
-        suffix = f"; {product(comparison)}" if comparison else ""
-        return (f"Valid, {fit.text}" if fit is not None and fit.grade == "poor" else "Valid: every check passed") + suffix
+        fit = getattr(getattr(model.result, "best", None), "fit", None)
+        return f"Valid, {fit.text}" if fit is not None and fit.grade == "poor" else "Valid: every check passed"
     if model.result.status is Status.INFEASIBLE:
         return "No feasible design found"
     failed = _failed(model)
@@ -148,6 +146,14 @@ def _conclusion(model: ReportModel, shown: Summary) -> str:
         text = conclusions.design(outcome, model.limits if solution is None else solution.limits)
         return f"{conclusions.sensitivities(model.effects)} {text}" if model.effects is not None else text
     return "".join(span.text for line in shown.status.lines[:1] for span in line)
+
+
+def _status(model: ReportModel, shown: Summary) -> Sequence[Sequence[Span]]:
+    """Return the lines of the status, without the change of a single objective of a machine, which the conclusion states."""
+    outcome = model.result
+    if not isinstance(outcome, CycleResult) or not outcome.task.single or not outcome.comparison.startswith("objective"):
+        return shown.status.lines
+    return [[span for span in line if span.text != f"; {outcome.comparison}"] for line in shown.status.lines]
 
 
 def _failed(model: ReportModel) -> str:

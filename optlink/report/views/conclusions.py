@@ -101,7 +101,8 @@ def _cycle(outcome: CycleResult) -> str:
         words.append(f"{goal.words} {figure(goal.result, goal.unit)}{before.replace('-', '−')}")
     words += [f"{goal.words} {figure(goal.result, goal.unit)}" for goal in outcome.figures if stroke and goal.name in REQUIRED]
     text = joined(words)
-    return f"{text[:1].upper()}{text[1:]}."
+    unfair = "" if stroke or outcome.initial.valid else "; the initial design does not meet the limits"
+    return f"{text[:1].upper()}{text[1:]}{unfair}."
 
 
 def _limiting(limits: Iterable[LimitState]) -> str:
