@@ -1,5 +1,8 @@
 """Work of the drive over the crank angle, by Gauss quadrature between the angles at which a load jumps."""
 
+import math
+from collections.abc import Callable
+
 import numpy as np
 
 from optlink.dynamics.inverse import reactions
@@ -138,6 +141,20 @@ class Work:
         """Return the driving torque [N m] at crank angles (n,)."""
         torque = reactions(self.machine.moving(angles, self.speed)).torque
         return np.broadcast_to(np.asarray(torque, dtype=float), angles.shape)
+
+    def mean(self, signal: Callable[[Array], Array], *, square: bool = False) -> float:
+        """Return the mean, or root mean square, of a function of crank angles (n,) over the range.
+
+        Parameters
+        ----------
+        signal : function of array (n,) [rad]
+            Smooth between the knots, as the torque.
+        square : bool
+        """
+        points, half = gauss_points(self.knots[:-1], self.knots[1:])
+        values = signal(points.ravel()).reshape(points.shape)
+        mean = float(np.sum(half * ((values**2 if square else values) @ WEIGHTS))) / float(self.knots[-1] - self.knots[0])
+        return math.sqrt(mean) if square else mean
 
     def _panels(self, knots: Array) -> tuple[Array, Array]:
         """Return knots between which the torque is smooth, halved where it is not, and the works between them."""

@@ -132,6 +132,7 @@ def analyze(
         ),
         flywheel(machine, speed, share, low) if share is not None and ranges.full else None,
         unbounded,
+        math.nan if unsound or not ranges.full else work.mean(work.torque, square=True),
     )
 
 

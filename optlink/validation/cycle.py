@@ -158,7 +158,9 @@ class Cycle:
         """Return the value of a cyclic term; extremes of the same machine are all measured on the same positions."""
         machine, read = self.history(term)
         if not term.extreme:
-            return self._average(machine, read, square=term.how == "rms")
+            return self.work.mean(
+                lambda angles: read(MotionColumns(machine.moving(angles, self.speed))), square=term.how == "rms"
+            )
         terms = [term, *self.problem.goals, *(item.term for item in self.problem.bounds)]
         alike = [other for other in terms if other.extreme and other.static == term.static]
         for each, value in zip(alike, self._extremes(machine, alike), strict=True):
@@ -181,13 +183,6 @@ class Cycle:
         if jumps.size:
             peaks = np.maximum(peaks, np.nanmax(values(jumps, side=-1), axis=1))
         return np.where([term.how == "least" for term in terms], -peaks, peaks)
-
-    def _average(self, machine: Machine, read: Callable[[MotionColumns], Array], *, square: bool) -> float:
-        """Return the mean, or root mean square, over the revolution by Gauss quadrature between the knots of the work."""
-        points, half = gauss_points(self.work.knots[:-1], self.work.knots[1:])
-        values = read(MotionColumns(machine.moving(points.ravel(), self.speed))).reshape(points.shape)
-        mean = float(np.sum(half * ((values**2 if square else values) @ WEIGHTS))) / TURN
-        return math.sqrt(mean) if square else mean
 
     def objective(self) -> float:
         """Return the minimised value: a term [SI], negative if maximised, or a weighted sum."""

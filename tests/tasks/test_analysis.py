@@ -354,6 +354,29 @@ def test_mean_torque_and_power_are_those_of_the_work():
     assert re.search(rf"mean torque +{result.mean_torque:.3f} +N·m\s", shown)
 
 
+def test_rms_torque_is_that_of_closed_forms_and_of_the_table():
+    """Of a crank that lifts its own weight, m g r cos(phi), and of a load with jumps."""
+    raw = optlink.load("scotch-yoke").raw
+    lone = {
+        **raw,
+        "bodies": {"crank": {"mass": "2 kg", "centroid": ["30 mm", "0 mm"], "inertia": "1 kg*m^2"}},
+        "gravity": "9.81 m/s^2",
+        "loads": {},
+    }
+    crank = optlink.analyze(optlink.read(lone), speed=3.0)
+    assert crank.rms_torque == pytest.approx(2.0 * 9.81 * 0.03 / math.sqrt(2.0), rel=1e-12)
+    shaper = optlink.analyze(optlink.load("shaper"), 36_000)
+    squares = shaper["input.torque_Nm"][:-1] ** 2
+    assert shaper.rms_torque == pytest.approx(math.sqrt(np.mean(squares)), rel=1e-4)
+    assert abs(shaper.mean_torque) < shaper.rms_torque < shaper.extremes["input.torque_Nm"].largest
+    assert shaper.to_dict()["rms_torque_Nm"] == shaper.rms_torque
+    shown = run("analyze", "shaper").stdout
+    assert re.search(rf"rms torque +{shaper.rms_torque:.3f} +N·m\s", shown)
+    partial = optlink.analyze(optlink.load("slider-crank").override({"mechanism.links.rod.length": "90 mm"}))
+    assert not partial.full
+    assert "rms_torque_Nm" not in partial.to_dict()
+
+
 def test_analyze_json_is_one_document():
     done = run("analyze", "shaper", "--speed", "64 rpm", "--points", "24", "--json")
     document = json.loads(done.stdout)

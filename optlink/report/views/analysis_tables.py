@@ -218,7 +218,11 @@ def _work(outcome: Analysis) -> TableSpec:
     rows = [(outcome.extent, number(work, 9), "J")]
     if outcome.full and math.isfinite(work):
         torque, power = (mean if work else 0.0 for mean in (outcome.mean_torque, outcome.mean_power))
-        rows += [("mean torque", number(torque), "N m"), ("mean power", number(power), "W")]
+        rows += [
+            ("mean torque", number(torque), "N m"),
+            ("rms torque", number(outcome.rms_torque), "N m"),
+            ("mean power", number(power), "W"),
+        ]
     if "input.work_J" in outcome.extremes:
         extreme = outcome.extremes["input.work_J"]
         for word, amount, at in (("least", *extreme[:2]), ("largest", *extreme[2:])):

@@ -98,6 +98,9 @@ class AnalysisRecord(ResultRecord):
     meanings: dict[str, str]
     columns: Columns
     flywheel: FlywheelRecord | None = absent()
+    rms_torque_Nm: Annotated[float | None, lambda result: result.rms_torque if math.isfinite(result.rms_torque) else None] = (
+        absent()
+    )
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -107,7 +110,8 @@ class Analysis(Tabled):
     `columns` by name (unit at the end), each an array over the sampled crank angles: `pandas.DataFrame(run.columns)`;
     `meanings` describe them; `extremes` are refined to their exact crank angles, one-sided at load jumps; `unbounded`: columns of
     reactions that grow without bound towards change points through which the motion is continued; `swings` of bodies and
-    `strokes` of sliders (by slider name).
+    `strokes` of sliders (by slider name); `rms_torque`: torque of the drive [N m], root mean square over a cycle, by which the
+    heating of a motor is rated; NaN unless the crank turns fully.
     """
 
     record = AnalysisRecord
@@ -131,6 +135,7 @@ class Analysis(Tabled):
     notes: tuple[str, ...]
     flywheel: Flywheel | None = None
     unbounded: tuple[str, ...] = ()
+    rms_torque: float = math.nan
 
     @property
     def full(self) -> bool:
