@@ -87,7 +87,7 @@ def simulate_machine(
     """
     settings = dict(options)
     if has_clearances:
-        simulation = simulate_clearance(problem, design=design, twin=False, **settings)
+        simulation = simulate_clearance(problem, design=design, check_predictability=False, **settings)
         return MachineFigures(simulation.figures, simulation.ending.value, "" if simulation.finished else simulation.message)
     if "points" in settings:
         settings["rows"] = settings.pop("points")

@@ -130,7 +130,7 @@ def simulate_clearance(
     design: Mapping[str, float] | None = None,
     flywheel: float = 0.0,
     tolerance: float = 1e-10,
-    twin: bool = True,
+    check_predictability: bool = True,
     integrator: str = "auto",
     progress: Callable[[float], None] | None = None,
     stream: Callable[[Mapping[str, Array]], None] | None = None,
@@ -160,7 +160,7 @@ def simulate_clearance(
         Additional moment of inertia at the crank.
     tolerance : float
         Relative tolerance of the integrator; the absolute one is a thousandth of it (SI).
-    twin : bool
+    check_predictability : bool
         Whether a second run at a coarser tolerance determines how long the motion is predictable.
     integrator : str
         Integrator: "cvodes", "compiled" (needs numba), or "auto": compiled for long work, if numba is installed; a run that
@@ -196,8 +196,8 @@ def simulate_clearance(
     setting = _setting(problem, points, speed, control, start, design, flywheel)
     _check(revolutions, points, tolerance)
     closed_loop = setting.closed_loop(tolerance)
-    integrator = chosen(resumed(integrator, resume), closed_loop, revolutions + min(revolutions, WATCHED) * twin)
-    pair = PredictabilityCheck(setting.closed_loop(tolerance * TOLERANCE_RATIO)) if twin else None
+    integrator = chosen(resumed(integrator, resume), closed_loop, revolutions + min(revolutions, WATCHED) * check_predictability)
+    pair = PredictabilityCheck(setting.closed_loop(tolerance * TOLERANCE_RATIO)) if check_predictability else None
     closed_loops = [closed_loop] if pair is None else [closed_loop, pair.closed_loop]
     if integrator is IntegratorKind.COMPILED:
         with compiling():
@@ -216,7 +216,7 @@ def simulate_clearance(
         "integrator": str(integrator),
         "design": None if design is None else dict(design),
         "flywheel_kg_m2": flywheel,
-        "twin": twin,
+        "check_predictability": check_predictability,
     }
     if resume is not None:
         begun = read_checkpoint(ClearanceCheckpoint, resume, options)

@@ -98,7 +98,12 @@ def run_job(job: RunJob) -> RunResult:
             if square > count * job.points * job.limit**2:
                 raise ErrorLimitExceeded
 
-    options: dict[str, Any] = {"start": job.start, "design": job.design, "tolerance": job.tolerance, "twin": False}
+    options: dict[str, Any] = {
+        "start": job.start,
+        "design": job.design,
+        "tolerance": job.tolerance,
+        "check_predictability": False,
+    }
     options["integrator"] = job.integrator
     try:
         run = simulate_clearance(

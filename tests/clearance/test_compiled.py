@@ -30,7 +30,7 @@ SHIPPED = ("slider-crank-clearance", "crank-rocker-clearance", "slider-crank-thr
 def shares(problem: optlink.ProblemFile, part: float, **options) -> dict[str, float]:
     """Differences of the engines over the first part of a revolution, as shares of the largest value, at a tight tolerance."""
     one, other = (
-        simulate_clearance(problem, 1, 360, tolerance=1e-12, twin=False, integrator=integrator, **options)
+        simulate_clearance(problem, 1, 360, tolerance=1e-12, check_predictability=False, integrator=integrator, **options)
         for integrator in ("cvodes", "compiled")
     )
     assert (one.integrator, other.integrator) == ("cvodes", "compiled")
@@ -72,7 +72,7 @@ def test_engines_agree_on_the_shipped_machines(name, control):
 def test_engines_give_the_same_peaks_and_energy_account():
     problem = optlink.load(SHIPPED[0])
     one, other = (
-        simulate_clearance(problem, 3, 36, tolerance=1e-11, twin=False, integrator=integrator)
+        simulate_clearance(problem, 3, 36, tolerance=1e-11, check_predictability=False, integrator=integrator)
         for integrator in ("cvodes", "compiled")
     )
     for name in ("largest_normal_N", "largest_penetration_m", "torque_max_Nm", "rms_m", "C.impact.work_J", "C.friction.work_J"):
@@ -140,7 +140,7 @@ def test_stalls_and_interrupts_of_the_compiled_engine(monkeypatch):
     raw = optlink.load(SHIPPED[0]).override(
         {"joints.C.modulus": None, "joints.C.stiffness": "1 N/m^1.5", "joints.C.poisson": None}
     )
-    result = simulate_clearance(raw, 3, twin=False, integrator="compiled")
+    result = simulate_clearance(raw, 3, check_predictability=False, integrator="compiled")
     assert result.ending is Ending.STALLED
     assert "deep in its bearing" in result.message
     assert 0.0 < result.stopped < 0.05
@@ -154,7 +154,7 @@ def test_stalls_and_interrupts_of_the_compiled_engine(monkeypatch):
         return original(self, rows)
 
     monkeypatch.setattr(CompiledIntegration, "_call", once)
-    result = simulate_clearance(optlink.load(SHIPPED[0]), 30, 36, twin=False, integrator="compiled")
+    result = simulate_clearance(optlink.load(SHIPPED[0]), 30, 36, check_predictability=False, integrator="compiled")
     assert result.ending is Ending.INTERRUPTED
     assert len(stopped) == 5
 
@@ -246,7 +246,8 @@ def test_engine_is_chosen_by_the_work(monkeypatch):
 @pytest.mark.slow
 def test_short_run_does_not_import_numba():
     code = (
-        "import sys, optlink; optlink.simulate_clearance(optlink.load('slider-crank-clearance'), 1, 12, twin=False);"
+        "import sys, optlink; problem = optlink.load('slider-crank-clearance');"
+        "optlink.simulate_clearance(problem, 1, 12, check_predictability=False);"
         "assert 'numba' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
@@ -262,7 +263,7 @@ def test_compilation_is_announced(monkeypatch):
         seen.append("ends")
 
     monkeypatch.setattr(ClosedLoop, "compile", lambda self: seen.append("compiles"))
-    simulate_clearance(optlink.load(SHIPPED[0]), 1, 12, twin=False, integrator="compiled", compiling=compiling)
+    simulate_clearance(optlink.load(SHIPPED[0]), 1, 12, check_predictability=False, integrator="compiled", compiling=compiling)
     assert seen == ["begins", "compiles", "ends"]
 
 
@@ -290,7 +291,9 @@ def test_cache_that_cannot_be_written_is_elsewhere(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_processes_that_compile_at_the_same_time_agree(tmp_path):
     """Two processes without the equations of a machine in their cache; a third finds them. The engine is copied there before."""
-    simulate_clearance(optlink.load(SHIPPED[0]), 1, 12, twin=False, integrator="compiled")  # compiles the engine, if it has to
+    simulate_clearance(
+        optlink.load(SHIPPED[0]), 1, 12, check_predictability=False, integrator="compiled"
+    )  # compiles the engine, if it has to
     source = Path(machine.engine().__file__)
     shutil.copy2(source, tmp_path)
     (tmp_path / "__pycache__").mkdir()
@@ -298,7 +301,8 @@ def test_processes_that_compile_at_the_same_time_agree(tmp_path):
         shutil.copy2(file, tmp_path / "__pycache__")
     code = """
 import sys, optlink
-found = optlink.simulate_clearance(optlink.load("slider-crank-clearance"), 1, 12, twin=False, integrator="compiled")
+problem = optlink.load("slider-crank-clearance")
+found = optlink.simulate_clearance(problem, 1, 12, check_predictability=False, integrator="compiled")
 from optlink.clearance.compiled import machine
 [equations] = [module for module in sys.modules.values() if hasattr(module, "rhs") and hasattr(module, "project")]
 print(repr(found.figures["rms_m"]), equations.rhs.cache_hits, sum(machine.engine().advance.stats.cache_hits.values()))

@@ -139,7 +139,7 @@ class Case:
 
 
 def simulate(raw: Mapping, revolutions: int = 1, points: int = 360, tolerance: float = 1e-9, **more) -> ClearanceSimulation:
-    return simulate_clearance(optlink.read(raw), revolutions, points, tolerance=tolerance, twin=False, **more)
+    return simulate_clearance(optlink.read(raw), revolutions, points, tolerance=tolerance, check_predictability=False, **more)
 
 
 @contextlib.contextmanager
@@ -194,7 +194,7 @@ def differences(case: Case) -> dict[str, float]:
     """Of every column from the oracle's, as shares of its largest value within the window."""
     problem = optlink.read(case.raw)
     with ending_after(case.window):
-        result = simulate_clearance(problem, 1, tolerance=1e-12, twin=False)
+        result = simulate_clearance(problem, 1, tolerance=1e-12, check_predictability=False)
     assert result.ending is Ending.FINISHED, result.message
     rows = round(360 * case.window)
     time, setup = result["time_s"][:rows], case.setup
@@ -880,7 +880,7 @@ def test_longer_run_begins_as_the_shorter_one():
         assert np.array_equal(values, long.per_revolution[name][:3]), name
 
 
-def test_twin_does_not_disturb_the_run():
+def test_the_predictability_check_does_not_disturb_the_run():
     one = simulate(PERIODIC, 1, 90)
     other = simulate_clearance(optlink.read(PERIODIC), 1, 90, tolerance=one.tolerance)
     assert other.prediction is not None
@@ -1081,8 +1081,8 @@ def test_run_that_ends_before_it_settles_has_the_statistics_of_all_its_revolutio
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="a signal of POSIX")
-@pytest.mark.parametrize("twin", [False, True])
-def test_interrupt_from_the_keyboard(twin):
+@pytest.mark.parametrize("check_predictability", [False, True])
+def test_interrupt_from_the_keyboard(check_predictability):
     """It meets the integrator at work, mostly."""
     code = f"""
 import json, os, signal, sys, threading
@@ -1094,7 +1094,7 @@ def stream(rows):
     if not begun:
         begun.append(1)
         threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
-found = simulate_clearance(optlink.read(raw), 200, 90, twin={twin}, stream=stream)
+found = simulate_clearance(optlink.read(raw), 200, 90, check_predictability={check_predictability}, stream=stream)
 print(found.ending.value, found.revolutions)
 """
     done = subprocess.run(
@@ -1230,7 +1230,7 @@ def test_machine_that_cannot_be_simulated_is_refused(what):
     changes, options, *words = NOT_SIMULATED[what]
     problem = machine(changes)
     with pytest.raises(optlink.InputError) as caught:
-        simulate_clearance(problem, 1, twin=False, **options)
+        simulate_clearance(problem, 1, check_predictability=False, **options)
     (fault,) = caught.value.faults
     refused(fault, *words)
 
@@ -1238,10 +1238,10 @@ def test_machine_that_cannot_be_simulated_is_refused(what):
 def test_remedy_for_a_body_without_mass_helps():
     """Who follows the advice word for word gets on."""
     with pytest.raises(optlink.InputError) as caught:
-        simulate_clearance(machine({"bodies.slider": None}), 1, twin=False)
+        simulate_clearance(machine({"bodies.slider": None}), 1, check_predictability=False)
     advice = caught.value.faults[0].remedy
     body = {key: advice.split(f'{key} = "')[1].split('"')[0] for key in ("mass", "inertia") if f'{key} = "' in advice}
-    assert simulate_clearance(machine({"bodies.slider": body}), 1, 12, twin=False).finished
+    assert simulate_clearance(machine({"bodies.slider": body}), 1, 12, check_predictability=False).finished
 
 
 @pytest.mark.parametrize(
@@ -1262,7 +1262,7 @@ def test_remedy_for_a_body_without_mass_helps():
 )
 def test_unusable_option_is_refused(options, key, remedy):
     with pytest.raises(optlink.InputError) as caught:
-        simulate_clearance(machine({}), **{"revolutions": 1, "twin": False, **options})
+        simulate_clearance(machine({}), **{"revolutions": 1, "check_predictability": False, **options})
     (fault,) = caught.value.faults
     assert fault.key == key
     assert remedy in fault.remedy
@@ -1293,7 +1293,9 @@ def test_a_revolution_that_would_take_hours_is_refused(changes, options, key, wo
 def test_friction_needs_a_slip_speed_that_can_be_resolved():
     with pytest.raises(optlink.InputError, match=r'slip_speed = "1e-300 m/s": .* of 1e-6 m/s at least'):
         machine({"joints.C.slip_speed": "1e-300 m/s"})
-    assert simulate_clearance(machine({"joints.C.slip_speed": "1e-6 m/s"}), 1, 36, tolerance=1e-6, twin=False).finished
+    assert simulate_clearance(
+        machine({"joints.C.slip_speed": "1e-6 m/s"}), 1, 36, tolerance=1e-6, check_predictability=False
+    ).finished
 
 
 def test_progress_is_shown_within_a_revolution():
@@ -1307,7 +1309,9 @@ def test_progress_is_shown_within_a_revolution():
 @pytest.mark.parametrize("present", mostly_slow((True, False), True))
 def test_a_stall_of_cvodes_names_the_other_integrator(present, monkeypatch):
     monkeypatch.setattr("optlink.tasks.clearance.installed", lambda: present)
-    result = simulate_clearance(machine({"joints.C.damping": "1e12 N*s/m"}), 1, 36, twin=False, integrator="cvodes")
+    result = simulate_clearance(
+        machine({"joints.C.damping": "1e12 N*s/m"}), 1, 36, check_predictability=False, integrator="cvodes"
+    )
     assert result.ending is Ending.STALLED
     (note,) = (note for note in result.notes if "--integrator compiled" in note)
     assert ("optlink[fast]" in note) is not present

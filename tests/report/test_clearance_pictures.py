@@ -80,7 +80,7 @@ LONG = "A machine whose title goes on and on, so that no line of any picture hol
 
 
 def run(problem: dict, revolutions: int = 1, **how: object) -> ClearanceSimulation:
-    how = {"points": 72, "twin": False, "tolerance": 1e-7, **how}
+    how = {"points": 72, "check_predictability": False, "tolerance": 1e-7, **how}
     return simulate_clearance(optlink.read(problem), revolutions, **how)  # type: ignore[arg-type]
 
 
@@ -102,8 +102,8 @@ def stopped(after: float) -> ClearanceSimulation:
 SOFT = slider_crank("C", drive={"speed": "10000 rpm"})
 SOFT["joints"]["C"]["modulus"] = "0.1 GPa"
 MACHINES = {
-    "periodic": lambda: run(slider_crank("C"), 13, twin=True),
-    "chaotic": lambda: run(slider_crank("C", friction=0.0, drive={"speed": "5000 rpm"}), 8, twin=True),
+    "periodic": lambda: run(slider_crank("C"), 13, check_predictability=True),
+    "chaotic": lambda: run(slider_crank("C", friction=0.0, drive={"speed": "5000 rpm"}), 8, check_predictability=True),
     "three gaps": lambda: run(slider_crank("A", "B", "C")),
     "four-bar": lambda: run(crank_rocker("C"), 2),
     "drag link": lambda: run(crank_rocker("B", lengths=(300, 200, 250, 100)), 2),

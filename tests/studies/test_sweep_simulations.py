@@ -25,7 +25,7 @@ def test_clearance_varied_over_simulations_gives_the_figures_of_single_runs(tmp_
     one = sweep(file, vary, tmp_path / "one", simulate=OPTIONS, workers=1)
     assert one.complete
     for i, gap in enumerate((0.2, 0.4)):
-        single = simulate_clearance(file.override({f"joints.{joint}.clearance": f"{gap} mm"}), 1, 60, twin=False)
+        single = simulate_clearance(file.override({f"joints.{joint}.clearance": f"{gap} mm"}), 1, 60, check_predictability=False)
         assert one.columns["largest_normal_N"][i] == single.figures["largest_normal_N"]
     two = sweep(file, vary, tmp_path / "two", simulate=OPTIONS, workers=2)
     assert two.path.read_bytes() == one.path.read_bytes()
@@ -48,7 +48,7 @@ def test_the_command_varies_speed_and_friction_of_a_machine_with_clearance(key, 
     assert [row["status"] for row in rows] == ["finished"] * 2
     for row, value in zip(rows, values, strict=True):
         varied = optlink.load("slider-crank-clearance", {key: f"{value!r}{unit}" if unit else value})
-        single = simulate_clearance(varied, 1, 60, twin=False)
+        single = simulate_clearance(varied, 1, 60, check_predictability=False)
         for name in ("largest_normal_N", "C.friction.work_J", "drive.work_J"):
             assert float(row[name]) == single.figures[name]
     low, high = ({name: float(row[name]) for name in ("largest_normal_N", "C.friction.work_J")} for row in rows)

@@ -107,7 +107,7 @@ def test_speed_command_is_the_derivative_of_the_angle_command():
 @pytest.mark.slow
 def test_servo_follows_the_inverse_model(problem):
     """The command is ahead of the servo's lag: the crank itself follows the required correction."""
-    run = optlink.simulate_clearance(problem, 3, 180, control="inverse", twin=False)
+    run = optlink.simulate_clearance(problem, 3, 180, control="inverse", check_predictability=False)
     machine = run.machine
     inverse = Inverse(machine, run.gaps, run.output, 0.0, SPEED)
     order = int(0.5 * 300.0 / 20.0)
@@ -185,9 +185,11 @@ def test_leverage_stays_finite_at_the_dead_centres(parts):
 
 @pytest.mark.slow
 def test_inverse_command_follows_a_clockwise_crank(problem):
-    forward = optlink.simulate_clearance(problem, 8, 180, control="inverse", twin=False, tolerance=1e-8)
-    back = optlink.simulate_clearance(problem, 8, 180, speed=-SPEED, control="inverse", twin=False, tolerance=1e-8)
-    alone = optlink.simulate_clearance(problem, 8, 180, speed=-SPEED, twin=False, tolerance=1e-8)
+    forward = optlink.simulate_clearance(problem, 8, 180, control="inverse", check_predictability=False, tolerance=1e-8)
+    back = optlink.simulate_clearance(
+        problem, 8, 180, speed=-SPEED, control="inverse", check_predictability=False, tolerance=1e-8
+    )
+    alone = optlink.simulate_clearance(problem, 8, 180, speed=-SPEED, check_predictability=False, tolerance=1e-8)
     for run in (forward, back):
         assert run.figures["rms_m"] < 0.7 * alone.figures["rms_m"]
 
@@ -241,7 +243,7 @@ def test_tuning_is_never_worse_than_reported(problem):
         control="inverse",
         start=float(control_comparison.random_crank_angles(1, 0)[0]),
         tolerance=1e-8,
-        twin=False,
+        check_predictability=False,
     )
     assert again.figures["rms_m"] == pytest.approx(result.cost, rel=1e-12)
     if result.best:
@@ -362,8 +364,8 @@ def test_checkpoints_of_other_kinds_are_refused(saved):
     ):
         with pytest.raises(InputError, match=message):
             optlink.compare(rocker(), resume={**comparison, **changes}, **options)
-    with pytest.raises(InputError, match="is that of another command: its twin is True, not False"):
-        optlink.simulate_clearance(rocker(), 2, 60, tolerance=1e-6, twin=False, resume=simulation)
+    with pytest.raises(InputError, match="is that of another command: its check_predictability is True, not False"):
+        optlink.simulate_clearance(rocker(), 2, 60, tolerance=1e-6, check_predictability=False, resume=simulation)
 
 
 def test_a_complete_run_is_not_resumed(saved):

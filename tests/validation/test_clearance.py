@@ -65,7 +65,7 @@ def simulate(rpm: int, friction: float, revolutions: int, points: int = STEPS, t
     problem = optlink.load("slider-crank-clearance", {"joints.C.friction": friction})
     computed: ClearanceSimulation = once(
         f"clearance at {rpm} rpm, friction {friction}, {revolutions} revolutions of {points} rows, {tolerance}",
-        lambda: simulate_clearance(problem, revolutions, points, rpm * RPM, tolerance=tolerance, twin=False),
+        lambda: simulate_clearance(problem, revolutions, points, rpm * RPM, tolerance=tolerance, check_predictability=False),
     )
     return computed
 
@@ -74,7 +74,7 @@ def first_impact(rpm: int, tolerance: float, points: int = STEPS) -> Impact:
     """It ends after 2.4 % of the revolution."""
     problem = optlink.load("slider-crank-clearance", {"joints.C.friction": 0.0})
     with ending_after(0.1):
-        return simulate_clearance(problem, 1, points, rpm * RPM, tolerance=tolerance, twin=False).impacts[0]
+        return simulate_clearance(problem, 1, points, rpm * RPM, tolerance=tolerance, check_predictability=False).impacts[0]
 
 
 def read_csv(path: Path) -> dict[str, np.ndarray]:

@@ -31,14 +31,14 @@ class CheckpointRecord(Record):
 class ClearanceCheckpoint(CheckpointRecord):
     """Options of a clearance simulation, its complete revolutions, and the states of its integrators."""
 
-    format: Literal["optlink/clearance-checkpoint/3"] = Field("optlink/clearance-checkpoint/3", alias="schema")
+    format: Literal["optlink/clearance-checkpoint/4"] = Field("optlink/clearance-checkpoint/4", alias="schema")
     speed_rad_s: float
     start_rad: float
     control: str
     skipped: int
     integrator: str
     flywheel_kg_m2: float
-    twin: bool
+    check_predictability: bool
     revolutions: int
     closed_loop: dict[str, Any]
     predictability: dict[str, Any] | None
