@@ -114,7 +114,7 @@ def alignment_check(group: Dyad, single: bool, sine: ArrayLike, limits: Alignmen
     where : str
         Name of the required motion.
     """
-    joint = "coupler and rocker" if group.joint == "C" and single and isinstance(group, RRR) else group.joint
+    joint = " and ".join(link.body for link in group.links) if single and isinstance(group, RRR) else group.joint
     with np.errstate(invalid="ignore"):
         angle = np.degrees(np.arcsin(np.sqrt(np.minimum(sine, 1.0))))
     return at_least(f"{joint} off alignment over {where}", angle, math.degrees(limits.alignment.value), "deg")

@@ -91,6 +91,24 @@ LOOSE_DESIGN = LOOSE.design({"coupler": 0.41, "rocker": 0.3})
 # --- what is right passes ----------------------------------------------------------------------------------------------
 
 
+def test_the_alignment_check_names_the_bodies_of_a_single_dyad():
+    """Not "coupler and rocker" of a linkage with other bodies."""
+    raw = {
+        "mechanism": {
+            "ground": {"A": ["0 m", "0 m"], "D": ["-2.6 m", "3.2 m"]},
+            "links": {
+                "crank": {"joints": ["A", "B"], "length": {"start": "0.9 m", "bounds": ["0.8 m", "1 m"]}},
+                "pitman": {"joints": ["B", "C"], "length": "3.1 m"},
+                "beam": {"joints": ["D", "C"], "length": "2.5 m"},
+            },
+            "assembly": {"C": "right of B-D"},
+        },
+        "objective": {"quantity": "total length"},
+    }
+    names = [check.name for check in optlink.validate(optlink.read(raw), {"crank.length": 0.9}).validation.checks]
+    assert "pitman and beam off alignment over the revolution" in names
+
+
 @pytest.mark.parametrize(("least", "limits"), [(1.0, {}), (0.2, {"alignment": "0.2 deg"})])
 def test_the_limit_of_alignment_is_that_of_the_file_or_one_degree(least, limits):
     for angle, meets in ((1.001 * least, True), (0.98 * least, False)):
