@@ -222,8 +222,8 @@ def _chosen(condition: Value, one: Value, other: Value) -> Value:
 def transmission_sides(problem: AnyProblem, joint: str = COUPLER_JOINT) -> Iterator[CosineLimit]:
     """Yield the limits of the cosine of the transmission angle at a joint, those of the alignment included.
 
-    A side of the transmission limit that is looser than the alignment limit is left out (infinite); one that is equally tight
-    replaces it. Beside a tighter one the alignment limit is kept: it remains enforced when the tighter one is relaxed.
+    A side of the transmission limit that is looser than the alignment limit is left out (infinite). Beside one that is as tight
+    or tighter the alignment limit is kept: it remains enforced when the other one is relaxed.
 
     Parameters
     ----------
@@ -240,11 +240,7 @@ def transmission_sides(problem: AnyProblem, joint: str = COUPLER_JOINT) -> Itera
     sides = _chosen(low >= -most - COSINE_ROUNDING, low, -math.inf), _chosen(high <= most + COSINE_ROUNDING, high, math.inf)
     if prescribed is not None and np.any((sides[0] > -math.inf) | (sides[1] < math.inf)):
         yield CosineLimit(prescribed.key, *sides, problem.limits.transmission_range)
-    same = problem.limits.transmission_range == required
-    floor = _chosen(same & (abs(sides[0] + most) <= COSINE_ROUNDING), -math.inf, -most)
-    ceiling = _chosen(same & (abs(sides[1] - most) <= COSINE_ROUNDING), math.inf, most)
-    if np.any((floor > -math.inf) | (ceiling < math.inf)):
-        yield CosineLimit("limits.alignment", floor, ceiling, required)
+    yield CosineLimit("limits.alignment", -most, most, required)
 
 
 def transmission(problem: AnyProblem, values: Mapping[str, Value], reach: Reach, size: float) -> Iterator[ConstraintRow]:

@@ -22,12 +22,13 @@ from optlink.linkage.vector2d import Array
 from optlink.optimization.cycle_constraints import EVENT
 from optlink.optimization.cycle_nlp import CycleNLP, build_cycle
 from optlink.optimization.cycle_signals import EventOrder, TracedCycle
+from optlink.optimization.multipliers import ACTIVE, LEAST_PRICE
 from optlink.solvers import multistart
 from optlink.solvers.contract import backend
 from optlink.solvers.cycle_starts import StartGroup
 from optlink.solvers.feasibility import repair
 from optlink.solvers.semi_infinite import exchange, peaks, rank, reconcile_backends
-from optlink.solvers.solution import ACTIVE, LEAST_PRICE, Relaxation, Solution
+from optlink.solvers.solution import Relaxation, Solution
 
 STEPS = (1e-3, 1e-2)  # of the range of a design variable: from a design at the edge of its order of events to the next order
 NEIGHBOURS, CROSSINGS = 4, 12  # other orders searched from one such design; designs from which orders beside are searched

@@ -9,12 +9,13 @@ import numpy as np
 
 from optlink.errors import Status
 from optlink.linkage.vector2d import TURN, Array
+from optlink.optimization.multipliers import ACTIVE
 from optlink.optimization.nlp import NLP, SMALLEST_SCALE
 from optlink.problem.robust import SMOOTHED
 from optlink.solvers.contract import MINIMAX, SOLVERS, backend
 from optlink.solvers.feasibility import repair
 from optlink.solvers.newton import refined
-from optlink.solvers.solution import ACTIVE, FEASIBLE, Attempt, Backend, Solution, verified_solution, violation
+from optlink.solvers.solution import FEASIBLE, Attempt, Backend, Solution, verified_solution, violation
 
 SAME_OBJECTIVE = 1e-6  # relative
 SAME_ERROR = 1e-8  # rad; errors that differ by less count as equal

@@ -16,8 +16,8 @@ import numpy as np
 from optlink.errors import Status
 from optlink.io import Summary
 from optlink.linkage.vector2d import Array
+from optlink.optimization.multipliers import ACTIVE, LEAST_PRICE, SAME_SUM, MultiplierSet, active_sides
 from optlink.problem.base_model import Number
-from optlink.problem.function import EPIGRAPH
 
 if TYPE_CHECKING:
     from optlink.optimization.constraints import Scale
@@ -28,10 +28,6 @@ FEASIBLE = 1e-8  # largest violation, in scaled units, that counts as satisfied
 STATIONARY = 1e-6  # largest KKT residual, for an objective scaled to 1 at the start, that counts as optimal
 NEXT_TO = 1e-9  # scaled units
 STEEPEST = 1e-3
-LEAST_PRICE = 1e-6
-"""Least change of the objective, as a share of its value, for a bound moved by one scaled unit (the frame, 1 rad): else it has no
-price. Multipliers are recomputed to about this accuracy."""
-ACTIVE = 1e-6  # distance, in scaled units, at which a limit counts as active
 
 
 @dataclass(frozen=True)
@@ -56,8 +52,10 @@ class Backend(Protocol):
 class LimitState:
     """State of one limit at a design, in display units.
 
-    `multiplier`: change of the optimal objective per unit by which the bound is raised (zero if inactive).
-    `slack`: distance to the bound, negative where it is violated.
+    `multiplier`: change of the optimal objective per unit by which the bound of this limit alone is raised (zero if inactive);
+    infinite if an equality cannot be raised alone. `slack`: distance to the bound, negative where it is violated. `depends_on`:
+    names of other active limits that hold the optimum where it is if this one alone is relaxed; `joint_gain`: decrease of the
+    objective if it and each of those are relaxed by one unit.
     """
 
     key: str
@@ -69,6 +67,13 @@ class LimitState:
     active: bool
     multiplier: Number
     slack: Number
+    depends_on: tuple[str, ...] = ()
+    joint_gain: Number = 0.0
+
+    @property
+    def effect(self) -> float:
+        """Size of the change of the objective by one unit of this limit, with those on which it depends."""
+        return max(abs(self.multiplier), self.joint_gain)
 
 
 @dataclass(frozen=True)
@@ -151,7 +156,10 @@ class Solution(Summary):
         met = bool(np.max(residuals, initial=0.0) <= self.nlp.exact)  # no improvement is possible
         multipliers = self.conditions.multipliers
         significant = np.where(met | (np.abs(multipliers) <= self._least_multiplier), 0.0, multipliers)
-        return tuple(_limit_states(self.nlp, self.x, self.g, significant, self.price))
+        point = self.nlp.at(self.x, self.p)
+        known = point.finite and bool(np.any(significant))
+        all_multipliers = MultiplierSet.of(self.nlp, self.x, point, significant) if known else MultiplierSet(significant)
+        return tuple(_limit_states(self.nlp, self.x, self.g, all_multipliers, self.price))
 
     @property
     def usable(self) -> bool:
@@ -243,13 +251,8 @@ def stationarity(nlp: NLP, x: Array, point: NLPValues, within: float = ACTIVE) -
     within : float
         Distance at which a limit counts as active, scaled.
     """
-    values = np.concatenate([x, point.g])
-    low, high = nlp.lower, nlp.upper
     jacobian = np.concatenate([np.eye(len(x)), point.jacobian])
-    sign = (high - values <= within) * 1.0 - (values - low <= within)
-    sign[: len(x)][nlp.around] = 0.0
-    sign[[k for k, variable in enumerate(nlp.variables) if variable.name == EPIGRAPH]] = 0.0
-    equal = low == high
+    sign, equal = active_sides(nlp, x, point, within)
     active = np.flatnonzero((sign != 0.0) | equal).tolist()
     estimate: Array = np.zeros(0)
     while active:
@@ -259,7 +262,7 @@ def stationarity(nlp: NLP, x: Array, point: NLPValues, within: float = ACTIVE) -
         if worst <= 0.0:
             break
         del active[k]
-    multipliers = np.zeros(len(values))
+    multipliers = np.zeros(len(jacobian))
     if active:
         multipliers[active] = estimate
     kkt = float(np.max(np.abs(point.gradient + jacobian.T @ multipliers), initial=0.0))
@@ -320,7 +323,7 @@ def _optimal(nlp: NLP, x: Array, p: Array, point: NLPValues, conditions: Station
     return conditions.kkt <= STEEPEST and conditions.kkt <= NEXT_TO * curvature(nlp, x, p, point, conditions)
 
 
-def _limit_states(nlp: NLP, x: Array, g: Array, multipliers: Array, price: float) -> list[LimitState]:
+def _limit_states(nlp: NLP, x: Array, g: Array, every: MultiplierSet, price: float) -> list[LimitState]:
     """Return every finite bound of the design variables and every limit in display units.
 
     Rows that share a limit and a label are one limit: the tightest of them is shown, with the sum of their multipliers.
@@ -328,29 +331,60 @@ def _limit_states(nlp: NLP, x: Array, g: Array, multipliers: Array, price: float
     n = len(x)
     around = nlp.around
     entries = [
-        (v.key or v.name, v.name, x[i], nlp.x_low[i], nlp.x_high[i], v.scale, multipliers[i], not around[i])
+        (v.key or v.name, v.name, i, x[i], nlp.x_low[i], nlp.x_high[i], v.scale, not around[i])
         for i, v in enumerate(nlp.variables)
         if v.name not in nlp.helpers
     ]
     entries += [
-        (row.limit, row.label, g[j], nlp.low[j], nlp.high[j], row.scale, multipliers[n + j], True)
+        (row.limit, row.label, n + j, g[j], nlp.low[j], nlp.high[j], row.scale, True)
         for j, row in enumerate(nlp.rows)
         if row.limit not in nlp.helpers
     ]
     states: dict[tuple[str, str, str], LimitState] = {}
-    for key, name, value, low, high, scale, multiplier, limits in entries:
+    relaxed: dict[tuple[str, str, str], Array] = {}
+    for key, name, entry, value, low, high, scale, limits in entries:
         sides = ["="] if low == high else [side for side, bound in ((">=", low), ("<=", high)) if math.isfinite(bound)]
         for side in sides:
             bound = low if side == ">=" else high
             if scale.cosine and abs(bound) >= 1.0:
                 continue
-            state = _limit_state(key, name, float(value), float(bound), side, scale, float(multiplier), price)
+            state = _limit_state(key, name, float(value), float(bound), side, scale, float(every.multipliers[entry]), price)
             state = state if limits else replace(state, active=False)
             other = states.get((key, name, side))
             if other is not None:
                 tightest = min(other, state, key=lambda s: s.slack)
                 state = replace(tightest, multiplier=other.multiplier + state.multiplier)
             states[key, name, side] = state
+            if every.directions.size and state.active:
+                slope = price / scale.slope(bound)
+                weights = relaxed.setdefault((key, name, side), np.zeros(len(every.multipliers)))
+                weights[entry] = slope if side == "=" else abs(slope) * every.sign[entry]
+    return _alone(states, relaxed, every) if relaxed else list(states.values())
+
+
+Labels = tuple[str, str, str]
+
+
+def _alone(states: dict[Labels, LimitState], relaxed: dict[Labels, Array], every: MultiplierSet) -> list[LimitState]:
+    """Give limits whose multipliers are not unique the effect of relaxing one of them alone, and of all that depend on it.
+
+    `relaxed`: weights of the multipliers in the effect of relaxing each active limit by one unit (of raising an equality).
+    """
+    found = {at: every.least(weights)[0] for at, weights in relaxed.items() if every.changes(weights)}
+    most = {at: -every.least(-relaxed[at])[0] for at in found}
+    several = {at: gain for at, gain in found.items() if most[at] - gain > LEAST_PRICE * max(abs(most[at]), abs(gain))}
+    for at, gain in several.items():
+        state = states[at]
+        states[at] = replace(state, multiplier=0.0 + (gain if state.sense == ">=" else -gain))
+    shares = every.directions @ np.linalg.pinv(every.directions)
+    inequalities = [at for at in several if at[2] != "="]
+    for at in inequalities:
+        reach = np.max(np.abs(shares[relaxed[at] != 0.0]), axis=0)
+        others = [other for other in inequalities if other != at and np.any(reach[relaxed[other] != 0.0] > SAME_SUM)]
+        joint = every.least(np.sum([relaxed[limit] for limit in (at, *others)], axis=0))[0]
+        if joint - sum(several[limit] for limit in (at, *others)) > LEAST_PRICE * joint:
+            names = tuple(states[other].name for other in others)
+            states[at] = replace(states[at], depends_on=names, joint_gain=joint)
     return list(states.values())
 
 

@@ -13,15 +13,17 @@ A. V. Fiacco, Introduction to Sensitivity and Stability Analysis in Nonlinear Pr
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import casadi
 import numpy as np
 from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import TURN, Array
+from optlink.optimization.multipliers import MultiplierSet
 from optlink.optimization.nlp import NLP
 from optlink.problem.function import EPIGRAPH
-from optlink.solvers.solution import STATIONARY, Solution, stationarity
+from optlink.solvers.solution import STATIONARY, Solution, Stationarity, stationarity
 from optlink.studies.parameters import Parameter
 from optlink.symbolic import CompiledFunction
 
@@ -87,18 +89,20 @@ class KKTSystem:
     `unknown`: indices in (x, p) of the unknowns, x first, then positions of the largest error or force, which move along.
     """
 
-    def __init__(self, solution: Solution) -> None:
+    def __init__(self, solution: Solution, conditions: Stationarity | None = None) -> None:
         nlp, x, p = solution.nlp, solution.x, solution.p
+        self.solution = solution
         self.nlp, self.x, self.p, self.price = nlp, x, p, solution.price
         n, m = len(x), len(nlp.rows)
         point = nlp.at(x, p)
-        conditions = stationarity(nlp, x, point, ACTIVE_TOLERANCE)
+        conditions = conditions or stationarity(nlp, x, point, ACTIVE_TOLERANCE)
         if conditions.kkt > max(STATIONARY, solution.kkt):
             conditions = solution.conditions
         self.equal = nlp.lower == nlp.upper
         strong = [i for i in conditions.active if self.equal[i] or abs(conditions.multipliers[i]) > MIN_MULTIPLIER]
         self.multipliers = np.zeros(n + m)
         self.multipliers[strong] = conditions.multipliers[strong]
+        self.every = MultiplierSet.of(nlp, x, point, self.multipliers)
         self.values = np.concatenate([x, point.g])
         hessian, gradient, rows = _lagrangian(nlp, x, p, self.multipliers[n:])
         slopes = np.vstack([np.eye(n, n + len(p)), rows])  # derivatives of x and the rows by x and p
@@ -159,6 +163,23 @@ class KKTSystem:
         lower[indices] += rate * (parameter.equal or not parameter.upper)
         upper[indices] += rate * (parameter.equal or parameter.upper)
         return KKTPerturbation(float(slope), gradient, entries, lower, upper)
+
+    def beside(self, push: KKTPerturbation) -> Self | None:
+        """Return the system with the multipliers that apply if a parameter is increased; None if the problem is then infeasible.
+
+        It is another one where active limits depend on one another: the derivatives then differ between the two directions.
+
+        Parameters
+        ----------
+        push : KKTPerturbation
+        """
+        change = np.where(self.every.sign + np.sign(self.multipliers) > 0.0, push.upper, push.lower) - push.entries
+        if not self.every.directions.size or not self.every.changes(change):
+            return self
+        value, multipliers = self.every.least(change)
+        if not math.isfinite(value):
+            return None
+        return type(self)(self.solution, Stationarity(multipliers, np.flatnonzero(multipliers).tolist(), 0.0))
 
     def response(self, push: KKTPerturbation) -> KKTResponse:
         """Return the response of the optimum to a change of the optimality system."""

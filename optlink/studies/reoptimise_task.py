@@ -21,13 +21,14 @@ from optlink.errors import InputError, Status
 from optlink.linkage.vector2d import Array
 from optlink.optimization.batch_nlp import BatchNLP
 from optlink.optimization.constraints import rows as limit_rows
+from optlink.optimization.multipliers import ACTIVE
 from optlink.optimization.nlp import NLP, SPAN, build
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.problem.quantity import check_choice
 from optlink.solvers import multistart
 from optlink.solvers.contract import selectable
-from optlink.solvers.solution import ACTIVE, FEASIBLE, Solution
+from optlink.solvers.solution import FEASIBLE, Solution
 from optlink.studies.batch.blocks import MAX_BLOCK_POINTS, Blocks, coarse_block
 from optlink.studies.batch.newton import BatchProblem
 from optlink.studies.batch.optima import GridSearch

@@ -228,16 +228,24 @@ def of_solution(
     notes, rows = [*optimum_parameters.notes], []
     if exact:
         notes.insert(0, "the requirement is met exactly, so all shadow prices are zero")
-    if system.singular:
-        notes.insert(0, "several designs are equally good, or limits depend on one another: the smallest change is shown")
+    dependent: list[str] = []
     for parameter in optimum_parameters.parameters:
         try:
             push = optimum_parameters.push(parameter)
         except InputError as error:  # at the end of the valid range of input values
             notes.append(f"{parameter.name} is left out, as it cannot be changed in both directions: {error.faults[0].message}")
             continue
-        response = system.response(push)
-        below, above = system.ends(parameter, push, response)
+        side = system.beside(push)
+        if side is None:
+            notes.append(
+                f"{parameter.name} is left out, as it cannot be raised: limits that depend on it would contradict each other"
+            )
+            continue
+        if side is not system:
+            dependent.append(parameter.name)
+            push = kind(problem, side).push(parameter)
+        response = side.response(push)
+        below, above = side.ends(parameter, push, response)
         if parameter.positive and below.value < 0.0:
             below = ValidityEnd(-math.inf, "nothing")
         objective, moved = response.objective, response.moved
@@ -246,6 +254,10 @@ def of_solution(
         moved = np.where(np.abs(moved * parameter.step) <= NEGLIGIBLE, 0.0, moved)
         design = {v.name: float(change * factors[v.name]) for v, change in design_variables(nlp, moved)}
         rows.append(Sensitivity(parameter, objective, design, below, above))
+    if dependent:
+        notes.insert(0, f"active limits depend on one another: derivatives are of an increase of {'; '.join(dependent)}")
+    elif system.singular:
+        notes.insert(0, "several designs are equally good, or limits depend on one another: the smallest change is shown")
     rows.sort(key=lambda row: -float(f"{abs(row.effect):.6g}"))  # equal effects in the order of the parameters
     if check:
         moving = [row for row in rows if row.moves]

@@ -102,7 +102,8 @@ def active(design: Design) -> list[dict[str, Any]]:
         if limit.active:
             per = f"{unit or '1'} per {limit.unit}" if limit.unit else unit
             row = {"limit": f"{limit.name} {limit.sense}", "value": limit.bound, "unit": limit.unit}
-            rows.append(row | {"price": limit.multiplier * factor, "price_unit": per})
+            joint = {"joint_price": limit.joint_gain * factor} if limit.depends_on else {}
+            rows.append(row | {"price": limit.multiplier * factor, "price_unit": per} | joint)
     return finite(rows)  # type: ignore[no-any-return]
 
 

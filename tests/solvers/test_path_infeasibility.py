@@ -11,7 +11,7 @@ import pytest
 
 import optlink
 from optlink.errors import Status
-from optlink.solvers.solution import LEAST_PRICE
+from optlink.optimization.multipliers import LEAST_PRICE
 from optlink.synthesis.batch_search import Candidate
 from optlink.tasks.path import PathResult
 from optlink.tasks.path_search import Polisher, validated_design

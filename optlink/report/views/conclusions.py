@@ -110,7 +110,7 @@ def _limiting(limits: Iterable[LimitState]) -> str:
     active = [limit for limit in limits if limit.active]
     if not active:
         return ""
-    first = max(active, key=lambda limit: abs(limit.multiplier))
+    first = max(active, key=lambda limit: limit.effect)
     bound = f"{first.sense} {figure(first.bound, first.unit)}".strip()
     others = len(active) - 1
     more = f"; {others} more limits are active" if others > 1 else "; one more limit is active" * others

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from optlink.errors import Status
 from optlink.optimization.objectives import MEASURES
-from optlink.report.format import dimension, fixed, number, times
+from optlink.report.format import dimension, fixed, joined, number, times
 from optlink.report.table_spec import (
     Inline,
     Line,
@@ -214,8 +214,8 @@ def _objective(outcome: FunctionResult) -> TableSpec:
 def active(model: Problem, objective: float, limits: Iterable[LimitState]) -> Part:
     """Tabulate the active constraints with their shadow prices.
 
-    The price of an inequality is the improvement of the objective per unit by which its bound is relaxed; that of an equality
-    is the change of the objective, with its sign, per unit by which its value is raised.
+    The price of an inequality is the improvement of the objective per unit by which its bound alone is relaxed; that of an
+    equality is the change of the objective, with its sign, per unit by which its value is raised.
 
     Parameters
     ----------
@@ -227,13 +227,22 @@ def active(model: Problem, objective: float, limits: Iterable[LimitState]) -> Pa
         All constraints; inactive ones are left out.
     """
     (factor, unit), rows, raised = model.objective_display, [], False
+    base, joint = objective * factor, {}
+
+    def share(gain: float) -> str:
+        return f" ({percent(gain / base, 2)})" if 5e-5 * base <= gain < 100.0 * base else ""  # otherwise not informative
+
     for limit in (limit for limit in limits if limit.active):
-        price, base = limit.multiplier * factor, objective * factor
+        price = limit.multiplier * factor
         gain = abs(price)
-        share = f" ({percent(gain / base, 2)})" if 5e-5 * base <= gain < 100.0 * base else ""  # otherwise not informative
         shown = f"{price:+.4g}" if limit.sense == "=" else f"{gain:.4g}"
-        effect = f"{shown} {unit} per {limit.unit or 'unit'}{share}" if gain > 0 else "no effect"
+        effect = f"{shown} {unit} per {limit.unit or 'unit'}{share(gain)}" if gain > 0 else "no effect"
+        if math.isinf(gain):
+            effect = "cannot be raised alone"
         raised |= limit.sense == "=" and gain > 0
+        if limit.depends_on:
+            effect = effect if gain > 0 else "no effect alone"
+            joint[frozenset((limit.name, *limit.depends_on))] = abs(limit.joint_gain * factor)
         rows.append((limit.name, f"{limit.sense} {limit.bound:g} {limit.unit}".rstrip(), effect))
     if not rows:
         return Paragraph(strong("Active constraints"), "none: only the requirement determines this design")
@@ -242,6 +251,10 @@ def active(model: Problem, objective: float, limits: Iterable[LimitState]) -> Pa
         if raised
         else []
     )
+    for names, gain in joint.items():
+        words = joined([name for name, *_ in rows if name in names])
+        text = f"{words} hold together: the objective improves by {gain:.4g} {unit}{share(gain)} if each is relaxed by one unit"
+        notes.append(quiet(text))
     return table("Active constraints and their shadow prices", "<<<", rows, notes=notes)
 
 

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from optlink.linkage.vector2d import Array
 from optlink.optimization.batch_nlp import BatchNLP, BatchValues
+from optlink.optimization.multipliers import ACTIVE
 from optlink.solvers.newton import newton
-from optlink.solvers.solution import ACTIVE, FEASIBLE
+from optlink.solvers.solution import FEASIBLE
 from optlink.studies.continuation import MAX_DISTANCE, MAX_RESIDUAL, MAX_STEPS
 
 Bools = NDArray[np.bool_]

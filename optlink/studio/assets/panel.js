@@ -289,7 +289,9 @@ export class Panel {
       ({ children: [name, price] }, one) => {
         const sides = one.limit.replace("<=", "≤").replace(">=", "≥");
         setText(name, sides + (Number.isFinite(one.value) ? ` ${quantity(one.value, one.unit, 4, plain)}` : ""));
-        setText(price, one.price === null ? "–" : quantity(/[<>]/.test(one.limit) ? Math.abs(one.price) : one.price, one.price_unit?.replace(/^1 per/, "per"), 4));
+        const shown = (value) => quantity(/[<>]/.test(one.limit) ? Math.abs(value) : value, one.price_unit?.replace(/^1 per/, "per"), 4);
+        const joint = one.joint_price ? `; all together ${shown(one.joint_price)}` : "";
+        setText(price, one.price === null ? "–" : joint ? `alone ${shown(one.price)}${joint}` : shown(one.price));
       }
     );
   }

@@ -377,9 +377,9 @@ def active_reasons(limits: Sequence[LimitState]) -> Iterator[PoorFitReason]:
     """Yield the active limits with the largest shadow prices relative to their size."""
 
     def weight(limit: LimitState) -> float:
-        return abs(limit.multiplier) * max(abs(limit.bound), abs(limit.value))
+        return limit.effect * max(abs(limit.bound), abs(limit.value))
 
-    priced = [limit for limit in limits if limit.active and limit.multiplier and not limit.key.startswith("requirement.points")]
+    priced = [limit for limit in limits if limit.active and limit.effect and not limit.key.startswith("requirement.points")]
     priced.sort(key=weight, reverse=True)
     total = sum(weight(limit) for limit in priced)
     keys: set[str] = set()
@@ -387,10 +387,11 @@ def active_reasons(limits: Sequence[LimitState]) -> Iterator[PoorFitReason]:
         if len(keys) == MAX_ACTIVE_LIMITS or weight(limit) < MIN_LIMIT_SHARE * total:
             break
         if limit.key not in keys:
-            keys.add(limit.key)
+            together = dict.fromkeys(other.key for other in priced if other is limit or other.name in limit.depends_on)
+            keys.update(together)
             bound = f"{limit.sense} {limit.bound:.4g} {limit.unit}".rstrip()
             word, remedy = ("at its prescribed value", "change") if limit.sense == "=" else ("at its limit", "widen")
-            yield PoorFitReason(f"{limit.name} is {word} ({bound})", f"{remedy} {limit.key}")
+            yield PoorFitReason(f"{limit.name} is {word} ({bound})", f"{remedy} {' and '.join(together)}")
 
 
 def fixed_reasons(quantities: Mapping[str, Quantity], values: Mapping[str, float]) -> Iterator[PoorFitReason]:

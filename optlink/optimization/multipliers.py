@@ -1,0 +1,121 @@
+"""Lagrange multipliers of a nonlinear programme: which limits are active, and all multipliers if they are not unique."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from optlink.linkage.vector2d import Array
+from optlink.problem.function import EPIGRAPH
+
+if TYPE_CHECKING:
+    from optlink.optimization.nlp import NLP, NLPValues
+
+LEAST_PRICE = 1e-6
+"""Least change of the objective, as a share of its value, for a bound moved by one scaled unit (the frame, 1 rad): else it has no
+price. Multipliers are recomputed to about this accuracy."""
+ACTIVE = 1e-6  # distance, in scaled units, at which a limit counts as active
+DEPENDENT = 1e-6  # least singular value of linearly independent gradients of active limits, relative to the largest
+SAME_SUM = 1e-4  # relative change of a sum of multipliers that counts as none: of rows beside one peak of a limit
+
+
+def active_sides(nlp: NLP, x: Array, point: NLPValues, within: float = ACTIVE) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the side at which each bound and row is active (1: upper, -1: lower, 0: neither), and which are equalities.
+
+    The bounds of an angle that may be any do not limit, nor does that of the largest error of a minimax problem.
+
+    Parameters
+    ----------
+    nlp : NLP
+    x : array (n,)
+        Scaled point.
+    point : NLPValues
+        The NLP there.
+    within : float
+        Distance at which a limit counts as active, scaled.
+    """
+    values, low, high = np.concatenate([x, point.g]), nlp.lower, nlp.upper
+    sign = (high - values <= within) * 1.0 - (values - low <= within)
+    sign[: len(x)][nlp.around] = 0.0
+    sign[[k for k, variable in enumerate(nlp.variables) if variable.name == EPIGRAPH]] = 0.0
+    return sign, low == high
+
+
+@dataclass(frozen=True)
+class MultiplierSet:
+    """All multipliers of an optimum: `multipliers` (n + m,), and others if gradients of active limits are linearly dependent.
+
+    These are `multipliers + directions @ t` with the signs of their limits: `sign` (n + m,) is zero of equalities and inactive
+    limits. `directions` (n + m, k) is empty if the multipliers are unique.
+
+    References
+    ----------
+    J. Gauvin, F. Dubeau, Differential properties of the marginal function in mathematical programming (1982): the derivative of
+    the optimal value by a change of the bounds is extreme over all multipliers.
+    """
+
+    multipliers: Array
+    directions: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    sign: Array = field(default_factory=lambda: np.zeros(0))
+
+    @classmethod
+    def of(cls, nlp: NLP, x: Array, point: NLPValues, multipliers: Array) -> MultiplierSet:
+        """Return all multipliers of an optimum of which some are known.
+
+        Parameters
+        ----------
+        nlp : NLP
+        x : array (n,)
+            Scaled optimum.
+        point : NLPValues
+            The NLP there.
+        multipliers : array (n + m,)
+            Of bounds, then rows.
+        """
+        jacobian = np.concatenate([np.eye(len(x)), point.jacobian])
+        sign, equal = active_sides(nlp, x, point)
+        norms = np.linalg.norm(jacobian, axis=1)
+        active = np.flatnonzero(((sign != 0.0) | equal) & (norms > 0.0))
+        if not len(active):
+            return cls(multipliers)
+        left, singular, _ = np.linalg.svd(jacobian[active] / norms[active, None])
+        null = left[:, np.sum(singular > DEPENDENT * singular[0]) :]
+        directions = np.zeros((len(multipliers), null.shape[1]))
+        directions[active] = null / norms[active, None]
+        return cls(multipliers, directions, np.where(equal, 0.0, sign))
+
+    def least(self, weights: Array) -> tuple[float, Array]:
+        """Return the least weighted sum of multipliers, -inf if there is none, and multipliers with this sum.
+
+        Parameters
+        ----------
+        weights : array (n + m,)
+        """
+        value, size = float(weights @ self.multipliers), float(np.max(np.abs(self.multipliers), initial=0.0))
+        if not self.directions.size or not size or not self.changes(weights):
+            return value, self.multipliers
+        from scipy.optimize import linprog
+
+        limited = self.sign != 0.0
+        sides = self.sign[limited, None] * self.directions[limited]
+        room = np.maximum((self.sign * self.multipliers)[limited] / size, 0.0)
+        solved = linprog(weights @ self.directions, A_ub=-sides, b_ub=room, bounds=(None, None))
+        if solved.status in (2, 3, 4):  # unbounded
+            return -math.inf, self.multipliers
+        multipliers = self.multipliers + size * (self.directions @ solved.x)
+        multipliers[np.abs(multipliers) <= LEAST_PRICE * size] = 0.0
+        return float(weights @ multipliers), multipliers
+
+    def changes(self, weights: Array) -> bool:
+        """Return whether a weighted sum differs between the multipliers, apart from their signs.
+
+        Parameters
+        ----------
+        weights : array (n + m,)
+        """
+        change = np.abs(weights) @ np.abs(self.directions)
+        return bool(np.any(np.abs(weights @ self.directions) > SAME_SUM * np.max(change, initial=0.0)))
