@@ -22,7 +22,7 @@ from optlink.optimization.nlp import NLP
 from optlink.solvers.contract import BACKENDS, backend
 from optlink.solvers.elastic_programme import FEASIBLE_SLACK, FREE, Limit, elastic_programme, limit_sides, limits_of
 from optlink.solvers.multistart import starts
-from optlink.solvers.solution import FEASIBLE, Relaxation, violation
+from optlink.solvers.solution import EXACTLY_MET, FEASIBLE, Relaxation, violation
 
 STARTS, LOOKED_AT = 6, 256  # starting points used, of those sampled: the first at which every limit is finite
 FIRST_ORDER, EVEN, ROUNDS = 1e-4, 1e-4, 4
@@ -71,11 +71,11 @@ class _Search:
         self.last: list[Array] = []  # end of the previous search
         self.solvers = [backend(name) for name in reversed(names)]
         self.enough, self.amount, self.exchange_converged = ENOUGH, False, True
-        self.tight, self.feasible = False, FEASIBLE_SLACK
+        self.tight, self.feasible, self.allowed = False, FEASIBLE_SLACK, FEASIBLE_SLACK
 
-    def tighten(self) -> None:
-        """Search with the tightest tolerances, for limits that are missed by little more than a solver's violation."""
-        self.tight, self.feasible = True, FEASIBLE
+    def tighten(self, feasible: float) -> None:
+        """Search with the tightest tolerances, for limits that are missed by little: by more than `feasible`, the total slack."""
+        self.tight, self.feasible, self.allowed = True, feasible, 0.1 * feasible
 
     def least(self, weights: Array, most_slack: Array) -> tuple[float, Array]:
         """Return the least weighted slack, and x with the slacks; `most_slack` (k,) are the upper bounds of the slacks.
@@ -148,10 +148,10 @@ class _Search:
             x = self._slackened(point, weights, most_slack)
             for run in (None, solver):  # the point itself may be feasible
                 end = x if run is None else run(nlp, x, p, tight=self.tight).x
-                total = float(weights @ end[self.n :]) if self._violation(end, weights) <= self.feasible else math.inf
+                total = float(weights @ end[self.n :]) if self._violation(end, weights) <= self.allowed else math.inf
                 if total < best:
                     best, best_x, self.last = total, end, [end[: self.n]]
-                if best <= 1e-9:
+                if best <= min(1e-9, self.feasible):
                     return best, best_x
             ends.append(total)
             repeated = sum(total <= best * (1.0 + EQUAL_SLACKS) for total in ends) >= enough
@@ -178,6 +178,7 @@ def explain(
     *,
     quick: bool = False,
     follow: Follow | None = None,
+    exactly: bool = False,
 ) -> Explanation | Array:
     """Identify the conflicting limits of an infeasible NLP; return the x of a feasible design if one is found.
 
@@ -195,15 +196,19 @@ def explain(
         For large NLPs: use the interior-point method alone, and after the first verdict one search per question, two per amount.
     follow : function, optional
         Function of a point x (n,) that returns the parameters of the NLP with its exchange points at the peaks there.
+    exactly : bool
+        Whether limits that are missed by no more than the tolerance of a feasible design count as missed.
     """
     limits = limits_of(limit_sides(nlp))
     k = len(limits)
     search = _Search(nlp, limits, _begin(nlp, seed) if points is None else points, ("ipopt",) if quick else BACKENDS, follow)
     free = np.full(k, FREE)
     search.enough = AGREEING if quick else ENOUGH
+    if exactly:
+        search.tighten(EXACTLY_MET)
     total, x = search.least(np.ones(k), free)
-    if total <= search.feasible and not _feasible(nlp, x[: search.n], search.p):
-        search.tighten()
+    if total <= search.feasible and not exactly and not _feasible(nlp, x[: search.n], search.p):
+        search.tighten(0.5 * FEASIBLE)
         total, x = search.least(np.ones(k), free)
     search.enough = 1 if quick else ENOUGH
     if total <= search.feasible:
@@ -224,7 +229,7 @@ def explain(
     return Explanation(x[: search.n], tuple(conflict), tuple(together))
 
 
-def feasible_point(nlp: NLP, seed: int = 0) -> Array | None:
+def feasible_point(nlp: NLP, seed: int = 0, *, exactly: bool = False) -> Array | None:
     """Return the x (n,) of a design that meets all limits, found by local searches from the start and Sobol points; else None.
 
     Parameters
@@ -232,12 +237,16 @@ def feasible_point(nlp: NLP, seed: int = 0) -> Array | None:
     nlp : NLP
     seed : int
         Seed of the Sobol points.
+    exactly : bool
+        As in `explain`.
     """
     limits = limits_of(limit_sides(nlp))
     search = _Search(nlp, limits, _begin(nlp, seed), ("ipopt",))
+    if exactly:
+        search.tighten(EXACTLY_MET)
     search.enough = AGREEING
     total, x = search.least(np.ones(len(limits)), np.full(len(limits), FREE))
-    return np.clip(x[: search.n], nlp.x_low, nlp.x_high) if total <= FEASIBLE_SLACK else None
+    return np.clip(x[: search.n], nlp.x_low, nlp.x_high) if total <= search.feasible else None
 
 
 def tightest(nlp: NLP, key: str, sense: str, point: Array) -> float:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 
 FEASIBLE = 1e-8  # largest violation, in scaled units, that counts as satisfied
+EXACTLY_MET = 1e-10  # violation, or total slack of an elastic programme, in scaled units, up to which limits are met exactly
 STATIONARY = 1e-6  # largest KKT residual, for an objective scaled to 1 at the start, that counts as optimal
 NEXT_TO = 1e-9  # scaled units
 STEEPEST = 1e-3

@@ -29,7 +29,7 @@ from optlink.problem.quantity import Quantity, input_of, read_quantity
 from optlink.problem.targets.expression import Expression
 from optlink.solvers import multistart
 from optlink.solvers.function_exchange import ALONG, error_at, error_function
-from optlink.solvers.solution import Relaxation, Solution
+from optlink.solvers.solution import EXACTLY_MET, Relaxation, Solution
 from optlink.tasks.machine import check_names, turning_machine
 from optlink.tasks.protocol import DesignTask, Search, Timer, agreement, part
 from optlink.tasks.results.certificate import CertificateRecord
@@ -257,7 +257,7 @@ def _search(problem: ProblemFile, search: Search) -> FunctionResult:
     interrupts.check()
     search.timer.lap("build")
     points = start_sequence(spec, nlp, search.seed, search.begin)
-    reason = functools.cache(lambda: _explained(nlp, search.seed))
+    reason = functools.cache(lambda exactly=False: _explained(nlp, search.seed, exactly))
     searches = {name: FunctionSearch(spec, nlp, name, track=search.track) for name in search.names}
     count, interrupted = search.starts, False
     runs = search.runs if search.shared or (count or 0) >= SHARED_STARTS else None
@@ -267,9 +267,14 @@ def _search(problem: ProblemFile, search: Search) -> FunctionResult:
     conflict: Conflict = ((), ())
     chosen = min(searches.values(), key=lambda item: item.result.rank)
     winner = chosen.result
-    if not chosen.usable:
-        _, miss, conflict = reason()
-        winner = winner if miss is None else chosen.judge(miss)
+    if not chosen.usable or (
+        winner.rank[0] and winner.solution.violation > EXACTLY_MET
+    ):  # a limit is met within the tolerance only
+        for exactly in (True,) if chosen.usable else (False, True):
+            _, miss, conflict = reason(exactly)
+            if miss is not None:
+                winner = chosen.judge(miss)
+                break
     nlp.p[1:] = winner.solution.p[1:]
     backends = {name: item.result.solution if item.usable else winner.solution for name, item in searches.items()}
     checks: tuple[Check, ...] = ()
@@ -304,12 +309,12 @@ def _search(problem: ProblemFile, search: Search) -> FunctionResult:
 Conflict = tuple[tuple[Relaxation, ...], tuple[Relaxation, ...]]
 
 
-def _explained(nlp: NLP, seed: int) -> tuple[Start | None, Solution | None, Conflict]:
+def _explained(nlp: NLP, seed: int, exactly: bool) -> tuple[Start | None, Solution | None, Conflict]:
     """Return a feasible point, or the nearest design and the conflicting limits, if no start led to a feasible design."""
     from optlink.solvers.infeasibility import Explanation, explain
 
     nlp.set_exchange_points(np.zeros(nlp.exchange_count))
-    reason = explain(nlp, seed)
+    reason = explain(nlp, seed, exactly=exactly)
     if not isinstance(reason, Explanation):
         return reason, None, ((), ())
     miss = multistart.infeasible_at(nlp, reason.x, "nearest design")

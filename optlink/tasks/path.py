@@ -70,7 +70,7 @@ class PathTask(DesignTask[PathResult]):
         notes = [*([task.target_points.note] if task.target_points.note else []), *rounds.notes]
         reason = None if collection.designs or rounds.interrupted else rounds.explained(seed)
         limits = () if reason is None else reason.conflict
-        coverage = collection.evidence()
+        coverage, near = collection.evidence(), collection.nearest
         if rounds.better is not None and not collection.no_worse(rounds.better):
             error = math.sqrt(float(np.mean(rounds.better.measured.distances**2)))
             notes.append(FOUR_BAR_BETTER.format(1e3 * error))
@@ -81,7 +81,7 @@ class PathTask(DesignTask[PathResult]):
         return PathResult(
             problem=problem,
             designs=tuple(collection.designs),
-            nearest=collection.nearest,
+            nearest=near if near is None or reason is None else replace(near, status=Status.INFEASIBLE),
             backend=MINIMAX if task.measure == "max" else backend,
             seed=seed,
             starts=rounds.searcher.exploration.starts,
@@ -185,11 +185,18 @@ class SearchRounds:
         left = math.ceil((starts - exploration.starts) / PER_ROUND) if starts else self._most - exploration.rounds
         return max(1, min(left, SHARED_BATCH_ROUNDS))
 
-    def explained(self, seed: int) -> Explanation | None:
+    def explained(self, seed: int, *, exactly: bool = False) -> Explanation | None:
         """Return limits of the linkage that conflict, or refine a design that meets all of them, regardless of its deviations.
 
         All assembly modes and senses of rotation are tried, those of the nearest design first. The order of the points and their
-        tolerances are kept while limits are relaxed.
+        tolerances are kept while limits are relaxed. If no design is valid although limits are met within the tolerance of a
+        solution, limits that are missed by less count as conflicting (`exactly`).
+
+        Parameters
+        ----------
+        seed : int
+        exactly : bool
+            See `optlink.solvers.infeasibility.explain`.
         """
         polisher, near = self.collection.polisher, self.collection.nearest
         task = path_model(self.problem)
@@ -205,7 +212,8 @@ class SearchRounds:
             nlp.set_exchange_points((np.arange(nlp.exchange_count) + 0.5) / nlp.exchange_count)
             kept = replace(nlp, states=nlp.states | {"requirement.points"})
             points = [nearest.x, nlp.x_start] if nearest is not None and nearest.nlp is nlp else None
-            outcome = explain(kept, seed, points) if reason is None and not possible else feasible_point(kept, seed)
+            known = reason is not None or possible
+            outcome = feasible_point(kept, seed, exactly=exactly) if known else explain(kept, seed, points, exactly=exactly)
             if isinstance(outcome, Explanation):
                 reason = outcome
             elif outcome is not None:
@@ -215,6 +223,8 @@ class SearchRounds:
                 if valid is not None:
                     self.collection.insert(valid)
                     break
+        if possible and not (exactly or self.collection.designs):
+            return self.explained(seed, exactly=True)
         return reason if reason is not None and reason.conflict and not possible else None
 
     def _grow(self) -> None:

@@ -83,6 +83,28 @@ def test_limits_missed_by_little_more_than_the_solver_tolerance_are_listed(miss:
     assert all(item.amount == pytest.approx(miss, abs=math.degrees(2e-8)) for item in result.conflict)
 
 
+@pytest.mark.parametrize(("key", "miss"), [("limits.pressure_angle", 3e-7), ("limits.transmission_angle", 6e-7)])
+def test_limits_missed_by_the_solver_tolerance_are_listed(key: str, miss: float) -> None:
+    """Where the limits leave no design, or only one within a tolerance, the search ends at no optimum ("stalled")."""
+    best = math.degrees(math.asin(5.0 / 13.0))  # pressure angle of the crank-rocker with coupler and rocker of equal length
+    limit = f"{best - miss!r} deg" if "pressure" in key else [f"{90.0 - best + miss!r} deg", f"{90.0 + best - miss!r} deg"]
+    result = solve(optlink.load("crank-rocker", {"limits.transmission_angle": None, key: limit}))
+    assert result.status.value == "infeasible"
+    assert {item.key for item in result.conflict} == {key}
+    assert all(item.amount == pytest.approx(miss, abs=math.degrees(5e-9)) for item in result.conflict)
+
+
+@pytest.mark.slow
+def test_a_limit_of_a_path_problem_that_only_the_validator_resolves_is_listed() -> None:
+    """The squared sine of a small pressure angle has a flat slope: the solver meets a limit that no design has."""
+    best = math.degrees(math.asin(5.0 / 300.0))  # of the shortest crank and the longest rod
+    result = optlink.solve(optlink.load("law-slider-crank", {"limits.pressure_angle": f"{best - 1e-6!r} deg"}))
+    assert result.status.value == "infeasible"
+    amounts = {item.name: item.amount for item in result.conflict}
+    assert amounts["pressure angle at C"] == pytest.approx(1e-6, rel=0.01)
+    assert amounts["crank.length"] == pytest.approx(300.0 * math.cos(math.radians(best)) * math.radians(1e-6), rel=0.01)
+
+
 @pytest.mark.slow
 def test_both_sides_of_a_range_are_relaxed_as_one() -> None:
     """A wiper with 45..135 deg: either side gives to the best transmission angle of its swing.
