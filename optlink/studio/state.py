@@ -100,10 +100,10 @@ def active(design: Design) -> list[dict[str, Any]]:
     rows = []
     for limit in design.limits:
         if limit.active:
-            per = f"{unit or '1'} per {limit.unit}" if limit.unit else unit
             row = {"limit": f"{limit.name} {limit.sense}", "value": limit.bound, "unit": limit.unit}
+            price = {"price": limit.multiplier * factor, "price_unit": f"{unit or '1'} per {limit.unit or 'unit'}"}
             joint = {"joint_price": limit.joint_gain * factor} if limit.depends_on else {}
-            rows.append(row | {"price": limit.multiplier * factor, "price_unit": per} | joint)
+            rows.append(row | price | joint)
     return finite(rows)  # type: ignore[no-any-return]
 
 

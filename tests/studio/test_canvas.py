@@ -450,6 +450,38 @@ def test_a_lost_studio_leaves_the_problem_to_save(driver, tmp_path):
 
 
 @pytest.mark.slow
+def test_the_first_design_fills_the_canvas_and_prices_have_their_unit(page, tmp_path):
+    """The starting point, the middle of the bounds, is twice as large here."""
+    file = tmp_path / "press.toml"
+    file.write_text(
+        """[mechanism]
+        ground = { A = ["0 mm", "0 mm"] }
+        guides = { G = { slider = "ram", through = "A", direction = "-90 deg", offset = { bounds = ["-120 mm", "120 mm"] } } }
+        assembly = { C = "forward" }
+        [mechanism.links]
+        crank = { joints = ["A", "B"], length = { bounds = ["20 mm", "120 mm"] } }
+        rod = { joints = ["B", "C"], length = { bounds = ["150 mm", "500 mm"] } }
+        ram = { joints = ["C"] }
+        [requirement]
+        kind = "stroke"
+        output = "ram"
+        stroke = "100 mm"
+        time_ratio = 1.15
+        """,
+        encoding="utf-8",
+    )
+    page.find("#file").send_keys(str(file))
+    page.until("return document.querySelector('#canvas').dataset.status === 'verified'")
+    page.verified()
+    ends = "[...document.querySelectorAll('[data-body] path')].map((path) => path.getBoundingClientRect())"
+    top, bottom = page.run(
+        f"const ends = {ends}; return [Math.min(...ends.map((e) => e.top)), Math.max(...ends.map((e) => e.bottom))]"
+    )
+    assert bottom - top > 0.3 * page.find("#canvas").size["height"]
+    assert "deg per unit" in page.text("#active")
+
+
+@pytest.mark.slow
 def test_a_file_that_is_not_utf8_is_refused(page, tmp_path):
     """Its letters would be replaced, and saved so."""
     file = tmp_path / "mine.toml"

@@ -198,10 +198,10 @@ function take(next) {
     linkage.clear();
     $("transport").hidden = true;
   }
-  if (scene && !refit && !next.moving && !view.touched && !view.holds(extent(scene, next.targets))) {
+  const draft = next.searching && !Number.isFinite(next.objective?.value); // the starting point of the first search
+  if (scene && !refit && !next.moving && !view.touched && ((entering && !draft) || !view.holds(extent(scene, next.targets)))) {
     view.fit(extent(scene, next.targets));
   }
-  const draft = next.searching && !Number.isFinite(next.objective?.value); // the starting point of the first search
   canvas.toggleAttribute("data-draft", Boolean(draft));
   canvas.classList.remove("preview");
   if (refit) {
