@@ -88,6 +88,7 @@ class Picture:
             "points": points,
             "pins": list(scene.pins),
             "free": list(scene.free),
+            "owner": {name: scene.owner[name] for name in scene.free},
             "ground": [{"line": self._gaps(line), "width": width, "filled": filled} for line, width, filled in scene.ground],
             "springs": {name: self._places(ends.reshape(len(ends), 4)) for name, ends in scene.springs.items()},
             "size": round(scene.size, self._decimals),

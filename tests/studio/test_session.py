@@ -223,6 +223,13 @@ def test_handles_keep_their_kind_while_one_is_dragged() -> None:
         assert (state["status"], words in state["conclusion"]) == (status, True), (length, state["conclusion"])
 
 
+def test_a_traced_point_belongs_to_its_body() -> None:
+    """Its path has the colour of that body, not of the last one."""
+    scene = Page(patient=False).ask("open", name="path-arc5")[0]["scene"]
+    assert scene["owner"] == {"P": "coupler"}
+    assert scene["bodies"][-1]["name"] == "rocker"
+
+
 def test_saving_says_that_an_editor_has_changed_the_file(tmp_path: Path) -> None:
     """Who copies the saved file over it would lose that change without notice."""
     file = tmp_path / "mine.toml"
