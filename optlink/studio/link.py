@@ -29,6 +29,7 @@ STOPPED_TEXT = "The computation did not stop when it should, and was started aga
 SLOW_TEXT = f"The computation took longer than {COMPUTATION_TIMEOUT / 60.0:z.0f} minutes and was ended."
 KEPT_TEXT = "Your problem and its history are kept."
 UNDONE_TEXT = "The last change was undone; redo it to try again."
+UNSTARTED_TEXT = "No process can be started for the computations"
 NO_PROBLEM_TEXT = "Open a problem."
 
 
@@ -218,7 +219,13 @@ class Link:
             await self._send(json.dumps({"type": "fault", "id": self._latest, "message": message}))
         else:
             await asyncio.sleep(RESTART_DELAY)
-        self.worker = await self._another()
+        try:
+            self.worker = await self._another()
+        except OSError as error:
+            words = f"{UNSTARTED_TEXT}: {error.strerror}. The studio tries again every second."
+            await self._send(json.dumps({"type": "fault", "id": self._latest, "message": words}))
+            self.worker.ready = False  # the ended one: its failure is not counted again
+            return
         resumption = self.resumption(self._latest)
         if resumption is not None:
             self._waiting.appendleft(resumption)

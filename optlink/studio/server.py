@@ -28,7 +28,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from optlink.errors import InputError
 from optlink.studio.document import hello
-from optlink.studio.link import Link, Worker
+from optlink.studio.link import UNSTARTED_TEXT, Link, Worker
 
 ASSETS = Path(__file__).parent / "assets"
 ADDRESS = "127.0.0.1"
@@ -66,7 +66,7 @@ class Studio:
         self._pages: dict[
             str, Link
         ] = {}  # by the name of the page; a page that reconnects continues with the history of its last one
-        self._spare: asyncio.Task[Worker] | None = None
+        self._spare: asyncio.Task[Worker | OSError] | None = None
         for ending, media in TYPES.items():
             mimetypes.add_type(media, ending)
         assets = Mount("/assets", StaticFiles(directory=ASSETS))
@@ -116,14 +116,15 @@ class Studio:
 
     @contextlib.asynccontextmanager
     async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
-        self._spare = asyncio.create_task(Worker.start())
+        self._spare = asyncio.create_task(_started())
         try:
             yield
         finally:
             for link in list(self.links):
                 await link.close()
-            if self._spare is not None:
-                (await self._spare).kill()
+            spare = None if self._spare is None else await self._spare
+            if isinstance(spare, Worker):
+                spare.kill()
 
     # --- pages --------------------------------------------------------------------------------------------------------------
 
@@ -146,7 +147,12 @@ class Studio:
             except WebSocketDisconnect:
                 raise ConnectionError from None
 
-        link, page = Link(await self._worker(), send, self._worker), ws.query_params.get("page", "")
+        try:
+            worker = await self._worker()
+        except OSError as error:
+            await ws.close(POLICY_VIOLATION, f"{UNSTARTED_TEXT}: {error.strerror}. Reconnect to try again.")
+            return
+        link, page = Link(worker, send, self._worker), ws.query_params.get("page", "")
         before = self._pages.pop(page, None)
         name, begin = self.opened, {"type": "start", "id": 0, "name": self.opened}
         if before is not None and (resumption := before.resumption(0)) is not None:
@@ -166,10 +172,27 @@ class Studio:
             await link.close()
 
     async def _worker(self) -> Worker:
-        """Return the process that waits, and start the next one."""
+        """Return the process that waits, and start the next one.
+
+        Raises
+        ------
+        OSError
+            If it could not be started.
+        """
         assert self._spare is not None
-        spare, self._spare = self._spare, asyncio.create_task(Worker.start())
-        return await spare
+        spare, self._spare = self._spare, asyncio.create_task(_started())
+        worker = await spare
+        if isinstance(worker, OSError):
+            raise worker
+        return worker
+
+
+async def _started() -> Worker | OSError:
+    """Return a started process, or why it cannot be started."""
+    try:
+        return await Worker.start()
+    except OSError as error:
+        return error
 
 
 async def _listen(ws: WebSocket, link: Link) -> None:

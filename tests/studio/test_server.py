@@ -19,7 +19,7 @@ import pytest
 import websockets
 
 from optlink.studio.document import named
-from optlink.studio.link import Link
+from optlink.studio.link import Link, Worker
 from optlink.studio.server import FULL, MAX_PAGES, Studio, parsed
 
 SECONDS = 60.0
@@ -326,6 +326,62 @@ async def _crash() -> None:
 @pytest.mark.slow
 def test_a_killed_computation_continues_with_undo_and_redo() -> None:
     asyncio.run(_crash())
+
+
+def test_a_process_that_cannot_be_started_is_a_sentence_on_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No traceback in the terminal; a page that is open already is resumed when a process can be started again."""
+    heard: list[Any] = []
+    full = BlockingIOError(11, "Resource temporarily unavailable")
+
+    class Socket:
+        async def accept(self) -> None:
+            pass
+
+        async def close(self, code: int, reason: str) -> None:
+            heard.append(reason)
+
+    async def start() -> Any:
+        raise full
+
+    async def open_page() -> None:
+        monkeypatch.setattr(Worker, "start", start)
+        server = Studio(1)
+        async with server._lifespan(None):  # type: ignore[arg-type]
+            await server._live(Socket())  # type: ignore[arg-type]
+
+    asyncio.run(open_page())
+    (reason,) = heard
+    assert reason.startswith("No process can be started for the computations: Resource temporarily unavailable.")
+    assert len(reason.encode()) <= 123  # as a socket allows
+
+    async def lose_process() -> tuple[list[Any], list[str]]:
+        step = {"name": "a", "text": "one"}
+        first = Scripted({"type": "kept", "step": "open", "steps": [step], "at": 0, "origin": "one"})
+        second, sent, tries = Scripted(), list[str](), 0
+        monkeypatch.setattr(second, "send", second.sent.append)  # it does not end
+        monkeypatch.setattr("optlink.studio.link.RESTART_DELAY", 0.0)
+
+        async def another() -> Any:
+            nonlocal tries
+            tries += 1
+            if tries < 3:
+                raise full
+            return second
+
+        async def send(text: str) -> None:
+            sent.append(json.loads(text)["message"])
+
+        link = Link(first, send, another)  # type: ignore[arg-type]
+        link.request({"type": "set", "id": 7})
+        for _ in range(50):
+            await asyncio.sleep(0)
+        link._reader.cancel()
+        link._cancel()
+        return second.sent, sent
+
+    resumed, sent = asyncio.run(lose_process())
+    assert resumed[0]["type"] == "resume"
+    assert [text.partition(":")[0] for text in sent[1:3]] == [reason.partition(":")[0]] * 2
 
 
 def test_a_page_too_many_is_told_why() -> None:
