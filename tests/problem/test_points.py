@@ -309,6 +309,12 @@ def test_bad_csv_names_the_row(tmp_path, content, words):
     refused({"csv": "c.csv"}, tmp_path, "csv", words)
 
 
+def test_a_missing_number_has_no_value(tmp_path):
+    """Not "nothing", as if the file were called so."""
+    (tmp_path / "c.csv").write_text("x_mm,y_mm\n1,2\n3\n")
+    assert refused({"csv": "c.csv"}, tmp_path, "csv", "row 3 of c.csv").value is None
+
+
 @pytest.mark.skipif(os.name != "posix", reason="pipes, devices and names of POSIX")
 @pytest.mark.parametrize(
     ("titles", "remedy"),

@@ -54,7 +54,7 @@ class CsvTable:
             return value
         fault, remedy = _fault(cell.strip(), remedy)
         message = f"row {row} of {self.name} has {fault} in column {self.titles[index]}"
-        raise Unusable(message, remedy, "csv", shortened(cell) or "nothing")
+        raise Unusable(message, remedy, "csv", shortened(cell) or None)
 
     def check_unit(self, index: int, least: float, largest: float) -> None:
         """Refuse angles in degrees that run through one revolution in radians.
@@ -233,7 +233,7 @@ def _column(table: CsvTable, name: str, kind: str) -> tuple[int, float]:
     if not indices:
         message = f"{table.name} has no column {' or '.join(units)}"
         remedy = f"Name the columns in the first row, one of them {next(iter(units))}"
-        raise Unusable(message, remedy, "csv", shortened(", ".join(table.titles)) or "nothing")
+        raise Unusable(message, remedy, "csv", shortened(", ".join(table.titles)) or None)
     if len(indices) > 1:
         raise Unusable(f"{table.name} has two columns of {name}", "Keep one of them", "csv")
     return indices[0], factor(units[table.titles[indices[0]]], kind)
