@@ -489,6 +489,10 @@ def test_a_file_that_is_not_utf8_is_refused(page, tmp_path):
     page.find("#file").send_keys(str(file))
     page.until("return toast.textContent === 'mine.toml is not UTF-8 text. Save the file as UTF-8.'")
     assert page.text("#title") == "No problem open"
+    page.size(390, 844)
+    assert page.run(
+        "const { width, left } = toast.getBoundingClientRect(); return width > 300 && left >= 0"
+    )  # not half of a phone
 
 
 @pytest.mark.slow
