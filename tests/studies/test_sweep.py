@@ -15,6 +15,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -1029,3 +1030,20 @@ def test_an_interrupted_search_gives_no_row(monkeypatch):
     task = cycle_task.optimum_task(file, read_grid(file, ["drive.speed=50,60 rpm"]), "ipopt", 1)
     with pytest.raises(KeyboardInterrupt):
         task.searched(file)
+
+
+@pytest.mark.slow
+def test_rows_of_a_symmetric_path_do_not_alternate_between_mirror_images(tmp_path):
+    """The bean is symmetric about the y axis: a search finds either of two mirror images first."""
+    swept = sweep(optlink.load("path-bean"), ["limits.transmission_angle.min=34 deg, 36 deg"], tmp_path)
+    for name in ("P.across_mm", "A.x_mm", "direction_deg"):
+        first, second = swept.columns[name]
+        assert first == pytest.approx(second, abs=1e-4)
+    result = optlink.solve(optlink.load("path-bean"))
+    best, mirrored, *others = result.designs
+    assert best.values["P.across"] == pytest.approx(-mirrored.values["P.across"], abs=1e-9)
+    ends = [
+        replace(result, designs=designs).oriented.design for designs in ((best, mirrored, *others), (mirrored, best, *others))
+    ]
+    assert ends[0] == ends[1]
+    assert ends[0]["P.across"] > 0.0

@@ -37,6 +37,8 @@ from optlink.validation.check import Check, Validation
 from optlink.validation.path import MeasuredDeviations, deviations, transmission_angles
 
 DISTINCT = 1e-2  # least relative difference of two distinct designs
+EQUALLY_GOOD = 1e-6  # relative difference of the errors of equally good designs
+NEARLY_TURNED = 1e-9  # difference [rad] of an angle from -180 deg that counts as rounding error
 LEVEL = 1e-9  # of the size: root of a sum of squares below which a design passes the points
 
 
@@ -108,6 +110,14 @@ class PathDesign(Summary):
     def level(self) -> float:
         """Largest error of an exact design [m, rad or 1]."""
         return LEVEL * self.task.whole
+
+    def unwrapped(self, name: str) -> float:
+        """Return a quantity [SI]: of an angle that may be any, 180 deg instead of -180 deg."""
+        value, quantity = self.values[name], self.task.quantities.get(name)
+        if quantity is None or not quantity.free or not self.task.is_periodic(name):
+            return value
+        turned = value + math.pi <= NEARLY_TURNED and quantity.bounds[1] >= math.pi - NEARLY_TURNED
+        return min(value + TURN, quantity.bounds[1]) if turned else value
 
     def alike(self, other: PathDesign) -> bool:
         """Return whether two designs are practically the same."""
@@ -368,6 +378,25 @@ class PathResult(Recorded):
     def objective(self) -> float:
         """Objective of the best design [SI]; NaN if there is none."""
         return math.nan if self.best is None else self.best.objective
+
+    @property
+    def oriented(self) -> Self:
+        """The result with the same one of several equally good designs first, whichever of them a search finds first.
+
+        These are mirror images for a symmetric path, for example. The one with the largest first design variable in which they
+        differ is chosen, so that results of neighbouring problems belong together. An angle of -180 deg is 180 deg.
+        """
+        if not self.designs:
+            return self
+        first = self.designs[0]
+        equal = [d for d in self.designs if d.error <= first.error * (1.0 + EQUALLY_GOOD) or (d.exact and first.exact)]
+        equal = [d for d in equal if str(d.assembly) == min(str(other.assembly) for other in equal)]
+        for name in first.task.free:
+            most = max(design.unwrapped(name) for design in equal)
+            within = DISTINCT * max(first.task.size if first.task.quantities[name].kind != "angle" else 1.0, abs(most))
+            equal = [design for design in equal if design.unwrapped(name) >= most - within]
+        chosen = replace(equal[0], values={name: equal[0].unwrapped(name) for name in equal[0].values})
+        return replace(self, designs=(chosen, *(design for design in self.designs if design is not equal[0])))
 
     def with_best(self, **changes: Any) -> Self:
         """Return the result with other fields of its best valid design."""
