@@ -183,7 +183,10 @@ class ReoptimiseTask(OptimumTask):
         labels = {key: "; ".join(_labels(nlp, np.flatnonzero(key), np.array(key))) for key in set(keys)}
         methods = np.where(optima.searched[solved], SEARCHED, FOLLOWED).tolist()
         sizes = [values[name] / quantity.si_per_unit for name, quantity in self.free.items()]
-        figures, status = np.array([*self.grid.columns(points), *sizes, objective]).T.tolist(), Status.OPTIMAL.value
+        figures, status = (
+            np.array([*self.grid.columns(points), *sizes, objective * self.objective_factor]).T.tolist(),
+            Status.OPTIMAL.value,
+        )
         return {
             point: [
                 *map(repr, figures[k]),

@@ -193,14 +193,19 @@ class OptimumTask(SweepTask):
 
     @property
     def columns(self) -> list[str]:
-        """The axes, the design variables in display units, the objective in SI, and the outcome."""
+        """The axes, the design variables and the objective in display units, and the outcome."""
         free = [f"{name}_{quantity.display[1]}" for name, quantity in self.free.items()]
         return [*(axis.column for axis in self.grid.axes), *free, self.objective_column, *OUTCOME]
 
     @property
     def objective_column(self) -> str:
         """Name of the column of the objective."""
-        return column("objective", self.template.model.objective_unit)
+        return column("objective", self.template.model.objective_display[1])
+
+    @cached_property
+    def objective_factor(self) -> float:
+        """Factor from the minimised value [SI] to its column."""
+        return abs(self.template.model.objective_display[0])
 
     def optimum(self, point: int, outcome: FoundOptimum) -> list[str]:
         """Return the row of an optimum; design and objective are empty unless the search is optimal or stalled.
@@ -212,7 +217,7 @@ class OptimumTask(SweepTask):
         """
         usable = outcome.status in (Status.OPTIMAL, Status.STALLED)
         sizes = [outcome.design.get(name, math.nan) / q.si_per_unit for name, q in self.free.items()]
-        figures = [value if usable else math.nan for value in (*sizes, outcome.objective)]
+        figures = [value if usable else math.nan for value in (*sizes, outcome.objective * self.objective_factor)]
         words = (
             outcome.status.value,
             str(outcome.valid).lower(),

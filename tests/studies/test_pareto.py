@@ -423,7 +423,7 @@ def test_machines_are_swept_over_limits_and_sizes(press):
     assert result.complete
     angle = np.radians(result.columns["limits.angle.min_deg"])
     assert result.columns["rod.length_mm"] == pytest.approx(50.0 / np.cos(angle), rel=1e-8)
-    assert result.columns["objective_m"] == pytest.approx(0.05 / np.cos(angle), rel=1e-8)
+    assert result.columns["objective_mm"] == pytest.approx(50.0 / np.cos(angle), rel=1e-8)
     low = sweep(press, ["mechanism.links.rod.length.min=120..160 mm:3"], workers=1)
     assert low.columns["rod.length_mm"] == pytest.approx([120.0, 140.0, 160.0], rel=1e-8)
 

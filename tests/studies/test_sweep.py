@@ -1047,3 +1047,20 @@ def test_rows_of_a_symmetric_path_do_not_alternate_between_mirror_images(tmp_pat
     ]
     assert ends[0] == ends[1]
     assert ends[0]["P.across"] > 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "vary", "unit"),
+    [
+        ("stroke-slider-crank", "requirement.stroke=100 mm, 110 mm", "deg"),
+        ("path-scott-russell", "limits.alignment=1 deg, 2 deg", "mm2"),
+        ("transmission-optimal", "limits.swing_angle=80 deg, 81 deg", ""),
+    ],
+)
+def test_the_objective_of_a_sweep_has_the_unit_of_a_single_design(name, vary, unit, tmp_path):
+    swept, single = sweep(optlink.load(name), [vary], tmp_path), optlink.solve(optlink.load(name))
+    factor, shown = single.problem.model.objective_display
+    assert shown.replace("^", "") == unit
+    column = f"objective_{unit}".rstrip("_")
+    assert swept.columns[column][0] == pytest.approx(factor * single.objective, rel=1e-6, abs=1e-12)

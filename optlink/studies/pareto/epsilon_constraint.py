@@ -361,7 +361,7 @@ def _point(task: OptimumTask, ranges: EpsilonRanges, row: Mapping[str, str]) -> 
     columns = {name: f"{name}_{quantity.display[1]}" for name, quantity in task.free.items()}
     design = {column: float(row[column]) for column in columns.values()}
     values = {name: design[columns[name]] * quantity.si_per_unit for name, quantity in task.free.items()}
-    measured = ranges.figures(task.template, values, float(row[task.objective_column]))
+    measured = ranges.figures(task.template, values, float(row[task.objective_column]) / task.objective_factor)
     return ParetoPoint(measured, design, row["active"], "") if np.all(np.isfinite(measured)) else None
 
 
