@@ -373,7 +373,7 @@ def _alone(states: dict[Labels, LimitState], relaxed: dict[Labels, Array], every
     """
     found = {at: every.least(weights)[0] for at, weights in relaxed.items() if every.changes(weights)}
     most = {at: -every.least(-relaxed[at])[0] for at in found}
-    several = {at: gain for at, gain in found.items() if most[at] - gain > LEAST_PRICE * max(abs(most[at]), abs(gain))}
+    several = {at: gain for at, gain in found.items() if not math.isclose(most[at], gain, rel_tol=LEAST_PRICE)}
     for at, gain in several.items():
         state = states[at]
         states[at] = replace(state, multiplier=0.0 + (gain if state.sense == ">=" else -gain))

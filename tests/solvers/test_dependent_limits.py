@@ -1,5 +1,6 @@
 """Shadow prices where gradients of active limits are linearly dependent, against designs for limits moved by a little."""
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -109,6 +110,27 @@ def test_sensitivities_of_dependent_limits_are_those_of_an_increase() -> None:
         assert row.below.value == pytest.approx(30.0, abs=1e-9)
         assert row.above.value > 40.0
     assert rows.notes[0].startswith("active limits depend on one another: derivatives are of an increase of ")
+
+
+def test_an_exact_length_at_its_bound_cannot_be_raised_alone() -> None:
+    """Relaxing the bound changes nothing; a longer frame, which would be better, exceeds the bound."""
+
+    def with_frame(exactly: str, most: str) -> Any:
+        changes = {
+            "mechanism.frame": {"bounds": ["400 mm", most], "start": "480 mm"},
+            "limits.frame_length": {"exactly": exactly},
+        }
+        return optlink.solve(optlink.load("crank-rocker").override(changes))
+
+    result = with_frame("500 mm", "500 mm")
+    assert states(result)["frame"].multiplier == 0.0
+    assert states(result)["frame length"].multiplier == math.inf
+    assert with_frame("500 mm", "501 mm").objective == pytest.approx(result.objective, rel=1e-9)
+    assert with_frame("501 mm", "500 mm").status.value == "infeasible"
+    assert "frame length = 500 mm cannot be raised alone" in words(
+        active(result.problem.model, result.objective, result.solution.limits)
+    )
+    assert result.to_dict()["limits"][-1]["multiplier"] is None
 
 
 def test_an_equality_that_another_limit_keeps_from_rising_has_an_infinite_price() -> None:
