@@ -11,6 +11,7 @@ import pytest
 import optlink
 from optlink.optimization.multipliers import MultiplierSet
 from optlink.report.views.function_tables import active
+from optlink.report.views.sensitivity import charts
 from optlink.solvers.solution import LimitState
 from optlink.studies.sensitivity import of_solution
 from tests.report.test_function_tables import words
@@ -110,6 +111,9 @@ def test_sensitivities_of_dependent_limits_are_those_of_an_increase() -> None:
         assert row.below.value == pytest.approx(30.0, abs=1e-9)
         assert row.above.value > 40.0
     assert rows.notes[0].startswith("active limits depend on one another: derivatives are of an increase of ")
+    more, less = charts(rows)[0].panels[0].traces
+    tightened_only = [row.parameter.key in ("limits.transmission_angle.min", "limits.alignment") for row in rows.moving[:3]]
+    assert less.y.tolist() == [0.0 if only else -effect for only, effect in zip(tightened_only, more.y, strict=True)]
 
 
 def test_an_exact_length_at_its_bound_cannot_be_raised_alone() -> None:

@@ -1,5 +1,6 @@
 """Chart and table of the sensitivities of an optimum to its fixed parameters."""
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -26,12 +27,17 @@ def charts(result: Sensitivities) -> list[ChartSpec]:
     effects = np.array([abs(factor) * row.effect for row in rows])
     places = np.arange(len(rows), 0.0, -1.0)
     shown = [(row, f"{row.parameter.value:.5g} {row.parameter.unit}".rstrip()) for row in rows]
-    bars = []
+    bars, one_sided = [], False
     for sign, words, width, opacity in ((1.0, "one step more", 0.34, 1.0), (-1.0, "one step less", 0.26, 0.45)):
+        ends = [row.above.value if sign > 0.0 else row.below.value for row in rows]
+        known = [
+            not math.isclose(end, row.parameter.value, rel_tol=1e-9, abs_tol=1e-9) for end, row in zip(ends, rows, strict=True)
+        ]
+        one_sided |= not all(known)
         colours = [LIMIT if sign * effect > 0.0 else RESULT for effect in effects]
         text = [f"{row.parameter.name}: {value} {'+' if sign > 0.0 else '−'} {step(row)}" for row, value in shown]
         style: dict[str, Any] = {"horizontal": True, "opacity": opacity, "legend": False, "text": text}
-        bars.append(Bars(places - (1.0 - sign) * 0.17, sign * effects, words, colours, width, **style))
+        bars.append(Bars(places - (1.0 - sign) * 0.17, np.where(known, sign * effects, 0.0), words, colours, width, **style))
     names = [f"{row.parameter.name}\n{value}, {step(row)}" for row, value in shown]
     y = Axis(ticks=[(float(place) - 0.15, name) for place, name in zip(places, names, strict=True)])
     x, zero = Axis(f"change of the objective [{unit}]"), Line(0.0, colour=MUTED, width=1.0, dash="solid")
@@ -40,6 +46,7 @@ def charts(result: Sensitivities) -> list[ChartSpec]:
         f"{result.problem.model.title}: sensitivities",
     )
     remark = "To first order; solid: one step more, pale: one step less; left is better"
+    remark += "; no bar to the side where a limit ends the derivative at once" * one_sided
     panel = Panel(y, bars, 0.25 * len(rows) + 0.15)
     return [ChartSpec("tornado", title, [panel], x, heading, remark, lines=[zero], cursor=False, width=8.0)]
 
