@@ -12,6 +12,7 @@ from optlink.balancing.socp import CONSTRAINT_TOLERANCE, BalanceBound, Balancing
 from optlink.dynamics.counterweights import BalanceMeasure
 from optlink.errors import SolverError
 from optlink.linkage.vector2d import Array
+from optlink.optimization.multipliers import MultiplierSet
 from optlink.units import percent
 
 Goal = Sequence[tuple[BalanceMeasure, float]]
@@ -32,6 +33,9 @@ END = 5e-8
 
 ROUNDS = 60
 """Greatest number of linearisations of the moments of inertia of discs."""
+
+PRICED = 1e-4
+"""Share of the largest dual below which one is an inaccuracy of the interior-point method."""
 
 LEAST_SQUARES_DIFFERENCE = 1e-6
 """Scaled difference from the least-squares optimum up to which it is tried in place of the solver's solution."""
@@ -131,13 +135,40 @@ def _prices(programme: BalancingProgramme, duals: Sequence[float], x: Array) -> 
     programme.put(x)
     prices = []
     sides = {(bound.name, bound.sense): dual for bound, dual in zip(programme.bounds, duals, strict=False)}
-    for bound, dual in zip(programme.bounds, duals, strict=False):
+    # both sides of a prescribed value share any dual
+    net = [max(d - sides.get((b.name, -b.sense), 0.0), 0.0) for b, d in zip(programme.bounds, duals, strict=False)]
+    alone = _alone(programme, [*net, *duals[len(net) :]])
+    for bound, (dual, others) in zip(programme.bounds, alone, strict=False):
         value = float(bound.expression.value) * bound.scale
-        net = max(dual - sides.get((bound.name, -bound.sense), 0.0), 0.0)  # both sides of a prescribed value share any dual
-        prices.append(Price(bound.name, bound.kind, bound.bound, value, bound.sense, net / bound.scale))
-    for place, dual in zip(programme.hard, duals[len(programme.bounds) :], strict=True):
-        prices.append(Price(place.name, "length", place.bound, place.reached, 1, dual * place.rate))
+        prices.append(Price(bound.name, bound.kind, bound.bound, value, bound.sense, dual / bound.scale, others))
+    for place, (dual, others) in zip(programme.hard, alone[len(net) :], strict=True):
+        prices.append(Price(place.name, "length", place.bound, place.reached, 1, dual * place.rate, others))
     return tuple(prices)
+
+
+def _alone(programme: BalancingProgramme, duals: Sequence[float]) -> list[tuple[float, tuple[str, ...]]]:
+    """Return the dual of each limit that is relaxed alone, and the names of limits that depend on it.
+
+    An interior-point method divides the dual of limits whose gradients are linearly dependent among them.
+    """
+    constraints = [*map(programme.row, programme.bounds), *(place.constraint for place in programme.hard)]
+    names = [*(bound.name for bound in programme.bounds), *(place.name for place in programme.hard)]
+    gradients = np.zeros((len(duals), programme.effects.count))
+    for k, constraint in enumerate(constraints):
+        slope = constraint.expr.grad.get(programme.x) if constraint.expr.size == 1 else None
+        gradients[k] = 0.0 if slope is None else slope.toarray().ravel()
+    known = np.array(duals)
+    priced = known > PRICED * np.max(known, initial=0.0)
+    every = MultiplierSet.from_gradients(gradients, known, priced, np.ones(len(duals)))
+    unit = np.eye(len(duals))
+    single = [every.least(weights)[0] if every.directions.size and every.changes(weights) else None for weights in unit]
+    linked = np.abs(every.directions @ np.linalg.pinv(every.directions)) > PRICED if every.directions.size else unit > 1.0
+    return [
+        (dual, ())
+        if least is None or least >= dual * (1.0 - PRICED)
+        else (least, tuple(name for j, name in enumerate(names) if j != k and linked[k, j]))
+        for k, (dual, least) in enumerate(zip(duals, single, strict=True))
+    ]
 
 
 def _span(rows: Array) -> tuple[Array, Array]:

@@ -69,7 +69,10 @@ class PlaceLimit:
 
 @dataclass(frozen=True)
 class Price:
-    """Shadow price of a limit: its bound [SI], the value reached, and the decrease of the objective per SI unit of relaxation."""
+    """Shadow price of a limit: its bound [SI], the value reached, and the decrease of the objective per SI unit of relaxation.
+
+    It is relaxed alone; `depends_on`: names of other limits that keep the optimum then.
+    """
 
     name: str
     kind: str
@@ -77,6 +80,7 @@ class Price:
     value: float
     sense: int
     price: float
+    depends_on: tuple[str, ...] = ()
 
 
 class BalancingProgramme:

@@ -78,15 +78,29 @@ class MultiplierSet:
         """
         jacobian = np.concatenate([np.eye(len(x)), point.jacobian])
         sign, equal = active_sides(nlp, x, point)
-        norms = np.linalg.norm(jacobian, axis=1)
-        active = np.flatnonzero(((sign != 0.0) | equal) & (norms > 0.0))
-        if not len(active):
+        return cls.from_gradients(jacobian, multipliers, (sign != 0.0) | equal, np.where(equal, 0.0, sign))
+
+    @classmethod
+    def from_gradients(cls, gradients: Array, multipliers: Array, active: NDArray[np.bool_], sign: Array) -> MultiplierSet:
+        """Return all multipliers of an optimum from the gradients of its limits.
+
+        Parameters
+        ----------
+        gradients : array (limits, n)
+        multipliers : array (limits,)
+        active : array of bool (limits,)
+        sign : array (limits,)
+            See the class.
+        """
+        norms = np.linalg.norm(gradients, axis=1)
+        rows = np.flatnonzero(active & (norms > 0.0))
+        if not len(rows):
             return cls(multipliers)
-        left, singular, _ = np.linalg.svd(jacobian[active] / norms[active, None])
+        left, singular, _ = np.linalg.svd(gradients[rows] / norms[rows, None])
         null = left[:, np.sum(singular > DEPENDENT * singular[0]) :]
         directions = np.zeros((len(multipliers), null.shape[1]))
-        directions[active] = null / norms[active, None]
-        return cls(multipliers, directions, np.where(equal, 0.0, sign))
+        directions[rows] = null / norms[rows, None]
+        return cls(multipliers, directions, sign)
 
     def least(self, weights: Array) -> tuple[float, Array]:
         """Return the least weighted sum of multipliers, -inf if there is none, and multipliers with this sum.

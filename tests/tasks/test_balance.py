@@ -29,9 +29,11 @@ from optlink.dynamics.counterweights import (
 from optlink.dynamics.inertia import Inertia, Parameters
 from optlink.problem.machine.balance import read_measure
 from optlink.problem.quantity import Unusable
+from optlink.report.views import balance_tables
 from optlink.tasks import balance
 from tests.bar_oracle import Body, Motion, bar, disc, rms
 from tests.oracle import External, Kinematics, Mass, newton_euler
+from tests.report.test_function_tables import words as words_of
 from tests.tiers import mostly_slow
 
 LENGTHS = (0.0508, 0.1524, 0.0762, 0.1397)
@@ -672,6 +674,27 @@ def test_prices_are_the_slope_of_the_optimum(key, name, step):
     factor = 1e3 if held.unit == "mm" else 1.0
     assert held.price * factor == pytest.approx(slope, rel=1e-3)
     assert held.buys == pytest.approx(slope * held.step / factor / middle.objective, rel=1e-3)
+
+
+def test_the_price_of_a_limit_is_that_of_relaxing_it_alone() -> None:
+    """The only counterweight may be as heavy as all together: either limit keeps the mass if the other one is relaxed."""
+
+    def balanced(own: float, total: float) -> optlink.Balance:
+        weights = [{**CRANK, "mass": {"max": f"{own} kg"}}]
+        return optlink.balance(four_bar(weights=weights, mass={"max": f"{total} kg"}))
+
+    both, longer = balanced(0.02, 0.02), balanced(0.0201, 0.0201)
+    masses = [limit for limit in both.limits if limit.unit == "kg"]
+    assert [limit.price for limit in masses] == [0.0, 0.0]
+    assert [limit.depends_on for limit in masses] == [(masses[1].name,), (masses[0].name,)]
+    for single, other in ((balanced(0.0201, 0.02), 1), (balanced(0.02, 0.0201), 0)):
+        assert single.objective == pytest.approx(both.objective, rel=1e-7)
+        limit = next(limit for limit in single.limits if limit.name == masses[other].name)
+        assert limit.price == pytest.approx((both.objective - longer.objective) / 1e-4, rel=1e-2)
+        assert not limit.depends_on
+    assert "limits that gain less alone than together: mass of the counterweight on crank" in words_of(
+        balance_tables.balance(both)
+    )
 
 
 # --- the certificate -----------------------------------------------------------------------------------------------

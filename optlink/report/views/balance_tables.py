@@ -3,7 +3,7 @@
 import math
 
 from optlink.problem.machine.balance import BalanceSection
-from optlink.report.format import change, fixed, number, scale, times
+from optlink.report.format import change, fixed, joined, number, scale, times
 from optlink.report.table_spec import (
     Paragraph,
     Part,
@@ -108,18 +108,21 @@ def _tiny(value: float, scale: float) -> float:
 
 
 def _limits(outcome: Balance) -> Part:
-    rows = []
+    rows, together = [], dict[frozenset[str], str]()
     for limit in (limit for limit in outcome.limits if limit.active):
         step = f"{limit.step * 1e3:.4g} g" if limit.unit == "kg" else f"{limit.step:.4g} {limit.unit}"
         price = f"{100.0 * limit.buys:.3g} % per {step}"
         if limit.buys <= 1e-9:
-            price = "no effect: of several optima the lightest was chosen"
+            price = "no effect alone" if limit.depends_on else "no effect: of several optima the lightest was chosen"
+        if limit.depends_on:
+            names = (limit.name, *limit.depends_on)
+            together.setdefault(frozenset(names), f"limits that gain less alone than together: {joined(names)}")
         rows.append((limit.name, f"{limit.sense} {limit.bound:.6g} {limit.unit}", price))
     if not rows:
         return Paragraph(
             strong("Active constraints"), "none: only the permitted counterweights and springs determine this optimum"
         )
-    return table("Active constraints and their shadow prices", "<<<", rows)
+    return table("Active constraints and their shadow prices", "<<<", rows, notes=[*map(quiet, together.values())])
 
 
 def _conflict(outcome: Balance) -> TableSpec:

@@ -149,7 +149,10 @@ class MeasureRecord(Record):
 
 @dataclass(frozen=True)
 class ActiveLimit:
-    """A limit at the optimum; `buys`: first-order relative reduction of the objective if it is relaxed by one `step`."""
+    """A limit at the optimum; `buys`: first-order relative reduction of the objective if it alone is relaxed by one `step`.
+
+    `depends_on`: names of other limits that keep the optimum then.
+    """
 
     name: str
     sense: str
@@ -160,6 +163,7 @@ class ActiveLimit:
     price: float
     step: float
     buys: float
+    depends_on: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

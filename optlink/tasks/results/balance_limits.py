@@ -45,6 +45,7 @@ def active_limit(price: Price, after: float, scale: float) -> ActiveLimit:
         price.price * scale / factor,
         step * factor,
         price.price * step / after if after > NOTHING else 0.0,
+        price.depends_on,
     )
 
 
