@@ -276,14 +276,14 @@ def sweep(
         store.divide(task.size, task.chunks)
         mine, cpu = store.fill(task, engine, workers, scheduler, progress)
         names = [*task.columns, *(() if evaluated else (CHANGED,))]
-        summary = _Summary()
+        summary, sense = _Summary(), problem.model.objective_display[0]
         if store.finished:
             store.drop()
             rows = store.finished_rows(names)
-            for _ in _marked(rows if evaluated else (row[:-1] for row in rows), grid, names, summary):
+            for _ in _marked(rows if evaluated else (row[:-1] for row in rows), grid, names, summary, sense):
                 pass  # accumulates the summary
         else:
-            store.finish(names, _marked(store.rows(), grid, names, summary))
+            store.finish(names, _marked(store.rows(), grid, names, summary, sense))
         return Sweep(
             problem=problem,
             grid=grid,
@@ -330,8 +330,11 @@ def _about(task: SweepTask) -> dict[str, Any]:
     }
 
 
-def _marked(rows: Iterator[list[str]], grid: Grid, names: list[str], summary: _Summary) -> Iterator[list[str]]:
-    """Yield rows with a mark of active-set changes, if applicable, and accumulate the summary."""
+def _marked(rows: Iterator[list[str]], grid: Grid, names: list[str], summary: _Summary, sense: float) -> Iterator[list[str]]:
+    """Yield rows with a mark of active-set changes, if applicable, and accumulate the summary.
+
+    `sense`: negative if the objective is maximised.
+    """
     status, valid = names.index("status"), names.index("valid")
     if CHANGED not in names:
         for row in rows:
@@ -356,7 +359,7 @@ def _marked(rows: Iterator[list[str]], grid: Grid, names: list[str], summary: _S
                 summary.changes += (ActiveSetChange(at, before, row[active]),)
         if row[valid] == "true":
             summary.valid += 1
-            if float(row[objective]) < least:
-                least, summary.best = float(row[objective]), dict(zip(names, row, strict=True))
+            if sense * float(row[objective]) < least:
+                least, summary.best = sense * float(row[objective]), dict(zip(names, row, strict=True))
         before = now
         yield row

@@ -204,8 +204,8 @@ class OptimumTask(SweepTask):
 
     @cached_property
     def objective_factor(self) -> float:
-        """Factor from the minimised value [SI] to its column."""
-        return abs(self.template.model.objective_display[0])
+        """Factor from the minimised value [SI] to its column, negative of a maximised one."""
+        return self.template.model.objective_display[0]
 
     def optimum(self, point: int, outcome: FoundOptimum) -> list[str]:
         """Return the row of an optimum; design and objective are empty unless the search is optimal or stalled.

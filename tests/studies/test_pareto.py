@@ -424,6 +424,11 @@ def test_machines_are_swept_over_limits_and_sizes(press):
     angle = np.radians(result.columns["limits.angle.min_deg"])
     assert result.columns["rod.length_mm"] == pytest.approx(50.0 / np.cos(angle), rel=1e-8)
     assert result.columns["objective_mm"] == pytest.approx(50.0 / np.cos(angle), rel=1e-8)
+    longest = press.override({"objective": {"quantity": "stroke", "of": "ram", "sense": "maximise"}, "limits": None})
+    result = sweep(longest, ["mechanism.links.crank.length.max=55..65 mm:3"], workers=1)
+    assert result.columns["objective_mm"] == pytest.approx([110.0, 120.0, 130.0], rel=1e-8)  # twice the crank
+    assert result.best is not None
+    assert float(result.best["objective_mm"]) == pytest.approx(130.0, rel=1e-8)
     low = sweep(press, ["mechanism.links.rod.length.min=120..160 mm:3"], workers=1)
     assert low.columns["rod.length_mm"] == pytest.approx([120.0, 140.0, 160.0], rel=1e-8)
 

@@ -258,7 +258,10 @@ def sweep(result: Sweep) -> str:
     _, _, unit = name.partition("_")
     where = [f"{axis.key} = {figure(float(result.best[axis.column]), axis.unit)}" for axis in result.grid.axes]
     value = figure(float(result.best[name]), unit.replace("2", "²"))
-    text = f"The objective is least, {value}, at {joined(where)}; {result.valid:,} of {total:,} points have a verified design."
+    extreme = "largest" if result.problem.model.objective_display[0] < 0.0 else "least"
+    text = (
+        f"The objective is {extreme}, {value}, at {joined(where)}; {result.valid:,} of {total:,} points have a verified design."
+    )
     active = str(result.best.get("active", ""))
     return text + (f" Active limits of the best: {active}." if active else "")
 
