@@ -24,6 +24,7 @@ LENGTH_TOLERANCE = 1e-9  # of the frame, or of the size of a curve
 RATIO_TOLERANCE = 1e-7
 LONG_STEP = math.tau / 3.0  # rad; a law with longer steps between its positions can be met by whole revolutions less
 FINE_STEP = math.radians(1.0)  # of the crank, at which an output is followed between positions
+SHORT_ROTATION = math.radians(30.0)  # of the crank; a rocker 1 deg off alignment turns by 240 deg in 70 deg of the crank at least
 
 
 @dataclass(frozen=True)
@@ -243,14 +244,17 @@ def finely(offsets: Array) -> tuple[Array, NDArray[np.intp]]:
     return np.interp(np.arange(index[-1] + 1), index, offsets), index
 
 
-def revolutions_check(target: Array, moved: Callable[[], Array]) -> Iterator[Checks]:
+def revolutions_check(crank: Array, target: Array, moved: Callable[[], Array]) -> Iterator[Checks]:
     """Yield the check that an output follows its law without an error of whole revolutions, which angles alone do not show.
 
-    Positions where it is more than a quarter turn off do not count. Laws with short steps, which cannot be met so, have no check.
-    Where a law with long steps or the output has no value, the check fails. (That any law has values is checked with the error.)
+    Positions where it is more than a quarter turn off do not count. Where the law and the output move by short steps, there is no
+    such error and no check. Where a law with long steps or the output has no value, the check fails. (That any law has values is
+    checked with the error.)
 
     Parameters
     ----------
+    crank : array (positions,) [rad]
+        Crank rotations.
     target : array (designs, positions) [rad]
         Prescribed angles. NaN at the first position: the law of that design begins at the second.
     moved : function
@@ -259,9 +263,14 @@ def revolutions_check(target: Array, moved: Callable[[], Array]) -> Iterator[Che
     begun = np.isfinite(target) | (np.arange(target.shape[1]) > 0)
     with np.errstate(invalid="ignore"):
         applies = np.any(np.abs(np.diff(target, axis=1)) > LONG_STEP, axis=1)
+    if not np.any(applies) and np.max(np.abs(np.diff(crank)), initial=0.0) <= SHORT_ROTATION:
+        return
+    actual = moved()
+    with np.errstate(invalid="ignore"):
+        applies |= np.any(np.abs(np.diff(actual, axis=1)) > LONG_STEP, axis=1)
     if not np.any(applies):
         return
-    revolutions = (target - moved()) / math.tau
+    revolutions = (target - actual) / math.tau
     whole = np.round(np.where(np.isfinite(revolutions), revolutions, np.nan))
     some = np.abs(revolutions - whole) < 0.25
     least, most = np.min(np.where(some, whole, np.inf), axis=1), np.max(np.where(some, whole, -np.inf), axis=1)

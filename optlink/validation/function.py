@@ -325,7 +325,7 @@ def _requirement(tested: _Tested) -> Iterator[Checks]:
     largest = np.degrees(np.max(np.abs(tested.target_minus_actual()), axis=1))
     yield Checks("output error has a value everywhere", np.isfinite(largest), largest, "finite", "deg")
     at, target = tested.prescribed_from_start()
-    yield from revolutions_check(target, lambda: tested.rocker_along(at))
+    yield from revolutions_check(at, target, lambda: tested.rocker_along(at))
     if problem.requirement.robust is not None:
         middle, spread = tested.scattered()
         most = np.degrees(np.max(np.abs(middle) + spread, axis=1))

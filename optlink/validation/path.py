@@ -300,7 +300,7 @@ def _points(tested: _Tested) -> Iterator[Check]:
     yield Check("the linkage has a position for every target", whole, largest, "finite", unit)
     if tested.problem.requirement.kind == "function" and not tested.problem.slides:
         target = tested.problem.prescribed_outputs(tested.design)[None, :]
-        yield from (check.of() for check in revolutions_check(target, tested.output_angle))
+        yield from (check.of() for check in revolutions_check(tested.crank_angles, target, tested.output_angle))
     if np.any(np.isfinite(tolerances)):
         used = np.max(distances / tolerances)
         yield Check("points met within their tolerances", bool(used <= 1.0 + 1e-6), float(used), "<= 1", "of the tolerance")

@@ -65,6 +65,8 @@ def verdict(
         (CRANK_ROCKER, [0.0, -90.0], [0.0, 360.0], True, {NAME}),
         (DRAG_LINK, [0.0, 180.0, 360.0], [0.0, 0.0, 0.0], True, set()),
         (DRAG_LINK, [0.0, 180.0, 360.0], [0.0, -360.0, -360.0], True, {NAME}),
+        (DRAG_LINK, [0.0, 360.0], [0.0, -360.0], True, {NAME}),  # constant by the law, one revolution in motion
+        (DRAG_LINK, [0.0, 120.0, 240.0, 360.0], [0.0, 0.0, 0.0, -360.0], True, {NAME}),
     ],
 )
 def test_revolutions_of_a_law(lengths, cranks, more, there, wrong, dyads):
@@ -108,7 +110,7 @@ def test_with_a_free_angle_at_the_start_a_table_begins_with_its_first_row():
 def test_positions_without_a_value_do_not_drop_the_check(expected, moved, passed):
     """Of one design among others, to which the check applies."""
     other = [0.0, 3.0, 6.0]
-    [check] = revolutions_check(np.array([expected, other]), lambda: np.array([moved, other]))
+    [check] = revolutions_check(np.array([0.0, 1.0, 2.0]), np.array([expected, other]), lambda: np.array([moved, other]))
     assert check.passed[1]
     assert check.applies[0] == (passed is not None)
     assert passed is None or check.passed[0] == passed
