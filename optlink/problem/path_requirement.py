@@ -229,12 +229,22 @@ def check_points(
     if task.timing in ("given", "from start") and points.crank is None:
         remedy = 'Write points = [{ x = "20 mm", y = "5 mm", crank = "30 deg" }, ...], or timing = "free"'
         raise Unusable("the timing is prescribed, but the points have no crank angles", remedy, "requirement.timing", task.timing)
+    if timing != "free" and points.crank is not None:
+        _check_whole_revolution(points, points.crank)
     if task.start is not None and timing != "from start":
         message = "this key applies to points that are timed from a start only"
         raise Unusable(message, 'Write timing = "from start", or leave start out', "requirement.start", str(task.start))
     if task.rotation != "either" and timing != "free":
         message = "the crank angles of the points already state the direction of the crank"
         raise Unusable(message, 'Leave rotation out, or write timing = "free"', "requirement.rotation", task.rotation)
+
+
+def _check_whole_revolution(points: TargetPoints, crank: tuple[float, ...]) -> None:
+    """Refuse a last point one revolution after the first, but elsewhere: the linkage is in the same position there."""
+    away = math.dist(points.points[0], points.points[-1])
+    if abs(crank[-1] - crank[0]) > math.tau * (1.0 - 1e-9) and away > COINCIDENT * points.size:
+        message = f"point {len(crank)}, at {math.degrees(crank[-1]):.6g} deg, lies one revolution after point 1, but elsewhere"
+        raise Unusable(message, "Give both the same position, or leave one of them out", "requirement.points")
 
 
 def _check_distinct_poses(points: TargetPoints, *, closed: bool) -> None:

@@ -272,10 +272,11 @@ def _order(tested: _Tested) -> Iterator[Check]:
     """Check that the points are passed in order within one revolution, with one direction of the crank."""
     steps = np.diff(tested.crank_angles) * tested.way
     if len(steps) and tested.problem.pointed:
+        gap = math.degrees(STEP) if tested.problem.timing == "free" else 0.0  # between optimised crank angles
         least = math.degrees(float(np.min(steps)))
-        yield Check("points met in order", bool(least >= math.degrees(STEP) * (1.0 - 1e-3)), least, "> 0", "deg")
+        yield Check("points met in order", least > 0.0 and least >= gap * (1.0 - 1e-3), least, "> 0", "deg")
         whole = math.degrees(float(np.sum(steps)))
-        most = 360.0 if tested.problem.meets_again else 360.0 - math.degrees(STEP)  # only a repeated point may lie there
+        most = 360.0 if tested.problem.meets_again else 360.0 - gap  # only a repeated point may lie there
         yield Check("points met within one revolution", bool(whole <= most + 1e-6), whole, f"<= {most:.6g}", "deg")
     rotation = {"counter-clockwise": 1.0, "clockwise": -1.0}.get(tested.problem.requirement.rotation)
     if rotation is not None:

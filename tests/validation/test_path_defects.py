@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from optlink.errors import InputError
 from optlink.linkage.fourbar import LENGTHS
 from optlink.problem.path import PathProblem
 from optlink.validation.path import deviations, validate_path
@@ -320,6 +321,26 @@ def test_crank_angles_that_were_not_prescribed() -> None:
     begun = planted(crank=PHI - PHI[0], timing="from start")
     assert failed(begun, DESIGN, PHI, 0.0, start=float(PHI[0])) == set()
     assert "timing" in failed(begun, DESIGN, PHI, 0.0, start=float(PHI[0]) + 0.01)
+
+
+def test_points_at_close_crank_angles_are_met_in_order() -> None:
+    """The least crank rotation between two points is one of the search: prescribed angles can be closer."""
+    close = np.append(PHI, PHI[-1] + np.array([2e-5, 4e-5]))
+    assert failed(planted(points=oracle.planted_path(DESIGN, close), crank=close), DESIGN, close, 0.0) == set()
+    assert failed(planted(points=oracle.planted_path(DESIGN, close)), DESIGN, close, 0.0) == {"order"}
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize("timing", ["given", "from start"])
+def test_another_point_one_revolution_later_is_refused(way: float, timing: str) -> None:
+    crank = way * np.append(PHI[:-1], PHI[0] + TURN)
+    spots = oracle.planted_path(DESIGN, crank)
+    planted(points=spots, crank=crank, timing=timing)
+    spots[-1, 0] += 0.01
+    with pytest.raises(
+        InputError, match=r"requirement\.points: point 6, at .* deg, lies one revolution after point 1, but elsewhere"
+    ):
+        planted(points=spots, crank=crank, timing=timing)
 
 
 def test_a_size_beyond_its_bound() -> None:
