@@ -16,7 +16,7 @@ from optlink.linkage.mechanism import FRAME, Pose
 from optlink.linkage.vector2d import TURN, Array, Value, angle_from, dot, minus, turn, unit
 from optlink.problem.function import DesignProblem
 from optlink.problem.limits import LIMITS, Limits, LimitTerm
-from optlink.problem.machine.model import Problem
+from optlink.problem.machine.model import MAX_SHIFT, Problem
 from optlink.problem.mechanism import FourBarSection, check_one_mode
 from optlink.problem.path_requirement import (
     PathLimits,
@@ -39,7 +39,6 @@ FINE = 721  # positions at which the travel of a law is computed
 GRID = 36  # crank angles at which the transmission of a mechanism other than a four-bar is evaluated
 
 STEP = 1e-4  # rad, least crank rotation from a point to the next
-MAX_SHIFT = 1e6  # largest distance of the curve from the origin, in multiples of its size
 
 
 @dataclass(frozen=True, eq=False)

@@ -89,6 +89,28 @@ BAD: dict[str, tuple[dict[str, Any], str, str]] = {
         "drive.body",
         "one of: link2, link3",
     ),
+    "far from the origin": (
+        {"mechanism.ground": {"A": ["1.3e6 m", "0 m"], "D": ["1300001.5 m", "0 m"]}},
+        "mechanism.ground.A",
+        "move the origin near the mechanism",
+    ),
+    "guide far from the origin": (
+        {"mechanism.guides.F.through": ["-1e27 mm", "0 m"]},
+        "mechanism.guides.F.through",
+        "8.3e+23 times the longest link away from the origin",
+    ),
+    "pivot far from the origin": (
+        {
+            "mechanism": {
+                **dict.fromkeys(("crank", "rocker"), "10 mm"),
+                **dict.fromkeys(("coupler", "frame"), "30 mm"),
+                "pivot": ["0 mm", "31 km"],
+            },
+            **BARE,
+        },
+        "mechanism.pivot",
+        "double precision does not resolve the motion",
+    ),
     "crank stands still": ({"drive.speed": "0 rad/s"}, "drive.speed", "speed is zero"),
     "speed without a unit": ({"drive.speed": 10}, "drive.speed", "needs a unit"),
     "speed in m/s": ({"drive.speed": "10 m/s"}, "drive.speed", "not a unit of angular velocity"),

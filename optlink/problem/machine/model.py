@@ -26,6 +26,8 @@ from optlink.problem.quantity import FixedAngle, FixedLength, Number, Quantity, 
 from optlink.problem.tolerances import Deviation, Tolerances, deviations, with_deviating_pivots
 from optlink.units import display_unit
 
+MAX_SHIFT = 1e6  # largest distance of a mechanism or a curve from the origin, in multiples of its size
+
 
 class Expected(Section):
     """Reference values from a trusted source, and their tolerances."""
@@ -176,6 +178,7 @@ class Problem(Section):
         Unusable
             with the full key of the cause.
         """
+        self._check_places()
         machine = self.machine(slow=self.slow_assumed)
         gaps = self.gaps(machine)
         with below("tolerances"):
@@ -188,6 +191,24 @@ class Problem(Section):
                 self.balance.build(machine)
         if self.drive.servo is not None and self.drive.torque is not None:
             raise Unusable("the drive has a torque and a servo", "Give one of the two", "drive.servo")
+
+    def _check_places(self) -> None:
+        """Refuse points of the frame so far from the origin that rounding errors of their coordinates distort the motion."""
+        quantities = self.mechanism.quantities
+        size = max((quantity.value for quantity in quantities.values() if quantity.kind == "length"), default=np.inf)
+        for name, quantity in quantities.items():
+            place, _, axis = name.rpartition(".")
+            if axis in ("x", "y") and abs(quantity.value) > MAX_SHIFT * size:
+                key = "mechanism.pivot"
+                if isinstance(self.mechanism, DyadsSection):
+                    key = f"mechanism.guides.{place}.through" if place in self.mechanism.guides else f"mechanism.ground.{place}"
+                raise Unusable(
+                    f"{place} lies {abs(quantity.value) / size:.1e} times the longest link away from the origin, "
+                    "so double precision does not resolve the motion",
+                    "Check the units, or move the origin near the mechanism",
+                    key,
+                    str(quantity),
+                )
 
     @cached_property
     def longest(self) -> float:
