@@ -24,6 +24,8 @@ SMOOTHING = 1e-3, 1e-5, 1e-7  # rad; of successive searches for a robust design
 CONTINUATIONS = 3  # number of restarts, with tighter tolerances, from an end that is not optimal
 NEARLY = 1e-3  # a violation up to this, in scaled units, is attributed to the solver's tolerance and repaired
 LEAST_VIOLATION = "Infeasible_Problem_Detected"  # message of IPOPT at a locally least violation
+OUT_OF_STEPS = "Maximum_Iterations_Exceeded"  # message of IPOPT
+CREEPING = 1e-3  # relative decrease of the objective by a search that ran out of steps, up to which a restart helps little
 SOBOL_BLOCK = 64
 HYPERCUBE = 64  # points of a Latin hypercube sample
 RESCALE = 1e-3  # if the objective fell below this share of its start, the search is repeated with a new scale
@@ -90,7 +92,7 @@ def infeasible_at(nlp: NLP, x: Array, message: str) -> Solution:
 
 
 def solve_from(
-    nlp: NLP, x: Array, name: str, *, track: bool = False, resume_infeasible: bool = True, continuations: int = CONTINUATIONS
+    nlp: NLP, x: Array, name: str, *, track: bool = False, persistent: bool = True, continuations: int = CONTINUATIONS
 ) -> Solution:
     """Run one local search from x.
 
@@ -106,8 +108,9 @@ def solve_from(
         Back end.
     track : bool
         Record the iterates.
-    resume_infeasible : bool
-        Whether to restart where the back end converged to a locally least violation of the limits.
+    persistent : bool
+        Whether to restart also where little is to be expected: at a violation of the limits that is no matter of tolerances, and
+        after a search that ran out of steps though it hardly decreased the objective.
     continuations : int
         Largest number of restarts from an end that is not optimal.
     """
@@ -127,10 +130,13 @@ def solve_from(
         fine = scaled_parameters(nlp, solution.x)
         if solution.status is Status.OPTIMAL and fine[0] >= RESCALE * p[0]:
             break
-        if solution.message == LEAST_VIOLATION and not resume_infeasible:
+        if not persistent and (solution.message == LEAST_VIOLATION or solution.violation > NEARLY):
             break
         again = conclude(nlp, Attempt(solution.x, 0, solution.message), fine)  # Newton's method alone may suffice
         if again.status is not Status.OPTIMAL:
+            creeping = solution.message == OUT_OF_STEPS and nlp.values(solution.x, p)[0] > 1.0 - CREEPING
+            if not persistent and start is not None and creeping:
+                break
             again = conclude(nlp, run(nlp, solution.x, fine, tight=True), fine)
         p = fine
         if not again.usable or (solution.usable and again.objective > solution.objective and again.status is not Status.OPTIMAL):
@@ -143,7 +149,7 @@ def solve_from(
 def _continued_around(nlp: NLP, solution: Solution, run: Backend) -> Solution:
     """Return the optimum to which the objective decreases where an angle that may be any ended at one of its bounds."""
     x, around = solution.x.copy(), nlp.around
-    if solution.status is not Status.STALLED or not np.any(around):
+    if solution.status is not Status.STALLED or solution.message == OUT_OF_STEPS or not np.any(around):
         return solution
     beyond = (nlp.x_high - x <= ACTIVE) * 1.0 - (x - nlp.x_low <= ACTIVE)
     if not np.any(beyond[around]):

@@ -67,11 +67,11 @@ def solve_semi_infinite(task: PathProblem, start: Solution, backend: str, *, nea
     """
     nlp = start.nlp
     if not nlp.exchange_count:
-        return start if start.status is Status.OPTIMAL else local.solve_from(nlp, start.x, backend, resume_infeasible=False)
+        return start if start.status is Status.OPTIMAL else local.solve_from(nlp, start.x, backend, persistent=False)
     nlp.set_exchange_points((np.arange(nlp.exchange_count) + 0.5) / nlp.exchange_count)
     solution = local.solution_at(nlp, start.x, start.message)
     if not near and solution.status is not Status.OPTIMAL:
-        solution = local.solve_from(nlp, start.x, backend, resume_infeasible=False, continuations=0)
+        solution = local.solve_from(nlp, start.x, backend, persistent=False, continuations=0)
     radius, tops, violated = RADIUS, _tops(task, solution), list[RowPeak]()
     worst, penalty = math.inf, 0.0
     for _ in range(EXCHANGES):

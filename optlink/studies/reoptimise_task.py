@@ -153,7 +153,7 @@ class ReoptimiseTask(OptimumTask):
         nlp, solutions = self.programme.nlp, list[Solution]()
         high = np.where(np.isfinite(nlp.x_high), nlp.x_high, 1.0)
         for x in itertools.islice(multistart.latin_hypercubes(nlp.x_low, high, SEED), STARTS):
-            end = multistart.solve_from(nlp, nlp.lifted(x), self.backend, resume_infeasible=False)
+            end = multistart.solve_from(nlp, nlp.lifted(x), self.backend, persistent=False)
             if end.status is Status.OPTIMAL and not any(multistart.compare(end, solution).same for solution in solutions):
                 solutions.append(end)
         return sorted(solutions, key=lambda solution: solution.objective)

@@ -11,27 +11,36 @@ from optlink.optimization.nlp import build
 from optlink.optimization.path_nlp import build_path_nlp
 from optlink.solvers import multistart
 from optlink.solvers.ipopt import compiled
-from optlink.solvers.multistart import LEAST_VIOLATION, solve_from
+from optlink.solvers.multistart import LEAST_VIOLATION, OUT_OF_STEPS, solve_from
 from optlink.solvers.solution import Attempt, stationarity
 
 
 @pytest.mark.parametrize(
-    ("message", "resume", "runs"),
-    [(LEAST_VIOLATION, True, 2), (LEAST_VIOLATION, False, 1), ("stopped early", False, 2)],
+    ("message", "step", "persistent", "runs"),
+    [
+        (LEAST_VIOLATION, 0.01, True, 2),
+        (LEAST_VIOLATION, 0.01, False, 1),
+        ("stopped early", 0.01, False, 2),
+        ("stopped early", 1.0, True, 2),
+        ("stopped early", 1.0, False, 1),
+        (OUT_OF_STEPS, 0.01, True, 2),
+        (OUT_OF_STEPS, 0.01, False, 1),
+    ],
 )
-def test_a_search_is_not_resumed_from_a_least_violation(
-    monkeypatch: pytest.MonkeyPatch, message: str, resume: bool, runs: int
+def test_a_search_is_not_resumed_where_little_is_to_be_expected(
+    monkeypatch: pytest.MonkeyPatch, message: str, step: float, persistent: bool, runs: int
 ) -> None:
-    nlp = build_path_nlp(optlink.load("path-closed18").variants()[0].model)  # type: ignore[arg-type]
+    """A least violation, a large one, and no decrease of the objective."""
+    nlp = build(optlink.load("crank-rocker").spec)
     called = []
 
     def search(nlp: object, x: np.ndarray, p: np.ndarray, **options: bool) -> Attempt:
         called.append(options)
-        return Attempt(np.clip(x + 0.01, nlp.x_low, nlp.x_high), 1, message)  # type: ignore[attr-defined]
+        return Attempt(np.clip(x + step, nlp.x_low, nlp.x_high), 1, message)  # type: ignore[attr-defined]
 
     monkeypatch.setattr(multistart, "backend", lambda _name: search)
     monkeypatch.setattr(multistart, "repair", lambda _nlp, x, _p, **_: x)
-    solve_from(nlp, nlp.x_start, "ipopt", resume_infeasible=resume)
+    solve_from(nlp, nlp.x_start, "ipopt", persistent=persistent)
     assert len(called) == runs
 
 
