@@ -239,8 +239,12 @@ class DesignCollection:
 
     @property
     def ordered(self) -> bool:
-        """Whether the order of the points decides which optima exist: they have no timing, and the best design misses them."""
-        return self.grade in ("fair", "poor") and path_model(self.polisher.files[0]).data.offsets is None
+        """Whether the order of the points decides which optima exist: they have no timing, and the best design misses them.
+
+        Any crank passes three points in their order, in one direction or the other.
+        """
+        data = path_model(self.polisher.files[0]).data
+        return data.offsets is None and len(data.columns) > 3 and self.grade in ("fair", "poor")
 
     def _follow_reordered(self, candidates: list[Candidate], tries: int, failures: int) -> None:
         """Refine reordered candidates as in `_follow`, and count the rounds in which this improves no design."""

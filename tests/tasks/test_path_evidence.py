@@ -165,3 +165,12 @@ def test_a_search_states_the_chance_of_a_missed_optimum() -> None:
 
 def test_a_small_chance_is_never_shown_as_none() -> None:
     assert [percent(x) for x in (0.0, 1e-9, 0.12, 0.999999, 1.0)] == ["0 %", "below 0.1 %", "12 %", "over 99 %", "100 %"]
+
+
+def test_the_order_decides_only_between_more_than_three_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(DesignCollection, "grade", "poor")
+    orders = {
+        name: DesignCollection(Polisher(optlink.load(name).variants(), "ipopt"), 3).ordered
+        for name in ("motion-3-poses", "motion-5-poses", "path-closed18")
+    }
+    assert orders == {"motion-3-poses": False, "motion-5-poses": True, "path-closed18": False}
