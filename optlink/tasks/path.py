@@ -262,5 +262,7 @@ class SearchRounds:
             return collection.exact >= self.options.designs or collection.exact == exact or often or rounds >= self._most
         if rounds < MIN_ROUNDS:
             return False
+        if not collection.designs and collection.beyond_tolerances(self.searcher.exploration.candidates) <= MISSED_CHANCE:
+            return True
         small = MISSED_CHANCE_IN_ORDER if collection.ordered else MISSED_CHANCE
         return rounds >= self._most or collection.evidence().missed <= small

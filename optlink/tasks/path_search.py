@@ -37,6 +37,7 @@ IDLE_ROUNDS = 3  # rounds in a row whose reordered candidates improve no design:
 POOR_FIT_TRIES = 3  # candidates and reordered candidates of a later round refined at any cost, while the fit is poor
 COUNTED_RATIO = 1.5  # largest error of counted optima, relative to the least one: a better one would be among them
 OBJECTIVE_TOLERANCE = 1e-6  # relative difference of equal objectives
+SAME_COST = 1e-4  # relative difference of equal costs of candidates
 ROUNDING = 1e-9  # relative difference of equal errors of one coupler curve
 
 
@@ -205,6 +206,7 @@ class DesignCollection:
         self._failures = (
             (COMPOUND_TRIES, 1) if has_several_dyads(path_model(polisher.files[0])) else (TRIES * requested, REORDERED)
         )
+        self._allowed = _allowed_cost(path_model(polisher.files[0]))
         self._first = True
         self._idle = 0  # rounds in a row whose reordered candidates improved no design
 
@@ -217,11 +219,15 @@ class DesignCollection:
         """Refine the candidates of the latest round."""
         failures = self._failures[0] if self._first else self._failures[1]
         far = POOR_FIT_TRIES if self.poor_fit and not self._first else 0
-        self._follow(exploration.candidates, failures if self._first else self._tries, max(failures, far), far)
+        bounded = not self.designs and math.isfinite(self._allowed)
+        costly = TRIES * self._first if bounded else far
+        self._follow(exploration.candidates, failures if self._first else self._tries, max(failures, far), costly)
         if far:
             self._follow(exploration.repaired[:: max(1, len(exploration.repaired) // far)], far, far, far)
         elif not self.exact and self._idle < IDLE_ROUNDS:
-            self._follow_reordered(exploration.repaired, self._failures[1] if self.designs else failures, failures)
+            costly = (TRIES if self._first else REORDERED) if bounded and not self.designs else 0
+            tries = self._failures[1] if self.designs else failures
+            self._follow_reordered(exploration.repaired, tries, failures, costly)
         self._first = False
 
     @property
@@ -246,10 +252,10 @@ class DesignCollection:
         data = path_model(self.polisher.files[0]).data
         return data.offsets is None and len(data.columns) > 3 and self.grade in ("fair", "poor")
 
-    def _follow_reordered(self, candidates: list[Candidate], tries: int, failures: int) -> None:
+    def _follow_reordered(self, candidates: list[Candidate], tries: int, failures: int, costly: int) -> None:
         """Refine reordered candidates as in `_follow`, and count the rounds in which this improves no design."""
         before, refined = [design.error for design in self.designs], len(self._ends)
-        self._follow(candidates, tries, failures)
+        self._follow(candidates, tries, failures, costly)
         after = [design.error for design in self.designs]
         better = len(after) > len(before) or any(b < a * (1.0 - OBJECTIVE_TOLERANCE) for a, b in zip(before, after, strict=True))
         self._idle = 0 if better or not after else self._idle + (len(self._ends) > refined)
@@ -284,7 +290,7 @@ class DesignCollection:
     def _largest_cost(self) -> float:
         """Return the largest cost of a candidate worth refining: limits only increase it."""
         if len(self.designs) < self.requested:
-            return math.inf
+            return self._allowed
         return max(_cost(self.designs[0]) * COUNTED_RATIO**2, _cost(self.designs[-1]))
 
     def no_worse(self, reference: PathDesign) -> bool:
@@ -322,6 +328,13 @@ class DesignCollection:
         )
         return replace(found_evidence, missed=0.0) if best.exact else found_evidence  # no design is better than an exact one
 
+    def beyond_tolerances(self, candidates: list[Candidate]) -> float:
+        """Return the estimated chance that a candidate within the tolerances was missed; 1 if one of all, cheapest first, is."""
+        near = [(c.cost, c.count) for c in candidates if c.cost <= COUNTED_RATIO**2 * candidates[0].cost]
+        if not near or near[0][0] <= self._allowed:
+            return 1.0
+        return evidence([count for _, count in tally(near, lambda known, cost: cost <= known * (1.0 + SAME_COST))]).missed
+
 
 def no_worse_fit(design: PathDesign, reference: PathDesign) -> bool:
     """Return whether a design is no worse than another one for the same points, within rounding.
@@ -340,6 +353,13 @@ def _cost(design: PathDesign) -> float:
     task = design.task
     share = (design.error / task.whole) ** 2
     return share if task.measure == "sum of squares" else share * len(task.data.columns)
+
+
+def _allowed_cost(task: PathProblem) -> float:
+    """Return the largest batch cost near which a candidate can become a design within the tolerances of all points of a path."""
+    if task.requirement.kind != "path" or has_several_dyads(task):  # candidates of several dyads have not converged
+        return math.inf
+    return COUNTED_RATIO**2 * float(np.sum((task.data.roots * task.data.tolerances) ** 2)) / task.whole**2
 
 
 def _failing(design: PathDesign) -> tuple[int, float]:

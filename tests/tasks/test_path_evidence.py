@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import optlink
+from optlink.linkage.fourbar import LENGTHS
 from optlink.synthesis.batch_search import Exploration, Searcher
 from optlink.tasks.path import MISSED_CHANCE, solve
 from optlink.tasks.path_search import IDLE_ROUNDS, OBJECTIVE_TOLERANCE, DesignCollection, Polisher, path_model
@@ -165,6 +166,33 @@ def test_a_search_states_the_chance_of_a_missed_optimum() -> None:
 
 def test_a_small_chance_is_never_shown_as_none() -> None:
     assert [percent(x) for x in (0.0, 1e-9, 0.12, 0.999999, 1.0)] == ["0 %", "below 0.1 %", "12 %", "over 99 %", "100 %"]
+
+
+def bean(tolerance: float) -> optlink.ProblemFile:
+    """Nine points that a four-bar misses by up to 0.47 mm, with a tolerance [mm]."""
+    places = [(20, 10), (17, 16), (10, 18), (3, 16), (0, 10), (3, 4), (8, 5), (12, 5), (17, 4)]
+    points = [{"x": f"{x} mm", "y": f"{y} mm", "tolerance": f"{tolerance} mm"} for x, y in places]
+    length, place = free(5.0, 80.0), free(-80.0, 80.0)
+    section = four_bar_section("either", **dict.fromkeys(LENGTHS, length), points={"P": [place, place]}, pivot=[place, place])
+    requirement = {"kind": "path", "point": "P", "points": points, "closed": True}
+    limits = {"transmission_angle": ["30 deg", "150 deg"], "link_ratio": [0.05, 20.0]}
+    return optlink.read({"mechanism": section, "requirement": requirement, "limits": limits})
+
+
+@pytest.mark.slow
+def test_a_search_ends_early_where_no_curve_comes_near_the_tolerances() -> None:
+    """Tolerances of all points bound the sum of squares; those that the best curve meets change nothing."""
+    wide = solve(bean(5.0))
+    assert wide.valid
+    worst = float(np.max(wide.best.measured.distances))
+    just = solve(bean(1.01 * MM * worst))
+    assert just.valid
+    assert just.objective == pytest.approx(wide.objective, rel=1e-9)
+    assert just.starts <= 2 * wide.starts
+    narrow = solve(bean(0.02))
+    assert not narrow.valid
+    assert narrow.starts < 1000
+    assert narrow.objective == pytest.approx(wide.objective, rel=0.1)
 
 
 def test_the_order_decides_only_between_more_than_three_points(monkeypatch: pytest.MonkeyPatch) -> None:
