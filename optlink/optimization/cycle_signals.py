@@ -7,6 +7,8 @@ crank angles of these events are unknowns of the NLP, and within a stroke everyt
 from __future__ import annotations
 
 import functools
+import itertools
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -31,6 +33,8 @@ from optlink.problem.mechanism import sizes_of
 from optlink.symbolic import CompiledFunction, NumpyEvaluator, symbols_in_numpy
 
 GRID = 240  # crank angles among which events are bracketed
+TOUCHING = 1e-2  # rad between two reversals of a motion that only comes to rest
+CORNER = "corner"
 AHEAD = 1e-6  # rad beyond an event at which its sense (rising or falling) is determined
 
 
@@ -280,7 +284,7 @@ class TracedCycle:
                 add(("guide", guide) if slides else ("load", load.name), _reversal(load))
             if isinstance(load, Force) and isinstance(load.magnitude, LoadTable) and load.magnitude.over == "s":
                 for row, at in enumerate(load.magnitude.at):
-                    add(("corner", load.name, str(row)), _corner(guide, at))
+                    add((CORNER, load.name, str(row)), _corner(guide, at))
         for term in self.terms:
             if term.ended:
                 add(self._key(term), self._rate(self._key(term), term), cuts=term.quantity == "work")
@@ -356,6 +360,23 @@ class TracedCycle:
                 if count < 2 or (term.quantity not in ("stroke", "end") and count != 2):
                     return key, term, count
         return None
+
+    def reversals(self, structure: EventOrder) -> Counter[tuple[int, bool]]:
+        """Return the number of reversals of every motion in either sense, without those that are as good as one position.
+
+        Parameters
+        ----------
+        structure : EventOrder
+        """
+        numbers = Counter[tuple[int, bool]]()
+        events = list(zip(structure.which, structure.angles, structure.rising, strict=True))
+        for k in (k for k, event in enumerate(self.events) if event.key[0] != CORNER):
+            places = sorted((angle % TURN, up) for which, angle, up in events if which == k)
+            numbers.update((k, up) for _, up in places)
+            for (angle, up), (after, up_after) in itertools.pairwise([*places, *places[:1]]):
+                if up != up_after and (after - angle) % TURN < TOUCHING:
+                    numbers.subtract([(k, True), (k, False)])
+        return +numbers
 
     def samples(self, designs: Sequence[Mapping[str, float]]) -> Iterator[Sample]:
         """Yield each design with what is needed to compute its events."""

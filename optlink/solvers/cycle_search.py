@@ -103,7 +103,7 @@ class OrderSearch:
     runs: dict[str, list[Solution]] = field(default_factory=dict)
     left: list[Solution] = field(default_factory=list)  # designs at the edge of the order, from which others were searched
     explored: bool = False  # beside the first orders: whether its order is searched from random starting points
-    strayed: list[Solution] = field(default_factory=list)  # designs whose loads are not those of the trace
+    strayed: list[Solution] = field(default_factory=list)  # designs whose reversals or loads are not those of the NLP
 
     def __post_init__(self) -> None:
         self.runs = {name: [] for name in self.names}
@@ -137,7 +137,8 @@ class OrderSearch:
         """Return the end of a search, infeasible where the NLP does not describe its design.
 
         The NLP knows the dead centres of its own order of events only: a design may have further ones, so that an output does not
-        reciprocate as its stroke or time ratio requires. The angle of a load may count from another turn than in the trace.
+        reciprocate as its stroke or time ratio requires, or a load acts in other strokes. The angle of a load may count from
+        another turn than in the trace.
         """
         trace = self.nlp.traced
         structure = trace.structure(solution.design) if solution.usable else None
@@ -145,10 +146,14 @@ class OrderSearch:
             return solution
         if trace.strokeless(structure) is not None:
             return replace(solution, status=Status.INFEASIBLE, message="an output has further dead centres")
-        if trace.serves(solution.design):
+        if trace.reversals(structure) != trace.reversals(self.nlp.structure):
+            message = "a motion has further reversals"
+        elif not trace.serves(solution.design):
+            message = "the angle of a load counts from another turn"
+        else:
             return solution
         self.strayed.append(solution)
-        return replace(solution, status=Status.INFEASIBLE, message="the angle of a load counts from another turn")
+        return replace(solution, status=Status.INFEASIBLE, message=message)
 
     def _exchanged(self, solution: Solution, name: str) -> Solution:
         """Return the end of a search refined by the exchange method; an optimum that is known is not refined again."""
@@ -348,7 +353,7 @@ def _explore(
 
 
 def _return(orders: Sequence[OrderSearch], beside: list[OrderSearch], names: tuple[str, ...]) -> None:
-    """Continue searches that ended at a design with other loads than the trace has, with the loads of that design.
+    """Continue searches that ended at a design with other reversals or loads than the programme has, with those of that design.
 
     Parameters
     ----------

@@ -378,3 +378,53 @@ def test_loads_do_not_divide_a_search_in_which_no_term_depends_on_forces():
     kinds = [{event.key[0] for event in TracedCycle(task_of(problem(text))).events} for text in (shaking, RAMP)]
     assert "corner" not in kinds[0]
     assert "corner" in kinds[1]
+
+
+TOGGLE = {
+    "objective": {"quantity": "end", "of": "ram", "stroke": "forward", "sense": "maximise"},
+    "limits": {
+        "stroke": {"quantity": "stroke", "of": "ram", "exactly": "65 mm"},
+        "guide": {"quantity": "guide force", "of": "F", "measure": "peak", "max": "3.5 kN"},
+    },
+}
+
+
+def toggle_search():
+    trace = TracedCycle(task_of(optlink.load("press-toggle").override(TOGGLE)))
+    begin = start_groups(StartSequence(trace, 0), 1)[0]
+    return trace, OrderSearch(build_programme(trace, begin), begin, ("ipopt",))
+
+
+def test_a_design_whose_ram_reverses_more_often_is_searched_with_its_reversals():
+    """The toggle passes through its straight position: the ram makes two forward strokes, but the programme has one."""
+    trace, order = toggle_search()
+    straight = {"A.x": 0.4, "A.y": -0.1, "crank.length": 0.12, "rod.length": 0.402, "upper.length": 0.225, "lower.length": 0.38}
+    for design, reversals, usable in ((order.begin.starts[0], 2, True), (straight, 4, False)):
+        structure = trace.structure(design)
+        assert sum(trace.reversals(structure).values()) == reversals
+        end = multistart.solution_at(order.nlp, order.nlp.x_of(design), "")
+        kept = order._kept(replace(end, design=dict(design), status=Status.OPTIMAL))
+        assert kept.usable is usable
+    assert [solution.design for solution in order.strayed] == [straight]
+
+
+def test_a_motion_that_only_comes_to_rest_does_not_reverse():
+    trace, order = toggle_search()
+    structure = order.nlp.structure
+    reversal = next(k for k, event in enumerate(trace.events) if event.key[0] == "guide")
+    assert structure.which.count(reversal) == 2
+    for apart, more in ((1e-3, 0), (0.1, 2)):
+        rest = replace(
+            structure,
+            which=(*structure.which, reversal, reversal),
+            rising=(*structure.rising, False, True),
+            angles=(*structure.angles, 7.0, 7.0 + apart),
+        )
+        assert sum(trace.reversals(rest).values()) == 2 + more
+
+
+@pytest.mark.slow
+def test_a_press_whose_toggle_passes_through_its_straight_position_is_valid():
+    result = solve(optlink.load("press-toggle").override(TOGGLE), starts=2)
+    assert result.valid
+    assert result.objective == pytest.approx(-0.600442, abs=1e-5)
