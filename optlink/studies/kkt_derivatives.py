@@ -217,7 +217,7 @@ class KKTSystem:
         slowest = MIN_CHANGE / (abs(parameter.value) or 1.0)
         rows, rooms = set(self.active.tolist()), self.rooms
         for entry in range(len(rates)):
-            if entry in self.turning - rows and push.lower[entry] == push.upper[entry] == 0.0:
+            if entry in self.unlimited - rows and push.lower[entry] == push.upper[entry] == 0.0:
                 continue
             events = []
             peak = entry >= self.free and self.nlp.rows[entry - self.free].limit == EPIGRAPH  # of an objective, not a limit
@@ -241,9 +241,9 @@ class KKTSystem:
         return lower, upper
 
     @cached_property
-    def turning(self) -> set[int]:
-        """Unrestricted angles: their bounds, one revolution apart, are the same position and do not limit."""
-        indices = set()
+    def unlimited(self) -> set[int]:
+        """Entries that do not limit: bounds of unrestricted angles, one revolution apart, and those of the events of a cycle."""
+        indices = {k for k, variable in enumerate(self.nlp.variables) if variable.name in self.nlp.states}
         for k, (variable, low, high) in enumerate(zip(self.nlp.variables, self.nlp.x_low, self.nlp.x_high, strict=True)):
             width = variable.size * (high - low)
             if variable.name not in self.nlp.helpers and variable.scale.unit == "deg" and width >= TURN - 1e-9:

@@ -131,6 +131,12 @@ def test_forces_scale_together(name, request):
     assert loads + gravity + speed == pytest.approx(objective, rel=1e-7)
 
 
+def test_the_crank_angles_of_events_do_not_limit_a_range_of_validity(pump):
+    """Their bounds only enclose the search: ranges ended at "the bound of end of a stroke 6"."""
+    system = sensitivity_module.KKTSystem(pump.solution)
+    assert {system.nlp.variables[k].name for k in system.unlimited} == {"end of a stroke 1", "end of a stroke 2"}
+
+
 def test_every_number_of_the_file_is_a_parameter(pump):
     keys = {row.parameter.key for row in pump.rows}
     assert keys >= {
