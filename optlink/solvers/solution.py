@@ -324,7 +324,7 @@ def _optimal(nlp: NLP, x: Array, p: Array, point: NLPValues, conditions: Station
     return conditions.kkt <= STEEPEST and conditions.kkt <= NEXT_TO * curvature(nlp, x, p, point, conditions)
 
 
-def _limit_states(nlp: NLP, x: Array, g: Array, every: MultiplierSet, price: float) -> list[LimitState]:
+def _limit_states(nlp: NLP, x: Array, g: Array, multiplier_set: MultiplierSet, price: float) -> list[LimitState]:
     """Return every finite bound of the design variables and every limit in display units.
 
     Rows that share a limit and a label are one limit: the tightest of them is shown, with the sum of their multipliers.
@@ -349,40 +349,42 @@ def _limit_states(nlp: NLP, x: Array, g: Array, every: MultiplierSet, price: flo
             bound = low if side == ">=" else high
             if scale.cosine and abs(bound) >= 1.0:
                 continue
-            state = _limit_state(key, name, float(value), float(bound), side, scale, float(every.multipliers[entry]), price)
+            state = _limit_state(
+                key, name, float(value), float(bound), side, scale, float(multiplier_set.multipliers[entry]), price
+            )
             state = state if limits else replace(state, active=False)
             other = states.get((key, name, side))
             if other is not None:
                 tightest = min(other, state, key=lambda s: s.slack)
                 state = replace(tightest, multiplier=other.multiplier + state.multiplier)
             states[key, name, side] = state
-            if every.directions.size and state.active:
+            if multiplier_set.directions.size and state.active:
                 slope = price / scale.slope(bound)
-                weights = relaxed.setdefault((key, name, side), np.zeros(len(every.multipliers)))
-                weights[entry] = slope if side == "=" else abs(slope) * every.sign[entry]
-    return _alone(states, relaxed, every) if relaxed else list(states.values())
+                weights = relaxed.setdefault((key, name, side), np.zeros(len(multiplier_set.multipliers)))
+                weights[entry] = slope if side == "=" else abs(slope) * multiplier_set.sign[entry]
+    return _alone(states, relaxed, multiplier_set) if relaxed else list(states.values())
 
 
 Labels = tuple[str, str, str]
 
 
-def _alone(states: dict[Labels, LimitState], relaxed: dict[Labels, Array], every: MultiplierSet) -> list[LimitState]:
+def _alone(states: dict[Labels, LimitState], relaxed: dict[Labels, Array], multiplier_set: MultiplierSet) -> list[LimitState]:
     """Give limits whose multipliers are not unique the effect of relaxing one of them alone, and of all that depend on it.
 
     `relaxed`: weights of the multipliers in the effect of relaxing each active limit by one unit (of raising an equality).
     """
-    found = {at: every.least(weights)[0] for at, weights in relaxed.items() if every.changes(weights)}
-    most = {at: -every.least(-relaxed[at])[0] for at in found}
-    several = {at: gain for at, gain in found.items() if not math.isclose(most[at], gain, rel_tol=LEAST_PRICE)}
+    gains = {at: multiplier_set.least(weights)[0] for at, weights in relaxed.items() if multiplier_set.changes(weights)}
+    most = {at: -multiplier_set.least(-relaxed[at])[0] for at in gains}
+    several = {at: gain for at, gain in gains.items() if not math.isclose(most[at], gain, rel_tol=LEAST_PRICE)}
     for at, gain in several.items():
         state = states[at]
         states[at] = replace(state, multiplier=0.0 + (gain if state.sense == ">=" else -gain))
-    shares = every.directions @ np.linalg.pinv(every.directions)
+    shares = multiplier_set.directions @ np.linalg.pinv(multiplier_set.directions)
     inequalities = [at for at in several if at[2] != "="]
     for at in inequalities:
         reach = np.max(np.abs(shares[relaxed[at] != 0.0]), axis=0)
         others = [other for other in inequalities if other != at and np.any(reach[relaxed[other] != 0.0] > SAME_SUM)]
-        joint = every.least(np.sum([relaxed[limit] for limit in (at, *others)], axis=0))[0]
+        joint = multiplier_set.least(np.sum([relaxed[limit] for limit in (at, *others)], axis=0))[0]
         if joint - sum(several[limit] for limit in (at, *others)) > LEAST_PRICE * joint:
             names = tuple(states[other].name for other in others)
             states[at] = replace(states[at], depends_on=names, joint_gain=joint)

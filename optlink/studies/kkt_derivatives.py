@@ -102,7 +102,7 @@ class KKTSystem:
         strong = [i for i in conditions.active if self.equal[i] or abs(conditions.multipliers[i]) > MIN_MULTIPLIER]
         self.multipliers = np.zeros(n + m)
         self.multipliers[strong] = conditions.multipliers[strong]
-        self.every = MultiplierSet.of(nlp, x, point, self.multipliers)
+        self.multiplier_set = MultiplierSet.of(nlp, x, point, self.multipliers)
         self.values = np.concatenate([x, point.g])
         hessian, gradient, rows = _lagrangian(nlp, x, p, self.multipliers[n:])
         slopes = np.vstack([np.eye(n, n + len(p)), rows])  # derivatives of x and the rows by x and p
@@ -173,10 +173,10 @@ class KKTSystem:
         ----------
         push : KKTPerturbation
         """
-        change = np.where(self.every.sign + np.sign(self.multipliers) > 0.0, push.upper, push.lower) - push.entries
-        if not self.every.directions.size or not self.every.changes(change):
+        change = np.where(self.multiplier_set.sign + np.sign(self.multipliers) > 0.0, push.upper, push.lower) - push.entries
+        if not self.multiplier_set.directions.size or not self.multiplier_set.changes(change):
             return self
-        value, multipliers = self.every.least(change)
+        value, multipliers = self.multiplier_set.least(change)
         if not math.isfinite(value):
             return None
         return type(self)(self.solution, Stationarity(multipliers, np.flatnonzero(multipliers).tolist(), 0.0))

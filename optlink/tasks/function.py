@@ -33,7 +33,7 @@ from optlink.solvers.solution import EXACTLY_MET, Relaxation, Solution
 from optlink.tasks.machine import check_names, turning_machine
 from optlink.tasks.protocol import DesignTask, Search, Timer, agreement, part
 from optlink.tasks.results.certificate import CertificateRecord
-from optlink.tasks.results.common import SingleRecord, SingleResult, shortest_link
+from optlink.tasks.results.common import SingleRecord, SingleResult, shortest_link, verified
 from optlink.tasks.results.evidence import Evidence, evidence
 from optlink.tasks.results.fit import Fit, law_fit
 from optlink.units import show
@@ -267,9 +267,8 @@ def _search(problem: ProblemFile, search: Search) -> FunctionResult:
     conflict: Conflict = ((), ())
     chosen = min(searches.values(), key=lambda item: item.result.rank)
     winner = chosen.result
-    if not chosen.usable or (
-        winner.rank[0] and winner.solution.violation > EXACTLY_MET
-    ):  # a limit is met within the tolerance only
+    verified_winner = verified(winner.solution.status, winner.validation)
+    if not chosen.usable or (not verified_winner and winner.solution.violation > EXACTLY_MET):  # met within the tolerance only
         for exactly in (True,) if chosen.usable else (False, True):
             _, miss, conflict = reason(exactly)
             if miss is not None:
