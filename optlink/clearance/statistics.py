@@ -26,7 +26,7 @@ WATCHED = 25
 """Revolutions of the second run."""
 
 _PLAIN = (
-    *("count", "contacts", "largest", "imbalance", "first", "sums", "every"),
+    *("count", "contacts", "largest", "imbalance", "first", "datum", "sums", "every"),
     *("peak", "depths", "forces", "torque", "correction", "settled"),
 )
 
@@ -43,7 +43,8 @@ class Statistics:
         self.meanings: dict[str, str] = {}
         self.count = 0
         self.largest = self.imbalance = 0.0
-        self.first: float | None = None
+        self.first: float | None = None  # energy at the start [J]
+        self.datum = 0.0  # potential energy at the start [J]
         self.sums: dict[str, float] = dict.fromkeys(("square", "rows", "effort", "torque"), 0.0)
         self.every: dict[str, float] = dict.fromkeys(("square", "rows"), 0.0)
         self.peak = self.torque = self.correction = 0.0
@@ -62,8 +63,8 @@ class Statistics:
         """
         if self.first is None:
             closed_loop = self.closed_loop
-            self.first = float(closed_loop.record(SimulatedRevolution(closed_loop.now(), np.zeros(1), ())).energy[0])
-            self.largest = abs(self.first)
+            begin = closed_loop.record(SimulatedRevolution(closed_loop.now(), np.zeros(1), ()))
+            self.first, self.datum = float(begin.energy[0]), float(np.ravel(begin.motion.potential)[0])
         turn = self.closed_loop.turn()
         record = self.closed_loop.record(turn)
         rows = self._rows(turn, record)
@@ -171,7 +172,8 @@ class Statistics:
         fed = 1 + len(self.closed_loop.equations.machine.loads)
         gained = works[:, :fed].sum(axis=1) - works[:, fed:].sum(axis=1)
         self.imbalance = max(self.imbalance, float(np.max(np.abs(energy - self.first - gained))))
-        self.largest = max(self.largest, float(np.max(np.abs(energy))))
+        raised = record.motion.potential - self.datum
+        self.largest = max(self.largest, float(np.max(energy - record.motion.potential)), float(np.max(np.abs(raised))))
 
     def figures(self) -> dict[str, float]:
         """Return the summary statistics by name (SI)."""

@@ -45,9 +45,9 @@ TOGETHER = 500  # steps whose rows are interpolated together
 class Run:
     """Simulated motion of a machine: crank angle [rad], speed, acceleration, driving torque [N m], works [J] at times (n,) [s].
 
-    `works`: of the drive, of each load, of friction; `energy`: kinetic + gravity. `drift` [m]: largest distance between the
-    twice integrated and the closed-loop positions of the bodies; `imbalance` [J]: largest error of the energy balance.
-    `last_turn`: mean speed [rad/s] and its fluctuation over the last revolution (`LastTurn.speed`).
+    `works`: of the drive, of each load, of friction; `kinetic`, `potential`: energies, that of gravity zero at y = 0. `drift`
+    [m]: largest distance between the twice integrated and the closed-loop positions of the bodies; `imbalance` [J]: largest error
+    of the energy balance. `last_turn`: mean speed [rad/s] and its fluctuation over the last revolution (`LastTurn.speed`).
     """
 
     time: Array
@@ -57,7 +57,8 @@ class Run:
     torque: Array
     direction: Array
     works: dict[str, Array]
-    energy: Array
+    kinetic: Array
+    potential: Array
     drift: float
     drift_angle: float
     imbalance: float
@@ -68,9 +69,14 @@ class Run:
     last_turn: tuple[float, float] | None
 
     @property
+    def energy(self) -> Array:
+        """Kinetic and potential energy [J] (n,)."""
+        return self.kinetic + self.potential
+
+    @property
     def turnover(self) -> float:
-        """Largest energy or work in the balance [J], the reference for the imbalance."""
-        every = [self.energy, *self.works.values()]
+        """Largest kinetic energy, change of potential energy or work [J], the reference for the imbalance."""
+        every = [self.kinetic, self.potential - self.potential[:1], *self.works.values()]
         return max(float(np.max(np.abs(values), initial=0.0)) for values in every)
 
 
@@ -354,8 +360,11 @@ class _Integration:
         if self.ending is Ending.AT_REST and speeds[-1] == 0.0:
             accelerations = np.where(np.arange(len(times)) == len(times) - 1, 0.0, accelerations)
         moving = geared.scaled(speeds, accelerations, ways)
-        energy = np.zeros(len(times)) + machine.kinetic(moving.state) + machine.weight(moving.state)
+        kinetic, potential = (
+            np.zeros(len(times)) + part for part in (machine.kinetic(moving.state), machine.weight(moving.state))
+        )
         works = {name: states[:, 2 + k] for k, name in enumerate(equations.names)}
+        energy = kinetic + potential
         imbalance = energy - energy[0] - sum(works.values())
         drift = twist = 0.0
         for k, body in enumerate(equations.bodies):
@@ -372,7 +381,8 @@ class _Integration:
             np.broadcast_to(np.asarray(torque, dtype=float), angles.shape),
             ways,
             works,
-            energy,
+            kinetic,
+            potential,
             drift,
             twist,
             float(np.max(np.abs(imbalance))),

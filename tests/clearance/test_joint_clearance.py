@@ -1191,6 +1191,11 @@ def machine(changes: Mapping[str, object]) -> optlink.ProblemFile:
     return optlink.read(edited(optlink.load("slider-crank-clearance").raw, changes), file="machine.toml")
 
 
+def test_the_largest_energy_does_not_depend_on_the_height_of_the_machine():
+    low, high = (simulate(machine({"mechanism.ground.A": ["0 m", y]}).raw, tolerance=1e-7).figures for y in ("0 m", "5 m"))
+    assert high["largest_energy_J"] == pytest.approx(low["largest_energy_J"], rel=1e-3)
+
+
 def refused(fault, key: str, message: str, remedy: str) -> None:
     assert fault.file == "machine.toml"
     assert fault.key == key

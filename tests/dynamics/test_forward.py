@@ -138,6 +138,17 @@ def test_pendulum_has_the_period_of_the_elliptic_integral():
     assert result.imbalance < 1e-9 * result.turnover
 
 
+def test_the_energy_does_not_depend_on_the_height_of_the_machine():
+    """Relative to the potential energy at y = 0 the imbalance of a machine far up would seem small."""
+    drive = {"torque": "0 N*m", "start": "-30 deg", "duration": "0.5 s"}
+    low, high = (
+        optlink.simulate(crank_alone(gravity="9.81 m/s^2", drive=drive).override({"mechanism.ground.A": ["0 m", y]})).run
+        for y in ("0 m", "40 m")
+    )
+    assert low.turnover == pytest.approx(2.0 * 9.81 * 0.25 * 0.5, rel=1e-5)  # from -30 deg down to hanging
+    assert high.turnover == pytest.approx(low.turnover, rel=1e-9)
+
+
 def test_motor_curve_and_torsional_damper_give_an_exponential():
     """J w' = 4 - 0.5 w - 0.3 w, from rest: w = 5 (1 - exp(-0.8 t / J))."""
     problem = crank_alone(
