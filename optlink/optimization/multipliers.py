@@ -98,6 +98,7 @@ class MultiplierSet:
             return cls(multipliers)
         left, singular, _ = np.linalg.svd(gradients[rows] / norms[rows, None])
         null = left[:, np.sum(singular > DEPENDENT * singular[0]) :]
+        null[np.linalg.norm(null, axis=1) <= SAME_SUM] = 0.0  # these gradients do not depend on others
         directions = np.zeros((len(multipliers), null.shape[1]))
         directions[rows] = null / norms[rows, None]
         return cls(multipliers, directions, sign)
