@@ -65,6 +65,7 @@ class Statistics:
             closed_loop = self.closed_loop
             begin = closed_loop.record(SimulatedRevolution(closed_loop.now(), np.zeros(1), ()))
             self.first, self.datum = float(begin.energy[0]), float(np.ravel(begin.motion.potential)[0])
+            self.largest = self.first - self.datum
         turn = self.closed_loop.turn()
         record = self.closed_loop.record(turn)
         rows = self._rows(turn, record)
