@@ -159,16 +159,17 @@ def _alone(programme: BalancingProgramme, duals: Sequence[float]) -> list[tuple[
         gradients[k] = 0.0 if slope is None else slope.toarray().ravel()
     known = np.array(duals)
     priced = known > PRICED * np.max(known, initial=0.0)
-    every = MultiplierSet.from_gradients(gradients, known, priced, np.ones(len(duals)))
-    unit = np.eye(len(duals))
-    single = [every.least(weights)[0] if every.directions.size and every.changes(weights) else None for weights in unit]
-    linked = np.abs(every.directions @ np.linalg.pinv(every.directions)) > PRICED if every.directions.size else unit > 1.0
-    return [
-        (dual, ())
-        if least is None or least >= dual * (1.0 - PRICED)
-        else (least, tuple(name for j, name in enumerate(names) if j != k and linked[k, j]))
-        for k, (dual, least) in enumerate(zip(duals, single, strict=True))
-    ]
+    multiplier_set = MultiplierSet.from_gradients(gradients, known, priced, np.ones(len(duals)))
+    if not multiplier_set.directions.size:
+        return [(dual, ()) for dual in duals]
+    linked = np.abs(multiplier_set.directions @ np.linalg.pinv(multiplier_set.directions)) > PRICED
+    alone: list[tuple[float, tuple[str, ...]]] = []
+    for k, (dual, weights) in enumerate(zip(duals, np.eye(len(duals)), strict=True)):
+        least = multiplier_set.least(weights)[0]
+        depends = least < dual * (1.0 - PRICED)
+        others = tuple(name for j, name in enumerate(names) if j != k and linked[k, j])
+        alone.append((least, others) if depends else (dual, ()))
+    return alone
 
 
 def _span(rows: Array) -> tuple[Array, Array]:
