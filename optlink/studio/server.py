@@ -38,6 +38,7 @@ RATE, BURST = 200.0, 400.0  # messages per second, and at once
 MAX_REFUSED = 2000  # refused messages after which a connection is closed
 MAX_REPORTED = 100  # refused messages that are answered one by one
 MAX_PAGES = 8  # at a time
+REMEMBERED_PAGES = 32  # whose history outlives their connection
 POLICY_VIOLATION = 1008  # code of a socket that is closed for breaking the rules
 TYPES = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".html": "text/html"}
 """Media types of the files of the page, whatever the system calls them."""
@@ -63,9 +64,7 @@ class Studio:
     def __init__(self, port: int, initial: str | None = None) -> None:
         self.port, self.opened, self.token = port, initial, secrets.token_urlsafe(32)
         self.links: set[Link] = set()
-        self._pages: dict[
-            str, Link
-        ] = {}  # by the name of the page; a page that reconnects continues with the history of its last one
+        self._pages: dict[str, Link] = {}  # the last ones by page: a page that reconnects continues with the history of its own
         self._spare: asyncio.Task[Worker | OSError] | None = None
         for ending, media in TYPES.items():
             mimetypes.add_type(media, ending)
@@ -135,6 +134,12 @@ class Studio:
 
     # --- the socket ---------------------------------------------------------------------------------------------------------
 
+    def _remember(self, page: str, link: Link) -> None:
+        """Keep the link of a page for its next connection, and forget the oldest ones."""
+        self._pages[page] = link
+        for oldest in list(self._pages)[:-REMEMBERED_PAGES]:
+            del self._pages[oldest]
+
     async def _live(self, ws: WebSocket) -> None:
         await ws.accept()
         if len(self.links) >= MAX_PAGES:  # the page can read why after it was accepted only
@@ -158,7 +163,7 @@ class Studio:
         if before is not None and (resumption := before.resumption(0)) is not None:
             name, begin = resumption["steps"][-1]["name"], resumption
         page = page if before is not None else secrets.token_urlsafe(8)
-        self._pages[page] = link
+        self._remember(page, link)
         self.links.add(link)
         try:
             await ws.send_text(json.dumps({**hello(name), "page": page}))

@@ -10,7 +10,7 @@ import signal
 import sys
 import urllib.error
 import urllib.request
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ import websockets
 
 from optlink.studio.document import named
 from optlink.studio.link import Link, Worker
-from optlink.studio.server import FULL, MAX_PAGES, Studio, parsed
+from optlink.studio.server import FULL, MAX_PAGES, REMEMBERED_PAGES, Studio, parsed
 
 SECONDS = 60.0
 
@@ -232,6 +232,22 @@ class Scripted:
         pass
 
 
+async def sent_to_the_page(first: Scripted, another: Callable[[], Any]) -> list[dict[str, Any]]:
+    """The messages of a link to a first process that has one request, and ends; `another` starts the next ones."""
+    sent = list[dict[str, Any]]()
+
+    async def send(text: str) -> None:
+        sent.append(json.loads(text))
+
+    link = Link(first, send, another)  # type: ignore[arg-type]
+    link.request({"type": "set", "id": 7})
+    for _ in range(50):
+        await asyncio.sleep(0)
+    link._reader.cancel()
+    link._cancel()
+    return sent
+
+
 def test_the_history_outlives_the_process_that_computes() -> None:
     """A first failure opens the document that was being computed again, a second one the step before it, with redo."""
 
@@ -243,20 +259,12 @@ def test_the_history_outlives_the_process_that_computes() -> None:
             {"type": "kept", "step": "move", "way": -1},
         )
         following = [Scripted() for _ in range(4)]
-        made, sent = iter(following), list[dict[str, Any]]()
+        made = iter(following)
 
         async def another() -> Any:
             return next(made)
 
-        async def send(text: str) -> None:
-            sent.append(json.loads(text))
-
-        link = Link(first, send, another)  # type: ignore[arg-type]
-        link.request({"type": "set", "id": 7})
-        for _ in range(50):
-            await asyncio.sleep(0)
-        link._reader.cancel()
-        link._cancel()
+        sent = await sent_to_the_page(first, another)
         return [process.sent for process in following], sent
 
     resumed, sent = asyncio.run(run())
@@ -264,6 +272,14 @@ def test_the_history_outlives_the_process_that_computes() -> None:
         [("resume", 7, 2, 4)], [("resume", 7, 1, 4)], [("resume", 7, 0, 4)], []
     ]  # fmt: skip
     assert [one["message"].partition(". ")[2].split()[0] for one in sent] == ["Your", "The", "The", "Open"]
+
+
+def test_the_studio_forgets_the_oldest_pages() -> None:
+    """Every reload of a page is a new one: their histories must not pile up."""
+    server, links = Studio(1), [object() for _ in range(100)]
+    for k, link in enumerate(links):
+        server._remember(str(k), link)  # type: ignore[arg-type]
+    assert list(server._pages.values()) == links[-REMEMBERED_PAGES:]
 
 
 async def _reconnection(folder: Path) -> None:
@@ -357,7 +373,7 @@ def test_a_process_that_cannot_be_started_is_a_sentence_on_the_page(monkeypatch:
     async def lose_process() -> tuple[list[Any], list[str]]:
         step = {"name": "a", "text": "one"}
         first = Scripted({"type": "kept", "step": "open", "steps": [step], "at": 0, "origin": "one"})
-        second, sent, tries = Scripted(), list[str](), 0
+        second, tries = Scripted(), 0
         monkeypatch.setattr(second, "send", second.sent.append)  # it does not end
         monkeypatch.setattr("optlink.studio.link.RESTART_DELAY", 0.0)
 
@@ -368,16 +384,8 @@ def test_a_process_that_cannot_be_started_is_a_sentence_on_the_page(monkeypatch:
                 raise full
             return second
 
-        async def send(text: str) -> None:
-            sent.append(json.loads(text)["message"])
-
-        link = Link(first, send, another)  # type: ignore[arg-type]
-        link.request({"type": "set", "id": 7})
-        for _ in range(50):
-            await asyncio.sleep(0)
-        link._reader.cancel()
-        link._cancel()
-        return second.sent, sent
+        sent = await sent_to_the_page(first, another)
+        return second.sent, [message["message"] for message in sent]
 
     resumed, sent = asyncio.run(lose_process())
     assert resumed[0]["type"] == "resume"
