@@ -4,7 +4,8 @@
     ├── InputError    the user's file, key or value is not usable       exit code 2
     └── SolverError   unexpected breakdown of a solver                  exit code 3
 
-An infeasible problem or a design that fails its validation raises no exception: it is a result (`Status`).
+An infeasible problem or a design that fails its validation raises no exception: it is a result (`Status`). Any other exception is
+a fault of optlink: exit code 4.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Command line: registration of all commands, and the entry point.
 
-Exit codes: 0: done and valid. 1: solved, but not valid or not feasible. 2: invalid input. 3: solver failure. 130: interrupted.
-141: the output pipe is closed.
+Exit codes: those of `EXIT_CODES`, and 141: the output pipe is closed.
 """
 
 import contextlib
@@ -17,6 +16,7 @@ import typer
 
 from optlink.cli import report, show, simulate, solve, studio, study
 from optlink.cli.command import COMMANDS, App
+from optlink.cli.console import is_lost_output
 from optlink.execution import interrupts
 
 CLOSED = 141
@@ -25,12 +25,15 @@ CLOSED = 141
 COMPLETION = "_OPTLINK_COMPLETE"
 """Environment variable by which a shell asks for completions."""
 
-NO_OUTPUT = (errno.EPIPE, errno.ENOSPC, errno.EIO, errno.EFBIG)
-"""Errors that make standard output or standard error unusable."""
+EXIT_CODES = (
+    "Exit codes: 0 done and valid; 1 not valid or not feasible; 2 invalid input; 3 solver failure; "
+    "4 a fault of optlink; 130 interrupted."
+)
 
 app = App(
     name="optlink",
     help="Describe a planar linkage and its requirements; get a design that is optimised, verified and explained.",
+    epilog=EXIT_CODES,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -83,7 +86,7 @@ def main() -> None:
             interrupts.leave()
         raise
     except OSError as error:
-        if error.filename is not None or error.errno not in NO_OUTPUT:
+        if not is_lost_output(error):
             raise
         _discard(output)
         if error.errno == errno.EPIPE:

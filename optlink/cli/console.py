@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import sys
@@ -28,15 +29,25 @@ pictures = "png"  # format of the pictures of --out
 printed = False  # whether the JSON document is printed
 _kept: list[contextlib.ExitStack] = []  # contexts held until the command ends
 
+FAULT = 4
+"""Exit code of an unexpected exception, which is a fault of optlink."""
+
+DEBUG = "OPTLINK_DEBUG"
+"""Environment variable; if it is not empty, the traceback of an unexpected exception is printed."""
+
+NO_OUTPUT = (errno.EPIPE, errno.ENOSPC, errno.EIO, errno.EFBIG)
+"""Errors that make standard output or standard error unusable."""
+
 
 # --- output ------------------------------------------------------------------------------------------------------------------
 
 
 @contextlib.contextmanager
 def reported(as_json: bool, options: Mapping[str, tuple[str, str]] | None = None) -> Iterator[None]:
-    """Print an `OptlinkError` as a message on standard error (and as JSON on request), and exit with its code.
+    """Print an error as a message on standard error (and as JSON on request), and exit with its code.
 
-    An interrupted command ends with the exit code 130, also if it has shown complete results.
+    An interrupted command ends with the exit code 130, also if it has shown complete results. Errors of the output streams are
+    passed on.
 
     Parameters
     ----------
@@ -44,6 +55,8 @@ def reported(as_json: bool, options: Mapping[str, tuple[str, str]] | None = None
     options : mapping of str to (str, str), optional
         Option and its value as typed, by the names of its parameter: a library function names the parameter, and the value [SI].
     """
+    global printed  # noqa: PLW0603
+    printed = bool(_kept) and printed
     try:
         with contextlib.ExitStack() as stack:
             _kept.append(stack)
@@ -66,16 +79,36 @@ def reported(as_json: bool, options: Mapping[str, tuple[str, str]] | None = None
             print_failure("\n".join(lines), entries)
         raise typer.Exit(error.exit_code) from None
     except (Exception, KeyboardInterrupt) as error:
-        if not (interrupts.interrupted() or isinstance(error, KeyboardInterrupt)):
+        if interrupts.interrupted() or isinstance(error, KeyboardInterrupt):
+            interrupts.handled()  # other errors follow from it, as those of a module that was not loaded to its end
+            message, code = "interrupted before there was a result", interrupts.EXIT_CODE
+        elif is_lost_output(error):
             raise
-        interrupts.handled()  # other errors follow from it, as those of a module that was not loaded to its end
-        message = "interrupted before there was a result"
+        else:
+            message, code = _as_fault(error), FAULT
         print(f"Error: {message}", file=sys.stderr)
         if as_json and not printed:
             print_failure(message, [])
-        raise typer.Exit(interrupts.EXIT_CODE) from None
+        raise typer.Exit(code) from None
     if interrupts.interrupted():
         raise typer.Exit(interrupts.EXIT_CODE)
+
+
+def is_lost_output(error: BaseException) -> bool:
+    """Return whether standard output or standard error cannot be written."""
+    return isinstance(error, OSError) and error.filename is None and error.errno in NO_OUTPUT
+
+
+def _as_fault(error: BaseException) -> str:
+    """Return the message of an unexpected exception; its traceback is printed on request."""
+    report = f"{DEBUG}=1 prints the traceback"
+    if os.environ.get(DEBUG):
+        import traceback
+
+        traceback.print_exception(error)
+        report = "the traceback is above"
+    what = ": ".join(text for text in (type(error).__name__, shown(error)) if text)
+    return f"unexpected {what}. This is a fault of optlink, please report it with the command and its files; {report}"
 
 
 def _as_typed(fault: Fault, options: Mapping[str, tuple[str, str]]) -> Fault:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,7 +50,7 @@ class MultiplierSet:
     """All multipliers of an optimum: `multipliers` (n + m,), and others if gradients of active limits are linearly dependent.
 
     These are `multipliers + directions @ t` with the signs of their limits: `sign` (n + m,) is zero of equalities and inactive
-    limits. `directions` (n + m, k) is empty if the multipliers are unique.
+    limits. `directions` (n + m, k) has no columns if the multipliers are unique.
 
     References
     ----------
@@ -59,8 +59,13 @@ class MultiplierSet:
     """
 
     multipliers: Array
-    directions: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    sign: Array = field(default_factory=lambda: np.zeros(0))
+    directions: Array
+    sign: Array
+
+    @classmethod
+    def unique(cls, multipliers: Array) -> MultiplierSet:
+        """Return a set of one element, for multipliers (n + m,) that are shown and not changed."""
+        return cls(multipliers, np.zeros((len(multipliers), 0)), np.zeros(len(multipliers)))
 
     @classmethod
     def of(cls, nlp: NLP, x: Array, point: NLPValues, multipliers: Array) -> MultiplierSet:
@@ -94,10 +99,8 @@ class MultiplierSet:
         """
         norms = np.linalg.norm(gradients, axis=1)
         rows = np.flatnonzero(active & (norms > 0.0))
-        if not len(rows):
-            return cls(multipliers)
         left, singular, _ = np.linalg.svd(gradients[rows] / norms[rows, None])
-        null = left[:, np.sum(singular > DEPENDENT * singular[0]) :]
+        null = left[:, np.sum(singular > DEPENDENT * np.max(singular, initial=0.0)) :]
         null[np.linalg.norm(null, axis=1) <= SAME_SUM] = 0.0  # these gradients do not depend on others
         directions = np.zeros((len(multipliers), null.shape[1]))
         directions[rows] = null / norms[rows, None]

@@ -159,7 +159,7 @@ class Solution(Summary):
         significant = np.where(met | (np.abs(multipliers) <= self._least_multiplier), 0.0, multipliers)
         point = self.nlp.at(self.x, self.p)
         known = point.finite and bool(np.any(significant))
-        all_multipliers = MultiplierSet.of(self.nlp, self.x, point, significant) if known else MultiplierSet(significant)
+        all_multipliers = MultiplierSet.of(self.nlp, self.x, point, significant) if known else MultiplierSet.unique(significant)
         return tuple(_limit_states(self.nlp, self.x, self.g, all_multipliers, self.price))
 
     @property

@@ -202,6 +202,42 @@ def test_error_with_json_is_one_document():
     assert "Traceback" not in done.stderr
 
 
+@pytest.fixture
+def faulty(monkeypatch):
+    """A program with a fault: the analysis of a machine raises an exception."""
+
+    def analyze(*_, **__):
+        raise ZeroDivisionError("of\none by zero")
+
+    monkeypatch.setattr("optlink.tasks.analyze.analyze", analyze)
+
+
+@pytest.mark.usefixtures("faulty")
+def test_a_fault_has_an_exit_code_of_its_own_and_one_sentence(monkeypatch):
+    done = run("analyze", "six-bar", "--json")
+    assert done.exit_code == 4
+    assert done.stderr.startswith("Error: unexpected ZeroDivisionError: of one by zero. This is a fault of optlink, ")
+    assert done.stderr.endswith("OPTLINK_DEBUG=1 prints the traceback\n")
+    assert done.stderr.count("\n") == 1
+    document = json.loads(done.stdout)
+    assert (document["status"], f"Error: {document['message']}\n") == ("error", done.stderr)
+    monkeypatch.setenv("OPTLINK_DEBUG", "1")
+    debugged = run("analyze", "six-bar")
+    assert debugged.exit_code == 4
+    assert "in analyze\n" in debugged.stderr
+    assert debugged.stderr.count("Error: unexpected") == 1
+
+
+@pytest.mark.slow
+def test_a_fault_ends_the_process_with_4():
+    program = (
+        "from unittest.mock import patch\nimport optlink.cli.app as app\npatch('optlink.linkage.motion.sweep', int).start()\n"
+    )
+    program += "app.main()"
+    done = subprocess.run([sys.executable, "-c", program, "analyze", "six-bar"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr.count("\n")) == (4, 1), done.stderr
+
+
 @pytest.mark.slow
 def test_usage_error_with_json_is_one_document_too():
     for arguments in (("solve", "crank-rocker", "--json", "--starts", "many"), ("solve", "--json"), ("fly", "--json")):
@@ -415,6 +451,7 @@ def test_launcher_in_a_checkout():
 
 def test_help_and_version():
     assert "Commands" in run("--help").stdout
+    assert "4 a fault of optlink" in run("--help").stdout
     assert run("--version").stdout.startswith("optlink ")
     for command in ("list", "show", "solve", "validate", "analyze", "balance", "simulate", "report", "export", "study"):
         assert run(command, "--help").exit_code == 0

@@ -144,3 +144,14 @@ def test_an_equality_that_another_limit_keeps_from_rising_has_an_infinite_price(
     assert least(np.array([1.0, 0.0]))[0] == -np.inf
     assert least(np.array([0.0, 1.0]))[0] == 0.0
     assert least(np.array([1.0, 1.0]))[0] == 1.0
+
+
+def test_the_sets_of_optima_with_and_without_active_limits_have_the_same_shapes() -> None:
+    """Three limits with independent gradients, of which the first ones are active."""
+    gradients, sign, multipliers = np.eye(3, 4), np.array([1.0, -1.0, 0.0]), np.array([0.5, -2.0, 0.0])
+    for count in range(4):
+        every = MultiplierSet.from_gradients(gradients, multipliers, np.arange(3) < count, sign)
+        assert every.directions.shape == (3, 0)
+        assert every.sign.shape == (3,)
+        assert every.least(np.array([1.0, 2.0, 3.0])) == (-3.5, pytest.approx(multipliers))
+    assert MultiplierSet.unique(multipliers).least(np.array([1.0, 2.0, 3.0]))[0] == -3.5

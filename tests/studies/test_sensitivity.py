@@ -102,6 +102,15 @@ def test_the_built_in_check_agrees_on_variations(overrides):
     assert result.gap < 1e-5
 
 
+@pytest.mark.parametrize("dimension", ["frame", "crank"])
+def test_an_optimum_without_active_limits(dimension):
+    file = optlink.load("path-arc5", {f"mechanism.{dimension}": "2.9 mm"})
+    result = sensitivities(file, starts=3, check=True)
+    assert not [limit.name for limit in optlink.solve(file, starts=3).best.solution.limits if limit.active]
+    assert [row.parameter.key for row in result.moving] == [f"mechanism.{dimension}"]
+    assert result.gap < 1e-5
+
+
 @pytest.mark.slow
 def test_the_check_of_a_largest_error_has_all_digits():
     """IPOPT ends 1e-8 above the optimum where many values are nearly the largest: the gap was 4e-4, and the exit code 1."""

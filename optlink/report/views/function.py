@@ -226,18 +226,21 @@ def frames(result: FunctionResult, count: int = 90) -> list[Image.Image]:
     full = angles[-1] - angles[0] > 2.0 * np.pi - 1e-6
     motion = _moved(result, angles)
     sketch = Sketch(motion)
-    once = result.design["phi0"] + np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
+    begin, span = result.design["phi0"], result.problem.spec.span
+    known = math.isfinite(begin)  # no start: a linkage without the dead centre at which the law begins
+    once = (begin if known else 0.0) + np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
     steps = once if full else there_and_back(float(angles[0]), float(angles[-1]), count)
     psi, crank = np.degrees(np.asarray(motion.body_angle("rocker").value)), np.degrees(angles)
     at = (np.degrees(steps) - crank[0]) % 360.0 + crank[0] if full else np.degrees(steps)
-    begin, span = math.degrees(result.design["phi0"]), math.degrees(result.problem.spec.span)
 
     traces = [Curve(crank, psi, "", ROCKER)]
     x = Axis("crank angle φ [deg]", (float(crank[0]), float(crank[-1])), step=60.0)
     strip = ChartSpec("", "", [Panel(Axis("rocker angle ψ [deg]"), traces)], x)
 
     def required(axes: Axes) -> None:
-        ends = {"theta1": min(begin, begin + span), "theta2": max(begin, begin + span)}
+        if not known:
+            return
+        ends = {"theta1": math.degrees(min(begin, begin + span)), "theta2": math.degrees(max(begin, begin + span))}
         size = 1.1 * result.design["crank"] * sketch.scale.factor
         axes.add_patch(Arc((0.0, 0.0), size, size, color=MUTED, linewidth=1.3, **ends))
 
