@@ -1,12 +1,15 @@
 """The command `studio`: a page in the browser on which a linkage is optimised again while one of its handles is dragged."""
 
+import contextlib
 import importlib.util
 import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from optlink.cli import console
 from optlink.cli.completion import problem_names
 from optlink.cli.options import Quiet, flag, option
 from optlink.errors import InputError
@@ -29,18 +32,41 @@ def studio(
     if missing:
         remedy = 'Install them: pip install "optlink[studio]"'
         raise InputError(f"the studio needs packages that are not installed: {', '.join(missing)}", remedy)
-    if problem:
-        console.load(problem, None)
+    from optlink.studio.document import named
     from optlink.studio.server import serve
 
-    def ready(url: str) -> None:
-        print(f"The studio is open at {url}", flush=True)
-        if not quiet:
-            print("Stop it with Ctrl-C.", file=sys.stderr)
-        if browser:
-            import threading
-            import webbrowser
+    if problem:
+        named(problem)
+    with contextlib.ExitStack() as until_end:
 
-            threading.Thread(target=webbrowser.open, args=[url], daemon=True).start()
+        def ready(url: str) -> None:
+            print(f"The studio is open at {url}", flush=True)
+            if not quiet:
+                print("Stop it with Ctrl-C.", file=sys.stderr)
+            if browser:
+                import threading
+                import webbrowser
 
-    serve(problem or None, port, ready)
+                page = until_end.enter_context(_link_file(url))
+                threading.Thread(target=webbrowser.open, args=[page], daemon=True).start()
+
+        serve(problem or None, port, ready)
+
+
+@contextlib.contextmanager
+def _link_file(url: str) -> Iterator[str]:
+    """Yield the address of a page that leads to the studio and that this user alone can read.
+
+    The address itself must not be an argument of the browser: the list of processes shows it to every user.
+    """
+    folder = Path.home() if sys.platform == "linux" else None  # browsers in a sandbox see no folder of temporary files
+    try:
+        handle, name = tempfile.mkstemp(".html", "optlink-studio-", folder)
+    except OSError:
+        handle, name = tempfile.mkstemp(".html", "optlink-studio-")
+    try:
+        with open(handle, "w", encoding="utf-8") as file:
+            file.write(f'<!doctype html><title>optlink studio</title><meta http-equiv="refresh" content="0; url={url}">\n')
+        yield Path(name).as_uri()
+    finally:
+        Path(name).unlink(missing_ok=True)

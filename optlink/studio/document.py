@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-import tempfile
+import contextlib
+import os
+import stat
 import tomllib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
@@ -19,6 +21,7 @@ from optlink.report import toml_text
 from optlink.studies.toml_keys import exact_text
 from optlink.version import VERSION
 
+NO_FOLDER = Path(__file__)  # of a problem without files: below a file no other one can lie, whoever may write into which folder
 SIZE_MARGIN = 0.5  # share of a size by which it may change where the file has no bounds for it
 
 
@@ -71,10 +74,8 @@ class Document:
         ----------
         known : collection of str
         """
-        try:
-            return (self.folder / self.file).read_text(encoding="utf-8-sig") not in known
-        except (OSError, ValueError):
-            return False
+        file = self.folder / self.file
+        return os.path.exists(file) and _file_text(file) not in known
 
     def with_changes(self, changes: Mapping[str, object]) -> Document:
         """Return the document with other values at dotted keys; comments and layout are kept.
@@ -143,9 +144,26 @@ def named(name: str) -> Document:
     InputError
         If it does not exist or is not usable.
     """
-    problem = load(name)
-    path = shipped()[name] if name in shipped() else Path(name)
-    return Document(problem.name, path.read_text(encoding="utf-8-sig"), problem.folder)
+    path = shipped().get(name, Path(name))
+    if os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path):
+        remedy = "Write it into a .toml file: the studio reads it again whenever a page is opened"
+        raise InputError("this is a pipe or a device, not a file", remedy, name)
+    problem, text = load(name), _file_text(path)
+    if text is None:
+        raise InputError("the file was changed while it was read", "Open it again", name)
+    return Document(problem.name, text, problem.folder)
+
+
+def _file_text(path: Path) -> str | None:
+    """Return the text of a problem file; None if there is none, also for a pipe, which waits, and a device, which may not end."""
+    with contextlib.suppress(OSError, ValueError), open(path, encoding="utf-8-sig", opener=_without_waiting) as stream:
+        if stat.S_ISREG(os.fstat(stream.fileno()).st_mode) and len(text := stream.read(MAX_BYTES + 1)) <= MAX_BYTES:
+            return text
+    return None
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def shipped_problem(name: str) -> Document:
@@ -168,7 +186,7 @@ def from_template(name: str) -> Document:
     InputError
         If there is no such template.
     """
-    return Document(name, template(name).text, _empty_folder())
+    return Document(name, template(name).text, NO_FOLDER)
 
 
 def from_text(text: str, title: str) -> Document:
@@ -195,7 +213,7 @@ def from_text(text: str, title: str) -> Document:
     if file_reference is not None:
         remedy = f"Open it from its folder: optlink studio {file}"
         raise InputError("a problem that is opened in the page cannot read other files", remedy, file, value=file_reference)
-    document = Document(name, text, _empty_folder())
+    document = Document(name, text, NO_FOLDER)
     _ = document.problem
     return document
 
@@ -215,11 +233,6 @@ def hello(opened: str | None) -> dict[str, Any]:
         problems.append({"name": name, "title": raw.get("title", name), "kind": kind})
     drafts = [{"name": name, "title": template(name).summary} for name in templates()]
     return {"type": "hello", "version": VERSION, "problems": problems, "templates": drafts, "opened": opened}
-
-
-def _empty_folder() -> Path:
-    """Return a folder in which no file lies."""
-    return Path(tempfile.gettempdir()) / "optlink-studio-has-no-files"
 
 
 def tables(text: str, file: str) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """The server of the studio: one page, its files, and one socket, on this machine alone.
 
-Nothing is answered without the token of the address; a socket must come from the page of this server, and the host must be this
-machine, so that no page of another origin can use it.
+The page and its files are the same for everyone. Problems go through the socket alone: it must come from the page of this server,
+with the token of the address. There is no cookie: browsers send the cookies of one port to all other servers of this machine.
 """
 
 import asyncio
@@ -11,7 +11,6 @@ import mimetypes
 import secrets
 import signal
 import socket
-import time
 from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -29,25 +28,17 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from optlink.errors import InputError
 from optlink.studio.document import hello
 from optlink.studio.link import UNSTARTED_TEXT, Link, Worker
+from optlink.studio.requests import MAX_MESSAGE, TOO_MANY, Requests
 
 ASSETS = Path(__file__).parent / "assets"
 ADDRESS = "127.0.0.1"
 HOSTS = (ADDRESS, "localhost")
-MAX_MESSAGE = 1_000_000  # bytes of a message
-RATE, BURST = 200.0, 400.0  # messages per second, and at once
-MAX_REFUSED = 2000  # refused messages after which a connection is closed
-MAX_REPORTED = 100  # refused messages that are answered one by one
 MAX_PAGES = 8  # at a time
 REMEMBERED_PAGES = 32  # whose history outlives their connection
 POLICY_VIOLATION = 1008  # code of a socket that is closed for breaking the rules
 TYPES = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".html": "text/html"}
 """Media types of the files of the page, whatever the system calls them."""
-REQUESTS = (
-    *("open", "new", "drag", "set", "lock", "search", "stop", "undo", "redo"),
-    *("draw", "choose", "save", "export", "link"),
-)
 FULL = f"{MAX_PAGES} pages of the studio are open. Close one, and reconnect."
-QUOTA = "Too many requests. Send fewer than 200 a second"
 
 
 class Studio:
@@ -76,11 +67,6 @@ class Studio:
     def url(self) -> str:
         """Address of the page, with its token."""
         return f"http://{ADDRESS}:{self.port}/?token={self.token}"
-
-    @property
-    def cookie(self) -> str:
-        """Name of the cookie of this server."""
-        return f"optlink-studio-{self.port}"
 
     @property
     def hosts(self) -> set[str]:
@@ -128,9 +114,7 @@ class Studio:
     # --- pages --------------------------------------------------------------------------------------------------------------
 
     async def _page(self, request: Request) -> Response:
-        answer = FileResponse(ASSETS / "index.html")
-        answer.set_cookie(self.cookie, self.token, httponly=True, samesite="strict", path="/")
-        return answer
+        return FileResponse(ASSETS / "index.html")
 
     # --- the socket ---------------------------------------------------------------------------------------------------------
 
@@ -202,52 +186,23 @@ async def _started() -> Worker | OSError:
 
 async def _listen(ws: WebSocket, link: Link) -> None:
     """Take the requests of a page; refuse what is malformed or too much, and close the socket after much of it."""
-    left, last, refused = BURST, time.monotonic(), 0
+    requests = Requests()
     while True:
         event = await ws.receive()
         if event["type"] == "websocket.disconnect":
             raise WebSocketDisconnect(event.get("code") or 1000)
-        now = time.monotonic()
-        left, last = max(min(BURST, left + RATE * (now - last)) - 1.0, -BURST), now
-        text = event.get("text")
-        request = parsed(text) if isinstance(text, str) else None
-        if request is not None and (left >= 0.0 or (request["type"] == "drag" and request.get("moving"))):
+        request, refusal = requests.take(event.get("text"))
+        if request is not None:
             link.request(request)
-            continue
-        refused += 1
-        if refused > MAX_REFUSED:
-            await ws.close(POLICY_VIOLATION, "too many malformed messages")
+        if requests.closed:
+            await ws.close(POLICY_VIOLATION, TOO_MANY)
             raise WebSocketDisconnect(POLICY_VIOLATION)
-        if (
-            refused <= MAX_REPORTED or refused % MAX_REPORTED == 0
-        ):  # a page that does not read its answers must not block the count
-            words = MALFORMED if request is None else QUOTA
-            await ws.send_text(json.dumps({"type": "fault", "id": None if request is None else request["id"], "message": words}))
-
-
-MALFORMED = "The message is not a request. Send a JSON object with a known type and an id (a whole number), of at most 1 MB"
-
-
-def parsed(text: str) -> dict[str, Any] | None:
-    """Return the request of a message; None if it is none."""
-    if len(text) > MAX_MESSAGE:
-        return None
-    try:
-        request = json.loads(text, parse_constant=_refuse)
-    except (ValueError, RecursionError):
-        return None
-    if not isinstance(request, dict) or not isinstance(request.get("type"), str) or request["type"] not in REQUESTS:
-        return None
-    ident = request.get("id")
-    return request if isinstance(ident, int) and not isinstance(ident, bool) and 0 <= ident < 2**53 else None
-
-
-def _refuse(text: str) -> None:
-    raise ValueError(text)
+        if refusal is not None:
+            await ws.send_text(refusal)
 
 
 class _Guard:
-    """Refuses every request without the token, of another host or of another origin, before anything else sees it."""
+    """Refuses every request of another host or origin, and every socket without the token, before anything else sees it."""
 
     def __init__(self, app: ASGIApp, studio: Studio) -> None:
         self.app, self.studio = app, studio
@@ -259,15 +214,15 @@ class _Guard:
             return
         studio, live, request = self.studio, scope["type"] == "websocket", HTTPConnection(scope)
         hosts, origins = request.headers.getlist("host"), request.headers.getlist("origin")
-        good = len(hosts) == 1 and hosts[0] in studio.hosts
-        good = good and (len(origins) == 1 or not live) and set(origins) <= studio.origins
-        tokens = request.query_params.get("token"), request.cookies.get(studio.cookie)
-        if not good or not any(map(studio.admits, tokens)):
+        good = len(hosts) == 1 and hosts[0] in studio.hosts and set(origins) <= studio.origins
+        if live:
+            good = good and len(origins) == 1 and studio.admits(request.query_params.get("token"))
+        if not good:
             if live:
                 await receive()
                 await send({"type": "websocket.close", "code": POLICY_VIOLATION})
                 return
-            words = "Forbidden: open the address that `optlink studio` printed, with its token."
+            words = "Forbidden: open the address that `optlink studio` printed."
             await PlainTextResponse(words, 403, headers=studio.headers())(scope, receive, send)
             return
 

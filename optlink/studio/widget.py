@@ -16,6 +16,7 @@ import traitlets
 from optlink.problem.file import ProblemFile
 from optlink.studio.document import Document, hello
 from optlink.studio.link import Link, Worker
+from optlink.studio.requests import Requests
 from optlink.tasks.run import solve
 
 CANVAS_HEIGHT = 640  # px
@@ -93,6 +94,7 @@ class Canvas(anywidget.AnyWidget):
         self._opened, self._state = document, ""
         self._view: str | None = None
         self._link: Link | None = None
+        self._requests = Requests()
         self._result: tuple[str, Any] = ("", None)
         self.on_msg(lambda _, content, buffers: self._receive(content))
 
@@ -155,19 +157,27 @@ class Canvas(anywidget.AnyWidget):
 
     # --- messages -----------------------------------------------------------------------------------------------------------
 
-    def _receive(self, content: dict[str, Any]) -> None:
+    def _receive(self, content: Any) -> None:
         """Take a message of a view: a request as text, or nothing where it has just been made."""
+        if not isinstance(content, dict):
+            return
         view, text = content.get("view"), content.get("text")
         if text is None:
-            self._view = view
+            self._view, self._requests = view, Requests()
             self._answer(json.dumps(hello(self._document.name)))
             asyncio.run_coroutine_threadsafe(self._begin(), _loop())
         elif view == self._view:
-            _loop().call_soon_threadsafe(self._request, json.loads(text))
+            _loop().call_soon_threadsafe(self._request, text)
 
-    def _request(self, request: dict[str, Any]) -> None:
-        if self._link is not None:
+    def _request(self, text: object) -> None:
+        """Take a request of the view that is shown, on the loop of the canvas."""
+        if self._link is None or self._requests.closed:
+            return
+        request, refusal = self._requests.take(text)
+        if request is not None:
             self._link.request(request)
+        elif refusal is not None:
+            self._answer(refusal)
 
     async def _begin(self) -> None:
         """Show the present problem; a process computes for it from now on."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import math
+import os
 import signal
 import threading
 import time
@@ -20,8 +21,9 @@ from optlink.problem.file import read
 from optlink.report.toml_text import rewritten
 from optlink.studies.toml_keys import exact_text, knobs
 from optlink.studio import state
+from optlink.studio.curve import curve_problem
 from optlink.studio.design import design_of
-from optlink.studio.document import Document, named, tables
+from optlink.studio.document import Document, from_template, from_text, named, tables
 from optlink.studio.files import deflated, inflated
 from optlink.studio.session import Session
 from optlink.studio.worker import Interrupts
@@ -247,6 +249,49 @@ def test_saving_says_that_an_editor_has_changed_the_file(tmp_path: Path) -> None
     assert page.ask("save")[0]["changed_on_disk"]
     file.unlink()
     assert not page.ask("save")[0]["changed_on_disk"]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+@pytest.mark.parametrize("kind", ["pipe", "device", "too long", "folder"])
+def test_saving_and_opening_do_not_wait_for_a_file_that_is_none(tmp_path: Path, kind: str) -> None:
+    """Another program can put anything in the place of a file that is open."""
+    file = tmp_path / "mine.toml"
+    file.write_text(named("scotch-yoke").text, encoding="utf-8")
+    page, answers = Page(patient=False), list[Any]()
+    page.ask("start", name=str(file))
+    file.unlink()
+    if kind == "pipe":
+        os.mkfifo(file)
+    elif kind == "device":
+        file.symlink_to("/dev/zero")
+    elif kind == "folder":
+        file.mkdir()
+    else:
+        file.write_text("# " + 2_000_000 * "x", encoding="utf-8")
+
+    def work() -> None:
+        answers.extend(page.ask("save"))
+        answers.extend(page.ask("start", name=str(file)))
+
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    thread.join(20.0)
+    assert [answer["type"] for answer in answers] == ["file", "fault"]
+    assert answers[0]["changed_on_disk"]
+    words = {"pipe": "a pipe or a device", "device": "a pipe or a device", "folder": "a folder", "too long": "larger than"}
+    assert words[kind] in answers[1]["message"]
+
+
+def test_no_file_can_lie_beside_a_problem_without_a_folder() -> None:
+    """Such a name must not be one that another user of the machine could make."""
+    line = [[100.0 * math.cos(t), 50.0 * math.sin(t)] for t in np.linspace(0.0, 6.0, 20)]
+    text = named("toggle-press").text
+    for document in (from_template("wiper"), from_template("path"), from_text(text, "law"), curve_problem(line, closed=True)):
+        assert document.problem.model is not None
+        with pytest.raises(FileExistsError):
+            (document.folder / document.file).parent.mkdir(parents=True)
+        with pytest.raises(NotADirectoryError):
+            (document.folder / document.file).write_text("")
 
 
 def test_an_export_that_cannot_be_written_is_a_fault(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,7 +23,7 @@ from tests.browser import console
 from tests.studio.browser import Page
 
 pytest.importorskip("anywidget")
-from optlink.studio.widget import ASSETS, page
+from optlink.studio.widget import ASSETS, _loop, page
 
 FRONT = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Notebook</title></head>
 <body style="margin: 0"><div id="cell"></div>
@@ -77,6 +77,51 @@ def test_python_reads_problem_and_design_of_the_canvas(monkeypatch: pytest.Monke
     shown = canvas._repr_mimebundle_()
     assert {"application/vnd.jupyter.widget-view+json", "text/html", "text/plain"} <= set(shown)
     assert shown["text/plain"] == "<Canvas of 'crank-rocker'>"
+
+
+def test_messages_of_a_view_are_checked_like_those_of_the_server(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing that is not a request reaches the process, and no message raises on the loop of the canvas."""
+    canvas = optlink.explore("path-bean")
+    answers: list[Any] = []
+    monkeypatch.setattr(canvas, "send", lambda content: answers.append(json.loads(content["text"])))
+    monkeypatch.setattr(canvas, "_begin", lambda: asyncio.sleep(0.0))
+    requests: list[Any] = []
+
+    class Recording:
+        document = None
+
+        def request(self, request: Any) -> None:
+            requests.append(request)
+
+    def arrived() -> None:
+        asyncio.run_coroutine_threadsafe(asyncio.sleep(0.0), _loop()).result(10.0)
+
+    canvas._link = Recording()  # type: ignore[assignment]
+    errors: list[Any] = []
+    _loop().call_soon_threadsafe(_loop().set_exception_handler, lambda loop, context: errors.append(context))
+    try:
+        canvas._receive({"view": "v", "text": None})
+        bad = (
+            "[]",
+            "{}",
+            "1",
+            "{",
+            '{"type":"save"}',
+            '{"type":"resume","id":1}',
+            '{"type":"start","id":1,"name":"/etc/passwd"}',
+        )
+        for text in (*bad, 3, [], {}, b"{}"):
+            canvas._receive({"view": "v", "text": text})
+        for content in (None, [], "text", {"text": '{"type":"save","id":4}'}, {"view": "w", "text": '{"type":"save","id":5}'}):
+            canvas._receive(content)
+        canvas._receive({"view": "v", "text": '{"type":"save","id":77}'})
+        arrived()
+    finally:
+        _loop().call_soon_threadsafe(_loop().set_exception_handler, None)
+        canvas._link = None
+    assert requests == [{"type": "save", "id": 77}]
+    assert [answer["type"] for answer in answers] == ["hello", *["fault"] * (len(bad) + 4)]
+    assert errors == []
 
 
 def test_the_page_is_one_document() -> None:

@@ -3,9 +3,10 @@
 export const timings = (window.studioTimings = []);
 const KEPT = 4000;
 const PATIENCE = 15000; // after which a drag without an answer no longer blocks the next [ms]
+const NO_TOKEN = "This address lacks its token. Open the address that `optlink studio` printed.";
 export const embedded = "embedded" in document.documentElement.dataset; // in a notebook
 
-// The token of the address: out of the address bar, kept for reconnecting.
+// The token of the address: out of the address bar, kept for this tab alone.
 export function keptToken() {
   const given = new URLSearchParams(location.search).get("token");
   try {
@@ -55,6 +56,10 @@ export class Live {
   }
 
   connect() {
+    if (!embedded && !this.token) {
+      this.listeners.closed(NO_TOKEN);
+      return;
+    }
     const socket = (this.socket = embedded ? new FrameSocket() : this.opened());
     this.flying = this.waiting = null;
     this.shown = 0;
