@@ -303,13 +303,13 @@ class PathProblem(Problem):
 
     @cached_property
     def size(self) -> float:
-        """Size of the curve [m]: root mean square distance of the points from their centre; else the stroke, or a link length."""
+        """Size [m] of the curve, the root mean square distance of its points from their centre; else the travel; else a link."""
         if self.pointed:
             spread = self.data.columns[:, :2] - np.array(self.centre)
             size = float(np.sqrt(np.mean(np.sum(spread * spread, axis=1))))
             if size > 0.0:
                 return size
-        if self.slides:
+        if self.slides and self.travel > 0.0:
             return self.travel
         quantities = [q for q in self.mechanism.quantities.values() if q.kind == "length"]
         fixed = [q.value for q in quantities if not q.free]

@@ -148,9 +148,7 @@ class FunctionResult(SingleResult):
     @property
     def fit(self) -> Fit | None:
         """Error at the design positions relative to the output range; None if there is no error to measure."""
-        problem = self.problem.spec
-        target = problem.law.curve(problem.law.offsets, self.design["phi0"], self.design["psi0"])
-        return law_fit(problem, self.design, self.error(), target, self.solution.limits if self.solution else ())
+        return law_fit(self.problem.spec, self.design, self.error(), self.solution.limits if self.solution else ())
 
     @property
     def alternations(self) -> int:

@@ -126,9 +126,8 @@ def test_a_fixed_pivot_is_a_reason_with_its_gain() -> None:
 def test_a_law_is_graded_by_its_output_range() -> None:
     result = optlink.solve(optlink.load("crank-rocker"))
     fit = result.fit
-    motion = optlink.load("crank-rocker").spec.law
     assert fit.error == pytest.approx(math.sqrt(float(np.mean(result.error() ** 2))))
-    assert fit.size == pytest.approx(abs(float(np.ptp(motion.curve(motion.offsets, 0.0, 0.0)))))
+    assert fit.size == pytest.approx(math.radians(30.0), rel=1e-12)  # 2 / (3 pi) of the square of a right angle
     assert result.to_dict()["fit"]["of"] == "the output range"
 
 
@@ -273,3 +272,136 @@ def test_an_error_larger_than_the_path_has_no_exponent():
     fit = PathFit(1e-6, 1e-3, "m", "the size of the path", excursion=7.1e-3, after=10, count=18)
     assert fit.text == "poor fit: between points 11 and 12 the curve deviates by 7.1 mm, 710 % of the size of the path"
     assert PathFit(0.052, 1.0, "m", "the size").text == "poor fit: rms error is 5.2 % of the size"
+
+
+# --- laws of two rows and dwells -------------------------------------------------------------------------------------------
+
+
+def slide(law: dict[str, object]) -> optlink.ProblemFile:
+    """A slider-crank whose slide follows a table."""
+    raw = drag_link().raw | {"requirement": {"kind": "function", "output": "F", "law": law}}
+    return optlink.read({key: value for key, value in raw.items() if key not in ("objective", "limits", "loads")})
+
+
+def test_a_slider_that_must_stand_still_is_graded_by_its_links() -> None:
+    """A range of zero made the scale of the programme zero."""
+    result = solve(slide({"phi": ["0 deg", "60 deg", "120 deg"], "s": ["0 mm", "0 mm", "0 mm"]}), starts=60, designs=1)
+    best = result.best
+    crank, rod = best.values["crank.length"], best.values["rod.length"]
+    angles = best.values["start"] + np.radians([0.0, 60.0, 120.0])
+    slides = crank * np.cos(angles) + np.sqrt(rod**2 - (crank * np.sin(angles)) ** 2)
+    rms = float(np.std(slides))
+    assert best.fit.error == pytest.approx(rms, rel=1e-5)
+    assert (best.fit.size, best.fit.of) == (max(crank, rod), "the longest link")
+    assert best.fit.grade == ("good" if rms <= 0.01 * rod else "fair" if rms <= 0.05 * rod else "poor")
+
+
+def test_poses_that_do_not_turn_have_a_grade_of_their_angles() -> None:
+    """Their total rotation is zero: the error of the angles was left out."""
+    poses = np.array([[0.0, 50.0, 0.0], [30.0, 50.0, 0.0], [60.0, 70.0, 0.0]])
+    sizes = {"crank": free(10.0, 40.0), "coupler": free(60.0, 120.0), "rocker": free(60.0, 120.0), "frame": "100 mm"}
+    section = four_bar_section("left", **sizes, points={"P": ["40 mm", "30 mm"]})
+    best = solve(optlink.read(document(section, poses)), starts=60, designs=1).best
+    turned = best.fit.unit == "rad"
+    assert turned == (best.fit.of == "a radian")
+    worst = math.sqrt(float(np.mean(best.measured.turned**2)))
+    assert best.fit.share >= worst * (1.0 - 1e-12)
+
+
+def rocker_angles(crank: float, coupler: float, rocker: float, frame: float, angles: np.ndarray) -> np.ndarray:
+    """Angle of the rocker, to the left of B -> D, as the intersection of two circles; NaN where they do not meet."""
+    pin = crank * np.exp(1j * angles)
+    line = frame - pin
+    gap = np.abs(line)
+    with np.errstate(invalid="ignore"):
+        along = (coupler**2 - rocker**2 + gap**2) / (2.0 * gap)
+        joint = pin + line / gap * (along + 1j * np.sqrt(coupler**2 - along**2))
+    return np.angle(joint - frame)
+
+
+def outer_dead_centre(crank: float, coupler: float, rocker: float, frame: float) -> float:
+    """Crank angle at which crank and coupler form one line, the rocker to the left of it."""
+    reach = crank + coupler
+    cosine = (reach**2 + frame**2 - rocker**2) / (2.0 * reach * frame)
+    return math.acos(cosine) if abs(cosine) <= 1.0 else math.nan
+
+
+def turns_well(crank: float, coupler: float, rocker: float, frame: float) -> bool:
+    """Whether the crank turns fully, with a transmission angle clearly above the default limit of 1 deg."""
+    least, *middle, most = sorted((crank, coupler, rocker, frame))
+    inner = [(coupler**2 + rocker**2 - (frame + way * crank) ** 2) / (2.0 * coupler * rocker) for way in (-1.0, 1.0)]
+    return crank == least and least + most < sum(middle) - 0.1 and max(map(abs, inner)) < math.cos(math.radians(1.1))
+
+
+def law_error(sizes: dict[str, float], start: float | None, phi: np.ndarray, psi: np.ndarray, relative: bool) -> float:
+    """Root mean square error of a four-bar [rad] at the rows of a table; at its own start it has none."""
+    begin = outer_dead_centre(**sizes) if start is None else start
+    turn = np.concatenate([[begin], begin + phi if relative else phi])
+    angle = rocker_angles(**sizes, angles=turn)
+    error = psi - (angle[1:] - angle[0] if relative else angle[1:])
+    error = (error + np.pi) % (2.0 * np.pi) - np.pi
+    left_out = relative and phi[0] == 0.0 and psi[0] == 0.0
+    return float(np.sqrt(np.mean(error[int(left_out) :] ** 2)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("block", range(10))
+def test_no_law_of_two_rows_and_no_dwell_is_without_a_grade(block: int) -> None:
+    """500 random ones: error, grade and optimum against own kinematics and a search of all rockers of the grid."""
+    random = np.random.default_rng(360 + block)
+    for _ in range(50):
+        frame, crank = 100.0, float(random.uniform(10.0, 45.0))
+        coupler = float(random.uniform(60.0, 140.0))
+        low = float(random.uniform(40.0, 100.0))
+        high = low + float(random.uniform(5.0, 50.0))
+        dwell, relative, clockwise = (bool(random.integers(2)) for _ in range(3))
+        rows = int(random.integers(2, 5)) if dwell else 2
+        turned, near = (5.0, 170.0) if random.integers(2) else (1.0, 12.0), bool(random.integers(2))
+        phi = np.sort(np.r_[0.0, random.uniform(*turned, rows - 1)]) * (-1.0 if clockwise else 1.0)
+        phi = phi if relative else phi + float(random.uniform(-90.0, 90.0))
+        level = 0.0 if relative else float(random.uniform(20.0, 160.0))
+        psi = np.full(rows, level) if dwell else level + np.array([0.0, float(random.uniform(2.0, 120.0))])
+        start = float(random.uniform(-180.0, 180.0)) if relative and random.integers(2) else None
+        begin = None if start is None else math.radians(start)
+        if near:  # a linkage of the bounds meets it, or nearly
+            sizes = {"crank": crank, "coupler": coupler, "rocker": float(random.uniform(low, high)), "frame": frame}
+            at = np.radians(phi) + ((outer_dead_centre(**sizes) if begin is None else begin) if relative else 0.0)
+            actual = np.degrees(np.unwrap(rocker_angles(**sizes, angles=at)))
+            if np.all(np.isfinite(actual)):
+                noise = 1.0 + float(random.choice([0.0, 1e-4, 0.03])) * random.uniform(-1.0, 1.0)
+                psi = np.full(rows, level) if dwell else actual - (actual[0] if relative else 0.0)
+                psi = psi + (0.0 if relative or not dwell else np.mean(actual) - level)
+                psi[1:] *= noise
+        law = {"phi": [f"{x!r} deg" for x in phi.tolist()], "psi": [f"{x!r} deg" for x in psi.tolist()]}
+        given = {} if start is None else {"from": f"{start!r} deg"}
+        raw = {
+            "title": "two rows",
+            "mechanism": {
+                "type": "four-bar",
+                "frame": "100 mm",
+                "crank": f"{crank!r} mm",
+                "coupler": f"{coupler!r} mm",
+                "rocker": {"bounds": [f"{low!r} mm", f"{high!r} mm"]},
+                "assembly": "left",
+            },
+            "requirement": {"kind": "function", "law": law | ({} if relative else {"measured_from": "frame"}), **given},
+        }
+        result = optlink.solve(optlink.read(raw))
+
+        law = (begin, np.radians(phi), np.radians(psi), relative)
+        grid = [{"crank": crank, "coupler": coupler, "rocker": x, "frame": frame} for x in np.linspace(low, high, 301).tolist()]
+        best = min(law_error(sizes, *law) if turns_well(**sizes) else math.inf for sizes in grid)
+        if not result.valid:
+            assert best == math.inf, raw
+            continue
+        sizes = {"crank": crank, "coupler": coupler, "rocker": 1e3 * result.design["rocker"], "frame": frame}
+        fit = result.fit
+        assert fit is not None, raw
+        assert fit.error == pytest.approx(law_error(sizes, *law), rel=1e-6, abs=1e-9), raw
+        assert fit.error <= best + 1e-9, raw
+        moved = np.radians(np.ptp(psi))
+        share = fit.error / (1.0 if moved <= 1e-3 else moved)
+        grade = "exact" if share <= 1e-9 else "good" if share <= 0.01 else "fair" if share <= 0.05 else "poor"
+        assert fit.grade == grade or min(abs(share - edge) for edge in (1e-9, 0.01, 0.05)) < 1e-8, raw
+        shown = verdict(ReportModel(result.problem, result, None))
+        assert shown.startswith("Valid, poor fit" if grade == "poor" else "Valid: every check passed"), raw

@@ -30,6 +30,7 @@ from optlink.problem.base_model import Record
 from optlink.problem.function import DesignProblem
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.quantity import Quantity
+from optlink.problem.targets.law import begins_at_psi0
 from optlink.solvers.solution import LimitState
 from optlink.units import show
 
@@ -50,6 +51,7 @@ TRANSMISSION_KEYS = (
     "pressure angle",
 )  # limits of the transmission angle
 POSITIONS = 721  # positions along a motion
+NO_RANGE = 1e-3  # share of a radian, or of the longest link, below which targets are all the same: a dwell, a single position
 GRADES = ("exact", "good", "fair", "poor")
 MAX_ACTIVE_LIMITS = 2  # largest number of active limits given as reasons
 
@@ -215,7 +217,7 @@ def path_fit(
     between: Array | None = None,
     limits: Sequence[LimitState] = (),
 ) -> Fit | None:
-    """Grade a path, motion or function design; return None for transmission (see `transmission_fit`) or a task of size zero.
+    """Grade a path, motion or function design; return None for transmission (see `transmission_fit`) or a design without motion.
 
     Parameters
     ----------
@@ -233,17 +235,17 @@ def path_fit(
     targets, distances = task.data.columns, measured.distances
     if task.requirement.kind == "transmission" or not np.all(np.isfinite(distances)):
         return None
+    links = [values[name] for name, quantity in task.mechanism.quantities.items() if quantity.kind == "length"]
     if task.pointed:
         places = targets[:, 0] + 1j * targets[:, 1]
-        fits = [Fit(_rms(distances), _diameter(places), "m", "the size of the path")]
+        of = "the size of the path" if measured.turned is None else "the distance of the poses"
+        fits = [_sized(distances, _diameter(places), "m", of, links)]
         if measured.turned is not None:
-            fits[0] = Fit(_rms(distances), _diameter(places), "m", "the distance of the poses")
-            fits.append(Fit(_rms(measured.turned), _rotation(task), "rad", "the rotation of the poses"))
+            fits.append(_sized(measured.turned, _rotation(task), "rad", "the rotation of the poses"))
     else:
-        fits = [Fit(_rms(distances), float(np.ptp(task.prescribed_outputs(values))), task.unit, "the output range")]
-    fits = [fit for fit in fits if fit.size > 0.0]
-    if not fits:
-        return None
+        outputs = task.prescribed_outputs(values)
+        travel = float(np.ptp(outputs if task.slides else np.unwrap(outputs)))
+        fits = [_sized(distances, travel, task.unit, "the output range", links)]
     worst = max(fits, key=lambda fit: fit.share)
     if between is not None and np.any(np.isfinite(between)):
         after = int(np.nanargmax(between))
@@ -266,25 +268,36 @@ def path_fit(
     return Fit(worst.error, worst.size, worst.unit, worst.of, tuple(reasons))
 
 
-def law_fit(
-    task: DesignProblem, values: Mapping[str, float], error: Array, targets: Array, limits: Sequence[LimitState] = ()
-) -> Fit | None:
-    """Grade a function design of a four-bar; return None if its output has no range.
+def _sized(errors: Array, size: float, unit: str, of: str, links: Sequence[float] = ()) -> Fit:
+    """Return the fit for a size of the targets, or for that of a link if they have none: a radian, or the longest link.
+
+    An angle error in radians is the error of the end of a lever, relative to its length.
+    """
+    whole, name = (1.0, "a radian") if unit == "rad" else (max(links, default=0.0), "the longest link")
+    return Fit(_rms(errors), *((whole, unit, name) if size <= NO_RANGE * whole else (size, unit, of)))
+
+
+def law_fit(task: DesignProblem, values: Mapping[str, float], error: Array, limits: Sequence[LimitState] = ()) -> Fit | None:
+    """Grade a function design of a four-bar; return None if it has no position at some point of the law.
 
     Parameters
     ----------
     task : DesignProblem
     values : mapping of str to float [m, rad]
         Quantities of the design.
-    error, targets : array (positions,) [rad]
-        Error and prescribed angle of the output.
+    error : array (positions,) [rad]
+        Error of the output.
     limits : sequence of LimitState
         Limits of the optimum with their multipliers; empty for a given design.
     """
-    size = float(np.ptp(np.unwrap(targets)))
-    if not np.all(np.isfinite(error)) or size <= 0.0:
+    if not np.all(np.isfinite(error)):
         return None
-    fit = Fit(_rms(error), size, "rad", "the output range")
+    law = task.law
+    targets = law.curve(law.offsets, values["phi0"], values["psi0"])
+    relative = getattr(law.source, "from_start", False) or begins_at_psi0(law.source)
+    if task.tied and relative and law.offsets[0] != 0.0:  # the output moves from psi0, where the error is zero by definition
+        targets = np.insert(targets, 0, values["psi0"])
+    fit = _sized(error, float(np.ptp(np.unwrap(targets))), "rad", "the output range")
     if fit.grade != "poor":
         return fit
     reasons = (*active_reasons(limits), *fixed_reasons(task.quantities, values))
