@@ -44,19 +44,23 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, defer_build=True)  # most unused
 
 
-def folder_of(info: ValidationInfo) -> Path:
+def _folder_of(info: ValidationInfo) -> Path:
     """Return the folder of the problem file that is read; the working folder for a table that is not in a file."""
     return (info.context or {}).get("folder", Path())  # type: ignore[no-any-return]
 
 
-def in_folder(function: Callable[[object, Path], Any]) -> BeforeValidator:
+class InFolder(BeforeValidator):
+    """Annotation of a field whose value can be in another file."""
+
+
+def in_folder(function: Callable[[object, Path], Any]) -> InFolder:
     """Return a reading function as the annotation of a field.
 
     Parameters
     ----------
     function : function of (raw value, folder to which the names of files are relative)
     """
-    return BeforeValidator(lambda raw, info: None if raw is None else function(raw, folder_of(info)))
+    return InFolder(lambda raw, info: None if raw is None else function(raw, _folder_of(info)))
 
 
 LIMITED = (("requirement", "stroke"), ("requirement", "time_ratio"))

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import copy
-import hashlib
-import json
 import os
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +31,7 @@ from optlink.problem.file_errors import (
     toml_fault,
 )
 from optlink.problem.function import DesignProblem
+from optlink.problem.identity import identity
 from optlink.problem.limits import MARGINS, Alignment, four_bar_limits
 from optlink.problem.machine.model import Problem
 from optlink.problem.quantity import input_of, nearest
@@ -95,17 +95,10 @@ class ProblemFile:
         purpose = {"cycle": "cycle design", "balance": "balancing"}.get(self.task, self.task)
         return f"{self.model.mechanism.type}, {purpose if requirement is None else f'{requirement.kind} design'}"
 
-    @property
+    @cached_property
     def hash(self) -> str:
-        """Hash of everything that can change the result, sixteen hexadecimal digits."""
-        task = getattr(self.model, "requirement", None)
-        law = getattr(task, "law", getattr(task, "points", None))
-        tabled = "csv" in json.dumps([self.raw.get("loads"), self.raw.get("drive")], default=str)
-        read = [repr(part) for part in (self.model.loads, self.model.drive)] if tabled else []  # from CSV files
-        read += [repr(deviation.values) for deviation in self.model.deviations if deviation.values]
-        content = _without_defaults({key: value for key, value in self.raw.items() if key not in WORDS})
-        text = json.dumps([content, repr(law), *read], sort_keys=True, default=str)
-        return hashlib.sha256(text.encode()).hexdigest()[:16]
+        """Hash of everything that can change the result, the content of other files included; sixteen hexadecimal digits."""
+        return identity(self.model, WORDS)
 
     def at(self, key: str) -> Any:
         """Return the value of the file at a dotted key, also that of a coordinate; None if there is none."""
@@ -140,15 +133,6 @@ class ProblemFile:
 
 
 WORDS = ("title", "source", "about", "report", "expected")
-
-
-def _without_defaults(raw: dict[str, Any]) -> dict[str, Any]:
-    """Remove limits that equal their defaults."""
-    limits = raw.get("limits")
-    if not isinstance(limits, dict) or not any(limits.get(key) == value for key, value in MARGINS.items()):
-        return raw
-    changed = {key: value for key, value in limits.items() if key not in MARGINS or value != MARGINS[key]}
-    return {key: value for key, value in {**raw, "limits": changed}.items() if key != "limits" or value}
 
 
 def shipped() -> dict[str, Path]:

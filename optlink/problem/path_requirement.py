@@ -5,11 +5,11 @@ import math
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, ValidationInfo, field_validator
+from pydantic import BeforeValidator, ValidationInfo, ValidatorFunctionWrapHandler, field_validator
 
 from optlink.linkage.dyad_types import transmitting
 from optlink.linkage.mechanism import FRAME, Mechanism
-from optlink.problem.base_model import Section, folder_of, in_folder
+from optlink.problem.base_model import Section, in_folder
 from optlink.problem.interval import CoordinateInterval
 from optlink.problem.limits import Limits, check_limits, four_bar_limits
 from optlink.problem.mechanism import DyadsSection, FourBarSection
@@ -40,7 +40,7 @@ class PathRequirement(Section):
     """Kind of requirement."""
     point: str = "P"
     """The moving point that takes the positions; its body takes the angles."""
-    points: Any = None
+    points: Annotated[Any, in_folder(read_points)] = None
     """Points or poses: a list, a CSV file, a drawing or expressions; for a function the number of positions (60)."""
     law: Annotated[Any, in_folder(read_output_law)] = None
     """Law of the output: a function y(x), with x proportional to the crank angle; an expression in phi, phi0, psi0, for a slide
@@ -69,20 +69,20 @@ class PathRequirement(Section):
     measure: Literal["sum of squares", "rms", "max"] | None = None
     """Measure that combines all deviations into the objective; default: the sum of squares, for a transmission the largest."""
 
-    @field_validator("points", mode="before")
+    @field_validator("points", mode="wrap")
     @classmethod
-    def _points(cls, raw: object, info: ValidationInfo) -> TargetPoints | int | None:
+    def _points(cls, raw: object, read: ValidatorFunctionWrapHandler, info: ValidationInfo) -> TargetPoints | int | None:
         kind = info.data.get("kind")
-        if kind in ("function", "transmission"):
-            if raw is not None and (
-                kind == "transmission" or isinstance(raw, bool) or not isinstance(raw, int) or not 2 <= raw <= 400
-            ):
-                remedy = "Leave points out" if kind == "transmission" else "Give a whole number from 2 to 400, or leave it out"
-                raise Unusable(
-                    f"a {kind} requirement has no points" if kind == "transmission" else "not a number of positions", remedy
-                )
-            return raw
-        return read_points(raw, folder_of(info))
+        if kind not in ("function", "transmission"):
+            return read(raw)  # type: ignore[no-any-return]
+        if raw is not None and (
+            kind == "transmission" or isinstance(raw, bool) or not isinstance(raw, int) or not 2 <= raw <= 400
+        ):
+            remedy = "Leave points out" if kind == "transmission" else "Give a whole number from 2 to 400, or leave it out"
+            raise Unusable(
+                f"a {kind} requirement has no points" if kind == "transmission" else "not a number of positions", remedy
+            )
+        return raw
 
 
 class RegionSection(Section):

@@ -112,7 +112,7 @@ class ToleranceEntry:
     text: str
     shape: str | None = None
     cost: float = 1.0
-    folder: Path = Path()
+    folder: Path = field(default=Path(), compare=False)
 
     def __str__(self) -> str:
         words = [self.text if self.measured else f"±{self.text}", self.shape or ""]

@@ -78,7 +78,7 @@ class Expression:
     """A parsed law: its text, the names it uses, and its postfix program."""
 
     text: str
-    names: frozenset[str] = field(repr=False)  # a set has no order, and the hash of a problem reads this
+    names: frozenset[str] = field(repr=False)
     program: tuple[Step, ...]
 
     def __call__(self, values: Mapping[str, Value]) -> Value:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +44,7 @@ class TargetPoints:
     weights: tuple[float, ...] | None = None
     tolerances: tuple[float, ...] | None = None
     unit: str = "mm"
-    note: str = ""
+    note: str = field(default="", compare=False)
     loop: bool = False
 
     @property

@@ -107,9 +107,12 @@ def read_checkpoint(kind: type[C], document: Mapping[str, Any], options: Mapping
     [schema] = get_args(kind.model_fields["format"].annotation)
     for name, value in {"schema": schema, "optlink": VERSION, **options}.items():
         if document.get(name) != value:
-            whose = {"schema": "has another format", "optlink": "is that of another version"}.get(
-                name, "is that of another command"
-            )
+            own = {
+                "schema": "has another format",
+                "optlink": "is that of another version",
+                "problem_hash": "is that of another problem",
+            }
+            whose = own.get(name, "is that of another command")
             message = f"the checkpoint {whose}: its {name} is {document.get(name)!r}, not {value!r}"
             remedy = "Resume with the command and version of optlink that wrote it, or start again without --resume"
             raise InputError(message, remedy, key="resume")

@@ -1,0 +1,419 @@
+"""A stored verdict is never shown for another problem: every key that can read a file, through every command that stores one."""
+
+from __future__ import annotations
+
+import ast
+import copy
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+import pydantic
+import pytest
+import tomli_w
+from typer.testing import CliRunner
+
+import optlink
+from optlink.cli.app import app
+from optlink.errors import InputError
+from optlink.problem.base_model import InFolder
+from optlink.problem.cycle.model import CycleProblem, StrokeProblem
+from optlink.problem.file import WORDS, read
+from optlink.problem.function import DesignProblem
+from optlink.problem.identity import identity
+from optlink.problem.machine.model import Problem
+from optlink.problem.path import PathProblem
+from optlink.report.stored.loader import load_stored
+from optlink.studies.pareto.epsilon_constraint import pareto
+from optlink.studies.sweep import sweep
+from optlink.studies.tolerance.analysis import tolerance
+from optlink.tasks.clearance import simulate_clearance
+from optlink.tasks.results.certificate import certificate_document
+from optlink.validation.certificate import read_certificate
+
+PACKAGE = Path(optlink.__file__).parent
+OTHER = "another problem|another study|another command|problem_hash"
+"""How a command refuses what was stored for another problem."""
+
+
+def rows(*columns: str, **values: Any) -> str:
+    """A CSV file of columns."""
+    lines = zip(*values.values(), strict=True)
+    return "\n".join([",".join(columns or values), *(",".join(f"{cell:.12g}" for cell in line) for line in lines)]) + "\n"
+
+
+def scaled(text: str, by: float) -> str:
+    """A CSV file with its last column scaled."""
+    title, *lines = text.splitlines()
+    parts = [line.rpartition(",") for line in lines]
+    return "\n".join([title, *(f"{head}{comma}{float(last) * by:.9g}" for head, comma, last in parts)]) + "\n"
+
+
+PHI = np.radians(np.linspace(0.0, 90.0, 11))
+LAW = rows(phi_deg=np.degrees(PHI), psi_deg=np.degrees(0.2 * PHI**2))
+SLIDE = rows(phi_deg=np.degrees(PHI), s_mm=-25.0 * PHI)
+TURN = np.linspace(0.0, 360.0, 9)
+FORCE = rows(phi_deg=TURN, force_N=100.0 + 20.0 * np.cos(np.radians(TURN)))
+TORQUE = rows(phi_deg=TURN, torque_Nm=3.0 + np.cos(np.radians(TURN)))
+PARTS = rows("coupler_mm", coupler_mm=[-0.05, 0.0, 0.02, 0.06])
+
+FREE = {
+    name: {"start": f"{start} mm", "bounds": [f"{start - 60} mm", f"{start + 60} mm"]}
+    for name, start in (("coupler", 400), ("rocker", 260))
+}
+FOUR_BAR = {"crank": "100 mm", "frame": "500 mm", **FREE}
+FIXED = {"crank": "40 mm", "frame": "160 mm", "coupler": "150 mm", "rocker": "100 mm"}
+TRACER = {
+    **FIXED,
+    "coupler": FREE["coupler"] | {"start": "150 mm", "bounds": ["130 mm", "170 mm"]},
+    "points": {"P": ["75 mm", "40 mm"]},
+}
+LIMITS = {"crank": "full rotation", "transmission_angle": ["30 deg", "150 deg"]}
+SLIDER_CRANK = {
+    "ground": {"A": ["0 mm", "0 mm"]},
+    "links": {
+        "crank": {"joints": ["A", "B"], "length": {"bounds": ["20 mm", "60 mm"]}},
+        "rod": {"joints": ["B", "C"], "length": "120 mm"},
+        "slider": {"joints": ["C"]},
+    },
+    "guides": {"G": {"slider": "slider", "through": "A", "direction": "0 deg"}},
+    "assembly": {"C": "forward"},
+}
+
+
+def curve(size: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Points [mm] of the coupler of a four-bar, scaled about their centre, with the crank angles [deg]."""
+    file = read({"mechanism": {**TRACER, "coupler": "150 mm"}})
+    machine, angles = file.model.machine(), np.linspace(0.0, 300.0, 6)
+    points = np.array([machine.mechanism.at(machine.sizes, math.radians(angle)).point("P") for angle in angles])
+    return angles, 1e3 * (points.mean(axis=0) + size * (points - points.mean(axis=0)))
+
+
+def timed(size: float) -> str:
+    angles, points = curve(size)
+    return rows(crank_deg=angles, x_mm=points[:, 0], y_mm=points[:, 1])
+
+
+def poses(size: float) -> str:
+    angles, points = curve(size)
+    return rows(crank_deg=angles, angle_deg=20.0 * np.cos(np.radians(angles)), x_mm=points[:, 0], y_mm=points[:, 1])
+
+
+def drawing(size: float) -> str:
+    text = " ".join(f"{'L' if k else 'M'} {x:.6f} {-y:.6f}" for k, (x, y) in enumerate(curve(size)[1]))
+    return f'<svg xmlns="http://www.w3.org/2000/svg" width="500mm" height="500mm" viewBox="0 0 500 500"><path d="{text}"/></svg>'
+
+
+# --- commands: each stores something for a problem, and returns what must be refused or computed again ------------------------
+
+
+Again = Callable[[optlink.ProblemFile], object]
+
+
+def stored(result: Any, folder: Path) -> Again:
+    """The result as the file that `--out` writes, for `optlink report`."""
+    path = folder / "result.json"
+    path.write_text(json.dumps(result.to_dict()))
+    load_stored(str(path), str(folder / "mine.toml"))  # is shown as long as nothing has changed
+    return lambda file: load_stored(str(path), str(folder / "mine.toml"))
+
+
+def report(file: optlink.ProblemFile, folder: Path) -> Again:
+    if file.task == "balance":
+        return stored(optlink.balance(file), folder)
+    return stored(optlink.solve(file, starts=2) if file.model.free else optlink.analyze(file, points=12), folder)
+
+
+def validation(file: optlink.ProblemFile, folder: Path) -> Again:
+    """`validate --design result.json` measures the old design against the new problem, and says so."""
+    report(file, folder)
+    words = ["validate", str(folder / "mine.toml"), "--design", str(folder / "result.json"), "--json"]
+    before = CliRunner().invoke(app, words)
+    assert "Warning" not in before.stderr, before.stderr
+
+    def again(_: optlink.ProblemFile) -> None:
+        after = CliRunner().invoke(app, words)
+        assert figures(after.stdout) != figures(before.stdout)
+        raise InputError(after.stderr, "")
+
+    return again
+
+
+def figures(text: str) -> dict[str, Any]:
+    """What a result says of its designs."""
+    document = json.loads(text)
+    return {name: document.get(name) for name in ("objective", "designs", "fit")}
+
+
+def simulation(file: optlink.ProblemFile, folder: Path) -> Again:
+    return stored(optlink.simulate(file, 0.02), folder)
+
+
+def table(file: optlink.ProblemFile, folder: Path, **mode: Any) -> Again:
+    length = "crank.length" if "links" in file.raw["mechanism"] else "frame"
+    key = "mechanism.frame" if length == "frame" else "mechanism.links.rod.length"
+    size = 1e3 * file.model.quantities["frame" if length == "frame" else "rod.length"].value
+    options = {"vary": [f"{key}={size} mm, {size * 1.01} mm"], "out": folder / "sweep", "workers": 1, **mode}
+    sweep(file, **options)
+    return lambda changed: sweep(changed, resume=True, **options)
+
+
+def analyses(file: optlink.ProblemFile, folder: Path) -> Again:
+    return table(file, folder, analyze=True, points=12)
+
+
+def front(file: optlink.ProblemFile, folder: Path) -> Again:
+    options: dict[str, Any] = {"out": folder / "front", "points": 2, "workers": 1}
+    objectives = "error, limits.transmission_angle.max"
+    pareto(file, objectives, **options)
+    return lambda changed: pareto(changed, objectives, resume=True, **options)
+
+
+def scatter(file: optlink.ProblemFile, folder: Path) -> Again:
+    design = {name: file.model.quantities[name].value for name in file.model.free}
+    texts = [] if file.model.tolerances else ["coupler=0.1 mm"]
+    output = None if file.task == "function" else "P.x"
+    return stored(tolerance(file, texts, output, samples=0, design=design), folder)
+
+
+def proof(file: optlink.ProblemFile, folder: Path) -> Again:
+    options: dict[str, Any] = {"starts": 2, "certify": True, "gap": 1e-12, "time_limit": 1e-3, "folder": folder}
+    optlink.solve(file, **options)
+    assert (folder / "certificate-search.npz").is_file()
+    return lambda changed: optlink.solve(changed, resume=True, **options)
+
+
+def certificate(file: optlink.ProblemFile, folder: Path) -> Again:
+    result = optlink.solve(file, starts=2, certify=True, gap=0.9)
+    (folder / "certificate.json").write_text(json.dumps(certificate_document(result.certificate, result)))
+    return lambda changed: read_certificate(changed, folder)
+
+
+def clearance(file: optlink.ProblemFile, folder: Path) -> Again:
+    kept: list[dict[str, Any]] = []
+    options: dict[str, Any] = {"points": 36, "check_predictability": False}
+    simulate_clearance(file, 1, checkpoint=kept.append, **options)
+    simulate_clearance(file, 2, resume=kept[-1], **options)
+    return lambda changed: simulate_clearance(changed, 2, resume=kept[-1], **options)
+
+
+# --- the keys -----------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Case:
+    """A key that can read a file: its field in the models, the problem, the file as it was and as it is, the commands."""
+
+    field: str
+    problem: Mapping[str, Any]
+    file: str
+    before: str
+    after: str
+    commands: tuple[Callable[[optlink.ProblemFile, Path], Again], ...]
+
+
+def path(mechanism: Mapping[str, Any], **requirement: Any) -> dict[str, Any]:
+    return {"mechanism": mechanism, "requirement": {"point": "P", **requirement}, "limits": LIMITS}
+
+
+def machine(name: str, **sections: Any) -> dict[str, Any]:
+    """A shipped problem without controller, with other sections."""
+    raw = copy.deepcopy(dict(optlink.load(name).raw))
+    return {key: value for key, value in raw.items() if key not in ("control", "expected")} | sections
+
+
+DESIGN = (report, validation, table)
+PROVEN = (*DESIGN, proof, certificate)
+OPTIMA = (*PROVEN, front)
+LAW_PROBLEM = {"mechanism": FOUR_BAR, "requirement": {"law": {"csv": "data.csv"}}, "limits": LIMITS}
+ROBUST = {"law": "psi0 + 0.2*(phi - phi0)^2", "span": "90 deg", "points": 10, "measure": "max", "robust": "3 sigma"}
+IDEAL = {"drive": {"body": "crank", "speed": "60 rpm"}}
+GAP = {"clearance": "0.5 mm", "bearing_radius": "10 mm", "journal": "rod", "modulus": "207 GPa", "restitution": 0.9}
+TABLE = {"over": "phi", "csv": "data.csv"}
+
+CASES = {
+    "law": Case("requirement.law", LAW_PROBLEM, "data.csv", LAW, scaled(LAW, 1.3), (*OPTIMA, scatter)),
+    "law of a slide": Case(
+        "requirement.law",
+        {
+            "mechanism": SLIDER_CRANK,
+            "requirement": {"kind": "function", "law": {"csv": "data.csv"}, "output": "G"},
+            "limits": {"alignment": "20 deg"},
+        },
+        "data.csv",
+        SLIDE,
+        scaled(SLIDE, 1.2),
+        DESIGN,
+    ),
+    "points": Case(
+        "requirement.points",
+        path(TRACER, kind="path", points={"csv": "data.csv"}),
+        "data.csv",
+        timed(1.02),
+        timed(1.1),
+        (*PROVEN, scatter),
+    ),
+    "poses": Case(
+        "requirement.points", path(TRACER, kind="motion", points={"csv": "data.csv"}), "data.csv", poses(1.02), poses(1.1), DESIGN
+    ),
+    "drawing": Case(
+        "requirement.points",
+        path(TRACER, kind="path", points={"svg": "data.svg", "points": 8}),
+        "data.svg",
+        drawing(1.02),
+        drawing(1.1),
+        DESIGN,
+    ),
+    "force": Case(
+        "loads.*.force",
+        machine("slider-crank", loads={"process": {"on": "slider", "force": TABLE}}, **IDEAL),
+        "data.csv",
+        FORCE,
+        scaled(FORCE, 1.5),
+        (report, analyses),
+    ),
+    "torque": Case(
+        "loads.*.torque",
+        machine("slider-crank-clearance", loads={"process": {"on": "rod", "torque": TABLE}}),
+        "data.csv",
+        TORQUE,
+        scaled(TORQUE, 1.5),
+        (report, analyses, clearance),
+    ),
+    "drive": Case(
+        "drive.torque",
+        machine("slider-crank", drive={"body": "crank", "speed": "60 rpm", "torque": TABLE, "duration": "1 s"}),
+        "data.csv",
+        TORQUE,
+        scaled(TORQUE, 1.5),
+        (simulation,),
+    ),
+    "balancing": Case(
+        "loads.*.torque",
+        machine("balance-four-bar", loads={"process": {"on": "rocker", "torque": TABLE}}),
+        "data.csv",
+        TORQUE,
+        scaled(TORQUE, 1.5),
+        (report,),
+    ),
+    "deviations": Case(
+        "tolerances",
+        {**LAW_PROBLEM, "requirement": ROBUST, "tolerances": {"coupler": "data.csv"}},
+        "data.csv",
+        PARTS,
+        scaled(PARTS, 3.0),
+        (*DESIGN, front, scatter),
+    ),
+}
+
+
+def fields(model: type[pydantic.BaseModel], above: str = "") -> Iterator[str]:
+    """The keys of a model whose values can be in another file; * stands for any name."""
+    for name, field in model.model_fields.items():
+        key = f"{above}{name}"
+        if any(isinstance(mark, InFolder) for mark in (*field.metadata, *marks(field.annotation))):
+            yield key
+        for part, named in sections(field.annotation):
+            yield from fields(part, f"{key}.*." if named else f"{key}.")
+
+
+def marks(annotation: Any) -> Iterator[Any]:
+    yield from getattr(annotation, "__metadata__", ())
+    for part in get_args(annotation):
+        yield from marks(part)
+
+
+def sections(annotation: Any, named: bool = False) -> Iterator[tuple[type[pydantic.BaseModel], bool]]:
+    if isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel):
+        yield annotation, named
+    for part in get_args(annotation):
+        yield from sections(part, named or getattr(annotation, "__origin__", None) in (dict, list, tuple))
+
+
+def test_every_key_that_can_read_a_file_is_among_the_cases():
+    models = (Problem, DesignProblem, PathProblem, CycleProblem, StrokeProblem)
+    keys = {key for model in models for key in fields(model)}
+    assert keys == {case.field for case in CASES.values()}
+
+
+def test_no_other_function_of_problems_reads_a_file():
+    """What a field reads, it reads by `read_file`, in the folder that only `in_folder` gives it."""
+    openers = {"open", "read_text", "read_bytes", "loadtxt", "genfromtxt", "fromfile"}
+    readers = set()
+    for module in sorted((PACKAGE / "problem").rglob("*.py")):
+        for function in [node for node in ast.walk(ast.parse(module.read_text())) if isinstance(node, ast.FunctionDef)]:
+            for call in [node for node in ast.walk(function) if isinstance(node, ast.Call)]:
+                name = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
+                if name in openers:
+                    readers.add(f"{module.stem}.{function.name}")
+    assert readers == {"target_points.read_file", "file._read_toml", "base_model.read_document", "templates.template"}
+
+
+# --- the walk -----------------------------------------------------------------------------------------------------------------
+
+
+def written(case: Case, folder: Path) -> optlink.ProblemFile:
+    """The problem of a case, read from files in a folder."""
+    (folder / case.file).write_text(case.before)
+    (folder / "mine.toml").write_text(tomli_w.dumps(case.problem))
+    return optlink.load(folder / "mine.toml")
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_identity_is_that_of_the_numbers_in_the_file(name, tmp_path):
+    case = CASES[name]
+    first = written(case, tmp_path)
+    assert optlink.load(tmp_path / "mine.toml").hash == first.hash == first.override({"title": "Another"}).hash
+    if case.file.endswith(".csv"):  # the same numbers, in other words
+        titles, *lines = case.before.splitlines()
+        (tmp_path / case.file).write_text(
+            "\r\n".join([f"# measured\n{titles.replace(',', ';')}", *(t.replace(",", " ; ") for t in lines)])
+        )
+        assert optlink.load(tmp_path / "mine.toml").hash == first.hash
+    (tmp_path / case.file).write_text(case.after)
+    assert optlink.load(tmp_path / "mine.toml").hash == first.override({}).hash != first.hash
+
+
+WALK = [(name, command) for name, case in CASES.items() for command in case.commands]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "command"), WALK, ids=[f"{name}-{command.__name__}" for name, command in WALK])
+def test_what_was_stored_is_refused_once_the_file_has_changed(name, command, tmp_path):
+    case = CASES[name]
+    again = command(written(case, tmp_path), tmp_path)
+    (tmp_path / case.file).write_text(case.after)
+    with pytest.raises(InputError, match=OTHER):
+        again(optlink.load(tmp_path / "mine.toml"))
+
+
+def test_the_identity_does_not_depend_on_what_was_computed_before():
+    for name in ("crank-rocker-robust", "shaper", "path-bean"):
+        used = optlink.load(name)
+        _ = used.model.linkage, used.model.deviations, used.model.longest
+        assert identity(used.model, WORDS) == optlink.load(name).hash == read(dict(reversed(used.raw.items()))).hash
+
+
+def test_an_object_without_fields_has_no_identity():
+    class Opaque:
+        pass
+
+    model = optlink.load("crank-rocker").model
+    with pytest.raises(TypeError, match="Opaque is not part of the identity"):
+        identity(model.model_copy(update={"requirement": Opaque()}))
+
+
+def test_long_tables_count_in_full(tmp_path):
+    """numpy writes arrays of more than 1,000 numbers with dots in the middle."""
+    phi = np.linspace(0.0, 90.0, 2001)
+    hashes = set()
+    for change in (0.0, 1e-9):
+        psi = 0.2 * phi
+        psi[1000] += change
+        (tmp_path / "data.csv").write_text(rows(phi_deg=phi, psi_deg=psi))
+        hashes.add(read(LAW_PROBLEM, folder=tmp_path).hash)
+    assert len(hashes) == 2
