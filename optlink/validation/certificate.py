@@ -55,7 +55,7 @@ class CoverRecord(Record):
     assembly: Any
     low: Rows
     high: Rows
-    test: tuple[str, ...]
+    test: tuple[Literal["limits", "objective", "Lagrangian", "cut"], ...]
     limits: tuple[str, ...]
     multipliers: tuple[dict[int, float], ...]
 
@@ -187,6 +187,8 @@ def _check_shapes(certificate: CertificateFile, problem: ProblemFile) -> None:
         for name, values in (("low", cover.low), ("high", cover.high)):
             if values.shape != (count, len(free)) or not np.all(np.isfinite(values)):
                 raise Contradiction(f"covers[{k}].{name}", f"this is not {count} rows of {len(free)} finite numbers")
+        if not np.all(cover.low <= cover.high):
+            raise Contradiction(f"covers[{k}].high", "the upper corner of a box lies below its lower corner")
         if len(cover.multipliers) != count:
             raise Contradiction(f"covers[{k}].multipliers", f"expected {count} rows, found {len(cover.multipliers)}")
         if any(not 0 <= index < len(cover.limits) for row in cover.multipliers for index in row):

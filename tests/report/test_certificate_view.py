@@ -19,7 +19,7 @@ from optlink.report.registry import table_of, view_of
 from optlink.report.stored.loader import load_stored
 from optlink.report.views import certificate_view, conclusions
 from optlink.tasks.certify import certify
-from optlink.tasks.results.certificate import MAX_SHOWN_BOXES, Certificate
+from optlink.tasks.results.certificate import Certificate, certificate_document
 from optlink.tasks.results.common import Optimum
 from tests.report.test_function_tables import words
 
@@ -156,7 +156,8 @@ def test_no_charts_without_a_cover(solved, unfinished):
     assert "bounds" not in charts(unfinished)
     [cover] = solved.certificate.covers
     many = {
-        name: np.repeat(getattr(cover, name), MAX_SHOWN_BOXES // len(cover.test) + 1, axis=0) for name in ("low", "high", "test")
+        name: np.repeat(getattr(cover, name), certificate_view.MAX_SHOWN_BOXES // len(cover.test) + 1, axis=0)
+        for name in ("low", "high", "test")
     }
     large = replace(solved, certificate=replace(solved.certificate, covers=(replace(cover, **many),)))
     assert "boxes" not in charts(large)
@@ -166,14 +167,16 @@ def test_no_charts_without_a_cover(solved, unfinished):
 # --- stored results ------------------------------------------------------------------------------------------------------------
 
 
-def stored(document, folder):
+def stored(document, folder, proof=None):
     path = folder / "result.json"
     path.write_text(json.dumps(document), encoding="utf-8")
+    if proof is not None:
+        (folder / "certificate.json").write_text(json.dumps(proof), encoding="utf-8")
     return load_stored(str(path))
 
 
 def test_a_stored_certificate_is_that_of_the_result(solved, tmp_path):
-    model = stored(solved.to_dict(), tmp_path)
+    model = stored(solved.to_dict(), tmp_path, certificate_document(solved.certificate, solved))
     result = model.result.certificate
     assert (result.text, result.lower_bound, result.boxes) == (
         solved.certificate.text,
@@ -182,8 +185,18 @@ def test_a_stored_certificate_is_that_of_the_result(solved, tmp_path):
     )
     assert np.array_equal(result.history, solved.certificate.history)
     assert np.array_equal(result.covers[0].low, solved.certificate.covers[0].low)
+    assert np.array_equal(result.covers[0].test, solved.certificate.covers[0].test)
     assert {"boxes", "bounds"} <= set(charts(model.result))
     assert any("certificate of the global optimum is that of the file" in note for note in model.notes)
+
+
+def test_the_boxes_of_a_proof_are_in_a_file_of_their_own(solved, tmp_path):
+    """A result alone is short, and its page has no boxes; those of another search are not shown."""
+    assert len(json.dumps(solved.to_dict())) < 12_000
+    assert "bounds" in charts(stored(solved.to_dict(), tmp_path).result)
+    assert "boxes" not in charts(stored(solved.to_dict(), tmp_path).result)
+    other = certificate_document(solved.certificate, solved) | {"lower_bound": 0.9 * solved.certificate.lower_bound}
+    assert "boxes" not in charts(stored(solved.to_dict(), tmp_path, other).result)
 
 
 def test_a_stored_infeasible_certificate_is_restored(opposed, tmp_path):
@@ -206,10 +219,6 @@ DAMAGED = {
     "rigorous": (False, "certificate.rigorous"),
     "improved": (7, "certificate.improved"),
     "text": (7, "certificate.text = 7: the result is damaged: this is not a text"),
-    "discarded": (
-        [{"assembly": "left", "low": [[0.1]], "high": [[0.2]], "test": ["limits"]}],
-        "1 rows of 2 numbers belong there",
-    ),
     "gap": ("small", 'certificate.gap = "small": the result is damaged: this is not a number'),
 }
 
@@ -225,17 +234,20 @@ def test_a_damaged_certificate_is_refused_in_a_sentence(solved, tmp_path, key):
     assert "\n" not in str(refused.value)
 
 
-def test_boxes_with_unknown_tests_or_reversed_corners_are_refused(solved, tmp_path):
-    for change, message in (
-        ({"test": ["magic"]}, "discarded[0].test"),
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"test": ["magic"]}, "covers[0].test"),
         ({"low": [[0.9, 0.9]]}, "the upper corner of a box lies below its lower corner"),
-    ):
-        document = copy.deepcopy(solved.to_dict())
-        one = {"assembly": "left", "low": [[0.1, 0.1]], "high": [[0.2, 0.2]], "test": ["limits"]} | change
-        document["certificate"]["discarded"] = [one]
-        with pytest.raises(optlink.InputError, match="damaged") as refused:
-            stored(document, tmp_path)
-        assert message in str(refused.value)
+        ({"low": [[0.1]]}, "this is not 1 rows of 2 finite numbers"),
+    ],
+)
+def test_damaged_boxes_are_refused(solved, tmp_path, change, message):
+    one = {"assembly": "left", "low": [[0.1, 0.1]], "high": [[0.2, 0.2]], "test": ["limits"], "limits": [], "multipliers": [{}]}
+    proof = certificate_document(solved.certificate, solved) | {"covers": [one | change]}
+    with pytest.raises(optlink.InputError, match="damaged") as refused:
+        stored(solved.to_dict(), tmp_path, proof)
+    assert message in str(refused.value)
 
 
 def test_a_certificate_of_another_verdict_is_refused(solved, tmp_path):

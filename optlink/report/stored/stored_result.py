@@ -20,18 +20,20 @@ from optlink.problem.path import PathProblem
 from optlink.report.report_model import Outcome, ReportModel, report_model_of
 from optlink.report.stored.stored_study import named_si
 from optlink.solvers import multistart
+from optlink.solvers.global_search.lagrangian import TESTS
 from optlink.solvers.solution import LimitState, Solution
 from optlink.studies.sensitivity import SensitivitiesRecord, of_solution
 from optlink.tasks.analyze import analyze
 from optlink.tasks.function import FunctionRecord, FunctionResult, read_design, solve
 from optlink.tasks.results.analysis import Analysis, AnalysisRecord
-from optlink.tasks.results.certificate import exact
+from optlink.tasks.results.certificate import Certificate, Cover, exact
 from optlink.tasks.results.common import SingleRecord, check_entries
 from optlink.tasks.results.cycle import CycleResult
 from optlink.tasks.results.path import PathDesign, PathDesignRecord, PathRecord, PathResult
 from optlink.tasks.run import validate
 from optlink.units import UnitProblem, factor
 from optlink.validation import Check
+from optlink.validation.certificate import read_certificate
 from optlink.validation.check import Validation
 from optlink.validation.path import validate_path
 
@@ -62,8 +64,11 @@ def read_report_model(record: ResultRecord, file: ProblemFile, path: Path) -> Re
         return _sensitivity_model(record, file, tuple(notes))
     outcome = _solved(_certified(_outcome(record, path, file), record))
     if getattr(record, "certificate", None) is not None:
-        restored = isinstance(outcome, FunctionResult | PathResult) and outcome.certificate is not None
-        notes.append(RESTORED if restored else "the certificate of the global optimum in the file is not that of this design")
+        if isinstance(outcome, FunctionResult | PathResult) and outcome.certificate is not None:
+            notes.append(RESTORED)
+            outcome = replace(outcome, certificate=_with_boxes(outcome.certificate, path.with_name("certificate.json"), file))
+        else:
+            notes.append("the certificate of the global optimum in the file is not that of this design")
     return report_model_of(file, outcome, _limits(record) if _optimal(outcome) else (), tuple(notes))
 
 
@@ -80,6 +85,20 @@ def _certified(outcome: Outcome, record: ResultRecord) -> Outcome:
     except Contradiction as error:
         raise Contradiction(f"certificate.{error.key}", str(error), error.value) from None
     return replace(outcome, certificate=certificate if certificate.belongs_to(objective) else None)
+
+
+def _with_boxes(certificate: Certificate, path: Path, file: ProblemFile) -> Certificate:
+    """Return a certificate with the boxes of its proof, if their file is there."""
+    if not path.is_file():
+        return certificate
+    proof = read_certificate(file, path)
+    if proof.status != certificate.status or (certificate.proven and proof.lower_bound != certificate.lower_bound):
+        return certificate  # of another search
+    covers = []
+    for cover in proof.covers:
+        test = np.array([TESTS.index(name) for name in cover.test], dtype=np.int8)
+        covers.append(Cover(cover.assembly, cover.low, cover.high, test, np.zeros((len(test), 0)), ()))
+    return replace(certificate, covers=tuple(covers))
 
 
 def _solved(outcome: Outcome) -> Outcome:

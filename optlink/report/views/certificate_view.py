@@ -10,7 +10,7 @@ import numpy as np
 
 from optlink.report.chart_spec import Axis, Boxes, ChartSpec, Curve, Mark, Panel
 from optlink.report.table_spec import Line, Row, TableSpec, quiet, strong, table
-from optlink.tasks.results.certificate import MAX_SHOWN_BOXES, Certificate, Cover, share_text
+from optlink.tasks.results.certificate import Certificate, Cover, share_text
 
 ROUNDING_NOTE = "no design within the bounds has a smaller one; rounding errors are included"
 CONTINUE = "to continue the proof: --certify with a longer --time-limit or a larger --gap"
@@ -90,6 +90,7 @@ def clause(certificate: Certificate | None) -> str:
 Design = Mapping[str, float]
 Display = Callable[[str], tuple[float, str]]
 """Returns factor and display unit of a design variable."""
+MAX_SHOWN_BOXES = 3_000  # discarded boxes up to which they are drawn
 MIN_BOXES = 256  # boxes up to which the bounds are not drawn: about one batch of the search
 SCHEME = {
     "limits": ("limit violated", "#c0392b"),

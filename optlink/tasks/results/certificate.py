@@ -2,14 +2,14 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from optlink.errors import Status
 from optlink.linkage.vector2d import Array
-from optlink.problem.base_model import Contradiction, Never, Number, Record, Rows, absent
+from optlink.problem.base_model import Contradiction, Never, Number, Record, Rows
 from optlink.problem.file import ProblemFile
 from optlink.problem.function import DesignProblem
 from optlink.solvers.global_search.lagrangian import TESTS
@@ -18,7 +18,6 @@ from optlink.version import VERSION
 GLOBAL, WITHIN_GAP, NOT_CLOSED, INFEASIBLE = "global", "within gap", "not closed", "infeasible"
 EXACT = 1e-9  # rms deviation [rad], or share of the curve, below which a design is exact: none can be better
 GLOBAL_GAP = 1e-6  # largest relative gap of a design that is called globally optimal
-MAX_SHOWN_BOXES = 3_000  # discarded boxes up to which the result document has them
 OBJECTIVE_TOLERANCE = 1e-6  # relative difference of the same objective, once computed and once read
 TINY = 1e-16  # objective [SI] below which the difference of two values is rounding
 SCHEMA = "optlink/certificate/1"
@@ -112,11 +111,6 @@ class Certificate:
     """Whether the bound includes all rounding errors."""
 
     @property
-    def shown(self) -> tuple[Cover, ...] | None:
-        """The covers if their boxes are few enough for the result document."""
-        return self.covers if 0 < sum(len(cover.test) for cover in self.covers) <= MAX_SHOWN_BOXES else None
-
-    @property
     def closed(self) -> bool:
         """Whether the search came to its end."""
         return self.status != NOT_CLOSED
@@ -192,38 +186,8 @@ def share_text(share: float) -> str:
     return (shown.rstrip("0").rstrip(".") if digits else shown) + " %"
 
 
-class CoverRecord(Record):
-    """The discarded boxes of one assembly mode: corners [SI], and the test that discards each."""
-
-    assembly: Any
-    low: Rows
-    high: Rows
-    test: Annotated[tuple[Literal["limits", "objective", "Lagrangian", "cut"], ...], "names"]
-
-    def cover(self, unknowns: int) -> Cover:
-        """Return the cover.
-
-        Parameters
-        ----------
-        unknowns : int
-            Number of design variables.
-
-        Raises
-        ------
-        Contradiction
-            If its boxes have another number of corners or coordinates.
-        """
-        for name, corners in (("low", self.low), ("high", self.high)):
-            if corners.shape != (len(self.test), unknowns):
-                raise Contradiction(f"discarded.{name}", f"{len(self.test)} rows of {unknowns} numbers belong there")
-        if not np.all(self.low <= self.high):
-            raise Contradiction("discarded.high", "the upper corner of a box lies below its lower corner")
-        tests = np.array([TESTS.index(name) for name in self.test], dtype=np.int8)
-        return Cover(self.assembly, self.low, self.high, tests, np.zeros((len(tests), 0)), ())
-
-
 class CertificateRecord(Record):
-    """A certificate in the document of a result: objectives [SI], boxes of the design variables [SI] if they are few."""
+    """A certificate in the document of a result: objectives [SI]; certificate.json has its boxes."""
 
     status: Literal["global", "within gap", "not closed", "infeasible"]
     text: str
@@ -237,7 +201,6 @@ class CertificateRecord(Record):
     improved: bool
     unknowns: tuple[str, ...]
     history: Rows
-    discarded: Annotated[tuple[CoverRecord, ...] | None, "shown"] = absent()
 
     def certificate(self, unknowns: tuple[str, ...], *, exact: bool) -> Certificate:
         """Return the certificate, after a check that it fits the problem and itself.
@@ -254,9 +217,8 @@ class CertificateRecord(Record):
         Contradiction
             If it does not fit the problem or itself.
         """
-        covers = tuple(record.cover(len(unknowns)) for record in self.discarded or ())
         history = np.where(np.isnan(self.history), math.inf, self.history) if self.history.size else np.zeros((0, 3))
-        certificate = self.build(Certificate, covers=covers, history=history)
+        certificate = self.build(Certificate, covers=(), history=history)
         if self.unknowns != unknowns:
             raise Contradiction("unknowns", f"the design variables of the problem are {', '.join(unknowns)}")
         if certificate.history.shape != (len(certificate.history), 3):
