@@ -19,7 +19,7 @@ ROUNDING = 1e-9  # of a revolution, by which a run of exactly one may fall short
 class Flywheel:
     """Result of flywheel sizing for a constant driving torque.
 
-    `mean_torque` [N m] balances the loads over a revolution at the mean speed [rad/s]; `fluctuation` is (largest - least) / mean
+    `mean_torque` [N m] balances the loads over a cycle at the mean speed [rad/s]; `fluctuation` is (largest - least) / mean
     speed without a flywheel, `allowed` the permitted one, `inertia` the least moment of inertia of the flywheel [kg m^2] that
     satisfies it.
     """
@@ -32,7 +32,7 @@ class Flywheel:
 
 
 class Fluctuation:
-    """Energy of a machine over a revolution, which determines its speed.
+    """Energy of a machine over a cycle, which determines its speed.
 
     The kinetic energy changes by the work of a constant torque minus the work of loads and gravity. This work is computed at the
     mean speed, so speed-dependent loads have their values at that speed.
@@ -44,9 +44,9 @@ class Fluctuation:
 
     def __init__(self, machine: Machine, speed: float, start: float = 0.0) -> None:
         self.machine, self.mean_speed = machine, speed
-        cycle = machine.mechanism.cycle
+        cycle = machine.cycle
         low, high = (start, start + cycle) if speed > 0.0 else (start - cycle, start)
-        self.angles = np.linspace(low, high, POSITIONS, endpoint=False)
+        self.angles = np.linspace(low, high, POSITIONS * max(1, round(cycle / TURN)), endpoint=False)
         work = Work(machine, start, low, high, speed)
         self.mean_torque = float(work(np.array([high]))[0] - work(np.array([low]))[0]) / cycle
         moving = machine.moving(self.angles, speed)
@@ -87,7 +87,7 @@ def flywheel(machine: Machine, speed: float, allowed: float, start: float = 0.0)
     speed : float [rad/s], mean
     allowed : float [-], for example 0.02
     start : float [rad]
-        Crank angle at which the revolution starts.
+        Crank angle at which the cycle starts.
 
     Returns
     -------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -15,7 +16,7 @@ from optlink.linkage.jet import as_jet
 from optlink.linkage.mechanism import FRAME, Mechanism, Pose
 from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.stroke import Ranges, reachable
-from optlink.linkage.vector2d import Value, Vector, cross, dot, magnitude, minus, sign
+from optlink.linkage.vector2d import TURN, Value, Vector, cross, dot, magnitude, minus, sign
 
 INSTANT = 1e-10
 """Crank rotation [rad] from a load jump to the position of its one-sided value."""
@@ -128,6 +129,18 @@ class Machine:
     def ranges(self) -> Ranges:
         """Crank ranges in which the mechanism can be assembled."""
         return reachable(self.mechanism, self.sizes)
+
+    @cached_property
+    def revolutions(self) -> int | None:
+        """Revolutions of the crank after which motion and loads repeat; None where a load never does."""
+        motion = max(1, round(self.mechanism.cycle / TURN))
+        loads = [getattr(getattr(load, "magnitude", None), "revolutions", 1) for load in self.loads]
+        return None if None in loads else math.lcm(motion, *loads)
+
+    @property
+    def cycle(self) -> float:
+        """Crank rotation [rad] after which motion and loads repeat; that of the motion alone where a load never does."""
+        return self.mechanism.cycle if self.revolutions is None else self.revolutions * TURN
 
     @cached_property
     def compiled(self) -> dict[str, Any]:

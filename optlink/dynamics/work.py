@@ -9,7 +9,7 @@ from optlink.dynamics.inverse import reactions
 from optlink.dynamics.machine import Machine
 from optlink.dynamics.poles import irregular
 from optlink.linkage.extrema import distinct
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import TURN, Array
 from optlink.linkage.zeros import zeros
 
 PANELS = 180  # per range or revolution: 2 degrees each in a revolution
@@ -68,14 +68,15 @@ def corners(machine: Machine, low: float, high: float, speed: float) -> Array:
         Crank speed, which affects the normal forces.
     """
     corner_angles: list[Array] = []
-    turns = np.arange(np.floor(low / (2.0 * np.pi)) - 1.0, np.ceil(high / (2.0 * np.pi)) + 1.0) * 2.0 * np.pi
     rows: list[tuple[str, float]] = []
     for load in machine.loads:
         table = getattr(load, "magnitude", None)
         at = np.asarray(getattr(table, "at", ()), dtype=float)
         over, guide = getattr(table, "over", ""), getattr(load, "direction", None)
         if over == "phi":
-            corner_angles.append((at[:, None] + turns).ravel())
+            period = TURN * getattr(table, "revolutions", 1)
+            cycles = np.arange(np.floor((low - at[-1]) / period), np.ceil((high - at[0]) / period) + 1.0)
+            corner_angles.append((at[:, None] + period * cycles).ravel())
         elif over == "s" and isinstance(guide, str):
             rows += [(guide, float(value)) for value in at]
     if rows:
@@ -100,7 +101,7 @@ def _grid(low: float, high: float) -> Array:
 
 
 def _panels(low: float, high: float) -> int:
-    return PANELS * max(1, round((high - low) / (2.0 * np.pi)))
+    return PANELS * max(1, round((high - low) / TURN))
 
 
 def _rising(lists: list[Array], low: float, high: float) -> Array:

@@ -121,7 +121,7 @@ class CycleTerms:
         self.epigraphs = [goal for goal in self.goals if goal.extreme]
         events = len(structure.which)
         self.cuts = trace.cuts(structure)
-        self.strokes = max(1, self.cuts)
+        self.strokes = max(1, self.cuts) * trace.revolutions
         self.variables = [scaled_variable(problem, name, self.size) for name in self.free]
         self.variables += [Variable(f"{EVENT} {k + 1}", 1.0, DEGREES) for k in range(events)]
         self.variables += [Variable(f"{goal.words} {k + 1}", 1.0, PLAIN) for k, goal in enumerate(self.epigraphs)]
@@ -144,10 +144,10 @@ class CycleTerms:
 
     def _cut(self, nodes: int) -> None:
         """Define nodes and exchange points of every stroke, with the signals there."""
-        edges: list[Any] = [*self.events[: self.cuts], self.events[0] + TURN] if self.cuts else [0.0, TURN]
+        edges = self.trace.edges(self.events[: self.cuts])
         self.edges = edges
         if self.cuts:
-            count = max(FEWEST, math.ceil(nodes / self.strokes))
+            count = max(FEWEST, math.ceil(nodes / self.cuts))
             at, weights = np.polynomial.legendre.leggauss(count)
             shares, weights = 0.5 * (at + 1.0), 0.5 * weights
         else:  # even steps integrate smooth periodic functions best
@@ -231,7 +231,7 @@ class CycleTerms:
         for k in range(self.cuts):
             state = self.structure.rising[k] if k in indices else state
             intervals.append(state)
-        return intervals
+        return intervals * self.trace.revolutions
 
     def duration(self, which: int, forward: bool) -> Any:
         """Return the crank rotation [rad] during which an output moves forward or backward.
@@ -270,7 +270,8 @@ class CycleTerms:
             for weight, parts in self.components(term):
                 if weight is not None:
                     total += weight * (sum(part * part for part in parts) if square else parts[0])
-            return casadi.sqrt(total / TURN) if square else total / TURN
+            cycle = TURN * self.trace.revolutions
+            return casadi.sqrt(total / cycle) if square else total / cycle
         if term.quantity == "length":
             return self.values[str(term.of)]
         if term.quantity == "total length":
@@ -289,7 +290,7 @@ class CycleTerms:
         return casadi.SX(0.0)
 
     def _work(self, term: Term) -> Any:
-        """Return the work of the drive per revolution, or in the strokes in which a slider moves one way."""
+        """Return the work of the drive per revolution, or in the strokes in which a slider moves one way, mean over a cycle."""
         last = sum(self.trace.widths) - 1
         way = [True] * self.strokes
         if term.stroke is not None:
@@ -298,7 +299,7 @@ class CycleTerms:
         for stroke, weight, signals in self.at:
             if weight is not None and way[stroke]:
                 total += weight * self.trace.direction * signals[last]
-        return total
+        return total / self.trace.revolutions
 
     def _ends(self, term: Term) -> list[int]:
         """Return the indices of the events at which the output of a term reverses."""

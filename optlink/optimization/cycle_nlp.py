@@ -107,16 +107,13 @@ class CycleNLP(NLP):
 
     @property
     def strokes(self) -> int:
-        """Number of parts into which events divide the revolution."""
-        return max(1, self.traced.cuts(self.structure))
+        """Number of parts into which events divide the cycle."""
+        return max(1, self.traced.cuts(self.structure)) * self.traced.revolutions
 
     def edges(self, x: Array) -> Array:
         """Return the crank angles [rad] at which the strokes begin, followed by the end of the last one."""
         count, cuts = len(self.free), self.traced.cuts(self.structure)
-        if not cuts:
-            return np.array([0.0, TURN])
-        begin = x[count : count + cuts]
-        return np.append(begin, begin[0] + TURN)
+        return np.array(self.traced.edges(x[count : count + cuts].tolist()))
 
 
 def build_cycle(

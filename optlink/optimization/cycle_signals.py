@@ -144,6 +144,7 @@ class TracedCycle:
         self.cyclic = [term for term in self.terms if term.nature.cyclic]
         self.works = any(term.quantity == "work" for term in self.terms)
         self.base, self.slow = self._relevant(problem.machine(values, slow)), slow
+        self.revolutions = self.base.revolutions or 1
         self.events = self._events()
         inputs = casadi.SX.sym("inputs", len(self.names) + 1)
         with symbols_in_numpy():
@@ -234,6 +235,19 @@ class TracedCycle:
     def cuts(self, structure: EventOrder) -> int:
         """Return the number of events that divide the revolution; they come first."""
         return sum(self.events[which].cuts for which in structure.which)
+
+    def edges(self, begins: Sequence[Any]) -> list[Any]:
+        """Return the crank angles [rad] that divide a cycle, and its end, from those of the cuts of its first revolution.
+
+        Motions repeat in every revolution, so that the cuts of the others follow.
+
+        Parameters
+        ----------
+        begins : sequence of crank angles [rad]
+            Empty where no motion divides a revolution.
+        """
+        begins = list(begins) or [0.0]
+        return [*(begin + k * TURN for k in range(self.revolutions) for begin in begins), begins[0] + self.revolutions * TURN]
 
     def event_of(self, term: Term) -> int:
         """Return the index of the event that ends the strokes of a term's output."""
@@ -333,7 +347,7 @@ class TracedCycle:
         relevant = self._relevant(self.problem.machine(values, self.slow))
         middles = np.array([[getattr(load, "middle", 0.0) for load in machine.loads] for machine in (self.base, relevant)])
         moved = middles[0] - middles[1]
-        moving = relevant.moving(np.linspace(0.0, TURN, GRID, endpoint=False), self.speed)
+        moving = relevant.moving(np.linspace(0.0, relevant.cycle, GRID * self.revolutions, endpoint=False), self.speed)
         return all(
             abs(moved[k]) <= 0.25 * TURN and np.allclose(before.torque, after.torque, rtol=1e-9)
             for k in np.flatnonzero(moved)

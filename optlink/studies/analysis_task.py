@@ -13,7 +13,7 @@ from optlink.dynamics.machine import Machine, slider_names
 from optlink.errors import InputError
 from optlink.linkage.alignment import positions_text
 from optlink.linkage.stroke import Ranges, failure, reachable
-from optlink.linkage.vector2d import Array
+from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import nearest
 from optlink.studies.grid import Axis, Grid
@@ -155,7 +155,8 @@ def available_figures(problem: ProblemFile) -> tuple[tuple[str, ...], tuple[str,
     single = [f"{name}.{kind}" for name in sliders for kind in ("stroke_m", "time_ratio")]
     for link in mechanism.links:
         single += [f"{link.body}.swing_rad", f"{link.body}.{'swing_' if link.body in sliders else ''}time_ratio"]
-    return tuple(columns), (*sorted(single), "input.work_per_revolution_J", "input.work_J.min", "input.work_J.max")
+    work = f"input.work_per_{'revolution' if machine.cycle == TURN else 'cycle'}_J"
+    return tuple(columns), (*sorted(single), work, "input.work_J.min", "input.work_J.max")
 
 
 def _unreached(problem: ProblemFile, machine: Machine, ranges: Ranges) -> str:

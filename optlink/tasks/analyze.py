@@ -20,7 +20,16 @@ from optlink.linkage.zeros import zeros
 from optlink.problem.arguments import typed
 from optlink.problem.file import ProblemFile
 from optlink.problem.quantity import check_range
-from optlink.tasks.machine import MARGIN, check_design, crank_speed, machine_of, motion_range, start_value_notes, table_angles
+from optlink.tasks.machine import (
+    MARGIN,
+    check_design,
+    check_repeats,
+    crank_speed,
+    machine_of,
+    motion_range,
+    start_value_notes,
+    table_angles,
+)
 from optlink.tasks.results.analysis import Analysis, Extreme
 
 MAX_POINTS = 1_000_000
@@ -76,7 +85,8 @@ def analyze(
     _check(points, step)
     machine, start = machine_of(problem, design), model.drive.start.value
     ranges, low, high = motion_range(problem, machine, start)
-    cycle = machine.mechanism.cycle
+    check_repeats(problem, machine)
+    cycle = machine.cycle
     angles = table_angles(start, low, high, speed, ranges.full, points, step)
     if not ranges.full:
         edge = MARGIN * (high - low)
@@ -94,7 +104,7 @@ def analyze(
         singular = _undetermined(columns, singular, ranges.singular, low, high)
     else:
         unbounded = unbounded_reactions(machine, ranges.followed, speed)
-        singular = _beyond(singular, ranges.followed, cycle)
+        singular = _beyond(singular, ranges.followed, machine.mechanism.cycle)
         even = _even(low, high, ranges.full, cycle)
         scanned = MotionColumns(machine.moving(even, speed))
         jammed, undefined = (
@@ -102,7 +112,8 @@ def analyze(
         )
         column_extremes = _extremes(machine, scanned, even, ranges, speed, work, np.concatenate([jammed, undefined]))
         column_extremes = {name: extreme for name, extreme in column_extremes.items() if name not in unbounded}
-        swings, strokes = travels(machine.mechanism, machine.sizes, low, high, ranges.full)
+        end = low + machine.mechanism.cycle if ranges.full and cycle > machine.mechanism.cycle else high
+        swings, strokes = travels(machine.mechanism, machine.sizes, low, end, ranges.full)
     names = slider_names(machine)
     unsound = bool(ranges.singular or jammed.size or undefined.size or work.poles)
     share = None if unsound else model.drive.fluctuation
@@ -202,12 +213,13 @@ def _extremes(
     `scanned`: the columns at the crank angles `even`. Columns without a value at the crank angles `without` [rad], and those that
     depend on a load with a pole, are left out.
     """
-    pins, full, cycle, low, high = pin_columns(machine), ranges.full, machine.mechanism.cycle, even[0], even[-1]
+    pins, full, cycle, low, high = pin_columns(machine), ranges.full, machine.cycle, even[0], even[-1]
+    turn = machine.mechanism.cycle
     passed = np.array([position.crank_angle for position in ranges.followed])
 
     def values(angles: Array, side: int = 1, machine: Machine = machine) -> Array:
         record = MotionColumns(machine.moving(angles, speed, side=side))
-        distances = np.abs(np.remainder(angles[:, None] - passed + 0.5 * cycle, cycle) - 0.5 * cycle)
+        distances = np.abs(np.remainder(angles[:, None] - passed + 0.5 * turn, turn) - 0.5 * turn)
         singular = record.singular | np.any(distances < CHANGE_POINT_WIDTH, axis=1)
         rows = [
             np.where(singular, np.nan, column.values) if name in record.reaction_names else column.values
@@ -367,11 +379,14 @@ def _missing_notes(machine: Machine, jammed: Array, undefined: Array, speed: flo
 
 
 def _continuation_notes(machine: Machine, ranges: Ranges, unbounded: tuple[str, ...]) -> Iterator[str]:
-    """Yield notes on the continuation of the motion through change points, and on what it leaves undetermined."""
+    """Yield notes on the revolutions of a cycle, and on motion through change points and what it leaves undetermined."""
     revolutions = round(machine.mechanism.cycle / TURN)
     if ranges.followed:
         yield f"the motion is followed smoothly through the change points at crank angle {positions_text(ranges.followed)}"
-    if revolutions > 1:
+    if ranges.full and machine.cycle > machine.mechanism.cycle:
+        what = "the loads repeat" if revolutions == 1 else "motion and loads repeat together"
+        yield f"{what} after {machine.revolutions} revolutions of the crank, which are one cycle here"
+    elif revolutions > 1:
         yield f"the motion repeats after {revolutions} revolutions of the crank, which are one cycle here"
     if unbounded:
         names = ", ".join(dict.fromkeys(name.split(".")[0] for name in unbounded))

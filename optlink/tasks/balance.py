@@ -28,6 +28,7 @@ from optlink.problem.quantity import check_range, input_of
 from optlink.tasks.machine import (
     check_design,
     check_regular,
+    check_repeats,
     crank_speed,
     machine_of,
     motion_range,
@@ -44,7 +45,7 @@ Progress = Callable[[float], None]
 
 
 def positions(problem: ProblemFile, machine: Machine, speed: float) -> Array:
-    """Return the crank angles [rad] at which a machine is balanced; a revolution without its end, which equals its start.
+    """Return the crank angles [rad] at which a machine is balanced; a cycle without its end, which equals its start.
 
     Parameters
     ----------
@@ -63,6 +64,7 @@ def positions(problem: ProblemFile, machine: Machine, speed: float) -> Array:
     assert section is not None
     ranges, low, high = motion_range(problem, machine, start)
     check_regular(problem, ranges, "nothing can be balanced")
+    check_repeats(problem, machine)
     angles = table_angles(start, low, high, speed, ranges.full, section.positions, None)
     return angles[:-1] if ranges.full else angles
 

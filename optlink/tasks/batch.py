@@ -21,7 +21,7 @@ from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import sizes_of
 from optlink.problem.quantity import check_choice
 from optlink.tasks.analyze import GRID, chord_shares
-from optlink.tasks.machine import crank_speed, machine_of
+from optlink.tasks.machine import check_repeats, crank_speed, machine_of
 
 BLOCK_SIZE = 12_000
 """Positions per block: a few dozen intermediate arrays of this size fit in the processor's cache."""
@@ -70,7 +70,7 @@ def analyze_batch(
         Names as in `Analysis.columns`.
     points : int
         Number of crank angles per revolution, starting at `drive.start`; the last one lies one step before the full revolution. A
-        mechanism that moves through change points has as many revolutions as the longest cycle of all designs.
+        machine whose motion or loads repeat after several revolutions has all those of the longest cycle of all designs.
     speed : float [rad/s], optional
         Crank speed. Default: that of the problem.
 
@@ -99,7 +99,8 @@ def analyze_batch(
     drive = problem.model.drive
     direction = crank_speed(problem, speed)
     follows = problem.model.mechanism.follows
-    revolutions = _longest_cycle(problem, arrays) if follows else 1
+    check_repeats(problem, machine_of(problem))
+    revolutions = math.lcm(_longest_cycle(problem, arrays) if follows else 1, machine_of(problem).revolutions or 1)
     angles = drive.start.value + np.copysign(TURN, direction) * np.arange(revolutions * points) / points
     available = MotionColumns(machine_of(problem).moving(angles[:1], direction)).columns
     for name in columns:
@@ -195,11 +196,13 @@ def batch_extremes(
     count = len(next(iter(arrays.values())))
     drive = problem.model.drive
     direction, start = crank_speed(problem), drive.start.value
-    step = TURN / GRID
-    grid = np.asarray(min(start, start + math.copysign(TURN, direction)) + step * np.arange(GRID + 1), dtype=float)
+    check_repeats(problem, machine_of(problem))
+    step, revolutions = TURN / GRID, machine_of(problem).revolutions or 1
+    first_angle = min(start, start + math.copysign(TURN * revolutions, direction))
+    grid = np.asarray(first_angle + step * np.arange(GRID * revolutions + 1), dtype=float)
     extremes = {name: np.full((count, 2), np.nan) for name in columns}
     clear = np.zeros(count, dtype=bool)
-    portion = max(1, LARGE_BATCH // GRID)
+    portion = max(1, LARGE_BATCH // (len(grid) - 1))
     for first in range(0, count, portion):
         machine = machine_of(problem, {name: values[first : first + portion, None] for name, values in arrays.items()})
         moving = machine.moving(grid, direction)

@@ -239,7 +239,7 @@ def motion_range(problem: ProblemFile, machine: Machine, start: float) -> tuple[
     """
     ranges = machine.ranges
     if ranges.full:
-        return ranges, start, start + machine.mechanism.cycle
+        return ranges, start, start + machine.cycle
     holding = ranges.holding(start)
     if holding is None:
         failed = failure(machine.mechanism, machine.sizes, start)
@@ -252,6 +252,24 @@ def motion_range(problem: ProblemFile, machine: Machine, start: float) -> tuple[
         raise InputError(message, remedy, problem.file, "drive.start", f"{math.degrees(start):.6g} deg")
     low, high = holding
     return ranges, low, high
+
+
+def check_repeats(problem: ProblemFile, machine: Machine) -> None:
+    """Refuse a machine whose crank turns fully, but whose loads do not repeat after whole revolutions.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    machine : Machine
+
+    Raises
+    ------
+    InputError
+        With the key of the load.
+    """
+    if machine.ranges.full:
+        with input_of(problem.file):
+            problem.model.check_repeats(machine)
 
 
 def check_regular(problem: ProblemFile, ranges: Ranges, what: str) -> None:

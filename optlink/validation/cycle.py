@@ -68,12 +68,18 @@ class Cycle:
         self.mechanism, self.speed = self.machine.mechanism, problem.drive.speed.value
         ranges = reachable(self.mechanism, self.design)
         self.full, self.singular = ranges.full, ranges.singular
+        self.cycle = self.machine.cycle
         self._figures: dict[Term, float] = {}
 
     @cached_property
+    def positions(self) -> Array:
+        """Evenly spaced crank angles [rad] of a cycle, with its end."""
+        return np.linspace(0.0, self.cycle, POSITIONS * round(self.cycle / TURN) + 1)
+
+    @cached_property
     def work(self) -> Work:
-        """Work of the drive from crank angle 0."""
-        low, high = (0.0, TURN) if self.speed > 0.0 else (-TURN, 0.0)
+        """Work of the drive from crank angle 0 over a cycle."""
+        low, high = (0.0, self.cycle) if self.speed > 0.0 else (-self.cycle, 0.0)
         return Work(self.machine, 0.0, low, high, self.speed)
 
     @cached_property
@@ -138,15 +144,16 @@ class Cycle:
         return stroke_ratio(forward, TURN - forward, term.stroke)
 
     def _work(self, term: Term) -> float:
-        sense = math.copysign(TURN, self.speed)
+        """Return the work of the drive per revolution, or in a stroke of a slider, mean over the revolutions of a cycle."""
+        sense, revolutions = math.copysign(self.cycle, self.speed), round(self.cycle / TURN)
         whole, back = float(self.work(np.array([sense]))[0]), min(sense, 0.0)
         if term.of is None:
-            return whole
+            return whole / revolutions
         travel = self._travels[1][str(guide_of(str(term.of), self.mechanism))]
         begin, end = (travel.low_at, travel.high_at) if term.stroke == "forward" else (travel.high_at, travel.low_at)
-        begin, end = begin % TURN + back, end % TURN + back
-        stroke_work = float(np.diff(self.work(np.array([begin, end])))[0])
-        return stroke_work if (end - begin) * sense >= 0.0 else stroke_work + whole
+        begins, ends = (np.array([at % TURN + TURN * k + back for k in range(revolutions)]) for at in (begin, end))
+        stroke_work = float(np.sum(self.work(ends) - self.work(begins)))
+        return (stroke_work if (ends[0] - begins[0]) * sense >= 0.0 else stroke_work + whole) / revolutions
 
     def history(self, term: Term) -> tuple[Machine, Callable[[MotionColumns], Array]]:
         """Return the machine of a cyclic term, and a function that reads the term from a record."""
@@ -171,14 +178,14 @@ class Cycle:
         """Return the values (terms,) of terms that a single position decides, one-sided at load jumps."""
         scores: dict[str, Callable[[Array], Array]] = {"peak": np.abs, "largest": np.positive, "least": np.negative}
         reads = [(scores[term.how], self.history(term)[1]) for term in terms]
-        jumps = np.remainder(self.work.jumps, TURN)
+        jumps = np.remainder(self.work.jumps, self.cycle)
 
         def values(angles: Array, side: int = 1) -> Array:
             record = MotionColumns(machine.moving(angles, self.speed, side=side))
             return np.array([score(read(record)) for score, read in reads])
 
-        breaks = tuple(np.remainder(self.work.breaks, TURN))
-        grid = distinct(np.concatenate([np.linspace(0.0, TURN, POSITIONS + 1), np.remainder(self.work.peaks, TURN)]))
+        breaks = tuple(np.remainder(self.work.breaks, self.cycle))
+        grid = distinct(np.concatenate([self.positions, np.remainder(self.work.peaks, self.cycle)]))
         peaks = maxima(values, grid, breaks, periodic=True)[1]
         if jumps.size:
             peaks = np.maximum(peaks, np.nanmax(values(jumps, side=-1), axis=1))
@@ -200,7 +207,7 @@ class Cycle:
             return 0.0
         driving = term if term.how == "mean" else Term(quantity="torque")
         machine, read = self.history(driving)
-        values = read(MotionColumns(machine.moving(np.linspace(0.0, TURN, POSITIONS + 1), self.speed)))
+        values = read(MotionColumns(machine.moving(self.positions, self.speed)))
         return float(np.max(np.abs(values))) * (1.0 if term.how == "mean" else TURN)
 
     def natural(self) -> float:
@@ -289,7 +296,7 @@ def _motion(tested: Cycle) -> Iterator[Check]:
         return sweep(tested.mechanism, tested.design, angles)
 
     yield from alignment_checks(placed, grid, tested.problem.limits, "the revolution")
-    record = MotionColumns(tested.machine.moving(grid, tested.speed))
+    record = MotionColumns(tested.machine.moving(tested.positions, tested.speed))
     good = not np.any(record.singular | record.jammed | record.undefined) and not tested.work.poles
     yield Check("finite forces over the revolution", bool(good), float(good), "= 1", "")
     if tested.machine.inertias or tested.machine.loads:

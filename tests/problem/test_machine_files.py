@@ -225,10 +225,10 @@ BAD: dict[str, tuple[dict[str, Any], str, str]] = {
     "ragged table": (table("phi", ["1 deg", "2 deg"], [*N12, "3 N"]), "loads.process.force.values", "2 values, values has 3"),
     "table of one row": (table("phi", ["1 deg"], ["1 N"]), "loads.process.force.values", "two or more"),
     "empty table": (table("phi", [], []), "loads.process.force.values", "two or more"),
-    "table beyond a turn": (
-        table("phi", ["0 deg", "180 deg", "361 deg"], [*N12, "3 N"]),
+    "table beyond 24 turns": (
+        table("phi", ["0 deg", "180 deg", "8641 deg"], [*N12, "3 N"]),
         "loads.process.force.at",
-        "one revolution",
+        "longer than 24 revolutions",
     ),
     "table over nothing": (force(at=["1 deg", "2 deg"], values=N12), "loads.process.force.over", "phi, omega, s"),
     "table over time": (table("t", ["1 deg", "2 deg"], N12), "loads.process.force.over", "phi, omega, s"),
@@ -409,7 +409,7 @@ def test_numbers_that_break_the_arithmetic_do_not_warn(name, changes):
         ("", "no column phi_deg"),
         ("phi_deg,force_N\n0,0\n", "two or more"),
         ("phi_deg,force_N\n0,0\n10,1\n5,2\n", "row 4 of force.csv has phi_deg = 5 after 10, which must rise"),
-        ("phi_deg,force_N\n0,0\n361,1\n", "longer than one revolution"),
+        ("phi_deg,force_N\n0,0\n8641,1\n", "longer than 24 revolutions"),
         ("phi_deg,force_N\n" + "0,0\n" * 10_001, "more than 10,000"),
         ("\0,\n", "csv|column"),
     ],

@@ -590,10 +590,10 @@ def on_the_crank(torque):
     ("torque", "poles"),
     [
         ("1/(theta - 1.0)", [1.0]),  # two infinite ends of opposite sign
-        ("1e-6/(phi - 2.0)^2", [2.0]),  # its denominator touches zero
+        ("1e-6/(1 - cos(phi - 2.0))", [2.0]),  # its denominator touches zero
         ("(1 + cos(phi - 0.1))^-0.5", [math.pi + 0.1]),
         ("tan(phi)", [0.5 * math.pi, 1.5 * math.pi]),
-        ("log(abs(phi - 1.0))", [1.0]),
+        ("log(abs(sin(phi/2 - 0.5)))", [1.0]),
     ],
 )
 def test_load_with_a_pole_between_the_rows_is_reported_and_has_no_extremes(torque, poles):
@@ -618,22 +618,18 @@ def test_sweep_of_a_machine_with_a_pole_in_a_load_has_no_figures():
 @pytest.mark.parametrize(
     ("torque", "integral", "largest"),
     [
-        ("sin(phi - 1.0)/(phi - 1.0)", None, None),  # no pole
-        ("5*abs(phi - 1.0)/(phi - 1.0)", 5.0 * (TURN + math.radians(60.0) - 2.0), 5.0),  # jumps
+        ("sin(phi - 1.0)^2/sin(phi/2 - 0.5)^2", 2.0 * TURN, 4.0),  # no pole
+        ("5 + 5*abs(sin(phi - 1.0))/sin(phi - 1.0)", 5.0 * TURN, 10.0),  # jumps
         ("2/(phi/2 - 1.0001)^0", 2.0 * TURN, 2.0),
-        ("1/((phi - 1.0)^2 + 1e-8)", None, 1e8),  # a peak of 0.006 deg
+        ("1/(4*sin(phi/2 - 0.5)^2 + 1e-8)", TURN / math.sqrt(4e-8 + 1e-16), 1e8),  # a peak of 0.006 deg
         ("abs(cos(phi))", 4.0, 1.0),
     ],
 )
 def test_work_and_extremes_of_a_load_with_corners_jumps_and_peaks(torque, integral, largest):
     result = optlink.analyze(on_the_crank(torque).override({"bodies": {}}), points=8)
-    low, high = math.radians(30.0) - 1.0, math.radians(390.0) - 1.0
-    if integral is None:
-        integral = si(high) - si(low) if largest is None else 1e4 * (math.atan(high * 1e4) - math.atan(low * 1e4))
     assert result.sound
     assert result.work == pytest.approx(-integral, rel=1e-11)
-    if largest is not None:
-        assert result.extremes["brake.torque_Nm"].largest == pytest.approx(largest, rel=1e-9)
+    assert result.extremes["brake.torque_Nm"].largest == pytest.approx(largest, rel=1e-9)
 
 
 @pytest.mark.parametrize("start", ["0 deg", "30 deg"])
@@ -659,11 +655,6 @@ def test_a_load_table_of_a_revolution_may_jump_at_its_end(start, at, values, wor
     with symbols_in_numpy():
         traced = casadi.Function("table", [angle], [load({"phi": angle})])
     np.testing.assert_allclose(load({"phi": phi}), np.asarray(traced(phi[None, :]))[0], atol=1e-9)
-
-
-def si(x):
-    """The sine integral, by its series."""
-    return math.fsum((-1.0) ** k * x ** (2 * k + 1) / ((2 * k + 1) * math.factorial(2 * k + 1)) for k in range(30))
 
 
 def tangent_mechanism(height):

@@ -179,6 +179,7 @@ class CycleProblem(Problem):
         if not self.bodies and not self.loads and any(_forced(goal) for goal in self.goals):
             raise Unusable("no masses and no loads are given, so there are no forces", "Add [bodies] or [loads]", "objective")
         super().check()
+        self.check_repeats(self.machine(slow=self.slow_assumed))
 
 
 class StrokeRequirement(Section):

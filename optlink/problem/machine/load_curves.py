@@ -14,6 +14,7 @@ from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.quantity import Unusable, below, check_keys, read_scalar
 from optlink.problem.targets.csv_table import read_columns
 from optlink.problem.targets.expression import Expression, parse
+from optlink.problem.targets.repetition import MOST_REVOLUTIONS, revolutions_of
 from optlink.units import factor, show
 
 OVER = {"phi": "angle", "s": "coordinate", "omega": "angular velocity"}
@@ -27,6 +28,7 @@ class Constant:
 
     value: float
     text: str
+    revolutions: ClassVar[int] = 1
 
     def __str__(self) -> str:
         return self.text
@@ -51,6 +53,11 @@ class Formula:
         """Return the value [SI]."""
         return self.expression(variables) * self.size
 
+    @cached_property
+    def revolutions(self) -> int | None:
+        """Revolutions of the crank after which the value repeats, speeds and positions unchanged; None if it does not."""
+        return revolutions_of(self.expression)
+
     @property
     def cornered(self) -> bool:
         """Whether the value may have a pole, a jump or a corner."""
@@ -63,7 +70,10 @@ class Formula:
 
 @dataclass(frozen=True)
 class LoadTable:
-    """A table over one variable with linear interpolation; periodic over the crank angle, else constant beyond its ends."""
+    """A table over one variable with linear interpolation, constant beyond its ends.
+
+    Over the crank angle it repeats after the least number of whole revolutions that hold its rows.
+    """
 
     over: str
     at: tuple[float, ...]
@@ -77,7 +87,8 @@ class LoadTable:
         """Return the value [SI]."""
         x, (at, values) = variables[self.over], self._rows
         if self.over == "phi":
-            x = x - TURN * np.floor((x - at[0]) / TURN)
+            period = self.revolutions * TURN
+            x = x - period * np.floor((x - at[0]) / period)
         if isinstance(x, float | int | np.ndarray | np.generic):
             return np.interp(np.asarray(x, dtype=float), at, values)
         slopes = np.concatenate([[0.0], np.diff(values) / np.diff(at), [0.0]])
@@ -86,12 +97,19 @@ class LoadTable:
             value = value + change * np.maximum(x - begin, 0.0)
         return value
 
+    @property
+    def revolutions(self) -> int:
+        """Revolutions of the crank after which the values repeat."""
+        turns = (self.at[-1] - self.at[0]) / TURN
+        return max(1, math.ceil(turns * (1.0 - REPEATED))) if self.over == "phi" else 1
+
     @cached_property
     def _rows(self) -> tuple[Array, Array]:
-        """The rows; over the crank angle those of one whole revolution, at whose end the value may jump to the first."""
+        """The rows; over the crank angle those of whole revolutions, at whose end the value may jump to the first."""
         at, values = np.array(self.at), np.array(self.values)
-        if self.over == "phi" and at[-1] < at[0] + TURN * (1.0 - REPEATED):
-            return np.append(at, at[0] + TURN), np.append(values, values[0])
+        end = at[0] + self.revolutions * TURN
+        if self.over == "phi" and at[-1] < end - TURN * REPEATED:
+            return np.append(at, end), np.append(values, values[0])
         return at, values
 
 
@@ -156,9 +174,9 @@ def read_size(raw: object, folder: Path, kind: str, names: Iterable[str]) -> Siz
     falls = next((row for row, (a, b) in enumerate(itertools.pairwise(at), start=2) if b <= a), None)
     if falls:
         raise Unusable(f"the rows must rise, and row {falls} does not", "Sort them and remove repeated ones", "at")
-    if over == "phi" and at[-1] - at[0] > TURN * (1.0 + REPEATED):
-        message = f"the table is longer than one revolution: {math.degrees(at[-1] - at[0]):.8g} deg"
-        raise Unusable(
-            message, "A table repeats every revolution: leave out the rows beyond the first one", "csv" if "csv" in raw else "at"
-        )
-    return LoadTable(str(over), tuple(at), tuple(values))
+    table = LoadTable(str(over), tuple(at), tuple(values))
+    if table.revolutions > MOST_REVOLUTIONS:
+        message = f"the table is longer than {MOST_REVOLUTIONS} revolutions: {math.degrees(at[-1] - at[0]):.8g} deg"
+        remedy = "A table is one cycle of the machine: give the rows after which the load repeats"
+        raise Unusable(message, remedy, "csv" if "csv" in raw else "at")
+    return table

@@ -23,6 +23,7 @@ from optlink.problem.machine.loads import LoadSection
 from optlink.problem.machine.revolution import RevolutionSamples
 from optlink.problem.mechanism import DyadsSection, FourBarSection, sizes_of
 from optlink.problem.quantity import FixedAngle, FixedLength, Number, Quantity, Unusable, below, check_name, nearest
+from optlink.problem.targets.repetition import MOST_REVOLUTIONS
 from optlink.problem.tolerances import Deviation, Tolerances, deviations, with_deviating_pivots
 from optlink.units import display_unit
 
@@ -291,6 +292,37 @@ class Problem(Section):
             self.mechanism.friction,
             {name: joint.on for name, joint in self.joints.items() if joint.on is not None},
         )
+
+    def check_repeats(self, machine: Machine) -> None:
+        """Refuse loads that do not repeat after whole revolutions of the crank, so that the machine has no cycle.
+
+        Parameters
+        ----------
+        machine : Machine
+            Its crank turns fully.
+
+        Raises
+        ------
+        Unusable
+            with the full key of the cause.
+        """
+        if machine.revolutions is not None and machine.revolutions <= MOST_REVOLUTIONS:
+            return
+        sizes = {load.name: getattr(load, "magnitude", None) for load in machine.loads}
+        revolutions = {name: getattr(size, "revolutions", 1) for name, size in sizes.items()}
+        if machine.revolutions is None:
+            name = next(name for name, count in revolutions.items() if count is None)
+            message = f"the load does not repeat after {MOST_REVOLUTIONS} revolutions of the crank or fewer, so there is no cycle"
+            remedy = (
+                "Write phi within sin, cos or tan, times a fraction such as phi/2 for two revolutions, or give a table over phi; "
+                "`optlink simulate` follows a load that never repeats"
+            )
+        else:
+            name = max(revolutions, key=lambda name: revolutions[name] or 0)
+            message = f"motion and loads repeat together only after {machine.revolutions} revolutions of the crank"
+            remedy = f"Change its period: cycles of at most {MOST_REVOLUTIONS} revolutions are supported"
+        key = "force" if self.loads[name].force is not None else "torque"
+        raise Unusable(message, remedy, f"loads.{name}.{key}", str(sizes[name]))
 
     @property
     def slow_assumed(self) -> dict[str, Direction] | None:

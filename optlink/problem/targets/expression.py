@@ -7,7 +7,7 @@ passed to Python for evaluation.
 
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
@@ -98,8 +98,7 @@ class Expression:
                 stack.append(None)
                 fine = (what, parts[0]) != ("/", 0.0)
             else:
-                steps = *(("number", part) for part in reversed(parts)), (kind, what)
-                value = replace(self, program=steps)({})
+                value = operation(kind, what, [part for part in reversed(parts) if part is not None])
                 stack.append(value)
                 fine = bool(np.isfinite(value))
             if not fine:
@@ -176,6 +175,20 @@ class Expression:
                         watch(what, left, right)
                     stack.append(_BINARY[what](left, right))
         return stack.pop()
+
+
+def operation(kind: str, what: str, constants: Iterable[float]) -> float:
+    """Return the result of a step of a program on constants.
+
+    Parameters
+    ----------
+    kind, what : str
+        The step.
+    constants : iterable of float
+        Its operands in order.
+    """
+    program = (*(("number", constant) for constant in constants), (kind, what))
+    return float(Expression("", frozenset(), program)({}))
 
 
 def parse(text: str, names: Iterable[str]) -> Expression:

@@ -40,8 +40,8 @@ class Line(NamedTuple):
 def _line(cycle: Cycle, term: Term) -> Line:
     """Evaluate a cyclic term over the revolution, with one-sided values at load jumps."""
     machine, read = cycle.history(term)
-    jumps = np.remainder(cycle.work.jumps, TURN)
-    even = np.linspace(0.0, TURN, STEPS + 1)
+    jumps = np.remainder(cycle.work.jumps, cycle.cycle)
+    even = np.linspace(0.0, cycle.cycle, STEPS * round(cycle.cycle / TURN) + 1)
     angles = np.concatenate([even, jumps, jumps])
     values = read(MotionColumns(machine.moving(np.concatenate([even, jumps]), cycle.speed)))
     before = read(MotionColumns(machine.moving(jumps, cycle.speed, side=-1))) if jumps.size else np.zeros(0)
@@ -75,14 +75,14 @@ def charts(result: CycleResult) -> list[ChartSpec]:
     cycles = {"initial": initial, "result": optimal} if initial.full else {"result": optimal}
     panels = [_panel(result, term, cycles, (low, high)) for term, low, high in shown]
     jumps = [
-        chart_spec.Line(math.degrees(at % TURN), colour=RESULT if name == "result" else INITIAL, width=0.8)
+        chart_spec.Line(math.degrees(at % cycle.cycle), colour=RESULT if name == "result" else INITIAL, width=0.8)
         for name, cycle in cycles.items()
         for at in cycle.work.jumps
     ]
-    x = crank_angle(limits=(0.0, 360.0))
+    x = crank_angle(limits=(0.0, math.degrees(optimal.cycle)))
     if optimal.speed < 0.0:
         x = Axis(f"{x.name}, turned clockwise: from right to left", x.limits, step=x.step)
-    title = "Objectives and limits over the revolution"
+    title = f"Objectives and limits over the {'revolution' if optimal.cycle == TURN else 'cycle'}"
     return [ChartSpec("courses", title, panels, x, heading=result.task.title, lines=jumps)]
 
 

@@ -144,8 +144,8 @@ class Analysis(Tabled):
 
     @property
     def cycle(self) -> float:
-        """Crank rotation [rad] after which the motion repeats, if the crank turns fully."""
-        return self.machine.mechanism.cycle
+        """Crank rotation [rad] after which motion and loads repeat, if the crank turns fully."""
+        return self.machine.cycle
 
     @property
     def extent(self) -> str:
