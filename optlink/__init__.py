@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 from optlink.version import VERSION as __version__
 
 if TYPE_CHECKING:
-    from optlink.errors import InputError, OptlinkError, SolverError, Status
+    from optlink.errors import InputError, OptlinkError, SolverError, Status, UnknownName
+    from optlink.linkage.arguments import sweep
     from optlink.linkage.fourbar import four_bar, grashof
-    from optlink.linkage.motion import sweep
     from optlink.problem.file import ProblemFile, load, read, shipped
     from optlink.problem.templates import new
     from optlink.report.html.notebook import Explorer
@@ -37,9 +37,9 @@ if TYPE_CHECKING:
     from optlink.tasks.simulate import Simulation, simulate
 
 _NAMES = {
-    "optlink.errors": ("InputError", "OptlinkError", "SolverError", "Status"),
+    "optlink.errors": ("InputError", "OptlinkError", "SolverError", "Status", "UnknownName"),
+    "optlink.linkage.arguments": ("sweep",),
     "optlink.linkage.fourbar": ("four_bar", "grashof"),
-    "optlink.linkage.motion": ("sweep",),
     "optlink.problem.file": ("ProblemFile", "load", "read", "shipped"),
     "optlink.problem.templates": ("new",),
     "optlink.report.html.notebook": ("Explorer",),
@@ -78,6 +78,7 @@ __all__ = [
     "SolverError",
     "Status",
     "Tuning",
+    "UnknownName",
     "__version__",
     "analyze",
     "analyze_batch",

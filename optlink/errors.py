@@ -2,6 +2,7 @@
 
     OptlinkError
     ├── InputError    the user's file, key or value is not usable       exit code 2
+    │   └── UnknownName   no part or column has this name; also a KeyError
     └── SolverError   unexpected breakdown of a solver                  exit code 3
 
 An infeasible problem or a design that fails its validation raises no exception: it is a result (`Status`). Any other exception is
@@ -11,10 +12,12 @@ a fault of optlink: exit code 4.
 from __future__ import annotations
 
 import contextlib
+import contextvars
 import enum
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 SHOWN = 80  # maximum number of characters shown of an invalid value
@@ -47,6 +50,71 @@ class Fault:
         if where and self.value is not None:
             where += f" = {shown(self.value)}"
         return ": ".join(part for part in (self.file, where, f"{self.message}. {self.remedy}") if part)
+
+    def in_python(self) -> Fault:
+        """Return the fault with the arguments of functions in place of the options of commands."""
+        key = None if self.key is None else arguments_for_options(self.key)
+        return replace(self, message=arguments_for_options(self.message), remedy=arguments_for_options(self.remedy), key=key)
+
+
+OPTIONS_NAMED = contextvars.ContextVar("options named", default=False)
+"""Whether errors name the options of a command, not the arguments of the function that it calls."""
+
+ARGUMENTS = {
+    "allocate": "target_yield",
+    "cost": "costs",
+    "column": "columns",
+    "distribution": "shape",
+    "out": "folder",
+    "quantity": "output",
+    "set": "override",
+    "tolerance": "tolerances",
+    "tune": "names",
+}
+"""Arguments of functions with another name than the option of the command."""
+
+_OPTION = re.compile(r'(`[^`]*`)|(?<![\w-])--([a-z][a-z-]*)(?: ("[^"]*"|[A-Z\d][\w.]*(?![\w=])))?')
+
+
+def arguments_for_options(text: str) -> str:
+    """Replace the options of commands by arguments: `--time-limit` by time_limit; commands in backticks remain as they are.
+
+    Parameters
+    ----------
+    text : str
+        Text of an error.
+    """
+
+    def argument(match: re.Match[str]) -> str:
+        command, option, value = match.groups()
+        if command:
+            return command
+        name = ARGUMENTS.get(option, option.replace("-", "_"))
+        return f"{name}={value}" if value else name
+
+    return _OPTION.sub(argument, text)
+
+
+def nearest(key: str, choices: Iterable[str], deeper: Sequence[str] = ()) -> str:
+    """Return a remedy for an unknown name: the shortest that contain it, or else the closest one, and all known ones.
+
+    Parameters
+    ----------
+    key : str
+        The unknown name.
+    choices : iterable of str
+    deeper : sequence of str
+        Full names that end with it, which are meant rather than others.
+    """
+    import difflib
+
+    names, quoted = list(choices), '"{}"'.format
+    same = [name for name in names if name.lower() == key.lower()]
+    suggestions = same or [*deeper, *(name for name in OTHER_WORDS.get(key.lower(), ()) if name in names)]
+    inside = sorted((name for name in names if len(key) > 2 and key in name), key=len)
+    close = suggestions or inside or (key not in OTHER_WORDS and difflib.get_close_matches(key, names, n=1, cutoff=0.55)) or []
+    guess = f"Did you mean {' or '.join(map(quoted, close[:3]))}? " if close else ""
+    return f"{guess}Known: {', '.join(quoted(name) if ',' in name else name for name in names)}"
 
 
 class InvalidValue(ValueError):
@@ -86,6 +154,12 @@ class InputError(OptlinkError):
     def __reduce__(self) -> tuple[type[InputError], tuple[tuple[Fault, ...]]]:
         """Return what copies and pickles are made from."""
         return type(self), (self.faults,)
+
+
+class UnknownName(InputError, KeyError):
+    """A name that nothing has: of a point, a body, a column, a dimension."""
+
+    __str__ = Exception.__str__  # that of KeyError would quote the sentence
 
 
 class SolverError(OptlinkError):

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import inspect
+import math
+import types
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import optlink
-from optlink.errors import InputError
+from optlink.errors import InputError, arguments_for_options
+from optlink.linkage.fourbar import classify
+from optlink.linkage.motion import sweep as sweep_unchecked
 from optlink.problem.arguments import typed
 from optlink.studies.pareto.epsilon_constraint import pareto
 from optlink.studies.sensitivity import sensitivities
@@ -18,6 +22,141 @@ from optlink.studies.tolerance.analysis import tolerance
 
 LAW, MACHINE, CLEARANCE = (optlink.load(name) for name in ("crank-rocker", "six-bar", "slider-crank-clearance"))
 SPEEDS = ["drive.speed=100..200 rpm:2"]
+SIZES = {"crank": 0.2, "coupler": 0.7, "rocker": 0.6, "frame": 0.8}
+DESIGN = {"coupler": 0.4, "rocker": 0.23}
+ACCEPTED = {
+    optlink.solve: {"problem": LAW, "certify": False},
+    optlink.validate: {"problem": LAW, "design": DESIGN},
+    optlink.analyze: {"problem": MACHINE},
+    optlink.analyze_batch: {"problem": MACHINE, "designs": {"crank.length": [0.1]}},
+    optlink.simulate: {"problem": MACHINE, "duration": 0.01},
+    optlink.simulate_clearance: {"problem": CLEARANCE},
+    optlink.compare: {"problem": CLEARANCE},
+    optlink.tune: {"problem": CLEARANCE},
+    optlink.balance: {"problem": optlink.load("balance-six-bar")},
+    optlink.load: {"problem": "crank-rocker"},
+    optlink.new: {"name": "law"},
+    optlink.read: {"raw": dict(LAW.raw)},
+    optlink.read_design: {"problem": LAW, "assignments": ["coupler=400 mm", "rocker=230 mm"]},
+    optlink.explore: {"problem": LAW},
+    optlink.shipped: {},
+    optlink.four_bar: {},
+    optlink.grashof: SIZES,
+    optlink.sweep: {"mechanism": optlink.four_bar(), "sizes": SIZES, "crank_angle": [0.1, 0.2]},
+    sensitivities: {"problem": LAW},
+    sweep: {"problem": LAW, "vary": ["mechanism.frame=480..520 mm:2"]},
+    tolerance: {"problem": LAW, "tolerances": ["coupler=0.1 mm"], "design": DESIGN},
+    pareto: {"problem": LAW, "objectives": "error, limits.transmission_angle.max"},
+}
+"""Every public function with arguments that it accepts."""
+WRONG = {
+    "float": [math.nan, -math.inf, math.inf],
+    "int": [-1, -(10**12)],
+    "str": ["no such thing"],
+    "Mapping": [{"no such name": 1.0}],
+    "Value": [math.nan, [1.0, 2.0, 3.0]],
+    "ArrayLike": [math.nan, [1.0, math.inf], "x"],
+}
+"""Values that no argument of an annotation takes."""
+ANY = {"problem", "resume", "file", "folder", "out", "time_limit", "name", "varied"}
+"""Arguments that take any text, or an infinite number, and those of other types."""
+
+
+def wrong_values() -> list:
+    cases = []
+    for function, accepted in ACCEPTED.items():
+        for name, parameter in inspect.signature(function).parameters.items():
+            text = str(parameter.annotation)
+            values = [value for kind, listed in WRONG.items() if kind in text for value in listed]
+            if name in ANY or "Callable" in text or "Progress" in text:
+                continue
+            for value in values if name != "side" else [0, 7, -2]:
+                label = f"{function.__name__}-{name}-{value}"
+                cases.append(pytest.param(function, {**accepted, name: value}, name, id=label))
+    return cases
+
+
+def test_the_walk_below_has_every_public_function() -> None:
+    public = {getattr(optlink, name) for name in optlink.__all__}
+    assert {item for item in public if isinstance(item, types.FunctionType)} <= set(ACCEPTED)
+
+
+@pytest.mark.parametrize(("function", "arguments", "name"), wrong_values())
+def test_a_wrong_value_of_any_argument_is_refused_in_a_sentence_about_it(function, arguments, name) -> None:
+    """Not by a bare error from inside, and never in the words of the command line."""
+    with pytest.raises(InputError) as caught:
+        function(**arguments)
+    said = str(caught.value)
+    assert len(said.splitlines()) == len(caught.value.faults)
+    assert name in said or "no such name" in said
+    assert "--" not in said
+
+
+def test_options_of_commands_become_arguments() -> None:
+    for text, said in {
+        "--gap": "gap",
+        "Leave --time-limit out": "Leave time_limit out",
+        "Give --starts 20 or more": "Give starts=20 or more",
+        '--angles "60..120 deg:13"': 'angles="60..120 deg:13"',
+        "Run `optlink new --list`, or add --analyze": "Run `optlink new --list`, or add analyze",
+        "a well-known - and quoted -- word": "a well-known - and quoted -- word",
+    }.items():
+        assert arguments_for_options(text) == said
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: optlink.four_bar(7), "side = 7: not an assembly mode"),
+        (lambda: optlink.four_bar(0.5), "side = 0.5: not an assembly mode"),
+        (lambda: optlink.four_bar(0), "side = 0: not an assembly mode"),
+        (lambda: optlink.four_bar(points="P"), 'points = "P": not a list of names'),
+        (lambda: optlink.four_bar(points=["P", "C"]), 'points = "C": a name of the four-bar itself'),
+        (lambda: optlink.four_bar(points=["P", "Q", "P"]), 'points = "P": a name that is given twice'),
+        (lambda: optlink.grashof(-1, 3, 3, 3), "crank = -1: a length must be positive"),
+        (lambda: optlink.grashof(2, 3, 0, 3), "rocker = 0: a length must be positive"),
+        (lambda: optlink.grashof(0, 0, 0, 0), "crank = 0: a length must be positive"),
+        (lambda: optlink.grashof(2, 3, 4, math.inf), "frame = inf: not a finite number"),
+        (lambda: optlink.sweep(optlink.four_bar(), {**SIZES, "rocker": -0.6}, [0.0]), "sizes.rocker = -0.6: a length must be"),
+        (lambda: optlink.sweep(optlink.four_bar(), {**SIZES, "rokcer": 0.6}, [0.0]), 'sizes.rokcer: .* Did you mean "rocker"'),
+        (lambda: optlink.sweep(optlink.four_bar(points=["P"]), SIZES, [0.0]), r"sizes: missing: P\.along, P\.across"),
+        (
+            lambda: optlink.sweep(optlink.four_bar(), SIZES, [0.0, 1.0], [1.0, 2.0, 3.0]),
+            r"speed: its shape \(3,\) does not match",
+        ),
+        (lambda: optlink.sweep(optlink.four_bar(), SIZES, ["a"]), "crank_angle = .*: not a finite number or array"),
+        (lambda: optlink.solve(LAW, gap=0), "^gap = 0"),
+        (lambda: optlink.solve(LAW, time_limit=-5.0), "^time_limit = .*out of range"),
+        (lambda: optlink.validate(LAW, {"coupler": 0.4}), 'Add for example design=."rocker": 0.4'),
+    ],
+)
+def test_kinematics_refuse_what_no_linkage_is(call, message) -> None:
+    with pytest.raises(InputError, match=message):
+        call()
+
+
+def test_inner_kinematics_take_any_values() -> None:
+    """The checks stand at the boundary only: the formulas inside stay fast and take what a search gives them."""
+    motion = sweep_unchecked(optlink.four_bar(), {**SIZES, "coupler": -0.7, "other": 1.0}, [0.0, math.nan])
+    assert motion.position("C").shape == (2, 2)
+    assert classify(math.nan, 2, 3, 4).inversion.value == "cannot be assembled"
+
+
+def test_a_batch_of_designs_moves_as_each_of_them() -> None:
+    cranks, angles = np.array([0.1, 0.15, 0.2]), np.linspace(0.0, 6.0, 7)
+    together = optlink.sweep(optlink.four_bar(-1), {**SIZES, "crank": cranks[:, None]}, angles, speed=2)
+    for crank, row in zip(cranks, together.velocity("C"), strict=True):
+        assert np.array_equal(row, optlink.sweep(optlink.four_bar(-1), {**SIZES, "crank": crank}, angles, speed=2).velocity("C"))
+
+
+@pytest.mark.parametrize("method", ["position", "velocity", "acceleration", "margin", "body_angle", "body_rate", "slide"])
+def test_an_unknown_part_of_a_motion_is_named(method) -> None:
+    motion = optlink.sweep(optlink.four_bar(), SIZES, [0.1])
+    for error in (InputError, KeyError):
+        with pytest.raises(error, match=r'= "Z": the mechanism has no such .*\. Known: '):
+            getattr(motion, method)("Z")
+    with pytest.raises(InputError, match='point = "Q": the mechanism has no such point'):
+        motion.distance("A", "Q")
 
 
 @pytest.mark.parametrize(
@@ -27,7 +166,7 @@ SPEEDS = ["drive.speed=100..200 rpm:2"]
         (lambda: optlink.solve(LAW, seed=1.5), "seed = 1.5: not a whole number"),
         (lambda: optlink.solve(LAW, "both", True), "starts = true: not a whole number"),
         (lambda: optlink.solve(LAW, backend=3), "backend = 3: not a text"),
-        (lambda: optlink.solve(LAW, workers=-1), "--workers = -1: out of range"),
+        (lambda: optlink.solve(LAW, workers=-1), "^workers = -1: out of range"),
         (lambda: optlink.solve(LAW, gap=float("nan")), "gap = nan: out of range"),
         (lambda: optlink.solve(LAW, certify=1), "certify = 1: neither True nor False"),
         (lambda: optlink.solve(LAW, certify=True, folder=3), "folder = 3: not a file or folder"),

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from optlink.errors import Fault, InputError, OptlinkError, shown
+from optlink.errors import OPTIONS_NAMED, Fault, InputError, OptlinkError, shown
 from optlink.execution import interrupts
 
 if TYPE_CHECKING:
@@ -60,6 +60,7 @@ def reported(as_json: bool, options: Mapping[str, tuple[str, str]] | None = None
     try:
         with contextlib.ExitStack() as stack:
             _kept.append(stack)
+            stack.callback(OPTIONS_NAMED.reset, OPTIONS_NAMED.set(True))
             try:
                 yield
             finally:
@@ -111,9 +112,13 @@ def _as_fault(error: BaseException) -> str:
     return f"unexpected {what}. This is a fault of optlink, please report it with the command and its files; {report}"
 
 
+OPTIONS = {"rows": "points"}
+"""Options with another name than the argument of the function that refuses them."""
+
+
 def _as_typed(fault: Fault, options: Mapping[str, tuple[str, str]]) -> Fault:
     """Return a fault with the option that it is about, and its value, as typed."""
-    key = fault.key or ""
+    key = OPTIONS.get(fault.key or "", fault.key or "")
     if key not in options or (fault.file is not None and not key.startswith("-")):  # a key of the file
         return fault
     option, text = options[key]

@@ -40,7 +40,7 @@ import numpy as np
 
 from optlink.errors import InputError
 from optlink.linkage.dyads import rrr
-from optlink.linkage.fourbar import Inversion, grashof, reachable
+from optlink.linkage.fourbar import Inversion, classify, reachable
 from optlink.linkage.vector2d import Value, Vector, angle, cross, dot, minus, plus, turn, unit
 
 DEGENERATE = 1e-9
@@ -134,7 +134,7 @@ class CouplerLinkage:
     @property
     def inversion(self) -> Inversion:
         """Inversion of the four-bar when its first link is driven."""
-        return grashof(*self.lengths).inversion
+        return classify(*self.lengths).inversion
 
     @property
     def crank_turns(self) -> bool:

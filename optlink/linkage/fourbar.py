@@ -9,11 +9,11 @@ import enum
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from numbers import Real
 
 import numpy as np
 
 from optlink.errors import InputError
+from optlink.linkage.arguments import check_length, check_number, check_point_names, check_side
 from optlink.linkage.dyad_types import RRR
 from optlink.linkage.mechanism import Arm, BodyPoint, Link, Mechanism
 from optlink.linkage.vector2d import Value, Vector, angle, angle_from, magnitude, root
@@ -45,6 +45,11 @@ def four_bar(
     holds_at : float [rad], optional
         Crank angle at which `side` applies if `follow` is set. Default: the start of the drive.
 
+    Raises
+    ------
+    InputError
+        If `side` is neither +1 nor -1, or a point has no name of its own.
+
     Examples
     --------
     >>> mechanism = optlink.four_bar(points=["P"])
@@ -53,13 +58,17 @@ def four_bar(
     array([[0.2016, 0.1992],
            [0.1607, 0.2555]])
     """
+    check_side(side)
+    names = check_point_names(points, ("A", "B", "C", "D", *LENGTHS))
+    if holds_at is not None:
+        check_number("holds_at", holds_at)
     coupler, rocker = Link("coupler", "B", "C", "coupler"), Link("rocker", "D", "C", "rocker")
     return Mechanism(
         name="four-bar",
         ground={"A": ("A.x", "A.y"), "D": Arm("A", "frame", "direction")} if placed else {"A": (0.0, 0.0), "D": ("frame", 0.0)},
         crank=Link("crank", "A", "B", "crank"),
         groups=(RRR(coupler, rocker, ("B", "D"), "C", side, follow=follow, holds_at=holds_at),),
-        points=tuple(BodyPoint(name, "coupler", f"{name}.along", f"{name}.across") for name in points),
+        points=tuple(BodyPoint(name, "coupler", f"{name}.along", f"{name}.across") for name in names),
         datum="direction" if placed else 0.0,
     )
 
@@ -143,7 +152,7 @@ def grashof(crank: float, coupler: float, rocker: float, frame: float, tolerance
     Raises
     ------
     InputError
-        If a length is not a number. A four-bar with a length that is not finite cannot be assembled.
+        If a length is not positive and finite, or the tolerance is negative.
 
     References
     ----------
@@ -155,10 +164,24 @@ def grashof(crank: float, coupler: float, rocker: float, frame: float, tolerance
     >>> result.inversion.value, round(result.slack, 6)  # p + q - s - l [m]
     ('crank-rocker', 0.05)
     """
+    for name, length in zip(LENGTHS, (crank, coupler, rocker, frame), strict=True):
+        check_length(name, length)
+    if check_number("tolerance", tolerance) < 0.0:
+        raise InputError(
+            "a tolerance cannot be negative", "Give a share of the longest link such as 1e-9", None, "tolerance", tolerance
+        )
+    return classify(crank, coupler, rocker, frame, tolerance)
+
+
+def classify(crank: float, coupler: float, rocker: float, frame: float, tolerance: float = 1e-9) -> GrashofClass:
+    """Classify a four-bar as `grashof` does, without a check: lengths that are not finite close nowhere.
+
+    Parameters
+    ----------
+    crank, coupler, rocker, frame : float [m]
+    tolerance : float [-]
+    """
     lengths = {"crank": crank, "coupler": coupler, "rocker": rocker, "frame": frame}
-    for name, length in lengths.items():
-        if not isinstance(length, Real):
-            raise InputError("not a number", "Give the length in m", key=name, value=length)
     if not all(map(math.isfinite, lengths.values())):  # a NaN would compare as any class
         return GrashofClass(Inversion.IMPOSSIBLE, math.nan)
     ordered = sorted(lengths.values())

@@ -378,6 +378,25 @@ class Mechanism:
         """The revolute joints: points that two or more bodies share."""
         return {name: bodies for name, bodies in self.owners.items() if len(bodies) > 1}
 
+    @cached_property
+    def lengths(self) -> tuple[str, ...]:
+        """Names of the lengths of links and of arms of the frame, which must be positive."""
+        arms = [place.length for place in self.ground.values() if isinstance(place, Arm)]
+        return _names(*(link.length for link in self.links), *arms)
+
+    @cached_property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of all sizes: the lengths first, then coordinates and angles."""
+        places: list[Size] = [self.datum]
+        for place in self.ground.values():
+            places += [place.length, place.direction] if isinstance(place, Arm) else place
+        for point in self.points:
+            places += [point.along, point.across]
+        for guide in dict.fromkeys((*self.guides, *(guide for group in self.groups for guide in group.prismatic))):
+            places += [guide.direction, guide.offset, guide.tilt]
+            places += [] if isinstance(guide.through, str) else guide.through
+        return _names(*self.lengths, *places)
+
     def link(self, body: str) -> Link:
         """Return the link of a body; KeyError if there is none."""
         return self.bodies[body]
@@ -419,3 +438,8 @@ class Mechanism:
         for point in self.points:
             pose.point(point.name)
         return pose
+
+
+def _names(*sizes: Size) -> tuple[str, ...]:
+    """Return the sizes that are names of parameters, each once."""
+    return tuple(dict.fromkeys(size for size in sizes if isinstance(size, str)))

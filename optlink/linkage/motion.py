@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from optlink.errors import UnknownName, nearest
 from optlink.linkage.jet import Jet, as_jet
-from optlink.linkage.mechanism import Mechanism, Pose
-from optlink.linkage.vector2d import Array, Value, angle
+from optlink.linkage.mechanism import FRAME, Mechanism, Pose
+from optlink.linkage.vector2d import Array, Value, Vector, angle
 
 
 @dataclass(frozen=True, repr=False)
@@ -43,7 +44,7 @@ class Motion:
         ----------
         p, q : str
         """
-        (px, py), (qx, qy) = ([self._full(as_jet(x).value) for x in self.pose.point(name)] for name in (p, q))
+        (px, py), (qx, qy) = ([self._full(as_jet(x).value) for x in self._point(name)] for name in (p, q))
         x, y = qx - px, qy - py
         return np.asarray(np.sqrt(x * x + y * y))
 
@@ -57,22 +58,23 @@ class Motion:
 
     def margin(self, joint: str) -> Array:
         """Return the assembly margin [-] of the group with that inner joint."""
-        return self._full(as_jet(self.pose.margins[joint]).value)
+        return self._full(as_jet(self.pose.margins[_known(self.pose.margins, joint, "inner joint of a group")]).value)
 
     def body_angle(self, body: str) -> Jet:
         """Return the angle of a body [rad], continuous along the sweep, and its first and second derivative [rad/s, rad/s^2]."""
         with np.errstate(all="ignore"):
-            value, rate, acceleration = map(self._full, as_jet(angle(self.pose.direction(body))).parts)
+            value, rate, acceleration = map(self._full, as_jet(angle(self._direction(body))).parts)
         return Jet(continuous(value), rate, acceleration)
 
     def body_rate(self, body: str) -> Array:
         """Return the angular velocity of a body [rad/s]."""
         with np.errstate(all="ignore"):
-            return self._full(as_jet(angle(self.pose.direction(body))).rate)
+            return self._full(as_jet(angle(self._direction(body))).rate)
 
     def slide(self, guide: str) -> Jet:
         """Return the slide in a guide [m], its velocity and acceleration [m/s, m/s^2]."""
-        joint = next(candidate for candidate in self.mechanism.guides if candidate.name == guide)
+        guides = {candidate.name: candidate for candidate in self.mechanism.guides}
+        joint = guides[_known(guides, guide, "guide")]
         with np.errstate(all="ignore"):
             return Jet(*map(self._full, as_jet(self.pose.slide(joint)).parts))
 
@@ -112,7 +114,21 @@ class Motion:
         return np.broadcast_to(np.asarray(x, dtype=float), self._shape)
 
     def _stack(self, point: str, part: Callable[[Jet], Value]) -> Array:
-        return np.stack([self._full(part(as_jet(x))) for x in self.pose.points[point]], axis=-1)
+        return np.stack([self._full(part(as_jet(x))) for x in self._point(point)], axis=-1)
+
+    def _point(self, name: str) -> Vector:
+        points = self.pose.points
+        return points[name] if name in points else self.pose.point(_known(self.mechanism.owners, name, "point"))
+
+    def _direction(self, body: str) -> Vector:
+        return self.pose.direction(_known((FRAME, *self.mechanism.bodies), body, "body"))
+
+
+def _known(names: Collection[str], name: str, what: str) -> str:
+    """Return a name of the mechanism, and raise if it has none such."""
+    if name not in names:
+        raise UnknownName(f"the mechanism has no such {what}", nearest(str(name), names), key=what.split(" of ")[0], value=name)
+    return name
 
 
 def continuous(angles: Array) -> Array:
@@ -129,26 +145,15 @@ def continuous(angles: Array) -> Array:
 def sweep(
     mechanism: Mechanism, sizes: Mapping[str, Value], crank_angle: ArrayLike, speed: Value = 1.0, acceleration: Value = 0.0
 ) -> Motion:
-    """Compute the motion of a mechanism over crank angles, by default at constant crank speed.
+    """Compute the motion of a mechanism as `optlink.sweep`, without a check of the arguments.
 
     Parameters
     ----------
     mechanism : Mechanism
-    sizes : mapping of parameter name to float or array (designs, 1) [m]
+    sizes : mapping of parameter name to float or array (designs, 1) [m, rad]
     crank_angle : array (angles,) [rad]
-    speed : float or array (angles,) [rad/s], positive counter-clockwise
+    speed : float or array (angles,) [rad/s]
     acceleration : float or array (angles,) [rad/s^2]
-
-    Returns
-    -------
-    Motion; NaN where the mechanism cannot be assembled (see `Motion.margin`).
-
-    Examples
-    --------
-    >>> sizes = {"crank": 0.1, "coupler": 0.4, "rocker": 0.25, "frame": 0.5}  # [m]
-    >>> motion = optlink.sweep(optlink.four_bar(), sizes, np.radians([0.0, 90.0]), speed=10.0)
-    >>> motion.body_rate("rocker").round(3)  # [rad/s]
-    array([-2.5  ,  3.884])
     """
     angles = np.atleast_1d(np.asarray(crank_angle, dtype=float))
     with np.errstate(all="ignore"):  # at a dead position of a group its speeds are infinite or NaN

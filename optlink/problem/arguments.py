@@ -11,8 +11,7 @@ from typing import Annotated, Any, ParamSpec, TypeVar
 import numpy as np
 import pydantic
 
-from optlink.errors import Fault, InputError
-from optlink.problem.quantity import nearest
+from optlink.errors import OPTIONS_NAMED, Fault, InputError, nearest
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -36,7 +35,7 @@ WRONG = {
 def typed(function: Callable[P, R]) -> Callable[P, R]:
     """Refuse unknown and missing arguments, and those that are not of the types of a function's annotations.
 
-    Numbers of numpy are converted to those of Python.
+    Numbers of numpy are converted to those of Python. Errors name the arguments of functions, but options within a command.
     """
     signature = inspect.signature(function)
 
@@ -62,7 +61,12 @@ def typed(function: Callable[P, R]) -> Callable[P, R]:
         except pydantic.ValidationError as error:
             raise InputError(list({item["loc"][0]: _fault(item) for item in reversed(error.errors())}.values())[::-1]) from None
         bound.arguments.update(dict(checked))
-        return function(*bound.args, **bound.kwargs)
+        try:
+            return function(*bound.args, **bound.kwargs)
+        except InputError as error:
+            if OPTIONS_NAMED.get():
+                raise
+            raise type(error)([fault.in_python() for fault in error.faults]).with_traceback(error.__traceback__) from None
 
     return call
 

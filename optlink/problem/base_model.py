@@ -25,10 +25,10 @@ from pydantic import (
 )
 from pydantic.fields import FieldInfo
 
-from optlink.errors import InputError
+from optlink.errors import InputError, UnknownName, nearest
 from optlink.io import Summary, finite
 from optlink.linkage.mechanism import FRAME
-from optlink.problem.quantity import Unusable, nearest
+from optlink.problem.quantity import Unusable
 from optlink.units import split_range
 from optlink.version import VERSION
 
@@ -337,7 +337,7 @@ class Tabled(Recorded):
         try:
             return self.columns[name]  # those of a damaged file refuse the name themselves
         except KeyError:
-            raise KeyError(f"no column {name}. {nearest(name, self.columns)}") from None
+            raise UnknownName(f"no column {name}", nearest(str(name), self.columns)) from None
 
 
 def read_document(path: Path) -> dict[str, Any]:

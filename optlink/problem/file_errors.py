@@ -324,7 +324,7 @@ def toml_fault(message: str, file: str, text: str = "") -> Fault:
         Content of the file.
     """
     if text.lstrip().startswith("{"):
-        remedy = "Give the problem, with --design FILE or --certificate FILE; only `report` and `export` read a result itself"
+        remedy = "Give the problem; `optlink validate PROBLEM --design FILE` takes a result, `report` and `export` read it itself"
         return Fault("this is JSON, not a problem file in TOML", remedy, file)
     if kind := file_kind(text[:8].encode()):
         return Fault(f"this is {kind}", TOML_FILE, file)

@@ -3,7 +3,6 @@
 A quantity is fixed if it is one value ("500 mm"), a design variable if it is a range ("300..500 mm") or a table with bounds.
 """
 
-import difflib
 import functools
 import json
 import math
@@ -15,7 +14,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator
 
-from optlink.errors import OTHER_WORDS, InputError, InvalidValue
+from optlink.errors import InputError, InvalidValue, nearest as nearest
 from optlink.units import KINDS, display_unit, factor, parse, show
 
 SHORTEST, LONGEST = 1e-9, 1e6  # m; beyond them squares of ratios overflow
@@ -65,26 +64,6 @@ def input_of(file: str | None, key: str | None = None, value: object = None) -> 
     except Unusable as error:
         place = (error.key, error.value) if key is None else (key, value)
         raise InputError(error.message, error.remedy, file, *place) from None
-
-
-def nearest(key: str, choices: Iterable[str], deeper: Sequence[str] = ()) -> str:
-    """Return a remedy for an unknown name: the shortest that contain it, or else the closest one, and all known ones.
-
-    Parameters
-    ----------
-    key : str
-        The unknown name.
-    choices : iterable of str
-    deeper : sequence of str
-        Full names that end with it, which are meant rather than others.
-    """
-    names, quoted = list(choices), '"{}"'.format
-    same = [name for name in names if name.lower() == key.lower()]
-    suggestions = same or [*deeper, *(name for name in OTHER_WORDS.get(key.lower(), ()) if name in names)]
-    inside = sorted((name for name in names if len(key) > 2 and key in name), key=len)
-    close = suggestions or inside or (key not in OTHER_WORDS and difflib.get_close_matches(key, names, n=1, cutoff=0.55)) or []
-    guess = f"Did you mean {' or '.join(map(quoted, close[:3]))}? " if close else ""
-    return f"{guess}Known: {', '.join(quoted(name) if ',' in name else name for name in names)}"
 
 
 @dataclass(frozen=True)

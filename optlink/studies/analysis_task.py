@@ -228,10 +228,8 @@ def analysis_task(
     Raises
     ------
     InputError
-        If an axis, a column or the number of points is invalid.
+        If an axis or a column is invalid.
     """
-    if not 2 <= points <= MAX_ANGLES:
-        raise InputError("out of range", f"Give 2 to {MAX_ANGLES:,} crank angles", key="--points", value=points)
     quantities = tuple(quantity_of(problem, axis) for axis in grid.axes)
     values = tuple((name, value) for name, value in (design or {}).items() if name not in quantities)
     task = AnalysisTask(problem, grid, CHUNK, quantities, tuple(columns), points, values)

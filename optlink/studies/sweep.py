@@ -27,7 +27,7 @@ from optlink.execution.store import Progress, Store
 from optlink.problem.arguments import typed
 from optlink.problem.base_model import Recorded, ResultRecord, absent
 from optlink.problem.file import ProblemFile
-from optlink.studies.analysis_task import analysis_task
+from optlink.studies.analysis_task import MAX_ANGLES, analysis_task
 from optlink.studies.cycle_task import optimum_task
 from optlink.studies.grid import AxisRecord, Grid, read_grid
 from optlink.studies.reoptimise_task import SEARCHED, check_backend, chunk_of
@@ -262,6 +262,8 @@ def sweep(
     [0.007794, 0.007592]
     """
     begin = time.perf_counter()
+    if not 2 <= points <= MAX_ANGLES:
+        raise InputError("out of range", f"Give 2 to {MAX_ANGLES:,} crank angles", key="--points", value=points)
     grid = read_grid(problem, vary)
     if simulate is not None:
         task: SweepTask = simulation_task(problem, grid, simulate, design)

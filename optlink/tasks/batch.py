@@ -19,8 +19,8 @@ from optlink.linkage.vector2d import TURN, Array, Value
 from optlink.problem.arguments import typed
 from optlink.problem.file import ProblemFile
 from optlink.problem.mechanism import sizes_of
-from optlink.problem.quantity import check_choice
-from optlink.tasks.analyze import GRID, chord_shares
+from optlink.problem.quantity import check_choice, check_range
+from optlink.tasks.analyze import GRID, MAX_POINTS, chord_shares
 from optlink.tasks.machine import check_repeats, crank_speed, machine_of
 
 BLOCK_SIZE = 12_000
@@ -94,6 +94,7 @@ def analyze_batch(
     >>> columns["input.torque_Nm"].shape
     (3, 360)
     """
+    check_range("points", points, 1, MAX_POINTS)
     arrays = _read(problem, designs)
     count = len(next(iter(arrays.values())))
     drive = problem.model.drive

@@ -10,13 +10,13 @@ from optlink.clearance.compiled.choice import resumed
 from optlink.clearance.controller import Control
 from optlink.clearance.output import Output
 from optlink.errors import InputError
-from optlink.execution.runner import pool
+from optlink.execution.runner import check as check_engine, pool
 from optlink.execution.worker import Runs
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.arguments import typed
 from optlink.problem.base_model import SPELLINGS
 from optlink.problem.file import ProblemFile
-from optlink.problem.quantity import check_range
+from optlink.problem.quantity import check_choice, check_range
 from optlink.tasks.clearance import check_simulations
 from optlink.tasks.machine import machine_of
 from optlink.tasks.parallel_runs import RunJob, RunResult, run_jobs
@@ -137,6 +137,11 @@ def compare(
     0.124
     """
     angles = random_crank_angles(starts, seed)
+    if not kinds:
+        raise InputError("no control is compared", f"Give some of {', '.join(KINDS)}", key="kinds")
+    for kind in kinds:
+        check_choice("kinds", kind, KINDS, "no such control")
+    check_engine(engine, workers, scheduler)
     common: dict[str, Any] = {"revolutions": revolutions, "points": points, "tolerance": tolerance, "speed": speed}
     label = {**common, "problem_hash": problem.hash, "kinds": list(kinds), "starts": starts, "seed": seed}
     label["design"] = None if design is None else dict(design)
@@ -271,6 +276,7 @@ def tune(
     if unknown or not names:
         raise InputError("no such parameter", f"Known: {', '.join(RANGES)}", key="--tune", value=", ".join(unknown))
     check_range("evaluations", evaluations, 4, 100_000)
+    check_engine(engine, workers, scheduler)
     angles, verification_angles = random_crank_angles(starts, seed), random_crank_angles(starts, seed + 1)
     low, high = (np.log([RANGES[name][side] for name in names]) for side in (0, 1))
     generator = np.random.default_rng(seed)

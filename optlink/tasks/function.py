@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from optlink.errors import InputError, Status
+from optlink.errors import OPTIONS_NAMED, InputError, Status
 from optlink.execution import interrupts
 from optlink.linkage.fourbar import LENGTHS
 from optlink.optimization.nlp import NLP, build
@@ -404,6 +404,9 @@ def check_complete(problem: ProblemFile, names: Collection[str]) -> None:
     quantities = problem.model.quantities
     missing = [name for name in problem.model.free if name not in names]
     if missing:
-        starts = ((name, show(quantities[name].value, quantities[name].kind)) for name in missing)
-        example = " ".join(f'--design {name}="{value}"' for name, value in starts)
+        starts = [(name, quantities[name]) for name in missing]
+        if OPTIONS_NAMED.get():
+            example = " ".join(f'--design {name}="{show(start.value, start.kind)}"' for name, start in starts)
+        else:
+            example = f"design={json.dumps({name: float(f'{start.value:.6g}') for name, start in starts})}"
         raise InputError(f"the design lacks {', '.join(missing)}", f"Add for example {example}", problem.file, "--design")

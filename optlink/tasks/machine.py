@@ -65,7 +65,7 @@ def check_names(problem: ProblemFile, names: Iterable[str], valid: Collection[st
 
 
 def check_design(problem: ProblemFile, design: Mapping[str, float] | None) -> None:
-    """Refuse a design with names that the problem does not know.
+    """Refuse a design with names that the problem does not know, or with a value that is not finite.
 
     Parameters
     ----------
@@ -76,10 +76,13 @@ def check_design(problem: ProblemFile, design: Mapping[str, float] | None) -> No
     Raises
     ------
     InputError
-        If there is an unknown name.
+        If there is one.
     """
     follow = () if problem.task in ("path", "cycle") else ("phi0", "psi0")
     check_names(problem, design or {}, dict.fromkeys((*problem.model.quantities, *follow)))
+    for name, value in (design or {}).items():
+        if not math.isfinite(value):
+            raise InputError("not a finite number", "Give one in SI units", problem.file, f"design.{name}", value)
 
 
 def start_value_notes(problem: ProblemFile, design: Mapping[str, object] | None = None) -> list[str]:

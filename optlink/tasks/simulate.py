@@ -174,7 +174,7 @@ def simulate(
             message = "the duration is missing, and the speed is too low for a default"
             raise InputError(message, 'Give drive.duration = "2 s"', problem.file, "drive.duration")
         duration = TURN / abs(drive.speed.value)
-    check_range("points", rows, 1, MAX_ROWS)
+    check_range("rows", rows, 1, MAX_ROWS)
     ranges, low, high = motion_range(problem, machine, start)
     notes = start_value_notes(problem, design)
     if torque is not None:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from optlink.linkage.dyad_types import RPR, RRR
 from optlink.linkage.extrema import maxima
-from optlink.linkage.fourbar import LENGTHS, grashof
+from optlink.linkage.fourbar import LENGTHS, classify
 from optlink.linkage.mechanism import Dyad
 from optlink.linkage.motion import Motion
 from optlink.linkage.vector2d import Array
@@ -56,7 +56,7 @@ def grashof_check(design: Mapping[str, ArrayLike], limits: Limits) -> Checks:
     shortest, second, third, longest = np.sort(lengths, axis=0)
     turning = "frame" if limits.crank == "double-crank" else "crank"  # the shortest link of the required inversion
     slack, margin = second + third - shortest - longest, limits.length_margin * longest
-    check = at_least(lambda k: f"Grashof: {grashof(*lengths[:, k].tolist()).inversion.value}", slack * 1e3, margin * 1e3, "mm")
+    check = at_least(lambda k: f"Grashof: {classify(*lengths[:, k].tolist()).inversion.value}", slack * 1e3, margin * 1e3, "mm")
     return replace(check, passed=check.passed & (slack > 0.0) & (np.argmin(lengths, axis=0) == LENGTHS.index(turning)))
 
 

@@ -31,6 +31,7 @@ from optlink.studies.tolerance.monte_carlo import CHUNK, MonteCarlo, MonteCarloR
 from optlink.studies.tolerance.nominal import ERROR, nominal_design
 from optlink.studies.tolerance.options import read_deviations
 from optlink.studies.tolerance.robust_design import YIELD, RobustDesign, RobustRecord, check_law
+from optlink.tasks.machine import check_design
 from optlink.units import DISPLAYED, UnitProblem, parse
 
 WORST, MARGIN = "worst", "margin"
@@ -248,6 +249,7 @@ def tolerance(
     0.864
     """
     _check(samples, seed, shape, target_yield, limit)
+    check_design(problem, design)
     with _processes(samples, engine, workers, scheduler) as runs:
         file, robust_result = problem, None
         if robust is not None:
@@ -259,7 +261,11 @@ def tolerance(
             file, design = robust_result.result.problem, robust_result.free  # with a definite assembly mode
         nominal = nominal_design(file, output, crank_angles, design)
         deviations = read_deviations(problem, nominal, tolerances, shape)
-        for name in costs or {}:
+        for name, cost in (costs or {}).items():
+            if not 0.0 < cost < math.inf:
+                raise InputError(
+                    "a cost coefficient must be above zero", "Give for example --cost coupler=2", key=f"--cost {name}"
+                )
             if name not in [d.name for d in deviations]:
                 raise InputError("no such tolerance", nearest(name, [d.name for d in deviations]), key=f"--cost {name}")
         first = linear_analysis(problem, nominal, deviations, _limit(limit, angular=nominal.angular))

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from optlink.linkage.fourbar import LENGTHS, grashof
+from optlink.linkage.fourbar import LENGTHS, classify
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.base_model import Record
@@ -315,7 +315,7 @@ def _rotation(task: PathProblem) -> float:
 
 def _four_bar(task: PathProblem, values: Mapping[str, float]) -> str:
     """Return the Grashof type of a four-bar; an empty text for other mechanisms."""
-    return grashof(*(values[n] for n in LENGTHS)).inversion.value if isinstance(task.mechanism, FourBarSection) else ""
+    return classify(*(values[n] for n in LENGTHS)).inversion.value if isinstance(task.mechanism, FourBarSection) else ""
 
 
 def _rotating(task: PathProblem, values: Mapping[str, float]) -> Iterator[PoorFitReason]:

@@ -1,0 +1,189 @@
+"""Public kinematics: arguments are checked once, here; the formulas inside take numbers, arrays and symbols unchecked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Mapping
+from numbers import Real
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from optlink.errors import InputError, UnknownName, nearest
+from optlink.linkage.mechanism import Mechanism
+from optlink.linkage.motion import Motion, sweep as sweep_unchecked
+from optlink.linkage.vector2d import Array
+
+
+def check_number(name: str, value: Any) -> float:
+    """Return a finite number.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument.
+    value : object
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    if not isinstance(value, Real) or isinstance(value, bool) or not math.isfinite(value):
+        message = "not a finite number" if isinstance(value, float) else "not a number"
+        raise InputError(message, "Give one in SI units, for example 0.5", key=name, value=value)
+    return float(value)
+
+
+def check_length(name: str, value: Any) -> float:
+    """Return a length: a positive finite number [m].
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument.
+    value : object
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    if check_number(name, value) <= 0.0:
+        raise InputError("a length must be positive", "Give it in metres, above 0", key=name, value=value)
+    return float(value)
+
+
+def check_side(side: Any) -> None:
+    """Refuse a side that is no assembly mode.
+
+    Raises
+    ------
+    InputError
+        If it is neither +1 nor -1.
+    """
+    if isinstance(side, bool) or not isinstance(side, Real) or side not in (1, -1):
+        raise InputError("not an assembly mode", "Give 1 or -1", key="side", value=side)
+
+
+def check_point_names(points: Iterable[str], taken: Collection[str]) -> tuple[str, ...]:
+    """Return the names of further points.
+
+    Parameters
+    ----------
+    points : iterable of str
+    taken : collection of str
+        Names that the linkage itself has.
+
+    Raises
+    ------
+    InputError
+        If one is no name, is taken, or is given twice.
+    """
+    listed = isinstance(points, Iterable) and not isinstance(points, str)
+    names = tuple(points) if listed else ()
+    if not listed or not all(isinstance(name, str) and name for name in names):
+        raise InputError("not a list of names", 'Give a list, also of one name, for example ["P"]', key="points", value=points)
+    for name in names:
+        if name in taken or names.count(name) > 1:
+            message = "a name of the four-bar itself" if name in taken else "a name that is given twice"
+            raise InputError(message, "Choose another", key="points", value=name)
+    return names
+
+
+def check_array(name: str, value: Any) -> Array:
+    """Return an array of finite numbers.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument.
+    value : object
+
+    Raises
+    ------
+    InputError
+        If it is none.
+    """
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind not in "iuf" or not np.all(np.isfinite(array)):
+            raise ValueError
+    except ValueError:
+        raise InputError("not a finite number or array", "Give numbers in SI units", key=name, value=value) from None
+    return array.astype(float)
+
+
+def sweep(
+    mechanism: Mechanism,
+    sizes: Mapping[str, ArrayLike],
+    crank_angle: ArrayLike,
+    speed: ArrayLike = 1.0,
+    acceleration: ArrayLike = 0.0,
+) -> Motion:
+    """Compute the motion of a mechanism over crank angles, by default at constant crank speed.
+
+    Parameters
+    ----------
+    mechanism : Mechanism
+    sizes : mapping of parameter name to float or array (designs, 1) [m, rad]
+        Every one of `mechanism.parameters` and no other; lengths are positive.
+    crank_angle : array (angles,) [rad]
+    speed : float or array (angles,) [rad/s], positive counter-clockwise
+    acceleration : float or array (angles,) [rad/s^2]
+
+    Returns
+    -------
+    Motion; NaN where the mechanism cannot be assembled (see `Motion.margin`).
+
+    Raises
+    ------
+    InputError
+        If a size is missing, unknown or not positive, a number is not finite, or shapes do not match.
+
+    Examples
+    --------
+    >>> sizes = {"crank": 0.1, "coupler": 0.4, "rocker": 0.25, "frame": 0.5}  # [m]
+    >>> motion = optlink.sweep(optlink.four_bar(), sizes, np.radians([0.0, 90.0]), speed=10.0)
+    >>> motion.body_rate("rocker").round(3)  # [rad/s]
+    array([-2.5  ,  3.884])
+    """
+    if not isinstance(mechanism, Mechanism):
+        raise InputError("not a mechanism", "Give one, for example optlink.four_bar()", key="mechanism", value=mechanism)
+    for group in mechanism.groups:
+        check_side(getattr(group, "side", 1))
+    values = _sizes(mechanism, sizes)
+    angles, rate, change = (
+        check_array(name, value)
+        for name, value in (("crank_angle", crank_angle), ("speed", speed), ("acceleration", acceleration))
+    )
+    for name, array in (
+        *((f"sizes.{name}", np.asarray(value)) for name, value in values.items()),
+        ("speed", rate),
+        ("acceleration", change),
+    ):
+        try:
+            np.broadcast_shapes(array.shape, np.atleast_1d(angles).shape)
+        except ValueError:
+            remedy = "Give a number, one value per crank angle, or designs in a column: shape (designs, 1)"
+            raise InputError(f"its shape {array.shape} does not match that of crank_angle", remedy, key=name) from None
+    return sweep_unchecked(mechanism, values, angles, *(array if array.ndim else float(array) for array in (rate, change)))
+
+
+def _sizes(mechanism: Mechanism, sizes: Any) -> dict[str, Any]:
+    """Return the sizes of a mechanism as numbers and arrays."""
+    if not isinstance(sizes, Mapping):
+        raise InputError("not a mapping of names to values", "Give SI values by name", key="sizes", value=sizes)
+    needed = mechanism.parameters
+    own = {value for group in mechanism.groups for value in vars(group).values() if isinstance(value, str)}  # of other dyads
+    for name in sizes:
+        if name not in needed and name not in own:
+            raise UnknownName("the mechanism has no such size", nearest(str(name), needed), key=f"sizes.{name}")
+    if missing := [name for name in needed if name not in sizes]:
+        raise InputError(f"missing: {', '.join(missing)}", "Give SI values of all sizes by name", key="sizes")
+    arrays = {name: check_array(f"sizes.{name}", size) for name, size in sizes.items()}
+    for name in mechanism.lengths:
+        if np.any(arrays[name] <= 0.0):
+            raise InputError("a length must be positive", "Give it in metres, above 0", key=f"sizes.{name}", value=sizes[name])
+    return {name: array if array.ndim else float(array) for name, array in arrays.items()}
