@@ -5,7 +5,9 @@ Messages have the form of those of `multiprocessing`, which is safe as only the 
 
 from __future__ import annotations
 
+import contextlib
 import os
+import queue
 import sys
 import threading
 import time
@@ -130,29 +132,49 @@ def receive(stream: IO[bytes]) -> Any:
     EOFError
         If the stream ends before.
     """
-    from multiprocessing.reduction import ForkingPickler
+    return _unpacked(_item(stream))
 
+
+def _item(stream: IO[bytes]) -> bytes:
+    """Read a packed item."""
     size = int.from_bytes(stream.read(8), "little")
     item = stream.read(size)
     if not size or len(item) < size:
         raise EOFError
+    return item
+
+
+def _unpacked(item: bytes) -> Any:
+    from multiprocessing.reduction import ForkingPickler
+
     return ForkingPickler.loads(item)
 
 
 def main() -> None:
     """Serve standard input until it ends; output of libraries goes to standard error.
 
-    It reads tasks and numbers of chunks of the latest task; each number is answered by the result of the chunk.
+    It reads tasks and numbers of chunks of the latest task; each number is answered by the result of the chunk. A second thread
+    reads, so that the process ends together with its parent process, however that ends, in the middle of a chunk too.
     """
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
+    items: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    threading.Thread(target=_read, args=[items], daemon=True).start()
     task: Any = None
     try:
         while True:
-            message = receive(sys.stdin.buffer)
+            message = _unpacked(items.get())
             if isinstance(message, int):
                 send(answers, packed(run_chunk(task, message)))
             else:
                 task = message
-    except (EOFError, BrokenPipeError):
-        pass  # the parent process has ended
+    except BrokenPipeError:  # the parent process has ended
+        os._exit(0)
+
+
+def _read(items: queue.SimpleQueue[bytes]) -> None:
+    """Pass on what standard input contains, and end the process when it ends."""
+    with contextlib.suppress(EOFError):
+        while True:
+            items.put(_item(sys.stdin.buffer))
+    os._exit(0)

@@ -190,6 +190,59 @@ def test_ctrl_c_ends_tuning_and_its_processes(after, files):
         raise AssertionError("a process is left")
 
 
+def workers(parent):
+    """The numbers of the child processes of a process."""
+    children = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):  # the process has ended meanwhile
+            if int(stat.read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()[1]) == parent:
+                children.append(int(stat.parent.name))
+    return children
+
+
+def runs(process):
+    """Whether a process has not ended; a dead one may stay in the table for a while."""
+    with contextlib.suppress(OSError):
+        return (
+            Path(f"/proc/{process}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()[0] not in "ZX"
+        )
+    return False
+
+
+PARALLEL = {
+    "searches": LONG["solve a path by processes"],
+    "sweep": ("study", "sweep", "pump.toml", "--vary", "loads.pressing.force=1..3 kN:9000", "--workers", "2", "--out", "out"),
+    "samples": (*LONG["tolerance"], "--workers", "2"),
+    "simulations": (*TUNED[:-1], "2", "--revolutions", "500", "--integrator", "cvodes"),
+    "compiled simulations": (*TUNED[:-1], "2", "--revolutions", "9000", "--integrator", "compiled"),
+}
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="the table of processes of Linux")
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize("case", PARALLEL)
+def test_workers_end_with_their_parent(case, number, files):
+    """However the parent process ends, in the middle of long and compiled work too: nobody works for nobody."""
+    with subprocess.Popen(
+        [*COMMAND, *PARALLEL[case]], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=files, start_new_session=True
+    ) as process:
+        at_work(process, 5.0)
+        children = workers(process.pid)
+        process.send_signal(number)
+        process.wait(10)
+        begin = time.monotonic()
+        left = children
+        while left and time.monotonic() - begin < 30.0:
+            time.sleep(0.02)
+            left = [child for child in left if runs(child)]
+        duration = time.monotonic() - begin
+        for child in left:
+            os.kill(child, signal.SIGKILL)
+    assert len(children) == 2
+    assert duration < 2.0, duration
+
+
 @posix
 @pytest.mark.slow
 @pytest.mark.parametrize("case", LONG)
