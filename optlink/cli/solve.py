@@ -139,10 +139,13 @@ def validate(
 
 def _validate(problem: str, design: list[str], changes: list[str] | None, as_json: bool, out: Path | None) -> None:
     from optlink.tasks.function import read_design
+    from optlink.tasks.modes import possible_modes
     from optlink.tasks.run import validate as check
 
     file = console.load(problem, changes)
-    result = check(file, read_design(file, design))
+    values, hashes = read_design(file, design), [document.get("problem_hash") for _, document in _documents(design)]
+    file = next((mode for mode in possible_modes(file) if mode.hash in hashes), file)  # of a result file
+    result = check(file, values)
     failed = _contradictions(design, file, result)
     _show(result.with_checks(failed) if failed else result, as_json, out)
 
@@ -166,13 +169,17 @@ def _validate_certificate(
         raise typer.Exit(1)
 
 
+def _documents(design: list[str]) -> list[tuple[str, dict[str, Any]]]:
+    """Return the result files used as the design, with their names."""
+    return [(text, json.loads(Path(text).read_text(encoding="utf-8"))) for text in design if text.endswith(".json")]
+
+
 def _contradictions(design: list[str], file: ProblemFile, result: FunctionResult | PathResult | CycleResult) -> tuple[Check, ...]:
     """Check a result file used as the design against the recomputed result; report a file of another problem."""
     from optlink.validation.consistency import contradictions
 
     failed: list[Check] = []
-    for text in (text for text in design if text.endswith(".json")):
-        document = json.loads(Path(text).read_text(encoding="utf-8"))
+    for text, document in _documents(design):
         if document.get("problem_hash", file.hash) != file.hash:
             message = f"{text}: this is the result of another problem, or of this one before it was changed"
             print(f"Warning: {message} (problem_hash {document['problem_hash']}, here {file.hash})", file=sys.stderr)

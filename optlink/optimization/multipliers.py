@@ -20,6 +20,7 @@ LEAST_PRICE = 1e-6
 price. Multipliers are recomputed to about this accuracy."""
 ACTIVE = 1e-6  # distance, in scaled units, at which a limit counts as active
 DEPENDENT = 1e-6  # least singular value of linearly independent gradients of active limits, relative to the largest
+FLAT = 1e-12  # gradient of a limit, in scaled units, that counts as none
 SAME_SUM = 1e-4  # relative change of a sum of multipliers that counts as none: of rows beside one peak of a limit
 
 
@@ -98,8 +99,10 @@ class MultiplierSet:
             See the class.
         """
         norms = np.linalg.norm(gradients, axis=1)
-        rows = np.flatnonzero(active & (norms > 0.0))
-        left, singular, _ = np.linalg.svd(gradients[rows] / norms[rows, None])
+        moving = norms > FLAT
+        rows = np.flatnonzero(active & (moving | (sign == 0.0)))  # an equation without gradient can have any multiplier
+        norms = np.where(moving, norms, 1.0)
+        left, singular, _ = np.linalg.svd(np.where(moving[rows, None], gradients[rows] / norms[rows, None], 0.0))
         null = left[:, np.sum(singular > DEPENDENT * np.max(singular, initial=0.0)) :]
         null[np.linalg.norm(null, axis=1) <= SAME_SUM] = 0.0  # these gradients do not depend on others
         directions = np.zeros((len(multipliers), null.shape[1]))

@@ -236,9 +236,6 @@ class DesignProblem(Problem):
             raise Unusable(
                 "a motion law does not depend on the position of the linkage", "Leave pivot and direction out", "mechanism.pivot"
             )
-        if self.mechanism.assembly == EITHER and function is None:
-            remedy = 'Write "left" or "right"'
-            raise Unusable("a motion law is designed for one assembly mode", remedy, "mechanism.assembly", EITHER)
         start = requirement.start if "start" in requirement.model_fields_set else None
         check_rotation(requirement.law, requirement.span, "from", start)
         if function is not None and start is not None and not isinstance(start, Quantity):

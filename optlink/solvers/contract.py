@@ -47,8 +47,10 @@ def selectable() -> tuple[str, ...]:
 
 
 def backend(name: str) -> Backend:
-    """Return the back end of that name; its library is imported on first use."""
-    return SOLVERS[name].load()
+    """Return the back end of that name; its library is imported on first use. It searches with independent equations only."""
+    from optlink.solvers.dependent_equations import independent
+
+    return independent(SOLVERS[name].load())
 
 
 def _slsqp() -> Backend:

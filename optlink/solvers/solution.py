@@ -257,7 +257,7 @@ def stationarity(nlp: NLP, x: Array, point: NLPValues, within: float = ACTIVE) -
     active = np.flatnonzero((sign != 0.0) | equal).tolist()
     estimate: Array = np.zeros(0)
     while active:
-        estimate = np.asarray(np.linalg.lstsq(jacobian[active].T, -point.gradient, rcond=None)[0], dtype=float)
+        estimate = np.asarray(np.linalg.lstsq(jacobian[active].T, -point.gradient, rcond=1e-12)[0], dtype=float)
         wrong = [(-estimate[k] * sign[i], k) for k, i in enumerate(active) if not equal[i]]
         worst, k = max(wrong, default=(0.0, 0))
         if worst <= 0.0:

@@ -32,6 +32,7 @@ from optlink.studies.grid import Grid
 from optlink.studies.reoptimise_task import SEARCHED, SLOW_CHUNK, ReoptimiseTask, active
 from optlink.studies.sweep_task import FoundOptimum, OptimumTask
 from optlink.tasks.cycle import solve as solve_cycle
+from optlink.tasks.modes import possible_modes
 from optlink.tasks.protocol import completed
 from optlink.tasks.results.common import optimality
 from optlink.tasks.results.cycle import CycleResult, task_of
@@ -53,9 +54,13 @@ class CycleTask(OptimumTask):
     @cached_property
     def programme(self) -> CycleProgramme | None:
         """Common programme of all points; None if every point needs its own."""
+        if possible_modes(self.problem) != [self.problem]:
+            return None
         limits = [axis.key.rpartition(".") for axis in self.grid.axes]
         limit_keys = [f"limits.{name}" for name in task_of(self.problem).limits.named]
-        if not all(limit in limit_keys and side in BOUNDS for limit, _, side in limits):
+        if not all(limit in limit_keys and side in BOUNDS for limit, _, side in limits) or possible_modes(self.problem) != [
+            self.problem
+        ]:
             return None
         common = CycleProgramme(self.problem.override(self.grid.changes(0)), self.backend)
         return common if common.possible else None

@@ -18,8 +18,9 @@ from optlink.problem.function import EPIGRAPH
 from optlink.problem.quantity import input_of
 from optlink.solvers.solution import Solution
 from optlink.tasks.analyze import quick_stroke_notes
+from optlink.tasks.modes import best_mode, mode_of, possible_modes
 from optlink.tasks.protocol import DesignTask, Search, agreement
-from optlink.tasks.results.common import Optimum, optimality
+from optlink.tasks.results.common import Optimum, better, optimality
 from optlink.tasks.results.cycle import CycleResult, analysis_of, task_of
 from optlink.tasks.results.evidence import tally
 from optlink.units import factor
@@ -59,64 +60,10 @@ class CycleTask(DesignTask[CycleResult]):
         problem : ProblemFile
         search : Search
         """
-        from optlink.optimization.cycle_signals import TracedCycle
-        from optlink.solvers.continuum import continuum
-        from optlink.solvers.cycle_search import search_all
-        from optlink.solvers.cycle_starts import STARTS, StartSequence, further_start_groups, start_groups
-        from optlink.solvers.semi_infinite import rank
-
-        names, seed, timer, progress = search.names, search.seed, search.timer, search.progress
-        task, count = task_of(problem), STARTS if search.starts is None else search.starts
-        with input_of(problem.file):
-            trace = TracedCycle(task, slow=task.slow_assumed)
-        samples = StartSequence(trace, seed)
-
-        firsts = _first_starts(problem, samples, count)
-        if not firsts:
-            timer.lap("solve")
-            return _no_rotatable_design(problem, seed, count, timer.seconds)
-        interrupts.check()
-        timer.lap("build")
-        result = search_all(
-            trace,
-            firsts,
-            names,
-            lambda completed: progress(min(completed / count, 1.0)) if progress else None,
-            lambda: further_start_groups(samples, firsts, count),
-            lambda order: start_groups(samples, count, order),
-            search.runs if search.shared or count >= SHARED_STARTS else None,
-        )
-        if not result.usable:
-            result = _explained(result, names)
-        nlp, solutions = _refined(result.nlp, result.best)
-        winner = min(solutions.values(), key=rank)
-        chosen = next(name for name, solution in solutions.items() if solution is winner)
-        equal = continuum(nlp, winner, chosen) if result.usable else None
-        timer.lap("solve")
-        measured = analysis_of(task, winner.design)
-        verification = validate_cycle(task, winner.design, winner.objective, measured)
-        checks = (*verification.checks, *optimality(winner), *(_agreement(solutions) if len(solutions) > 1 else ()))
-        timer.lap("validate")
-        cycle_result = CycleResult(
-            problem=problem,
-            status=winner.status,
-            backend=chosen,
-            design=dict(winner.design),
-            objective=winner.objective,
-            validation=Validation(checks, verification.objective),
-            seconds=timer.seconds,
-            seed=seed,
-            starts=result.starts,
-            solution=winner,
-            backends=solutions,
-            optima=_optima(task, winner, result.solutions, equal) if result.usable else (),
-            conflict=result.conflict,
-            together=result.together,
-            notes=tuple(_notes(problem, result, winner, count, equal)),
-            interrupted=result.interrupted,
-        )
-        vars(cycle_result)["measured"] = measured  # cached, as its figures are shown too
-        return cycle_result
+        result = best_mode(problem, search, _search)
+        if result.problem is problem:
+            return result
+        return replace(result, notes=(f"assembly mode: {mode_of(result.problem)}, the best of those left open", *result.notes))
 
     def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> CycleResult:
         """Validate given dimensions; those not named have their value in the file.
@@ -128,16 +75,83 @@ class CycleTask(DesignTask[CycleResult]):
         problem : ProblemFile
         design : mapping of str to float [SI]
         """
-        task, begin = task_of(problem), time.perf_counter()
-        names = (*task.free, *(name for name in task.quantities if name in design and name not in task.free))
-        values = {name: design.get(name, task.quantities[name].value) for name in names}
-        verification = validate_cycle(task, values)
-        seconds = {"build": 0.0, "solve": 0.0, "validate": time.perf_counter() - begin}
-        return CycleResult(problem, Status.NOT_SEARCHED, "none", values, verification.objective, verification, seconds, 0, 0)
+        return min((_validated(variant, design) for variant in possible_modes(problem)), key=better)
 
 
 TASK = CycleTask()
 solve, validate = TASK.solve, TASK.validate
+
+
+def _validated(problem: ProblemFile, design: Mapping[str, float]) -> CycleResult:
+    """Return given dimensions with their validation in one assembly mode."""
+    task, begin = task_of(problem), time.perf_counter()
+    names = (*task.free, *(name for name in task.quantities if name in design and name not in task.free))
+    values = {name: design.get(name, task.quantities[name].value) for name in names}
+    verification = validate_cycle(task, values)
+    seconds = {"build": 0.0, "solve": 0.0, "validate": time.perf_counter() - begin}
+    return CycleResult(problem, Status.NOT_SEARCHED, "none", values, verification.objective, verification, seconds, 0, 0)
+
+
+def _search(problem: ProblemFile, search: Search) -> CycleResult:
+    """Return the best design in one assembly mode."""
+    from optlink.optimization.cycle_signals import TracedCycle
+    from optlink.solvers.continuum import continuum
+    from optlink.solvers.cycle_search import search_all
+    from optlink.solvers.cycle_starts import STARTS, StartSequence, further_start_groups, start_groups
+    from optlink.solvers.semi_infinite import rank
+
+    names, seed, timer, progress = search.names, search.seed, search.timer, search.progress
+    task, count = task_of(problem), STARTS if search.starts is None else search.starts
+    with input_of(problem.file):
+        trace = TracedCycle(task, slow=task.slow_assumed)
+    samples = StartSequence(trace, seed)
+
+    firsts = _first_starts(problem, samples, count)
+    if not firsts:
+        timer.lap("solve")
+        return _no_rotatable_design(problem, seed, count, timer.seconds)
+    interrupts.check()
+    timer.lap("build")
+    result = search_all(
+        trace,
+        firsts,
+        names,
+        lambda completed: progress(min(completed / count, 1.0)) if progress else None,
+        lambda: further_start_groups(samples, firsts, count),
+        lambda order: start_groups(samples, count, order),
+        search.runs if search.shared or count >= SHARED_STARTS else None,
+    )
+    if not result.usable:
+        result = _explained(result, names)
+    nlp, solutions = _refined(result.nlp, result.best)
+    winner = min(solutions.values(), key=rank)
+    chosen = next(name for name, solution in solutions.items() if solution is winner)
+    equal = continuum(nlp, winner, chosen) if result.usable else None
+    timer.lap("solve")
+    measured = analysis_of(task, winner.design)
+    verification = validate_cycle(task, winner.design, winner.objective, measured)
+    checks = (*verification.checks, *optimality(winner), *(_agreement(solutions) if len(solutions) > 1 else ()))
+    timer.lap("validate")
+    cycle_result = CycleResult(
+        problem=problem,
+        status=winner.status,
+        backend=chosen,
+        design=dict(winner.design),
+        objective=winner.objective,
+        validation=Validation(checks, verification.objective),
+        seconds=timer.seconds,
+        seed=seed,
+        starts=result.starts,
+        solution=winner,
+        backends=solutions,
+        optima=_optima(task, winner, result.solutions, equal) if result.usable else (),
+        conflict=result.conflict,
+        together=result.together,
+        notes=tuple(_notes(problem, result, winner, count, equal)),
+        interrupted=result.interrupted,
+    )
+    vars(cycle_result)["measured"] = measured  # cached, as its figures are shown too
+    return cycle_result
 
 
 def _explained(result: CycleSearchResult, names: Sequence[str]) -> CycleSearchResult:

@@ -6,10 +6,10 @@ import functools
 import json
 import math
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,9 +31,10 @@ from optlink.solvers import multistart
 from optlink.solvers.function_exchange import ALONG, error_at, error_function
 from optlink.solvers.solution import EXACTLY_MET, Relaxation, Solution
 from optlink.tasks.machine import check_names, turning_machine
-from optlink.tasks.protocol import DesignTask, Search, Timer, agreement, part
+from optlink.tasks.modes import best_mode
+from optlink.tasks.protocol import DesignTask, Search, agreement, part
 from optlink.tasks.results.certificate import CertificateRecord
-from optlink.tasks.results.common import SingleRecord, SingleResult, shortest_link, verified
+from optlink.tasks.results.common import SingleRecord, SingleResult, better, shortest_link, verified
 from optlink.tasks.results.evidence import Evidence, evidence
 from optlink.tasks.results.fit import Fit, law_fit
 from optlink.units import show
@@ -97,6 +98,11 @@ class FunctionResult(SingleResult):
         return (
             "all four lengths are free and only their ratios matter here: any multiple within the bounds is as good; fix one",
         )
+
+    def merged(self, results: Sequence[Self]) -> Self:
+        """Return the result with the starts, optima and counts of all assembly modes."""
+        counts = (count for result in results if result is not self for count in result.counts)
+        return replace(super().merged(results), counts=(*self.counts, *counts))
 
     @property
     def evidence(self) -> Evidence | None:
@@ -214,13 +220,7 @@ class FunctionTask(DesignTask[FunctionResult]):
         problem : ProblemFile
         search : Search
         """
-        variants = problem.variants()
-        results: list[FunctionResult] = []
-        for k, variant in enumerate(variants):
-            results.append(_search(variant, replace(search, timer=Timer(), progress=part(search.progress, k, len(variants)))))
-            if results[-1].interrupted:
-                break
-        return _merged(results) if len(variants) > 1 else results[0]
+        return best_mode(problem, search, _search)
 
     def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> FunctionResult:
         """Validate a given design, in the better assembly mode if the file leaves it open; see `DesignTask.validate`.
@@ -237,7 +237,7 @@ class FunctionTask(DesignTask[FunctionResult]):
             checked = validate_law(variant.spec, full)
             seconds = {"build": 0.0, "solve": 0.0, "validate": time.perf_counter() - begin}
             results.append(FunctionResult(variant, Status.NOT_SEARCHED, "none", full, checked.objective, checked, seconds))
-        return min(results, key=_better)
+        return min(results, key=better)
 
 
 TASK = FunctionTask()
@@ -316,25 +316,6 @@ def _explained(nlp: NLP, seed: int, exactly: bool) -> tuple[Start | None, Soluti
         return reason, None, ((), ())
     miss = multistart.infeasible_at(nlp, reason.x, "nearest design")
     return None, miss, (reason.conflict, reason.together)
-
-
-def _better(result: FunctionResult) -> tuple[bool, bool, float]:
-    """Return a sort key: valid before invalid before infeasible, then by objective."""
-    return not result.valid, result.status in (Status.INFEASIBLE, Status.NON_FINITE), result.objective
-
-
-def _merged(results: list[FunctionResult]) -> FunctionResult:
-    """Return the best result over the assembly modes, with the evidence of all."""
-    best = min(results, key=_better)
-    optima = sorted((optimum for result in results for optimum in result.optima), key=lambda optimum: optimum.objective)
-    return replace(
-        best,
-        starts=sum(result.starts for result in results),
-        interrupted=any(result.interrupted for result in results),
-        seconds={key: sum(result.seconds[key] for result in results) for key in best.seconds},
-        optima=tuple(optima),
-        counts=best.counts + tuple(count for result in results if result is not best for count in result.counts),
-    )
 
 
 def _stored(text: str, quantities: Mapping[str, Quantity]) -> list[tuple[str, object]]:

@@ -237,7 +237,7 @@ class StrokeProblem(CycleProblem):
         return (*bounds, *super().bounds)
 
     def check_output(self) -> None:
-        """Check that the output exists and can go to and fro, and that the assembly mode is definite.
+        """Check that the output exists and can go to and fro.
 
         Raises
         ------
@@ -245,10 +245,6 @@ class StrokeProblem(CycleProblem):
             with the full key of the cause.
         """
         mechanism = self.linkage
-        if len(self.mechanism.variants(mechanism)) > 1:
-            message, assembly = "a stroke is designed for one assembly mode", self.mechanism.assembly
-            remedy = 'Write "left" or "right"' if isinstance(assembly, str) else "Choose one mode of every dyad"
-            raise Unusable(message, remedy, "mechanism.assembly", assembly)
         names = [
             *(guide.name for guide in mechanism.guides),
             *(link.body for link in mechanism.links[1:]),

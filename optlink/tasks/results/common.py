@@ -140,9 +140,35 @@ class SingleResult(Recorded):
         """Return the result with other fields of its best design."""
         return replace(self, **changes)
 
+    def merged(self, results: Sequence[Self]) -> Self:
+        """Return the result with the starts and optima of the searches of all assembly modes, its own among them.
+
+        Parameters
+        ----------
+        results : sequence of SingleResult
+        """
+        optima = sorted((optimum for result in results for optimum in result.optima), key=lambda optimum: optimum.objective)
+        return replace(
+            self,
+            starts=sum(result.starts for result in results),
+            interrupted=any(result.interrupted for result in results),
+            seconds={key: sum(result.seconds[key] for result in results) for key in self.seconds},
+            optima=tuple(optima),
+        )
+
     def with_checks(self, checks: Sequence[Check]) -> Self:
         """Return the result with further checks."""
         return self.with_best(validation=replace(self.validation, checks=(*self.validation.checks, *checks)))
+
+
+def better(result: SingleResult) -> tuple[bool, bool, float]:
+    """Return a sort key: valid before invalid before infeasible, then by objective.
+
+    Parameters
+    ----------
+    result : SingleResult
+    """
+    return not result.valid, result.status in (Status.INFEASIBLE, Status.NON_FINITE), result.objective
 
 
 class SolutionRecord(Record):

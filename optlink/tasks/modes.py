@@ -1,0 +1,81 @@
+"""Search in each assembly mode that a problem leaves open."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TypeVar
+
+from optlink.errors import InputError
+from optlink.problem.file import ProblemFile
+from optlink.tasks.protocol import Search, Timer, part
+from optlink.tasks.results.common import SingleResult, better
+
+R = TypeVar("R", bound=SingleResult)
+
+
+def best_mode(problem: ProblemFile, search: Search, one: Callable[[ProblemFile, Search], R]) -> R:
+    """Return the best result over the assembly modes, with the starts and optima of all.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    search : Search
+    one : function of a problem with definite assembly modes and a search
+
+    Raises
+    ------
+    InputError
+        If every mode is refused.
+    """
+    variants = possible_modes(problem)
+    if variants == [problem]:
+        return one(problem, search)
+    results, refused = list[R](), list[InputError]()
+    for k, variant in enumerate(variants):
+        try:
+            result = one(variant, replace(search, timer=Timer(), progress=part(search.progress, k, len(variants))))
+        except InputError as error:
+            refused.append(error)
+            continue
+        optima = tuple(replace(optimum, assembly=mode_of(variant)) for optimum in result.optima)
+        results.append(replace(result, optima=optima))
+        if result.interrupted:
+            break
+    if not results:
+        raise refused[0]
+    return min(results, key=better).merged(results)
+
+
+def possible_modes(problem: ProblemFile) -> list[ProblemFile]:
+    """Return the problem with definite assembly modes, one for each combination in which its sections are consistent.
+
+    Parameters
+    ----------
+    problem : ProblemFile
+
+    Raises
+    ------
+    InputError
+        If there is no such combination.
+    """
+    variants, refused = list[ProblemFile](), list[InputError]()
+    for change in problem.model.mechanism.variants(problem.model.linkage):
+        try:
+            variants.append(problem.override(change) if change else problem)
+        except InputError as error:
+            refused.append(error)
+    if not variants:
+        raise refused[0]
+    return variants
+
+
+def mode_of(problem: ProblemFile) -> str:
+    """Return the assembly modes of a problem in words, such as "left", or "C left of B-D, E forward".
+
+    Parameters
+    ----------
+    problem : ProblemFile
+    """
+    assembly = problem.raw["mechanism"].get("assembly", "left")
+    return assembly if isinstance(assembly, str) else ", ".join(f"{joint} {mode}" for joint, mode in assembly.items())
