@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from optlink.linkage.jet import Jet, as_jet
-from optlink.linkage.vector2d import Array, Value, Vector, numeric
+from optlink.linkage.vector2d import Array, Value, Vector
 
 CIRCLE = 2.0 * (1.0 + 1e-9)
 """Radius of the circle from which a series was computed, over its window."""
@@ -88,7 +88,7 @@ class GroupPassages:
     def side(self, angle: Value) -> Value:
         """Return the assembly mode at a crank angle."""
         value = as_jet(angle).value
-        if numeric(value):
+        if _numeric(value):
             within = self.origin + np.remainder(np.real(value) - self.origin, self.cycle)
             return self.sides[np.searchsorted(self.breaks, within, side="right")]
         within = self.origin + np.remainder(value - self.origin, self.cycle)
@@ -107,7 +107,7 @@ class GroupPassages:
         formula : function of the assembly mode to the joint [m], or the unit vector of the guide, and the assembly margin
         """
         value = as_jet(angle).value
-        if not numeric(value):
+        if not _numeric(value):
             return self._traced(angle, value, *formula(self.side(angle)))
         away = [value - passage.crank_angle for passage in self.passages]
         away = [delta - self.cycle * np.round(np.real(delta) / self.cycle) for delta in away]
@@ -151,3 +151,8 @@ def _either(which: Value, one: Value, other: Value) -> Value:
     if not isinstance(one, Jet) and not isinstance(other, Jet):
         return np.where(which, one, other)
     return Jet(*(np.where(which, x, y) for x, y in zip(as_jet(one).parts, as_jet(other).parts, strict=True)))
+
+
+def _numeric(x: Value) -> bool:
+    """Return whether a value is a number or an array of numbers, not a symbol."""
+    return isinstance(x, float | int | complex | np.ndarray | np.generic)

@@ -27,11 +27,6 @@ def root(x: Value) -> Value:
         return np.sqrt(x)
 
 
-def numeric(x: Value) -> bool:
-    """Return whether a value is a number or an array of numbers, not a symbol."""
-    return isinstance(x, float | int | complex | np.ndarray | np.generic)
-
-
 def _complex(x: Value) -> bool:
     return isinstance(x, np.ndarray | np.generic | complex) and bool(np.iscomplexobj(x))
 
