@@ -179,8 +179,8 @@ class _EquationsOfMotion:
 
     @property
     def by_numbers(self) -> bool:
-        """Whether symbols do not support the machine: the iteration for friction, the series near change points."""
-        return bool(self.machine.friction or self.machine.mechanism.followed)
+        """Whether symbols do not support the machine: the iteration for friction."""
+        return bool(self.machine.friction)
 
     def __call__(self, state: Array) -> Array:
         """Rates of the state; also where the crank is at rest, for which symbols cannot choose the sense of motion."""

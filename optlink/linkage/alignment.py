@@ -5,7 +5,7 @@ either mode.
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -45,13 +45,15 @@ class AlignedPosition(NamedTuple):
         """Whether the group is continued smoothly through the position, so that its motion is determined."""
         return self.group.passages is not None
 
-    def __str__(self) -> str:
-        return f"{math.degrees(self.crank_angle):.6g} deg ({self.group.kind} group of {self.group.joint})"
-
 
 def positions_text(positions: Iterable[AlignedPosition]) -> str:
-    """Return the crank angles and groups of positions as one comma-separated text."""
-    return ", ".join(str(position) for position in positions)
+    """Return the crank angles of positions as one comma-separated text, each with all groups that have one there."""
+    joints: dict[tuple[str, str], list[str]] = {}
+    for position in positions:
+        joints.setdefault((f"{math.degrees(position.crank_angle):.6g} deg", position.group.kind), []).append(position.group.joint)
+    return ", ".join(
+        f"{angle} ({kind} group{'s' if len(names) > 1 else ''} of {', '.join(names)})" for (angle, kind), names in joints.items()
+    )
 
 
 def angles_text(angles: Array) -> str:
@@ -59,18 +61,32 @@ def angles_text(angles: Array) -> str:
     return ", ".join(f"{math.degrees(angle):.6g}" for angle in angles[:6]) + (" ..." if len(angles) > 6 else "") + " deg"
 
 
-def squared_sines(pose: Pose) -> Array:
-    """Return the alignment [-] of every group, array (groups, n); NaN for the groups that follow one that cannot be assembled."""
+def squared_sines(pose: Pose, groups: Sequence[Dyad] | None = None) -> Array:
+    """Return the alignment [-] of groups, array (groups, n); NaN for those that follow one that cannot be assembled.
+
+    Parameters
+    ----------
+    pose : Pose
+    groups : sequence of Dyad, optional
+        Default: every group.
+    """
     shape = np.shape(as_jet(pose.directions[pose.mechanism.crank.body][0]).value)
     with np.errstate(all="ignore"):
-        alignments = [np.broadcast_to(as_jet(group.alignment(pose)).value, shape) for group in pose.mechanism.groups]
+        alignments = [np.broadcast_to(as_jet(group.alignment(pose)).value, shape) for group in groups or pose.mechanism.groups]
     return np.array(alignments, dtype=float).reshape(-1, *shape)
 
 
-def alignment_margin(pose: Pose) -> Array:
-    """Return the least alignment of all groups above its limit [-], array (n,); negative, never NaN, if one fails to close."""
-    groups = zip(pose.mechanism.groups, squared_sines(pose), strict=True)  # parallel lines meet nowhere
-    return least_margin(pose, (sines - group.least if group.least > 0.0 else sines + TOUCHING for group, sines in groups))
+def alignment_margin(pose: Pose, groups: Sequence[Dyad] | None = None) -> Array:
+    """Return the least alignment of groups above its limit [-], array (n,); negative, never NaN, if one fails to close.
+
+    Parameters
+    ----------
+    pose : Pose
+    groups : sequence of Dyad, optional
+        Default: every group.
+    """
+    by_group = zip(groups or pose.mechanism.groups, squared_sines(pose, groups), strict=True)  # parallel lines meet nowhere
+    return least_margin(pose, (sines - group.least if group.least > 0.0 else sines + TOUCHING for group, sines in by_group))
 
 
 def least_margin(pose: Pose, margins: Iterable[Array]) -> Array:
@@ -88,51 +104,67 @@ def least_margin(pose: Pose, margins: Iterable[Array]) -> Array:
     return least
 
 
-def least_alignments(mechanism: Mechanism, sizes: Mapping[str, Value]) -> list[AlignedPosition]:
+def alignment_grid(cycle: float) -> Array:
+    """Return the crank angles [rad] between which the least alignments are bracketed, so that round ones lie between them."""
+    step = TURN / GRID
+    return np.arange(-0.37 * step, cycle + step, step)
+
+
+def least_alignments(mechanism: Mechanism, sizes: Mapping[str, Value], last: Pose | None = None) -> list[AlignedPosition]:
     """Return the positions of one cycle in which a group comes within `NEAR_ALIGNMENT` of alignment, each at the least angle.
 
     Parameters
     ----------
     mechanism : Mechanism
     sizes : mapping of parameter name to float [m, rad]
+    last : Pose, optional
+        Pose at the crank angles of `alignment_grid`, at a crank speed of 1 rad/s: only positions of the last group are sought.
 
     Returns
     -------
     list of Aligned, in the order of the groups and of the crank angle
     """
-    if not mechanism.groups:
+    groups = mechanism.groups if last is None else mechanism.groups[-1:]
+    if not groups:
         return []
-    step = TURN / GRID
-    grid = np.arange(-0.37 * step, mechanism.cycle + step, step)  # so that round crank angles lie between its points
+    grid = alignment_grid(mechanism.cycle)
 
-    def moving(angles: Array) -> Pose:
+    def moving(angles: Value) -> Pose:
         with np.errstate(all="ignore"):
             return mechanism.at(sizes, Jet(angles, 1.0))
 
-    def rates(angles: Array) -> Array:
-        pose = moving(angles)
+    def rates_of(pose: Pose, shape: tuple[int, ...]) -> Array:
         with np.errstate(all="ignore"):
-            derivatives = [as_jet(group.alignment(pose)).rate for group in mechanism.groups]
-        return np.array([np.broadcast_to(rate, angles.shape) for rate in derivatives])
+            derivatives = [as_jet(group.alignment(pose)).rate for group in groups]
+        return np.array([np.broadcast_to(rate, shape) for rate in derivatives])
 
-    samples = in_portions(rates, grid)
+    def rates(angles: Array) -> Array:
+        return rates_of(moving(angles), angles.shape)
+
+    samples = in_portions(rates, grid) if last is None else rates_of(last, grid.shape)
     still = np.max(np.nan_to_num(np.abs(samples), posinf=0.0), axis=1, initial=0.0) <= _STILL
 
     def sines(angles: Array) -> Array:
         with np.errstate(all="ignore"):
-            return squared_sines(mechanism.at(sizes, angles))
+            return squared_sines(mechanism.at(sizes, angles), groups)
 
-    angles_by_group = zeros(rates, grid, still=True, samples=samples)
+    def slope(k: int, angle: float) -> tuple[float, float]:
+        alignment = as_jet(groups[k].alignment(moving(angle)))
+        return float(alignment.rate), float(alignment.acceleration)
+
+    # Newton's method takes a few poses of all groups; for many groups at once the others are cheaper in one array
+    angles_by_group = zeros(rates, grid, still=True, rising=True, slope=None if last is None else slope, samples=samples)
     which = np.repeat(np.arange(len(angles_by_group)), [len(angles) for angles in angles_by_group])
     at = np.concatenate(angles_by_group)
     valid = (at >= -1e-9) & (at < mechanism.cycle - 1e-9) & ~still[which]
     at, which = at[valid], which[valid]
     if not at.size:
         return []
-    before, least, after = (in_portions(sines, at + aside, which) for aside in (-_ASIDE, 0.0, _ASIDE))
+    beside = np.concatenate([at + aside for aside in (-_ASIDE, 0.0, _ASIDE)])
+    before, least, after = in_portions(sines, beside, np.tile(which, 3)).reshape(3, -1)
     lowest = (least <= before) & (least <= after) & (least < math.sin(NEAR_ALIGNMENT) ** 2) & (least >= -TOUCHING)
     return [
-        AlignedPosition(0.0 if abs(angle) < 1e-9 else float(angle), mechanism.groups[k], math.asin(math.sqrt(max(sine, 0.0))))
+        AlignedPosition(0.0 if abs(angle) < 1e-9 else float(angle), groups[k], math.asin(math.sqrt(max(sine, 0.0))))
         for angle, k, sine in zip(at[lowest], which[lowest], least[lowest], strict=True)
     ]
 

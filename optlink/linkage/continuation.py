@@ -16,21 +16,32 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from optlink.linkage.alignment import AlignedPosition, least_alignments
-from optlink.linkage.dyad_types import RPR, ModalDyad
-from optlink.linkage.mechanism import Mechanism
+from optlink.linkage.alignment import AlignedPosition, alignment_grid, alignment_margin, least_alignments
+from optlink.linkage.dyad_types import PRP, RPR, ModalDyad
+from optlink.linkage.jet import Jet
+from optlink.linkage.mechanism import Dyad, Mechanism, Pose
 from optlink.linkage.passage import GroupPassages, Passage
-from optlink.linkage.stroke import reachable
-from optlink.linkage.vector2d import TURN, Value, turn
+from optlink.linkage.stroke import Ranges, range_grid, reachable
+from optlink.linkage.vector2d import TURN, Array, Value, turn, unit
 
 NODES = 64
-"""Points of a circle; the series has half as many terms."""
+"""Points of a circle; the series has at most half as many terms."""
+
+_THETA = math.pi + TURN * np.arange(NODES) / NODES
+CIRCLE = np.exp(1j * _THETA)
+"""Points of the unit circle, from the negative real one on."""
 
 LARGEST, LEAST = 0.3, 1e-3
 """Radii [rad] of the circles: halved until the series converges."""
 
 CONVERGED, ROUNDED = 1e-10, 1e-8
 """Shares of the motion on the circle that the last terms and those of negative powers may have."""
+
+NEGLIGIBLE = 1e-18
+"""Share of the motion on the circle below which a term of the series is omitted."""
+
+SAME_CENTRE = 1e-9
+"""Crank rotation [rad] within which the singular positions of two groups are continued on the same circles."""
 
 SAME_ANGLE = 1e-6
 """Crank rotation [rad] within which a start counts as the singular position itself."""
@@ -66,87 +77,159 @@ def continue_through_singularities(
     Mechanism, its `cycle` the crank rotation after which the motion repeats; a group without a smooth motion through a
     singular position is left unchanged
     """
-    for k, group in enumerate(mechanism.groups):
+    if not any(isinstance(group, ModalDyad) and (every or group.follow) for group in mechanism.groups):
+        return mechanism
+    course = _Course(mechanism, sizes)
+    for group in mechanism.groups:
+        holds_at = None
         if isinstance(group, ModalDyad) and (every or group.follow):
-            bodies = {link.body for g in mechanism.groups[: k + 1] for link in g.links} | {mechanism.crank.body}
-            points = tuple(point for point in mechanism.points if point.body in bodies)
-            part = replace(mechanism, groups=mechanism.groups[: k + 1], points=points)
-            passages = _course(part, sizes, group, start if group.holds_at is None else group.holds_at)
+            holds_at = start if group.holds_at is None else group.holds_at
+        course.add(group, holds_at)
+    return course.mechanism
+
+
+class _Course:
+    """A mechanism whose groups are added and continued one by one, with the poses of all groups so far.
+
+    They are kept on the grids on which the next group is examined, and on the circles about singular positions that groups share,
+    so that the effort grows with the number of groups, not with its square.
+    """
+
+    def __init__(self, mechanism: Mechanism, sizes: Mapping[str, Value]) -> None:
+        self.mechanism, self.sizes, self.count = mechanism, sizes, 0
+        self.ranges = Ranges(((0.0, mechanism.cycle),), True)
+        self.circles: dict[tuple[float, float], tuple[Pose, int]] = {}
+        self._sample()
+
+    def _sample(self) -> None:
+        cycle = self.mechanism.cycle
+        self.moving, self.still = self._pose(Jet(alignment_grid(cycle), 1.0)), self._pose(range_grid(cycle))
+
+    def _pose(self, angles: Value) -> Pose:
+        return self._grown(self.mechanism.begin(self.sizes, unit(angles), angles), 0)
+
+    def _grown(self, pose: Pose, count: int) -> Pose:
+        """Return a pose with the groups that it lacks."""
+        with np.errstate(all="ignore"):
+            for group in self.mechanism.groups[count : self.count]:
+                pose.add(group)
+        return pose
+
+    def add(self, group: Dyad, start: float | None) -> None:
+        """Add the next group, continued from its mode at the crank angle `start` unless that is None."""
+        groups, k = self.mechanism.groups, self.count
+        bodies = {link.body for g in groups[: k + 1] for link in g.links} | {self.mechanism.crank.body}
+        points = tuple(point for point in self.mechanism.points if point.body in bodies)
+        part = replace(self.mechanism, groups=groups[: k + 1], points=points)
+        with np.errstate(all="ignore"):
+            aligned = least_alignments(part, self.sizes, self.moving.with_group(group))
+        if self.ranges.full and self._closes(part, aligned):
+            self.ranges = Ranges(((0.0, part.cycle),), True)
+        elif self.ranges.full or start is not None:
+            self.ranges = reachable(part, self.sizes)
+        if start is not None and isinstance(group, ModalDyad):
+            passages = self._passages(group, [p for p in aligned if p.singular], start)
             if passages is not None:
-                groups = (*mechanism.groups[:k], replace(group, passages=passages), *mechanism.groups[k + 1 :])
-                mechanism = replace(mechanism, groups=groups, cycle=max(mechanism.cycle, passages.cycle))
-    return mechanism
+                group, cycle = replace(group, passages=passages), max(part.cycle, passages.cycle)
+                self.mechanism = replace(self.mechanism, groups=(*groups[:k], group, *groups[k + 1 :]), cycle=cycle)
+        self.count += 1
+        if self.mechanism.cycle > part.cycle:
+            self._sample()
+        else:
+            self.moving, self.still = self._grown(self.moving, k), self._grown(self.still, k)
+
+    def _closes(self, part: Mechanism, aligned: list[AlignedPosition]) -> bool:
+        """Whether the last group of a mechanism closes at all crank angles, like those before it."""
+        group = part.groups[-1]
+        if isinstance(group, PRP):  # its lines may become parallel
+            return False
+        lowest = np.array([p.crank_angle for p in aligned if not p.singular])
+        with np.errstate(all="ignore"):
+            poses = [self.still.with_group(group), *([part.at(self.sizes, lowest)] if lowest.size else [])]
+            return all(bool(np.all(alignment_margin(pose, [group]) >= 0.0)) for pose in poses)
+
+    def _passages(self, group: ModalDyad, aligned: list[AlignedPosition], start: float) -> GroupPassages | None:
+        """Sides and passages of the next group, from the crank angle at which its mode applies."""
+        ranges, cycle = self.ranges, self.mechanism.cycle
+        holding = (start, start + cycle) if ranges.full else ranges.holding(start)
+        if not aligned or holding is None:
+            return None
+        centres = [self._centre(p.crank_angle) for p in aligned]
+        known_crossings = []
+        for centre in centres:
+            crossing = self._crossing(group, centre)
+            if crossing is None:
+                return None
+            known_crossings.append((centre, crossing))
+        origin = start if ranges.full else 0.5 * (holding[0] + holding[1]) - 0.5 * cycle
+        ahead = sorted(
+            ((_ahead(at, origin, cycle, closed=ranges.full), crossing) for at, crossing in known_crossings),
+            key=lambda pair: pair[0],
+        )
+        turns = 2 if ranges.full and sum(crossing.flips for _, crossing in ahead) % 2 else 1
+        if turns * cycle > MOST_TURNS * TURN:
+            return None
+        ahead = [(at + turn * cycle, crossing) for turn in range(turns) for at, crossing in ahead]
+        breaks = np.array([origin + at for at, _ in ahead])
+        flips = np.cumprod([1, *(-1 if crossing.flips else 1 for _, crossing in ahead)])
+        sides = flips * (group.side * flips[np.searchsorted(breaks, start + SAME_ANGLE, side="right") if not ranges.full else 0])
+        passages = tuple(
+            replace(crossing.series[int(side)], crank_angle=float(at))
+            for at, (_, crossing), side in zip(breaks, ahead, sides[:-1], strict=True)
+        )
+        return GroupPassages(origin, turns * cycle, breaks, sides, passages)
+
+    def _centre(self, crank_angle: float) -> float:
+        """Return the centre of the circles about a singular position: that of an earlier group at the same position."""
+        return next((at for at, _ in self.circles if abs(at - crank_angle) < SAME_CENTRE), crank_angle)
+
+    def _crossing(self, group: ModalDyad, at: float) -> _Crossing | None:
+        """Continue a group through a singular position, on the largest circle on which its motion is a power series."""
+        powers = np.arange(-NODES // 2, NODES // 2)
+        transform = np.exp(-1j * np.outer(_THETA, powers)) / NODES
+        radius = LARGEST
+        while radius >= LEAST:
+            places = [self._places(replace(group, side=side), at, radius) for side in (1, -1)]
+            middle, half = 0.5 * (places[0] + places[1]), 0.5 * (places[0] - places[1])
+            sense = np.sign(np.real(np.sum(np.conj(half) * np.roll(half, -1, axis=1), axis=0)))  # from each point to the next
+            ways = np.cumprod([1.0, *sense[:-1]])
+            if np.all(np.isfinite(half)) and sense[-1] * ways[-1] > 0.0:
+                series, size = {}, np.max(np.abs([half, middle - np.mean(middle, axis=1, keepdims=True)]))
+                for side in (1, -1):
+                    terms = (middle + side * ways * half) @ transform
+                    last, negative = np.abs(terms[:, -NODES // 8 :]), np.abs(terms[:, powers < 0])
+                    if np.max(last) <= CONVERGED * size and np.max(negative) <= ROUNDED * size:
+                        series[side] = Passage(at, 0.5 * radius, _significant(np.real(terms[:, powers >= 0]), size, radius))
+                if len(series) == 2:
+                    return _Crossing(bool(ways[NODES // 2] < 0.0), series)
+            radius *= 0.5
+        return None
+
+    def _places(self, group: ModalDyad, at: float, radius: float) -> NDArray[np.complex128]:
+        """Solution of the next group on a circle of complex crank angles: its joint, or the direction of its guide."""
+        pose, count = self.circles.get((at, radius)) or (self._pose(at + radius * CIRCLE), self.count)
+        pose = self._grown(pose, count)
+        self.circles[at, radius] = pose, self.count
+        with np.errstate(all="ignore"):
+            pose = pose.with_group(group)
+            if isinstance(group, RPR):
+                coordinates = turn(pose.direction(group.first.body), pose.local_line(group.inner, group.first.body)[1])
+            else:
+                coordinates = pose.point(group.joint)
+        return np.array([np.broadcast_to(x, CIRCLE.shape) for x in coordinates], dtype=complex)
 
 
-def _course(part: Mechanism, sizes: Mapping[str, Value], group: ModalDyad, start: float) -> GroupPassages | None:
-    """Sides and passages of the last group of a mechanism, from the crank angle at which its mode applies."""
-    ranges, cycle = reachable(part, sizes), part.cycle
-    aligned = [p for p in least_alignments(part, sizes) if p.group is group and p.singular]
-    holding = (start, start + cycle) if ranges.full else ranges.holding(start)
-    if not aligned or holding is None:
-        return None
-    crossings = [_crossing(part, sizes, group, p) for p in aligned]
-    known_crossings = [(p.crank_angle, crossing) for p, crossing in zip(aligned, crossings, strict=True) if crossing is not None]
-    if len(known_crossings) < len(aligned):
-        return None
-    origin = start if ranges.full else 0.5 * (holding[0] + holding[1]) - 0.5 * cycle
-    ahead = sorted(
-        ((_ahead(at, origin, cycle, closed=ranges.full), crossing) for at, crossing in known_crossings), key=lambda pair: pair[0]
-    )
-    turns = 2 if ranges.full and sum(crossing.flips for _, crossing in ahead) % 2 else 1
-    if turns * cycle > MOST_TURNS * TURN:
-        return None
-    ahead = [(at + turn * cycle, crossing) for turn in range(turns) for at, crossing in ahead]
-    breaks = np.array([origin + at for at, _ in ahead])
-    flips = np.cumprod([1, *(-1 if crossing.flips else 1 for _, crossing in ahead)])
-    sides = flips * (group.side * flips[np.searchsorted(breaks, start + SAME_ANGLE, side="right") if not ranges.full else 0])
-    passages = tuple(
-        replace(crossing.series[int(side)], crank_angle=float(at))
-        for at, (_, crossing), side in zip(breaks, ahead, sides[:-1], strict=True)
-    )
-    return GroupPassages(origin, turns * cycle, breaks, sides, passages)
+def _significant(terms: Array, size: float, radius: float) -> Array:
+    """Return the coefficients of a power series (2, terms) without the last ones that are nothing within the window.
+
+    `terms`: those at the distance `radius`, which is twice the window.
+    """
+    powers = np.arange(terms.shape[1])
+    count = 1 + int(np.max(np.flatnonzero(np.max(np.abs(terms), axis=0) * 0.5**powers > NEGLIGIBLE * size), initial=0))
+    return terms[:, :count] / radius ** powers[:count].astype(float)
 
 
 def _ahead(at: float, origin: float, cycle: float, *, closed: bool) -> float:
     """Return the distance [rad] of a crank angle ahead of the origin; one cycle, not zero, at the origin of a closed motion."""
     distance = (at - origin) % cycle
     return cycle if closed and (distance < SAME_ANGLE or distance > cycle - SAME_ANGLE) else distance
-
-
-def _crossing(part: Mechanism, sizes: Mapping[str, Value], group: ModalDyad, at: AlignedPosition) -> _Crossing | None:
-    """Continue a group through a singular position, on the largest circle on which its motion is a power series."""
-    theta = math.pi + TURN * np.arange(NODES) / NODES
-    circle = np.exp(1j * theta)
-    powers = np.arange(-NODES // 2, NODES // 2)
-    transform = np.exp(-1j * np.outer(theta, powers)) / NODES
-    radius = LARGEST
-    while radius >= LEAST:
-        places = [_places(part, sizes, replace(group, side=side), at.crank_angle + radius * circle) for side in (1, -1)]
-        middle, half = 0.5 * (places[0] + places[1]), 0.5 * (places[0] - places[1])
-        sense = np.sign(np.real(np.sum(np.conj(half) * np.roll(half, -1, axis=1), axis=0)))  # from each point to the next
-        ways = np.cumprod([1.0, *sense[:-1]])
-        if np.all(np.isfinite(half)) and sense[-1] * ways[-1] > 0.0:
-            series, size = {}, np.max(np.abs([half, middle - np.mean(middle, axis=1, keepdims=True)]))
-            for side in (1, -1):
-                terms = (middle + side * ways * half) @ transform
-                last, negative = np.abs(terms[:, -NODES // 8 :]), np.abs(terms[:, powers < 0])
-                if np.max(last) <= CONVERGED * size and np.max(negative) <= ROUNDED * size:
-                    scale = radius ** powers[powers >= 0].astype(float)
-                    series[side] = Passage(at.crank_angle, 0.5 * radius, np.real(terms[:, powers >= 0]) / scale)
-            if len(series) == 2:
-                return _Crossing(bool(ways[NODES // 2] < 0.0), series)
-        radius *= 0.5
-    return None
-
-
-def _places(
-    part: Mechanism, sizes: Mapping[str, Value], group: ModalDyad, angles: NDArray[np.complex128]
-) -> NDArray[np.complex128]:
-    """Solution of the group at complex crank angles: the coordinates of its joint, or the direction of its guide."""
-    with np.errstate(all="ignore"):
-        pose = replace(part, groups=(*part.groups[:-1], group)).at(sizes, angles)
-        if isinstance(group, RPR):
-            coordinates = turn(pose.direction(group.first.body), pose.local_line(group.inner, group.first.body)[1])
-        else:
-            coordinates = pose.point(group.joint)
-    return np.array([np.broadcast_to(x, angles.shape) for x in coordinates], dtype=complex)

@@ -1,6 +1,6 @@
 """The five dyads as data types (bodies, joints, assembly mode); the formulas are in `dyads`."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -58,22 +58,15 @@ class ModalDyad(JointedDyad):
         """Assembly modes, in the notation of the problem file."""
         return tuple(FORWARD)
 
-    def mode(self, pose: Pose) -> Value:
-        """Return the assembly mode at the crank angles of a pose."""
-        return self.side if self.passages is None else self.passages.side(pose.angle)
-
-    def through(self, pose: Pose, new: Vector, margin: Value) -> tuple[Vector, Value]:
-        """Return the result of the formula, replaced by its smooth continuation near singular positions.
+    def through(self, pose: Pose, formula: Callable[[Value], tuple[Vector, Value]]) -> tuple[Vector, Value]:
+        """Return the result of the dyad formula and its assembly margin, near singular positions of its smooth continuation.
 
         Parameters
         ----------
         pose : Pose
-        new : pair of Value [m or -]
-            Result of the dyad formula: the joint, or the unit vector of the guide.
-        margin : Value [-]
-            Assembly margin.
+        formula : function of the assembly mode (+1 or -1) to the joint, or the unit vector of the guide, and the margin
         """
-        return (new, margin) if self.passages is None else self.passages.through(pose.angle, new, margin)
+        return formula(self.side) if self.passages is None else self.passages.through(pose.angle, formula)
 
 
 @dataclass(frozen=True)
@@ -95,8 +88,7 @@ class RRR(ModalDyad):
         """Add the new joint and both links; return the assembly margin."""
         p, q = self.outer
         a, b = pose.distance(self.first, p, self.inner), pose.distance(self.second, q, self.inner)
-        joint, margin = rrr(pose.point(p), pose.point(q), a, b, self.mode(pose))
-        pose.points[self.inner], margin = self.through(pose, joint, margin)
+        pose.points[self.inner], margin = self.through(pose, lambda side: rrr(pose.point(p), pose.point(q), a, b, side))
         pose.fit(self.first, p, self.inner)
         pose.fit(self.second, q, self.inner)
         return margin
@@ -141,8 +133,7 @@ class RRP(ModalDyad):
         pin, guide = self.outer
         begin, line = pose.line(guide, guide.other(self.second.body))
         offset, length = pose.offset(guide, self.second, self.inner), pose.distance(self.first, pin, self.inner)
-        joint, margin = rrp(pose.point(pin), begin, line, length, offset, self.mode(pose))
-        pose.points[self.inner], margin = self.through(pose, joint, margin)
+        pose.points[self.inner], margin = self.through(pose, lambda side: rrp(pose.point(pin), begin, line, length, offset, side))
         pose.fit(self.first, pin, self.inner)
         pose.place(self.second, turn_back(line, pose.local_line(guide, self.second.body)[1]), self.inner)
         return margin
@@ -181,7 +172,7 @@ class RPR(ModalDyad):
     def solve(self, pose: Pose) -> Value:
         """Add both bodies; return the assembly margin."""
         q, p = (pose.point(name) for name in self.outer)
-        line, margin = self.through(pose, *rpr(p, q, self._offset(pose), self.mode(pose)))
+        line, margin = self.through(pose, lambda side: rpr(p, q, self._offset(pose), side))
         for link, pin in zip(self.links, self.outer, strict=True):
             pose.place(link, turn_back(line, pose.local_line(self.inner, link.body)[1]), pin)
         return margin

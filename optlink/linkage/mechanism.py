@@ -164,6 +164,17 @@ class Pose:
         self.directions: dict[str, Vector] = {FRAME: (1.0, 0.0)}
         self.margins: dict[str, Value] = {}
 
+    def add(self, group: Dyad) -> None:
+        """Place the bodies of a group whose neighbours are placed."""
+        self.margins[group.joint] = group.solve(self)
+
+    def with_group(self, group: Dyad) -> Pose:
+        """Return this pose with one more group; this one is unchanged."""
+        pose = Pose(self.mechanism, self.sizes, self.angle)
+        pose.points, pose.directions, pose.margins = dict(self.points), dict(self.directions), dict(self.margins)
+        pose.add(group)
+        return pose
+
     def size(self, size: Size) -> Value:
         """Return the value of a parameter, or a number unchanged."""
         return self.sizes[size] if isinstance(size, str) else size
@@ -427,16 +438,27 @@ class Mechanism:
         -------
         Pose, coordinates in [m], NaN from the first group on that cannot be assembled (its margin is negative).
         """
-        pose = Pose(self, sizes, angle(crank) if crank_angle is None and self.followed else crank_angle)
+        pose = self.begin(sizes, crank, angle(crank) if crank_angle is None and self.followed else crank_angle)
+        for group in self.groups:
+            pose.add(group)
+        for point in self.points:
+            pose.point(point.name)
+        return pose
+
+    def begin(self, sizes: Mapping[str, Value], crank: Vector, crank_angle: Value) -> Pose:
+        """Compute the positions of the frame and of the crank alone; `Pose.add` adds the groups.
+
+        Parameters
+        ----------
+        sizes, crank, crank_angle
+            See `pose`.
+        """
+        pose = Pose(self, sizes, crank_angle)
         for name, place in self.ground.items():
             pose.points[name] = pose.fixed(place)
         if isinstance(self.datum, str) or self.datum != 0.0:
             crank = turn(crank, unit(pose.size(self.datum)))
         pose.place(self.crank, crank, self.crank.start)
-        for group in self.groups:
-            pose.margins[group.joint] = group.solve(pose)
-        for point in self.points:
-            pose.point(point.name)
         return pose
 
 

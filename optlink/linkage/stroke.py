@@ -122,6 +122,11 @@ class Ranges:
         return None
 
 
+def range_grid(cycle: float) -> Array:
+    """Return the crank angles [rad] between which the ends of the ranges are bracketed."""
+    return np.linspace(0.0, cycle, GRID * round(cycle / TURN) + 1)
+
+
 def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
     """Compute the ranges in which the crank can turn, to machine precision.
 
@@ -133,7 +138,7 @@ def reachable(mechanism: Mechanism, sizes: Mapping[str, Value]) -> Ranges:
     aligned = least_alignments(mechanism, sizes)
     lowest = [position.crank_angle for position in aligned if not position.singular]
     cycle = mechanism.cycle
-    grid = distinct(np.concatenate([np.linspace(0.0, cycle, GRID * round(cycle / TURN) + 1), lowest]))
+    grid = distinct(np.concatenate([range_grid(cycle), lowest]))
     crossing = [group for group in mechanism.groups if isinstance(group, PRP)]  # its lines may become parallel within the motion
 
     def function(angles: Array) -> Array:

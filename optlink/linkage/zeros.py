@@ -30,6 +30,7 @@ def zeros(
     count: int = 60,
     *,
     still: bool = False,
+    rising: bool = False,
     slope: Slope | None = None,
     samples: Array | None = None,
 ) -> list[Array]:
@@ -43,6 +44,8 @@ def zeros(
         Maximum number of rounds of inverse quadratic interpolation or bisection.
     still : bool
         Whether the functions are rates that may be zero over a range: rounding errors then count as zero, not as reversals.
+    rising : bool
+        Whether only changes from negative to positive count: where the function is a rate, minima.
     slope : callable, (index of a function, crank angle) -> (value, derivative), optional
         Newton's method then replaces the rounds wherever it converges within the bracket.
     samples : array (functions, n), optional
@@ -54,6 +57,8 @@ def zeros(
     """
     values = in_portions(function, grid) if samples is None else samples
     crossing, left, right = sign_changes(values, still=still)
+    if rising:
+        crossing &= left < 0.0
     which, where = np.nonzero(crossing)
 
     def own(angles: Array, brackets: Index) -> Array:

@@ -34,6 +34,7 @@ from optlink.problem.function import DesignProblem
 from optlink.problem.identity import identity
 from optlink.problem.limits import MARGINS, Alignment, four_bar_limits
 from optlink.problem.machine.model import Problem
+from optlink.problem.nearby import read_near
 from optlink.problem.quantity import input_of, nearest
 from optlink.problem.tolerances import with_tolerance
 
@@ -106,8 +107,28 @@ class ProblemFile:
 
     def variants(self) -> list[ProblemFile]:
         """Return the problem with definite assembly modes, one for each combination that it leaves open."""
-        changes = self.model.mechanism.variants(self.model.linkage)
+        changes = [{**self.located, **change} for change in self.model.mechanism.variants(self.model.linkage)]
         return [self.override(change) if change else self for change in changes]
+
+    @property
+    def located(self) -> dict[str, str]:
+        """Assembly modes that follow from the place of a joint, by dotted key."""
+        stated, chosen = self.raw["mechanism"].get("assembly", {}), self.model.mechanism.assembly
+        if isinstance(stated, str) or isinstance(chosen, str):
+            return {"mechanism.assembly": str(chosen)} if read_near(stated) else {}
+        return {f"mechanism.assembly.{joint}": chosen[joint] for joint, words in stated.items() if read_near(words)}
+
+    def mode(self, joint: str = "") -> str:
+        """Return the assembly mode of a joint, with the place from which it follows in parentheses.
+
+        Parameters
+        ----------
+        joint : str
+            Name of the joint or guide; none for a four-bar.
+        """
+        modes, key = self.model.mechanism.assembly, f"mechanism.assembly.{joint}".rstrip(".")
+        mode = modes if isinstance(modes, str) else modes.get(joint, "")
+        return f"{mode} ({self.at(key)})" if key in self.located else mode
 
     @typed
     def override(self, changes: Mapping[str, object]) -> ProblemFile:
@@ -210,6 +231,7 @@ def read(raw: Mapping[str, Any], name: str = "problem", file: str = "problem", f
     try:
         problem = model.model_validate({"title": name[:200], **raw}, context={"folder": where})
         with input_of(file):
+            problem = problem.assembled()
             problem.check()
     except (pydantic.ValidationError, InputError) as error:
         errors = error.faults if isinstance(error, InputError) else faults(error, model, raw, file)

@@ -1,16 +1,17 @@
 """The linkage of a problem file: a four-bar by four lengths, or any chain of dyads by ground points, links and guides."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field, WrapValidator
 
 from optlink.linkage.assur import CONTINUE, EITHER, assemble
 from optlink.linkage.fourbar import LENGTHS, four_bar
 from optlink.linkage.mechanism import FRAME, BodyPoint, Guide, Link, Mechanism, Size
 from optlink.problem.base_model import RESERVED, Name, Section
+from optlink.problem.nearby import NearPlace, read_near
 from optlink.problem.quantity import Angle, Coordinate, Friction, Length, Quantity, Unusable, below, check_name, read_quantity
 
 
@@ -27,6 +28,18 @@ def _read_place(raw: object) -> tuple[Quantity, Quantity]:
 
 
 Place = Annotated[Any, BeforeValidator(_read_place)]
+
+
+def _read_mode(raw: object, read: Callable[[object], Any]) -> Any:
+    """Read one of the assembly modes, or the place of the joint."""
+    if isinstance(raw, str) and read_near(raw) is None:
+        raw = ", ".join(part.strip() for part in raw.split(","))
+    return raw if read_near(raw) is not None else read(raw)
+
+
+def _check_place(raw: str) -> str:
+    read_near(raw)
+    return raw
 
 
 EQUAL = 1e-10
@@ -66,10 +79,11 @@ class FourBarSection(Section):
             "parallelogram",
             "antiparallelogram",
         ],
-        BeforeValidator(lambda raw: ", ".join(part.strip() for part in raw.split(",")) if isinstance(raw, str) else raw),
+        WrapValidator(_read_mode),
     ] = "left"
-    """Side of B -> D on which the joint C lies; `either`: both are searched. With `continue` this is the side at the start, and
-    the motion continues smoothly through change points; a parallelogram or antiparallelogram remains one."""
+    """Side of B -> D on which the joint C lies, or its place where the drive starts: `near [12 mm, 40 mm]`; `either`: both are
+    searched. With `continue` this is the side at the start, and the motion continues smoothly through change points; a
+    parallelogram or antiparallelogram remains one."""
 
     @property
     def side(self) -> int:
@@ -80,6 +94,22 @@ class FourBarSection(Section):
     def follows(self) -> bool:
         """Whether the motion continues through change points."""
         return self.assembly not in ("left", "right", "either")
+
+    @property
+    def near(self) -> dict[str, NearPlace]:
+        """The place of the joint C, by its name, if it determines the assembly mode."""
+        place = read_near(self.assembly)
+        return {} if place is None else {"C": place}
+
+    def with_modes(self, modes: Mapping[str, str]) -> Self:
+        """Return the section with the assembly mode of C in place of its position.
+
+        Parameters
+        ----------
+        modes : mapping of str to str
+            Such as `left of B-D`, by joint.
+        """
+        return self.model_copy(update={"assembly": modes["C"].replace(" of B-D", "")})
 
     def check_mode(self, sizes: Mapping[str, Any]) -> None:
         """Refuse an assembly mode that four-bars of these lengths do not have.
@@ -202,15 +232,31 @@ class DyadsSection(Section):
     """Every moving body."""
     guides: dict[Name, GuideSection] = Field(default_factory=dict)
     """Sliding joints."""
-    assembly: dict[str, str] = Field(default_factory=dict)
+    assembly: dict[str, Annotated[str, AfterValidator(_check_place)]] = Field(default_factory=dict)
     """Assembly mode of each group: for an RRR joint `left of B-D` or `right of B-D`, for an RRP pin or an RPR guide `forward` or
-    `backward`. With `left of B-D, continue` this is the mode at the start, and the motion continues smoothly through change
-    points. In a design problem also `either`."""
+    `backward`; for a pin also its place where the drive starts, `near [12 mm, 40 mm]`. With `left of B-D, continue` this is the
+    mode at the start, and the motion continues smoothly through change points. In a design problem also `either`."""
 
     @property
     def follows(self) -> bool:
         """Whether the motion continues through change points in any group."""
         return any(mode.rpartition(",")[2].strip() == CONTINUE for mode in self.assembly.values())
+
+    @property
+    def near(self) -> dict[str, NearPlace]:
+        """The places of joints that determine the assembly modes of their groups."""
+        places = {joint: read_near(mode) for joint, mode in self.assembly.items()}
+        return {joint: place for joint, place in places.items() if place is not None}
+
+    def with_modes(self, modes: Mapping[str, str]) -> Self:
+        """Return the section with other assembly modes.
+
+        Parameters
+        ----------
+        modes : mapping of str to str
+            By joint.
+        """
+        return self.model_copy(update={"assembly": {**self.assembly, **modes}})
 
     def check_mode(self, sizes: Mapping[str, Any]) -> None:
         """Accept any lengths: dyads of any lengths have their assembly modes."""
@@ -272,8 +318,9 @@ class DyadsSection(Section):
         check_name(body, self.links, "no such body", "drive.body")
         points = [point for _, marks in self._links() for point in marks]
         guides = list(self._guides())
+        modes = {**self.assembly, **dict.fromkeys(self.near, EITHER)}
         with below("mechanism"):
-            return assemble(name, self._ground(), links, points, guides, body, self.assembly)
+            return assemble(name, self._ground(), links, points, guides, body, modes)
 
     def _ground(self) -> dict[str, tuple[Size, Size]]:
         return {point: (f"{point}.x", f"{point}.y") for point in self.ground}

@@ -159,6 +159,8 @@ def simulate(
     (0.1, 220.81)
     """
     check_design(problem, design)
+    if progress is not None:
+        progress(0.0)  # the preparation of a long chain of links takes seconds
     drive = problem.model.drive
     torque = drive.torque
     machine, start = machine_of(problem, design), drive.start.value

@@ -3,7 +3,7 @@
 import datetime
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 from pydantic import BeforeValidator, Field
@@ -22,6 +22,7 @@ from optlink.problem.machine.joints import JointSection
 from optlink.problem.machine.loads import LoadSection
 from optlink.problem.machine.revolution import RevolutionSamples
 from optlink.problem.mechanism import DyadsSection, FourBarSection, sizes_of
+from optlink.problem.nearby import nearest_modes
 from optlink.problem.quantity import FixedAngle, FixedLength, Number, Quantity, Unusable, below, check_name, nearest
 from optlink.problem.targets.repetition import MOST_REVOLUTIONS
 from optlink.problem.tolerances import Deviation, Tolerances, deviations, with_deviating_pivots
@@ -217,6 +218,25 @@ class Problem(Section):
         lengths = [q.value for q in self.mechanism.quantities.values() if q.kind == "length"]
         coordinates = [abs(q.value) for q in self.mechanism.quantities.values() if q.kind == "coordinate"]
         return max([*lengths, *coordinates, 1e-9])
+
+    def assembled(self) -> Self:
+        """Return the problem with the assembly modes that follow from places of joints, at the start of the design variables.
+
+        Raises
+        ------
+        Unusable
+            with the full key of the place.
+        """
+        places, key = self.mechanism.near, "mechanism.assembly"
+        if not places:
+            return self
+        mechanism, sizes = self.mechanism.linkage(self.title, self.drive.body), sizes_of(self.mechanism.quantities)
+        try:
+            modes = nearest_modes(mechanism, sizes, self.drive.start.value, places)
+        except Unusable as error:
+            error.key = key if isinstance(self.mechanism, FourBarSection) else f"{key}.{error.key}"
+            raise
+        return self.model_copy(update={"mechanism": self.mechanism.with_modes(modes)})
 
     @cached_property
     def linkage(self) -> Mechanism:

@@ -41,13 +41,13 @@ def machine(file: ProblemFile) -> Iterator[TableSpec]:
     model = file.model
     built = model.machine(slow=model.slow_assumed)
     mechanism = built.mechanism
-    modes = model.mechanism.assembly if isinstance(model.mechanism, DyadsSection) else {}
-    if isinstance(model.mechanism, DyadsSection):
+    dyads = isinstance(model.mechanism, DyadsSection)
+    if dyads:
         yield table("[mechanism] dimensions", "<<", [(name, str(quantity)) for name, quantity in model.quantities.items()])
     order: list[Row] = [("crank", mechanism.crank.body, f"pivot {mechanism.crank.start}", "")]
     for group in mechanism.groups:
         bodies = ", ".join(link.body for link in group.links)
-        order.append((group.kind, bodies, f"joint {group.joint}", quiet(modes.get(group.joint, ""))))
+        order.append((group.kind, bodies, f"joint {group.joint}", quiet(file.mode(group.joint) if dyads else "")))
     yield table("Order of solution", "<<<<", order)
     if built.inertias:
         masses = []

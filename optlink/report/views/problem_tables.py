@@ -27,7 +27,7 @@ def problem(file: ProblemFile) -> Summary:
     about = [" ".join(model.about.split())] if model.about else []
     parts: list[Part] = []
     if isinstance(model.mechanism, FourBarSection):
-        parts.append(_section("mechanism", model.mechanism))
+        parts.append(_section("mechanism", model.mechanism, {"assembly": file.mode()}))
     if isinstance(model, DesignProblem | PathProblem):
         over = {"transmission_over": model.limits.transmission_range}
         task, hidden = (
