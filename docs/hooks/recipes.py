@@ -39,9 +39,10 @@ READING = "## Reading the result"
 
 @dataclass(frozen=True)
 class Answer:
-    """What the first command of a template prints, a picture that it draws, and its result.json."""
+    """What the first command of a template prints in full, a picture that it draws, and its result.json."""
 
     made: Template
+    command: str
     text: str
     picture: bytes
     result: dict[str, Any]
@@ -78,13 +79,17 @@ def answer(name: str) -> Answer:
         mock.patch.object(registry, "view_of", lambda kind: machine_alone(view_of(kind))),
     ):
         Path(f"{name}.toml").write_text(made.text, encoding="utf-8")
-        words = [*shlex.split(made.commands[0])[1:], "--out", "out"]
+        command = made.commands[0]
+        command += " --details" if command.startswith("optlink solve") else ""
+        words = [*shlex.split(command)[1:], "--out", "out"]
         done = CliRunner().invoke(app, words, env={"COLUMNS": WIDTH, "NO_COLOR": "1"})
         if done.exit_code:
-            raise RuntimeError(f"{made.commands[0]}: {done.output}") from done.exception
+            raise RuntimeError(f"{command}: {done.output}") from done.exception
         picture = next(path for path in (Path("out", picture) for picture in PICTURES) if path.is_file())
         text = "\n".join(line.rstrip() for line in done.stdout.splitlines())
-        return Answer(made, text, picture.read_bytes(), json.loads(Path("out", "result.json").read_text(encoding="utf-8")))
+        return Answer(
+            made, command, text, picture.read_bytes(), json.loads(Path("out", "result.json").read_text(encoding="utf-8"))
+        )
 
 
 def recipe(name: str) -> str:
@@ -108,7 +113,7 @@ def recipe(name: str) -> str:
 
 ## The answer
 
-`{made.commands[0]}` prints:
+`{found.command}` prints:
 
 ```text
 {found.text}

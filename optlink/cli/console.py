@@ -144,7 +144,9 @@ def print_failure(message: str, faults: list[dict[str, Any]]) -> None:
     print_json({"schema": "optlink/error/1", "status": "error", "message": message, "faults": faults})
 
 
-def deliver(result: Any, kind: str, as_json: bool, out: Path | None, csv: Path | None = None, *, code: int) -> None:
+def deliver(
+    result: Any, kind: str, as_json: bool, out: Path | None, csv: Path | None = None, *, code: int, details: bool = True
+) -> None:
     """Write result files, print JSON or a table, and exit unless all is well.
 
     Parameters
@@ -161,6 +163,8 @@ def deliver(result: Any, kind: str, as_json: bool, out: Path | None, csv: Path |
         File for the columns.
     code : int
         Exit code.
+    details : bool, optional
+        Whether to print all tables of a design, not its short text alone.
     """
     from optlink.report.registry import table_of, view_of
 
@@ -185,7 +189,8 @@ def deliver(result: Any, kind: str, as_json: bool, out: Path | None, csv: Path |
     if as_json:
         print_json(result.to_dict())
     else:
-        show(table_of(kind)(result))
+        shown = table_of(kind)(result)
+        show(shown if details or shown.short is None else shown.short)
     if code:
         raise typer.Exit(code)
 

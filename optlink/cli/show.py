@@ -21,20 +21,23 @@ Shown = Annotated[str, typer.Argument(metavar="PROBLEM", help=PROBLEM_HELP, auto
 
 
 def list_problems(as_json: Json = False, quiet: Quiet = False) -> None:
-    """List the shipped problems with their kind and a summary."""
-    from optlink.problem.file import load, shipped
+    """List the shipped problems by kind, a line each."""
+    from optlink.problem.overview import overview
 
-    files = [load(name) for name in shipped()]
+    entries = overview()
     if as_json:
-        rows = [{"name": f.name, "kind": f.kind, "title": f.model.title} for f in files]
+        rows = [{"name": entry.name, "kind": entry.kind, "title": entry.title} for entry in entries]
         console.print_json({"schema": "optlink/list/1", "problems": rows})
         return
     if console.quiet:
-        print("\n".join(file.name for file in files))
+        print("\n".join(entry.name for entry in entries))
         return
-    from optlink.report.views import problem_tables
-
-    console.show(problem_tables.listing(files))
+    columns = max(len(entry.name) for entry in entries)
+    for purpose in sorted({entry.purpose for entry in entries}):
+        group = [entry for entry in entries if entry.purpose == purpose]
+        print(f"{purpose.capitalize()}: {group[0].command}")
+        print(*(f"  {entry.name:{columns}}  {entry.title}" for entry in group), "", sep="\n")
+    print("optlink show NAME prints a problem.")
 
 
 def show(

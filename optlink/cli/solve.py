@@ -49,6 +49,7 @@ WORKERS = (
     "search. Default: all cores."
 )
 GAP = "--certify: largest gap between design and lower bound, as a share of the objective. Default: 1e-6."
+DETAILS = "Print all checks, tables and times too; JSON and page always have them. A failed check is always printed."
 CERTIFICATE = "Check the proof of the global optimum that solve --certify --out wrote: certificate.json, or its folder."
 
 
@@ -69,6 +70,7 @@ def solve(
     resume: Annotated[bool, flag("--certify: continue the proof interrupted in --out DIR.", "--resume")] = False,
     changes: Set = None,
     design: Design = None,
+    details: Annotated[bool, flag(DETAILS, "--details")] = False,
     as_json: Json = False,
     quiet: Quiet = False,
     picture: Format = "png",
@@ -80,7 +82,7 @@ def solve(
     where: dict[str, object] = {"--engine": engine, "--workers": workers, "--scheduler": scheduler}
     if design:
         console.refuse({"--certify": certify} | limits | where, "a given design is validated, not optimised", "Leave it out")
-        _validate(problem, design, changes, as_json, out)
+        _validate(problem, design, changes, as_json, out, details=details)
         return
     from optlink.tasks.results.certificate import GLOBAL_GAP, share_text
     from optlink.tasks.run import design_task, solve as search
@@ -105,7 +107,7 @@ def solve(
         result = search(file, backend, starts, seed, progress, designs=designs, track=out is not None, **certificate_options)
     if result.interrupted:
         print(f"Interrupted: {_interrupted(result)}.", file=sys.stderr)
-    _show(result, as_json, out)
+    _show(result, as_json, out, details=details)
 
 
 def _automatic(file: ProblemFile) -> bool:
@@ -137,7 +139,9 @@ def validate(
     _validate(problem, design or [], changes, as_json, out)
 
 
-def _validate(problem: str, design: list[str], changes: list[str] | None, as_json: bool, out: Path | None) -> None:
+def _validate(
+    problem: str, design: list[str], changes: list[str] | None, as_json: bool, out: Path | None, *, details: bool = True
+) -> None:
     from optlink.tasks.function import read_design
     from optlink.tasks.modes import possible_modes
     from optlink.tasks.run import validate as check
@@ -147,7 +151,7 @@ def _validate(problem: str, design: list[str], changes: list[str] | None, as_jso
     file = next((mode for mode in possible_modes(file) if mode.hash in hashes), file)  # of a result file
     result = check(file, values)
     failed = _contradictions(design, file, result)
-    _show(result.with_checks(failed) if failed else result, as_json, out)
+    _show(result.with_checks(failed) if failed else result, as_json, out, details=details)
 
 
 def _validate_certificate(
@@ -198,11 +202,11 @@ def _interrupted(result: FunctionResult | PathResult | CycleResult | Balance) ->
     return f"the result is that of the first {result.starts} starts"
 
 
-def _show(result: FunctionResult | PathResult | CycleResult | Balance, as_json: bool, out: Path | None) -> None:
+def _show(result: FunctionResult | PathResult | CycleResult | Balance, as_json: bool, out: Path | None, *, details: bool) -> None:
     """Show a result, and exit with the code of its status."""
     failed = result.status in (Status.STALLED, Status.NON_FINITE) and result.problem.task != "path"
     code = 3 if failed else 0 if result.valid else 1  # of the several designs of a path one may stall
-    console.deliver(result, result.problem.task, as_json, out, code=code)
+    console.deliver(result, result.problem.task, as_json, out, code=code, details=details)
 
 
 def analyze(

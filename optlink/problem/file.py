@@ -35,6 +35,7 @@ from optlink.problem.identity import identity
 from optlink.problem.limits import MARGINS, Alignment, four_bar_limits
 from optlink.problem.machine.model import Problem
 from optlink.problem.nearby import read_near
+from optlink.problem.overview import linkage_type
 from optlink.problem.quantity import input_of, nearest
 from optlink.problem.tolerances import with_tolerance
 
@@ -285,11 +286,10 @@ def _check_values(raw: Mapping[str, Any], file: str) -> None:
 
 
 def _typed(raw: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Add the type of a mechanism without one: dyads if it has links, ground or guides, else four-bar."""
+    """Add the type of a mechanism without one."""
     mechanism = raw.get("mechanism")
     if isinstance(mechanism, dict) and "type" not in mechanism:
-        kind = "dyads" if {"links", "ground", "guides"} & set(mechanism) else "four-bar"
-        return {**raw, "mechanism": {"type": kind, **mechanism}}
+        return {**raw, "mechanism": {"type": linkage_type(raw), **mechanism}}
     return raw
 
 

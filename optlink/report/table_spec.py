@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Self
 
 Role = Literal["", "good", "bad", "quiet", "strong"]
 
@@ -130,11 +130,12 @@ Part = TableSpec | Paragraph
 
 @dataclass(frozen=True)
 class Summary:
-    """Summary of a result: title, status below it, tables and paragraphs."""
+    """Summary of a result: title, status below it, tables and paragraphs; `short` is its short text, if it has one."""
 
     title: str
     status: Paragraph
     parts: tuple[Part, ...] = ()
+    short: Self | None = None
 
     @property
     def verdict(self) -> Paragraph:

@@ -62,7 +62,7 @@ def possible_modes(problem: ProblemFile) -> list[ProblemFile]:
     variants, refused = list[ProblemFile](), list[InputError]()
     for change in problem.model.mechanism.variants(problem.model.linkage):
         try:
-            variants.append(problem.override(change) if change else problem)
+            variants.append(problem.override({**problem.located, **change}) if change else problem)
         except InputError as error:
             refused.append(error)
     if not variants:

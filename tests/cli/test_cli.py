@@ -364,12 +364,24 @@ def test_split_values_are_read():
     assert "95 mm" in shown
 
 
-def test_list_and_show():
-    rows = [line.split(maxsplit=1) for line in run("list").stdout.splitlines()]
-    assert ["crank-rocker", "Crank-rocker that reproduces a motion law (four-bar,"] in [
-        [cell.strip() for cell in row] for row in rows
-    ]
-    assert "crank-rocker" in [problem["name"] for problem in json.loads(run("list", "--json").stdout)["problems"]]
+def test_list_has_a_line_for_each_problem_below_its_kind():
+    *lines, _ = run("list").stdout.splitlines()
+    groups, kind = {}, ""
+    for line in filter(None, lines):
+        if line.startswith("  "):
+            groups[line.split()[0]] = kind
+        else:
+            kind = line.partition(":")[0].lower()
+    files = {name: optlink.load(name) for name in optlink.shipped()}
+    assert groups == {name: file.kind.partition(", ")[2] for name, file in files.items()}
+    assert "  crank-rocker             Crank-rocker that reproduces a motion law" in lines
+    assert "Analysis: optlink analyze NAME" in lines
+    document = json.loads(run("list", "--json").stdout)
+    assert document["problems"] == [{"name": n, "kind": f.kind, "title": f.model.title} for n, f in files.items()]
+    assert run("list", "-q").stdout.split() == list(files)
+
+
+def test_show():
     shown = run("show", "crank-rocker").stdout
     for words in ("frame", "500 mm", "free, 100 mm ... 900 mm", "psi0 + 2/(3*pi)*(phi - phi0)^2", "default"):
         assert words in shown

@@ -8,7 +8,7 @@ from functools import cache
 import pytest
 
 import optlink
-from optlink.problem.file import load, shipped
+from optlink.problem.file import load
 from optlink.report import terminal
 from optlink.report.registry import table_of
 from optlink.report.table_spec import Summary, TableSpec, table
@@ -28,8 +28,6 @@ def printed(shown: Summary | TableSpec, width: int, monkeypatch) -> str:
 
 @cache
 def screen(name: str) -> Summary | TableSpec:
-    if name == "list":
-        return problem_tables.listing([load(one) for one in shipped()])
     kind, _, problem = name.partition(" ")
     if kind == "show":
         return problem_tables.problem(load(problem))
@@ -39,7 +37,7 @@ def screen(name: str) -> Summary | TableSpec:
     return table_of(result.problem.task)(result)
 
 
-SCREENS = ("list", "show shaper-design", "analyze six-bar", "solve crank-rocker")
+SCREENS = ("show shaper-design", "analyze six-bar", "solve crank-rocker")
 LONG = ("solve motion-3-poses", "solve shaper-design", "solve balance-four-bar", "solve function-sin")
 
 
@@ -85,9 +83,9 @@ def test_plain_text_on_request(variable, monkeypatch):
     """Neither colours nor other codes; the width is that of COLUMNS."""
     monkeypatch.setenv("FORCE_COLOR", "1")  # as on a terminal
     monkeypatch.setenv("TERM", "xterm")
-    assert "\x1b[" in printed(screen("list"), 80, monkeypatch)
+    assert "\x1b[" in printed(screen("show shaper-design"), 80, monkeypatch)
     monkeypatch.setenv(variable, "dumb")
-    shown = printed(screen("list"), 60, monkeypatch)
+    shown = printed(screen("show shaper-design"), 60, monkeypatch)
     assert "\x1b[" not in shown
     assert max(map(len, shown.split("\n"))) <= 60
 

@@ -1,10 +1,12 @@
 """Tables of a balancing result and of the `[balance]` section."""
 
 import math
+from dataclasses import replace
 
 from optlink.problem.machine.balance import BalanceSection
 from optlink.report.format import change, fixed, joined, number, scale, times
 from optlink.report.table_spec import (
+    Line,
     Paragraph,
     Part,
     Row,
@@ -19,6 +21,7 @@ from optlink.report.table_spec import (
     summary,
     table,
 )
+from optlink.report.views.short_text import first_rows, objective_line, short_text
 from optlink.tasks.results.balance import Balance, TradeOff
 from optlink.units import percent
 
@@ -28,22 +31,20 @@ MAX_POINTS = 15  # largest number of listed points of a trade-off
 def balance(outcome: Balance) -> Summary:
     """Summarise a balancing result."""
     styled = good if outcome.valid and outcome.proven else Span if outcome.valid else bad
-    parts: list[Part] = []
+    status: list[Line] = [styled(outcome.message), *noted(outcome.notes)]
+    title, parts, short = outcome.problem.model.title, list[Part](), None
     if outcome.conflict:
         parts.append(_conflict(outcome))
     elif outcome.rows:
-        parts += [_objective(outcome), _added(outcome), _measures(outcome)]
-        if outcome.limits:
-            parts.append(_limits(outcome))
+        objective, added = _objective(outcome), _added(outcome)
+        limits = _limits(outcome) if outcome.limits else None
+        parts += [objective, added, _measures(outcome), *([limits] if limits else [])]
         if outcome.trade is not None:
             parts.append(_trade(outcome.trade))
+        measured = objective_line(replace(objective, rows=objective.rows[:2]))
+        short = short_text(title, [*status, measured], _in_words(added), first_rows(limits))
     effort = f"{outcome.solver}, {outcome.iterations} iterations, {len(outcome.angles)} positions; {times(outcome.seconds)}"
-    return summary(
-        outcome.problem.model.title,
-        [styled(outcome.message), *noted(outcome.notes)],
-        *parts,
-        Paragraph(quiet(effort), appendix=True),
-    )
+    return replace(summary(title, status, *parts, Paragraph(quiet(effort), appendix=True)), short=short)
 
 
 def _objective(outcome: Balance) -> TableSpec:
@@ -87,6 +88,15 @@ def _added(outcome: Balance) -> TableSpec:
         rows.append((spring.specification.name, "", "", "", "", "", made))
     columns = ["body", ">mass [kg]", ">centre [mm]", ">m·r [kg·m]", ">at [deg]", ">radius\n[mm]", ""]
     return table("Counterweights: centre along and across the body; m·r and its angle from the body", columns, rows)
+
+
+def _in_words(added: TableSpec) -> Paragraph:
+    """Return the table of counterweights and springs as a line for each."""
+    lines = []
+    for name, mass, place, _, _, radius, what in (tuple(cell.text for cell in row) for row in added.rows):
+        size = f"{mass} kg at {place} mm, radius {radius} mm, " if mass else ""
+        lines.append(f"{name}: {size}{what}")
+    return Paragraph(strong("Counterweights: centre along and across the body"), *lines)
 
 
 def _measures(outcome: Balance) -> TableSpec:

@@ -15,7 +15,7 @@ def cycle_result(outcome: CycleResult) -> Summary:
     """Summarise a cycle optimisation: design, cycle quantities, active constraints, validation, optima."""
     strokes = None if outcome.built is None else machine_strokes(outcome.built, outcome.task.drive.speed.value)
     tail = f"; {outcome.comparison}" if outcome.comparison else ""
-    return search_summary(outcome, (_sizes(outcome), _figures(outcome), strokes), tail=tail)
+    return search_summary(outcome, _sizes(outcome), (_figures(outcome), strokes), tail=tail)
 
 
 def cycle_problem(task: CycleProblem) -> TableSpec:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from optlink.errors import Status
@@ -26,8 +27,9 @@ from optlink.report.table_spec import (
     table,
     verdict,
 )
-from optlink.report.views.certificate_view import certificate_table, certified
+from optlink.report.views.certificate_view import certificate_lines, certificate_table, certified
 from optlink.report.views.relaxations import conflict
+from optlink.report.views.short_text import dimensions, first_rows, objective_line, short_text, verdict_lines
 from optlink.solvers.solution import LimitState
 from optlink.tasks.function import FunctionResult
 from optlink.tasks.machine import turning_machine
@@ -55,19 +57,23 @@ def result(outcome: FunctionResult) -> Summary:
     spec = outcome.problem.spec
     machine = turning_machine(outcome.problem, outcome.design)
     strokes = None if machine is None else machine_strokes(machine, spec.span)
-    tables = (_design(outcome), strokes, None if outcome.conflict else _objective(outcome))
-    evidence, hits = outcome.evidence, None
+    objective = None if outcome.conflict else _objective(outcome)
+    evidence, hits = outcome.evidence, ""
     if evidence is not None and not certified(outcome.certificate):
         different = f"{evidence.optima} distinct value{'s' * (evidence.optima > 1)}"
         reached = f"{evidence.hits} of {evidence.starts} random starts reached the best value, {different}"
-        hits = Paragraph(strong("Multistart search"), f"{reached}; {evidence.chance}", appendix=True)
-    return search_summary(outcome, tables, hits, over=", largest error over the whole range" * spec.everywhere)
+        hits = f"{reached}; {evidence.chance}"
+    measured = [] if objective is None else [objective_line(objective)]
+    over = ", largest error over the whole range" * spec.everywhere
+    return search_summary(outcome, _design(outcome), (strokes, objective), measured, hits, over=over)
 
 
 def search_summary(
     outcome: SearchedResult,
+    design: TableSpec,
     tables: Iterable[Part | None],
-    hits: Part | None = None,
+    measured: Sequence[Line] = (),
+    hits: str = "",
     tail: str = "",
     over: str = "",
 ) -> Summary:
@@ -76,9 +82,12 @@ def search_summary(
     Parameters
     ----------
     outcome : FunctionResult or CycleResult
+    design : TableSpec
     tables : iterable of Part
-        Design and objective.
-    hits : Part, optional
+        Strokes and objective.
+    measured : sequence of Line, optional
+        Objective in the short text.
+    hits : str, optional
         Statistics of the starting points.
     tail : str, optional
         Addition to the verdict.
@@ -87,32 +96,42 @@ def search_summary(
     """
     proof, solution, model = outcome.certificate, outcome.solution, outcome.problem.model
     priced = None
+    opposed = conflict(outcome.conflict, outcome.together) if outcome.conflict else None
     if solution is not None and outcome.status != Status.INFEASIBLE:  # elsewhere multipliers are not prices
         priced = active(model, outcome.objective, solution.limits)
     counted = ["" if outcome.backend == "none" else outcome.backend]
     counted.append(f"{outcome.starts} start{'s' * (outcome.starts != 1)}" if outcome.starts else "")
     counted.append(f"{solution.iterations} iterations" if solution is not None and solution.iterations else "")
     effort = "; ".join(filter(None, [", ".join(filter(None, counted)), times(outcome.seconds, 1)]))
-    return summary(
+    verdict, checked = list(_verdict(outcome, tail)), checks(outcome.validation.checks)
+    notes, ended = [*noted(outcome.notes)], quiet(_message(outcome))
+    evidence = [quiet(hits) if hits and outcome.optima and outcome.status is Status.OPTIMAL else ended]
+    full = summary(
         model.title,
-        _status(outcome, tail),
+        [*verdict, *notes, ended],
+        design,
         *tables,
-        conflict(outcome.conflict, outcome.together) if outcome.conflict else priced,
+        opposed or priced,
         None if proof is None else certificate_table(proof, *model.objective_display, outcome.seconds),
-        checks(outcome.validation.checks),
-        hits if outcome.optima else None,
+        checked,
+        Paragraph(strong("Multistart search"), hits, appendix=True) if hits and outcome.optima else None,
         _optima(outcome, over) if len(outcome.optima) > 1 or (outcome.optima and outcome.starts > 1) else None,
         _backends(outcome) if len(outcome.backends) > 1 else None,
         Paragraph(quiet(effort), appendix=True),
     )
+    unproven = [] if certified(proof) else certificate_lines(proof)
+    status = [*verdict_lines(verdict), *notes, *measured, *evidence, *unproven]
+    return replace(full, short=short_text(model.title, status, dimensions(design), opposed or first_rows(priced), checked))
 
 
-def _status(outcome: SearchedResult, tail: str) -> Iterator[Line]:
+def _verdict(outcome: SearchedResult, tail: str) -> Iterator[Line]:
     line = search_verdict(outcome.status, "valid" if outcome.valid else "not valid", outcome.valid, outcome.certificate)
-    yield from graded_status(line, outcome.fit if outcome.valid else None, tail)
-    yield from noted(outcome.notes)
+    return graded_status(line, outcome.fit if outcome.valid else None, tail)
+
+
+def _message(outcome: SearchedResult) -> str:
     text = outcome.message
-    yield quiet(text + " (use --starts N for a multistart search)" * (text == Status.OPTIMAL.text and outcome.starts == 1))
+    return text + " (use --starts N for a multistart search)" * (text == Status.OPTIMAL.text and outcome.starts == 1)
 
 
 def search_verdict(status: Status, word: str, positive: bool, certificate: Certificate | None = None) -> list[Inline]:

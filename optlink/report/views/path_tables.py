@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from optlink.report.table_spec import Line, Paragraph, Row, Summary, TableSpec, 
 from optlink.report.views.certificate_view import certificate_lines, certificate_table, certified
 from optlink.report.views.function_tables import active, checks, dimension_rows, graded_status, search_verdict
 from optlink.report.views.relaxations import conflict
+from optlink.report.views.short_text import dimensions, first_rows, objective_line, short_text, verdict_lines
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.path import LEVEL, PathDesign, PathResult
 from optlink.units import DISPLAYED
@@ -40,30 +42,35 @@ def path_result(outcome: PathResult) -> Summary:
     strokes = None if machine is None else machine_strokes(machine, float(best.crank_angles[-1] - best.crank_angles[0]))
     bounds = [check for check in best.validation.checks if check.passed and check.name.endswith(BOUNDED)]
     priced = best.solution is not None and best.status != Status.INFEASIBLE
-    return summary(
+    limits = active(best.task, best.objective, best.limits) if priced else None
+    verdict, notes, proof = list(_verdict(outcome, best)), [*noted(outcome.notes)], certificate_lines(outcome.certificate)
+    design, objective = _sizes(best, "either" in str(outcome.problem.model.mechanism.assembly)), _objective(best)
+    checked, reached = checks(best.validation.checks, bounds if len(bounds) > 1 else ()), _reached(outcome)
+    full = summary(
         model.title,
-        _status(outcome, best),
-        _sizes(best, "either" in str(outcome.problem.model.mechanism.assembly)),
-        _objective(best),
+        [*verdict, *notes, *proof],
+        design,
+        objective,
         strokes,
         impossible,
         _points(best) if best.task.pointed else None,
-        active(best.task, best.objective, best.limits) if priced else None,
+        limits,
         certificate,
-        checks(best.validation.checks, bounds if len(bounds) > 1 else ()),
+        checked,
         _alternatives(outcome) if len(outcome.designs) > 1 else None,
         _cognates(outcome, best) if best.cognates else None,
         _times(outcome),
     )
+    evidence = [quiet(reached)] if reached else []
+    status = [*verdict_lines(verdict), *notes, objective_line(objective), *proof, *evidence]
+    return replace(full, short=short_text(model.title, status, dimensions(design), impossible or first_rows(limits), checked))
 
 
-def _status(outcome: PathResult, best: PathDesign) -> Iterator[Line]:
+def _verdict(outcome: PathResult, best: PathDesign) -> Iterator[Line]:
     count = len(outcome.designs)
     suffix = f"; {count} distinct design{'s' * (count != 1)} verified" if best.valid else "; the nearest design is shown"
     line = search_verdict(best.status, "valid" if best.valid else "not valid", best.valid, outcome.certificate)
-    yield from graded_status(line, best.fit if best.valid else None, "" if outcome.starts == 0 else suffix)
-    yield from noted(outcome.notes)
-    yield from certificate_lines(outcome.certificate)
+    return graded_status(line, best.fit if best.valid else None, "" if outcome.starts == 0 else suffix)
 
 
 def _sizes(design: PathDesign, chosen: bool) -> TableSpec:
@@ -184,14 +191,17 @@ def _cognates(outcome: PathResult, best: PathDesign) -> TableSpec:
     return table(title, [">crank", ">coupler", ">rocker", ">frame", "", "its crank"], rows, unbroken=True)
 
 
+def _reached(outcome: PathResult) -> str:
+    """Return how many starts reached the best value; nothing if its optimality is proven, or without a search."""
+    evidence = outcome.evidence
+    if not outcome.starts or not outcome.designs or certified(outcome.certificate):
+        return ""
+    return f"{evidence.hits} of {outcome.starts} starts reached the best value; {evidence.chance}"
+
+
 def _times(outcome: PathResult) -> Paragraph:
-    shown, evidence = times(outcome.seconds), outcome.evidence
-    if not outcome.starts:
-        return Paragraph(quiet(shown), appendix=True)
-    statistical = outcome.designs and not certified(outcome.certificate)
-    reached = f"{evidence.hits} of {outcome.starts} starts reached the best value; {evidence.chance}; " if statistical else ""
-    method = f"{reached}batch of least squares, then {outcome.backend}"
-    return Paragraph(quiet("; ".join(filter(None, (method, shown)))), appendix=True)
+    method = f"batch of least squares, then {outcome.backend}" if outcome.starts else ""
+    return Paragraph(quiet("; ".join(filter(None, (_reached(outcome), method, times(outcome.seconds))))), appendix=True)
 
 
 # --- comparison of designs ---------------------------------------------------------------------------------------------------

@@ -1,7 +1,7 @@
-"""Tables of a problem file and of the list of all shipped ones."""
+"""Tables of a problem file."""
 
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
@@ -164,10 +164,3 @@ def _listed(targets: TargetPoints) -> str:
     )
     count, what = len(targets.points), "poses" if targets.angles else "points"
     return f"{count} {what} [mm]: {', '.join(list(written)[:MAX_POINTS])}{', ...' if count > MAX_POINTS else ''}"
-
-
-def listing(files: Iterable[ProblemFile]) -> TableSpec:
-    """List the shipped problems, one per row."""
-    rows = ((file.name, f"{file.model.title} ({file.kind})") for file in files)
-    note = "Next: optlink show NAME; then optlink solve NAME (design, balancing) or optlink analyze NAME (analysis)"
-    return table("Shipped problems", ["name", "description"], rows, notes=[note])
