@@ -350,7 +350,13 @@ def test_no_other_function_of_problems_reads_a_file():
                 name = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
                 if name in openers:
                     readers.add(f"{module.stem}.{function.name}")
-    assert readers == {"target_points.read_file", "file._read_toml", "base_model.read_document", "templates.template"}
+    assert readers == {
+        "target_points.read_file",
+        "file._read_toml",
+        "base_model.read_document",
+        "templates.template",
+        "overview.overview",
+    }
 
 
 # --- the walk -----------------------------------------------------------------------------------------------------------------
