@@ -441,6 +441,7 @@ def build(problem: DesignProblem, *, movable: bool = False) -> NLP:
         residual_expression=vector,
         constants=tuple(constants),
         smoothing=smoothing,
+        exchange_rows=(len(rows) - 2 * many * minimax, 2 * minimax),
         position_symbol=position,
         position_expression=residual(casadi.vertcat(known, position[0]), position[1]),
         mapped=mapped,

@@ -34,14 +34,16 @@ from optlink.tasks.machine import check_names, turning_machine
 from optlink.tasks.modes import best_mode
 from optlink.tasks.protocol import DesignTask, Search, agreement, part
 from optlink.tasks.results.certificate import CertificateRecord
-from optlink.tasks.results.common import SingleRecord, SingleResult, better, shortest_link, verified
+from optlink.tasks.results.common import ROUNDED, SingleRecord, SingleResult, better, shortest_link
 from optlink.tasks.results.evidence import Evidence, evidence
 from optlink.tasks.results.fit import Fit, law_fit
+from optlink.tasks.results.rejected import RejectedDesign, best_rejected
 from optlink.units import show
 from optlink.validation import Check, validate as validate_law
 
 if TYPE_CHECKING:
     from optlink.synthesis.freudenstein import FirstStep
+    from optlink.tasks.function_search import FunctionCandidate
 
 Start = NDArray[np.float64]
 SAME_DESIGN = 1e-6  # difference of equal designs, as a share of the frame
@@ -93,9 +95,11 @@ class FunctionResult(SingleResult):
         free = set(self.problem.spec.free)
         if self.conflict:
             return shortest_link(self.problem.spec.quantities, self.problem.spec.limits.crank)
+        notes = () if self.rejected is None else (self.rejected.note,)
         if self.solution is None or not free.issuperset(LENGTHS) or self.solution.curvature > MIN_CURVATURE:
-            return ()
+            return notes
         return (
+            *notes,
             "all four lengths are free and only their ratios matter here: any multiple within the bounds is as good; fix one",
         )
 
@@ -107,7 +111,14 @@ class FunctionResult(SingleResult):
     @property
     def evidence(self) -> Evidence | None:
         """Evidence of the random starts on optima not found; None without random starts."""
-        return evidence(self.counts) if self.counts else None
+        if not self.counts:
+            return None
+        return replace(evidence(self.counts), missed=0.0) if self.exact else evidence(self.counts)
+
+    @property
+    def exact(self) -> bool:
+        """Whether the design is an optimum without errors, up to the rounding of the decimals of the law."""
+        return self.valid and MEASURES["rms"].of(self.error()) <= ROUNDED
 
     @property
     def assembly(self) -> str:
@@ -220,7 +231,8 @@ class FunctionTask(DesignTask[FunctionResult]):
         problem : ProblemFile
         search : Search
         """
-        return best_mode(problem, search, _search)
+        result = best_mode(problem, search, _search)
+        return result if result.valid else replace(result, rejected=None)
 
     def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> FunctionResult:
         """Validate a given design, in the better assembly mode if the file leaves it open; see `DesignTask.validate`.
@@ -265,8 +277,7 @@ def _search(problem: ProblemFile, search: Search) -> FunctionResult:
     conflict: Conflict = ((), ())
     chosen = min(searches.values(), key=lambda item: item.result.rank)
     winner = chosen.result
-    verified_winner = verified(winner.solution.status, winner.validation)
-    if not chosen.usable or (not verified_winner and winner.solution.violation > EXACTLY_MET):  # met within the tolerance only
+    if not chosen.usable or (not winner.verified and winner.solution.violation > EXACTLY_MET):  # met within the tolerance only
         for exactly in (True,) if chosen.usable else (False, True):
             _, miss, conflict = reason(exactly)
             if miss is not None:
@@ -300,7 +311,18 @@ def _search(problem: ProblemFile, search: Search) -> FunctionResult:
         conflict=conflict[0],
         together=conflict[1],
         first=points.step,
+        rejected=best_rejected(
+            (_rejected(problem, item.rejected) for item in searches.values()),
+            winner.solution.objective if winner.verified else math.inf,
+        ),
     )
+
+
+def _rejected(problem: ProblemFile, candidate: FunctionCandidate | None) -> RejectedDesign | None:
+    """Return a candidate that failed a check as a rejected design."""
+    if candidate is None:
+        return None
+    return RejectedDesign(problem, candidate.design, candidate.solution.objective, candidate.validation.failures)
 
 
 Conflict = tuple[tuple[Relaxation, ...], tuple[Relaxation, ...]]

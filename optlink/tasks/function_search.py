@@ -7,6 +7,7 @@ starts are never worse.
 from __future__ import annotations
 
 import itertools
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -24,10 +25,10 @@ from optlink.optimization.nlp import NLP
 from optlink.problem.function import DesignProblem
 from optlink.problem.targets.function import Function
 from optlink.solvers import multistart
-from optlink.solvers.contract import CLOSE
+from optlink.solvers.contract import BACKENDS, CLOSE
 from optlink.solvers.function_exchange import add_peak_errors
 from optlink.solvers.solution import Solution
-from optlink.tasks.results.common import Optimum, optimality, verified
+from optlink.tasks.results.common import ROUNDED, Optimum, inexact, optimality, verified
 from optlink.tasks.results.evidence import evidence, tally
 from optlink.validation import Validation, validate as validate_law
 
@@ -76,7 +77,18 @@ class FunctionCandidate:
         solution = self.solution
         if not solution.usable:
             return (3 if solution.status is Status.NON_FINITE else 2), solution.violation
-        return int(not verified(solution.status, self.validation)), solution.objective
+        return int(not self.verified), solution.objective
+
+    @property
+    def verified(self) -> bool:
+        """Whether it is an optimum that passes its validation."""
+        return verified(self.solution.status, self.validation)
+
+    @property
+    def exact(self) -> bool:
+        """Whether it is one without errors, up to the rounding of the decimals of the law: no design is better."""
+        residuals = self.solution.nlp.residuals(self.solution.x)
+        return self.verified and float(np.sqrt(np.mean(residuals**2))) <= ROUNDED
 
 
 @dataclass
@@ -168,6 +180,7 @@ class FunctionSearch:
     def __init__(self, problem: DesignProblem, nlp: NLP, backend: str, *, track: bool = False) -> None:
         self.problem, self.nlp, self.backend, self.track = problem, nlp, backend, track
         self.best: FunctionCandidate | None = None
+        self.rejected: FunctionCandidate | None = None  # feasible, but it fails a check: the one with the least objective
         self.optima: list[DistinctOptimum] = []
         self.starts = 0
         self.validating = 0.0  # s
@@ -194,12 +207,19 @@ class FunctionSearch:
             candidate = self._followed(solution)
             if solution.status is Status.OPTIMAL:
                 self.optima.append(DistinctOptimum(solution, candidate, 1, int(start.random)))
-            if candidate is not None and (self.best is None or candidate.rank < self.best.rank):
-                self.best = candidate
+            if candidate is not None:
+                self._keep(candidate)
         else:
             optimum.count += 1
             optimum.random += start.random
         self.starts += 1
+
+    def _keep(self, candidate: FunctionCandidate) -> None:
+        """Keep a candidate if it is the best one, or the best one that is feasible but fails a check."""
+        if self.best is None or candidate.rank < self.best.rank:
+            self.best = candidate
+        if candidate.solution.usable and not candidate.verified:
+            self.rejected = min(filter(None, (self.rejected, candidate)), key=lambda one: one.solution.objective)
 
     def _advance(self, start: SearchStart, progress: Progress, total: int, solution: Solution | None = None) -> None:
         self.advance(start, solution)
@@ -226,12 +246,19 @@ class FunctionSearch:
         best = self.best
         if not solution.usable:
             return None if best is not None and best.solution.usable else self.judge(solution)
-        valid = best is not None and verified(best.solution.status, best.validation)
-        if self.problem.everywhere:
-            if best is not None and valid and solution.objective > REFINE_RATIO * best.solution.objective + multistart.SAME_ERROR:
-                return None
-            solution = add_peak_errors(self.problem, self.nlp, solution, self.backend)
-        return self.judge(solution)
+        least = best.solution.objective if best is not None and best.verified else math.inf
+        if self.problem.everywhere and solution.objective > REFINE_RATIO * least + multistart.SAME_ERROR:
+            return None
+        candidate = self.judge(self._everywhere(solution, self.backend))
+        if candidate.solution.objective >= least or not inexact(candidate.solution.status, candidate.validation):
+            return candidate
+        other = next(name for name in BACKENDS if name != self.backend)
+        again = multistart.solve_from(self.nlp, candidate.solution.x, other)
+        return min(candidate, self.judge(self._everywhere(again, other)), key=lambda one: one.rank)
+
+    def _everywhere(self, solution: Solution, backend: str) -> Solution:
+        """Return a solution whose largest error is that of the whole range, where it is the objective."""
+        return add_peak_errors(self.problem, self.nlp, solution, backend) if self.problem.everywhere else solution
 
     @property
     def result(self) -> FunctionCandidate:
@@ -312,6 +339,8 @@ class FunctionSearch:
                     break
                 for start, solution in zip(chunk, self.coarse(chunk, runs), strict=True):
                     self._advance(start, progress, total, solution)
+                    if count is None and self._exact:
+                        break
         except KeyboardInterrupt:
             interrupts.handled()
             if self.best is None:
@@ -337,6 +366,11 @@ class FunctionSearch:
             yield from (Solution(nlp=self.nlp, **part) for part in piece)
 
     @property
+    def _exact(self) -> bool:
+        """Whether no start can lead to a better design than the best one."""
+        return self.best is not None and self.best.exact
+
+    @property
     def _most(self) -> int:
         """Largest number of random starts by default; none for a law that is certified instead."""
         certified = certified_by_default(self.problem) and not isinstance(self.problem.requirement.law, Function)
@@ -346,6 +380,6 @@ class FunctionSearch:
         """Return whether the random starts suffice: the prescribed number of them, or by the evidence."""
         if count is not None:
             return random >= count - first
-        if random >= self._most:
+        if random >= self._most or self._exact:
             return True
         return random > 0 and random % STARTS_PER_ROUND == 0 and evidence(self.counts).missed <= MISSED_CHANCE

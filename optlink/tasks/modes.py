@@ -40,7 +40,7 @@ def best_mode(problem: ProblemFile, search: Search, one: Callable[[ProblemFile, 
             continue
         optima = tuple(replace(optimum, assembly=mode_of(variant)) for optimum in result.optima)
         results.append(replace(result, optima=optima))
-        if result.interrupted:
+        if result.interrupted or (search.starts is None and result.exact):
             break
     if not results:
         raise refused[0]

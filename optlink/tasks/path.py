@@ -74,6 +74,7 @@ class PathTask(DesignTask[PathResult]):
         if rounds.better is not None and not collection.no_worse(rounds.better):
             error = math.sqrt(float(np.mean(rounds.better.measured.distances**2)))
             notes.append(FOUR_BAR_BETTER.format(1e3 * error))
+        notes += () if collection.rejected is None else (collection.rejected.note,)
         notes += () if collection.designs else shortest_link(task.quantities, task.limits.crank)
         if collection.designs and coverage.missed > MISSED_CHANCE:
             count = rounds.searcher.exploration.starts
@@ -91,6 +92,7 @@ class PathTask(DesignTask[PathResult]):
             notes=tuple(notes),
             conflict=limits,
             together=() if reason is None else reason.together,
+            rejected=collection.rejected,
         )
 
     def validate(self, problem: ProblemFile, design: Mapping[str, float]) -> PathResult:

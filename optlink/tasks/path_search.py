@@ -17,16 +17,17 @@ from optlink.optimization.path_nlp import build_path_nlp, solved_values
 from optlink.problem.file import ProblemFile
 from optlink.problem.path import PathProblem
 from optlink.solvers import multistart
-from optlink.solvers.contract import MINIMAX
+from optlink.solvers.contract import BACKENDS, MINIMAX
 from optlink.solvers.path_exchange import best_slow_stroke, solve_semi_infinite
 from optlink.solvers.solution import Solution
 from optlink.synthesis.batch import Batch
-from optlink.synthesis.batch_search import PERFECT, Candidate, Exploration, acceptable
+from optlink.synthesis.batch_search import Candidate, Exploration, acceptable
 from optlink.synthesis.growth import ContainedFourBar, grow_from_four_bar
 from optlink.synthesis.levenberg_marquardt import minimise
-from optlink.tasks.results.common import OPTIMALITY_CHECK, optimality
+from optlink.tasks.results.common import OPTIMALITY_CHECK, ROUNDED, inexact, optimality
 from optlink.tasks.results.evidence import Evidence, evidence, tally
 from optlink.tasks.results.path import PathDesign
+from optlink.tasks.results.rejected import BETTER, RejectedDesign, best_rejected
 from optlink.validation.path import validate_path
 
 TRIES = 6  # candidates refined in the first round per requested design, while too few are valid
@@ -112,6 +113,19 @@ class Polisher:
             solution = replace(solution, status=Status.STALLED)  # an optimum, but not that near the start
         solution = best_slow_stroke(task, solution, MINIMAX if minimax else self.backend)
         return validated_design(file, solution)
+
+    def refined(self, design: PathDesign) -> PathDesign:
+        """Return a design that fails only by inexact figures, refined by another back end and validated again.
+
+        Parameters
+        ----------
+        design : PathDesign
+        """
+        solution = design.solution
+        assert solution is not None
+        backend = next(name for name in BACKENDS if name != self.backend)
+        again = validated_design(design.problem, solve_semi_infinite(path_model(design.problem), solution, backend, near=True))
+        return min(design, again, key=lambda one: (not one.valid, one.objective))
 
     def each(self, candidates: Sequence[Candidate], *, near: bool = False) -> Iterator[PathDesign]:
         """Yield the refined designs of candidates in order; see `polish`. The caller may leave the iterator at any of them.
@@ -207,6 +221,7 @@ class DesignCollection:
             (COMPOUND_TRIES, 1) if has_several_dyads(path_model(polisher.files[0])) else (TRIES * requested, REORDERED)
         )
         self._allowed = _allowed_cost(path_model(polisher.files[0]))
+        self._exact_cost = ROUNDED**2 * len(path_model(polisher.files[0]).data.columns)
         self._first = True
         self._idle = 0  # rounds in a row whose reordered candidates improved no design
 
@@ -268,11 +283,30 @@ class DesignCollection:
             candidate, costly = left[0], costly - (left[0].cost > self._largest_cost())
             design = self._ends[candidate] = next(designs, None) or self.polisher.polish(candidate)
             del left[0]
+            if not design.valid and self._better(design) and inexact(design.status, design.validation):
+                design = self._ends[candidate] = self.polisher.refined(design)
             if design.valid:
                 self.insert(design)
             else:
                 failures -= 1
                 self.nearest = min(filter(None, (self.nearest, design)), key=_failing)
+
+    def _better(self, design: PathDesign) -> bool:
+        """Return whether a design has a lower objective than the best valid one."""
+        return not self.designs or (design.objective < self.designs[0].objective * (1.0 - BETTER) and not self.exact)
+
+    def _fails(self, design: PathDesign) -> bool:
+        """Return whether a design is an optimum that fails a check, better than the best valid one."""
+        return design.status is Status.OPTIMAL and not design.valid and self._better(design)
+
+    @property
+    def rejected(self) -> RejectedDesign | None:
+        """The best optimum that is better than the best valid design but fails a check."""
+        if not self.designs or self.exact:
+            return None
+        failing = filter(self._fails, self._ends.values())
+        rejected = (RejectedDesign(d.problem, d.values, d.objective, d.validation.failures) for d in failing)
+        return best_rejected(rejected, self.designs[0].objective)
 
     def _worth_refining(self, candidates: list[Candidate], costly: int) -> int:
         """Return how many of the first candidates are worth refining, `costly` of them above the largest cost.
@@ -282,7 +316,7 @@ class DesignCollection:
         most, exact = self._largest_cost(), self.exact
         for number, candidate in enumerate(candidates):
             beyond = candidate.cost > most
-            if (beyond and not costly) or (exact and candidate.cost > PERFECT):
+            if (beyond and not costly) or (exact and candidate.cost > self._exact_cost):
                 return number
             costly -= beyond
         return len(candidates)
@@ -311,8 +345,8 @@ class DesignCollection:
     def evidence(self) -> Evidence:
         """Return how many starts reached the best optimum, and how likely a better one was missed.
 
-        Only starts whose refined designs are valid and come near the best one (`COUNTED_RATIO`) are counted: a better optimum
-        would be one of these.
+        Only starts whose refined designs are valid and come near the best one (`COUNTED_RATIO`) are counted, as a better optimum
+        would be one of these, and those of better optima that fail a check.
         """
         ends = sorted(((d.error, c.count) for c, d in self._ends.items() if d.valid), key=lambda end: end[0])
         if not ends:
@@ -323,8 +357,13 @@ class DesignCollection:
         if errors[0][0] > level * (1.0 + OBJECTIVE_TOLERANCE):
             errors.insert(0, (level, 1))  # no random start reached the best design: it was derived from a four-bar
         near = (one for one in errors if one[0] <= COUNTED_RATIO * level)
+        failing = sorted(((d.error, c.count) for c, d in self._ends.items() if self._fails(d)), key=lambda end: end[0])
         found_evidence = evidence(
-            [count for _, count in tally(near, lambda known, error: error <= known * (1.0 + OBJECTIVE_TOLERANCE))]
+            [
+                count
+                for some in (near, failing)
+                for _, count in tally(some, lambda known, error: error <= known * (1.0 + OBJECTIVE_TOLERANCE))
+            ]
         )
         return replace(found_evidence, missed=0.0) if best.exact else found_evidence  # no design is better than an exact one
 

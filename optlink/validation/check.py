@@ -24,6 +24,9 @@ LENGTH_TOLERANCE = 1e-9  # of the frame, or of the size of a curve
 RATIO_TOLERANCE = 1e-7
 LONG_STEP = math.tau / 3.0  # rad; a law with longer steps between its positions can be met by whole revolutions less
 FINE_STEP = math.radians(1.0)  # of the crank, at which an output is followed between positions
+MEASURED = "objective measured in motion"
+MEASURED_ROBUST = "error with tolerances measured in motion"
+"""Names of the checks that compare the measured objective with that of the optimiser."""
 SHORT_ROTATION = math.radians(30.0)  # of the crank; a rocker 1 deg off alignment turns by 240 deg in 70 deg of the crank at least
 
 
@@ -101,9 +104,14 @@ class Validation:
         return not self.failed
 
     @property
+    def failures(self) -> tuple[Check, ...]:
+        """The checks that did not pass."""
+        return tuple(check for check in self.checks if not check.passed)
+
+    @property
     def failed(self) -> tuple[str, ...]:
         """Names of the checks that did not pass."""
-        return tuple(check.name for check in self.checks if not check.passed)
+        return tuple(check.name for check in self.failures)
 
 
 @dataclass(frozen=True)
@@ -228,7 +236,7 @@ def same_objective(
     difference = np.abs(error - other)
     near, tiny = gap <= 1e-6, difference <= rounding  # NaN is neither
     limit = text("{}", np.where(near | ~tiny, "<= 1e-06", f"<= {rounding:.0e}"))
-    return Checks("objective measured in motion", near | tiny, np.where(near | ~tiny, gap, difference), limit, "")
+    return Checks(MEASURED, near | tiny, np.where(near | ~tiny, gap, difference), limit, "")
 
 
 def finely(offsets: Array) -> tuple[Array, NDArray[np.intp]]:

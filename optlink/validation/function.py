@@ -25,6 +25,7 @@ from optlink.problem.limits import limits_in_file
 from optlink.problem.robust import EXPECTED, WORST
 from optlink.problem.targets.law import Table
 from optlink.validation.check import (
+    MEASURED_ROBUST,
     POSITIONS,
     Checks,
     Validation,
@@ -91,7 +92,7 @@ def validate_batch(
     if objective is not None:
         agrees = same_objective(objectives, objective, 1e-12, ROUNDING, squared=tested.squared)
         robust = problem.requirement.robust is not None
-        checks.append(replace(agrees, name="error with tolerances measured in motion") if robust else agrees)
+        checks.append(replace(agrees, name=MEASURED_ROBUST) if robust else agrees)
     return Validations(tuple(checks), objectives)
 
 

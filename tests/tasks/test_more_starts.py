@@ -203,3 +203,42 @@ def test_a_law_of_three_variables_is_searched_from_random_starts_by_default():
     assert result.objective < 0.1 * one.objective
     assert result.starts > 24
     assert result.evidence.missed <= 0.025
+
+
+def rocker_table(digits: int) -> optlink.ProblemFile:
+    """Twelve rows of the motion of a four-bar of 30, 90, 75 and 100 mm, by the law of cosines, with some decimals."""
+    crank = np.radians(np.linspace(50.0, 170.0, 12))
+    arm = 30.0 * np.exp(1j * crank) - 100.0  # from D to B
+    rocker = np.angle(arm) - np.arccos((np.abs(arm) ** 2 + 75.0**2 - 90.0**2) / (150.0 * np.abs(arm)))
+    phi, psi = (np.degrees(np.unwrap(one) - one[0]) for one in (crank, rocker))
+    law = {"phi": [f"{one:.{digits}f} deg" for one in phi], "psi": [f"{one:.{digits}f} deg" for one in psi]}
+    sizes = {
+        name: {"start": f"{start} mm", "bounds": ["10 mm", "300 mm"]} for name, start in zip(SIZES, (35, 80, 70), strict=True)
+    }
+    starts = {"from": {"bounds": ["0 deg", "360 deg"]}, "psi0": {"bounds": ["-360 deg", "360 deg"]}}
+    mechanism = {"type": "four-bar", "frame": "100 mm", "assembly": "left", **sizes}
+    return optlink.read({"mechanism": mechanism, "requirement": {"kind": "function", "law": law, **starts}})
+
+
+SIZES = "crank", "coupler", "rocker"
+
+
+@pytest.mark.parametrize("digits", [12, 6])
+def test_a_law_that_is_met_exactly_needs_no_further_start(digits: int) -> None:
+    result = optlink.solve(rocker_table(digits))
+    assert result.valid
+    assert result.starts == 1
+    assert [1e3 * result.design[name] for name in SIZES] == pytest.approx([30.0, 90.0, 75.0], rel=1e-3)
+    assert result.evidence is None or result.evidence.missed == 0.0
+
+
+@pytest.mark.slow
+def test_random_starts_end_at_the_first_exact_design() -> None:
+    """From a start that leads elsewhere; the number of processes changes nothing."""
+    far = {f"mechanism.{name}": {"start": "290 mm", "bounds": ["10 mm", "300 mm"]} for name in SIZES}
+    far["requirement.from"] = {"start": "340 deg", "bounds": ["0 deg", "360 deg"]}
+    file = rocker_table(12).override(far)
+    one, other = optlink.solve(file), optlink.solve(file, workers=2)
+    assert (one.starts, one.design) == (other.starts, other.design)
+    assert 1 < one.starts < 30
+    assert float(np.max(np.abs(one.error()))) < 1e-9

@@ -202,3 +202,29 @@ def test_the_order_decides_only_between_more_than_three_points(monkeypatch: pyte
         for name in ("motion-3-poses", "motion-5-poses", "path-closed18")
     }
     assert orders == {"motion-3-poses": False, "motion-5-poses": True, "path-closed18": False}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("timed", [True, False])
+def test_points_with_six_decimals_end_a_search_like_exact_ones(timed: bool) -> None:
+    """Twelve points of a four-bar's own curve: no search for a better design than the decimals allow."""
+    rng = np.random.default_rng(12)
+    angles = np.sort(rng.uniform(0.0, 2.0 * math.pi, 12))
+    rows = oracle.planted_path(oracle.random_crank_rocker(rng), angles)
+    found = []
+    for digits in (13, 6):
+        points = [{"x": f"{x:.{digits}f} mm", "y": f"{y:.{digits}f} mm"} for x, y in rows]
+        if timed:
+            turned = np.degrees(angles - angles[0])
+            points = [point | {"crank": f"{turn:.{digits}f} deg"} for point, turn in zip(points, turned, strict=True)]
+        raw = document(four_bar_section("either"), rows, {"link_ratio": [0.005, 200.0]})
+        raw["requirement"]["points"] = points
+        if timed:
+            raw["requirement"] |= {"timing": "from start", "start": free(-180.0, 180.0, 0.0, "deg")}
+        found.append(solve(optlink.read(raw)))
+    exact, rounded = found
+    assert exact.best.error < 1e-9 * exact.best.task.size
+    assert 1e-9 * rounded.best.task.size < rounded.best.error < 1e-6 * rounded.best.task.size
+    assert rounded.starts == exact.starts
+    assert rounded.evidence.missed == 0.0
+    assert not rounded.incomplete

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from optlink.errors import Status
+from optlink.errors import InputError, Status
 from optlink.linkage.vector2d import TURN, Array
 from optlink.optimization.nlp import NLP, build
 from optlink.problem.base_model import Contradiction, ResultRecord, check_length
@@ -30,6 +30,7 @@ from optlink.tasks.results.certificate import Certificate, Cover, exact
 from optlink.tasks.results.common import SingleRecord, check_entries
 from optlink.tasks.results.cycle import CycleResult
 from optlink.tasks.results.path import PathDesign, PathDesignRecord, PathRecord, PathResult
+from optlink.tasks.results.rejected import RejectedDesign, RejectedRecord
 from optlink.tasks.run import validate
 from optlink.units import UnitProblem, factor
 from optlink.validation import Check
@@ -149,6 +150,7 @@ def _outcome(record: ResultRecord, path: Path, file: ProblemFile) -> Outcome:
     about: dict[str, Any] = {name: getattr(record, name) for name in ("status", "backend", "seed", "starts")}
     about |= {"validation": _with_stored(result.validation, record.validation), "seconds": {}}
     about |= {"conflict": record.conflict or (), "together": record.relax_together or ()}
+    about |= {"rejected": _rejected(record.rejected, file)}
     return replace(result, **about | ({"notes": record.notes} if isinstance(result, CycleResult) else {}))
 
 
@@ -171,7 +173,21 @@ def _path(record: PathRecord, file: ProblemFile) -> PathResult:
         seconds={},
         conflict=(),
         certificate=None,
+        rejected=_rejected(record.rejected, file),
     )
+
+
+def _rejected(record: RejectedRecord | None, file: ProblemFile) -> RejectedDesign | None:
+    """Return the rejected design of a document; it may have other assembly modes than the best one."""
+    if record is None:
+        return None
+    try:
+        variant = file.override({"mechanism.assembly": record.assembly})
+    except InputError as error:
+        raise Contradiction("rejected.assembly", "the problem has no such assembly mode") from error
+    values = named_si(variant, record.design)
+    check_entries("rejected.design", values, variant.model.free)
+    return RejectedDesign(variant, values, record.objective, record.failed)
 
 
 def _path_design(record: PathDesignRecord, where: str, file: ProblemFile) -> PathDesign:

@@ -8,7 +8,7 @@ import numpy as np
 from optlink.optimization.objectives import MEASURES
 from optlink.problem.cycle.model import REQUIRED, StrokeProblem
 from optlink.report.format import figure, joined, si
-from optlink.report.views import study_tables
+from optlink.report.views import path_tables, study_tables
 from optlink.report.views.certificate_view import clause
 from optlink.report.views.relaxations import contradiction
 from optlink.solvers.solution import LimitState
@@ -75,14 +75,15 @@ def _path(best: PathDesign) -> str:
     if task.requirement.kind == "transmission":
         return f"The {grip}." if grip else ""
     most = float(measured.distances.max())
-    if best.exact:
+    exact = path_tables.exact(best)
+    if exact:
         text = "The linkage meets every prescribed position exactly"
     elif unit == "m":
         text = f"The linkage passes the {len(measured.distances)} prescribed points within {si(most, 'm')}"
         text += f" (root mean square {si(math.sqrt(float(np.mean(measured.distances**2))), 'm')})"
     else:
         text = f"The output follows the prescribed function within {si(most, unit)}"
-    if measured.turned is not None and not best.exact:
+    if measured.turned is not None and not exact:
         text += f" and {si(float(np.max(np.abs(measured.turned))), 'rad')}"
     if isinstance(best.fit, PathFit) and best.fit.grade != best.fit.at_points:
         text += f", but deviates by {si(best.fit.excursion, 'm')} between {best.fit.segment}"

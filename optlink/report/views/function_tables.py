@@ -131,7 +131,8 @@ def _verdict(outcome: SearchedResult, tail: str) -> Iterator[Line]:
 
 def _message(outcome: SearchedResult) -> str:
     text = outcome.message
-    return text + " (use --starts N for a multistart search)" * (text == Status.OPTIMAL.text and outcome.starts == 1)
+    single = text == Status.OPTIMAL.text and outcome.starts == 1 and not outcome.exact
+    return text + " (use --starts N for a multistart search)" * single
 
 
 def search_verdict(status: Status, word: str, positive: bool, certificate: Certificate | None = None) -> list[Inline]:

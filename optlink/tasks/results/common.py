@@ -12,9 +12,15 @@ from optlink.problem.quantity import Quantity
 from optlink.solvers.solution import FEASIBLE, STATIONARY, LimitState, Relaxation, Solution
 from optlink.tasks.results.certificate import Certificate, message
 from optlink.tasks.results.fit import FitRecord
-from optlink.validation.check import Check, Validation
+from optlink.tasks.results.rejected import RejectedDesign, RejectedRecord, best_rejected, rejected_record
+from optlink.validation.check import MEASURED, MEASURED_ROBUST, Check, Validation
 
-OPTIMALITY_CHECK = "optimality (KKT residual)"  # name of a check
+ROUNDED = 2e-7
+"""Root mean square of the deviations, as a share of the size of the curve or in rad, below which a design is as good as exact:
+targets with six decimals leave that much."""
+OPTIMALITY_CHECK, LIMITS_CHECK = "optimality (KKT residual)", "all limits met (scaled)"  # names of checks
+INEXACT = frozenset({OPTIMALITY_CHECK, LIMITS_CHECK, MEASURED, MEASURED_ROBUST})
+"""Checks that a design may fail because its search ended too early: it is refined and measured again."""
 
 
 @dataclass(frozen=True)
@@ -62,10 +68,21 @@ def verified(status: Status, validation: Validation) -> bool:
     return status in (Status.OPTIMAL, Status.FEASIBLE, Status.NOT_SEARCHED) and validation.valid
 
 
+def inexact(status: Status, validation: Validation) -> bool:
+    """Return whether a design fails only by figures that a refinement can make exact.
+
+    Parameters
+    ----------
+    status : Status
+    validation : Validation
+    """
+    return status in (Status.OPTIMAL, Status.STALLED) and bool(validation.failed) and INEXACT.issuperset(validation.failed)
+
+
 def optimality(solution: Solution) -> tuple[Check, ...]:
     """Return the checks of feasibility and stationarity by the NLP."""
     return (
-        Check("all limits met (scaled)", solution.violation <= FEASIBLE, solution.violation, f"<= {FEASIBLE:.0e}", ""),
+        Check(LIMITS_CHECK, solution.violation <= FEASIBLE, solution.violation, f"<= {FEASIBLE:.0e}", ""),
         _stationary(solution),
     )
 
@@ -107,11 +124,17 @@ class SingleResult(Recorded):
     together: tuple[Relaxation, ...] = ()
     interrupted: bool = False  # whether the search ended before its last starting point
     certificate: Certificate | None = None
+    rejected: RejectedDesign | None = None
 
     @property
     def valid(self) -> bool:
         """Whether the design is validated, and optimal if it was searched."""
         return verified(self.status, self.validation)
+
+    @property
+    def exact(self) -> bool:
+        """Whether no design can be better, because it is without errors."""
+        return False
 
     @property
     def message(self) -> str:
@@ -154,6 +177,7 @@ class SingleResult(Recorded):
             interrupted=any(result.interrupted for result in results),
             seconds={key: sum(result.seconds[key] for result in results) for key in self.seconds},
             optima=tuple(optima),
+            rejected=best_rejected((result.rejected for result in results), self.objective) if self.valid else None,
         )
 
     def with_checks(self, checks: Sequence[Check]) -> Self:
@@ -230,6 +254,7 @@ class SingleRecord(SearchRecord):
     curvature: Annotated[Number, lambda result: getattr(result.solution, "curvature", None)] = absent()
     backends: Annotated[dict[str, SolutionRecord] | None, _backends] = absent()
     optima: Annotated[tuple[OptimumRecord, ...] | None, _optima] = absent()
+    rejected: Annotated[RejectedRecord | None, rejected_record] = absent()
     conflict: Annotated[tuple[Relaxation, ...] | None, lambda result: result.conflict or None] = absent()
     relax_together: Annotated[tuple[Relaxation, ...] | None, lambda result: result.together if result.conflict else None] = (
         absent()

@@ -28,9 +28,10 @@ from optlink.solvers.solution import LimitState, Relaxation, Solution
 from optlink.tasks.machine import turning_machine
 from optlink.tasks.results.analysis import stroke_document
 from optlink.tasks.results.certificate import Certificate, CertificateRecord, message
-from optlink.tasks.results.common import SearchRecord, verified
+from optlink.tasks.results.common import ROUNDED, SearchRecord, verified
 from optlink.tasks.results.evidence import INCOMPLETE, Evidence
 from optlink.tasks.results.fit import Fit, FitRecord, path_fit, transmission_fit
+from optlink.tasks.results.rejected import RejectedDesign, RejectedRecord, rejected_record
 from optlink.units import DISPLAYED
 from optlink.validation.between import excursions
 from optlink.validation.check import Check, Validation
@@ -39,7 +40,7 @@ from optlink.validation.path import MeasuredDeviations, deviations, transmission
 DISTINCT = 1e-2  # least relative difference of two distinct designs
 EQUALLY_GOOD = 1e-6  # relative difference of the errors of equally good designs
 NEARLY_TURNED = 1e-9  # difference [rad] of an angle from -180 deg that counts as rounding error
-LEVEL = 1e-9  # of the size: root of a sum of squares below which a design passes the points
+LEVEL = 1e-9  # of the size: deviation that is shown as exact
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -98,7 +99,7 @@ class PathDesign(Summary):
 
     @property
     def exact(self) -> bool:
-        """Whether it satisfies all targets within rounding."""
+        """Whether it satisfies all targets within the rounding of their decimals."""
         return self.error <= self.level
 
     @property
@@ -109,7 +110,8 @@ class PathDesign(Summary):
     @property
     def level(self) -> float:
         """Largest error of an exact design [m, rad or 1]."""
-        return LEVEL * self.task.whole
+        count = len(self.task.data.columns) if self.task.measure == "sum of squares" else 1
+        return ROUNDED * math.sqrt(count) * self.task.whole
 
     def unwrapped(self, name: str) -> float:
         """Return a quantity [SI]: of an angle that may be any, 180 deg instead of -180 deg."""
@@ -280,6 +282,7 @@ class PathRecord(SearchRecord):
     assembly: Annotated[Any, lambda result: result.best and result.best.assembly] = absent()
     fit: Annotated[FitRecord | None, lambda result: result.best and result.best.fit]
     designs: tuple[PathDesignRecord, ...]
+    rejected: Annotated[RejectedRecord | None, rejected_record] = absent()
     conflict: Annotated[tuple[Relaxation, ...] | None, lambda result: result.conflict or None] = absent()
     relax_together: Annotated[tuple[Relaxation, ...] | None, lambda result: result.together if result.conflict else None] = (
         absent()
@@ -307,6 +310,7 @@ class PathResult(Recorded):
     conflict: tuple[Relaxation, ...] = ()
     together: tuple[Relaxation, ...] = ()
     certificate: Certificate | None = None
+    rejected: RejectedDesign | None = None
 
     @property
     def hits(self) -> int:
