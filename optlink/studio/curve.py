@@ -212,7 +212,7 @@ class CurveSearch:
         """Show the best designs, those of the optimiser before coarse ones, if they have changed."""
         before, best = self.designs, list(self._collection.designs)
         best += [design for design, _ in self._coarse if not any(design.alike(known) for known in best)]
-        self.designs = sorted(best, key=lambda design: design.objective)[:SHOWN_DESIGNS] or before
+        self.designs = sorted(best, key=_largest_error)[:SHOWN_DESIGNS] or before
         if self.designs and (done or self.designs != before):
             self._show(done)
 
@@ -254,12 +254,16 @@ class CurveSearch:
         )
 
 
+def _largest_error(design: PathDesign) -> float:
+    """Return the largest distance [m] of a target point from the coupler point: the error that is shown."""
+    return float(np.max(design.measured.distances))
+
+
 def _item(design: PathDesign) -> dict[str, Any]:
     displayed = Design(design.problem, design.values, crank_angles=design.crank_angles)
     picture = Picture(displayed.machine, displayed.start, displayed.speed)
     scene = picture.document()
     units = {name: math.degrees(1.0) if quantity.kind == "angle" else 1e3 for name, quantity in design.task.quantities.items()}
     sizes = {name: design.values[name] * size for name, size in units.items()}
-    error = 1e3 * float(np.max(design.measured.distances))
-    item = {"error": error, "unit": "mm", "valid": design.valid, "design": sizes}
+    item = {"error": 1e3 * _largest_error(design), "unit": "mm", "valid": design.valid, "design": sizes}
     return {**finite(item), "curve": scene["points"][design.task.requirement.point], "scene": scene}

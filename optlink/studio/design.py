@@ -25,6 +25,9 @@ ANALYSED_TEXT = "Only the machine is analysed; `optlink solve` checks the requir
 MOVING_TEXT = "Optimised from the last design; it is verified when the handle is released."
 MACHINE_TEXT = "The motion of the machine with these dimensions."
 LIMITED_TEXT = f"{MACHINE_TEXT} The crank cannot turn fully."
+NOT_VALIDATED_TEXT = "No validated design."
+SOUND_TEXT = "There are no design variables to check: the analysis over the cycle found no singular position."
+BALANCED_TEXT = "The measures of the balanced machine were computed again, and agree."
 UNASSEMBLED_TEXT = "With these dimensions the linkage cannot be assembled at any crank angle. The last one stays drawn."
 
 
@@ -34,7 +37,8 @@ class Design:
 
     `problem` has definite assembly modes; `values` are all quantities [SI]; `crank_angles` (points,) [rad] those of the target
     points, None where they follow from the values. `status` is that of the page. `checks` are those of the ordinary validator,
-    None if it has not seen the design. `result` is the ordinary result, None while a hand moves.
+    None if it has not seen the design; `unchecked` is what the page says in their place. `result` is the ordinary result, None
+    while a hand moves.
     """
 
     problem: ProblemFile
@@ -48,6 +52,7 @@ class Design:
     conflicts: tuple[str, ...] = ()
     limits: tuple[LimitState, ...] = ()
     result: Any = None
+    unchecked: str = NOT_VALIDATED_TEXT
 
     @property
     def machine(self) -> Machine:
@@ -68,6 +73,10 @@ class Design:
         if self.crank_angles is not None and len(self.crank_angles) > 1:
             return math.copysign(1.0, float(self.crank_angles[-1] - self.crank_angles[0]))
         return self.problem.model.sense
+
+
+NO_RESULT = {"objective": math.nan, "limits": (), "checks": None, "result": None, "unchecked": NOT_VALIDATED_TEXT}
+"""What a design loses when its problem is replaced by one that has no design."""
 
 
 def started(problem: ProblemFile) -> Design:
@@ -118,7 +127,7 @@ def carried_design(problem: ProblemFile, last: Design) -> Design:
 
 
 def moved_machine(design: Design, full: bool | None) -> Design:
-    """Return a machine without design variables, moved by hand, with a status from its positions.
+    """Return a machine without design variables that is not analysed yet, with a status from its positions.
 
     Parameters
     ----------
@@ -142,7 +151,7 @@ def design_of(result: Any) -> Design:
     if best is None:
         words = text or "No design was found."
         values = result.problem.model.design({})
-        return Design(result.problem, values, "infeasible", conclusion=words, conflicts=(words,), checks=(), result=result)
+        return Design(result.problem, values, "infeasible", conclusion=words, conflicts=(words,), result=result)
     infeasible = bool(text) or result.status is Status.INFEASIBLE
     status = "verified" if result.valid else "infeasible" if infeasible else "not valid"
     limits = () if best.solution is None else best.solution.limits
@@ -165,13 +174,14 @@ def _machine(result: Analysis | Balance) -> Design:
     """Return the machine of an analysis or of a balance, with its verdict."""
     if isinstance(result, Analysis):
         status, conclusion = "verified" if result.sound else "not valid", conclusions.analysis(result)
+        unchecked = SOUND_TEXT if result.sound else NOT_VALIDATED_TEXT
         if result.sound and result.problem.task != "analysis":  # a kind of another package, whose validation did not run
             status, conclusion = UNVERIFIED, f"{ANALYSED_TEXT} {conclusion}"
     else:
         status = "verified" if result.valid else "infeasible" if result.conflict else "not valid"
-        conclusion = conclusions.balance(result)
+        conclusion, unchecked = conclusions.balance(result), BALANCED_TEXT if result.valid else NOT_VALIDATED_TEXT
     values = sizes_of(result.problem.model.mechanism.quantities)
-    return Design(result.problem, values, status, conclusion=conclusion, checks=(), result=result)
+    return Design(result.problem, values, status, conclusion=conclusion, result=result, unchecked=unchecked)
 
 
 def solved_design(problem: ProblemFile, progress: Callable[[float], None] | None = None) -> Design:
@@ -197,13 +207,12 @@ def validated_design(design: Design) -> Design:
 
 
 def verdict(design: Design) -> dict[str, Any]:
-    """Return the verdict of an infeasible design, for the last feasible one that stays drawn."""
+    """Return the verdict of an infeasible design, for the last feasible one that stays drawn without its objective and prices."""
     return {
+        **NO_RESULT,
         "status": design.status,
         "conclusion": design.conclusion,
         "conflicts": design.conflicts,
-        "checks": design.checks,
-        "result": None,
     }
 
 
@@ -217,7 +226,7 @@ def failure(error: OptlinkError, status: str = "failed") -> dict[str, Any]:
         Status of the design.
     """
     why = fault_text(error)
-    return {"status": status, "conclusion": why, "conflicts": (why,), "checks": None, "result": None}
+    return {**NO_RESULT, "status": status, "conclusion": why, "conflicts": (why,)}
 
 
 def fault_text(error: OptlinkError) -> str:

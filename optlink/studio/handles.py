@@ -298,11 +298,9 @@ class _Handles:
             yield self._slider(key, knob.name, knob.value, knob.unit, (knob.low, knob.high))
             return
         direction = [(b - a) / length for a, b in zip(first, second, strict=True)]
-        at = (
-            second
-            if self._free(second)
-            else (first[0] + OFFSET_SHARE * length * direction[0], first[1] + OFFSET_SHARE * length * direction[1])
-        )
+        reach = 1e3 * self.quantities[name].value  # that of the problem: what is drawn can be the last design before it
+        reach *= 1.0 if self._free(second) else OFFSET_SHARE
+        at = (first[0] + reach * direction[0], first[1] + reach * direction[1])
         self.taken.append(at)
         data = {"at": list(at), "along": direction, "lower": 0.0, "upper": None, "size": name, "locked": True}
         yield Handle(key, knob.name, "scalar", knob.unit, (key,), knob.value, data)
@@ -320,6 +318,7 @@ class _Handles:
         quantities = [fixed.pop(key, None) for key in keys]
         if not all(map(math.isfinite, at)):
             at = (0.0, 0.0)
+        at = self._stated(at, [name if knob else None for name, knob in zip(names, quantities, strict=True)], axes)
         if all(quantities) and self._free(at):
             self.taken.append(at)
             yield Handle(keys[0], label, "point", "mm", (keys[0], keys[1]), None, {"at": list(at)}, None, axes)
@@ -334,6 +333,16 @@ class _Handles:
                     **self._lock(key),
                 }
                 yield Handle(key, knob.name, "scalar", knob.unit, (key,), knob.value, data)
+
+    def _stated(self, at: tuple[float, float], names: list[Any], axes: tuple[float, float, float]) -> tuple[float, float]:
+        """Return a place with the coordinates that the problem fixes: what is drawn can be the last design before it."""
+        x, y, turn = axes
+        c, s = math.cos(turn), math.sin(turn)
+        drawn = (c * (at[0] - x) + s * (at[1] - y), c * (at[1] - y) - s * (at[0] - x))
+        along, across = (
+            value if name is None else 1e3 * self.quantities[name].value for name, value in zip(names, drawn, strict=True)
+        )
+        return x + c * along - s * across, y + s * along + c * across
 
     def _free(self, at: tuple[float, float]) -> bool:
         return all(math.dist(at, taken) > self.apart for taken in self.taken)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from optlink.studio.history import History
-from optlink.studio.worker import STOP, frame
+from optlink.studio.worker import SAVE_NOW, STOP, frame
 
 Send = Callable[[str], Awaitable[None]]
 
@@ -22,7 +22,10 @@ START_TIMEOUT = 60.0  # s, the same for a process that has not finished its impo
 COMPUTATION_TIMEOUT = 600.0  # s for one computation
 MAX_WAITING = 100  # requests
 UNINTERRUPTED = ("save", "link", "export")
-"""Requests that wait for the present computation rather than stopping it, and that no later one stops."""
+"""Requests that wait for the present computation rather than stopping it, and that no later one stops.
+
+A problem whose document is settled, as while a search runs, is saved at once.
+"""
 RESTART_DELAY = 1.0  # s until a process that did not start is replaced
 FAILED_TEXT = "The computation ended unexpectedly and was started again."
 STOPPED_TEXT = "The computation did not stop when it should, and was started again."
@@ -107,6 +110,7 @@ class Link:
         self._latest = 0  # id of the request that was computed last
         self._history: History[dict[str, Any]] | None = None  # of the page, in the worker
         self._origin = ""
+        self._settled = False  # whether the running request changes the document no more
         self._ended = FAILED_TEXT  # why the worker has ended
         self._failures = 0  # since the last request that was answered
         self._timer: asyncio.TimerHandle | None = None
@@ -135,11 +139,17 @@ class Link:
         if self._running is None:
             self._next()
         else:
+            self._save_now()
             self._give_way()
+
+    def _save_now(self) -> None:
+        """Save the problem at once, while a computation for it runs."""
+        while self._settled and self._waiting and self._waiting[0]["type"] == "save":
+            self.worker.send({**self._waiting.popleft(), "type": SAVE_NOW})
 
     def _next(self) -> None:
         self._cancel()
-        self._running = self._waiting.popleft() if self._waiting else None
+        self._running, self._settled = self._waiting.popleft() if self._waiting else None, False
         if self._running is not None:
             self._latest = self._running["id"]
             self.worker.send(self._running)
@@ -195,6 +205,9 @@ class Link:
             self._history, self._origin = History(step["steps"], step["at"]), step["origin"]
         elif self._history is not None and step["step"] == "add":
             self._history.add(step["document"])
+        elif step["step"] == "settled":
+            self._settled = True
+            self._save_now()
         elif self._history is not None and step["step"] == "save":
             self._origin = self._history.present["text"]
         elif self._history is not None:
@@ -205,7 +218,7 @@ class Link:
         self._cancel()
         await self.worker.ended()
         failed, resumed = self.worker.ready, self._running is not None and self._running["type"] == "resume"
-        self._running, why, self._ended = None, self._ended, FAILED_TEXT
+        self._running, self._settled, why, self._ended = None, False, self._ended, FAILED_TEXT
         if failed:
             self._failures += why != STOPPED_TEXT or resumed
             words = KEPT_TEXT

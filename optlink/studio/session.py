@@ -40,6 +40,7 @@ Send = Callable[[Mapping[str, Any]], None]
 HALVINGS = 10  # of the way of a handle, to where feasibility ends
 WARM_UP_TIME = 0.5  # s
 SEARCHING_TEXT = "The search for the best design runs."
+NONE_TEXT = "The search found none either."
 FIRST_TEXT = "Validated; the full search for a better design runs."
 
 
@@ -147,7 +148,7 @@ class Session:
             self._settle()
             return
         self._commit(document)
-        if self._verdict == "infeasible" and begin is not None and rest is not None:
+        if self._verdict in ("infeasible", "failed") and base.model.free and begin is not None and rest is not None:
             self._interruptible(lambda: self._bisect(rest, base, request))
 
     def _set(self, request: Mapping[str, Any]) -> None:
@@ -174,14 +175,20 @@ class Session:
         self._reached = {}
         self._settle()
 
-    def _save(self, request: Mapping[str, Any]) -> None:
+    def save(self, request: Mapping[str, Any]) -> None:
+        """Send the problem file; also from another thread, while a computation for this document runs.
+
+        Parameters
+        ----------
+        request : mapping
+        """
         assert self._history is not None
         document, steps = self._document, self._history.steps
         changed = len(steps) < MAX_STEPS and document.changed_on_disk({self._origin, *(step.text for step in steps)})
         self._origin = document.text
-        self._answer("kept", step="save")
         fields = {"text": document.text, "files": document.files, "changed_on_disk": changed}
-        self._answer("file", name=document.file, media="application/toml", **fields)
+        self._send({"type": "kept", "id": request["id"], "step": "save"})
+        self._send({"type": "file", "id": request["id"], "name": document.file, "media": "application/toml", **fields})
 
     def _link(self, request: Mapping[str, Any]) -> None:
         if self._document.files:
@@ -235,9 +242,8 @@ class Session:
         from optlink.studies.reoptimise_task import conflicting
 
         violated, at_bound = conflicting(solution)
-        words = "; ".join((*violated, *at_bound)) or "no design was found"
-        fault_text = f"No design near the last one meets all limits: {words}."
-        return replace(carried_design(problem, last), status="infeasible", conclusion=fault_text, conflicts=(fault_text,))
+        words = f"No design near the last one meets all limits: {'; '.join((*violated, *at_bound)) or 'no design was found'}."
+        return replace(carried_design(problem, last), status="infeasible", conclusion=words, conflicts=(words,))
 
     def _bisect(self, handle: Handle, base: ProblemFile, request: Mapping[str, Any]) -> None:
         """Find how far a handle could be dragged, and show it."""
@@ -287,7 +293,8 @@ class Session:
     def _settle(self) -> None:
         """Show the optimum near the last design with its validation, then the result of the ordinary search."""
         problem, ident = self._document.problem, self._id
-        self._show_near(problem)
+        self._answer("kept", step="settled")  # the document can be saved from now on
+        near = self._show_near(problem)
 
         def progress(share: float) -> None:
             self._send({"type": "progress", "id": ident, "fraction": share, "text": "searching"})
@@ -295,7 +302,9 @@ class Session:
         try:
             design: Design = self._interruptible(lambda: solved_design(problem, progress))
         except OptlinkError as error:  # the page must not keep the state of another problem
-            self._show(replace(self._design or started(problem), **failure(error)), problem, moving=False)
+            failed = failure(error)
+            failed["conflicts"] = (*near, *failed["conflicts"])
+            self._show(replace(self._design or started(problem), **failed), problem, moving=False)
             return
         if getattr(design.result, "interrupted", False):
             raise KeyboardInterrupt
@@ -303,15 +312,23 @@ class Session:
             self._design = design
             self._show(design, problem, moving=False)
         else:
+            if near and not design.conflicts:  # the search says less than the optimum near the last design
+                design = replace(design, conclusion=f"{' '.join(near)} {NONE_TEXT}", conflicts=near)
             self._show(replace(self._design, **verdict(design)), problem, moving=False)
         self._interruptible(self._prepare)
 
-    def _show_near(self, problem: ProblemFile) -> None:
-        """Show the optimum near the last design; if there is none, that design: never the verdict of another problem."""
+    def _show_near(self, problem: ProblemFile) -> tuple[str, ...]:
+        """Show the optimum near the last design; if there is none, that design: never the verdict of another problem.
+
+        Returns
+        -------
+        tuple of str
+            The conflicts near the last design.
+        """
         last = self._design
         if last is None:
             self._show(replace(started(problem), conclusion=SEARCHING_TEXT), problem, moving=False, searching=True)
-            return
+            return ()
         definite = self._definite(problem)
         near = carried_design(definite, last)
         if last.solution is not None and problem.model.free:
@@ -335,7 +352,9 @@ class Session:
         elif near.status == "infeasible":
             self._show(replace(last, **verdict(near)), problem, moving=False, searching=True)
         else:
-            self._show(replace(near, conclusion=SEARCHING_TEXT), definite, moving=False, searching=True)
+            near = replace(near, conclusion=SEARCHING_TEXT) if problem.model.free else near
+            self._show(near, definite, moving=False, searching=True)
+        return near.conflicts
 
     def _prepare(self) -> None:
         """Build the programme of the present problem, so that the next drag finds it."""
@@ -357,7 +376,7 @@ class Session:
             picture: Picture | None = Picture(design.machine, design.start, design.speed)
         except (ArithmeticError, InputError, ValueError):
             picture = None
-        if moving and not problem.model.free:
+        if not problem.model.free:
             design = moved_machine(design, None if picture is None else picture.closed)
         self._verdict, self._last = design.status, (design, problem)
         self._handles = handles(problem, picture)
@@ -392,9 +411,10 @@ class Session:
             "objective": state.objective(problem, design.objective),
             "active": state.active(design),
             "checks": state.checks(design),
+            "unchecked": design.unchecked,
             "conflicts": [pretty(words) for words in design.conflicts],
             "scene": None if picture is None else picture.document(),
-            "charts": [] if picture is None else state.charts(design, picture, moving=moving),
+            "charts": [] if picture is None else state.charts(design, picture, problem, moving=moving),
         }
         total = time.perf_counter()
         message["seconds"] = {"solve": done - self._begun, "total": total - self._begun}
@@ -431,7 +451,7 @@ _ACTIONS: dict[str, Callable[[Session, Mapping[str, Any]], None]] = {
     "search": lambda session, request: session._settle(),
     "undo": Session._undo,
     "redo": Session._undo,
-    "save": Session._save,
+    "save": Session.save,
     "link": Session._link,
     "export": Session._export,
     "draw": Session._draw,

@@ -118,20 +118,22 @@ def checks(design: Design) -> list[dict[str, Any]] | None:
 # --- charts -----------------------------------------------------------------------------------------------------------------
 
 
-def charts(design: Design, picture: Picture, *, moving: bool) -> list[dict[str, Any]]:
+def charts(design: Design, picture: Picture, problem: ProblemFile, *, moving: bool) -> list[dict[str, Any]]:
     """Return the curves of a design over the crank angle.
 
     Parameters
     ----------
     design : Design
     picture : Picture
+    problem : ProblemFile
+        The present problem with its limits; the design can be the last one before it.
     moving : bool
         Leave out what takes longer than a few milliseconds.
     """
     kind, model = kind_of(design.problem), design.problem.model
     curves = kind.error_curves(model, design.values, design.start, design.crank_angles)
     specs = [_chart(*curve[:2], [curve[2:]]) for curve in curves]
-    specs += _transmission(design, picture)
+    specs += _transmission(picture, problem)
     if model.loads or model.bodies:
         specs += _forces(design, picture)
     elif design.problem.task == "cycle" or not model.free:
@@ -147,14 +149,14 @@ def _chart(
     return {"title": title, "x": axis, "series": curves, "limits": [{"label": n, "value": v} for n, v in limits]}
 
 
-def _transmission(design: Design, picture: Picture) -> Iterator[dict[str, Any]]:
+def _transmission(picture: Picture, problem: ProblemFile) -> Iterator[dict[str, Any]]:
     groups = transmitting(picture.mechanism)
     if not groups:
         return
     with np.errstate(all="ignore"):
         angles = np.degrees(transmission_angles(picture.motion, picture.mechanism))
     limits = []
-    allowed = getattr(design.problem.model, "limits", None)
+    allowed = getattr(problem.model, "limits", None)
     if isinstance(allowed, Limits):
         limit = allowed.transmission_at(groups[0].joint)
         for word, bound in () if limit is None else (("least", limit.low), ("largest", limit.high)):

@@ -1,7 +1,7 @@
 """The process that computes for one page: requests come in as frames on its standard input, messages go out as frames.
 
 A frame is its length in four bytes, and JSON. The computing runs in the main thread; a second thread reads, so that a long search
-can be stopped, and ends the process when the server is gone.
+can be stopped and its problem saved meanwhile, and ends the process when the server is gone.
 """
 
 import contextlib
@@ -21,6 +21,7 @@ MEMORY_LIMIT = 8 * 2**30  # bytes of address space
 IDLE_TIME = 0.3  # s without a request, after which the imports of rarer requests begin
 STOP_INTERVAL = 0.2  # s after which a stop is tried once more
 STOP = "stop"
+SAVE_NOW = "save now"
 DONE = "done"
 READY = "ready"
 
@@ -85,7 +86,10 @@ class Interrupts:
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
-        """Delay a stop until the message is sent completely."""
+        """Delay a stop until the message is sent completely; it concerns the main thread alone."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
         before, self._open = self._open, False
         yield
         self._open = before
@@ -108,17 +112,35 @@ def main() -> None:
         for request in frames(reading):
             if request["type"] == STOP:
                 interrupts.stop(request["id"])
+            elif request["type"] == SAVE_NOW:
+                answer(session.save, request)
             else:
                 requests.put(request)
         os._exit(0)
 
     threading.Thread(target=read, daemon=True).start()
 
+    writer = threading.Lock()
+
     def send(message: Mapping[str, Any]) -> None:
         data = frame(message)
-        with interrupts.held():
+        with interrupts.held(), writer:
             writing.write(data)
             writing.flush()
+
+    def answer(act: Callable[[Mapping[str, Any]], None], request: Mapping[str, Any]) -> None:
+        """Let the session answer a request; what it did not foresee is a message on the page."""
+        try:
+            act(request)
+        except MemoryError:
+            words = "The problem needs more memory than the studio allows. Make it smaller"
+            send({"type": "fault", "id": request["id"], "message": words})
+        except Exception as error:  # noqa: BLE001
+            import traceback
+
+            traceback.print_exc(file=sys.stderr)
+            words = f"This request failed ({type(error).__name__}). Undo the last change, or open the problem again"
+            send({"type": "fault", "id": request["id"], "message": words})
 
     warnings.simplefilter("ignore")  # of numpy, about positions that an absurd machine cannot take
     from optlink.studio.session import Session, warm, warm_drawing
@@ -135,15 +157,7 @@ def main() -> None:
             idle = None
             continue
         interrupts.begin(request["id"])
-        try:
-            session.handle(request)
-        except MemoryError:
-            session.fault("The problem needs more memory than the studio allows. Make it smaller")
-        except Exception as error:  # noqa: BLE001
-            import traceback
-
-            traceback.print_exc(file=sys.stderr)
-            session.fault(f"This request failed ({type(error).__name__}). Undo the last change, or open the problem again")
+        answer(session.handle, request)
         send({"type": DONE, "id": request["id"]})
 
 

@@ -399,6 +399,64 @@ def test_a_value_that_is_refused_or_converted_does_not_stay_in_its_field(page):
 
 
 @pytest.mark.slow
+def test_limits_and_bounds_are_typed_and_move_in_steps_of_their_unit(page):
+    from selenium.webdriver.common.keys import Keys
+
+    def enter(selector: str, text: str) -> None:
+        field = page.find(selector)
+        field.click()
+        field.send_keys(Keys.CONTROL, "a")
+        field.send_keys(text, Keys.ENTER)
+
+    page.open("crank-rocker")
+    line = '#sliders [data-handle="limits.transmission_angle.max"]'
+    enter(f"{line} input[type=text]", "130.5")
+    page.until("return document.querySelector('#active').textContent.includes('130.5')")
+    page.verified()
+    slider = page.find(f"{line} input[type=range]")
+    slider.send_keys(Keys.ARROW_LEFT)
+    page.until("return /1(29|30)°/.test(document.querySelector('#active').textContent)")
+    page.verified()
+    enter(f"{line} input[type=text]", "2.25 rad")
+    page.until("return document.querySelector('#active').textContent.includes('128.9')")
+    page.verified()
+    enter('[data-variable="coupler"] .bounds p input:last-child', "400 mm")
+    page.until("return document.querySelector('[data-variable=coupler]').classList.contains('bound')")
+    page.verified()
+    assert value(page, "coupler") == pytest.approx(400.0, abs=1e-6)
+    enter('[data-variable="coupler"] .bounds p input:last-child', "long")
+    page.until("return document.querySelector('[data-variable=coupler] .bounds p input:last-child').value === '400'")
+
+
+@pytest.mark.slow
+def test_a_conflict_stays_on_the_page_after_the_release(page):
+    """The red handle where it was left, no price, and no words about a problem without design variables."""
+    page.open("crank-rocker")
+    page.press(FRAME)
+    page.move([(round(-20.0 * page.scale), 0)] * 19)
+    page.until("return document.querySelector('#canvas').dataset.status === 'infeasible'")
+    page.release()
+    page.until("return document.querySelector('.edge') !== null")
+    assert "the limit transmission angle cannot be met" in page.text("#conclusion")
+    assert page.text("#checks p") == "No validated design."
+    assert not page.find("#active").is_displayed()
+    ring, edge = (page.find(one).rect for one in (f'[data-handle="{FRAME}"].red .ring', ".edge"))
+    pivot = page.find('[data-point="D"]').rect
+    assert ring["x"] < edge["x"] < pivot["x"]
+
+
+@pytest.mark.slow
+def test_a_four_bar_that_is_called_valid_is_drawn_as_verified(page):
+    page.find("#start-draw").click()
+    page.stroke(lambda k: (150.0 * math.cos(k * math.pi / 24.0), 90.0 * math.sin(k * math.pi / 24.0) - 60.0), 48)
+    page.until("return document.querySelector('.candidate:not(.bad)')")
+    dashes = "return getComputedStyle(document.querySelector('#world [data-body] path')).strokeDasharray"
+    page.until(f"{dashes} === 'none'")
+    page.run("document.querySelector('#canvas').classList.remove('valid')")
+    assert page.run(dashes) != "none"
+
+
+@pytest.mark.slow
 def test_a_lost_studio_leaves_the_problem_to_save(driver, tmp_path):
     """Of the last release: a drag is given up, and what is typed afterwards does not stay; the message is never covered."""
     pytest.importorskip("selenium", reason="selenium is not installed")

@@ -452,3 +452,26 @@ def test_a_page_too_many_is_told_why() -> None:
     full.links = set(range(MAX_PAGES))  # type: ignore[arg-type]
     asyncio.run(full._live(Socket()))  # type: ignore[arg-type]
     assert heard == ["accepted", FULL]
+
+
+async def _save_in_a_search() -> None:
+    async with studio("path-closed18-untimed") as (address, token, _), socket(address, token) as ws:
+        changed = {"type": "set", "id": 2, "key": "requirement.closed", "value": "false"}
+        for ident, request in ((1, {"type": "search", "id": 1}), (2, changed)):
+            await ws.send(json.dumps(request))
+            await ws.send(json.dumps({"type": "save", "id": 10 + ident}))
+            while (message := json.loads(await asyncio.wait_for(ws.recv(), SECONDS)))["type"] != "file":
+                assert message["type"] in ("hello", "state", "progress")
+                assert message["type"] != "state" or message["searching"]
+            assert message["id"] == 10 + ident
+            assert ("closed = false" in message["text"]) == (request is changed)
+        await ws.send(json.dumps({"type": "stop", "id": 20}))
+        await until(ws, "progress", text="stopped")
+        await ws.send(json.dumps({"type": "save", "id": 21}))  # also where nothing is computed
+        assert "closed = false" in (await until(ws, "file", id=21))["text"]
+
+
+@pytest.mark.slow
+def test_a_problem_is_saved_while_a_search_runs() -> None:
+    """With the change that began the search; the search goes on."""
+    asyncio.run(_save_in_a_search())

@@ -386,6 +386,64 @@ def test_the_title_of_a_document_is_no_path() -> None:
     assert document.file == "xy.toml"
 
 
+@pytest.mark.parametrize(
+    ("name", "handle", "value"),
+    [
+        ("stroke-crank-rocker", "mechanism.frame", 500.0),
+        ("stroke-crank-rocker", "mechanism.frame", 2.0),
+        pytest.param("crank-rocker", "mechanism.crank", 480.0, marks=pytest.mark.slow),
+        pytest.param("crank-rocker", "limits.transmission_angle.min", 88.0, marks=pytest.mark.slow),
+    ],
+)
+def test_a_conflict_outlives_the_release(name: str, handle: str, value: float) -> None:
+    """With no price and no objective of the last design, and with the handle where the hand has left it."""
+    page = Page()
+    begun = page.state("open", name=name)
+    moved = page.state("drag", handle=handle, value=value, moving=True)
+    assert moved["status"] == "infeasible"
+    states = page.ask("drag", handle=handle, value=value, moving=False)
+    assert len(states) > 2
+    rest = next(one for one in begun["handles"] if one["id"] == handle)
+    for shown in states:
+        assert shown["status"] in ("infeasible", "failed")
+        assert moved["conflicts"][0] in shown["conflicts"] or "cannot be met" in shown["conclusion"], shown["conclusion"]
+        assert (shown["active"], shown["objective"]["value"], shown["checks"]) == ([], None, None)
+        assert shown["unchecked"] == "No validated design."
+        (knob,) = (one for one in shown["handles"] if one["id"] == handle)
+        assert knob["value"] == pytest.approx(value)
+        if "at" in rest and "along" in rest:
+            shift = np.subtract(knob["at"], rest["at"]) @ np.array(rest["along"])
+            assert handle != "mechanism.frame" or shift == pytest.approx(value - rest["value"])
+    low, high = knob["feasible"]
+    assert low < high
+    assert not low <= value <= high
+    assert page.state("undo")["active"] != []
+
+
+def test_a_machine_that_cannot_be_assembled_stays_so_after_the_release() -> None:
+    page = Page()
+    state = page.state("open", name="balance-four-bar")
+    assert "agree" in state["unchecked"]
+    first, last = page.ask("drag", handle="mechanism.coupler", value=5.0, moving=False)
+    assert (first["status"], last["status"]) == ("infeasible", "failed")
+    assert first["conflicts"]
+    assert last["conflicts"]
+    assert "cannot be assembled" in first["conclusion"]
+    state = Page().state("open", name="oscillating-cylinder")
+    assert "no singular position" in state["unchecked"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("bend", [0.2, 0.5])
+def test_four_bars_for_a_curve_are_sorted_by_the_error_that_they_show(bend: float) -> None:
+    t = np.linspace(0.0, 2.0 * np.pi, 80, endpoint=False)
+    curve = np.column_stack([90.0 * np.cos(t) + 60.0 * bend * np.cos(3.0 * t), 50.0 * np.sin(t) + 70.0 * bend * np.sin(2.0 * t)])
+    answers = Page().ask("draw", points=curve.tolist(), closed=True)
+    shown = [[item["error"] for item in answer["items"]] for answer in answers]
+    assert len(shown[-1]) > 1
+    assert shown == [sorted(errors) for errors in shown]
+
+
 @pytest.mark.slow
 def test_a_drawn_curve_gets_four_bars_and_a_drawing() -> None:
     page = Page()

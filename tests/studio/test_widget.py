@@ -48,7 +48,8 @@ class Direct:
 
     def take(self, message: Mapping[str, Any]) -> None:
         if message["type"] == "kept":
-            self.document = message["steps"][0] if message["step"] == "open" else message["document"]
+            if message["step"] != "settled":
+                self.document = message["steps"][0] if message["step"] == "open" else message["document"]
         else:
             asyncio.run(self.answer(json.dumps(message, separators=(",", ":"))))
 

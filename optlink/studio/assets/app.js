@@ -111,7 +111,7 @@ canvas.append(overlay);
 const curve = new Curve(overlay, view, {
   draw: (points, closed) => live.send("draw", { points, closed }),
   choose: (candidate, done) => start.unless(() => ((refit = true), live.send("choose", { candidate }), done())),
-  preview: (scene) => preview(scene),
+  preview,
   fit: (points) => {
     const box = extent({ box: [...points[0], ...points[0]] }, { points: points.map((at) => ({ at })) });
     if (!view.touched && !view.holds(box)) {
@@ -166,8 +166,10 @@ function reference({ at, centre, id }) {
   return references.get(id);
 }
 
-function preview(scene) {
-  linkage.canvas.classList.toggle("preview", Boolean(scene));
+// A four-bar for a drawn curve, or the design again; one that the validator has passed is drawn like a verified design.
+function preview(scene, valid = false) {
+  canvas.classList.toggle("preview", Boolean(scene));
+  canvas.classList.toggle("valid", valid);
   if (scene) {
     linkage.take(scene, {});
     motion.take(scene);
@@ -222,7 +224,7 @@ function take(next) {
   if (!next.moving && !next.searching && scene) {
     guide.show(handles, next.kind);
   }
-  knobs.infeasible = next.status === "infeasible";
+  knobs.infeasible = next.status === "infeasible" || next.status === "failed";
   knobs.take(handles);
   panel.take(state, handles);
   panel.cursor(motion.angle);
@@ -327,8 +329,12 @@ function merged(scene, before) {
   return scene || before;
 }
 
+const AFTER_SEARCH = { export: "The file follows when the search has ended.", link: "The link follows when the search has ended." };
 function ask(type, fields) {
   busy(true);
+  if (search.running && AFTER_SEARCH[type]) {
+    toast(`${AFTER_SEARCH[type]} Stop ends it.`);
+  }
   if (type === "open" || type === "new") {
     refit = true;
     curve.close();

@@ -8,7 +8,7 @@ const MOST = 240; // points sent
 const SHORTEST = 60; // length of a curve [px]
 
 export class Curve {
-  // `actions`: draw(points, closed) -> id, choose(candidate), preview(scene or null), fit(points), hint(text or null)
+  // `actions`: draw(points, closed) -> id, choose(candidate), preview(scene or null, whether it is valid), fit(points), hint(text or null)
   constructor(overlay, view, actions) {
     Object.assign(this, { view, actions, stroke: [], id: null, points: [] });
     this.line = svg("path", { class: "stroke" });
@@ -138,7 +138,7 @@ export class Curve {
     this.shown = item;
     this.actions.fit([...this.points, ...corners(item.scene.box)]);
     this.draw();
-    this.actions.preview(item.scene);
+    this.actions.preview(item.scene, item.valid);
   }
 
   choose(k) {

@@ -270,7 +270,8 @@ export class Handles {
       const last = held.turned ?? angleOf(origin);
       held.turned = nearer(angleOf(arm), last);
       const turned = own + held.turned - angleOf(origin);
-      held.own = { value: this.within(handle, part, turned) };
+      const limit = handle.id.startsWith("limits."); // of whole degrees
+      held.own = { value: this.within(handle, part, limit ? Math.round(turned) : turned) };
     } else {
       const value = clamped(start.value + dot(shift, handle.along || [1, 0]), handle);
       const gone = value - start.value;

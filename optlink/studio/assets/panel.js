@@ -22,12 +22,50 @@ function sizes(variables, handles) {
   return [...variables, ...fixed.map(({ size, value, unit, id }) => ({ name: size, value, unit, key: id, lower: null, upper: null, locked: true }))];
 }
 
+const STEPS = { deg: 1, mm: 1, cm: 0.1, m: 0.001, in: 0.05 };
+const ANY_STEP = 0.01; // of other units, and of ratios
+
+// The step of a slider: one of its unit, or less where its range is short.
+const stepOf = (unit, range) => Math.min(STEPS[unit] ?? ANY_STEP, 10 ** Math.floor(Math.log10(range / 20)));
+
+// A field in which a value is typed, with or without its unit; `entered(text)` takes it. What is being typed is kept until then.
+function field(label, entered) {
+  const node = el("input", { type: "text", inputmode: "decimal", "aria-label": label, spellcheck: "false" });
+  const reset = () => (node.value = node.shown);
+  node.addEventListener("input", () => (node.typing = true));
+  for (const end of ["change", "blur"]) {
+    node.addEventListener(end, () => (node.typing = false));
+  }
+  node.addEventListener("change", () => {
+    const text = node.value.trim().replace("−", "-");
+    if (text && !node.readOnly) {
+      entered(/^[-+.\deE]+$/.test(text) && node.unit ? `${text} ${node.unit}` : text);
+    } else {
+      reset();
+    }
+  });
+  node.addEventListener("keydown", (event) => event.key === "Escape" && (reset(), node.blur()));
+  return node;
+}
+
+function fill(node, text, unit) {
+  Object.assign(node, { shown: text, unit });
+  if ((!node.typing || node.readOnly) && node.value !== text) {
+    node.value = text;
+  }
+}
+
 function table(parent, title, heads) {
   if (!parent.firstChild) {
     const head = el("tr", {}, ...heads.map((text) => el("th", { scope: "col", text })));
     parent.append(el("h2", { text: title }), el("div", { class: "rows" }, el("table", {}, el("thead", {}, head), el("tbody"))));
   }
   return parent.querySelector("tbody");
+}
+
+// Whether a handle has a line of its own in the panel: points have places, bounds and sizes on the canvas are in the table.
+function listed({ id, kind, size, at, centre }) {
+  return size ? !at && !centre && kind !== "range" : kind !== "point" && !id.startsWith("requirement.points.");
 }
 
 export class Panel {
@@ -49,7 +87,7 @@ export class Panel {
     $("conclusion").classList.toggle("alert", state.status === "infeasible");
     this.conflicts((state.conflicts || []).filter((sentence) => !said.includes(sentence.replace(/\.$/, ""))));
     this.variables(sizes(state.variables || [], handles), sliders);
-    this.sliders(sliders.filter((one) => one.kind !== "range" || !one.size));
+    this.sliders(handles.filter(listed));
     this.active(state.active || []);
     this.checks(state);
     $("charts").hidden = !state.charts?.length;
@@ -107,24 +145,11 @@ export class Panel {
 
   row(variable) {
     const name = variable.name;
-    const value = el("input", { type: "text", inputmode: "decimal", "aria-label": `Value of ${name}`, spellcheck: "false" });
+    const value = field(`Value of ${name}`, (text) => this.actions.set(row.variable.key, text));
     const unit = el("span", { class: "unit" });
     const track = el("div", { class: "track" }, el("i"), el("b"));
     const lock = el("button", { class: "icon lock", "aria-pressed": "false" }, icon("unlock"));
-    const row = el("tr", { "data-variable": name }, el("th", { scope: "row" }, ...name.split(/(?<=\.)/).flatMap((part) => [part, el("wbr")])), el("td", { class: "num" }, value, unit), el("td", { class: "bounds" }, track, el("small")), el("td", {}, lock));
-    value.addEventListener("input", () => (row.typing = true)); // what is being typed is kept until it is sent
-    for (const end of ["change", "blur"]) {
-      value.addEventListener(end, () => (row.typing = false));
-    }
-    value.addEventListener("change", () => {
-      const text = value.value.trim().replace("−", "-");
-      if (text && row.variable.key) {
-        this.actions.set(row.variable.key, /^[-+.\deE]+$/.test(text) && row.variable.unit ? `${text} ${row.variable.unit}` : text);
-      } else {
-        value.value = number(row.variable.value, 6);
-      }
-    });
-    value.addEventListener("keydown", (event) => event.key === "Escape" && ((value.value = number(row.variable.value, 6)), value.blur()));
+    const row = el("tr", { "data-variable": name }, el("th", { scope: "row" }, ...name.split(/(?<=\.)/).flatMap((part) => [part, el("wbr")])), el("td", { class: "num" }, value, unit), el("td", { class: "bounds" }, track, el("small"), el("p", {}, this.bound(name, 0, () => row), "…", this.bound(name, 1, () => row))), el("td", {}, lock));
     lock.addEventListener("click", () => this.actions.lock(name, !row.variable.locked));
     for (const part of [0, 1]) {
       track.append(this.knob(row, part));
@@ -138,20 +163,18 @@ export class Panel {
     const [, cell, bounds, last] = row.children;
     const [value, unit] = cell.children;
     value.readOnly = !variable.key;
-    if (!row.typing || value.readOnly) {
-      const text = number(variable.value, 6);
-      if (value.value !== text) {
-        value.value = text;
-      }
-    }
+    fill(value, number(variable.value, 6), variable.unit);
     setText(unit, unitText(variable.unit || ""));
     const [low, high] = [variable.lower, variable.upper];
     row.classList.toggle("locked", Boolean(variable.locked));
     row.classList.toggle("bound", Boolean(variable.at_bound));
     const limited = Number.isFinite(low) && Number.isFinite(high) && high > low && !variable.locked;
-    const [track, small] = bounds.children;
+    const [track, small, typed] = bounds.children;
     track.hidden = !limited;
+    typed.hidden = !limited || !handle;
+    small.hidden = !typed.hidden;
     setText(small, variable.locked ? "fixed" : limited ? `${plain(low)} … ${plain(high)}` : "free");
+    [low, high].forEach((edge, part) => fill(typed.children[part], plain(edge), variable.unit));
     if (limited) {
       const place = (at) => `${(100 * Math.min(Math.max((at - low) / (high - low), 0), 1)).toFixed(2)}%`;
       const [, mark, ...knobs] = track.children;
@@ -171,6 +194,18 @@ export class Panel {
       lock.title = variable.locked ? "Free this variable again" : "Lock at the present value";
       lock.replaceChildren(icon(variable.locked ? "lock" : "unlock"));
     }
+  }
+
+  // A bound of a variable, typed.
+  bound(name, part, row) {
+    return field(`${part ? "upper" : "lower"} bound of ${name}`, (text) => {
+      const { variable, handle } = row();
+      const [value, pair] = [Number.parseFloat(text), [variable.lower, variable.upper]];
+      if (Number.isFinite(value) && text.endsWith(variable.unit)) {
+        pair[part] = value;
+      } // else the answer shows the present bound again
+      this.actions.drag({ handle: handle.id, value: pair, moving: false });
+    });
   }
 
   // The end of the bounds of a variable: dragged along its track, or moved with the arrow keys.
@@ -222,7 +257,7 @@ export class Panel {
     return node;
   }
 
-  // Handles that have no place on the canvas.
+  // Numbers of the requirement and the limits, and sizes that have no place on the canvas.
   sliders(handles) {
     const parent = $("sliders");
     parent.hidden = !handles.length;
@@ -239,8 +274,20 @@ export class Panel {
 
   slider(first) {
     const count = first.kind === "range" ? 2 : 1;
-    const inputs = Array.from({ length: count }, (_, k) => el("input", { type: "range", step: "any", "aria-label": first.label + (count > 1 ? (k ? ", upper" : ", lower") : "") }));
-    const node = el("div", { class: "slider", "data-handle": first.id }, el("p", {}, el("span"), el("output")), ...inputs);
+    const names = count > 1 ? [`${first.label}, lower`, `${first.label}, upper`] : [first.label];
+    const inputs = names.map((name) => el("input", { type: "range", "aria-label": name }));
+    const fields = names.map((name, k) =>
+      field(`Value of ${name}`, (text) => {
+        if (count === 1) {
+          this.actions.set(node.handle.id, text);
+        } else {
+          const pair = [...node.handle.value];
+          pair[k] = Number.isFinite(Number(text)) ? Number(text) : pair[k];
+          this.actions.drag({ handle: node.handle.id, value: pair, moving: false });
+        }
+      })
+    );
+    const node = el("div", { class: "slider", "data-handle": first.id }, el("p", {}, el("span"), ...fields, el("span", { class: "unit" })), ...inputs);
     const send = (moving) => {
       const values = inputs.map((one) => Number(one.value));
       this.actions.drag({ handle: node.handle.id, value: count > 1 ? [Math.min(...values), Math.max(...values)] : values[0], moving });
@@ -262,11 +309,15 @@ export class Panel {
       node.range = [least - Math.abs(values[0] || 1), most + Math.abs(values[0] || 1)]; // kept until a value comes to its end
     }
     const [low, high] = [handle.lower ?? node.range[0], handle.upper ?? node.range[1]];
-    setText(head.children[0], handle.label);
-    setText(head.children[1], values.map((one) => quantity(one, handle.unit, 4, plain)).join(" … "));
+    const [label, ...fields] = head.children;
+    setText(label, handle.label);
+    setText(fields.pop(), unitText(handle.unit || ""));
+    const step = stepOf(handle.unit || "", high - low);
     inputs.forEach((input, k) => {
+      fill(fields[k], plain(values[k], 6), handle.unit);
       if (!node.holding) {
-        input.min = low;
+        input.step = step;
+        input.min = Number((Math.floor(low / step) * step).toPrecision(9)); // steps count from there
         input.max = high;
         input.value = values[k];
       }
@@ -305,12 +356,7 @@ export class Panel {
     const [, line, details] = parent.children;
     details.hidden = !checks;
     if (!checks) {
-      setText(line, state.moving ? "Checked when you release." : "No validated design.");
-      return;
-    }
-    if (!checks.length) {
-      details.hidden = true;
-      setText(line, "No design variables: the analysis over the cycle found no singular position.");
+      setText(line, state.moving ? "Checked when you release." : state.unchecked);
       return;
     }
     const passed = checks.filter((one) => one.ok).length;
