@@ -17,6 +17,8 @@ import optlink
 from optlink.cli import console
 from optlink.cli.app import app
 from optlink.execution.process import Process
+from optlink.execution.store import Store
+from optlink.report.view import View
 
 COMMAND = (sys.executable, "-m", "optlink")
 posix = pytest.mark.skipif(os.name != "posix", reason="signals and devices of POSIX")
@@ -470,3 +472,45 @@ def test_an_interrupted_run_with_a_checkpoint_says_how_to_resume_it(tmp_path, mo
     monkeypatch.setattr(console.interrupts, "interrupted", lambda: True)
     console.deliver(SimpleNamespace(finished=False, to_dict=dict), "clearance", True, tmp_path, code=0)
     assert ("; add --resume to continue" in capsys.readouterr().err) is checkpoint
+
+
+class Killed(BaseException):
+    """Stands for SIGKILL: nothing handles it."""
+
+
+SHORT = ("--revolutions", "2", "--points", "36", "--tolerance", "1e-5", "--integrator", "cvodes")
+RESUMED = {
+    "simulation": ("simulate", "slider-crank-clearance", *SHORT),
+    "comparison": ("simulate", "crank-rocker-clearance", "--control", "compare", "--starts", "1", "--workers", "1", *SHORT),
+    "proof": ("solve", "crank-rocker", "--certify"),
+    "sweep": ("study", "sweep", "crank-rocker", "--vary", "mechanism.frame=490 mm, 500 mm", "--workers", "1"),
+    "front": ("study", "pareto", "crank-rocker", "--objectives", "error, limits.transmission_angle.max", "--points", "2"),
+}
+ENDS = [(case, View, "write") for case in RESUMED] + [(case, Store, "finish") for case in ("sweep", "front")]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("case", "part", "step"), ENDS, ids=[f"{case}-{step}" for case, _, step in ENDS])
+def test_a_run_killed_between_its_last_row_and_its_results_is_resumed(case, part, step, tmp_path, monkeypatch):
+    """What is done is what has been written: all is there but the results, and nothing is searched or simulated again."""
+
+    def kill(*_: object, **__: object) -> None:
+        raise Killed
+
+    words, runner = RESUMED[case], CliRunner()
+    whole = runner.invoke(app, [*words, "--out", str(tmp_path / "whole")])
+    with monkeypatch.context() as patch:
+        patch.setattr(part, step, kill)
+        with pytest.raises(Killed):
+            runner.invoke(app, [*words, "--out", str(tmp_path / "cut")])
+    assert not (tmp_path / "cut" / "result.json").exists()
+    resumed = runner.invoke(app, [*words, "--out", str(tmp_path / "cut"), "--resume"])
+    assert resumed.exit_code == whole.exit_code == 0, resumed.output
+    one, other = (json.loads((tmp_path / folder / "result.json").read_text()) for folder in ("whole", "cut"))
+    for document in (one, other):
+        for timed in ("seconds", "processor_seconds", "points_done_now", "table", "columns"):
+            document.pop(timed, None)
+    assert one == other
+    assert {file.name for file in (tmp_path / "whole").iterdir()} == {file.name for file in (tmp_path / "cut").iterdir()}
+    again = runner.invoke(app, [*words, "--out", str(tmp_path / "cut"), "--resume"])  # now it is done
+    assert again.exit_code == (0 if case in ("sweep", "front") else 2), again.output
