@@ -19,6 +19,7 @@ from optlink.cli.app import app
 from optlink.execution.process import Process
 from optlink.execution.store import Store
 from optlink.report.view import View
+from tests.tiers import mostly_slow
 
 COMMAND = (sys.executable, "-m", "optlink")
 posix = pytest.mark.skipif(os.name != "posix", reason="signals and devices of POSIX")
@@ -514,3 +515,27 @@ def test_a_run_killed_between_its_last_row_and_its_results_is_resumed(case, part
     assert {file.name for file in (tmp_path / "whole").iterdir()} == {file.name for file in (tmp_path / "cut").iterdir()}
     again = runner.invoke(app, [*words, "--out", str(tmp_path / "cut"), "--resume"])  # now it is done
     assert again.exit_code == (0 if case in ("sweep", "front") else 2), again.output
+
+
+IMPORTING = """import signal, sys
+class Press:
+    def find_spec(self, name, path=None, target=None):
+        if name == "MODULE":
+            signal.raise_signal(signal.SIGINT)
+sys.meta_path.insert(0, Press())
+sys.argv = ["optlink", *WORDS]
+from optlink.__main__ import main
+main()
+"""
+LOADED = ("typer", "optlink.cli.app", "optlink.cli.study", "optlink.execution.interrupts", "pydantic", "optlink.problem.file")
+LOADED_LATER = ("numpy", "casadi", "optlink.solvers.multistart", "optlink.tasks.run", "scipy.optimize")
+
+
+@posix
+@pytest.mark.parametrize("module", mostly_slow((*LOADED, *LOADED_LATER), "typer", "optlink.cli.study"))
+def test_ctrl_c_during_imports_ends_in_one_sentence_or_silence(module):
+    code = IMPORTING.replace("MODULE", module).replace("WORDS", "('solve', 'crank-rocker', '--backend', 'slsqp')")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 130, done.stderr
+    assert done.stdout == ""
+    assert done.stderr in ("", "Error: interrupted before there was a result\n")
