@@ -1,5 +1,6 @@
 """Statistics of a simulation with joint clearance, by revolution: output error, contacts, energy balance, predictability."""
 
+import copy
 import math
 from collections import deque
 from collections.abc import Mapping
@@ -101,8 +102,8 @@ class Statistics:
                 self.rows.append(rows)
 
     def save(self) -> dict[str, Any]:
-        """Return the accumulated state as plain numbers, without the rows."""
-        plain = {name: getattr(self, name) for name in _PLAIN}
+        """Return a copy of the accumulated state as plain numbers, without the rows."""
+        plain = {name: copy.copy(getattr(self, name)) for name in _PLAIN}
         lists = {name: list(getattr(self, name)) for name in ("per_revolution", "poincare_map")}
         return {**plain, **lists, "impacts": [list(impact) for impact in self.impacts]}
 

@@ -80,6 +80,8 @@ def main() -> None:
             if sys.stdout is not output:  # typer has detected a closed pipe
                 raise BrokenPipeError(errno.EPIPE, "the pipe is closed")
             output.flush()
+    except KeyboardInterrupt:  # before the command began
+        interrupts.leave()
     except SystemExit as end:
         if end.code == interrupts.EXIT_CODE:
             sys.stderr.flush()

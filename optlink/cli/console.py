@@ -145,7 +145,15 @@ def print_failure(message: str, faults: list[dict[str, Any]]) -> None:
 
 
 def deliver(
-    result: Any, kind: str, as_json: bool, out: Path | None, csv: Path | None = None, *, code: int, details: bool = True
+    result: Any,
+    kind: str,
+    as_json: bool,
+    out: Path | None,
+    csv: Path | None = None,
+    *,
+    code: int,
+    details: bool = True,
+    state: str = "",
 ) -> None:
     """Write result files, print JSON or a table, and exit unless all is well.
 
@@ -165,6 +173,8 @@ def deliver(
         Exit code.
     details : bool, optional
         Whether to print all tables of a design, not its short text alone.
+    state : str, optional
+        File in the folder from which the run can be resumed: it is removed when all files are written.
     """
     from optlink.report.registry import table_of, view_of
 
@@ -177,14 +187,17 @@ def deliver(
         try:
             with working(f"Drawing into {out}"):
                 view_of(kind).write(result, out, pictures)
+            if state:
+                (out / state).unlink(missing_ok=True)
         except KeyboardInterrupt:
             interrupts.handled()
             lacking = "contains result.json, but not all pictures"
     if out is not None and lacking:
         from optlink.io import write_json
+        from optlink.report.files import CHECKPOINT
 
         write_json(out / "result.json", {**result.to_dict(), "interrupted": True})
-        begun = not getattr(result, "finished", True) and (out / "checkpoint.json").is_file()
+        begun = not getattr(result, "finished", True) and (out / CHECKPOINT).is_file()
         print(f"Interrupted: {out} {lacking}{'; add --resume to continue' if begun else ''}", file=sys.stderr)
     if as_json:
         print_json(result.to_dict())

@@ -44,6 +44,13 @@ def check_owner(path: Path, command: str, problem: str) -> None:
         raise InputError(message, remedy, str(path), "--out")
 
 
+def earlier_result(path: Path) -> dict[str, Any]:
+    """Return the result of the earlier run in a folder; empty if there is none, or if that run did not write all its files."""
+    files = (read_object(path / MANIFEST) or {}).get("files")
+    written = isinstance(files, dict) and RESULT in files and files[RESULT] == _sum(path / RESULT)
+    return (read_object(path / RESULT) or {}) if written else {}
+
+
 @contextlib.contextmanager
 def run_folder(path: Path, command: str, problem: str) -> Iterator[None]:
     """Lock an existing folder for a run; afterwards remove files of an earlier run that this one did not rewrite.

@@ -10,7 +10,7 @@ import contextlib
 import functools
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -126,12 +126,14 @@ def simulate(
 
         parallel = {"workers": cores()} | parallel
     if comparing:
+        from optlink.report.files import CHECKPOINT
         from optlink.tasks.control_comparison import compare
 
         with _kept(out, resume, "runs", "comparing") as store:
             compared = compare(file, whole_revolutions, **common, **parallel, **store)
-        _deliver(compared, "control comparison", compared.status, as_json, out)
+        _deliver(compared, "control comparison", compared.status, as_json, out, state=CHECKPOINT)
     elif tune:
+        from optlink.report.files import CHECKPOINT
         from optlink.tasks.control_comparison import tune as search
 
         with _kept(out, resume, "evaluations", "tuning") as store:
@@ -139,33 +141,53 @@ def simulate(
                 revolutions=None if revolutions is None and time is None else whole_revolutions, evaluations=evaluations
             )
             tuned = search(file, control or "inverse+pid", tuple(tune), **common, **parallel, **store)
-        _deliver(tuned, "tuning", tuned.status, as_json, out)
+        _deliver(tuned, "tuning", tuned.status, as_json, out, state=CHECKPOINT)
     else:
         from optlink.io import write_json
-        from optlink.report.files import checkpoint
+        from optlink.report.files import CHECKPOINT, checkpoint
         from optlink.tasks.clearance import simulate_clearance
 
         begun = checkpoint(out) if resume else None
-        done = 0 if begun is None else int(begun.get("revolutions", 0)) * int(begun.get("points", 0))
-        keep = None if out is None else functools.partial(write_json, out / "checkpoint.json")
+        done = 0 if begun is None else _rows_done(begun, whole_revolutions, out)
+        keep = None if out is None else functools.partial(write_json, out / CHECKPOINT)
         common |= {"control": control or "none", "flywheel": inertia, "checkpoint": keep, "resume": begun}
         with _streamed(csv, done) as stream, console.share("simulating") as progress:
             result = simulate_clearance(file, whole_revolutions, progress=progress, stream=stream, **common)
         _deliver(result, "clearance", result.ending.value, as_json, out)
 
 
-def _deliver(result: Any, kind: str, ending: str, as_json: bool, out: Path | None, csv: Path | None = None) -> None:
+def _rows_done(begun: Mapping[str, Any], revolutions: int, out: Path | None) -> int:
+    """Return the number of rows of a simulation before those that follow; the last revolution is simulated again.
+
+    Raises
+    ------
+    InputError
+        If the results of so many revolutions are already in the folder.
+    """
+    from optlink.cli.run_folder import earlier_result
+
+    result = {} if out is None else earlier_result(out)
+    if result.get("finished") and (result.get("figures") or {}).get("revolutions") == revolutions == begun.get("revolutions"):
+        message, remedy = f"{revolutions} revolutions are already complete", "Request more, or leave out --resume"
+        raise InputError(message, remedy, key="--revolutions", value=revolutions)
+    return min(int(begun.get("revolutions", 0)), revolutions - 1) * int(begun.get("points", 0))
+
+
+def _deliver(
+    result: Any, kind: str, ending: str, as_json: bool, out: Path | None, csv: Path | None = None, *, state: str = ""
+) -> None:
     """Write and show simulations, and exit with the code of their ending."""
-    console.deliver(result, kind, as_json, out, csv, code=0 if result.finished else 3 if ending == "stalled" else 1)
+    code = 0 if result.finished else 3 if ending == "stalled" else 1
+    console.deliver(result, kind, as_json, out, csv, code=code, state=state)
 
 
 @contextlib.contextmanager
 def _kept(out: Path | None, resume: bool, parts: str, what: str) -> Iterator[dict[str, Any]]:
     """Provide a comparison or a tuning with a progress bar, a checkpoint, and a message on interruption."""
     from optlink.io import write_json
-    from optlink.report.files import checkpoint
+    from optlink.report.files import CHECKPOINT, checkpoint
 
-    place = None if out is None else out / "checkpoint.json"
+    place = None if out is None else out / CHECKPOINT
     begun = checkpoint(out) if resume else None
     done, of = (0, 0) if begun is None else (begun.get("complete", 0), begun.get("total", 0))
 
@@ -187,8 +209,6 @@ def _kept(out: Path | None, resume: bool, parts: str, what: str) -> Iterator[dic
             message += "; without --out DIR no results are kept"
         print(message, file=sys.stderr)
         raise typer.Exit(130) from None
-    if place is not None:
-        place.unlink(missing_ok=True)
 
 
 def _revolutions(file: ProblemFile, revolutions: int | None, duration: float | None, speed: float | None) -> int:

@@ -84,6 +84,7 @@ def solve(
         console.refuse({"--certify": certify} | limits | where, "a given design is validated, not optimised", "Leave it out")
         _validate(problem, design, changes, as_json, out, details=details)
         return
+    from optlink.solvers.global_search.checkpoint import FILE
     from optlink.tasks.results.certificate import GLOBAL_GAP, share_text
     from optlink.tasks.run import design_task, solve as search
 
@@ -107,7 +108,8 @@ def solve(
         result = search(file, backend, starts, seed, progress, designs=designs, track=out is not None, **certificate_options)
     if result.interrupted:
         print(f"Interrupted: {_interrupted(result)}.", file=sys.stderr)
-    _show(result, as_json, out, details=details)
+    proof = getattr(result, "certificate", None)
+    _show(result, as_json, out, details=details, state=FILE if certify and proof is not None and proof.closed else "")
 
 
 def _automatic(file: ProblemFile) -> bool:
@@ -202,11 +204,18 @@ def _interrupted(result: FunctionResult | PathResult | CycleResult | Balance) ->
     return f"the result is that of the first {result.starts} starts"
 
 
-def _show(result: FunctionResult | PathResult | CycleResult | Balance, as_json: bool, out: Path | None, *, details: bool) -> None:
-    """Show a result, and exit with the code of its status."""
+def _show(
+    result: FunctionResult | PathResult | CycleResult | Balance,
+    as_json: bool,
+    out: Path | None,
+    *,
+    details: bool,
+    state: str = "",
+) -> None:
+    """Show a result, and exit with the code of its status; `state` as for `console.deliver`."""
     failed = result.status in (Status.STALLED, Status.NON_FINITE) and result.problem.task != "path"
     code = 3 if failed else 0 if result.valid else 1  # of the several designs of a path one may stall
-    console.deliver(result, result.problem.task, as_json, out, code=code, details=details)
+    console.deliver(result, result.problem.task, as_json, out, code=code, details=details, state=state)
 
 
 def analyze(

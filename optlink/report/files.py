@@ -18,6 +18,10 @@ from optlink.problem.quantity import input_of, nearest
 MAX_NAME_BYTES = 255  # largest length of a file name on common systems [bytes]
 
 
+CHECKPOINT = "checkpoint.json"
+"""File of a folder from which a simulation is resumed."""
+
+
 def check_target(path: Path, suffixes: tuple[str, ...], example: str, key: str = "--out") -> Path:
     """Check that a file can be written and return its path.
 
@@ -162,7 +166,7 @@ def checkpoint(out: Path | None) -> dict[str, Any]:
     """
     if out is None:
         raise InputError("needs the folder of the run", "Add --out DIR", key="--resume")
-    path = out / "checkpoint.json"
+    path = out / CHECKPOINT
     content = read_object(path)
     if content is None or checked(content) is None:
         raise InputError("there is no checkpoint, or it is damaged", "Start without --resume", str(path), "--resume")

@@ -233,12 +233,8 @@ class _Search:
         return exact(self.result.problem, self._known)
 
     def _keep(self, searches: list[BranchAndBound]) -> None:
-        """Save the state of open searches, or remove the file if all are closed; do nothing before the state is restored."""
-        if self.checkpoint is None or not searches or self.resume:
-            return
-        if self._exact or all(search.closed for search in searches):
-            self.checkpoint.path.unlink(missing_ok=True)
-        else:
+        """Save the state of the searches, of closed ones too; do nothing before the state is restored."""
+        if self.checkpoint is not None and searches and not self.resume:
             self.checkpoint.write(searches, self.result.design)
 
     def _resume(self, searches: list[BranchAndBound]) -> None:

@@ -39,7 +39,7 @@ from optlink.tasks.machine import (
     start_value_notes,
     with_flywheel,
 )
-from optlink.tasks.results.checkpoint import ClearanceCheckpoint, read_checkpoint
+from optlink.tasks.results.checkpoint import ClearanceCheckpoint, RevolutionState, read_checkpoint
 from optlink.tasks.results.clearance import RUNNING_IN, ClearanceSimulation
 
 EVERY = 5.0
@@ -172,7 +172,7 @@ def simulate_clearance(
         Called every few seconds and on termination with a JSON-compatible document for `resume`.
     resume : mapping, optional
         Document of a checkpoint: the run continues from there, with results identical to those of an uninterrupted run. The
-        document does not contain earlier rows.
+        document does not contain earlier rows. If all revolutions are complete, the last one is simulated again.
     compiling : function to a context manager, optional
         Its context is open while the equations are compiled.
 
@@ -220,21 +220,22 @@ def simulate_clearance(
     }
     if resume is not None:
         begun = read_checkpoint(ClearanceCheckpoint, resume, options)
-        if begun.revolutions >= revolutions:
+        state = begun.state_for(revolutions)
+        if state is None:
             message, remedy = f"{begun.revolutions} revolutions are already complete", "Request more, or leave out --resume"
             raise InputError(message, remedy, key="revolutions", value=revolutions)
-        closed_loop.restore(begun.closed_loop)
-        account.restore(begun.statistics)
-        if pair is not None and begun.predictability is not None:
-            pair.restore(begun.predictability)
+        closed_loop.restore(state.closed_loop)
+        account.restore(state.statistics)
+        if pair is not None and state.predictability is not None:
+            pair.restore(state.predictability)
 
     def save() -> dict[str, Any]:
         return {"closed_loop": closed_loop.save(), "predictability": None if pair is None else pair.save()}
 
-    def keep() -> None:
+    def keep(before: RevolutionState | None = None) -> None:
         if checkpoint is not None and account.count:
-            state = ClearanceCheckpoint(**options, **saved, revolutions=account.count, statistics=account.save())
-            checkpoint(state.document())
+            after = RevolutionState(**saved, statistics=account.save())
+            checkpoint(ClearanceCheckpoint(**options, revolutions=account.count, state=after, before=before).document())
 
     if progress is not None:
         closed_loop.advanced = lambda completed: progress(completed / revolutions)
@@ -246,7 +247,10 @@ def simulate_clearance(
         with interrupts.watched() as stop:
             for member in closed_loops:
                 member.integration.stop = stop
+            before = None
             for k in range(account.count, revolutions):
+                if k + 1 == revolutions and checkpoint is not None:
+                    before = RevolutionState(**saved, statistics=account.save())
                 rows = account.add(k >= skipped)
                 if stream is not None:
                     stream(rows)
@@ -254,7 +258,7 @@ def simulate_clearance(
                     pair.follow(rows[setting.output.column])
                 saved = save()
                 if time.monotonic() - kept_at > EVERY or k + 1 == revolutions:
-                    keep()
+                    keep(before)
                     kept_at = time.monotonic()
     except Stalled as error:
         account.add_partial()

@@ -17,6 +17,9 @@ import optlink
 from optlink.cli import console
 from optlink.cli.app import app
 from optlink.execution.process import Process
+from optlink.execution.store import Store
+from optlink.report.view import View
+from tests.tiers import mostly_slow
 
 COMMAND = (sys.executable, "-m", "optlink")
 posix = pytest.mark.skipif(os.name != "posix", reason="signals and devices of POSIX")
@@ -470,3 +473,69 @@ def test_an_interrupted_run_with_a_checkpoint_says_how_to_resume_it(tmp_path, mo
     monkeypatch.setattr(console.interrupts, "interrupted", lambda: True)
     console.deliver(SimpleNamespace(finished=False, to_dict=dict), "clearance", True, tmp_path, code=0)
     assert ("; add --resume to continue" in capsys.readouterr().err) is checkpoint
+
+
+class Killed(BaseException):
+    """Stands for SIGKILL: nothing handles it."""
+
+
+SHORT = ("--revolutions", "2", "--points", "36", "--tolerance", "1e-5", "--integrator", "cvodes")
+RESUMED = {
+    "simulation": ("simulate", "slider-crank-clearance", *SHORT),
+    "comparison": ("simulate", "crank-rocker-clearance", "--control", "compare", "--starts", "1", "--workers", "1", *SHORT),
+    "proof": ("solve", "crank-rocker", "--certify"),
+    "sweep": ("study", "sweep", "crank-rocker", "--vary", "mechanism.frame=490 mm, 500 mm", "--workers", "1"),
+    "front": ("study", "pareto", "crank-rocker", "--objectives", "error, limits.transmission_angle.max", "--points", "2"),
+}
+ENDS = [(case, View, "write") for case in RESUMED] + [(case, Store, "finish") for case in ("sweep", "front")]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("case", "part", "step"), ENDS, ids=[f"{case}-{step}" for case, _, step in ENDS])
+def test_a_run_killed_between_its_last_row_and_its_results_is_resumed(case, part, step, tmp_path, monkeypatch):
+    """What is done is what has been written: all is there but the results, and nothing is searched or simulated again."""
+
+    def kill(*_: object, **__: object) -> None:
+        raise Killed
+
+    words, runner = RESUMED[case], CliRunner()
+    whole = runner.invoke(app, [*words, "--out", str(tmp_path / "whole")])
+    with monkeypatch.context() as patch:
+        patch.setattr(part, step, kill)
+        with pytest.raises(Killed):
+            runner.invoke(app, [*words, "--out", str(tmp_path / "cut")])
+    assert not (tmp_path / "cut" / "result.json").exists()
+    resumed = runner.invoke(app, [*words, "--out", str(tmp_path / "cut"), "--resume"])
+    assert resumed.exit_code == whole.exit_code == 0, resumed.output
+    one, other = (json.loads((tmp_path / folder / "result.json").read_text()) for folder in ("whole", "cut"))
+    for document in (one, other):
+        for timed in ("seconds", "processor_seconds", "points_done_now", "table", "columns"):
+            document.pop(timed, None)
+    assert one == other
+    assert {file.name for file in (tmp_path / "whole").iterdir()} == {file.name for file in (tmp_path / "cut").iterdir()}
+    again = runner.invoke(app, [*words, "--out", str(tmp_path / "cut"), "--resume"])  # now it is done
+    assert again.exit_code == (0 if case in ("sweep", "front") else 2), again.output
+
+
+IMPORTING = """import signal, sys
+class Press:
+    def find_spec(self, name, path=None, target=None):
+        if name == "MODULE":
+            signal.raise_signal(signal.SIGINT)
+sys.meta_path.insert(0, Press())
+sys.argv = ["optlink", *WORDS]
+from optlink.__main__ import main
+main()
+"""
+LOADED = ("typer", "optlink.cli.app", "optlink.cli.study", "optlink.execution.interrupts", "pydantic", "optlink.problem.file")
+LOADED_LATER = ("numpy", "casadi", "optlink.solvers.multistart", "optlink.tasks.run", "scipy.optimize")
+
+
+@posix
+@pytest.mark.parametrize("module", mostly_slow((*LOADED, *LOADED_LATER), "typer", "optlink.cli.study"))
+def test_ctrl_c_during_imports_ends_in_one_sentence_or_silence(module):
+    code = IMPORTING.replace("MODULE", module).replace("WORDS", "('solve', 'crank-rocker', '--backend', 'slsqp')")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 130, done.stderr
+    assert done.stdout == ""
+    assert done.stderr in ("", "Error: interrupted before there was a result\n")

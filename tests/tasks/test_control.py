@@ -368,11 +368,24 @@ def test_checkpoints_of_other_kinds_are_refused(saved):
         optlink.simulate_clearance(rocker(), 2, 60, tolerance=1e-6, check_predictability=False, resume=simulation)
 
 
-def test_a_complete_run_is_not_resumed(saved):
-    """Its rows are not in the checkpoint: the command would replace the files of the run by those of no revolution."""
-    done = saved[0]["revolutions"]
-    with pytest.raises(InputError, match=f"{done} revolutions are already complete. Request more, or leave out --resume"):
-        optlink.simulate_clearance(rocker(), done, 60, tolerance=1e-6, resume=saved[0])
+def test_a_complete_run_is_resumed_at_its_last_revolution():
+    """Its results may not have been written: the statistics are those of the whole run, the rows those of its end."""
+    kept: list[dict] = []
+    for count, control in ((1, "none"), (3, "inverse+pid")):
+        whole = optlink.simulate_clearance(rocker(), count, 60, control=control, tolerance=1e-6, checkpoint=kept.append)
+        options = {"resume": json.loads(json.dumps(kept[-1])), "checkpoint": kept.append}
+        again = optlink.simulate_clearance(rocker(), count, 60, control=control, tolerance=1e-6, **options)
+        (one, rows), (other, end) = ((document, document.pop("columns")) for document in (whole.to_dict(), again.to_dict()))
+        assert one == other
+        assert end == {name: values[-60:] for name, values in rows.items()}
+        assert json.dumps(kept[-1]) == json.dumps(kept[-2])
+
+
+def test_a_longer_run_is_not_resumed():
+    kept: list[dict] = []
+    optlink.simulate_clearance(rocker(), 3, 60, tolerance=1e-6, checkpoint=kept.append)
+    with pytest.raises(InputError, match=r"3 revolutions are already complete\. Request more, or leave out --resume"):
+        optlink.simulate_clearance(rocker(), 2, 60, tolerance=1e-6, resume=kept[-1])
 
 
 @pytest.mark.parametrize(
@@ -390,7 +403,8 @@ def test_a_complete_run_is_not_resumed(saved):
 def test_checkpoint_that_was_changed_is_refused(saved, tmp_path, part, entry, value):
     """A changed state would continue with other numbers; a changed type would end in a traceback."""
     simulation = saved[0]
-    simulation = {**simulation, part: {**simulation[part], entry: value}}
+    state = simulation["state"]
+    simulation = {**simulation, "state": {**state, part: {**state[part], entry: value}}}
     with pytest.raises(InputError, match="was changed since it was written"):
         optlink.simulate_clearance(rocker(), 2, 60, tolerance=1e-6, resume=simulation)
     for document in (simulation, {**saved[0], "revolutions": "x"}, {}):

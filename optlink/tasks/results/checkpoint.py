@@ -28,10 +28,21 @@ class CheckpointRecord(Record):
         return with_check_sum(super().document())
 
 
-class ClearanceCheckpoint(CheckpointRecord):
-    """Options of a clearance simulation, its complete revolutions, and the states of its integrators."""
+class RevolutionState(Record):
+    """State of a clearance simulation between two revolutions: of its integrators and of its statistics."""
 
-    format: Literal["optlink/clearance-checkpoint/4"] = Field("optlink/clearance-checkpoint/4", alias="schema")
+    closed_loop: dict[str, Any]
+    predictability: dict[str, Any] | None
+    statistics: dict[str, Any]
+
+
+class ClearanceCheckpoint(CheckpointRecord):
+    """Options of a clearance simulation, its complete revolutions, and its state after them.
+
+    `before`: of a complete run the state before its last revolution, which is simulated again if its results were not written.
+    """
+
+    format: Literal["optlink/clearance-checkpoint/5"] = Field("optlink/clearance-checkpoint/5", alias="schema")
     speed_rad_s: float
     start_rad: float
     control: str
@@ -40,9 +51,14 @@ class ClearanceCheckpoint(CheckpointRecord):
     flywheel_kg_m2: float
     check_predictability: bool
     revolutions: int
-    closed_loop: dict[str, Any]
-    predictability: dict[str, Any] | None
-    statistics: dict[str, Any]
+    state: RevolutionState
+    before: RevolutionState | None
+
+    def state_for(self, revolutions: int) -> RevolutionState | None:
+        """Return the state from which a run of so many revolutions continues; None if it has been longer."""
+        if revolutions > self.revolutions:
+            return self.state
+        return self.before if revolutions == self.revolutions else None
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document, with its check sum; NaN stays, as the end of a contact that lasts."""
