@@ -34,9 +34,8 @@ from optlink.studies.sweep_task import FoundOptimum, OptimumTask
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.modes import possible_modes
 from optlink.tasks.protocol import completed
-from optlink.tasks.results.common import optimality
+from optlink.tasks.results.common import with_optimality
 from optlink.tasks.results.cycle import CycleResult, task_of
-from optlink.validation.check import Validation
 from optlink.validation.cycle import validate_cycle
 
 N = TypeVar("N", bound=NLP)
@@ -193,7 +192,7 @@ class CycleProgramme:
             backend=self.backend,
             design=dict(solution.design),
             objective=solution.objective,
-            validation=Validation((*checked.checks, *optimality(solution)), checked.objective),
+            validation=with_optimality(checked, solution),
             seconds={"build": built - begin, "solve": solved - built, "validate": time.perf_counter() - solved},
             seed=0,
             starts=1,

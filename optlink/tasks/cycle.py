@@ -20,9 +20,10 @@ from optlink.solvers.solution import Solution
 from optlink.tasks.analyze import quick_stroke_notes
 from optlink.tasks.modes import best_mode, mode_of, possible_modes
 from optlink.tasks.protocol import DesignTask, Search, agreement
-from optlink.tasks.results.common import Optimum, better, optimality
+from optlink.tasks.results.common import Optimum, better, with_optimality
 from optlink.tasks.results.cycle import CycleResult, analysis_of, task_of
 from optlink.tasks.results.evidence import tally
+from optlink.tasks.results.rotation import cannot_turn
 from optlink.units import factor
 from optlink.validation.check import Check, Validation
 from optlink.validation.cycle import validate_cycle
@@ -130,7 +131,8 @@ def _search(problem: ProblemFile, search: Search) -> CycleResult:
     timer.lap("solve")
     measured = analysis_of(task, winner.design)
     verification = validate_cycle(task, winner.design, winner.objective, measured)
-    checks = (*verification.checks, *optimality(winner), *(_agreement(solutions) if len(solutions) > 1 else ()))
+    verification = with_optimality(verification, winner)
+    checks = (*verification.checks, *(_agreement(solutions) if len(solutions) > 1 else ()))
     timer.lap("validate")
     cycle_result = CycleResult(
         problem=problem,
@@ -259,9 +261,11 @@ def _no_rotatable_design(problem: ProblemFile, seed: int, starts: int, seconds: 
         f"none of {SAMPLES * starts} random designs within the bounds lets the crank turn fully: "
         "widen the bounds, or start from a design that does"
     )
+    task = task_of(problem)
+    notes = cannot_turn(task.mechanism.quantities, "", task.limits.alignment.value) or (note,)
     result = TASK.validate(problem, {})
     times = result.seconds | seconds
-    return replace(result, status=Status.INFEASIBLE, seconds=times, seed=seed, starts=starts, notes=(note,))
+    return replace(result, status=Status.INFEASIBLE, seconds=times, seed=seed, starts=starts, notes=notes)
 
 
 def _refined(nlp: CycleNLP, solutions: dict[str, Solution]) -> tuple[CycleNLP, dict[str, Solution]]:

@@ -34,10 +34,11 @@ from optlink.tasks.machine import check_names, turning_machine
 from optlink.tasks.modes import best_mode
 from optlink.tasks.protocol import DesignTask, Search, agreement, part
 from optlink.tasks.results.certificate import CertificateRecord
-from optlink.tasks.results.common import ROUNDED, SingleRecord, SingleResult, better, shortest_link
+from optlink.tasks.results.common import ROUNDED, SingleRecord, SingleResult, better
 from optlink.tasks.results.evidence import Evidence, evidence
 from optlink.tasks.results.fit import Fit, law_fit
 from optlink.tasks.results.rejected import RejectedDesign, best_rejected
+from optlink.tasks.results.rotation import cannot_turn
 from optlink.units import show
 from optlink.validation import Check, validate as validate_law
 
@@ -94,7 +95,8 @@ class FunctionResult(SingleResult):
         """Notes for the user."""
         free = set(self.problem.spec.free)
         if self.conflict:
-            return shortest_link(self.problem.spec.quantities, self.problem.spec.limits.crank)
+            limits = self.problem.spec.limits
+            return cannot_turn(self.problem.spec.quantities, limits.crank, limits.alignment.value)
         notes = () if self.rejected is None else (self.rejected.note,)
         if self.solution is None or not free.issuperset(LENGTHS) or self.solution.curvature > MIN_CURVATURE:
             return notes
@@ -162,10 +164,10 @@ class FunctionResult(SingleResult):
         at_positions, span = (float(np.max(np.abs(self.error(at)))) for at in (None, problem.span * np.linspace(0.0, 1.0, 721)))
         return span if math.isfinite(span) and span > at_positions * (1.0 + 5e-4) else None
 
-    @property
+    @functools.cached_property
     def fit(self) -> Fit | None:
         """Error at the design positions relative to the output range; None if there is no error to measure."""
-        return law_fit(self.problem.spec, self.design, self.error(), self.solution.limits if self.solution else ())
+        return law_fit(self.problem, self.design, self.error(), self.solution)
 
     @property
     def alternations(self) -> int:

@@ -10,7 +10,7 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,7 +28,7 @@ from optlink.solvers import multistart
 from optlink.solvers.contract import BACKENDS, CLOSE
 from optlink.solvers.function_exchange import add_peak_errors
 from optlink.solvers.solution import Solution
-from optlink.tasks.results.common import ROUNDED, Optimum, inexact, optimality, verified
+from optlink.tasks.results.common import ROUNDED, Optimum, inexact, verified, with_optimality
 from optlink.tasks.results.evidence import evidence, tally
 from optlink.validation import Validation, validate as validate_law
 
@@ -230,8 +230,8 @@ class FunctionSearch:
         """Return a solution with its validation."""
         begin = time.perf_counter()
         design = self.problem.design(solution.design)
-        checked = validate_law(self.problem, design, solution.objective)
-        candidate = FunctionCandidate(solution, design, replace(checked, checks=(*checked.checks, *optimality(solution))))
+        checked = with_optimality(validate_law(self.problem, design, solution.objective), solution)
+        candidate = FunctionCandidate(solution, design, checked)
         self.validating += time.perf_counter() - begin
         return candidate
 

@@ -15,9 +15,9 @@ from optlink.solvers.infeasibility import Explanation, explain, feasible_point
 from optlink.synthesis.batch_search import PER_ROUND, PERFECT, Searcher
 from optlink.tasks.path_search import DesignCollection, Polisher, designs_from_four_bar, has_several_dyads, path_model
 from optlink.tasks.protocol import DesignTask, Search, completed
-from optlink.tasks.results.common import shortest_link
 from optlink.tasks.results.evidence import INCOMPLETE, evidence
 from optlink.tasks.results.path import PathDesign, PathResult
+from optlink.tasks.results.rotation import cannot_turn
 from optlink.validation.path import validate_path
 
 MISSED_CHANCE = 0.02  # estimated chance that a better design was missed at which a search ends
@@ -75,7 +75,7 @@ class PathTask(DesignTask[PathResult]):
             error = math.sqrt(float(np.mean(rounds.better.measured.distances**2)))
             notes.append(FOUR_BAR_BETTER.format(1e3 * error))
         notes += () if collection.rejected is None else (collection.rejected.note,)
-        notes += () if collection.designs else shortest_link(task.quantities, task.limits.crank)
+        notes += () if collection.designs else cannot_turn(task.quantities, task.limits.crank, task.limits.alignment.value)
         if collection.designs and coverage.missed > MISSED_CHANCE:
             count = rounds.searcher.exploration.starts
             notes.append(f"{INCOMPLETE}: {count} starts, {coverage.chance}; use --starts {min(4 * count, PathTask.most_starts)}")

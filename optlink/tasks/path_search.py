@@ -24,7 +24,7 @@ from optlink.synthesis.batch import Batch
 from optlink.synthesis.batch_search import Candidate, Exploration, acceptable
 from optlink.synthesis.growth import ContainedFourBar, grow_from_four_bar
 from optlink.synthesis.levenberg_marquardt import minimise
-from optlink.tasks.results.common import OPTIMALITY_CHECK, ROUNDED, inexact, optimality
+from optlink.tasks.results.common import OPTIMALITY_CHECK, ROUNDED, inexact, with_optimality
 from optlink.tasks.results.evidence import Evidence, evidence, tally
 from optlink.tasks.results.path import PathDesign
 from optlink.tasks.results.rejected import BETTER, RejectedDesign, best_rejected
@@ -193,8 +193,7 @@ def validated_design(file: ProblemFile, solution: Solution) -> PathDesign:
     """
     task = path_model(file)
     values, angles = solved_values(task, solution.design, solution.x)
-    checked = validate_path(task, values, angles, solution.objective)
-    checked = replace(checked, checks=(*checked.checks, *optimality(solution)))
+    checked = with_optimality(validate_path(task, values, angles, solution.objective), solution)
     return PathDesign(file, values, angles, solution.objective, solution.status, checked, solution)
 
 

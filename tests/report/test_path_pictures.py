@@ -446,7 +446,7 @@ def test_similar_linkages_are_not_taken_for_cognates(change):
 def test_invalid_designs_are_marked_everywhere(tmp_path, monkeypatch):
     for kind in ("path", "errors"):
         figure = picture("miss", kind)
-        assert "NOT VALID: fails points met within their tolerances" in figure.get_suptitle()
+        assert "NOT VALID: a point is missed by" in figure.get_suptitle()
         assert figure._suptitle.get_color() == LIMIT
         assert "NOT VALID" not in picture("path", kind).get_suptitle()
     caught = []
@@ -455,7 +455,7 @@ def test_invalid_designs_are_marked_everywhere(tmp_path, monkeypatch):
     assert caught == ["NOT VALID: A path"]
     written = view_of("path").write(result("miss"), tmp_path)
     assert [path.name for path in written] == ["result.json", "points.csv", "design.toml", "path.png", "errors.png"]
-    assert (tmp_path / "design.toml").read_text(encoding="utf-8").startswith("# NOT VALID: fails points met")
+    assert (tmp_path / "design.toml").read_text(encoding="utf-8").startswith("# NOT VALID: a point is missed by")
 
 
 def test_no_pictures_without_a_design(tmp_path):

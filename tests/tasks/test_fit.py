@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from optlink.solvers.solution import LimitState
 from optlink.tasks.cycle import solve as solve_cycle
 from optlink.tasks.path import solve, validate
 from optlink.tasks.results.fit import Fit, PathFit, TransmissionFit, transmission_fit
+from optlink.tasks.results.remedies import fixed_effects
 from tests.stated import document, four_bar_section, free
 
 SIZES = dict.fromkeys(("crank", "coupler", "rocker", "frame"), free(10.0, 300.0))
@@ -405,3 +407,85 @@ def test_no_law_of_two_rows_and_no_dwell_is_without_a_grade(block: int) -> None:
         assert fit.grade == grade or min(abs(share - edge) for edge in (1e-9, 0.01, 0.05)) < 1e-8, raw
         shown = verdict(ReportModel(result.problem, result, None))
         assert shown.startswith("Valid, poor fit" if grade == "poor" else "Valid: every check passed"), raw
+
+
+# --- what would help ---------------------------------------------------------------------------------------------------------
+
+BUCKET = {
+    "title": "80 deg in, 110 deg out",
+    "mechanism": {
+        "type": "four-bar",
+        "frame": "330 mm",
+        "crank": "300 mm",
+        "coupler": {"bounds": ["60 mm", "1000 mm"]},
+        "rocker": {"bounds": ["60 mm", "1000 mm"]},
+        "assembly": "left",
+    },
+    "requirement": {"kind": "function", "law": {"phi": ["0 deg", "80 deg"], "psi": ["0 deg", "110 deg"]}},
+    "limits": {"crank": "span", "transmission_angle": ["30 deg", "150 deg"]},
+}
+
+
+def rms_from(result: optlink.tasks.function.FunctionResult, start: float) -> float:
+    """Error [deg] of the design at the second row if the law begins at a crank angle [deg]."""
+    sizes = {name: 1e3 * result.design[name] for name in ("crank", "coupler", "rocker", "frame")}
+    angles = rocker_angles(**sizes, angles=np.radians([start, start + 80.0]))
+    return abs(math.degrees(math.remainder(math.radians(110.0) - (angles[1] - angles[0]), math.tau)))
+
+
+def test_the_default_start_of_a_law_is_named_and_its_remedy_works() -> None:
+    file = optlink.read(BUCKET)
+    result = optlink.solve(file)
+    assert result.fit.grade == "poor"
+    reason = result.fit.reasons[0]
+    assert reason.reason.startswith("the law starts at the outer dead centre, the default of requirement.from")
+    told = re.search(
+        r"from ([\d.]+) deg the same linkage has an rms error of ([\d.]+) deg instead of ([\d.]+) deg", reason.reason
+    )
+    start, best, here = map(float, told.groups())
+    assert here == pytest.approx(math.degrees(result.fit.error), rel=1e-3)
+    assert best == pytest.approx(rms_from(result, start), rel=1e-3)
+    assert (
+        best <= min(rms_from(result, angle) for angle in np.arange(0.0, 360.0, 5.0)[1:] if rms_from(result, angle) >= 0.0) + 1e-3
+    )
+    free_start = reason.remedy.removeprefix("free the start: requirement.from = ")
+    assert free_start == '{ bounds = ["0 deg", "360 deg"] }'
+    assert optlink.solve(file.override({"requirement.from": {"bounds": ["0 deg", "360 deg"]}})).fit.grade == "exact"
+    shown = CliRunner().invoke(app, ["solve", "crank-rocker"]).stdout
+    assert "the default start" not in shown  # its file states the start
+
+
+def test_the_fixed_dimension_with_the_largest_effect_is_named() -> None:
+    """Its first-order effect is the slope of the optimum, solved again with other values."""
+    file = optlink.read(BUCKET)
+    result = optlink.solve(file)
+    effects = fixed_effects(result.solution)
+    slopes = {}
+    for name in ("crank", "frame"):
+        size = 1e3 * result.design[name]
+        sides = [optlink.solve(file.override({f"mechanism.{name}": f"{size + way} mm"})).objective for way in (0.02, -0.02)]
+        slopes[name] = (sides[0] - sides[1]) / 0.04 / result.objective
+        assert effects[name] == pytest.approx(slopes[name], rel=2e-3)
+    largest = max(slopes, key=lambda name: abs(slopes[name]))
+    reason = result.fit.reasons[-1]
+    way = "less" if slopes[largest] > 0.0 else "more"
+    assert f"{largest} has the largest effect: 1 mm {way} improves the objective by" in reason.reason
+    assert reason.remedy == f"free {largest} by bounds"
+
+
+def test_the_other_assembly_mode_is_named_where_the_same_lengths_are_better() -> None:
+    raw = {
+        "title": "the mirrored law",
+        "mechanism": {**BUCKET["mechanism"], "crank": "80 mm", "coupler": "300 mm", "rocker": {"bounds": ["195 mm", "205 mm"]}},
+        "requirement": {"kind": "function", "law": "psi0 - 0.35*sin(phi - phi0)", "span": "90 deg", "from": "40 deg"},
+    }
+    left, right, either = (
+        optlink.solve(optlink.read(raw).override({"mechanism.assembly": m})) for m in ("left", "right", "either")
+    )
+    worse, better = sorted((left, right), key=lambda result: -result.objective)
+    assert worse.fit.grade == "poor"
+    named = [each for each in worse.fit.reasons if each.remedy == 'write mechanism.assembly = "either"']
+    assert len(named) == 1
+    assert f"with C to the {better.assembly} the same lengths" in named[0].reason
+    assert not any("either" in each.remedy for each in better.fit.reasons)
+    assert either.objective == pytest.approx(better.objective, rel=1e-9)

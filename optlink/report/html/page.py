@@ -6,6 +6,7 @@ from pathlib import Path
 
 from optlink.errors import Status
 from optlink.io import whole
+from optlink.report.causes import why_invalid
 from optlink.report.chart_spec import ChartSpec
 from optlink.report.format import single_units
 from optlink.report.html import chart_plotly
@@ -132,8 +133,8 @@ def verdict(model: ReportModel | StoredStudy) -> str:
         return f"Valid, {fit.text}" if fit is not None and fit.grade == "poor" else "Valid: every check passed"
     if model.result.status is Status.INFEASIBLE:
         return "No feasible design found"
-    failed = _failed(model)
-    return f"Not valid: {failed}" if failed else f"Not valid: {model.result.status.value}"
+    checks = getattr(getattr(model.result, "validation", None), "checks", ())
+    return f"Not valid: {why_invalid(checks, model.result.status.value)}"
 
 
 def _conclusion(model: ReportModel, shown: Summary) -> str:
@@ -154,13 +155,6 @@ def _status(model: ReportModel, shown: Summary) -> Sequence[Sequence[Span]]:
     if not isinstance(outcome, CycleResult) or not outcome.task.single or not outcome.comparison.startswith("objective"):
         return shown.status.lines
     return [[span for span in line if span.text != f"; {outcome.comparison}"] for line in shown.status.lines]
-
-
-def _failed(model: ReportModel) -> str:
-    """Return the names of the failed checks."""
-    checked = getattr(model.result, "validation", None)
-    names = checked.failed if checked else ()
-    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 def _kind(model: ReportModel) -> str:

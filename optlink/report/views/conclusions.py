@@ -1,12 +1,13 @@
 """Conclusion of every kind of result: verdict, main figures with their limits, and what limits them, in one or two sentences."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
 from optlink.optimization.objectives import MEASURES
 from optlink.problem.cycle.model import REQUIRED, StrokeProblem
+from optlink.report.causes import why_invalid
 from optlink.report.format import figure, joined, si
 from optlink.report.views import path_tables, study_tables
 from optlink.report.views.certificate_view import clause
@@ -25,7 +26,6 @@ from optlink.tasks.results.cycle import CycleResult
 from optlink.tasks.results.fit import PathFit
 from optlink.tasks.results.path import PathDesign, PathResult
 from optlink.units import percent
-from optlink.validation import Check
 
 NO_BREAK = "\N{NO-BREAK SPACE}"
 ROUNDING = 1e-9  # share of the initial value below which the remainder is rounding error
@@ -52,7 +52,7 @@ def design(outcome: FunctionResult | PathResult | CycleResult, limits: Iterable[
         achieved = _function(best)
     if outcome.valid:
         return _sentences(achieved, _limiting(limits), certified)
-    return f"{_failed(best.validation.checks) or f'Not valid: {best.status.text}.'} {achieved}"
+    return f"Not valid: {why_invalid(best.validation.checks, best.status.text)}. {achieved}"
 
 
 def _sentences(*sentences: str) -> str:
@@ -117,16 +117,6 @@ def _limiting(limits: Iterable[LimitState]) -> str:
     more = f"; {others} more limits are active" if others > 1 else "; one more limit is active" * others
     bound = bound.replace("<=", "≤").replace(">=", "≥").replace(" ", NO_BREAK)
     return f"Active limit: {first.name} ({bound}){more}."
-
-
-def _failed(checks: Sequence[Check]) -> str:
-    """Name the failed checks with value and limit."""
-    failed = [check for check in checks if not check.passed]
-    if not failed:
-        return ""
-    first = failed[0]
-    text = f"Not valid: {first.name} is {figure(first.value, first.unit)}, required {first.limit}"
-    return text + (f"; {len(failed) - 1} more checks fail." if len(failed) > 1 else ".")
 
 
 def sensitivities(result: Sensitivities) -> str:

@@ -36,7 +36,8 @@ def path_result(outcome: PathResult) -> Summary:
     if best is None:
         remark = "no start could be assembled at all points within the bounds; widen them, or give more starts"
         proof = certificate_lines(outcome.certificate)
-        status = [bad("no linkage found"), *(proof if certified(outcome.certificate) else [quiet(remark), *proof])]
+        reason: list[Line] = [*noted(outcome.notes)] or ([] if certified(outcome.certificate) else [quiet(remark)])
+        status: list[Line] = [bad("no linkage found"), *reason, *proof]
         return summary(model.title, status, impossible, certificate, _times(outcome))
     machine = turning_machine(best.problem, best.values)
     strokes = None if machine is None else machine_strokes(machine, float(best.crank_angles[-1] - best.crank_angles[0]))

@@ -10,6 +10,7 @@ from optlink.linkage.motion import Motion, sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.file import ProblemFile
 from optlink.problem.path import MARK
+from optlink.report.causes import why_invalid
 from optlink.report.drawing import Sketch
 from optlink.report.files import verdict
 from optlink.report.format import round_below
@@ -196,13 +197,6 @@ def _digits(value: float, count: int) -> str:
     return shown.replace("-", "−") if "e" not in shown else shown
 
 
-def failed(design: PathDesign | FunctionResult | CycleResult) -> str:
-    """Return the reason why a design is not valid."""
-    names = design.validation.failed
-    more = f" and {len(names) - 2} more checks" if len(names) > 3 else ""
-    return f"fails {', '.join(names[: 2 if more else 3])}{more}" if names else design.status.text
-
-
 def with_verdict(
     machine: ProblemFile | None, design: PathDesign | FunctionResult | CycleResult | None
 ) -> tuple[ProblemFile, str] | None:
@@ -215,7 +209,7 @@ def with_verdict(
     """
     if machine is None or design is None:
         return None
-    return machine, verdict(design.status.value, design.valid, failed(design))
+    return machine, verdict(design.status.value, design.valid, why_invalid(design.validation.checks, design.status.text))
 
 
 def objective(view: PathView) -> str:
@@ -341,7 +335,9 @@ def title_of(view: PathView, width: float, title: str, *more: str) -> str:
     """
     text = [heading(title, width, TITLE)]
     if not view.design.valid:
-        text.append(wrapped(f"NOT VALID: {failed(view.design)}".split(", "), width, ", "))
+        text.append(
+            wrapped(f"NOT VALID: {why_invalid(view.design.validation.checks, view.design.status.text)}".split(", "), width, ", ")
+        )
     elif view.design.fit is not None and view.design.fit.grade == "poor":
         text.append(heading(view.design.fit.text.capitalize(), width, TITLE))
     return "\n".join([*text, *filter(None, more)])

@@ -25,7 +25,7 @@ def conflict(limits: Sequence[Relaxation], together: Sequence[Relaxation]) -> Ta
     together : sequence of Relaxation
         Limits relaxed simultaneously; shown if one of `limits` does not suffice alone.
     """
-    rows = [(_name(pair), _limit(pair), _relaxed(pair) or "never: see below") for pair in _ranges(limits)]
+    rows = [(_name(pair), _limit(pair), _relaxed(pair) or "not by this limit alone") for pair in _ranges(limits)]
     single = len(rows)
     if any(not math.isfinite(limit.amount) for limit in limits):
         rows += [(_name(pair), _limit(pair), f"together: {_relaxed(pair) or 'dropped'}") for pair in _ranges(together)]
@@ -50,8 +50,11 @@ def contradiction(conflict: Sequence[Relaxation], together: Sequence[Relaxation]
     else:
         shared = [_option(pair) for pair in _ranges(together) if math.isfinite(pair[0].amount)]
         remedy = f"relax together {joined(shared[:3])}" if shared else "drop one of them"
-    names = joined([_name(pair) for pair in limits][:4])
-    subject = f"the limits {names} conflict" if len(limits) > 1 else f"the limit {names} cannot be met"
+    if len(limits) == 1:
+        subject = f"the limit {_name(limits[0])} cannot be met"
+    else:
+        names = joined([f"{_name(pair)} ({_limit(pair)})" for pair in limits][:4])
+        subject = f"{names} exclude {'each other' if len(limits) == 2 else 'one another'}"
     sentence = f"No design was found that meets all limits: {subject}. To make it feasible, {remedy}."
     return " ".join([sentence, *_exact_values(limits)])
 

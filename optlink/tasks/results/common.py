@@ -5,10 +5,8 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar, Self
 
 from optlink.errors import Status
-from optlink.linkage.fourbar import LENGTHS
 from optlink.problem.base_model import Contradiction, Number, Record, Recorded, ResultRecord, absent
 from optlink.problem.file import ProblemFile
-from optlink.problem.quantity import Quantity
 from optlink.solvers.solution import FEASIBLE, STATIONARY, LimitState, Relaxation, Solution
 from optlink.tasks.results.certificate import Certificate, message
 from optlink.tasks.results.fit import FitRecord
@@ -33,30 +31,6 @@ class Optimum:
     assembly: str = ""
 
 
-def shortest_link(quantities: Mapping[str, Quantity], crank: str) -> tuple[str, ...]:
-    """Return a message if the bounds of a four-bar prevent full rotation of the crank: the shortest link cannot be the shortest.
-
-    Parameters
-    ----------
-    quantities : mapping of str to Quantity
-        The four lengths.
-    crank : str
-        `limits.crank` of the problem.
-    """
-    name = {"full rotation": "crank", "double-crank": "frame"}.get(crank)
-    if name is None or name not in quantities:
-        return ()
-    least = quantities[name].bounds[0]
-    other = min((link for link in LENGTHS if link != name), key=lambda link: quantities[link].bounds[1])
-    most = quantities[other].bounds[1]
-    if least <= most:
-        return ()
-    return (
-        f"the {name}, at least {1e3 * least:.6g} mm, cannot be the shortest link, as the {other} is at most {1e3 * most:.6g} mm: "
-        f'the crank cannot turn fully; shorten the {name}, or write limits.crank = "span"',
-    )
-
-
 def verified(status: Status, validation: Validation) -> bool:
     """Return whether a design passes its validation, and is optimal unless its status excludes that.
 
@@ -79,12 +53,22 @@ def inexact(status: Status, validation: Validation) -> bool:
     return status in (Status.OPTIMAL, Status.STALLED) and bool(validation.failed) and INEXACT.issuperset(validation.failed)
 
 
-def optimality(solution: Solution) -> tuple[Check, ...]:
-    """Return the checks of feasibility and stationarity by the NLP."""
-    return (
-        Check(LIMITS_CHECK, solution.violation <= FEASIBLE, solution.violation, f"<= {FEASIBLE:.0e}", ""),
-        _stationary(solution),
-    )
+def with_optimality(checked: Validation, solution: Solution) -> Validation:
+    """Return a validation with the checks of feasibility and stationarity by the NLP, without mere consequences of failed ones.
+
+    A design that breaks a limit is no optimum; one that fails a measured check need not be told that it breaks a limit.
+
+    Parameters
+    ----------
+    checked : Validation
+        Measured checks.
+    solution : Solution
+    """
+    met = solution.violation <= FEASIBLE
+    feasible = Check(LIMITS_CHECK, met, solution.violation, f"<= {FEASIBLE:.0e}", "")
+    if not met:
+        return replace(checked, checks=checked.checks if checked.failed else (*checked.checks, feasible))
+    return replace(checked, checks=(*checked.checks, feasible, _stationary(solution)))
 
 
 def _stationary(solution: Solution) -> Check:
@@ -94,7 +78,7 @@ def _stationary(solution: Solution) -> Check:
     if passed and not small:
         limit = "no measurable improvement"
     if small and not passed:
-        limit = "of a feasible design" if solution.violation > FEASIBLE else "of the design searched for"
+        limit = "of the design searched for"
     return Check(OPTIMALITY_CHECK, passed, solution.kkt, limit, "")
 
 

@@ -160,7 +160,8 @@ class CycleResult(SingleResult):
         angle = math.nan if cycle is None else cycle.figure(goal)
         angle = 0.5 * math.pi - angle if goal.quantity == "pressure angle" else angle
         limits = () if self.solution is None else self.solution.limits
-        return transmission_fit(min(angle, math.pi - angle), self.task.mechanism.quantities, self.complete(self.design), limits)
+        least, values = min(angle, math.pi - angle), self.complete(self.design)
+        return transmission_fit(least, self.task.mechanism.quantities, values, limits, self.solution)
 
     @cached_property
     def figures(self) -> tuple[CycleFigure, ...]:

@@ -27,14 +27,14 @@ from optlink.linkage.fourbar import LENGTHS, classify
 from optlink.linkage.motion import sweep
 from optlink.linkage.vector2d import TURN, Array
 from optlink.problem.base_model import Record
-from optlink.problem.function import DesignProblem
 from optlink.problem.mechanism import FourBarSection
 from optlink.problem.quantity import Quantity
 from optlink.problem.targets.law import begins_at_psi0
-from optlink.solvers.solution import LimitState
-from optlink.units import show
+from optlink.solvers.solution import LimitState, Solution
+from optlink.tasks.results.remedies import PoorFitReason, fixed_reasons, mode_reasons, start_reasons
 
 if TYPE_CHECKING:
+    from optlink.problem.file import ProblemFile
     from optlink.problem.path import PathProblem
     from optlink.validation.path import MeasuredDeviations
 
@@ -54,14 +54,6 @@ POSITIONS = 721  # positions along a motion
 NO_RANGE = 1e-3  # share of a radian, or of the longest link, below which targets are all the same: a dwell, a single position
 GRADES = ("exact", "good", "fair", "poor")
 MAX_ACTIVE_LIMITS = 2  # largest number of active limits given as reasons
-
-
-@dataclass(frozen=True)
-class PoorFitReason:
-    """A measured reason for a poor fit, and its remedy."""
-
-    reason: str
-    remedy: str
 
 
 @dataclass(frozen=True)
@@ -180,7 +172,11 @@ class TransmissionFit(Fit):
 
 
 def transmission_fit(
-    least: float, quantities: Mapping[str, Quantity], values: Mapping[str, float], limits: Sequence[LimitState] = ()
+    least: float,
+    quantities: Mapping[str, Quantity],
+    values: Mapping[str, float],
+    limits: Sequence[LimitState] = (),
+    solution: Solution | None = None,
 ) -> TransmissionFit | None:
     """Grade a design whose transmission angle is optimised; return None if it has no transmission angle.
 
@@ -194,6 +190,8 @@ def transmission_fit(
         All quantities.
     limits : sequence of LimitState
         Limits of the optimum with their multipliers; empty for a given design.
+    solution : Solution, optional
+        The optimum; None for a given design.
     """
     if not math.isfinite(least):
         return None
@@ -202,7 +200,7 @@ def transmission_fit(
     if fit.grade != "poor":
         return fit
     remaining = [limit for limit in limits if not any(words in f"{limit.key} {limit.name}" for words in TRANSMISSION_KEYS)]
-    return replace(fit, reasons=(*active_reasons(remaining), *fixed_reasons(quantities, values)))
+    return replace(fit, reasons=(*active_reasons(remaining), *fixed_reasons(quantities, values, solution)))
 
 
 def _rms(values: Array) -> float:
@@ -216,6 +214,7 @@ def path_fit(
     measured: MeasuredDeviations,
     between: Array | None = None,
     limits: Sequence[LimitState] = (),
+    solution: Solution | None = None,
 ) -> Fit | None:
     """Grade a path, motion or function design; return None for transmission (see `transmission_fit`) or a design without motion.
 
@@ -231,6 +230,8 @@ def path_fit(
         Excursions of the curve between the points.
     limits : sequence of LimitState
         Limits of the optimum with their multipliers; empty for a given design.
+    solution : Solution, optional
+        The optimum; None for a given design.
     """
     targets, distances = task.data.columns, measured.distances
     if task.requirement.kind == "transmission" or not np.all(np.isfinite(distances)):
@@ -264,7 +265,7 @@ def path_fit(
         *_timed(task, values, crank_angles, measured),
         *_placed(task, values, measured),
     ]
-    reasons += [*active_reasons(limits), *fixed_reasons(_quantities(task), values), *_kind(task, values)]
+    reasons += [*active_reasons(limits), *fixed_reasons(_quantities(task), values, solution), *_kind(task, values)]
     return Fit(worst.error, worst.size, worst.unit, worst.of, tuple(reasons))
 
 
@@ -277,22 +278,22 @@ def _sized(errors: Array, size: float, unit: str, of: str, links: Sequence[float
     return Fit(_rms(errors), *((whole, unit, name) if size <= NO_RANGE * whole else (size, unit, of)))
 
 
-def law_fit(task: DesignProblem, values: Mapping[str, float], error: Array, limits: Sequence[LimitState] = ()) -> Fit | None:
+def law_fit(problem: ProblemFile, values: Mapping[str, float], error: Array, solution: Solution | None = None) -> Fit | None:
     """Grade a function design of a four-bar; return None if it has no position at some point of the law.
 
     Parameters
     ----------
-    task : DesignProblem
+    problem : ProblemFile
     values : mapping of str to float [m, rad]
         Quantities of the design.
     error : array (positions,) [rad]
         Error of the output.
-    limits : sequence of LimitState
-        Limits of the optimum with their multipliers; empty for a given design.
+    solution : Solution, optional
+        The optimum with its multipliers; None for a given design.
     """
     if not np.all(np.isfinite(error)):
         return None
-    law = task.law
+    task, law = problem.spec, problem.spec.law
     targets = law.curve(law.offsets, values["phi0"], values["psi0"])
     relative = getattr(law.source, "from_start", False) or begins_at_psi0(law.source)
     if task.tied and relative and law.offsets[0] != 0.0:  # the output moves from psi0, where the error is zero by definition
@@ -300,8 +301,9 @@ def law_fit(task: DesignProblem, values: Mapping[str, float], error: Array, limi
     fit = _sized(error, float(np.ptp(np.unwrap(targets))), "rad", "the output range")
     if fit.grade != "poor":
         return fit
-    reasons = (*active_reasons(limits), *fixed_reasons(task.quantities, values))
-    return Fit(fit.error, fit.size, fit.unit, fit.of, reasons)
+    measured = (*start_reasons(task, values, fit.error), *mode_reasons(problem, values, fit.error))
+    limits = () if solution is None else solution.limits
+    return replace(fit, reasons=(*measured, *active_reasons(limits), *fixed_reasons(task.quantities, values, solution)))
 
 
 def _diameter(places: NDArray[np.complex128]) -> float:
@@ -405,25 +407,6 @@ def active_reasons(limits: Sequence[LimitState]) -> Iterator[PoorFitReason]:
             bound = f"{limit.sense} {limit.bound:.4g} {limit.unit}".rstrip()
             word, remedy = ("at its prescribed value", "change") if limit.sense == "=" else ("at its limit", "widen")
             yield PoorFitReason(f"{limit.name} is {word} ({bound})", f"{remedy} {' and '.join(together)}")
-
-
-def fixed_reasons(quantities: Mapping[str, Quantity], values: Mapping[str, float]) -> Iterator[PoorFitReason]:
-    """Yield the fixed dimensions as a reason.
-
-    Parameters
-    ----------
-    quantities : mapping of str to Quantity
-        Dimensions.
-    values : mapping of str to float [m, rad]
-        Quantities of the design.
-    """
-    fixed = [name for name, quantity in quantities.items() if not quantity.free]
-    if fixed:
-        shown = ", ".join(
-            f"{name} = {show(values.get(name, quantities[name].value), quantities[name].kind)}" for name in fixed[:4]
-        )
-        more = f" and {len(fixed) - 4} more" if len(fixed) > 4 else ""
-        yield PoorFitReason(f"fixed dimensions: {shown}{more}", "free those that need not be fixed, by bounds")
 
 
 def _quantities(task: PathProblem) -> dict[str, Quantity]:

@@ -89,8 +89,10 @@ class PathDesign(Summary):
     def fit(self) -> Fit | None:
         """Error relative to the size of the task, or least transmission angle; None if neither is defined."""
         if self.task.requirement.kind == "transmission":
-            return transmission_fit(self.least_transmission, self.task.mechanism.quantities, self.values, self.limits)
-        return path_fit(self.task, self.values, self.crank_angles, self.measured, self.between, self.limits)
+            return transmission_fit(
+                self.least_transmission, self.task.mechanism.quantities, self.values, self.limits, self.solution
+            )
+        return path_fit(self.task, self.values, self.crank_angles, self.measured, self.between, self.limits, self.solution)
 
     @cached_property
     def between(self) -> Array | None:
